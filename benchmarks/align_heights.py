@@ -13,7 +13,7 @@ import time
 import numpy as np
 
 from fieldgrid.align import heights
-from fieldgrid.align.drives import Drive, Role
+from fieldgrid.align.drives import Role, SubmapDrive
 from fieldgrid.align.submaps import SUBMAP_M
 from fieldgrid.mapfile import Transform
 
@@ -25,12 +25,14 @@ AHEAD_M, WIDE_M, SEEN = 20.0, 15.0, 0.6
 SCATTER_M = 0.05
 
 
-def drive_of(submaps: int, number: int) -> Drive:
+def drive_of(submaps: int, number: int) -> SubmapDrive:
     """A drive, but for what its frames saw."""
     time_ns = number * 10**14 + np.arange(submaps, dtype=np.int64) * 8 * 10**9
     none = np.zeros((submaps, 2))
     transform = Transform()
-    return Drive(f"{number}", Role.MOVES, (), transform, 0.25, 0.2, time_ns, none, none[0], 0.25)
+    return SubmapDrive(
+        f"{number}", Role.MOVES, (), transform, 0.25, 0.2, time_ns, none, none[0], 0.25
+    )
 
 
 def places_of(submap: int, random: np.random.Generator) -> np.ndarray:

@@ -22,7 +22,7 @@ from fieldgrid.pose import ClockOffset, conditioned
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.clock import check_clock
-from fieldgrid.pose.drive import Drive, smooth_drive
+from fieldgrid.pose.drive import DriveEstimate, smooth_drive
 from fieldgrid.recording import open_recording
 from fieldgrid.rig import Rig
 from fieldgrid.settings import PoseSettings
@@ -127,7 +127,7 @@ def within(steps: Steps, times_ns: npt.NDArray[np.int64]) -> Steps:
 
 
 def tell(
-    drive: Drive, fixes: AcceptedFixes, motion: Motion, rig: Rig
+    drive: DriveEstimate, fixes: AcceptedFixes, motion: Motion, rig: Rig
 ) -> tuple[ClockOffset | None, ...]:
     """What is told of each of the clocks; the gyro goes with the fixes."""
     steps = motion.steps

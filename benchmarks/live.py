@@ -37,7 +37,7 @@ from fieldgrid.live.sensor_rows import PARTS, Rows
 from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.motion import Steps
-from fieldgrid.odometry import Step
+from fieldgrid.odometry import CameraStep
 from fieldgrid.pose import Estimate
 from fieldgrid.recording import DriveOptions, Recording, StereoFrame, open_recording
 from fieldgrid.rotations import Tilt
@@ -276,7 +276,7 @@ def fixed_lag(
     values = {part: getattr(recording.motion(), part) for part in PARTS}
     rows = {part: one for part, one in values.items() if one is not None}
     step_to = {
-        int(stop_ns): Step(*(float(column[k]) for column in steps[2:]), 0)
+        int(stop_ns): CameraStep(*(float(column[k]) for column in steps[2:]), 0)
         for k, stop_ns in enumerate(steps.stop_ns)
     }
     times_ns = (recording.frame_times_ns() + recording.rig.image_time_offset_ns).tolist()

@@ -20,7 +20,7 @@ from fieldgrid.costmap import Costmap
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.live import Doubt, LiveWindow, ReceiverStream
+from fieldgrid.live import LiveWindow, ReceiverStream, WindowDoubt
 from fieldgrid.live.feed import encode_window
 from fieldgrid.mapfile import MapView
 from fieldgrid.recording.growing import open_growing
@@ -92,7 +92,7 @@ def _window(side: int) -> LiveWindow:
     age_s = np.where(observed, random.uniform(0.0, 60.0, shape), np.nan).astype(np.float32)
     costmap = Costmap.from_view(view)
     return LiveWindow(
-        *(FIRST_NS, costmap, view, age_s, age_s * 0.01, None, "", 1, "", None, Doubt.NONE),
+        *(FIRST_NS, costmap, view, age_s, age_s * 0.01, None, "", 1, "", None, WindowDoubt.NONE),
         *(0, FixColumns.of([]), np.zeros(0, dtype=np.bool_)),
     )
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from benchmarks import EXAMPLE
 from benchmarks.timing import paired_ms
 from fieldgrid.angles import wrap_deg
-from fieldgrid.odometry import Features, Refusal, Step, features, step
+from fieldgrid.odometry import CameraStep, Features, Refusal, features, step
 from fieldgrid.recording import Image, open_recording
 from fieldgrid.rig import Rig
 from fieldgrid.settings import StereoSettings
@@ -89,8 +89,8 @@ def road(folder: Path = ROAD) -> Drive:
 def accuracy(drive: Drive, frames: Sequence[Features]) -> str:
     """A line of the table of errors."""
     results = [step(a, b, drive.rig) for a, b in pairwise(frames)]
-    rows = [k for k, one in enumerate(results) if isinstance(one, Step)]
-    steps = np.array([one for one in results if isinstance(one, Step)])
+    rows = [k for k, one in enumerate(results) if isinstance(one, CameraStep)]
+    steps = np.array([one for one in results if isinstance(one, CameraStep)])
     truth = true_steps(drive.truth)[rows]
     off = steps[:, :2] - truth[:, :2]
     off_m, off_deg = np.hypot(*off.T), np.abs(wrap_deg(steps[:, 2] - truth[:, 2]))

@@ -24,7 +24,7 @@ from fieldgrid.lattice import Lattice, Window
 from fieldgrid.mapfile import MapView
 from fieldgrid.route import Route, Vehicle, route_in_view
 from fieldgrid.route.ground import Ground
-from fieldgrid.route.search import Pose, Searcher
+from fieldgrid.route.search import Searcher, SearchPose
 from fieldgrid.route.verify import find_fault
 
 
@@ -144,7 +144,7 @@ def least_length_m(task: Task) -> float:
     ground = Ground.of(task.view, CostCurve(), allow_unknown=False, margin_m=5.0)
     searcher = Searcher(ground, task.vehicle)
     start, goal = (
-        Pose(place[0] - ground.west_m, place[1] - ground.south_m, 0.0)
+        SearchPose(place[0] - ground.west_m, place[1] - ground.south_m, 0.0)
         for place in (task.start, task.goal)
     )
     around = float(searcher.distance_left(goal)[searcher.coarse_place(start)])

@@ -257,3 +257,12 @@ def test_every_folder_of_tests_is_collected(request: pytest.FixtureRequest) -> N
     folders = {path.parent.name for path in Path(__file__).parent.rglob("test_*.py")}
     assert "build" in folders
     assert not [name for name in folders for pattern in left_out if fnmatch(name, pattern)]
+
+
+def test_no_two_public_classes_share_a_name() -> None:
+    homes: dict[str, list[str]] = {}
+    for path in sorted((ROOT / "src").rglob("*.py")):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                homes.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+    assert {name: found for name, found in homes.items() if len(found) > 1} == {}

@@ -72,8 +72,8 @@ def drive(
     frames: Iterable[FrameRecord] = (),
     trajectory: Trajectory | None = None,
     colour: str = "#0072b2",
-) -> figures.Drive:
-    return figures.Drive(name, tuple(frames), trajectory, colour)
+) -> figures.DrawnDrive:
+    return figures.DrawnDrive(name, tuple(frames), trajectory, colour)
 
 
 def record(at: Pose) -> FrameRecord:

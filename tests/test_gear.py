@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fieldgrid.gear import Gears, Track, gears, turning_deg
+from fieldgrid.gear import GearEvidence, Gears, gears, turning_deg
 from fieldgrid.gear.holes import tight_nats
 from tests.simulated import K_TURN, Command, Drive, simulate
 
@@ -36,13 +36,13 @@ def track(
     seed: int = 0,
     gyro: bool = False,
     nats: float = 0.0,
-) -> Track:
+) -> GearEvidence:
     """A track without holes; wheels or camera say `nats` of the gear on each way."""
     n = len(drive.time_s)
     gap_s = np.zeros(n)
     gap_s[0] = np.inf
     points = np.stack([drive.east_m, drive.north_m], axis=1)
-    return Track(
+    return GearEvidence(
         points + np.random.default_rng(seed).normal(0.0, noise_m, (n, 2)),
         drive.time_s,
         gap_s,
@@ -54,10 +54,10 @@ def track(
     )
 
 
-def plain(points: _Float64, gap_s: _Float64, sigma_m: float) -> Track:
+def plain(points: _Float64, gap_s: _Float64, sigma_m: float) -> GearEvidence:
     """Ten positions a second, of which nothing else tells."""
     n = len(points)
-    return Track(
+    return GearEvidence(
         points, 0.1 * np.arange(n), gap_s, np.full(n, sigma_m), np.full(n, np.nan), np.zeros(n)
     )
 
@@ -236,7 +236,7 @@ def test_doubt_is_high_where_the_track_says_nothing() -> None:
     assert found.doubt.max() > SURE
     straight = np.stack([np.zeros(n), np.arange(n) * 0.15], axis=1)
     sure = gears(
-        Track(
+        GearEvidence(
             straight, 0.1 * np.arange(n), gap_s, np.full(n, 0.005), np.full(n, np.nan), np.zeros(n)
         )
     )
@@ -274,7 +274,7 @@ def test_a_hole_begins_a_leg_and_knows_nothing_of_before() -> None:
     assert (found.gear == 1).all()
     # After it a short leg may be either gear.
     tail = 12
-    short = Track(*(column[: middle + tail] for column in whole._replace(gap_s=gap_s)))
+    short = GearEvidence(*(column[: middle + tail] for column in whole._replace(gap_s=gap_s)))
     unsure = gears(short)
     assert unsure.doubt[middle:].min() > 5.0 * unsure.doubt[0]
 
@@ -367,12 +367,14 @@ def test_the_same_track_has_the_same_bits() -> None:
         assert np.array_equal(one, other)
 
 
-def with_holes(whole: Track, hole_s: float, phase_s: float) -> tuple[Track, npt.NDArray[np.bool_]]:
+def with_holes(
+    whole: GearEvidence, hole_s: float, phase_s: float
+) -> tuple[GearEvidence, npt.NDArray[np.bool_]]:
     """A track of which nothing is seen for so long in every 10 s, and what of it is seen."""
     seen = (whole.time_s + phase_s) % 10.0 < 10.0 - hole_s
     time_s = whole.time_s[seen]
     apart_s = np.diff(time_s, prepend=-np.inf)
-    part = Track(*(column[seen] for column in whole))
+    part = GearEvidence(*(column[seen] for column in whole))
     return part._replace(gap_s=np.where(apart_s > 2.0, apart_s, 0.0)), seen
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from fieldgrid.geodesy import Datum
 from fieldgrid.rig import Mount
-from fieldgrid.sweep import Sweep, Way, seconds_after
+from fieldgrid.sweep import OriginTrack, Sweep, seconds_after
 from fieldgrid.trajectory import Status, Trajectory
 
 _Floats = npt.NDArray[np.float64]
@@ -89,7 +89,7 @@ def wall_off_m(points: npt.NDArray[np.float32]) -> _Floats:
 def test_a_wall_stays_a_wall() -> None:
     sweep = seen_wall()
     raw = np.abs(wall_off_m(sweep.points_m))
-    carried = Way.of(trajectory()).carried(sweep, STAMP_NS, MOUNT.rotation())
+    carried = OriginTrack.of(trajectory()).carried(sweep, STAMP_NS, MOUNT.rotation())
     mended = np.abs(wall_off_m(carried))
     assert raw.max() > 0.4  # 44 cm at the end of the sweep
     assert np.percentile(raw, 95) > 20 * np.percentile(mended, 95)
@@ -104,14 +104,14 @@ def test_it_is_carried_the_right_way_round() -> None:
     """Carried the wrong way, the wall is twice as crooked."""
     sweep = seen_wall()
     assert sweep.after_s is not None
-    back = Way.of(trajectory()).carried(sweep._replace(after_s=-sweep.after_s), STAMP_NS,
+    back = OriginTrack.of(trajectory()).carried(sweep._replace(after_s=-sweep.after_s), STAMP_NS,
                                         MOUNT.rotation())  # fmt: skip
     assert np.abs(wall_off_m(back)).max() > 0.8
 
 
 def test_points_without_times_stay_as_they_are() -> None:
     points = seen_wall().points_m
-    assert Way.of(trajectory()).carried(Sweep(points), STAMP_NS, MOUNT.rotation()) is points
+    assert OriginTrack.of(trajectory()).carried(Sweep(points), STAMP_NS, MOUNT.rotation()) is points
 
 
 SINCE_S = np.linspace(0.0, 0.0999, 1000)

@@ -21,7 +21,7 @@ class MatcherKind(StrEnum):
     BM = "bm"
 
 
-class Doubt(StrEnum):
+class StopCode(StrEnum):
     """What of a drive stops a build unless it is accepted, by the codes of `inspect`."""
 
     CLOCK_OFFSET = "clock-offset"

@@ -18,7 +18,7 @@ from fieldgrid.cost import DENSITIES, INSCRIBED, LETHAL, UNKNOWN_COST, CostCurve
 from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, Lattice, Window
-from fieldgrid.mapfile import Blocks, MapView, Readable
+from fieldgrid.mapfile import MapBlocks, MapView, Readable
 
 MAX_CELLS = 100_000_000
 """Cells of a costmap: it holds 9 bytes of each, and 10 while it is made, beside what a block of the
@@ -153,12 +153,12 @@ class Costmap:
         those of drops, and where its cells are larger than the map's own `DECISION_LAYERS`. Its
         distances are worked out when they are first asked for."""
         settings = Inflation(robot_radius_m, inflation_m, decay_per_m)
-        whole = Blocks(view.lattice, view.window, iter((view,)))
+        whole = MapBlocks(view.lattice, view.window, iter((view,)))
         costs = _costs_of(whole, curve or CostCurve(), "density")
         return cls._of(whole, view.datum, costs, settings)
 
     @classmethod
-    def _of(cls, blocks: Blocks, datum: Datum, costs: UInt8, inflation: Inflation) -> Self:
+    def _of(cls, blocks: MapBlocks, datum: Datum, costs: UInt8, inflation: Inflation) -> Self:
         distances = _Distances(costs)
         # It changes no cell that is an obstacle or unknown.
         _inflate(costs, distances, inflation, blocks.lattice)
@@ -251,7 +251,7 @@ def _distance_cells(other: Bool) -> Float32:
     return np.asarray(found, dtype=np.float32)
 
 
-def _costs_of(blocks: Blocks, curve: CostCurve, layer: str) -> UInt8:
+def _costs_of(blocks: MapBlocks, curve: CostCurve, layer: str) -> UInt8:
     """The costs of the cells with a border, block by block: what decides them takes more bytes than
     they do."""
     window = blocks.window
@@ -284,7 +284,7 @@ def _inflate(costs: UInt8, distances: _Distances, inflation: Inflation, lattice:
         cost[near] = np.maximum(cost[near], inflated)
 
 
-def _check_size(blocks: Blocks) -> None:
+def _check_size(blocks: MapBlocks) -> None:
     width, height = blocks.window.width, blocks.window.height
     if width * height > MAX_CELLS or max(width, height) > MAX_SIDE:
         raise ConfigError(

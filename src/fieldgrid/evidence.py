@@ -17,7 +17,7 @@ from fieldgrid.array_types import Float64, UInt8
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.mapfile import Blocks, MapView
+from fieldgrid.mapfile import MapBlocks, MapView
 from fieldgrid.polyline import lengths, normals
 
 UNSEEN, FREE, OBSTACLE = 0, 1, 2
@@ -46,10 +46,10 @@ class Evidence(NamedTuple):
     @classmethod
     def of(cls, view: MapView, obstacle_above: int = OBSTACLE_ABOVE) -> Evidence:
         """The classes of a view: an obstacle is a cell whose density is above the threshold."""
-        return cls.of_blocks(Blocks(view.lattice, view.window, iter((view,))), obstacle_above)
+        return cls.of_blocks(MapBlocks(view.lattice, view.window, iter((view,))), obstacle_above)
 
     @classmethod
-    def of_blocks(cls, blocks: Blocks, obstacle_above: int = OBSTACLE_ABOVE) -> Evidence:
+    def of_blocks(cls, blocks: MapBlocks, obstacle_above: int = OBSTACLE_ABOVE) -> Evidence:
         """The same of the blocks of a map, of which no two are held at once."""
         cells = np.zeros(blocks.window.shape, dtype=np.uint8)
         for view in blocks.views:

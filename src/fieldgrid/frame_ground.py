@@ -60,7 +60,7 @@ class FrameGround(NamedTuple):
         return {name: array for name, array in kept.items() if array is not None}
 
 
-class Blocks:
+class HeightBlocks:
     """The squares of cells of a grid for which heights are kept; those at its ends may be less."""
 
     def __init__(self, spec: GridSpec) -> None:
@@ -102,7 +102,7 @@ def ground_heights_cm(
 ) -> Int16:
     """Heights of the ground, above the place below the sensor that is its mounted height lower,
     in blocks in which it was seen, int16 [n_y, n_x]."""
-    blocks = Blocks(spec)
+    blocks = HeightBlocks(spec)
     x, y = (at[middle] for at, middle in zip(spec.centres_m(), blocks.middles[::-1], strict=True))
     above_m = blocks.middle(ground_m) + (mounted_m - plane.height_m)
     above_m = above_m + plane.rise[0] * x + plane.rise[1] * y[:, None]

@@ -90,7 +90,7 @@ def file_bytes(path: Path) -> int:
     return found.st_size
 
 
-class Budget:
+class UnfoldBudget:
     """What one input may still unfold to."""
 
     def __init__(self, name: object, packed_bytes: int, *, is_log: bool = False) -> None:

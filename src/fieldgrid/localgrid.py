@@ -25,7 +25,7 @@ from fieldgrid.depth import (
     rays,
 )
 from fieldgrid.errors import CalibrationError
-from fieldgrid.frame_ground import Blocks, FrameGround, drops_cm, ground_heights_cm, steps_cm
+from fieldgrid.frame_ground import FrameGround, HeightBlocks, drops_cm, ground_heights_cm, steps_cm
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.ground import PATCH_M, GroundPlane, estimate_ground
 from fieldgrid.rig import DepthCamera, Lidar, Rig, StereoCamera
@@ -92,7 +92,7 @@ class LocalGridder:
         self._within = (range_m >= nearest_m) & (range_m <= self.max_range_m)
         self._step_range_m = step_range_m(rig, self.max_range_m, self.stereo)
         self._tells_steps = range_m <= self._step_range_m
-        self._blocks = Blocks(self.spec)
+        self._blocks = HeightBlocks(self.spec)
         self._gain = density_gain(rig, self.spec, self.settings)
         self._needed = points_needed(rig, self.spec, self.settings)
 

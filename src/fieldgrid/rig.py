@@ -223,7 +223,7 @@ class LeverArm:
             )
 
 
-class Vehicle(Protocol):
+class VehicleGeometry(Protocol):
     """What of a vehicle decides its poses: a :class:`Rig`, or a :class:`Carrier` without camera."""
 
     @property
@@ -243,7 +243,7 @@ class Vehicle(Protocol):
         """How a recorded heading is counted."""
 
 
-def nose_heading_deg(vehicle: Vehicle, recorded_deg: npt.ArrayLike) -> Float64:
+def nose_heading_deg(vehicle: VehicleGeometry, recorded_deg: npt.ArrayLike) -> Float64:
     """Headings of the nose, by the declared convention and offset, of recorded ones."""
     recorded = np.asarray(recorded_deg, dtype=np.float64)
     clockwise = recorded if vehicle.heading_convention == "cw_north" else 90.0 - recorded
@@ -277,7 +277,7 @@ class Carrier:
         return None if self.ahead_m is None else -self.ahead_m
 
 
-def with_antenna_ahead(vehicle: Vehicle | None, ahead_m: float) -> Rig | Carrier:
+def with_antenna_ahead(vehicle: VehicleGeometry | None, ahead_m: float) -> Rig | Carrier:
     """The same vehicle with its axle `ahead_m` behind the antenna; None is a log alone."""
     if isinstance(vehicle, Rig):
         return replace(vehicle, rear_axle_forward_m=vehicle.antenna.forward_m - ahead_m)

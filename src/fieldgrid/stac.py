@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from fieldgrid.documents import parse_json
 from fieldgrid.errors import ConfigError, MapError, MapWriteError, printable
 from fieldgrid.export import Selection, export_geotiff
-from fieldgrid.farm import Block, Farm
+from fieldgrid.farm import Farm, FarmBlock
 from fieldgrid.lattice import Window
 from fieldgrid.mapfile import MapFile, open_map
 from fieldgrid.publish import mentions, replacing_folder
@@ -39,7 +39,7 @@ _UNSAFE = re.compile(r"[^\w.-]+")
 _UNSAFE_IN_PATH = re.compile(r"[^\w.~/-]")
 
 
-class Written(NamedTuple):
+class WrittenCatalogue(NamedTuple):
     """A catalogue: its file, the maps that are in it, and those that are not, with the reason."""
 
     file: Path
@@ -49,7 +49,7 @@ class Written(NamedTuple):
 
 def write_stac(
     farm: Farm, folder: str | Path, *, with_cog: bool = False, overwrite: bool = False
-) -> Written:
+) -> WrittenCatalogue:
     """Write a STAC catalogue of a farm's maps to a folder, whole or not at all.
 
     Maps stay where they are, and the items refer to them by relative paths. `with_cog` writes the
@@ -108,7 +108,9 @@ def write_stac(
         catalog.add_child(collection)
         catalog.normalize_hrefs(_ROOT)
         catalog.save(pystac.CatalogType.SELF_CONTAINED, stac_io=_writing_to(draft))
-    return Written(folder / "catalog.json", tuple(item.id for item in items), tuple(left_out))
+    return WrittenCatalogue(
+        folder / "catalog.json", tuple(item.id for item in items), tuple(left_out)
+    )
 
 
 def _writing_to(draft: Path) -> Any:
@@ -153,7 +155,7 @@ def _reference(path: str) -> str:
     return _UNSAFE_IN_PATH.sub(lambda one: urllib.parse.quote(os.fsencode(one[0])), path)
 
 
-def _item(universal: MapFile, block: Block, id_: str, folder: Path) -> Any:
+def _item(universal: MapFile, block: FarmBlock, id_: str, folder: Path) -> Any:
     import pystac
     from pystac.extensions.projection import ProjectionExtension
 

@@ -44,7 +44,7 @@ class RawSweep(NamedTuple):
     times: npt.NDArray[np.generic] | None = None
 
 
-class Way(NamedTuple):
+class OriginTrack(NamedTuple):
     """Where the grid origin was at n instants in order of time: LTP metres, and the heading in
     radians, clockwise from north, without a jump."""
 
@@ -54,7 +54,7 @@ class Way(NamedTuple):
     heading_rad: Float64
 
     @classmethod
-    def of(cls, trajectory: Trajectory) -> Way:
+    def of(cls, trajectory: Trajectory) -> OriginTrack:
         """The accepted poses of a trajectory."""
         ok = trajectory.accepted
         heading = np.unwrap(np.radians(trajectory.heading_deg[ok]))

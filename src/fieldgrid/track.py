@@ -152,7 +152,7 @@ class Spread(NamedTuple):
     p95: float
 
 
-class Gears(NamedTuple):
+class GearTimes(NamedTuple):
     """How long a drive went forward, in reverse, and stood; how often it changed direction."""
 
     forward_s: float
@@ -177,7 +177,7 @@ class TrackSummary:
     reasons: tuple[tuple[int, str], ...]
     duration_s: float
     distance_m: float
-    gears: Gears
+    gears: GearTimes
     heading_sigma_deg: Spread | None
     position_sigma_m: Spread | None
     report: PoseReport
@@ -241,7 +241,7 @@ def _spread(values: Float64) -> Spread | None:
     return Spread(float(np.median(known)), float(np.percentile(known, 95.0)))
 
 
-def _gears(track: Trajectory) -> Gears:
+def _gears(track: Trajectory) -> GearTimes:
     """Times in each gear, over the poses that follow each other closely; an estimate that is
     too unsure for a map, or stands for a rejected fix, still tells the gear."""
     known = np.isfinite(track.heading_deg)
@@ -252,4 +252,4 @@ def _gears(track: Trajectory) -> Gears:
         float(step_s[gear[:-1] == wanted].sum()) for wanted in (1, -1, 0)
     )
     moving = gear[gear != 0]
-    return Gears(forward_s, reverse_s, standing_s, int(np.count_nonzero(np.diff(moving))))
+    return GearTimes(forward_s, reverse_s, standing_s, int(np.count_nonzero(np.diff(moving))))

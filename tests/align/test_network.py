@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fieldgrid.align.drives import Drive, Role
+from fieldgrid.align.drives import Role, SubmapDrive
 from fieldgrid.align.matches import Match
-from fieldgrid.align.network import FACE_M, Solution, solve
+from fieldgrid.align.network import FACE_M, NetworkSolution, solve
 from fieldgrid.align.submaps import Submap
 from fieldgrid.array_types import Float64
 from fieldgrid.mapfile import Transform
@@ -16,11 +16,11 @@ N = 8
 MIDDLE_M = np.column_stack([np.zeros(N), np.linspace(-30.0, 30.0, N)])
 
 
-def drive(name: str, sigma_m: float, role: Role = Role.MOVES) -> Drive:
+def drive(name: str, sigma_m: float, role: Role = Role.MOVES) -> SubmapDrive:
     """A drive north past the origin in two minutes."""
     time_ns = (np.linspace(0.0, 120.0, N) * 1e9).astype(np.int64)
     submaps = tuple(Submap(name, ()) for _ in range(N))
-    return Drive(
+    return SubmapDrive(
         name,
         role,
         submaps,
@@ -61,7 +61,7 @@ def constant(east_m: float, north_m: float) -> Float64:
     return np.tile([east_m, north_m], (N, 1))
 
 
-def moved(solution: Solution, n: int) -> Float64:
+def moved(solution: NetworkSolution, n: int) -> Float64:
     """What the transform of a drive does to its submaps [N, 2]."""
     times = drive("", 1.0).time_ns
     placed = solution.transforms[n].points(MIDDLE_M[:, 0], MIDDLE_M[:, 1], times)

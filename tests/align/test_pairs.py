@@ -14,14 +14,14 @@ from fieldgrid.align.pairs import (
     overlapping,
     placed,
 )
-from fieldgrid.align.submaps import Picture
+from fieldgrid.align.submaps import SubmapImage
 from fieldgrid.array_types import Float64
 from fieldgrid.lattice import Lattice, Window
 
 CELL_M, WIDE_M, LONG_M, APART_M = 0.2, 3.6, 8.0, 3.0
 
 
-def lane(east_m: float, north_m: float) -> Picture:
+def lane(east_m: float, north_m: float) -> SubmapImage:
     """What is seen from a part of a lane; north of it."""
     window = Window(
         round((east_m - WIDE_M / 2) / CELL_M), round(north_m / CELL_M),
@@ -29,12 +29,12 @@ def lane(east_m: float, north_m: float) -> Picture:
     )  # fmt: skip
     seen = np.ones(window.shape, np.bool_)
     track = np.array([[east_m, north_m], [east_m, north_m + 4.0]])
-    return Picture(
+    return SubmapImage(
         Lattice(CELL_M), window, seen.astype(np.uint8), seen, track, np.array([0.0, 1.0]), seen.size
     )
 
 
-def pictures(displaced_m: float) -> list[list[Picture]]:
+def pictures(displaced_m: float) -> list[list[SubmapImage]]:
     """Two drives through two lanes, the second one displaced to the east."""
     parts = [(lane_no * APART_M, 9.0 * part) for lane_no in (0, 1) for part in (0, 1, 2)]
     return [[lane(e, n) for e, n in parts], [lane(e + displaced_m, n) for e, n in parts]]
@@ -78,7 +78,7 @@ def test_the_three_that_share_most_are_taken_of_each_other_drive() -> None:
         for east, north, wide, long in random.integers((0, 0, 8, 8), (30, 30, 24, 24), (count, 4)):
             seen = random.random((long, wide)) < 0.6
             own.append(
-                Picture(
+                SubmapImage(
                     Lattice(CELL_M), Window(*map(int, (east, north, wide, long))),
                     seen.astype(np.uint8), seen, np.zeros((1, 2)), np.array([0.0, 1.0]),
                     int(seen.sum()),
@@ -86,7 +86,7 @@ def test_the_three_that_share_most_are_taken_of_each_other_drive() -> None:
             )  # fmt: skip
         drives.append(own)
 
-    def share(one: Picture, other: Picture) -> float:
+    def share(one: SubmapImage, other: SubmapImage) -> float:
         ground = np.zeros((2, 60, 60), np.bool_)
         for of, drawn in zip(ground, (one, other), strict=True):
             i0, j0, wide, long = drawn.window
@@ -113,11 +113,11 @@ def test_what_submaps_share_at_each_shift_is_counted_in_blocks() -> None:
     """Of blocks of 5 by 5 cells: the product of what was seen of either."""
     random = np.random.default_rng(6)
 
-    def drawn(i0: int, j0: int, wide: int, long: int) -> tuple[Picture, Float64]:
+    def drawn(i0: int, j0: int, wide: int, long: int) -> tuple[SubmapImage, Float64]:
         seen = random.random((long, wide)) < 0.5
         ground = np.zeros((80, 80))
         ground[j0 : j0 + long, i0 : i0 + wide] = seen
-        some = Picture(
+        some = SubmapImage(
             Lattice(CELL_M), Window(i0, j0, wide, long), seen.astype(np.uint8), seen,
             np.zeros((1, 2)), np.zeros(2), int(seen.sum()),
         )  # fmt: skip

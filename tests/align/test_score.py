@@ -8,20 +8,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.align.score import PROBE_DEG, Against, Scores, peak, turn_peak
-from fieldgrid.align.submaps import Picture
+from fieldgrid.align.submaps import SubmapImage
 from fieldgrid.array_types import Float64
 from fieldgrid.lattice import Lattice, Window
 
 LATTICE = Lattice(0.1)
 
 
-def picture(value: Float64, seen: Float64, i0: int = 0, j0: int = 0) -> Picture:
+def picture(value: Float64, seen: Float64, i0: int = 0, j0: int = 0) -> SubmapImage:
     """A picture over a window that begins at a cell."""
     window = Window(i0, j0, value.shape[1], value.shape[0])
     mask = seen > 0.0
     shown = np.where(mask, 255.0 * np.clip(value, 0.0, 1.0), 0.0).astype(np.uint8)
     cells = int(mask.sum())
-    return Picture(LATTICE, window, shown, mask, np.zeros((1, 2)), np.array([0.0, 1.0]), cells)
+    return SubmapImage(LATTICE, window, shown, mask, np.zeros((1, 2)), np.array([0.0, 1.0]), cells)
 
 
 def noise(seed: int, shape: tuple[int, int] = (60, 50), cells: float = 1.5) -> Float64:
@@ -32,7 +32,7 @@ def noise(seed: int, shape: tuple[int, int] = (60, 50), cells: float = 1.5) -> F
     return np.asarray(found > 0.1 / cells, dtype=np.float64)
 
 
-def direct(a: Picture, b: Picture, east: int, north: int) -> tuple[float, int]:
+def direct(a: SubmapImage, b: SubmapImage, east: int, north: int) -> tuple[float, int]:
     """The correlation where both were seen with `b` lying so many cells off, cell by cell."""
     pairs = []
     for j in range(a.window.height):
@@ -121,7 +121,7 @@ def test_a_turn_is_found(turn_deg: float) -> None:
 
     field, random = noise(3, (160, 160), 4.0), np.random.default_rng(8)
 
-    def turned(by_deg: float, errors: Float64) -> Picture:
+    def turned(by_deg: float, errors: Float64) -> SubmapImage:
         # Row 0 is the farthest south: what scipy calls counter-clockwise is clockwise here.
         turned = rotate(field + errors, by_deg, reshape=False, order=1)
         return picture(turned, np.ones(field.shape))

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from fieldgrid.attitude import Attitude, Track, estimate_attitude
+from fieldgrid.attitude import AntennaTrack, Attitude, estimate_attitude
 from fieldgrid.attitude.estimate import STRETCH_S
 from fieldgrid.motion import Inertial
 from fieldgrid.rotations import roll_pitch_deg
@@ -29,13 +29,13 @@ ANTENNA_M = (-0.12, -0.45, 0.35)
 RTK, SF1 = (0.012, 0.01), (0.03, 0.3)
 
 
-def track_of(way: Hike, period_s: float = 0.2, error_m: tuple[float, float] = RTK) -> Track:
+def track_of(way: Hike, period_s: float = 0.2, error_m: tuple[float, float] = RTK) -> AntennaTrack:
     noise_m, wander_m = error_m
     times, enu = antenna_fixes(way, ANTENNA_M, period_s, noise_m, wander_m)
     heading = np.degrees(way.at(np.arange(0.0, way.drive.time_s[-1], period_s)).drive.heading_rad)
     sigma = np.tile(np.array([1.0, 1.0, 2.0]) * noise_m, (len(times), 1))
     n = len(times)
-    return Track(times, enu, sigma, np.full(n, wander_m), heading + 0.2, np.full(n, 0.3))
+    return AntennaTrack(times, enu, sigma, np.full(n, wander_m), heading + 0.2, np.full(n, 0.3))
 
 
 class Score(NamedTuple):
@@ -214,7 +214,7 @@ def test_the_same_drive_gives_the_same_bits() -> None:
 def test_two_fixes_are_enough() -> None:
     way = hike(slope(0.0), FIELD)
     track = track_of(way)
-    short = Track(*(column[:2] for column in track))
+    short = AntennaTrack(*(column[:2] for column in track))
     found = estimate_attitude(short, np.array(ANTENNA_M))
     assert np.isfinite(found.roll_deg).all()
     assert np.all(found.roll_sigma_deg > 3.0)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fieldgrid.changes.cells import Drives, Seen, seen_by
+from fieldgrid.changes.cells import SideCells, SideDrives, seen_by
 from fieldgrid.changes.observations import _range_sigma_1pm, hidden, observers
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.lattice import Lattice, Window
@@ -72,7 +72,7 @@ def test_errors_of_ranges_average_out_and_those_of_poses_do_not() -> None:
     def one(value: float) -> Any:
         return np.full((1, 1), value, dtype=np.float32)
 
-    seen = Seen(one(3.0), one(1.0), one(0), one(1), one(0.01), one(0.04), one(0))
+    seen = SideCells(one(3.0), one(1.0), one(0), one(1), one(0.01), one(0.04), one(0))
     assert seen.variance_m2[0, 0] == pytest.approx(0.01 + 0.04 / 4.0)
 
 
@@ -82,7 +82,7 @@ def test_of_several_looks_the_mean_counts(tmp_path: Path) -> None:
     with open_map(world_map(tmp_path / "map.gpkg", {"one": ([], poses)})) as universal:
         frames, (info,) = list(universal.frames(with_grid=True)), universal.sessions()
         both = observers(frames, info, lattice, [cell], None)
-        seen = seen_by(Drives({"one": both}), lattice, cell)
+        seen = seen_by(SideDrives({"one": both}), lattice, cell)
     looks = [one.observe(lattice, cell) for one in both]
     assert seen.free[0, 0] == 2.0
     assert seen.pose_m2[0, 0] == pytest.approx(

@@ -13,7 +13,7 @@ import rasterio
 from fieldgrid.errors import ConfigError
 from fieldgrid.export import (
     Exported,
-    Format,
+    ExportFormat,
     Selection,
     export_map,
     formats,
@@ -277,7 +277,7 @@ def test_a_format_of_another_module(f_map: Path, tmp_path: Path, fieldgrid: Run)
 
     before = dict(formats())
     try:
-        register(Format("count", (".count",), "how many cells", write_count, CountOptions))
+        register(ExportFormat("count", (".count",), "how many cells", write_count, CountOptions))
         assert list(formats()) == [*before, "count"]
         with open_map(f_map) as universal:
             export_map(universal, tmp_path / "a.count", options={"above": 254})
@@ -294,7 +294,7 @@ def test_a_format_of_another_module(f_map: Path, tmp_path: Path, fieldgrid: Run)
         assert "the format count takes --above" in refused.usage()
         for name, ending in (("count", ".other"), ("other", ".COUNT".lower()), ("tiff", ".tif")):
             with pytest.raises(ConfigError, match="registered already"):
-                register(Format(name, (ending,), "again", write_count))
+                register(ExportFormat(name, (ending,), "again", write_count))
     finally:
         unregister("count")
     assert dict(formats()) == before

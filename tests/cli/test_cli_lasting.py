@@ -334,7 +334,7 @@ def test_show_and_export_as_of_a_date(
     drawn: list[set[str]] = []
     original = figures.universal_grid
 
-    def spy(view: Any, drives: list[figures.Drive], **options: Any) -> object:
+    def spy(view: Any, drives: list[figures.DrawnDrive], **options: Any) -> object:
         drawn.append({drive.name for drive in drives})
         return original(view, drives, **options)
 

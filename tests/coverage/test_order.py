@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.array_types import Float64
-from fieldgrid.coverage.order import Order, best_order
+from fieldgrid.coverage.order import VisitOrder, best_order
 
 WORTH = 10_000.0
 
@@ -40,7 +40,7 @@ def tried_all(costs: Float64, worth: Float64) -> float:
     return best
 
 
-def known_order(costs: Float64, worth: Float64, exact_up_to: int) -> Order:
+def known_order(costs: Float64, worth: Float64, exact_up_to: int) -> VisitOrder:
     known = np.ones(costs.shape, dtype=np.bool_)
     return best_order(costs, known, worth, lambda _: [], exact_up_to=exact_up_to)
 

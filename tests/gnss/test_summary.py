@@ -8,7 +8,7 @@ import pytest
 
 from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.gnss import Gate, condition
-from fieldgrid.gnss.summary import ConditioningSummary, Gap, ReasonCount, summarise
+from fieldgrid.gnss.summary import ConditioningSummary, FixGap, ReasonCount, summarise
 from tests.gnss.sentences import NOON, SECOND
 
 
@@ -42,7 +42,7 @@ def test_it_counts_what_was_rejected_and_measures_what_is_left() -> None:
         ReasonCount(Gate.SATELLITES, 1, fixes[5].time_ns, fixes[5].time_ns, "3 satellites < 5"),
     )  # fmt: skip
     assert summary.quality == ((0, 3), (4, 84), (5, 5))
-    assert summary.gaps == (Gap(fixes[29].time_ns, fixes[29].lat_deg, -4.72, 1.8),)
+    assert summary.gaps == (FixGap(fixes[29].time_ns, fixes[29].lat_deg, -4.72, 1.8),)
     (seam,) = summary.seams
     assert (seam.time_ns, seam.lat_deg) == (fixes[52].time_ns, fixes[52].lat_deg)
     assert seam.reason.startswith("the solution has moved: 40 fixes agree on it; jump of 111")

@@ -9,7 +9,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.geodesy import Datum
 from fieldgrid.live.dead_reckoning import MOST_NEW, ROLLED_S, DeadReckoning
 from fieldgrid.live.sensor_rows import rows_of
-from fieldgrid.odometry import Step
+from fieldgrid.odometry import CameraStep
 from fieldgrid.trajectory import Status, Trajectory
 
 START_NS = 1_700_000_000_000_000_000
@@ -55,7 +55,7 @@ def test_a_step_is_the_arc_of_gyro_and_wheels() -> None:
     rows(going, "gyro", RATE_RAD_S, 3.0)
     rows(going, "wheels", SPEED_MPS, 3.0)
     step = going.step(at_ns(2.0), at_ns(2.8))
-    assert isinstance(step, Step)
+    assert isinstance(step, CameraStep)
     turn_rad, radius_m = 0.8 * RATE_RAD_S, SPEED_MPS / RATE_RAD_S
     assert step.turn_deg == pytest.approx(np.degrees(turn_rad), abs=1e-6)
     assert step.forward_m == pytest.approx(radius_m * np.sin(turn_rad), abs=1e-3)

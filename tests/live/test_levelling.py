@@ -28,7 +28,7 @@ from fieldgrid.live import (
 from fieldgrid.live.gridding_again import NO_POINTS
 from fieldgrid.live.kept_drive import POINTS, KeptFrame
 from fieldgrid.live.kept_points import UNTOLD_NS, KeptPoints
-from fieldgrid.live.points_file import Place, PointsFile, packed
+from fieldgrid.live.points_file import PointsFile, RecordSpan, packed
 from fieldgrid.live.running_tilt import CARRIED_S, RunningTilt, square_to_ground
 from fieldgrid.live.sensor_rows import rows_of
 from fieldgrid.localgrid import LocalGridder
@@ -249,7 +249,7 @@ def test_points_of_a_drive_that_tells_no_lean_are_not_kept_for_long(
     # Nor after a restart.
     assert not KeptPoints(path, 15.0, 1 << 30, 1_000).is_levelling
     # What was removed for nothing is not lost.
-    frames = [KeptFrame(0, None, Place(20, 99))]
+    frames = [KeptFrame(0, None, RecordSpan(20, 99))]
     assert not KeptPoints(path, 15.0, 1 << 30, 1_000, frames).is_lost
     assert KeptPoints(path, 15.0, 1 << 30, 1_000, [frames[0]._replace(is_timed=True)]).is_lost
 

@@ -17,12 +17,12 @@ from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.live.estimator import Estimator
 from fieldgrid.live.fixed_lag import Asked, FixedLagSmoother
 from fieldgrid.live.options import LiveOptions
-from fieldgrid.live.perceiver import Seen
+from fieldgrid.live.perceiver import PerceivedFrame
 from fieldgrid.live.poser import Poser
-from fieldgrid.live.results import Doubt, LiveEvent, LivePose, LiveWindow, Outbox, What
+from fieldgrid.live.results import LiveEvent, LivePose, LiveWindow, Outbox, What, WindowDoubt
 from fieldgrid.live.sensor_rows import rows_of
-from fieldgrid.live.window import Placed, RollingWindow
-from fieldgrid.odometry import Step
+from fieldgrid.live.window import PlacedGrid, RollingWindow
+from fieldgrid.odometry import CameraStep
 from fieldgrid.quality import Quality
 from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
 from fieldgrid.settings import BuildSettings
@@ -56,12 +56,12 @@ def fix(seconds: float, quality: Quality = Quality.RTK_FIXED) -> Fix:
     return Fix(at_ns(seconds), float(lat), float(lon), float(height), quality, 14, sigma_m=0.02)
 
 
-def frame(seconds: float, period_s: float | None) -> Seen:
+def frame(seconds: float, period_s: float | None) -> PerceivedFrame:
     """What a camera sees, which tells its own way since `period_s` ago or not at all."""
     step = None
     if period_s is not None:
-        step = Step(SPEED_MPS * period_s, 0.0, 0.0, 0.01, 0.05, 0.0, 0.0, 0.0, 0.1, 200)
-    return Seen(f"{seconds:.1f}", at_ns(seconds), GRID, True, step, True, 0.0)
+        step = CameraStep(SPEED_MPS * period_s, 0.0, 0.0, 0.01, 0.05, 0.0, 0.0, 0.0, 0.1, 200)
+    return PerceivedFrame(f"{seconds:.1f}", at_ns(seconds), GRID, True, step, True, 0.0)
 
 
 def watched() -> tuple[Heard, Poser]:
@@ -158,7 +158,7 @@ def test_a_grid_that_is_not_level_lies_below_the_sensor_along_the_vehicles_axis(
     is_level: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The antenna is at the sensor: below it is the way of the fixes, however the vehicle leans."""
-    placed: list[Placed] = []
+    placed: list[PlacedGrid] = []
     monkeypatch.setattr(RollingWindow, "_add", lambda _self, _cells, one: placed.append(one))
     told = Told()
     poser = Poser(RIG, SETTINGS, DATUM, LiveOptions(), told)
@@ -223,7 +223,7 @@ def test_a_receiver_that_was_silent_comes_back() -> None:
 
 
 def is_without_frames(told: Told) -> bool:
-    return any(window.doubt_code is Doubt.NO_FRAMES for window in told.of(LiveWindow)[-1:])
+    return any(window.doubt_code is WindowDoubt.NO_FRAMES for window in told.of(LiveWindow)[-1:])
 
 
 def test_a_camera_that_was_unplugged_comes_back() -> None:
@@ -351,7 +351,7 @@ def test_a_window_that_moves_along_has_what_a_fold_over_all_has() -> None:
         density = rng.integers(0, 255, SPEC.shape, dtype=np.uint8)
         grid = LocalGrid(SPEC, density, rng.random(SPEC.shape) < 0.7)
         pose = Pose(at_ns(k), 0.3 * k, 0.5 * k, 0.0, 10.0 * k, 0.02, 0.3, 1.0)
-        placed.append(Placed(grid, pose, at_ns(k), 0.01 * (k + 1)))
+        placed.append(PlacedGrid(grid, pose, at_ns(k), 0.01 * (k + 1)))
         window.follow(pose)
         window.settle(placed[-2:-1])
     view, age_s, sigma_m = window.view(placed[-1:], DATUM, at_ns(41.0))
@@ -378,7 +378,7 @@ def test_frames_that_stay_where_they_were_are_not_placed_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     placed = [
-        Placed(
+        PlacedGrid(
             LocalGrid(SPEC, np.full(SPEC.shape, 20 * k, np.uint8), GRID.observed),
             Pose(at_ns(k), 0.0, 0.2 * k, 0.0, 3.0 * k, 0.02, 0.3, 1.0),
             *(at_ns(k), 0.1 + k),
@@ -390,13 +390,13 @@ def test_frames_that_stay_where_they_were_are_not_placed_again(
     added: list[int] = []
     add = RollingWindow._add
 
-    def adding(self: RollingWindow, cells: Any, frame: Placed) -> None:
+    def adding(self: RollingWindow, cells: Any, frame: PlacedGrid) -> None:
         added.append(frame.time_ns)
         add(self, cells, frame)
 
     monkeypatch.setattr(RollingWindow, "_add", adding)
 
-    def shown(frames: list[Placed], fewest: int, *, settled: int = 0) -> None:
+    def shown(frames: list[PlacedGrid], fewest: int, *, settled: int = 0) -> None:
         """The same as a window that never saw them, with so many added."""
         added.clear()
         found = window.view(frames, DATUM, at_ns(9.0))

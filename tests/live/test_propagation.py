@@ -7,14 +7,14 @@ from dataclasses import replace
 import pytest
 
 from fieldgrid.live.propagation import CARRIED_S, PropagatedPose
-from fieldgrid.odometry import Step
-from fieldgrid.pose import Budget
+from fieldgrid.odometry import CameraStep
+from fieldgrid.pose import ErrorBudget
 from fieldgrid.settings import PoseSettings
 from fieldgrid.trajectory import Pose
 
 START = PropagatedPose(Pose(10**18, 5.0, 7.0, 0.5, 90.0, 0.03, 0.4, 1.0), 1)
-AHEAD = Step(1.0, 0.2, -10.0, 0.02, 0.1, 0.0, 0.0, 0.0, 0.1, 50)
-BUDGET = Budget(0.25, 10.0)
+AHEAD = CameraStep(1.0, 0.2, -10.0, 0.02, 0.1, 0.0, 0.0, 0.0, 0.1, 50)
+BUDGET = ErrorBudget(0.25, 10.0)
 
 
 def test_a_step_goes_along_the_heading_and_turns_it() -> None:

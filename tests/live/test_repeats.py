@@ -12,7 +12,7 @@ from fieldgrid.build import build_map
 from fieldgrid.build.stuck import REPEATED
 from fieldgrid.live import LiveOptions, LivePose, LiveWindow
 from fieldgrid.live.poser import Poser
-from fieldgrid.live.results import Doubt
+from fieldgrid.live.results import WindowDoubt
 from fieldgrid.live.sensor_rows import rows_of
 from fieldgrid.mapfile import open_map
 from fieldgrid.settings import BuildSettings
@@ -75,7 +75,7 @@ def test_one_repeated_frame_is_left_out() -> None:
 def test_the_window_is_not_trusted_while_the_camera_is_stuck() -> None:
     told = driven(16.0, (10.0, 99.0))
     window = told.of(LiveWindow)[-1]
-    assert window.doubt_code is Doubt.NO_FRAMES
+    assert window.doubt_code is WindowDoubt.NO_FRAMES
     assert window.doubt.startswith("no new image for 5.8 s")
     # Nothing of the way since is smeared over with what was seen then.
     north_m = window.view.window.j0 + window.view.observed.any(axis=1).nonzero()[0].max()

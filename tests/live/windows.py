@@ -10,7 +10,7 @@ from fieldgrid.costmap import Costmap
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.live import Doubt, LiveWindow
+from fieldgrid.live import LiveWindow, WindowDoubt
 from fieldgrid.mapfile import MapView
 from fieldgrid.trajectory import Pose, Status
 from tests.conftest import ROOT
@@ -33,7 +33,7 @@ def window(frames: int = 7, *, size: tuple[int, int] = (HEIGHT, WIDTH)) -> LiveW
     pose = Pose(5, -1.5, 3.25, 0.0, 271.5, 0.02, 0.4, 1.25, Status.OK, "")
     return LiveWindow(
         *(1_308_133_815_469_000_000, Costmap.from_view(view), view, age_s, sigma_m, pose),
-        *("no frame for 4.0 s", frames, "000007", 0.1, Doubt.NO_FRAMES, 1),
+        *("no frame for 4.0 s", frames, "000007", 0.1, WindowDoubt.NO_FRAMES, 1),
         *(FixColumns.of([]), np.zeros(0, dtype=np.bool_)),
     )
 

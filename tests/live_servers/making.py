@@ -10,7 +10,7 @@ from fieldgrid.costmap import Costmap
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
-from fieldgrid.live import Doubt, LiveEvent, LivePose, LiveWindow, What
+from fieldgrid.live import LiveEvent, LivePose, LiveWindow, What, WindowDoubt
 from fieldgrid.mapfile import MapView
 from fieldgrid.quality import Quality
 from fieldgrid.trajectory import Pose, Status
@@ -85,7 +85,7 @@ def _window(
     sigma_m = np.where(view.observed, random.uniform(0.0, 3.0, view.observed.shape), np.nan)
     cells = Costmap.from_view(view), view, age_s.astype(np.float32), sigma_m.astype(np.float32)
     used = np.arange(len(fixes)) > 0  # all but the first
-    code = Doubt.POSE if doubt else Doubt.NONE
+    code = WindowDoubt.POSE if doubt else WindowDoubt.NONE
     return LiveWindow(time_ns, *cells, pose, doubt, 7, "000007", 0.1, code, gear, columns, used)
 
 

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as arrays_of
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.mapfile import arrays as arrays_module
 from fieldgrid.mapfile import create_map, open_map
-from fieldgrid.mapfile.arrays import Kind, array_rows, read_arrays
+from fieldgrid.mapfile.arrays import ArrayKind, array_rows, read_arrays
 from tests.mapfile.maps import CELL_M, DATUM, drive, grid_of, pose_at, track
 
 
@@ -21,10 +21,10 @@ def through_a_database(named: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     database.execute(
         "CREATE TABLE fieldgrid_array (session_id, kind, name, part, dtype, shape, data)"
     )
-    rows = [(1, *row) for row in array_rows(Kind.INPUT, named)]
+    rows = [(1, *row) for row in array_rows(ArrayKind.INPUT, named)]
     database.executemany("INSERT INTO fieldgrid_array VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
     try:
-        return read_arrays(database, 1, Kind.INPUT)
+        return read_arrays(database, 1, ArrayKind.INPUT)
     finally:
         database.close()
 
@@ -55,7 +55,7 @@ def test_an_array_reads_back_bit_for_bit(array: np.ndarray) -> None:
 def test_a_long_array_is_stored_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arrays_module, "_PART_BYTES", 100)
     gyro = np.arange(99.0).reshape(33, 3)
-    assert len(array_rows(Kind.INPUT, {"gyro": gyro})) == 9
+    assert len(array_rows(ArrayKind.INPUT, {"gyro": gyro})) == 9
     np.testing.assert_array_equal(through_a_database({"gyro": gyro})["gyro"], gyro)
 
 
@@ -113,9 +113,9 @@ def test_a_damaged_array_is_an_error_of_ours(change: str) -> None:
     database.execute(
         "CREATE TABLE fieldgrid_array (session_id, kind, name, part, dtype, shape, data)"
     )
-    rows = [(1, *row) for row in array_rows(Kind.INPUT, {"a": np.arange(10.0)})]
+    rows = [(1, *row) for row in array_rows(ArrayKind.INPUT, {"a": np.arange(10.0)})]
     database.executemany("INSERT INTO fieldgrid_array VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
     database.execute(f"UPDATE fieldgrid_array SET {change}")
     with pytest.raises(MapError, match="damaged"):
-        read_arrays(database, 1, Kind.INPUT)
+        read_arrays(database, 1, ArrayKind.INPUT)
     database.close()

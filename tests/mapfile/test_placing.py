@@ -10,7 +10,7 @@ from fieldgrid.grids import GridSpec
 from fieldgrid.lattice import TILE_CELLS, Lattice
 from fieldgrid.layers import GROUPS, FrameCells
 from fieldgrid.mapfile import placing
-from fieldgrid.mapfile.placing import PlacedFrame, Squares
+from fieldgrid.mapfile.placing import PlacedFrame, TileSquares
 from fieldgrid.transfer import Transfer
 from tests.mapfile.content import content
 from tests.mapfile.maps import CELL_M, drive, grid_of, pose_at, write_map
@@ -19,7 +19,7 @@ TILE_M = TILE_CELLS * CELL_M
 GROUPS_OF_ALL = tuple(GROUPS.values())
 
 
-def squares_along(heading_deg: float, tiles: int, *, from_m: float = 3.0) -> Squares:
+def squares_along(heading_deg: float, tiles: int, *, from_m: float = 3.0) -> TileSquares:
     """The squares of a row of frames through so many tiles, from the datum north or east."""
     grid = grid_of(0, GridSpec(2.0, 4.0, CELL_M))
     poses = [
@@ -29,7 +29,7 @@ def squares_along(heading_deg: float, tiles: int, *, from_m: float = 3.0) -> Squ
         for k in range(tiles)
     ]
     frames = [PlacedFrame(pose, grid.spec, lambda: FrameCells(grid, {})) for pose in poses]
-    return Squares(frames, Lattice(CELL_M), Transfer.CENTRE, GROUPS_OF_ALL)
+    return TileSquares(frames, Lattice(CELL_M), Transfer.CENTRE, GROUPS_OF_ALL)
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0])
@@ -46,7 +46,7 @@ def test_squares_begin_where_the_session_does() -> None:
 
 
 def test_without_frames_there_are_no_squares() -> None:
-    assert Squares([], Lattice(CELL_M), Transfer.CENTRE, GROUPS_OF_ALL).places() == []
+    assert TileSquares([], Lattice(CELL_M), Transfer.CENTRE, GROUPS_OF_ALL).places() == []
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 37.3, 91.0])
@@ -64,7 +64,7 @@ def test_frames_far_apart_cost_no_squares_in_between() -> None:
     grid = grid_of(0, GridSpec(2.0, 4.0, CELL_M))
     poses = [pose_at(value, -value, 10.0) for value in (-40_000.0, 3.0, 40_000.0)]
     frames = [PlacedFrame(pose, grid.spec, lambda: FrameCells(grid, {})) for pose in poses]
-    squares = Squares(frames, Lattice(CELL_M), Transfer.CENTRE, GROUPS_OF_ALL)
+    squares = TileSquares(frames, Lattice(CELL_M), Transfer.CENTRE, GROUPS_OF_ALL)
     assert 3 <= len(squares.places()) <= 12
     found = [tile for place in squares.places() for tile in squares.fold(place, lambda t, _: t)]
     assert len(found) == len(set(found)) >= 3

@@ -12,7 +12,7 @@ import pytest
 
 from fieldgrid.errors import MapError
 from fieldgrid.mapfile import MapFile, merge_maps, open_map, verification
-from fieldgrid.mapfile.placing import Squares
+from fieldgrid.mapfile.placing import TileSquares
 from tests.mapfile.content import content
 from tests.mapfile.maps import drive, track, write_map, write_session
 
@@ -404,7 +404,7 @@ def test_repair_checks_and_folds_the_frames_once(
     path = shutil.copy(sound, tmp_path / "copy.gpkg")
     with open_map(path) as universal:
         counted(verification, "_frame_problem")
-        counted(Squares, "fold")
+        counted(TileSquares, "fold")
         frames = universal.verify(1, deep=True).frames
     once = sorted(done)
     assert once.count("_frame_problem") == frames

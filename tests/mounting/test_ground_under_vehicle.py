@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.mounting.ground_under_vehicle import Patches, ground_under_vehicle
-from fieldgrid.mounting.plane import Plane
+from fieldgrid.mounting.plane import SensorGround
 from fieldgrid.odometry import RigidMotion
 from fieldgrid.rig import Mount
 
@@ -35,7 +35,7 @@ def drive(mount: Mount, frames: int) -> tuple[list[Patches], list[RigidMotion | 
 @pytest.mark.parametrize("mount", [Mount(2.0, 15.0, 2.0), Mount(1.2, 30.0, -4.0)])
 def test_the_ground_under_the_vehicle_is_what_counts(mount: Mount) -> None:
     seen, motions = drive(mount, 11)
-    start = Plane(Mount(1.0, mount.tilt_deg + 2.0, mount.roll_deg - 1.0).rotation()[2], 2.1)
+    start = SensorGround(Mount(1.0, mount.tilt_deg + 2.0, mount.roll_deg - 1.0).rotation()[2], 2.1)
     found, plane = ground_under_vehicle(seen, motions, start)
     assert list(found.frame) == list(range(5, 11))  # before, nothing had been seen of the ground
     np.testing.assert_allclose(found.tilt_deg, mount.tilt_deg, atol=1e-6)
@@ -50,7 +50,7 @@ def test_in_reverse_the_ground_is_seen_afterwards() -> None:
     back: list[RigidMotion | None] = [
         RigidMotion(m.R_stop_start.T, -m.R_stop_start.T @ m.t_stop_start_m) for m in motions if m
     ]
-    found, _ = ground_under_vehicle(seen[::-1], back[::-1], Plane(mount.rotation()[2], 2.0))
+    found, _ = ground_under_vehicle(seen[::-1], back[::-1], SensorGround(mount.rotation()[2], 2.0))
     assert list(found.frame) == list(range(6))
     np.testing.assert_allclose(found.roll_deg, 2.0, atol=1e-6)
 
@@ -59,14 +59,14 @@ def test_a_step_that_is_not_known_cuts_the_way() -> None:
     mount = Mount(2.0, 15.0)
     seen, motions = drive(mount, 11)
     motions[8] = None
-    found, _ = ground_under_vehicle(seen, motions, Plane(mount.rotation()[2], 2.0))
+    found, _ = ground_under_vehicle(seen, motions, SensorGround(mount.rotation()[2], 2.0))
     assert list(found.frame) == [5, 6, 7, 8]
 
 
 def test_without_motion_there_are_no_stands() -> None:
     mount = Mount(2.0, 15.0)
     seen, _ = drive(mount, 4)
-    start = Plane(mount.rotation()[2], 2.0)
+    start = SensorGround(mount.rotation()[2], 2.0)
     found, plane = ground_under_vehicle(seen, [None] * 3, start)
     assert len(found.frame) == 0
     assert plane is start
@@ -92,7 +92,9 @@ def test_a_vehicle_that_sways_and_turns_stands_as_it_does() -> None:
     for k in range(11):
         R_start, R_stop = mounts[k].rotation(), mounts[k + 1].rotation()
         motions.append(RigidMotion(R_stop.T @ R_start, R_stop.T @ (places[k] - places[k + 1])))
-    found, _ = ground_under_vehicle(seen, motions, Plane(Mount(2.0, 15.0, 2.0).rotation()[2], 2.0))
+    found, _ = ground_under_vehicle(
+        seen, motions, SensorGround(Mount(2.0, 15.0, 2.0).rotation()[2], 2.0)
+    )
     assert len(found.frame) >= 6
     for k, tilt, roll in zip(found.frame, found.tilt_deg, found.roll_deg, strict=True):
         assert tilt == pytest.approx(mounts[k].tilt_deg, abs=1e-6)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fieldgrid.mounting.plane import Plane, low_patches, refined_plane, rough_plane
+from fieldgrid.mounting.plane import SensorGround, low_patches, refined_plane, rough_plane
 from fieldgrid.rig import Mount
 
 _Float64 = npt.NDArray[np.float64]
@@ -21,8 +21,8 @@ mounts = st.builds(
 )
 
 
-def plane_of(mount: Mount) -> Plane:
-    return Plane(mount.rotation()[2], mount.height_m)
+def plane_of(mount: Mount) -> SensorGround:
+    return SensorGround(mount.rotation()[2], mount.height_m)
 
 
 def seen(mount: Mount, level_m: _Float64) -> _Float64:

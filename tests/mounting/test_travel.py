@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.mounting.ground_steps import ground_steps
-from fieldgrid.mounting.plane import Plane
+from fieldgrid.mounting.plane import SensorGround
 from fieldgrid.odometry import RigidMotion
 from fieldgrid.rig import Mount
 from fieldgrid.travel import Ways, travel
@@ -44,8 +44,8 @@ def motions(
     return found
 
 
-def plane_of(mount: Mount) -> Plane:
-    return Plane(mount.rotation()[2], mount.height_m)
+def plane_of(mount: Mount) -> SensorGround:
+    return SensorGround(mount.rotation()[2], mount.height_m)
 
 
 @settings(max_examples=30, deadline=None)

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.errors import CalibrationError
-from fieldgrid.odometry import Features, Refusal, Step, features, step, steps_of
+from fieldgrid.odometry import CameraStep, Features, Refusal, features, step, steps_of
 from fieldgrid.recording import open_recording
 from fieldgrid.rig import Rig, StereoCamera
 from tests.conftest import TWO_LANES
@@ -117,8 +117,8 @@ def made_pair(
     return frames[0], frames[1]
 
 
-def solved(result: Step | Refusal) -> Step:
-    assert isinstance(result, Step), result
+def solved(result: CameraStep | Refusal) -> CameraStep:
+    assert isinstance(result, CameraStep), result
     return result
 
 
@@ -367,8 +367,8 @@ def test_images_of_another_size_are_refused() -> None:
 
 
 def test_steps_of_a_drive_leave_the_refused_ones_out() -> None:
-    first = Step(1.0, 0.1, 2.0, 0.01, 0.1, 0.3, 1.0, -2.0, 0.05, 50)
-    last = Step(-0.5, 0.0, -3.0, 0.02, 0.2, 0.4, 1.5, -2.5, 0.06, 40)
+    first = CameraStep(1.0, 0.1, 2.0, 0.01, 0.1, 0.3, 1.0, -2.0, 0.05, 50)
+    last = CameraStep(-0.5, 0.0, -3.0, 0.02, 0.2, 0.4, 1.5, -2.5, 0.06, 40)
     steps = steps_of([10, 20, 30, 40], [first, Refusal.FEW_AGREE, last])
     assert steps.start_ns.tolist() == [10, 30]
     assert steps.stop_ns.tolist() == [20, 40]
@@ -412,7 +412,7 @@ def vineyard_truth() -> Float64:
 def test_the_vineyard_drive(vineyard: tuple[Rig, list[Features]]) -> None:
     rig, frames = vineyard
     results = [step(a, b, rig) for a, b in pairwise(frames)]
-    found = [(k, one) for k, one in enumerate(results) if isinstance(one, Step)]
+    found = [(k, one) for k, one in enumerate(results) if isinstance(one, CameraStep)]
     assert len(found) >= 0.95 * len(results)
     truth = vineyard_truth()[[k for k, _ in found]]
     values = np.array([one for _, one in found])

@@ -11,7 +11,7 @@ import pytest
 from fieldgrid.motion import Motion, Steps
 from fieldgrid.pose import ClockOffset, ClockSearch, PoseReport, conditioned, estimate_poses
 from fieldgrid.pose.axle import Axle
-from fieldgrid.pose.clock_search import Contradiction
+from fieldgrid.pose.clock_search import DeniedMotions
 from fieldgrid.pose.drive import smooth_drive
 from fieldgrid.rig import LeverArm
 from fieldgrid.settings import PoseSettings
@@ -137,7 +137,7 @@ def exchanged(steps: Steps, order: Sequence[int]) -> Steps:
     return others._replace(start_ns=steps.start_ns, stop_ns=steps.stop_ns)
 
 
-def contradiction(drive: Drive, steps: Steps, noise_m: float = 0.02) -> Contradiction:
+def contradiction(drive: Drive, steps: Steps, noise_m: float = 0.02) -> DeniedMotions:
     fixes = fixes_of(drive, 0.2, noise_m, seed=8)
     motion = Motion(gyro_of(drive, noise_dps=0.1), steps=steps)
     found = estimate_poses(fixes, None, DATUM, motion=motion).report.contradiction

@@ -12,9 +12,9 @@ from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.clock import ClockFindings
 from fieldgrid.pose.denied import denied_by
 from fieldgrid.pose.drive import smooth_drive
-from fieldgrid.rig import Carrier, LeverArm, Vehicle
+from fieldgrid.rig import Carrier, LeverArm, VehicleGeometry
 from fieldgrid.settings import PoseSettings
-from fieldgrid.smoother import Constant, Declared
+from fieldgrid.smoother import Constant, DeclaredCorrection
 from tests.scenes import paper_rig
 from tests.simulated import K_TURN, SLALOM, Command, Drive, fixes_of, gyro_of, simulate, steps_of
 
@@ -26,7 +26,9 @@ ROWS = [
 RTK_M = 0.01
 
 
-def estimate(drive: Drive, vehicle: Vehicle, late_s: float = 0.0, ahead_m: float = 0.0) -> Estimate:
+def estimate(
+    drive: Drive, vehicle: VehicleGeometry, late_s: float = 0.0, ahead_m: float = 0.0
+) -> Estimate:
     """With an antenna that sits farther ahead, and fixes that are stamped late."""
     fixes = fixes_of(drive, 0.2, RTK_M, antenna=LeverArm(0.0, ahead_m, 3.0))
     gyro = gyro_of(drive, bias_dps=0.4, noise_dps=0.05)
@@ -34,7 +36,7 @@ def estimate(drive: Drive, vehicle: Vehicle, late_s: float = 0.0, ahead_m: float
     return estimate_poses(fixes, vehicle, DATUM, motion=Motion(gyro=late))
 
 
-def rig() -> Vehicle:
+def rig() -> VehicleGeometry:
     return paper_rig(antenna=LeverArm(0.0, 0.0, 3.0), rear_axle_forward_m=0.0)
 
 
@@ -112,7 +114,7 @@ def test_an_axle_that_nobody_names_is_no_contradiction() -> None:
     motion = Motion(gyro=gyro_of(drive))
     found = smooth_drive(log.accepted, log.fixes.time_ns, motion, Axle(None))
     nothing = Constant(0.0, 1.0)
-    declared = Declared(
+    declared = DeclaredCorrection(
         *(nothing, nothing, nothing, nothing),
         misfit=10.0,
         alone=(0.0, 0.5, 0.1, 0.0),

@@ -19,7 +19,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Gate, Verdicts, condition
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose import (
-    Budget,
+    ErrorBudget,
     Estimate,
     carry_lever,
     datum_of,
@@ -455,7 +455,7 @@ def estimate(
     rig: Rig | Carrier | None = ABOVE_AXLE,
     fixes: Sequence[Fix] | FixColumns | None = None,
     settings: PoseSettings | None = None,
-    budget: Budget | None = None,
+    budget: ErrorBudget | None = None,
 ) -> Estimate:
     fixes = fixes_of(simulated, 0.2, 0.01) if fixes is None else fixes
     columns = fixes if isinstance(fixes, FixColumns) else FixColumns.of_rows(fixes)
@@ -629,8 +629,8 @@ def test_between_slow_fixes_there_are_rows_of_estimates() -> None:
 
 def test_the_budget_rejects_what_lands_in_wrong_cells() -> None:
     simulated = simulate(SLALOM, 35.0, speed_mps=1.5)
-    near = estimate(simulated, budget=Budget(5.0, 12.0)).trajectory
-    far = estimate(simulated, budget=Budget(0.01, 12.0)).trajectory
+    near = estimate(simulated, budget=ErrorBudget(5.0, 12.0)).trajectory
+    far = estimate(simulated, budget=ErrorBudget(0.01, 12.0)).trajectory
     assert near.accepted.mean() > 0.9
     assert not far.accepted.any()
     assert any("a cell 12 m ahead would be off" in reason for reason in far.reason)

@@ -15,7 +15,7 @@ from fieldgrid.build.inputs import Inputs, from_arrays, to_arrays
 from fieldgrid.errors import ConfigError, FieldgridError, GnssError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import GivenPoses, Motion
-from fieldgrid.pose import GIVEN, Budget, Estimate, estimate_poses
+from fieldgrid.pose import GIVEN, ErrorBudget, Estimate, estimate_poses
 from fieldgrid.recording import DriveOptions, open_drive
 from fieldgrid.recording.pose_source import PoseSource
 from fieldgrid.settings import PoseSettings
@@ -72,7 +72,7 @@ def wandering(drive: Drive, sigma_m: float, white_m: float, seed: int = 0) -> Fi
 
 
 def placed(
-    poses: GivenPoses, fixes: FixColumns, budget: Budget | None = None, **settings: object
+    poses: GivenPoses, fixes: FixColumns, budget: ErrorBudget | None = None, **settings: object
 ) -> Estimate:
     chosen = PoseSettings.model_validate(settings)
     return estimate_poses(fixes, None, DATUM, chosen, Motion(poses=poses), budget)
@@ -187,7 +187,7 @@ def test_far_from_fixes_poses_are_less_sure() -> None:
     sigma_m = np.interp([20.0, 80.0], (track.time_ns - START) / 1e9, track.position_sigma_m)
     assert sigma_m[0] < 0.05 < 0.3 < sigma_m[1]
     # And a budget for cells refuses what is too far.
-    cells = placed(slam(ROWS), fixes[seconds < 40.0], Budget(0.25, 10.0)).trajectory
+    cells = placed(slam(ROWS), fixes[seconds < 40.0], ErrorBudget(0.25, 10.0)).trajectory
     reasons = set(cells.reason) - {""}
     assert any("cell 10 m ahead would be off" in reason for reason in reasons)
 

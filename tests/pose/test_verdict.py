@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fieldgrid.pose import Budget
+from fieldgrid.pose import ErrorBudget
 from fieldgrid.pose.table import PoseTable
 from fieldgrid.pose.verdict import jumps, refusals
 from fieldgrid.settings import PoseSettings
@@ -23,7 +23,7 @@ def refusal(
     relative_m: float,
     doubt: float,
     settings: PoseSettings,
-    budget: Budget | None,
+    budget: ErrorBudget | None,
     offset_m: float = 0.0,
     stated_m: float = 1.0,
     rejection: str = "",
@@ -85,14 +85,14 @@ def test_a_far_cell_must_stay_within_the_budget(
     sigma_deg: float, relative_m: float, reach_m: float, cell_m: float
 ) -> None:
     """The position counts by what it errs among neighbours, the heading by the reach."""
-    against = refusal(sigma_deg, 1.0, relative_m, 0.0, PLAIN, Budget(cell_m, reach_m))
+    against = refusal(sigma_deg, 1.0, relative_m, 0.0, PLAIN, ErrorBudget(cell_m, reach_m))
     off_m = abs(complex(relative_m, reach_m * sigma_deg * math.pi / 180.0))
     if abs(off_m - cell_m) > 1e-9:
         assert bool(against) == (off_m > cell_m)
 
 
 def test_the_budget_s_sentence() -> None:
-    against = refusal(2.0, 0.1, 0.05, 0.0, PLAIN, Budget(0.25, 12.0))
+    against = refusal(2.0, 0.1, 0.05, 0.0, PLAIN, ErrorBudget(0.25, 12.0))
     assert against == "a cell 12 m ahead would be off by 0.42 m > 0.25 m: heading sigma 2.0°"
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fieldgrid.attitude import Track, axes_of_orientation, estimate_attitude
+from fieldgrid.attitude import AntennaTrack, axes_of_orientation, estimate_attitude
 from fieldgrid.motion import Motion, Orientation
 from fieldgrid.recording import DriveOptions, open_drive
 from fieldgrid.recording.bag.leaning import Leans, orientation_of
@@ -348,7 +348,7 @@ def test_an_orientation_makes_the_attitude_of_a_drive_without_accelerometer() ->
     heard, maker = Leans(), Maker("mcap")
     for k, turn in enumerate(turns):
         heard.add(replace(maker.imu(1, (0, 0, 0)), orientation=maker.quaternion(*turn)), k)
-    track: Track = track_of(way)
+    track: AntennaTrack = track_of(way)
     times = track.time_ns[0] + np.arange(len(turns)) * 50_000_000
     found = orientation_of(times, heard.values(), np.eye(3), 0.0, axes_known=False)
     assert isinstance(found, Orientation)

@@ -12,7 +12,7 @@ import pytest
 
 from fieldgrid.build import estimate_drive
 from fieldgrid.recording import Drive, open_drive
-from fieldgrid.recording.bag.trees import Way, forward_speeds
+from fieldgrid.recording.bag.trees import FrameTrack, forward_speeds
 from fieldgrid.rig import Carrier
 from fieldgrid.trajectory import Trajectory
 from tests.recording import bags
@@ -163,7 +163,7 @@ def test_gaps_and_jumps_tell_no_speed() -> None:
     forward = np.tile([0.0, 1.0, 0.0], (len(seconds), 1))
     at_m[seconds > 10.02, 1] += 8.0
     repeated = np.r_[0, np.arange(len(seconds))]
-    way = Way("map", "base_link", np.rint(seconds * 1e9).astype(np.int64)[repeated],
+    way = FrameTrack("map", "base_link", np.rint(seconds * 1e9).astype(np.int64)[repeated],
               at_m[repeated], forward[repeated])  # fmt: skip
     told_ns, speed_mps = forward_speeds(way)
     np.testing.assert_allclose(speed_mps, -2.0, atol=1e-6)

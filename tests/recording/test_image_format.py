@@ -15,7 +15,7 @@ from fieldgrid.errors import RecordingError
 from fieldgrid.recording.image_format import image_format
 from fieldgrid.recording.image_header import read_header
 from fieldgrid.recording.images import ImageFile, ImageFormat, decode_image
-from fieldgrid.recording.settings_file import Settings
+from fieldgrid.recording.settings_file import RecordingSettings
 from fieldgrid.recording.stored import Shot
 
 RNG = np.random.default_rng(3)
@@ -86,25 +86,28 @@ def shots(folder: Path, images: list[npt.NDArray[np.uint8 | np.uint16]]) -> list
 
 def test_the_bits_are_found_once_for_all_images(tmp_path: Path) -> None:
     dark = (DEEP >> 4).astype(np.uint16)
-    found, notes = image_format(tmp_path, shots(tmp_path, [dark, DEEP, dark]), Settings())
+    found, notes = image_format(tmp_path, shots(tmp_path, [dark, DEEP, dark]), RecordingSettings())
     assert found == ImageFormat(None, 12)
     assert notes[0].startswith("Of the 16 bits of the images the lower 12 are taken as filled")
     assert ImageFile(tmp_path / "0.png", format=found).read().max() == 255 >> 4
 
 
 def test_bits_that_are_said_are_believed(tmp_path: Path) -> None:
-    said = Settings(bits=14, bayer="gbrg")
+    said = RecordingSettings(bits=14, bayer="gbrg")
     assert image_format(tmp_path, shots(tmp_path, [DEEP]), said) == (ImageFormat("gbrg", 14), ())
 
 
 def test_of_8_bits_nothing_is_found_out(tmp_path: Path) -> None:
-    assert image_format(tmp_path, shots(tmp_path, [GREY] * 7), Settings()) == (ImageFormat(), ())
+    assert image_format(tmp_path, shots(tmp_path, [GREY] * 7), RecordingSettings()) == (
+        ImageFormat(),
+        (),
+    )
 
 
 def test_a_broken_image_does_not_hide_the_others(tmp_path: Path) -> None:
     made = shots(tmp_path, [DEEP, DEEP])
     (tmp_path / "0.png").write_bytes(b"nothing")
-    found, _ = image_format(tmp_path, made, Settings())
+    found, _ = image_format(tmp_path, made, RecordingSettings())
     assert found.bits == 12
 
 

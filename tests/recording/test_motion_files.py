@@ -11,7 +11,7 @@ import pytest
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.motion_files import (
     MotionFiles,
-    Series,
+    MotionSeries,
     check_axes,
     inertial_of,
     read_motion,
@@ -184,7 +184,7 @@ def test_an_accelerometer_of_few_samples_is_dropped_with_a_note(tmp_path: Path) 
 
 def test_an_imu_without_samples_is_none() -> None:
     notes: list[str] = []
-    assert inertial_of(Series(np.zeros(0, np.int64), np.zeros((0, 6))), notes) is None
+    assert inertial_of(MotionSeries(np.zeros(0, np.int64), np.zeros((0, 6))), notes) is None
     assert notes == []
 
 
@@ -198,7 +198,7 @@ def test_a_gyro_of_one_axis_is_no_inertial_unit(tmp_path: Path) -> None:
 def test_samples_that_no_sensor_gives_are_none() -> None:
     values = np.tile([0.0, 0.0, 0.1, 0.0, 0.0, 9.81], (5, 1))
     values[2, 4], values[3, 0] = 1e300, -1e39
-    found = inertial_of(Series(np.arange(5, dtype=np.int64), values), [])
+    found = inertial_of(MotionSeries(np.arange(5, dtype=np.int64), values), [])
     assert found is not None
     assert found.time_ns.tolist() == [0, 1, 4]
     assert np.isfinite(found.force_mps2).all()

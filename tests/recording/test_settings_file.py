@@ -8,7 +8,7 @@ import pytest
 
 from fieldgrid.errors import RecordingError
 from fieldgrid.geodesy import Datum
-from fieldgrid.recording.settings_file import Settings, Start, read_settings
+from fieldgrid.recording.settings_file import RecordingSettings, Start, read_settings
 
 ALL = """
 name = "june-03"
@@ -36,7 +36,7 @@ def test_everything_can_be_said(tmp_path: Path) -> None:
     settings = read_settings(tmp_path / "recording.toml")
     assert settings.columns is not None
     assert settings.columns.names["lat"] == "Lat"
-    assert settings == Settings(
+    assert settings == RecordingSettings(
         name="june-03",
         image_time_offset_ns=1,
         datum=Datum(41.65, -4.72, 787.4),
@@ -51,9 +51,9 @@ def test_everything_can_be_said(tmp_path: Path) -> None:
 
 
 def test_nothing_need_be_said(tmp_path: Path) -> None:
-    assert read_settings(tmp_path / "recording.toml") == Settings()
+    assert read_settings(tmp_path / "recording.toml") == RecordingSettings()
     (tmp_path / "recording.toml").write_text("")
-    assert read_settings(tmp_path / "recording.toml") == Settings()
+    assert read_settings(tmp_path / "recording.toml") == RecordingSettings()
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.angles import wrap_deg
-from fieldgrid.smoother import STATES, Declared, Measurements, Smoothed, smooth, steering
+from fieldgrid.smoother import STATES, DeclaredCorrection, Measurements, Smoothed, smooth, steering
 from fieldgrid.smoother.model import CONSTANTS, GYRO
-from fieldgrid.smoother.rounds import Problem, Solution, Weights
+from fieldgrid.smoother.rounds import SmoothingProblem, Solution, Weights
 from tests.simulated import CIRCLE, K_TURN, SLALOM, STOP, Command, Drive, simulate
 
 _Float64 = npt.NDArray[np.float64]
@@ -235,7 +235,7 @@ def test_the_same_drive_has_the_same_bits() -> None:
     before = start.copy()
     a, b = smooth(seen, start), smooth(seen, start)
     for one, other in zip(a, b, strict=True):
-        plain = isinstance(one, Declared)  # numbers only
+        plain = isinstance(one, DeclaredCorrection)  # numbers only
         assert one == other if plain else np.array_equal(one, other)
     assert np.array_equal(start, before)
 
@@ -446,9 +446,9 @@ def test_a_gyro_needs_no_expectation() -> None:
     assert found.steers.noise > steering.USUAL_STEERING_NOISE
 
 
-def problem(drive: Drive, seen: Measurements) -> tuple[Problem, Solution]:
+def problem(drive: Drive, seen: Measurements) -> tuple[SmoothingProblem, Solution]:
     """What the sightings ask, and the estimate before anything is learnt."""
-    asked = Problem.of(seen, (0.0, 0.0), 0.0)
+    asked = SmoothingProblem.of(seen, (0.0, 0.0), 0.0)
     return asked, steering.roughly(asked, guess(drive, seen), np.zeros(CONSTANTS))
 
 
@@ -487,7 +487,7 @@ def test_the_search_asks_no_more_than_it_must(
 ) -> None:
     tried: list[int] = []
 
-    def told(_: Problem, __: Solution, steers: steering.Steering) -> float:
+    def told(_: SmoothingProblem, __: Solution, steers: steering.Steering) -> float:
         tried.append(steering.STEERING_NOISES.index(steers.noise))
         return likelihood[tried[-1]]
 
@@ -589,7 +589,7 @@ def test_a_long_drive_is_known_by_some_stretches() -> None:
     assert n > steering.STRETCHES * steering.STRETCH_NODES
     seen = measured_at(whole, 0.02)
     found = smooth(seen, guess(whole, seen))
-    asked = Problem.of(seen, (0.0, 0.0), 0.0)
+    asked = SmoothingProblem.of(seen, (0.0, 0.0), 0.0)
     stretches = steering.stretches(asked, solution(found))
     assert len(stretches) == steering.STRETCHES
     for part, x in stretches:
@@ -600,7 +600,7 @@ def test_a_long_drive_is_known_by_some_stretches() -> None:
     assert stretches[-1][0].measured.time_s[-1] == seen.time_s[-1]
     short = seen.part(0, 1000)
     own = smooth(short, guess(whole.at(short.time_s), short))
-    assert len(steering.stretches(Problem.of(short, (0.0, 0.0), 0.0), solution(own))) == 1
+    assert len(steering.stretches(SmoothingProblem.of(short, (0.0, 0.0), 0.0), solution(own))) == 1
     assert own.steers.noise == found.steers.noise
     inner = slice(0, 980)  # the rest knows what comes after
     assert own.state[inner, :3] == pytest.approx(found.state[inner, :3], abs=2e-3)

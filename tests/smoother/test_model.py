@@ -21,7 +21,7 @@ SEEDS = st.integers(0, 10**6)
 NO_STEPS = np.zeros((0, 2), np.int64)
 
 
-def dense(system: model.System) -> Float64:
+def dense(system: model.NormalEquations) -> Float64:
     """The symmetric matrix of the states and, behind them, the constants."""
     shape, n = system.shape, len(system.right)
     lower = np.zeros((n + CONSTANTS, n + CONSTANTS))
@@ -36,11 +36,11 @@ def dense(system: model.System) -> Float64:
     return full
 
 
-def right_side(system: model.System) -> Float64:
+def right_side(system: model.NormalEquations) -> Float64:
     return np.concatenate([system.right, system.right_constants])
 
 
-def empty(n: int, far: Int64 = NO_STEPS) -> model.System:
+def empty(n: int, far: Int64 = NO_STEPS) -> model.NormalEquations:
     return model.empty_system(envelope(n, far))
 
 
@@ -63,7 +63,7 @@ UNKNOWN = np.zeros(CONSTANTS)
 
 
 def assert_normal_equations(
-    system: model.System,
+    system: model.NormalEquations,
     residuals: Residuals,
     x: Float64,
     constants: Float64 = UNKNOWN,
@@ -203,7 +203,7 @@ class Way:
         self.turned = np.where(told, random.normal(size=n - 1), np.nan)
         self.seen, self.standing = np.ones(n - 1, np.bool_), random.random(n) < 0.4
 
-    def system(self, x: Float64) -> model.System:
+    def system(self, x: Float64) -> model.NormalEquations:
         system = empty(len(x))
         model.add_motion(
             system,

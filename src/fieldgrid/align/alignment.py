@@ -19,14 +19,14 @@ import numpy as np
 
 from fieldgrid.align.agreement import Agreement, agree
 from fieldgrid.align.beside import with_beside
-from fieldgrid.align.comparing import Group, Matching, Wholes
-from fieldgrid.align.drives import WANDER_SHARE, Drive, Role, read_drives
+from fieldgrid.align.comparing import Matching, SubmapGroup, Wholes
+from fieldgrid.align.drives import WANDER_SHARE, Role, SubmapDrive, read_drives
 from fieldgrid.align.heights import Levels, level
 from fieldgrid.align.matches import Match
-from fieldgrid.align.network import Solution, left_between, solve, turn_sigma_deg, wrong_ones
+from fieldgrid.align.network import NetworkSolution, left_between, solve, turn_sigma_deg, wrong_ones
 from fieldgrid.align.pairs import (
     Overlap,
-    Pair,
+    SubmapPair,
     bounded,
     for_every_shift,
     overlapping,
@@ -36,7 +36,7 @@ from fieldgrid.align.pairs import (
 from fieldgrid.align.report import MapAlignment, summed_up
 from fieldgrid.align.ridge import across_alone
 from fieldgrid.align.score import PROBE_DEG, peak
-from fieldgrid.align.submaps import Picture, draw
+from fieldgrid.align.submaps import SubmapImage, draw
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Lattice
@@ -110,7 +110,7 @@ def align_map(
 
 
 def _aligned(
-    drives: list[Drive], reach_m: float, rounds: int, tell: Progress, workers: Runner
+    drives: list[SubmapDrive], reach_m: float, rounds: int, tell: Progress, workers: Runner
 ) -> MapAlignment:
     """How drives lie against each other, by their submaps."""
     run = _Run(drives, reach_m, tell, workers)
@@ -147,10 +147,10 @@ def _aligned(
 
 
 def with_heights(
-    solution: Solution,
+    solution: NetworkSolution,
     corrections: Sequence[HeightCorrection | None],
     before: Sequence[Transform],
-) -> Solution:
+) -> NetworkSolution:
     """A solution whose transforms carry the heights that were found for them, else those of
     before."""
     transforms = []
@@ -166,8 +166,8 @@ MOST_REACH_M = 20.0
 
 
 def _as_poor_as_found(
-    drives: Sequence[Drive], between_m: Mapping[tuple[int, int], float]
-) -> list[Drive]:
+    drives: Sequence[SubmapDrive], between_m: Mapping[tuple[int, int], float]
+) -> list[SubmapDrive]:
     """Drives with the errors of their receivers, and larger ones where what lies between two is too
     much for these."""
     apart = {
@@ -247,7 +247,7 @@ class _Run:
 
     def __init__(
         self,
-        drives: Sequence[Drive],
+        drives: Sequence[SubmapDrive],
         reach_m: float,
         tell: Progress,
         workers: Runner,
@@ -319,11 +319,11 @@ class _Run:
         cell_m: float,
         stage: str,
         turns_deg: Sequence[float] = (0.0,),
-    ) -> list[list[list[Picture]]]:
+    ) -> list[list[list[SubmapImage]]]:
         """For each turn the pictures of all submaps by drive, each turned about its own middle."""
         lattice = Lattice(max(cell_m, self._local_m))
         places = [(n, submap) for n, drive in enumerate(self._drives) for submap in drive.submaps]
-        pictures: list[list[list[Picture]]] = [[[] for _ in self._drives] for _ in turns_deg]
+        pictures: list[list[list[SubmapImage]]] = [[[] for _ in self._drives] for _ in turns_deg]
         # Here, where the frames are: this grows with the drives, and comparing with their pairs.
         drawn = Threads(self._workers.here).in_order(
             lambda place: draw(place[1], transforms[place[0]], lattice, turns_deg), places
@@ -335,7 +335,7 @@ class _Run:
         return pictures
 
     def _overlaps(
-        self, pictures: Sequence[Sequence[Picture]], believed: set[tuple[int, int]] | None
+        self, pictures: Sequence[Sequence[SubmapImage]], believed: set[tuple[int, int]] | None
     ) -> Iterator[Overlap]:
         """What may be compared: not what holds with what holds, nor what is in doubt."""
 
@@ -347,21 +347,23 @@ class _Run:
 
     def _each(
         self,
-        work: Callable[[Group], list[tuple[Pair, _Found]]],
-        pairs: Sequence[Pair],
-        drawn: Sequence[Sequence[Sequence[Picture]]],
+        work: Callable[[SubmapGroup], list[tuple[SubmapPair, _Found]]],
+        pairs: Sequence[SubmapPair],
+        drawn: Sequence[Sequence[Sequence[SubmapImage]]],
         stage: str,
-    ) -> list[tuple[Pair, _Found]]:
+    ) -> list[tuple[SubmapPair, _Found]]:
         """What work finds for pairs; `drawn` has the pictures for each turn."""
         # Making the spectra of a submap takes as long as a comparison; they serve all of its pairs.
-        by_submap = defaultdict[tuple[int, int], list[Pair]](list)
+        by_submap = defaultdict[tuple[int, int], list[SubmapPair]](list)
         for pair in pairs:
             by_submap[pair.a, pair.k].append(pair)
         groups = (
-            Group(own, drawn[0][a][k], [[of_turn[p.b][p.l] for of_turn in drawn] for p in own])
+            SubmapGroup(
+                own, drawn[0][a][k], [[of_turn[p.b][p.l] for of_turn in drawn] for p in own]
+            )
             for (a, k), own in by_submap.items()
         )
-        results, done = list[tuple[Pair, _Found]](), 0
+        results, done = list[tuple[SubmapPair, _Found]](), 0
         found = self._workers.in_order(work, groups)
         for own, of_own in zip(by_submap.values(), found, strict=True):
             results += of_own

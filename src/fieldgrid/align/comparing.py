@@ -9,17 +9,17 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.align.matches import Match
-from fieldgrid.align.pairs import Pair
+from fieldgrid.align.pairs import SubmapPair
 from fieldgrid.align.score import Against, Scores, TurnPeak, peak, turn_peak
-from fieldgrid.align.submaps import Picture
+from fieldgrid.align.submaps import SubmapImage
 
 
-class Group(NamedTuple):
+class SubmapGroup(NamedTuple):
     """A submap and those that it is compared with, of each the pictures of all turns."""
 
-    pairs: Sequence[Pair]
-    a: Picture
-    b: Sequence[Sequence[Picture]]
+    pairs: Sequence[SubmapPair]
+    a: SubmapImage
+    b: Sequence[Sequence[SubmapImage]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class Wholes:
 
     reach_m: float
 
-    def __call__(self, group: Group) -> list[tuple[Pair, Scores]]:
+    def __call__(self, group: SubmapGroup) -> list[tuple[SubmapPair, Scores]]:
         """The scores of those pairs that share obstacles."""
         against = Against(group.a, self.reach_m)
         return [
@@ -44,7 +44,7 @@ class Matching:
 
     reach_m: float
 
-    def __call__(self, group: Group) -> list[tuple[Pair, Match]]:
+    def __call__(self, group: SubmapGroup) -> list[tuple[SubmapPair, Match]]:
         """The matches of those pairs that share obstacles."""
         against = Against(group.a, self.reach_m)
         return [
@@ -54,7 +54,9 @@ class Matching:
         ]
 
     @staticmethod
-    def _match(p: Pair, against: Against, b: Picture, less: Picture, more: Picture) -> Match | None:
+    def _match(
+        p: SubmapPair, against: Against, b: SubmapImage, less: SubmapImage, more: SubmapImage
+    ) -> Match | None:
         score = against.scores(b)
         if score is None:
             return None

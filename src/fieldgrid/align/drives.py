@@ -35,7 +35,7 @@ class Role(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class SubmapDrive:
     """A session: its submaps in the order of time, [n], and where each was as driven.
 
     `sigma_m` is the error along one axis that its receiver leaves open, `wander_m` the part of it
@@ -62,7 +62,7 @@ class Drive:
         return float(np.hypot(*(self.middle_m - self.pivot_m).T).max(initial=1.0))
 
 
-def read_drives(universal: MapFile, roles: Mapping[str, Role]) -> list[Drive]:
+def read_drives(universal: MapFile, roles: Mapping[str, Role]) -> list[SubmapDrive]:
     """Sessions with accepted frames by their roles; of those that do not move the part near others
     that do. Sessions of which nothing is near are left out."""
     transforms = {info.name: info.transform for info in universal.sessions()}
@@ -83,7 +83,7 @@ def read_drives(universal: MapFile, roles: Mapping[str, Role]) -> list[Drive]:
         points = np.array([[f.driven.east_m, f.driven.north_m] for f in frames])
         sigma_m = _sigma_m(frames, transforms[name], role)
         drives.append(
-            Drive(
+            SubmapDrive(
                 name,
                 role,
                 submaps,

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from fieldgrid.align.drives import UNKNOWN_SIGMA_M, WANDER_SHARE, Drive, Role
+from fieldgrid.align.drives import UNKNOWN_SIGMA_M, WANDER_SHARE, Role, SubmapDrive
 from fieldgrid.align.network import HELD_M, wander_chain
 from fieldgrid.align.submaps import SUBMAP_M, Submap
 from fieldgrid.array_types import Bool, Float64, Int64
@@ -71,7 +71,7 @@ class Levels(NamedTuple):
 
 
 def level(
-    drives: Sequence[Drive], transforms: Sequence[Transform], doubtful: Collection[int] = ()
+    drives: Sequence[SubmapDrive], transforms: Sequence[Transform], doubtful: Collection[int] = ()
 ) -> Levels:
     """What to add to the heights of each drive that moves, placed by its transform.
 
@@ -95,13 +95,13 @@ def level(
     return Levels(tuple(corrections), kept)
 
 
-def _has_ground(drive: Drive) -> bool:
+def _has_ground(drive: SubmapDrive) -> bool:
     """Whether frames tell of the ground at all: those of drives without roll and pitch do not."""
     return any(GROUND_CHANNEL in frame.cells().channels for frame in drive.submaps[0].frames)
 
 
 def _corrections(
-    drives: Sequence[Drive], transforms: Sequence[Transform], doubtful: Collection[int]
+    drives: Sequence[SubmapDrive], transforms: Sequence[Transform], doubtful: Collection[int]
 ) -> tuple[list[HeightCorrection | None], set[int]]:
     """What to add to the heights of each drive, and those that are too far off."""
     corrections: list[HeightCorrection | None] = [None] * len(drives)
@@ -159,7 +159,7 @@ def _turned_out(found_m: Float64, stated_m: Float64, shares: Bool) -> Float64:
     return least_m
 
 
-def _stated_m(drive: Drive, transform: Transform) -> Float64:
+def _stated_m(drive: SubmapDrive, transform: Transform) -> Float64:
     """What poses state of the heights of each submap [n], as driven or, of a drive that stays, as
     placed; of one that holds nothing is open."""
     if drive.role is Role.HOLDS:
@@ -174,7 +174,7 @@ def _stated_m(drive: Drive, transform: Transform) -> Float64:
 
 
 def _solve(
-    seen: _Seen, drives: Sequence[Drive], stated_m: Float64, parts: Sequence[Int64]
+    seen: _Seen, drives: Sequence[SubmapDrive], stated_m: Float64, parts: Sequence[Int64]
 ) -> tuple[Float64, sparse.csr_array]:
     """The heights of submaps [count], and what the ground says of them [count, count], not 0 of
     two that share a place; `parts` are the submaps of each drive."""
@@ -208,7 +208,7 @@ def _solve(
     return up_m, normal
 
 
-def _ground(drives: Sequence[Drive], transforms: Sequence[Transform]) -> _Seen:
+def _ground(drives: Sequence[SubmapDrive], transforms: Sequence[Transform]) -> _Seen:
     """The ground of places that more than one submap saw; submaps are counted over all drives."""
     submaps, places, heights = [], [], []
     for drive, transform in zip(drives, transforms, strict=True):
@@ -249,7 +249,9 @@ def _ground_of(submap: Submap, transform: Transform, *, placed: bool) -> tuple[I
     return place, np.bincount(inverse, np.concatenate(heights), len(place)) / times
 
 
-def _prior(drives: Sequence[Drive], stated_m: Float64, parts: Sequence[Int64]) -> sparse.csr_array:
+def _prior(
+    drives: Sequence[SubmapDrive], stated_m: Float64, parts: Sequence[Int64]
+) -> sparse.csr_array:
     """The information [count + drives, count + drives] of what receivers err in height, by
     `stated_m` of each submap: a part that stays for a drive, and one that wanders over some
     minutes. The part that stays is an unknown of its own, in stated errors, behind the heights of

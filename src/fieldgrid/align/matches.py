@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from fieldgrid.align.drives import Drive
+from fieldgrid.align.drives import SubmapDrive
 from fieldgrid.array_types import Float64, Int64
 
 COMMON_SIGMA_M, ALIKE = 0.03, 10
@@ -81,7 +81,7 @@ def information_of(matches: Sequence[Match], alike: Sequence[int]) -> Float64:
 
 
 def shift_equations(
-    drives: Sequence[Drive], offsets: Int64, start: Float64, matches: Sequence[Match]
+    drives: Sequence[SubmapDrive], offsets: Int64, start: Float64, matches: Sequence[Match]
 ) -> Equations:
     """How the place of a match moves with one drive, less how it moves with the other, equals the
     shift that was found, but for what is due to the sides from which they looked: two equations a

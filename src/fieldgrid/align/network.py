@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from fieldgrid.align.drives import Drive, Role
+from fieldgrid.align.drives import Role, SubmapDrive
 from fieldgrid.align.matches import Match, information_of, shift_equations, turn_equations
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.mapfile import Transform
@@ -53,12 +53,12 @@ MEDIAN_OF_TWO = 1.386
 HELD_M, LEAST_WANDER_M, LOOSE = 1e-4, 0.001, 10.0
 
 
-def turn_sigma_deg(drive: Drive) -> float:
+def turn_sigma_deg(drive: SubmapDrive) -> float:
     """By how much the receiver may have turned a drive as a whole."""
     return min(float(np.degrees(drive.sigma_m / drive.half_length_m)), MOST_TURN_SIGMA_DEG)
 
 
-class Solution(NamedTuple):
+class NetworkSolution(NamedTuple):
     """What fits, of each drive: the transforms; the 1-sigma errors [n, n] of the shift of one
     against that of another (along the worse axis; on the diagonal: of itself); those of the turns
     in degrees [n]. `face_m` lies between the faces of a row, `view_m` is how much nearer all looks
@@ -75,10 +75,10 @@ class Solution(NamedTuple):
 
 
 def solve(
-    drives: Sequence[Drive],
+    drives: Sequence[SubmapDrive],
     now: Sequence[Transform],
     matches: Sequence[Match],
-) -> Solution:
+) -> NetworkSolution:
     """The transforms that fit matches, which were made with drives placed by the transforms `now`.
     Only drives that move get another; with the others it is told how wrong they may be."""
     offsets = np.cumsum([0, *(3 + 2 * len(drive.submaps) for drive in drives)])
@@ -121,7 +121,7 @@ def solve(
             picked[at + 3 + axis : at + 3 + 2 * count : 2, 3 * n + axis] = 1.0 / count
         picked[at + 2, 3 * n + 2] = 1.0
     covariance = picked.T @ factor.solve(picked) * factor_of_sigma**2
-    return Solution(
+    return NetworkSolution(
         tuple(
             _transform(drive, transform, x[at : at + 3 + 2 * len(drive.submaps)])
             for drive, transform, at in zip(drives, now, offsets, strict=False)
@@ -142,7 +142,7 @@ def _student(misfit_squared: npt.ArrayLike, dimensions: float) -> Float64:
 
 
 def _priors(
-    drives: Sequence[Drive],
+    drives: Sequence[SubmapDrive],
     offsets: Int64,
     start: Float64,
     x: Float64,
@@ -166,7 +166,7 @@ def _priors(
     return sparse.block_diag([*blocks, sparse.diags_array(of_sides)], "csr"), side
 
 
-def _prior(drive: Drive, off: Float64, loose: float) -> Float64:
+def _prior(drive: SubmapDrive, off: Float64, loose: float) -> Float64:
     """The information of shift, turn and wander of a drive that is `off` where it is expected."""
     sigma_m, sigma = loose * drive.sigma_m, loose * np.radians(turn_sigma_deg(drive))
     block = np.zeros((len(off), len(off)))
@@ -211,7 +211,9 @@ def wander_chain(time_ns: Int64, variance: float) -> Chain:
     )
 
 
-def left_between(matches: Sequence[Match], solution: Solution) -> dict[tuple[int, int], float]:
+def left_between(
+    matches: Sequence[Match], solution: NetworkSolution
+) -> dict[tuple[int, int], float]:
     """What is left of the shifts of matches between each two drives, root mean square, as far as
     each match tells it, beyond what matches scatter by."""
     squared, told = (defaultdict[tuple[int, int], float](float) for _ in range(2))
@@ -228,7 +230,7 @@ def left_between(matches: Sequence[Match], solution: Solution) -> dict[tuple[int
 
 
 def wrong_ones(
-    drives: Sequence[Drive], apart_m: Mapping[tuple[int, int], float]
+    drives: Sequence[SubmapDrive], apart_m: Mapping[tuple[int, int], float]
 ) -> dict[int, float]:
     """By how much drives are wrong, of those that contradict each other by `apart_m`: the one that
     contradicts most, or the one whose receiver states most; where that is the same, both are."""
@@ -243,14 +245,14 @@ def wrong_ones(
     return found
 
 
-def _shift_and_turn(drive: Drive, transform: Transform) -> Float64:
+def _shift_and_turn(drive: SubmapDrive, transform: Transform) -> Float64:
     """Shift of the drive's pivot and turn (radians) of a transform, whatever pivot it has."""
     east_m, north_m = drive.pivot_m
     east, north = replace(transform, wander=None).points(east_m, north_m, 0)
     return np.array([east - east_m, north - north_m, np.radians(transform.turn_deg)])
 
 
-def _transform(drive: Drive, now: Transform, x: Float64) -> Transform:
+def _transform(drive: SubmapDrive, now: Transform, x: Float64) -> Transform:
     if drive.role is not Role.MOVES:
         return now
     wander = x[3:].reshape(-1, 2)

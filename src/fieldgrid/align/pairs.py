@@ -10,7 +10,7 @@ import numpy as np
 from scipy import fft
 from scipy.spatial import cKDTree
 
-from fieldgrid.align.submaps import Picture
+from fieldgrid.align.submaps import SubmapImage
 from fieldgrid.array_types import Bool, Float64
 
 LEAST_SHARE = 0.25
@@ -49,7 +49,7 @@ class Overlap(NamedTuple):
     share: float
 
 
-class Pair(NamedTuple):
+class SubmapPair(NamedTuple):
     """Submap `k` of drive `a` and submap `l` of drive `b`. `at_m` [2] is the middle of the ground
     that both saw; `across` [2] the unit vector from the track of the one to that of the other
     where they lie in different lanes, else zero; `facing` [2] the way that `a` looks less that of
@@ -66,7 +66,7 @@ class Pair(NamedTuple):
 
 
 def overlapping(
-    pictures: Sequence[Sequence[Picture]], compared: Callable[[int, int], bool]
+    pictures: Sequence[Sequence[SubmapImage]], compared: Callable[[int, int], bool]
 ) -> Iterator[Overlap]:
     """The pairs worth comparing, of different drives and of the same one, as far as these are to be
     `compared`; `pictures` has those of each drive."""
@@ -100,10 +100,10 @@ def overlapping(
                 yield Overlap(a, k, b, l, share)
 
 
-def placed(of: Overlap, pictures: Sequence[Sequence[Picture]]) -> Pair:
+def placed(of: Overlap, pictures: Sequence[Sequence[SubmapImage]]) -> SubmapPair:
     """The pair, with where it lies and how its submaps look at it."""
     one, other = pictures[of.a][of.k], pictures[of.b][of.l]
-    return Pair(*of[:4], *_place(one, other), one.facing - other.facing, of.share)
+    return SubmapPair(*of[:4], *_place(one, other), one.facing - other.facing, of.share)
 
 
 def thinned(pairs: Iterable[Overlap]) -> list[Overlap]:
@@ -119,7 +119,7 @@ def thinned(pairs: Iterable[Overlap]) -> list[Overlap]:
 
 
 def for_every_shift(
-    chosen: Sequence[Overlap], pictures: Sequence[Sequence[Picture]], reach_m: float
+    chosen: Sequence[Overlap], pictures: Sequence[Sequence[SubmapImage]], reach_m: float
 ) -> list[Overlap]:
     """Overlaps, with further ones of the same drives that exist where these lie elsewhere by up to
     `reach_m`, so that each such shift has ground that would speak for it or against it.
@@ -139,7 +139,7 @@ def for_every_shift(
 
 
 def _others(
-    own: Sequence[Overlap], of_a: Sequence[Picture], of_b: Sequence[Picture], reach_m: float
+    own: Sequence[Overlap], of_a: Sequence[SubmapImage], of_b: Sequence[SubmapImage], reach_m: float
 ) -> Iterator[Overlap]:
     """Further pairs of two drives: again and again the one that shares most at the shift at which
     least ground is shared."""
@@ -171,13 +171,13 @@ def _others(
         further[n] = 0.0
 
 
-def _within(a: Picture, b: Picture, reach_m: float) -> bool:
+def _within(a: SubmapImage, b: SubmapImage, reach_m: float) -> bool:
     """Whether the windows of pictures come together by a shift."""
     cells = round(reach_m / a.lattice.cell_m)
     return a.window.grown(cells).intersect(b.window) is not None
 
 
-def _shares(a: Picture, b: Picture, reach_m: float) -> Float64:
+def _shares(a: SubmapImage, b: SubmapImage, reach_m: float) -> Float64:
     """The share of the smaller picture that both saw at each shift of `b` within reach [n],
     `COARSE_M` apart."""
     step = max(round(COARSE_M / a.lattice.cell_m), 1)
@@ -221,7 +221,7 @@ def bounded(pairs: Iterable[Overlap]) -> list[Overlap]:
     return sorted(chosen, key=lambda pair: pair[:4])
 
 
-def _shared(a: Picture, b: Picture) -> float:
+def _shared(a: SubmapImage, b: SubmapImage) -> float:
     """The share of the smaller picture that both saw."""
     part = a.window.intersect(b.window)
     if part is None:
@@ -230,7 +230,7 @@ def _shared(a: Picture, b: Picture) -> float:
     return np.count_nonzero(both) / max(min(a.cells, b.cells), 1)
 
 
-def _place(a: Picture, b: Picture) -> tuple[Float64, Float64]:
+def _place(a: SubmapImage, b: SubmapImage) -> tuple[Float64, Float64]:
     at = _middle(a, b)
     # The direction in which the track of `a` runs; across it lies that of `b`.
     centred = a.track_m - a.track_m.mean(axis=0)
@@ -240,7 +240,7 @@ def _place(a: Picture, b: Picture) -> tuple[Float64, Float64]:
     return at, left * np.sign(apart_m) if abs(apart_m) > SAME_LANE_M else np.zeros(2)
 
 
-def _middle(a: Picture, b: Picture) -> Float64:
+def _middle(a: SubmapImage, b: SubmapImage) -> Float64:
     """Of the ground that both saw, or between them where there is none as they lie."""
     part = a.window.intersect(b.window)
     if part is not None:

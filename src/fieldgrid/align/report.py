@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.align.agreement import Agreement
-from fieldgrid.align.drives import Drive, Role
+from fieldgrid.align.drives import Role, SubmapDrive
 from fieldgrid.align.matches import Match, information_of
-from fieldgrid.align.network import Solution, left_between, wrong_ones
+from fieldgrid.align.network import NetworkSolution, left_between, wrong_ones
 from fieldgrid.array_types import Float64
 from fieldgrid.mapfile import Transform
 from fieldgrid.mapfile.transform import Aligned
@@ -98,11 +98,11 @@ class MapAlignment(NamedTuple):
 
 
 def summed_up(
-    drives: Sequence[Drive],
+    drives: Sequence[SubmapDrive],
     before: Sequence[Transform],
     agreements: Sequence[Agreement],
     matches: Sequence[Match],
-    solution: Solution,
+    solution: NetworkSolution,
     rough_m: float,
     heights_kept: Mapping[int, str],
 ) -> MapAlignment:
@@ -163,9 +163,9 @@ def summed_up(
 
 
 def _pair(
-    drives: Sequence[Drive],
+    drives: Sequence[SubmapDrive],
     before: Sequence[Transform],
-    solution: Solution,
+    solution: NetworkSolution,
     one: Agreement,
     own: Sequence[int],
     matches: Sequence[Match],
@@ -204,7 +204,10 @@ def _pair(
 
 
 def _with_contradictions(
-    drives: Sequence[Drive], matches: Sequence[Match], solution: Solution, sigma_m: Float64
+    drives: Sequence[SubmapDrive],
+    matches: Sequence[Match],
+    solution: NetworkSolution,
+    sigma_m: Float64,
 ) -> Float64:
     """The errors [n, n] of drives and of each two, no less than what is left where single matches
     contradict each other: part of a drive lies elsewhere, such as after a leap of its receiver."""
@@ -222,7 +225,7 @@ def _with_contradictions(
 
 
 def _contradictions(
-    matches: Sequence[Match], solution: Solution, own: Sequence[int]
+    matches: Sequence[Match], solution: NetworkSolution, own: Sequence[int]
 ) -> tuple[Contradiction, ...]:
     """Those of some matches, the worst first."""
     found = [
@@ -234,7 +237,7 @@ def _contradictions(
 
 
 def _moved(
-    drive: Drive, before: Transform, after: Transform, submap: int, at_m: Float64
+    drive: SubmapDrive, before: Transform, after: Transform, submap: int, at_m: Float64
 ) -> Float64:
     """By how much a place [2] that a submap saw is moved, east and north."""
     time_ns = int(drive.time_ns[submap])

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import fft
 
 from fieldgrid.align.spline import between_cells
-from fieldgrid.align.submaps import Picture
+from fieldgrid.align.submaps import SubmapImage
 from fieldgrid.array_types import Complex64, Float32, Float64
 from fieldgrid.lattice import Window
 
@@ -70,7 +70,7 @@ class Scores(NamedTuple):
 class Against:
     """A picture with which others of its lattice are compared, up to a shift."""
 
-    def __init__(self, a: Picture, reach_m: float) -> None:
+    def __init__(self, a: SubmapImage, reach_m: float) -> None:
         self.a = a
         self._reach = round(reach_m / a.lattice.cell_m)
         self._window = a.window.grown(self._reach)
@@ -79,7 +79,7 @@ class Against:
         value = np.divide(a.value, 255.0, dtype=np.float32)
         self._spectra = np.conj(self._spectra_of(a.seen.astype(np.float32), value, 0))
 
-    def scores(self, b: Picture, alike: float | None = None) -> Scores | None:
+    def scores(self, b: SubmapImage, alike: float | None = None) -> Scores | None:
         """Those of another picture; None where the two share no obstacle to speak of.
 
         `alike` is told of the residuals when it is not given.
@@ -133,12 +133,12 @@ class Against:
         return np.asarray(found, dtype=np.float64)
 
 
-def _obstacle_m2(picture: Picture) -> float:
+def _obstacle_m2(picture: SubmapImage) -> float:
     """How much ground with full obstacles would have as much of them."""
     return float(picture.value.sum()) / 255.0 * picture.lattice.cell_m**2
 
 
-def _on(picture: Picture, part: Window, window: Window) -> tuple[Float32, Float32]:
+def _on(picture: SubmapImage, part: Window, window: Window) -> tuple[Float32, Float32]:
     """The values, 0..1, and the seen cells of a part of a picture, over all columns of a window
     that contains it, 0 outside."""
     value, seen = (np.zeros((part.height, window.width), np.float32) for _ in range(2))
@@ -149,7 +149,7 @@ def _on(picture: Picture, part: Window, window: Window) -> tuple[Float32, Float3
     return value, seen
 
 
-def _correlated_cells(a: Picture, b: Picture, at: Window) -> float:
+def _correlated_cells(a: SubmapImage, b: SubmapImage, at: Window) -> float:
     """Over how many cells the residuals are alike where what `at` holds of `b` is laid on `a`."""
     part = at.intersect(b.window)
     assert part is not None  # they were compared
@@ -247,7 +247,7 @@ class TurnPeak(NamedTuple):
     information: float
 
 
-def turn_peak(a: Against, less: Picture, straight: Scores, more: Picture) -> TurnPeak:
+def turn_peak(a: Against, less: SubmapImage, straight: Scores, more: SubmapImage) -> TurnPeak:
     """The turn of a picture with the scores `straight`, from these and from pictures of it that are
     turned by -PROBE_DEG and +PROBE_DEG: the top of the parabola through the best score of each."""
     probes = a.scores(less, straight.alike), straight, a.scores(more, straight.alike)

@@ -51,7 +51,7 @@ class Submap:
         return np.asarray(points.mean(axis=0))
 
 
-class Picture(NamedTuple):
+class SubmapImage(NamedTuple):
     """The obstacles of a submap over a window of a lattice: `value` 0..255, 0 where not `seen`;
     `track_m` are the places of its poses [n, 2], east and north, `facing` [2] the way that they
     look, a unit vector; `cells` is how many were seen."""
@@ -85,7 +85,7 @@ def cut(session: str, frames: Sequence[FrameRecord]) -> Iterator[Submap]:
 
 def draw(
     submap: Submap, transform: Transform, lattice: Lattice, turns_deg: Sequence[float] = (0.0,)
-) -> list[Picture]:
+) -> list[SubmapImage]:
     """What the frames of a submap saw, each at its pose as driven, transformed; a picture for each
     turn about the middle of the submap."""
     poses = [transform.pose(frame.driven) for frame in submap.frames]
@@ -101,7 +101,7 @@ def draw(
 
 def _picture(
     submap: Submap, grids: Sequence[LocalGrid], poses: Sequence[Pose], lattice: Lattice
-) -> Picture:
+) -> SubmapImage:
     specs = (frame.spec for frame in submap.frames)
     windows = [footprint(spec, at, lattice) for spec, at in zip(specs, poses, strict=True)]
     window = reduce(Window.union, windows)
@@ -119,7 +119,7 @@ def _picture(
     heading = np.radians([pose.heading_deg for pose in poses])
     facing = np.array([np.sin(heading).sum(), np.cos(heading).sum()])
     facing /= max(float(np.hypot(*facing)), 1e-9)
-    return Picture(lattice, window, value, seen, track, facing, int(np.count_nonzero(seen)))
+    return SubmapImage(lattice, window, value, seen, track, facing, int(np.count_nonzero(seen)))
 
 
 def _cropped(window: Window, cells: Cells) -> tuple[Window, Cells]:

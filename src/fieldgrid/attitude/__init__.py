@@ -2,13 +2,13 @@
 
 from fieldgrid.attitude.axes import ORIENTATION, AxisTilt, axes_of_fixes, axes_of_orientation
 from fieldgrid.attitude.estimate import Attitude, estimate_attitude
-from fieldgrid.attitude.measurements import Track
+from fieldgrid.attitude.measurements import AntennaTrack
 
 __all__ = [
     "ORIENTATION",
+    "AntennaTrack",
     "Attitude",
     "AxisTilt",
-    "Track",
     "axes_of_fixes",
     "axes_of_orientation",
     "estimate_attitude",

@@ -19,9 +19,9 @@ from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.attitude import model
 from fieldgrid.attitude.axes import AxisTilt, agreed
 from fieldgrid.attitude.ground import ExpectedGround, expected_ground
-from fieldgrid.attitude.measurements import Measurements, Track, measure
+from fieldgrid.attitude.measurements import AntennaTrack, AttitudeMeasurements, measure
 from fieldgrid.attitude.model import Law, States
-from fieldgrid.attitude.solver import System, covariances, normal_equations, solved
+from fieldgrid.attitude.solver import AttitudeEquations, covariances, normal_equations, solved
 from fieldgrid.motion import Inertial, RecordedTilt, Steps
 from fieldgrid.rotations import R_enu_level, R_level_vehicle, Tilt, heading_rad, roll_pitch_deg
 
@@ -132,7 +132,7 @@ class Attitude(NamedTuple):
 
 
 def estimate_attitude(
-    track: Track,
+    track: AntennaTrack,
     antenna_m: Float64,
     *,
     wanted_ns: Int64 | None = None,
@@ -160,7 +160,7 @@ def estimate_attitude(
 
 
 def _estimate(
-    track: Track,
+    track: AntennaTrack,
     antenna_m: Float64,
     wanted_ns: Int64,
     sensed: Inertial | None,
@@ -198,7 +198,7 @@ def _stretches(time_s: Float64) -> list[tuple[tuple[int, int], slice]]:
 
 
 def _estimated(
-    seen: Measurements,
+    seen: AttitudeMeasurements,
     antenna_m: Float64,
     ground: ExpectedGround,
     axes: Sequence[AxisTilt],
@@ -230,7 +230,7 @@ def _lasting_sigma(axes: Sequence[AxisTilt]) -> Float64:
     return np.concatenate([SHARED_SIGMA, frame, mount])
 
 
-def _first_guess(seen: Measurements, antenna_m: Float64, shared: int) -> States:
+def _first_guess(seen: AttitudeMeasurements, antenna_m: Float64, shared: int) -> States:
     """Level, along the fixes, with the known headings."""
     n = len(seen.time_s)
     R = R_enu_level(np.degrees(seen.heading_rad))
@@ -247,19 +247,19 @@ def _first_guess(seen: Measurements, antenna_m: Float64, shared: int) -> States:
 
 def _system(
     x: States,
-    seen: Measurements,
+    seen: AttitudeMeasurements,
     antenna_m: Float64,
     ground: ExpectedGround,
     axes: Sequence[AxisTilt],
     robust: bool,
-) -> System:
+) -> AttitudeEquations:
     """The normal equations of all that is known, linearised at `x`."""
     between = [*_turns(x, seen), *_moves(x, seen, robust)]
     laws = [*between, *_at_nodes(x, seen, antenna_m, ground, robust), *_rises(x, seen, axes)]
     return normal_equations(laws, len(seen.time_s), x.shared, _lasting_sigma(axes))
 
 
-def _rises(x: States, seen: Measurements, axes: Sequence[AxisTilt]) -> Iterator[Law]:
+def _rises(x: States, seen: AttitudeMeasurements, axes: Sequence[AxisTilt]) -> Iterator[Law]:
     """The recorded axes."""
     for own, (axis, (sine, sigma)) in enumerate(zip(axes, seen.risen, strict=True)):
         at = np.flatnonzero(np.isfinite(sigma))
@@ -267,7 +267,7 @@ def _rises(x: States, seen: Measurements, axes: Sequence[AxisTilt]) -> Iterator[
         yield model.rises(x, at, axis.direction, sine[at], sigma[at] ** -2.0, own, framed)
 
 
-def _turns(x: States, seen: Measurements) -> list[Law]:
+def _turns(x: States, seen: AttitudeMeasurements) -> list[Law]:
     moved = seen.moved
     at, hidden = np.flatnonzero(moved.turned), np.flatnonzero(~moved.turned)
     terrain = 1.0 / (TERRAIN_NOISE_RAD**2 * np.diff(seen.time_s)[hidden, None])
@@ -278,7 +278,7 @@ def _turns(x: States, seen: Measurements) -> list[Law]:
     ]
 
 
-def _moves(x: States, seen: Measurements, robust: bool) -> list[Law]:
+def _moves(x: States, seen: AttitudeMeasurements, robust: bool) -> list[Law]:
     """How position and velocity go on: by the accelerometer, by the camera, or by themselves."""
     moved, step_s = seen.moved, np.diff(seen.time_s)
     at, alone = np.flatnonzero(moved.pushed), np.flatnonzero(~moved.pushed)
@@ -299,7 +299,7 @@ def _moves(x: States, seen: Measurements, robust: bool) -> list[Law]:
 
 
 def _at_nodes(
-    x: States, seen: Measurements, antenna_m: Float64, ground: ExpectedGround, robust: bool
+    x: States, seen: AttitudeMeasurements, antenna_m: Float64, ground: ExpectedGround, robust: bool
 ) -> list[Law]:
     """Fixes, headings, recorded tilts, and what ground and slopes are like."""
     every = np.arange(len(seen.time_s))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64
-from fieldgrid.attitude.measurements import WANDER_SHARE, Track
+from fieldgrid.attitude.measurements import WANDER_SHARE, AntennaTrack
 
 USUAL_SLOPE = 0.14
 """Slopes of cultivated ground, 1 sigma along one axis (8°), before a height is known."""
@@ -42,7 +42,7 @@ class ExpectedGround(NamedTuple):
         return float(np.degrees(np.arctan(np.sqrt(worst + self.rough**2))))
 
 
-def expected_ground(track: Track) -> ExpectedGround:
+def expected_ground(track: AntennaTrack) -> ExpectedGround:
     """The plane through the heights of a drive, as far as its width and its receiver tell it.
 
     Heights share the receiver's slow error, so a thousand of them say little more than a few.
@@ -57,7 +57,7 @@ def expected_ground(track: Track) -> ExpectedGround:
     return ExpectedGround(rise, covariance, _roughness(track, rise))
 
 
-def _roughness(track: Track, rise: Float64) -> float:
+def _roughness(track: AntennaTrack, rise: Float64) -> float:
     """How much steeper or flatter than the plane the antenna climbs, 1 sigma."""
     step_m = np.hypot(*np.diff(track.enu_m[:, :2], axis=0).T)
     apart_m = np.concatenate([[0.0], np.cumsum(step_m)])

@@ -48,7 +48,7 @@ TILT_S = 30.0
 """For how long the error of a recorded roll and pitch stays the same."""
 
 
-class Track(NamedTuple):
+class AntennaTrack(NamedTuple):
     """The antenna by accepted fixes, n in order of time: LTP metres `enu_m` [n, 3], the white part
     `noise_m` [n, 3] of their error along each axis, the stated slow error `wander_m` [n] of a
     horizontal one; and the vehicle's heading, degrees, with its sigma."""
@@ -61,7 +61,7 @@ class Track(NamedTuple):
     heading_sigma_deg: Float64
 
 
-class Moved(NamedTuple):
+class NodeMotion(NamedTuple):
     """What was measured from each node to the next, [n - 1] or [n - 1, 3]; NaN where nothing was.
 
     `turn_rad` is a rotation vector with `turn_sigma_rad`, by a gyro over `gyro_s` seconds (0: by
@@ -96,7 +96,7 @@ class Moved(NamedTuple):
         return np.asarray(np.isfinite(self.way_m[:, 0]))
 
 
-class Measurements(NamedTuple):
+class AttitudeMeasurements(NamedTuple):
     """What was measured at n nodes, NaN where nothing was, and between them.
 
     The antenna `fix_m` [n, 3] with `fix_sigma_m`, `heading_rad` and `heading_sigma_rad` [n], the
@@ -112,27 +112,27 @@ class Measurements(NamedTuple):
     vertical: Float64
     vertical_sigma: Float64
     risen: tuple[tuple[Float64, Float64], ...]
-    moved: Moved
+    moved: NodeMotion
 
-    def part(self, start: int, stop: int) -> Measurements:
+    def part(self, start: int, stop: int) -> AttitudeMeasurements:
         """What was measured from node `start` to before node `stop`."""
         columns = self._asdict()
         risen, moved = columns.pop("risen"), columns.pop("moved")
-        return Measurements(
+        return AttitudeMeasurements(
             **{name: column[start:stop] for name, column in columns.items()},
             risen=tuple((sine[start:stop], sigma[start:stop]) for sine, sigma in risen),
-            moved=Moved(*(column[start : stop - 1] for column in moved)),
+            moved=NodeMotion(*(column[start : stop - 1] for column in moved)),
         )
 
 
 def measure(
-    track: Track,
+    track: AntennaTrack,
     wanted_ns: Int64,
     sensed: Inertial | None,
     steps: Steps | None,
     tilt: RecordedTilt | None,
     axes: Sequence[AxisTilt] = (),
-) -> tuple[Int64, Measurements]:
+) -> tuple[Int64, AttitudeMeasurements]:
     """The nodes, at `wanted_ns` and where else something was measured, and what was."""
     pushed = sensed is not None and bool(np.isfinite(sensed.force_mps2).any())
     # The camera's motion says no more than gyro and accelerometer together, and it is of longer
@@ -146,7 +146,7 @@ def measure(
     heading_rad = np.interp(time_s, at_s, np.unwrap(np.radians(track.heading_deg)))
     heading_sigma_deg = np.interp(time_s, at_s, track.heading_sigma_deg)
     vertical, vertical_sigma = _recorded(tilt, node_ns)
-    return node_ns, Measurements(
+    return node_ns, AttitudeMeasurements(
         time_s,
         fix_m,
         fix_sigma_m,
@@ -159,7 +159,7 @@ def measure(
     )
 
 
-def _moved(sensed: Inertial | None, node_ns: Int64, wander_m: Float64) -> Moved:
+def _moved(sensed: Inertial | None, node_ns: Int64, wander_m: Float64) -> NodeMotion:
     """What the IMU measured between nodes."""
     step_s = np.diff(node_ns) / 1e9
     unknown = np.full((len(step_s), 3), np.nan)
@@ -167,14 +167,14 @@ def _moved(sensed: Inertial | None, node_ns: Int64, wander_m: Float64) -> Moved:
     if sensed is None:
         alone = np.zeros(len(step_s))
         pushes = unknown, unknown, nothing
-        return Moved(unknown, unknown, alone, *pushes, unknown, unknown, wander_m)
+        return NodeMotion(unknown, unknown, alone, *pushes, unknown, unknown, wander_m)
     found = increments(sensed, node_ns)
     turn_noise = np.hypot(GYRO_NOISE, sample_noise(sensed.rate_rad_s, sensed.time_ns))
     push_noise = np.hypot(FORCE_NOISE, sample_noise(sensed.force_mps2, sensed.time_ns))
     turned_rad = np.linalg.norm(np.nan_to_num(found.turn_rad), axis=1)
     turn_sigma = np.sqrt(turn_noise**2 * step_s + GYRO_SQUARENESS**2 * turned_rad)
     known = np.isfinite(found.speed_mps[:, 0])
-    return Moved(
+    return NodeMotion(
         found.turn_rad,
         np.repeat(turn_sigma[:, None], 3, axis=1),
         step_s,
@@ -187,7 +187,7 @@ def _moved(sensed: Inertial | None, node_ns: Int64, wander_m: Float64) -> Moved:
     )
 
 
-def _with_steps(moved: Moved, steps: Steps, node_ns: Int64) -> Moved:
+def _with_steps(moved: NodeMotion, steps: Steps, node_ns: Int64) -> NodeMotion:
     """The same with the camera's motion between the nodes that a step joins."""
     start, stop = (np.searchsorted(node_ns, ends) for ends in (steps.start_ns, steps.stop_ns))
     joins = (stop == start + 1) & (stop < len(node_ns)) & np.isfinite(steps.up_m)
@@ -213,7 +213,7 @@ def _with_steps(moved: Moved, steps: Steps, node_ns: Int64) -> Moved:
 
 
 def _nodes(
-    track: Track, wanted_ns: Int64, filled: bool, steps: Steps | None
+    track: AntennaTrack, wanted_ns: Int64, filled: bool, steps: Steps | None
 ) -> tuple[Int64, Float64, Float64]:
     """Instants of nodes, and the antenna there [n, 3] with its sigma, NaN where it is unknown.
 
@@ -268,7 +268,7 @@ def _filled(time_ns: Int64) -> Int64:
     return np.append(np.repeat(time_ns[:-1], parts) + more, time_ns[-1])
 
 
-def _antenna_at(track: Track, time_ns: Int64) -> tuple[Float64, Float64]:
+def _antenna_at(track: AntennaTrack, time_ns: Int64) -> tuple[Float64, Float64]:
     """The antenna [m, 3] at instants between fixes, by a parabola through those around, and its
     sigma; NaN where there is no fix before or none after."""
     period_ns = float(np.median(np.diff(track.time_ns))) if len(track.time_ns) > 1 else 0.0

@@ -15,7 +15,7 @@ _BELOW = STATES + np.subtract.outer(np.arange(STATES), np.arange(STATES))
 _ROW, _COLUMN = np.tril_indices(STATES)
 
 
-class System(NamedTuple):
+class AttitudeEquations(NamedTuple):
     """Normal equations: `band` [18, 9 n] in LAPACK's lower form, `border` [9 n, s] between nodes
     and s shared unknowns, `corner` [s, s] among these; right sides [9 n] and [s]."""
 
@@ -30,7 +30,9 @@ LOST_SIGMA = np.repeat([1e4, 1e2, 1e1], 3)
 """No node is less sure of its position, velocity and axes, so that every system has a solution."""
 
 
-def normal_equations(laws: Sequence[Law], n: int, shared: Float64, shared_sigma: Float64) -> System:
+def normal_equations(
+    laws: Sequence[Law], n: int, shared: Float64, shared_sigma: Float64
+) -> AttitudeEquations:
     """The system of all laws over n nodes; the `shared` unknowns are known to be within
     `shared_sigma` [s] of 0 beforehand."""
     diagonal, below = np.zeros((n, STATES, STATES)), np.zeros((n, STATES, STATES))
@@ -59,7 +61,7 @@ def normal_equations(laws: Sequence[Law], n: int, shared: Float64, shared_sigma:
     band = np.zeros((2 * STATES, n, STATES))
     band[_ROW - _COLUMN, :, _COLUMN] = diagonal[:, _ROW, _COLUMN].T
     band[_BELOW, :, np.arange(STATES)] = below.transpose(1, 2, 0)
-    return System(
+    return AttitudeEquations(
         band.reshape(2 * STATES, -1),
         border.reshape(-1, len(shared)),
         corner,
@@ -68,7 +70,7 @@ def normal_equations(laws: Sequence[Law], n: int, shared: Float64, shared_sigma:
     )
 
 
-def solved(system: System) -> tuple[Float64, Float64]:
+def solved(system: AttitudeEquations) -> tuple[Float64, Float64]:
     """The changes [n, 9] of the nodes and [s] of the shared unknowns."""
     lower = factor(system.band)
     found = solve(lower, np.column_stack([system.right, system.border]))
@@ -80,7 +82,7 @@ def solved(system: System) -> tuple[Float64, Float64]:
     return (alone - through @ shared).reshape(-1, STATES), shared
 
 
-def covariances(system: System) -> tuple[Float64, Float64]:
+def covariances(system: AttitudeEquations) -> tuple[Float64, Float64]:
     """The covariance [n, 9, 9] of each node's states, and [s, s] of the shared unknowns."""
     lower = factor(system.band)
     through = solve(lower, system.border)

@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 
-from fieldgrid.build.contradictions import Placed, Seen, following, opposed
+from fieldgrid.build.contradictions import Placed, SeenCells, following, opposed
 from fieldgrid.mapfile import StagedFrames
 from fieldgrid.rig import Lidar, Rig
 
@@ -48,7 +48,7 @@ def denied_share(frames: StagedFrames, placed: Sequence[Placed]) -> float | None
     """
     shares = []
     for (k, pose), (near, near_pose) in following(placed, APART_M, PAIRS):
-        one, other = Seen.of(frames[k].grid()), Seen.of(frames[near].grid())
+        one, other = SeenCells.of(frames[k].grid()), SeenCells.of(frames[near].grid())
         denied, seen = one.denied(pose, other, near_pose)
         if seen >= FEWEST_CELLS:
             shares.append(denied / seen)
@@ -66,8 +66,8 @@ def opposed_share(frames: StagedFrames, placed: Sequence[Placed]) -> float | Non
     """
 
     @cache
-    def look(k: int) -> Seen:
-        return Seen.of(frames[k].grid())
+    def look(k: int) -> SeenCells:
+        return SeenCells.of(frames[k].grid())
 
     denied, cells = 0, 0
     for (k, pose), (near, near_pose) in opposed(placed, OPPOSED_APART_M, OPPOSED_PAIRS):

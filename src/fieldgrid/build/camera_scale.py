@@ -14,7 +14,7 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.build.poses import Doubted
-from fieldgrid.choices import Doubt
+from fieldgrid.choices import StopCode
 from fieldgrid.errors import CalibrationError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Steps
@@ -143,7 +143,7 @@ def doubted_scale(scale: CameraScale | None, rig: Rig) -> Doubted | None:
     """That all distances of the grids are certainly wrong by a twentieth and more."""
     if scale is None or not scale.stops or not _has_scale(rig):
         return None
-    return Doubted(Doubt.SCALE, CalibrationError(scale_told(scale, rig)))
+    return Doubted(StopCode.SCALE, CalibrationError(scale_told(scale, rig)))
 
 
 def _has_scale(rig: Rig) -> bool:

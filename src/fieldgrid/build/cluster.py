@@ -8,7 +8,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, NamedTuple
 
-from fieldgrid.build.executor import DriveOrder, Event, Failed, Moved, Shared
+from fieldgrid.build.executor import DriveOrder, Event, Failed, Shared, StagingProgress
 from fieldgrid.build.parts import Share, keep_part
 from fieldgrid.build.remote import Made, packed, place_of
 from fieldgrid.closing import Closing
@@ -71,7 +71,7 @@ class Stagers(Closing):
                 self._fail(number, error)
                 return
             at_s = time.perf_counter() - made.took_s
-            self.events.put(Moved(number, made.moved_m, at_s, share.last - share.first))
+            self.events.put(StagingProgress(number, made.moved_m, at_s, share.last - share.first))
             self.events.put(Shared(number, share))
 
     def _fail(self, number: int, error: BaseException) -> None:

@@ -31,7 +31,7 @@ Placed = tuple[int, Pose]
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class SeenCells:
     """What a frame saw: its obstacle cells at `right_m`, `ahead_m` [n], and of each cell [row,
     column] of its grid whether it is unseen, free, or near to what stands."""
 
@@ -41,7 +41,7 @@ class Seen:
     state: UInt8
 
     @classmethod
-    def of(cls, grid: LocalGrid) -> Seen:
+    def of(cls, grid: LocalGrid) -> SeenCells:
         """That of a local grid."""
         right_m, ahead_m = grid.spec.centres_m()
         rows, columns = np.nonzero(grid.observed & (grid.density > OBSTACLE_ABOVE))
@@ -51,12 +51,12 @@ class Seen:
         state = np.where(cv2.dilate(stands, disc) > 0, _STANDS, _FREE) * grid.observed
         return cls(grid.spec, right_m[columns], ahead_m[rows], state.astype(np.uint8))
 
-    def flipped(self) -> Seen:
+    def flipped(self) -> SeenCells:
         """The same with left and right exchanged."""
         state = np.ascontiguousarray(self.state[:, ::-1])
         return replace(self, right_m=-self.right_m, state=state)
 
-    def denied(self, pose: Pose, other: Seen, other_pose: Pose) -> tuple[int, int]:
+    def denied(self, pose: Pose, other: SeenCells, other_pose: Pose) -> tuple[int, int]:
         """Of the obstacle cells at a pose, how many the other calls free, and how many it saw."""
         spec = other.spec
         x_m, y_m = to_local(*to_universal(self.right_m, self.ahead_m, pose), other_pose)

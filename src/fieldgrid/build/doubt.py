@@ -13,7 +13,7 @@ import numpy as np
 
 from fieldgrid.build.poses import Doubted, no_ground
 from fieldgrid.build.report import SessionReport
-from fieldgrid.choices import Doubt
+from fieldgrid.choices import StopCode
 from fieldgrid.errors import CalibrationError, FieldgridError, RecordingError
 from fieldgrid.odometry import features
 from fieldgrid.reasons import commonest_reason
@@ -59,7 +59,7 @@ def doubted_cameras(
             "images do not fit the calibration; give the calibration of these cameras, and check "
             "that the pairs are rectified, synchronised, and not swapped left and right."
         )
-        return Doubted(Doubt.CAMERAS_UNFIT, error)
+        return Doubted(StopCode.CAMERAS_UNFIT, error)
     return None
 
 
@@ -69,7 +69,7 @@ def _swapped(name: str) -> Doubted:
         "swapped, or the calibration is of other cameras; swap the two folders or the two columns "
         "of frames.csv, or give the calibration of these cameras."
     )
-    return Doubted(Doubt.CAMERAS_SWAPPED, error)
+    return Doubted(StopCode.CAMERAS_SWAPPED, error)
 
 
 def doubted_rows(recording: Recording, every: int) -> Doubted | None:
@@ -97,7 +97,7 @@ def doubted_rows(recording: Recording, every: int) -> Doubted | None:
         "matching needs equal rows; calibrate the pair again, or give the rectification of these "
         "images."
     )
-    return Doubted(Doubt.VERTICAL_MISALIGNMENT, error)
+    return Doubted(StopCode.VERTICAL_MISALIGNMENT, error)
 
 
 def camera_notes(recording: Recording, report: SessionReport) -> Iterator[str]:

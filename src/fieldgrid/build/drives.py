@@ -19,7 +19,7 @@ from queue import Empty
 from typing import TYPE_CHECKING
 
 from fieldgrid.build.cluster import Stagers
-from fieldgrid.build.executor import DriveOrder, Event, Executor, Failed, Moved, Shared
+from fieldgrid.build.executor import DriveOrder, Event, Executor, Failed, Shared, StagingProgress
 from fieldgrid.build.part_key import part_key
 from fieldgrid.build.parts import (
     SHARE_FRAMES,
@@ -366,7 +366,7 @@ class _Build:
             except RecordingError as error:
                 self._fail(drive, error)
         else:
-            if isinstance(event, Moved) and drive.began_s is None:
+            if isinstance(event, StagingProgress) and drive.began_s is None:
                 drive.began_s = event.at_s
             drive.tell(event.moved_m, event.frames)
 

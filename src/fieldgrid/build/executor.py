@@ -13,7 +13,7 @@ from fieldgrid.build.parts import Share
 from fieldgrid.build.staging import DriveWork
 
 
-class Moved(NamedTuple):
+class StagingProgress(NamedTuple):
     """Frames of a drive are staged; at `at_s`, on `time.perf_counter`, it was in work."""
 
     drive: int
@@ -44,7 +44,7 @@ class Undone(NamedTuple):
     moved_m: float
 
 
-Event = Moved | Shared | Failed | Undone
+Event = StagingProgress | Shared | Failed | Undone
 
 
 class DriveOrder(NamedTuple):

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from fieldgrid.array_types import Int64
 from fieldgrid.build.poses import Doubted
-from fieldgrid.choices import Doubt
+from fieldgrid.choices import StopCode
 from fieldgrid.errors import GnssError
 from fieldgrid.motion import Gyro, Steps
 from fieldgrid.recording import Recording
@@ -75,7 +75,7 @@ def doubted_mirror(
             f"{first}: if that is not the field, a sign (a minus, a W or an S) was lost in the "
             "log: put it before each longitude or latitude"
         )
-    return Doubted(Doubt.MIRRORED, GnssError(f"{told}{why}."))
+    return Doubted(StopCode.MIRRORED, GnssError(f"{told}{why}."))
 
 
 class Misfit(NamedTuple):

@@ -25,7 +25,7 @@ from fieldgrid.closing import Closing
 from fieldgrid.documents import parse_json
 from fieldgrid.errors import ConfigError, MapError, MapWriteError, RecordingError
 from fieldgrid.mapfile import StagedFrame, StageEntry, StageFile, read_staged
-from fieldgrid.odometry import Refusal, Step
+from fieldgrid.odometry import CameraStep, Refusal
 from fieldgrid.publish import holding
 
 SHARE_FRAMES = 16
@@ -49,7 +49,7 @@ class Share(NamedTuple):
         return f"{self.first:08d}-{self.last:08d}"
 
 
-class About(NamedTuple):
+class PartsInfo(NamedTuple):
     """What is known of the parts of a drive without its recording."""
 
     key: str
@@ -64,7 +64,7 @@ def parts_folder(out: Path) -> Path:
     return place.with_name(f"{place.name}.parts")
 
 
-def left_behind(out: Path) -> list[About]:
+def left_behind(out: Path) -> list[PartsInfo]:
     """The drives of which a build of `out` that has ended left parts; not those of a build that
     still runs."""
     found = []
@@ -75,9 +75,11 @@ def left_behind(out: Path) -> list[About]:
                 about = parse_json((drive / _ABOUT).read_text(encoding="utf-8"))
                 done = sum(1 for _ in drive.glob("????????-????????.json"))
                 if free and done:
-                    found.append(About(drive.name, str(about["name"]), about["recording"], done))
+                    found.append(
+                        PartsInfo(drive.name, str(about["name"]), about["recording"], done)
+                    )
         except (OSError, ValueError, KeyError, TypeError):
-            found.append(About(drive.name, "a drive", "", 0))
+            found.append(PartsInfo(drive.name, "a drive", "", 0))
     return found
 
 
@@ -157,7 +159,7 @@ class DriveParts(Closing):
             self.moved_m += sum(
                 math.hypot(one.forward_m, one.right_m)
                 for one in part.found
-                if isinstance(one, Step)
+                if isinstance(one, CameraStep)
             )
         return part
 
@@ -328,7 +330,7 @@ def _digest(body: str) -> str:
 
 def found_to_json(found: Found) -> Any:
     """What became of a step of the camera, as a value that JSON has."""
-    if isinstance(found, Step):
+    if isinstance(found, CameraStep):
         return [*map(float, found[:-1]), int(found.inliers)]
     return None if found is None else found.value
 
@@ -337,4 +339,4 @@ def found_from_json(said: Any) -> Found:
     """The same again; ValueError or TypeError for what is none."""
     if isinstance(said, str):
         return Refusal(said)
-    return None if said is None else Step(*said)
+    return None if said is None else CameraStep(*said)

@@ -21,12 +21,12 @@ from fieldgrid.frame_ground import FrameGround
 from fieldgrid.grids import LocalGrid
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.motion import Steps
-from fieldgrid.odometry import Features, Refusal, Step, features, step, steps_of
+from fieldgrid.odometry import CameraStep, Features, Refusal, features, step, steps_of
 from fieldgrid.recording import Frame, Image, Recording
 from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.rotations import Tilt
 from fieldgrid.settings import BuildSettings
-from fieldgrid.sweep import Sweep, Way
+from fieldgrid.sweep import OriginTrack, Sweep
 from fieldgrid.trajectory import Trajectory
 
 _T = TypeVar("_T")
@@ -64,7 +64,7 @@ def perceive(
     *,
     odometry: bool = False,
     attitude: Attitude | None = None,
-    way: Way | None = None,
+    way: OriginTrack | None = None,
 ) -> Generator[Perceived, None, None]:
     """Local grids of frames, in order, `jobs` at a time; few more are ever held in memory. Close it
     when it is not taken to its end: its threads end then.
@@ -91,7 +91,7 @@ def perceive_frame(
     *,
     odometry: bool,
     tilt: Tilt | None,
-    way: Way | None,
+    way: OriginTrack | None,
     gridded: Gridded | None = None,
 ) -> Perceived:
     """One frame, read and perceived here; RecordingError where it cannot be read. With the
@@ -115,14 +115,14 @@ class CameraMotion:
         self._rig = rig
         self._last: Features | None = None
         self._times_ns: list[int] = []
-        self._found: list[Step | Refusal] = []
+        self._found: list[CameraStep | Refusal] = []
         self.refusals: Counter[str] = Counter()
         self.distance_m = 0.0
 
-    def add(self, time_ns: int, seen: Features) -> Step | Refusal | None:
+    def add(self, time_ns: int, seen: Features) -> CameraStep | Refusal | None:
         """The next frame, taken at `time_ns` by the receiver's clock; returns the step to it from
         the frame before, None for the first."""
-        found: Step | Refusal | None = None
+        found: CameraStep | Refusal | None = None
         if self._last is not None:
             found = step(self._last, seen, self._rig)
             self._found.append(found)
@@ -189,7 +189,7 @@ class _Stages:
         gridder: LocalGridder,
         odometry: bool,
         tilt: Tilt | None,
-        way: Way | None,
+        way: OriginTrack | None,
         gridded: Gridded | None = None,
     ) -> None:
         self._frame, self._gridder, self._odometry = frame, gridder, odometry
@@ -244,7 +244,7 @@ class _Stages:
         return tuple(source.sha256() for source in self._frame.sources)
 
 
-def carried(sweep: Sweep, time_ns: int, rig: Rig, way: Way | None) -> Float32:
+def carried(sweep: Sweep, time_ns: int, rig: Rig, way: OriginTrack | None) -> Float32:
     """The points [n, 3] of a sweep as they lay at its stamp by the vehicle's `way`, where that and
     their times are known."""
     return sweep.points_m if way is None else way.carried(sweep, time_ns, rig.mount.rotation())
@@ -266,5 +266,5 @@ def local_grid(
     matched and gridded here. With the vehicle's `tilt` its columns are vertical; with its
     `trajectory` the points of a sweep that have times are carried to its stamp."""
     gridder = _gridder(rig, settings or BuildSettings())
-    way = None if trajectory is None else Way.of(trajectory)
+    way = None if trajectory is None else OriginTrack.of(trajectory)
     return frame.read(_Stages(frame, gridder, odometry=False, tilt=tilt, way=way)).grid

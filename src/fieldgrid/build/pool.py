@@ -19,15 +19,15 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import NamedTuple
 
-from fieldgrid.build.executor import DriveOrder, Event, Failed, Moved, Shared, Undone
+from fieldgrid.build.executor import DriveOrder, Event, Failed, Shared, StagingProgress, Undone
 from fieldgrid.build.parts import Share
 from fieldgrid.build.worker import (
     Answer,
     Defect,
     FrameDone,
-    Order,
     ShareDone,
     ShareFailed,
+    ShareOrder,
     not_importable,
 )
 from fieldgrid.closing import Closing
@@ -164,7 +164,9 @@ class Pool(Closing):
         assert process.stdout is not None
         drive = self._drives[task.drive]
         work = b"" if known == task.drive else drive.work
-        pickle.dump(Order(task.drive, work, task.share, drive.folder, self._out), process.stdin)
+        pickle.dump(
+            ShareOrder(task.drive, work, task.share, drive.folder, self._out), process.stdin
+        )
         process.stdin.flush()
         frames, moved_m = 0, 0.0
         try:
@@ -172,7 +174,9 @@ class Pool(Closing):
                 answer: Answer = pickle.load(process.stdout)
                 if isinstance(answer, FrameDone):
                     frames, moved_m = frames + 1, moved_m + answer.moved_m
-                    self.events.put(Moved(task.drive, answer.moved_m, time.perf_counter()))
+                    self.events.put(
+                        StagingProgress(task.drive, answer.moved_m, time.perf_counter())
+                    )
                     continue
                 if isinstance(answer, ShareDone):
                     self.events.put(Shared(task.drive, task.share))

@@ -11,7 +11,7 @@ from fieldgrid.array_types import Int64
 from fieldgrid.attitude import Attitude
 from fieldgrid.build.shifts import Span, explanation, shift_to_overlap
 from fieldgrid.build.stuck import REPEATED
-from fieldgrid.choices import Doubt
+from fieldgrid.choices import StopCode
 from fieldgrid.errors import (
     CalibrationError,
     ConfigError,
@@ -23,7 +23,7 @@ from fieldgrid.errors import (
 from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
 from fieldgrid.localgrid import reliable_range_m
 from fieldgrid.motion import Steps
-from fieldgrid.pose import Budget, ClockOffset, Estimate, estimate_poses, levelling_attitude
+from fieldgrid.pose import ClockOffset, ErrorBudget, Estimate, estimate_poses, levelling_attitude
 from fieldgrid.pose.camera_yaw import off_sentence
 from fieldgrid.pose.clock_change import ClockChange
 from fieldgrid.pose.clock_search import WIDEST_S
@@ -121,11 +121,11 @@ MISPLACED_M = 0.25
 """A clock that moves the drive by more than this makes a wrong map: it is the paper's cell."""
 
 
-def cell_budget(rig: Rig, settings: BuildSettings) -> Budget:
+def cell_budget(rig: Rig, settings: BuildSettings) -> ErrorBudget:
     """How far off a cell may be where the local grid's farthest points land."""
     asked = settings.pose.cell_budget_m
     reach_m = reliable_range_m(rig, settings.grid.spec(), settings.stereo, settings.density)
-    return Budget(asked or max(settings.universal_cell_m, USUAL_BUDGET_M), reach_m)
+    return ErrorBudget(asked or max(settings.universal_cell_m, USUAL_BUDGET_M), reach_m)
 
 
 def no_ground(rig: Rig) -> str:
@@ -186,7 +186,7 @@ def _image_offset(whole_s: str) -> str:
 class Doubted(NamedTuple):
     """What stops a build unless it is accepted."""
 
-    doubt: Doubt
+    doubt: StopCode
     error: FieldgridError
 
 
@@ -218,7 +218,7 @@ def doubted_clock(recording: Recording, estimate: Estimate) -> Doubted | None:
         f"{f' ({why})' if why else ''}, and at {speed_mps:.1f} m/s that is {far_m:.2f} m; "
         f"{clock_remedy(recording, clock)}"
     )
-    return Doubted(Doubt.CLOCK_OFFSET, error)
+    return Doubted(StopCode.CLOCK_OFFSET, error)
 
 
 def doubted_jump(recording: Recording, estimate: Estimate) -> Doubted | None:
@@ -227,14 +227,14 @@ def doubted_jump(recording: Recording, estimate: Estimate) -> Doubted | None:
     if jump is None:
         if change is None:
             return None
-        return Doubted(Doubt.CLOCK_JUMP, RecordingError(_change_sentence(recording, change)))
+        return Doubted(StopCode.CLOCK_JUMP, RecordingError(_change_sentence(recording, change)))
     error = RecordingError(
         f"The clock of images and gyro of {recording.name} jumps ahead by {jump.jump_s:.2f} s at "
         f"{utc_text(jump.time_ns)}: over that gap in their stamps the camera moved "
         f"{jump.seen_m:.2f} m and the fixes {jump.driven_m:.2f} m; split the drive there into two "
         "recordings, and give each the offset that `fieldgrid inspect` finds."
     )
-    return Doubted(Doubt.CLOCK_JUMP, error)
+    return Doubted(StopCode.CLOCK_JUMP, error)
 
 
 def _change_sentence(recording: Recording, change: ClockChange) -> str:
@@ -279,7 +279,7 @@ def doubted_frames(recording: Recording, estimate: Estimate) -> Doubted | None:
             "stamps, or their clock is seconds off; check the order in frames.csv (as text, 10 "
             "comes before 2), the recorder, and the clock of the computer."
         )
-    return Doubted(Doubt.FRAMES_MISPLACED, RecordingError(f"{told}. {why}"))
+    return Doubted(StopCode.FRAMES_MISPLACED, RecordingError(f"{told}. {why}"))
 
 
 def _whole_seconds(time_ns: Int64) -> bool:
@@ -296,7 +296,7 @@ def doubted_yaw(recording: Recording, estimate: Estimate) -> Doubted | None:
     if yaw is None or not yaw.is_off or abs(yaw.off_deg) < ASKEW_DEG or yaw.moved is not None:
         return None
     return Doubted(
-        Doubt.CAMERA_YAW,
+        StopCode.CAMERA_YAW,
         CalibrationError(
             f"{off_sentence(yaw)}; measure the mounting with `fieldgrid mount --write`, or correct "
             "camera_yaw_deg in mounting.json."
@@ -312,7 +312,7 @@ def doubted_imu(estimate: Estimate) -> Doubted | None:
         return None
     quarter = round(turn.off_deg / 90.0) % 4
     axes = f", from flu to {('flu', 'lbu', 'bru', 'rfu')[quarter]}" if quarter else ""
-    return Doubted(Doubt.IMU_TURNED, CalibrationError(f"{_turned_sentence(turn)}{axes}."))
+    return Doubted(StopCode.IMU_TURNED, CalibrationError(f"{_turned_sentence(turn)}{axes}."))
 
 
 def imu_notes(estimate: Estimate) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ from fieldgrid.workers.place import check_is_here
 _AT_HOME = "leave out --scheduler"
 
 
-class Place(NamedTuple):
+class RecordingPlace(NamedTuple):
     """Where a recording lies, for all workers: its absolute path, the size of a file, None of a
     folder, and the folder that a relative path was given from, else empty. Of the copy of a
     recording at a URL, that and the version of the copy, else empty: each worker makes its own."""
@@ -47,13 +47,13 @@ class Made(NamedTuple):
     took_s: float
 
 
-def place_of(recording: Path) -> Place:
+def place_of(recording: Path) -> RecordingPlace:
     """The place of a recording that this machine has."""
     path = recording.absolute()
     size = path.stat().st_size if path.is_file() else None
     given_from = "" if recording.is_absolute() else str(Path.cwd())
     url = url_of(path)
-    return Place(str(path), size, given_from, url or "", version_of(path) if url else "")
+    return RecordingPlace(str(path), size, given_from, url or "", version_of(path) if url else "")
 
 
 class _Absolute(pickle.Pickler):
@@ -86,7 +86,7 @@ def stage_share(
     room for the part.
     """
     start = time.perf_counter()
-    where, frames = Place(*place), Share(*share)
+    where, frames = RecordingPlace(*place), Share(*share)
     if where.url:
         _fetch(where.url, where.version, _files_of(_unpacked(work), frames))
     else:
@@ -147,7 +147,7 @@ def _unpacked(work: bytes) -> DriveWork:
     return found
 
 
-def _as_given(looks: Iterable[Looked], place: Place) -> Iterator[Looked]:
+def _as_given(looks: Iterable[Looked], place: RecordingPlace) -> Iterator[Looked]:
     """The same, with paths as they were given: a map names images by them."""
     here, given = place.given_from, ""
     if place.url:

@@ -22,7 +22,7 @@ from fieldgrid.mapfile import MapFile, Patience, SessionInfo, open_map
 from fieldgrid.pose import Estimate, estimate_poses
 from fieldgrid.rig import Lidar, Rig
 from fieldgrid.settings import BuildSettings
-from fieldgrid.sweep import Sweep, Way
+from fieldgrid.sweep import OriginTrack, Sweep
 from fieldgrid.trajectory import Pose, Status, Trajectory
 
 SWEEP_S = 0.1
@@ -140,7 +140,7 @@ def _of_sweeps(
 ) -> str:
     """What the new poses change of the motion within a sweep, whose points the map does not have
     any more."""
-    ways = Way.of(old), Way.of(new)
+    ways = OriginTrack.of(old), OriginTrack.of(new)
     reach_m, cell_m = settings.grid.spec().reach_m, settings.grid.cell_m
     sides = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], dtype=np.float32)
     ends = Sweep(np.float32(reach_m) * sides, np.full(3, SWEEP_S, dtype=np.float32))

@@ -17,9 +17,9 @@ import numpy as np
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64
-from fieldgrid.build.contradictions import Placed, Seen, following
+from fieldgrid.build.contradictions import Placed, SeenCells, following
 from fieldgrid.build.poses import ASKEW_DEG, Doubted
-from fieldgrid.choices import Doubt
+from fieldgrid.choices import StopCode
 from fieldgrid.errors import CalibrationError
 from fieldgrid.mapfile import StagedFrames
 from fieldgrid.rig import Lidar, Rig
@@ -71,7 +71,7 @@ def sensor_yaw(frames: StagedFrames, placed: Sequence[Placed]) -> SensorYaw | No
     """Estimate the yaw error from the frames of a drive; `placed` are the accepted ones in order
     of time. None if too few of them saw the same obstacles, or they agree at no angle."""
     pairs = [pair for pair in following(placed, APART_M, PAIRS) if _look_alike(*pair)]
-    seen = {k: Seen.of(frames[k].grid()) for pair in pairs for k, _ in pair}
+    seen = {k: SeenCells.of(frames[k].grid()) for pair in pairs for k, _ in pair}
     counts = _counts(pairs, seen)
     if len(pairs) < FEWEST_PAIRS or counts[:, len(TURNS_DEG) // 2, 1].sum() < FEWEST_CELLS:
         return None
@@ -91,9 +91,9 @@ def doubted_sensor_yaw(found: SensorYaw | None, rig: Rig) -> Doubted | None:
     if found is None:
         return None
     if found.is_mirrored:
-        return Doubted(Doubt.MIRRORED, CalibrationError(MIRRORED))
+        return Doubted(StopCode.MIRRORED, CalibrationError(MIRRORED))
     if found.is_off and abs(found.off_deg) >= ASKEW_DEG:
-        return Doubted(Doubt.CAMERA_YAW, CalibrationError(_sentence(found, rig)))
+        return Doubted(StopCode.CAMERA_YAW, CalibrationError(_sentence(found, rig)))
     return None
 
 
@@ -119,7 +119,7 @@ def _look_alike(one: Placed, other: Placed) -> bool:
     return bool(abs(wrap_deg(other[1].heading_deg - one[1].heading_deg)) <= ALIKE_DEG)
 
 
-def _counts(pairs: Sequence[tuple[Placed, Placed]], seen: Mapping[int, Seen]) -> Float64:
+def _counts(pairs: Sequence[tuple[Placed, Placed]], seen: Mapping[int, SeenCells]) -> Float64:
     """How many obstacle cells of each pair are denied at each angle, and how many were seen:
     [pair, angle, 2]."""
 

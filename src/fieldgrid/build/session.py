@@ -67,7 +67,7 @@ from fieldgrid.pose import GIVEN, tells_attitude
 from fieldgrid.recording import Recording
 from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.settings import BuildSettings
-from fieldgrid.sweep import Way
+from fieldgrid.sweep import OriginTrack
 from fieldgrid.trajectory import Pose, Status, Trajectory
 from fieldgrid.transfer import check_cell_sizes
 
@@ -164,7 +164,7 @@ class NewSession:
         self._skips_bad = skips_bad
         self._way = None
         if known is not None and has_sweeps(recording):
-            self._way = Way.of(known)
+            self._way = OriginTrack.of(known)
         self._gridder = LocalGridder(
             recording.rig, settings.grid.spec(), settings.stereo, settings.density
         )

@@ -27,12 +27,12 @@ from fieldgrid.errors import RecordingError
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import StagedFrame, StagedFrames, StageEntry, StageFile, stage
 from fieldgrid.motion import Steps
-from fieldgrid.odometry import Refusal, Step, features, steps_of
+from fieldgrid.odometry import CameraStep, Refusal, features, steps_of
 from fieldgrid.recording import Frame
 from fieldgrid.rotations import Tilt
-from fieldgrid.sweep import Way
+from fieldgrid.sweep import OriginTrack
 
-Found = Step | Refusal | None
+Found = CameraStep | Refusal | None
 """The camera's step to a frame, or why there is none; None for the first and without odometry."""
 
 
@@ -51,7 +51,7 @@ class DriveWork(NamedTuple):
     total: int
     gridder: LocalGridder
     attitude: Attitude | None
-    way: Way | None
+    way: OriginTrack | None
     every: int
     odometry: bool
     skips_bad: bool
@@ -185,7 +185,7 @@ def stage_frame(
     *,
     odometry: bool,
     tilt: Tilt | None = None,
-    way: Way | None = None,
+    way: OriginTrack | None = None,
     gridded: Gridded | None = None,
 ) -> tuple[Perceived, StagedFrame]:
     """One frame, read, perceived and encoded here; RecordingError where it cannot be read."""

@@ -22,7 +22,7 @@ from fieldgrid.build.staging import DriveWork, stage_frames
 from fieldgrid.errors import ConfigError, FieldgridError
 
 
-class Order(NamedTuple):
+class ShareOrder(NamedTuple):
     """A share to stage. `work` is the drive's, pickled, empty when the process has had it."""
 
     drive: int
@@ -63,7 +63,7 @@ def main() -> None:
     # What a library prints must not get among the answers.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    orders: SimpleQueue[Order] = SimpleQueue()
+    orders: SimpleQueue[ShareOrder] = SimpleQueue()
     threading.Thread(target=_listen, args=(sys.stdin.buffer, orders), daemon=True).start()
     works: dict[int, DriveWork] = {}
 

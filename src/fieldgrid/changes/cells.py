@@ -31,7 +31,7 @@ MARGIN_M = 3.0
 tells of no change."""
 
 
-class Drives(NamedTuple):
+class SideDrives(NamedTuple):
     """The drives of one side by name, in their order."""
 
     observers: Mapping[str, Sequence[FrameObserver]]
@@ -42,7 +42,7 @@ class Drives(NamedTuple):
         return tuple(self.observers)
 
 
-class Seen(NamedTuple):
+class SideCells(NamedTuple):
     """What a side knows of the cells of a window, by the latest drive that saw each.
 
     `obstacle` and `free` count looks; `pose_m2` and `range_m2` are means over the looks; `drive`
@@ -96,7 +96,7 @@ class Changed(NamedTuple):
 
 
 def changed_cells(
-    before: Drives, after: Drives, lattice: Lattice, window: Window, sigmas: float
+    before: SideDrives, after: SideDrives, lattice: Lattice, window: Window, sigmas: float
 ) -> tuple[Changed, Changed]:
     """The cells of a window that appeared, and those that vanished."""
     wide = surroundings(window, lattice)
@@ -115,7 +115,7 @@ def surroundings(window: Window, lattice: Lattice) -> Window:
     return Window(i0 - margin, j0 - margin, width + 2 * margin, height + 2 * margin)
 
 
-def seen_by(drives: Drives, lattice: Lattice, window: Window) -> Seen:
+def seen_by(drives: SideDrives, lattice: Lattice, window: Window) -> SideCells:
     """What the drives of a side saw of a window."""
     total = _unseen(window)
     for number, observers in enumerate(drives.observers.values()):
@@ -126,16 +126,16 @@ def seen_by(drives: Drives, lattice: Lattice, window: Window) -> Seen:
     return total
 
 
-def _unseen(window: Window) -> Seen:
+def _unseen(window: Window) -> SideCells:
     obstacle, free, pose_m2, range_m2 = np.zeros((4, *window.shape), dtype=np.float32)
     stands, observed = np.zeros((2, *window.shape), dtype=np.bool_)
     drive = np.full(window.shape, -1, dtype=np.int16)
-    return Seen(obstacle, free, stands, observed, pose_m2, range_m2, drive)
+    return SideCells(obstacle, free, stands, observed, pose_m2, range_m2, drive)
 
 
 def _seen_by_one(
     observers: Sequence[FrameObserver], lattice: Lattice, window: Window, number: int
-) -> Seen:
+) -> SideCells:
     seen = _unseen(window)
     told = np.zeros(window.shape, dtype=np.float32)
     for one in observers:
@@ -158,8 +158,8 @@ def _seen_by_one(
 
 
 def _changed(
-    stood: Seen,
-    freed: Seen,
+    stood: SideCells,
+    freed: SideCells,
     lattice: Lattice,
     window: Window,
     inside: tuple[slice, slice],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from fieldgrid.changes.cells import Changed, Drives, changed_cells, squares, surroundings
+from fieldgrid.changes.cells import Changed, SideDrives, changed_cells, squares, surroundings
 from fieldgrid.changes.objects import described, things_of, votes_of, with_moved
 from fieldgrid.changes.observations import observers
 from fieldgrid.changes.relative_sigmas import RelativeSigma, relative_sigmas
@@ -90,11 +90,11 @@ def _drives(
     places: Sequence[Window],
     position_sigma_m: float | None,
     beside: Mapping[str, RelativeSigma],
-) -> Drives:
+) -> SideDrives:
     """The frames of some drives that reach into the surroundings of some places."""
     infos = {info.name: info for info in universal.sessions()}
     wide = [surroundings(place, lattice) for place in places]
-    return Drives(
+    return SideDrives(
         {
             name: observers(
                 universal.frames(name, with_grid=True),

@@ -29,7 +29,7 @@ from scipy.spatial import cKDTree
 from scipy.special import betainc
 
 from fieldgrid.array_types import Int16, Int64
-from fieldgrid.changes.cells import Changed, Drives
+from fieldgrid.changes.cells import Changed, SideDrives
 from fieldgrid.changes.result import ChangedObject, ChangeKind
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
@@ -44,7 +44,7 @@ EXPLAINED = 0.9
 """A shift explains an object when it explains this share of its cells."""
 
 
-class Thing(NamedTuple):
+class ChangedCells(NamedTuple):
     """Cells that are one object, and what became of it."""
 
     kind: ChangeKind
@@ -70,13 +70,13 @@ def things_of(
     lattice: Lattice,
     growth_m: float,
     min_area_m2: float,
-) -> list[Thing]:
+) -> list[ChangedCells]:
     """The objects of cells that changed in one direction; `kinds` are what reaches further than
     `growth_m`, and what does not."""  # fmt: skip
     far, near = kinds
     least = max(LEAST_CELLS, math.ceil(min_area_m2 * lattice.cells_per_m**2 - 1e-9))
     certain = np.flatnonzero(cells.certain)
-    found, grown = list[Thing](), list[Int64]()
+    found, grown = list[ChangedCells](), list[Int64]()
     taken = np.zeros(cells.i.size, dtype=np.bool_)
     for part in _connected(cells, certain):
         core = part[cells.away_m[part] > growth_m]
@@ -88,13 +88,13 @@ def things_of(
         around = around[~taken[around]]
         taken[around] = True
         if around.size >= least:
-            found.append(Thing(far, cells.chosen(around)))
+            found.append(ChangedCells(far, cells.chosen(around)))
         grown.append(np.setdiff1d(part, around))
     rest = np.concatenate(grown) if grown else np.empty(0, dtype=np.int64)
     rest = rest[~taken[rest]]
     for part in _connected(cells, rest):
         if part.size >= least:
-            found.append(Thing(near, cells.chosen(part)))
+            found.append(ChangedCells(near, cells.chosen(part)))
     return found
 
 
@@ -122,7 +122,7 @@ def _near(cells: Changed, core: Int64, reach: float) -> Int64:
 
 
 def votes_of(
-    things: Sequence[Thing], drives: Drives, lattice: Lattice, numbers: Sequence[Int16]
+    things: Sequence[ChangedCells], drives: SideDrives, lattice: Lattice, numbers: Sequence[Int16]
 ) -> list[Votes]:
     """How the looks of one side at each object were; `numbers` are the drives that count in each of
     its cells."""
@@ -152,10 +152,10 @@ def probability(most: float, least: float) -> float:
 
 
 def described(
-    thing: Thing,
+    thing: ChangedCells,
     stood: Votes,
     freed: Votes,
-    sides: tuple[Drives, Drives],
+    sides: tuple[SideDrives, SideDrives],
     lattice: Lattice,
     datum: Datum,
 ) -> ChangedObject:
@@ -195,7 +195,7 @@ def described(
     )
 
 
-def _named(drives: Drives, numbers: Int16) -> tuple[str, ...]:
+def _named(drives: SideDrives, numbers: Int16) -> tuple[str, ...]:
     return tuple(drives.names[k] for k in np.unique(numbers))
 
 

@@ -13,10 +13,10 @@ import typer
 from fieldgrid.cli import options, output
 from fieldgrid.cli.farms import MapOrFarm, opened
 from fieldgrid.cli.settings_flags import by_flag, flag_option, flag_values
-from fieldgrid.settings import Declared, Flag
+from fieldgrid.settings import DeclaredSetting, Flag
 
 if TYPE_CHECKING:
-    from fieldgrid.export import Exported, Format
+    from fieldgrid.export import Exported, ExportFormat
 
 _FORMAT = "Format"
 Given = dict[Flag, tuple[str, Any]]
@@ -27,7 +27,7 @@ class FormatFlags:
     its value, by flag."""
 
     @cached_property
-    def _flags(self) -> dict[Flag, list[Declared]]:
+    def _flags(self) -> dict[Flag, list[DeclaredSetting]]:
         found = by_flag(one for known in _formats().values() for one in known.declared())
         return {flag: settings[:1] for flag, settings in found.items()}
 
@@ -138,7 +138,7 @@ def help_text(text: str) -> str:
     return text.format(formats=listed, layers=", ".join(_layers()))
 
 
-def _formats() -> Mapping[str, Format]:
+def _formats() -> Mapping[str, ExportFormat]:
     from fieldgrid.export import formats
 
     return formats()
@@ -150,7 +150,7 @@ def _layers() -> Iterable[str]:
     return dict.fromkeys(("density", *LAYERS))
 
 
-def _refuse_others(chosen: Format, given: Given) -> None:
+def _refuse_others(chosen: ExportFormat, given: Given) -> None:
     """A usage error for an option that the format does not take."""
     taken = [one.flag for one in chosen.declared() if one.flag is not None]
     for flag in given:

@@ -12,8 +12,8 @@ from fieldgrid.cli import options, output
 if TYPE_CHECKING:
     from datetime import datetime
 
-    from fieldgrid.farm import Block
-    from fieldgrid.stac import Written
+    from fieldgrid.farm import FarmBlock
+    from fieldgrid.stac import WrittenCatalogue
 
 
 def command(
@@ -84,7 +84,7 @@ def command(
         raise typer.Exit(1)
 
 
-def _print(blocks: tuple[Block, ...]) -> None:
+def _print(blocks: tuple[FarmBlock, ...]) -> None:
     columns = ("map", "ha seen", "extent m", "first", "last", "drives", "datum", "MB", "health")
     output.print_table(columns, [_row(block) for block in blocks])
     for block in blocks:
@@ -96,7 +96,7 @@ def _print(blocks: tuple[Block, ...]) -> None:
     )
 
 
-def _row(block: Block) -> tuple[str, ...]:
+def _row(block: FarmBlock) -> tuple[str, ...]:
     megabytes = f"{block.size_bytes / 1e6:.1f}"
     if block.header is None:
         return (block.path.name, *"-" * 6, megabytes, block.health)
@@ -118,7 +118,9 @@ def _row(block: Block) -> tuple[str, ...]:
     )
 
 
-def _as_dict(folder: Path, blocks: tuple[Block, ...], written: Written | None) -> dict[str, Any]:
+def _as_dict(
+    folder: Path, blocks: tuple[FarmBlock, ...], written: WrittenCatalogue | None
+) -> dict[str, Any]:
     found: dict[str, Any] = {"farm": str(folder), "maps": [_block(block) for block in blocks]}
     if written is not None:
         found["stac"] = {
@@ -133,7 +135,7 @@ def _iso(moment: datetime | None) -> str | None:
     return None if moment is None else moment.isoformat().replace("+00:00", "Z")
 
 
-def _block(block: Block) -> dict[str, Any]:
+def _block(block: FarmBlock) -> dict[str, Any]:
     about = {"map": str(block.path), "health": block.health.value, "bytes": block.size_bytes}
     if block.header is None:
         return {**about, "problem": block.problem}

@@ -18,7 +18,7 @@ from fieldgrid.cli import options, output, progress
 from fieldgrid.cli.build import report_session
 from fieldgrid.cli.drive_options import DriveFlags
 from fieldgrid.cli.groups import FieldsOf
-from fieldgrid.cli.live_sources import GNSS, Driven, SourceFlags, of_recording, of_sources, speed
+from fieldgrid.cli.live_sources import GNSS, LiveInput, SourceFlags, of_recording, of_sources, speed
 from fieldgrid.cli.pose_flags import PoseFlags, Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
 from fieldgrid.errors import printable
@@ -191,7 +191,7 @@ def _refuse_idle(ctx: typer.Context, sources: SourceFlags, replay: Path | None) 
 
 
 def _drive(
-    driven: Driven,
+    driven: LiveInput,
     out: Path,
     append: bool,
     name: str | None,

@@ -138,7 +138,7 @@ class SourceFlags(NamedTuple):
     ] = None
 
 
-class Driven(NamedTuple):
+class LiveInput(NamedTuple):
     """What a session is made for, and how it is pushed to, until the event is set; `run` returns
     whether all was pushed before."""
 
@@ -152,11 +152,11 @@ class Driven(NamedTuple):
     run: Callable[[Live, threading.Event], bool]
 
 
-def of_recording(found: Recording, rate: float | None) -> Driven:
+def of_recording(found: Recording, rate: float | None) -> LiveInput:
     """A recording that is replayed."""
     from fieldgrid.live import replay
 
-    return Driven(
+    return LiveInput(
         found.rig,
         found.name,
         found.datum_hint,
@@ -168,7 +168,7 @@ def of_recording(found: Recording, rate: float | None) -> Driven:
     )
 
 
-def of_sources(flags: SourceFlags, drive: DriveFlags, poses: PoseFlags) -> Driven:
+def of_sources(flags: SourceFlags, drive: DriveFlags, poses: PoseFlags) -> LiveInput:
     """A receiver and a folder or a camera; a usage error where one of them is not said."""
     from fieldgrid.live import (
         ImageFolder,
@@ -178,7 +178,7 @@ def of_sources(flags: SourceFlags, drive: DriveFlags, poses: PoseFlags) -> Drive
         StereoDevices,
         parse_devices,
     )
-    from fieldgrid.live.intake import Source
+    from fieldgrid.live.intake import InputSource
     from fieldgrid.live.mcap_stream import PoseTopic
     from fieldgrid.recording import PoseBody
     from fieldgrid.recording.folder import mounting_path
@@ -189,7 +189,7 @@ def of_sources(flags: SourceFlags, drive: DriveFlags, poses: PoseFlags) -> Drive
     if flags.mcap is None and drive.gnss is None:
         raise typer.BadParameter("say where the receiver is", param_hint="--gnss")
     receiver = None if drive.gnss is None else Receiver(drive.gnss, flags.gnss_log)
-    images: Source
+    images: InputSource
     body, pose_topic = None, None
     if flags.mcap is not None:
         folder = _rig(flags, drive)
@@ -232,7 +232,7 @@ def of_sources(flags: SourceFlags, drive: DriveFlags, poses: PoseFlags) -> Drive
         return not stop.is_set()
 
     about = folder.rig, folder.name, folder.datum_hint, source, "", folder.notes
-    return Driven(*about, body, run)
+    return LiveInput(*about, body, run)
 
 
 def _camera_rig(flags: SourceFlags, drive: DriveFlags) -> tuple[GrowingFolder, PairKind]:

@@ -12,7 +12,7 @@ import typer
 
 from fieldgrid.cli.groups import option
 from fieldgrid.cli.options import numbers
-from fieldgrid.settings import BuildSettings, Declared, Flag, Overrides, declared
+from fieldgrid.settings import BuildSettings, DeclaredSetting, Flag, Overrides, declared
 
 _PANELS = {
     "grid": "Local grid and map",
@@ -32,7 +32,7 @@ class SettingsFlags:
         self._places = places
 
     @cached_property
-    def _flags(self) -> dict[Flag, list[Declared]]:
+    def _flags(self) -> dict[Flag, list[DeclaredSetting]]:
         return by_flag(
             one
             for one in declared(BuildSettings)
@@ -56,9 +56,9 @@ class SettingsFlags:
         return tables
 
 
-def by_flag(settings: Iterable[Declared]) -> dict[Flag, list[Declared]]:
+def by_flag(settings: Iterable[DeclaredSetting]) -> dict[Flag, list[DeclaredSetting]]:
     """The settings that have a flag, by their flags."""
-    found: dict[Flag, list[Declared]] = {}
+    found: dict[Flag, list[DeclaredSetting]] = {}
     for one in settings:
         if one.flag is not None:
             found.setdefault(one.flag, []).append(one)
@@ -66,7 +66,7 @@ def by_flag(settings: Iterable[Declared]) -> dict[Flag, list[Declared]]:
 
 
 def flag_option(
-    flag: Flag, settings: Sequence[Declared], panel: str, where: str = ""
+    flag: Flag, settings: Sequence[DeclaredSetting], panel: str, where: str = ""
 ) -> inspect.Parameter:
     """The option that a flag is; `where` it counts stands behind its help."""
     annotation = settings[0].info.annotation
@@ -95,8 +95,8 @@ def flag_option(
 
 
 def flag_values(
-    flags: Mapping[Flag, list[Declared]], given: Mapping[str, Any]
-) -> Iterable[tuple[Declared, Any]]:
+    flags: Mapping[Flag, list[DeclaredSetting]], given: Mapping[str, Any]
+) -> Iterable[tuple[DeclaredSetting, Any]]:
     """The settings that were given by their flags; a usage error for what is not so many
     numbers."""
     for flag, settings in flags.items():
@@ -112,7 +112,7 @@ def flag_values(
         yield from zip(settings, values, strict=True)
 
 
-def _usual(flag: Flag, settings: Sequence[Declared]) -> str:
+def _usual(flag: Flag, settings: Sequence[DeclaredSetting]) -> str:
     """The default as the flag would say it."""
     if not flag.metavar:
         return "on" if settings[0].info.default else "off"

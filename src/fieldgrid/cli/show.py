@@ -24,7 +24,7 @@ MAX_PIXELS = 4000
 """A picture of more cells than this a side is drawn with larger cells."""
 
 
-class Kind(StrEnum):
+class FigureKind(StrEnum):
     """Which figure."""
 
     SHEET = "sheet"
@@ -41,7 +41,9 @@ def command(
     ctx: typer.Context,
     map_: MapOrFarm,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.png", help="PNG, PDF or SVG.")],
-    figure: Annotated[Kind, typer.Option(help="Which figure of the paper.")] = Kind.SHEET,
+    figure: Annotated[
+        FigureKind, typer.Option(help="Which figure of the paper.")
+    ] = FigureKind.SHEET,
     cell: options.Cell = None,
     bounds: options.BoundsValues = None,
     at: options.At = None,
@@ -86,7 +88,7 @@ def command(
 
         fieldgrid show maps -o farm.png --figure grid --cell 0.8
     """
-    if figure in (Kind.TRAJECTORY, Kind.HEADING):
+    if figure in (FigureKind.TRAJECTORY, FigureKind.HEADING):
         why = f"the figure {figure} shows no cells; leave it out"
         options.refuse_given(ctx, _OF_ALL, why)
     from fieldgrid.figures import save
@@ -137,19 +139,19 @@ class _Asked(NamedTuple):
     stem: str
 
 
-def _draw(universal: MapFile | Farm, kind: Kind, asked: _Asked) -> Figure:
+def _draw(universal: MapFile | Farm, kind: FigureKind, asked: _Asked) -> Figure:
     from fieldgrid import figures
 
     drives = figures.drives_of(universal, _in_sight(universal, asked))
-    if kind is Kind.TRAJECTORY:
+    if kind is FigureKind.TRAJECTORY:
         return figures.trajectory(drives)
-    if kind is Kind.HEADING:
+    if kind is FigureKind.HEADING:
         return figures.heading(drives)
     route = None if asked.route is None else figures.read_route(asked.route, universal.datum)
     view = _view(universal, asked)
     what = "universal grid" if asked.layer == "density" else asked.layer
     title = f"{asked.stem}: {what}, cells of {view.lattice.cell_m * 100:g} cm"
-    draw = figures.universal_grid if kind is Kind.GRID else figures.sheet
+    draw = figures.universal_grid if kind is FigureKind.GRID else figures.sheet
     found = _kept(universal) if asked.rows else ()
     return draw(view, drives, layer=asked.layer, route=route, found=found, title=title)
 

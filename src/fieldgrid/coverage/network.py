@@ -10,12 +10,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from fieldgrid.array_types import Bool, Float32, Float64
-from fieldgrid.coverage.order import Order, best_order
+from fieldgrid.coverage.order import VisitOrder, best_order
 from fieldgrid.coverage.passes import Pass
 from fieldgrid.curves import Word, words
 from fieldgrid.route.astar import CUSP_M
 from fieldgrid.route.path import joined
-from fieldgrid.route.search import Pose, Searcher, driven_cost
+from fieldgrid.route.search import Searcher, SearchPose, driven_cost
 
 _MAX_POSES = 12_000
 """Of the search for one way: turns take some hundreds to thousands."""
@@ -60,8 +60,8 @@ class Network:
         self,
         searcher: Searcher,
         passes: Sequence[Pass | None],
-        starts: list[Pose],
-        goals: list[Pose],
+        starts: list[SearchPose],
+        goals: list[SearchPose],
         progress: Callable[[int, int], None],
         headland: Searcher | None = None,
     ) -> None:
@@ -113,7 +113,7 @@ class Network:
             found.append(self._cost(a, b, max_poses))
         return found
 
-    def order(self, worth: Float64) -> Order:
+    def order(self, worth: Float64) -> VisitOrder:
         """The best order of the lanes, which are worth so much each. Where lanes are left out, the
         nearest ways from and to them of which the search was cut short are searched for longer. An
         order of lanes is hardly longer than the shortest one, though it may cost less."""
@@ -138,11 +138,11 @@ class Network:
         return self._short_enough(order, costs, lengths, known, worth)
 
     def _short_enough(
-        self, order: Order, costs: Float64, lengths: Float64, known: Bool, worth: Float64
-    ) -> Order:
+        self, order: VisitOrder, costs: Float64, lengths: Float64, known: Bool, worth: Float64
+    ) -> VisitOrder:
         """The order, or one that costs more where that is much longer than the shortest one."""
 
-        def best(share: float) -> Order:
+        def best(share: float) -> VisitOrder:
             def mixed(pair: tuple[int, int]) -> float:
                 return float(lengths[pair] + share * costs[pair] if share else lengths[pair])
 
@@ -154,7 +154,7 @@ class Network:
             both = lengths + share * costs if share else lengths.copy()
             nodes = best_order(both, known, worth, look_up).nodes
             left_out = worth.sum() - sum(float(worth[node // 2]) for node in nodes)
-            return Order(nodes, float(left_out) + self._sum(nodes, costs))
+            return VisitOrder(nodes, float(left_out) + self._sum(nodes, costs))
 
         shortest = best(0.0)
         most_m = _LONGER * self._sum(shortest.nodes, lengths)
@@ -203,14 +203,14 @@ class Network:
         ways = [*parts, samples, *([] if after is None else [after.samples])]
         return driven_cost(joined(ways)) - sum(driven_cost(part) for part in parts)
 
-    def _starts(self, node: int) -> list[Pose]:
+    def _starts(self, node: int) -> list[SearchPose]:
         """The poses from which a way leaves a node."""
         if node == len(self.passes):
             return self.starts
         passed = self.passes[node]
         return [] if passed is None else [passed.stop]
 
-    def _goals(self, node: int) -> list[Pose]:
+    def _goals(self, node: int) -> list[SearchPose]:
         """The poses in which a way reaches a node."""
         if node == len(self.passes):
             return self.goals
@@ -228,7 +228,9 @@ class Network:
             self._left[key] = left
         return left
 
-    def _bound(self, starts: list[Pose], goals: list[Pose], left_m: Float32, changes: int) -> float:
+    def _bound(
+        self, starts: list[SearchPose], goals: list[SearchPose], left_m: Float32, changes: int
+    ) -> float:
         """No way between poses costs less; inf where there is none. One that reverses has at least
         so many changes of gear."""
         around = float(left_m[self.searcher.coarse_place(starts[0])])

@@ -27,7 +27,7 @@ _EFFORT = 9_000_000
 _SHUNNED = 5.0
 
 
-class Order(NamedTuple):
+class VisitOrder(NamedTuple):
     """Nodes in the order of visiting, and what they cost, with the worth of what is left out."""
 
     nodes: list[int]
@@ -46,7 +46,7 @@ def best_order(
     *,
     exact_up_to: int = EXACT_UP_TO,
     enough: int | None = None,
-) -> Order:
+) -> VisitOrder:
     """The best order by costs that are looked up as they are needed, for pairs of nodes.
 
     `costs` are lower bounds but where `known`; both are filled in. An order whose costs are all
@@ -78,7 +78,7 @@ def best_order(
             enough = None
 
 
-def _exact(costs: Float64, worth: Float64) -> Order:
+def _exact(costs: Float64, worth: Float64) -> VisitOrder:
     """By Held, M. and Karp, R. M. (1962), Journal of the SIAM 10, 196-210, over things and
     directions."""
     n = len(worth)
@@ -90,11 +90,11 @@ def _exact(costs: Float64, worth: Float64) -> Order:
     mask, node = (int(v) for v in np.unravel_index(np.argmin(ending), ending.shape))
     cost, nodes = float(ending[mask, node]), []
     if not cost < worth.sum():
-        return Order([], float(worth.sum()))
+        return VisitOrder([], float(worth.sum()))
     while node >= 0:
         nodes.append(node)
         mask, node = mask & ~(1 << node // 2), int(before[mask, node])
-    return Order(nodes[::-1], cost)
+    return VisitOrder(nodes[::-1], cost)
 
 
 @kernel
@@ -118,7 +118,7 @@ def held_karp(costs, best, before):  # type: ignore[no-untyped-def]
                     before[mask | bit, b] = a
 
 
-def directed(sequence: Int64, costs: Float64, worth: Float64) -> Order:
+def directed(sequence: Int64, costs: Float64, worth: Float64) -> VisitOrder:
     """The best directions of things that are visited in a sequence, of which the last ones may be
     left out."""
     nodes, left = len(costs) - 1, float(worth.sum())
@@ -141,7 +141,7 @@ def directed(sequence: Int64, costs: Float64, worth: Float64) -> Order:
         found.append(2 * int(sequence[k]) + d)
         d = came[k - 1][d] if k else d
         k -= 1
-    return Order(found[::-1], float(best))
+    return VisitOrder(found[::-1], float(best))
 
 
 @part_of_kernel

@@ -15,7 +15,7 @@ from fieldgrid.polyline import extended, lengths, normals, part, project, resamp
 from fieldgrid.route.footprint import BULGE_M
 from fieldgrid.route.path import Path
 from fieldgrid.route.plan import REMEDY, find_way
-from fieldgrid.route.search import Pose, Searcher
+from fieldgrid.route.search import Searcher, SearchPose
 from fieldgrid.route.verify import find_fault
 from fieldgrid.rows import Lane
 
@@ -40,14 +40,14 @@ class Pass(NamedTuple):
     to_m: float
 
     @property
-    def start(self) -> Pose:
+    def start(self) -> SearchPose:
         """Where it begins."""
-        return Pose(*self.samples[0, :3].tolist())
+        return SearchPose(*self.samples[0, :3].tolist())
 
     @property
-    def stop(self) -> Pose:
+    def stop(self) -> SearchPose:
         """Where it ends."""
-        return Pose(*self.samples[-1, :3].tolist())
+        return SearchPose(*self.samples[-1, :3].tolist())
 
 
 def drive_lane(searcher: Searcher, lane: Lane, *, backwards: bool) -> Pass:
@@ -175,7 +175,7 @@ def _around(
     inside = Searcher(ground.confined(area), vehicle)
     shift = np.array([inside.ground.west_m, inside.ground.south_m]) - corner
     start, stop = (
-        Pose(*(_poses(line, np.array([at_m]), aside)[0] - (*shift, 0.0)).tolist())
+        SearchPose(*(_poses(line, np.array([at_m]), aside)[0] - (*shift, 0.0)).tolist())
         for aside, at_m in (first, last)
     )
     samples = find_way(inside, [start], [stop], "along the lane", _MAX_POSES)

@@ -35,7 +35,7 @@ from fieldgrid.route.plan import (
     planning_view,
     searcher_of,
 )
-from fieldgrid.route.search import Pose, Searcher
+from fieldgrid.route.search import Searcher, SearchPose
 from fieldgrid.rows import Crop, Lane, Planting, find_rows
 
 Progress = Callable[[int, int], None]
@@ -298,7 +298,7 @@ def _unreached(network: Network, nodes: list[int], k: int, lane: Lane) -> LeftOu
     searcher = network.searcher
     entries = [p.start for p in network.passes[2 * k : 2 * k + 2] if p is not None]
     exits = [p.stop for p in (network.passes[node] for node in nodes) if p is not None]
-    origins: list[Pose] = network.starts[:1] or exits
+    origins: list[SearchPose] = network.starts[:1] or exits
     place = (entries[0].x + searcher.ground.west_m, entries[0].y + searcher.ground.south_m)
     for origin in origins:
         for entry in entries:

@@ -11,9 +11,9 @@ from fieldgrid.evaluation.attitude import AttitudeScores
 from fieldgrid.evaluation.scores import (
     Evaluation,
     FrameError,
-    Group,
     ObstacleScores,
     PoseErrors,
+    ScoredGroup,
     evaluate,
 )
 from fieldgrid.evaluation.survey import Survey, Surveyed, read_survey
@@ -25,10 +25,10 @@ __all__ = [
     "Evaluation",
     "FalseScore",
     "FrameError",
-    "Group",
     "KindScore",
     "ObstacleScores",
     "PoseErrors",
+    "ScoredGroup",
     "Survey",
     "SurveyScores",
     "Surveyed",

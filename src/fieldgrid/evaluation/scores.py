@@ -80,7 +80,7 @@ class ObstacleScores:
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class ScoredGroup:
     """The scores of one selection of frames."""
 
     name: str
@@ -116,7 +116,7 @@ class Evaluation:
     observable_pixels: int
     unmatched_frames: int
     unlevelled_frames: int
-    groups: tuple[Group, ...]
+    groups: tuple[ScoredGroup, ...]
     frames: tuple[FrameError, ...]
     terrain: TerrainScores | None = None
     attitude: AttitudeScores | None = None
@@ -164,7 +164,9 @@ def evaluate(
         unmatched_frames=unmatched,
         unlevelled_frames=_unlevelled(universal, [one for one, _ in matched if one.accepted]),
         groups=tuple(
-            Group(name, _score_map(universal, truth, pairs, observable_pixels), _score_poses(pairs))
+            ScoredGroup(
+                name, _score_map(universal, truth, pairs, observable_pixels), _score_poses(pairs)
+            )
             for name, pairs in groups
         ),
         frames=tuple(_frame_error(record, pose) for record, pose in matched),

@@ -7,7 +7,7 @@ export carries the datum, tells unknown from empty, and is written whole or not 
 from fieldgrid.export.geotiff import export_change, export_geotiff
 from fieldgrid.export.registry import (
     Exported,
-    Format,
+    ExportFormat,
     Holds,
     export_map,
     format_of,
@@ -18,8 +18,8 @@ from fieldgrid.export.registry import (
 from fieldgrid.export.selection import Selection
 
 __all__ = [
+    "ExportFormat",
     "Exported",
-    "Format",
     "Holds",
     "Selection",
     "export_change",

@@ -22,12 +22,12 @@ import numpy.typing as npt
 from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.georeference import extent
-from fieldgrid.export.registry import Exported, Format, register
+from fieldgrid.export.registry import Exported, ExportFormat, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.tables import datum_values
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Window
-from fieldgrid.mapfile import LAYERS, Blocks, MapView, Readable, cf_dataset, masked
+from fieldgrid.mapfile import LAYERS, MapBlocks, MapView, Readable, cf_dataset, masked
 from fieldgrid.mapfile.view import empty_view
 from fieldgrid.publish import mentions, replacing, replacing_folder, working_beside
 from fieldgrid.settings import Settings
@@ -206,7 +206,7 @@ class _Variable(NamedTuple):
 
 
 def _written(
-    blocks: Blocks,
+    blocks: MapBlocks,
     datum: Datum,
     selection: Selection,
     create: Callable[[str, _Variable], Any],
@@ -317,7 +317,7 @@ def _json(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
-def _exported(path: Path, blocks: Blocks, universal: Readable) -> Exported:
+def _exported(path: Path, blocks: MapBlocks, universal: Readable) -> Exported:
     rows = (("cells", f"{blocks.window.width} x {blocks.window.height}"),)
     return Exported((path,), rows, extent(blocks.lattice, blocks.window, universal.datum))
 
@@ -337,7 +337,7 @@ def _is_zarr(folder: Path) -> bool:
 
 
 register(
-    Format(
+    ExportFormat(
         "npz",
         (".npz",),
         "arrays for NumPy",
@@ -346,7 +346,7 @@ register(
         readers="NumPy",
         limits="10^10 cells",
     ),
-    Format(
+    ExportFormat(
         "zarr",
         (".zarr",),
         "Zarr store (format 2), a folder",
@@ -357,7 +357,7 @@ register(
         extras=("tables",),
         limits="10^10 cells",
     ),
-    Format(
+    ExportFormat(
         "netcdf",
         (".nc",),
         "NetCDF-4 by the CF conventions",

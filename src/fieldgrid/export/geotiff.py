@@ -11,7 +11,7 @@ from fieldgrid.export.options import PlaneOptions
 from fieldgrid.export.overviews import write_overviews
 from fieldgrid.export.raster import (
     BLOCK_PX,
-    Layout,
+    BandLayout,
     Raster,
     Scratch,
     check_whole,
@@ -22,7 +22,7 @@ from fieldgrid.export.raster import (
     painted,
     plane_of,
 )
-from fieldgrid.export.registry import Exported, Format, register
+from fieldgrid.export.registry import Exported, ExportFormat, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import MEANING, Change, ChangeView, Readable
 from fieldgrid.publish import replacing
@@ -72,7 +72,7 @@ def export_change(view: ChangeView, path: str | Path, *, overwrite: bool = False
     FIELDGRID_CHANGE_n say what each number means. Errors as in `export_geotiff`.
     """
     path = Path(path)
-    layout = Layout("uint8", alpha=False, nodata=0)
+    layout = BandLayout("uint8", alpha=False, nodata=0)
     meanings = {f"FIELDGRID_CHANGE_{kind.value}": MEANING[kind] for kind in Change}
     tags = {**datum_tags(view.datum, view.lattice), **meanings}
     scratch = Scratch(path)
@@ -128,7 +128,7 @@ def _with_overviews(raster: Raster, levels: Sequence[Path]) -> Path:
 
 
 register(
-    Format(
+    ExportFormat(
         "geotiff",
         (".tif", ".tiff"),
         "cloud-optimised GeoTIFF with overviews",

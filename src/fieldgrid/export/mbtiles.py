@@ -20,9 +20,9 @@ import numpy as np
 from fieldgrid.array_types import UInt8
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.overviews import write_overviews
-from fieldgrid.export.plane import Plane, warped
+from fieldgrid.export.plane import PixelPlane, warped
 from fieldgrid.export.raster import Raster, painted
-from fieldgrid.export.registry import Exported, Format, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import LAYERS, Readable
 from fieldgrid.publish import mentions, replacing
@@ -109,7 +109,7 @@ class _Zooms:
     """The zooms of a raster and its overviews, each as it lies in Web Mercator."""
 
     def __init__(
-        self, opened: ExitStack, levels: Sequence[Path], plane: Plane, lat_deg: float
+        self, opened: ExitStack, levels: Sequence[Path], plane: PixelPlane, lat_deg: float
     ) -> None:
         import rasterio
         from rasterio.crs import CRS
@@ -160,7 +160,7 @@ class _Zooms:
             for south_east in range(4):
                 yield from self._within(zoom + 1, 2 * x + south_east % 2, 2 * y + south_east // 2)
 
-    def _plane(self, zoom: int) -> Plane:
+    def _plane(self, zoom: int) -> PixelPlane:
         """All tiles of a zoom together, with a margin."""
         from rasterio.crs import CRS
         from rasterio.transform import Affine
@@ -179,7 +179,7 @@ class _Zooms:
             (last - first + 1) * TILE_PX + 2 * MARGIN_PX
             for first, last in ((west, east), (north, south))
         )
-        return Plane(width, height, CRS.from_epsg(3857), placed)
+        return PixelPlane(width, height, CRS.from_epsg(3857), placed)
 
 
 def _lon_lat_deg(x_m: float, y_m: float) -> tuple[float, float]:
@@ -244,7 +244,7 @@ def _metadata(
 
 
 register(
-    Format(
+    ExportFormat(
         "mbtiles",
         (".mbtiles",),
         "tiles of a web map, PNG in Web Mercator",

@@ -20,9 +20,9 @@ from fieldgrid.array_types import Int64, UInt8
 from fieldgrid.cost import OCCUPIED, UNKNOWN_OCCUPANCY
 from fieldgrid.errors import ConfigError, MapExistsError
 from fieldgrid.export.georeference import extent, georeference
-from fieldgrid.export.registry import Exported, Format, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
 from fieldgrid.export.selection import Selection
-from fieldgrid.export.speed import Cells, SpeedOptions, filter_parameters, speed_mask
+from fieldgrid.export.speed import SpeedCells, SpeedOptions, filter_parameters, speed_mask
 from fieldgrid.export.tiles import Whole, cut, whole_of
 from fieldgrid.export.together import write_together
 from fieldgrid.mapfile import Readable
@@ -197,7 +197,7 @@ class _Part:
         if options.slow_percent is not None:
             frames = view.layer("count") if counted else None
             places = view.lattice, view.window
-            cells = Cells(self._occupancy, self._keepout > 0, frames, *places)
+            cells = SpeedCells(self._occupancy, self._keepout > 0, frames, *places)
             self._slow = speed_mask(cells, options)
 
     @property
@@ -358,7 +358,7 @@ def _counted(counts: Int64) -> dict[str, Any]:
 
 
 register(
-    Format(
+    ExportFormat(
         "nav2",
         _ENDINGS,
         "Nav2 map, keep-out mask: YAML, pictures",

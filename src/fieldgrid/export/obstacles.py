@@ -28,7 +28,7 @@ _AREA_SHARE = 0.1
 """An outline is simplified only if its area grows by no more than this share."""
 
 
-class Obstacle(NamedTuple):
+class ObstacleOutline(NamedTuple):
     """One obstacle: its outline (a shapely polygon or multipolygon, metres east and north), the
     area of its cells, their mean and highest density."""
 
@@ -62,7 +62,7 @@ class _Runs(NamedTuple):
 
 def trace_obstacles(
     views: Iterable[MapView], options: ShapeOptions | None = None
-) -> Iterator[Obstacle]:
+) -> Iterator[ObstacleOutline]:
     """The obstacles in views of one lattice that do not overlap, from the south-west.
 
     A cell is an obstacle where one of the map's own in it is, and outlines enclose all of them.
@@ -79,7 +79,7 @@ def trace_obstacles(
         count = part.cells
         area_m2 = count * lattice.cell_m**2
         if area_m2 >= options.min_area_m2:
-            yield Obstacle(
+            yield ObstacleOutline(
                 _outline(part, lattice, options.simplify_m),
                 area_m2,
                 int(part.total.sum()) / count,

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.export.plane import Plane
+from fieldgrid.export.plane import PixelPlane
 from fieldgrid.export.raster import BLOCK_PX, Raster, creating, warp
 from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import Readable
@@ -52,7 +52,7 @@ def _pixels(row: int, column: int, observed: np.ndarray) -> object:
     return Pixels(column, row, observed.shape[1], observed.shape[0])
 
 
-def _half(plane: Plane) -> Plane:
+def _half(plane: PixelPlane) -> PixelPlane:
     from rasterio.transform import Affine
 
     placed = plane.transform

@@ -8,7 +8,7 @@ _NEARER_PX = 0.01
 """How far from its exact place, in cells, a reprojected pixel may look for its value."""
 
 
-class Plane(NamedTuple):
+class PixelPlane(NamedTuple):
     """Where the pixels are: `crs` and `transform` as rasterio has them, row 0 in the north."""
 
     width: int
@@ -22,7 +22,7 @@ class Plane(NamedTuple):
         return placed.c + placed.a * column, placed.f + placed.e * row
 
 
-def warped(source: Any, plane: Plane) -> Any:
+def warped(source: Any, plane: PixelPlane) -> Any:
     """An open raster in another plane, to be closed: each pixel has the cell that its centre falls
     in, or nothing."""
     from rasterio.enums import Resampling

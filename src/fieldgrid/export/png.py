@@ -7,9 +7,9 @@ from pathlib import Path
 
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.options import PlaneOptions
-from fieldgrid.export.plane import Plane
+from fieldgrid.export.plane import PixelPlane
 from fieldgrid.export.raster import Raster, is_ours, painted
-from fieldgrid.export.registry import Exported, Format, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.together import write_together
 from fieldgrid.mapfile import Readable
@@ -98,7 +98,7 @@ class _Picture:
         self._notes.unlink(missing_ok=True)
 
 
-def _check_size(plane: Plane) -> None:
+def _check_size(plane: PixelPlane) -> None:
     if max(plane.width, plane.height) > MAX_SIDE_PX or plane.width * plane.height > MAX_PIXELS:
         raise ConfigError(
             f"A PNG of {plane.width} x {plane.height} pixels is more than usual programs open "
@@ -108,7 +108,7 @@ def _check_size(plane: Plane) -> None:
 
 
 register(
-    Format(
+    ExportFormat(
         "png",
         (".png",),
         "picture with a world file",

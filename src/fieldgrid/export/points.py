@@ -16,7 +16,7 @@ from fieldgrid.array_types import Bool, Float32, Float64, UInt8, UInt32
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.georeference import extent
 from fieldgrid.export.options import ObstacleOptions
-from fieldgrid.export.registry import Exported, Format, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import MapFile, MapView
 from fieldgrid.publish import mentions, replacing
@@ -224,7 +224,7 @@ def _ply_header(universal: MapFile, count: int) -> bytes:
 
 
 register(
-    Format(
+    ExportFormat(
         "las",
         (".las", ".laz"),
         "a point for each obstacle cell",
@@ -234,7 +234,7 @@ register(
         readers="CloudCompare, QGIS, PDAL",
         extras=("clouds",),
     ),
-    Format(
+    ExportFormat(
         "ply",
         (".ply",),
         "the same as PLY, metres from the datum",

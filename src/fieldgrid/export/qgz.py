@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Element
 
 from fieldgrid import palette, qgis
 from fieldgrid.errors import ConfigError, quoted
-from fieldgrid.export.registry import Exported, Format, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.lattice import Bounds, check_inside
 from fieldgrid.mapfile import MapFile
@@ -216,7 +216,7 @@ def _relative(map_path: Path, folder: Path) -> str:
 
 
 register(
-    Format(
+    ExportFormat(
         "qgz",
         (".qgz",),
         "project that shows the map file itself",

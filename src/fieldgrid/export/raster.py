@@ -19,7 +19,7 @@ import numpy as np
 from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.georeference import extent
-from fieldgrid.export.plane import Plane, warped
+from fieldgrid.export.plane import PixelPlane, warped
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum, check_area_of_use
 from fieldgrid.lattice import Bounds, Lattice, Window
@@ -34,7 +34,7 @@ CACHE_MB = 96
 MAX_SIDE_PX = 1 << 30
 
 
-class Layout(NamedTuple):
+class BandLayout(NamedTuple):
     """How a layer's cells become bands: of this type, with alpha or else a value for nodata.
 
     Where every value means something, band 2 is alpha: 255 where a cell was observed, 0 where not.
@@ -55,9 +55,9 @@ class Raster(NamedTuple):
     was brought into another one."""
 
     file: Path
-    plane: Plane
-    cells: Plane
-    layout: Layout
+    plane: PixelPlane
+    cells: PixelPlane
+    layout: BandLayout
     rows: tuple[tuple[str, str], ...]
     about: Mapping[str, Any]
     scratch: Scratch
@@ -83,11 +83,11 @@ class Scratch:
             draft.discard()
 
 
-def layout_of(layer: str) -> Layout:
+def layout_of(layer: str) -> BandLayout:
     """How a layer is laid out."""
     declared = LAYERS[layer]
     alpha = declared.nodata is None
-    return Layout(declared.dtype, alpha, declared.nodata)
+    return BandLayout(declared.dtype, alpha, declared.nodata)
 
 
 @contextmanager
@@ -97,7 +97,7 @@ def painted(
     selection: Selection,
     epsg: int | None,
     *,
-    check: Callable[[Plane], None] | None = None,
+    check: Callable[[PixelPlane], None] | None = None,
 ) -> Iterator[Raster]:
     """The selection as a raster beside `path`, in the map's plane or that of an EPSG code.
 
@@ -129,7 +129,7 @@ def painted(
         yield Raster(file, plane, cells, layout, *told, scratch)
 
 
-def plane_of(datum: Datum, lattice: Lattice, window: Window) -> Plane:
+def plane_of(datum: Datum, lattice: Lattice, window: Window) -> PixelPlane:
     """The pixels of a window in the map's own plane."""
     from rasterio.crs import CRS
     from rasterio.transform import Affine
@@ -137,7 +137,7 @@ def plane_of(datum: Datum, lattice: Lattice, window: Window) -> Plane:
     cell_m, bounds = 1.0 / lattice.cells_per_m, lattice.bounds(window)
     transform = Affine(cell_m, 0.0, bounds.west_m, 0.0, -cell_m, bounds.north_m)
     crs = CRS.from_wkt(datum.crs_wkt("WKT1_GDAL"))
-    return _checked(Plane(window.width, window.height, crs, transform))
+    return _checked(PixelPlane(window.width, window.height, crs, transform))
 
 
 @contextmanager
@@ -163,7 +163,9 @@ def gdal(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def creating(file: Path, plane: Plane, layout: Layout, tags: dict[str, str]) -> Iterator[Any]:
+def creating(
+    file: Path, plane: PixelPlane, layout: BandLayout, tags: dict[str, str]
+) -> Iterator[Any]:
     """A new raster of plain pixels, open for writing; what is not written takes no space."""
     import rasterio
     from rasterio.enums import ColorInterp
@@ -278,7 +280,7 @@ def _tags(universal: Readable, selection: Selection) -> dict[str, str]:
 
 
 def _told(
-    layer: str, place: dict[str, Any], datum: Datum, plane: Plane, epsg: int | None
+    layer: str, place: dict[str, Any], datum: Datum, plane: PixelPlane, epsg: int | None
 ) -> tuple[tuple[tuple[str, str], ...], dict[str, Any]]:
     """What a raster is, as rows for a reader and as numbers for a program."""
     size, side = [plane.width, plane.height], [plane.transform.a, -plane.transform.e]
@@ -294,7 +296,7 @@ def _told(
     return rows, {"layer": layer, **place, "epsg": epsg, "pixels": size, "pixel_size": side}
 
 
-def _reprojected(source: Plane, epsg: int, datum: Datum) -> Plane:
+def _reprojected(source: PixelPlane, epsg: int, datum: Datum) -> PixelPlane:
     """Square pixels north up that cover a raster, as large as its cells in the middle, or smaller
     along one axis where the system stretches the ground."""
     from rasterio.transform import Affine
@@ -323,7 +325,7 @@ def _reprojected(source: Plane, epsg: int, datum: Datum) -> Plane:
     width = math.ceil((area.east_m - area.west_m) / side)
     height = math.ceil((area.north_m - area.south_m) / side)
     placed = Affine(side, 0.0, area.west_m, 0.0, -side, area.north_m)
-    return _checked(Plane(max(width, 1), max(height, 1), crs, placed))
+    return _checked(PixelPlane(max(width, 1), max(height, 1), crs, placed))
 
 
 def _crs_of(epsg: int) -> Any:
@@ -349,7 +351,9 @@ def crs_name(crs: Any) -> str:
     return str(crs.to_wkt().split('"')[1])
 
 
-def warp(source: Path, file: Path, plane: Plane, layout: Layout, tags: dict[str, str]) -> None:
+def warp(
+    source: Path, file: Path, plane: PixelPlane, layout: BandLayout, tags: dict[str, str]
+) -> None:
     """The pixels of another plane: each has the cell that its centre falls in, or nothing."""
     import rasterio
 
@@ -363,7 +367,7 @@ def warp(source: Path, file: Path, plane: Plane, layout: Layout, tags: dict[str,
             dataset.write(pixels, window=part)
 
 
-def _checked(plane: Plane) -> Plane:
+def _checked(plane: PixelPlane) -> PixelPlane:
     if max(plane.width, plane.height) > MAX_SIDE_PX:
         raise ConfigError(
             f"A raster of {plane.width} x {plane.height} pixels is too large; give smaller bounds "

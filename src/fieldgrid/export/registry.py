@@ -33,7 +33,7 @@ from fieldgrid.errors import ConfigError, MapError, MapExistsError
 from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import LAYERS, MapFile, Readable, read_datum
 from fieldgrid.publish import check_place
-from fieldgrid.settings import Declared, Settings, declared, first_problem
+from fieldgrid.settings import DeclaredSetting, Settings, declared, first_problem
 
 _BUILT_IN = (
     "geotiff",
@@ -87,7 +87,7 @@ class Writer(Protocol):
         """Write the selection to `path`, whole or not at all."""
 
 
-class Format(NamedTuple):
+class ExportFormat(NamedTuple):
     """A format: its name, the endings of file names that ask for it, what it is in a few words,
     and what writes it.
 
@@ -108,15 +108,15 @@ class Format(NamedTuple):
     extras: tuple[str, ...] = ()
     limits: str = ""
 
-    def declared(self) -> tuple[Declared, ...]:
+    def declared(self) -> tuple[DeclaredSetting, ...]:
         """The options, each with its flag and meaning."""
         return tuple(declared(self.options))
 
 
-_formats: dict[str, Format] = {}
+_formats: dict[str, ExportFormat] = {}
 
 
-def register(*formats: Format) -> None:
+def register(*formats: ExportFormat) -> None:
     """Add formats. ConfigError for a name or an ending that is taken."""
     for one in formats:
         others = [known for known in _formats.values() if set(known.endings) & set(one.endings)]
@@ -133,7 +133,7 @@ def unregister(name: str) -> None:
     del _formats[name]
 
 
-def formats() -> Mapping[str, Format]:
+def formats() -> Mapping[str, ExportFormat]:
     """All formats by their names: those of fieldgrid, then those of other packages."""
     _load()
     order = {f"fieldgrid.export.{module}": k for k, module in enumerate(_BUILT_IN)}
@@ -150,7 +150,7 @@ def _load() -> None:
         found.load()
 
 
-def format_of(path: Path, name: str | None = None) -> Format:
+def format_of(path: Path, name: str | None = None) -> ExportFormat:
     """The format by its name, or else by the ending of a path.
 
     ConfigError for neither, and for a path that looks like something else.
@@ -217,7 +217,7 @@ def export_map(
     )
 
 
-def _checked(chosen: Format, options: Mapping[str, Any]) -> Settings:
+def _checked(chosen: ExportFormat, options: Mapping[str, Any]) -> Settings:
     given = {name: value for name, value in options.items() if value is not None}
     try:
         return chosen.options.model_validate(given)
@@ -234,7 +234,7 @@ def _checked(chosen: Format, options: Mapping[str, Any]) -> Settings:
     )
 
 
-def _check_layer(chosen: Format, layer: str) -> None:
+def _check_layer(chosen: ExportFormat, layer: str) -> None:
     fits = {
         Holds.ANY: True,
         Holds.GREY: LAYERS[layer].dtype == "uint8",

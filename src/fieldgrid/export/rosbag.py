@@ -9,7 +9,7 @@ from fieldgrid.errors import ConfigError
 from fieldgrid.export import foxglove_messages
 from fieldgrid.export.bag_content import BagContent, messages
 from fieldgrid.export.options import CurveOptions
-from fieldgrid.export.registry import Exported, Format, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.tiles import MESSAGE_CELLS
 from fieldgrid.export.vector import FeatureOptions, geojson_text
@@ -142,7 +142,7 @@ def _write(writer: McapWriter | BagFolderWriter | Ros1BagWriter, content: BagCon
 
 
 register(
-    Format(
+    ExportFormat(
         "mcap",
         (".mcap",),
         "the same as `.rosbag2` in one file",
@@ -152,7 +152,7 @@ register(
         readers="Foxglove, rosbags",
         limits="2.5·10^7 cells a message, else tiles",
     ),
-    Format(
+    ExportFormat(
         "rosbag2",
         (".rosbag2",),
         "ROS 2 bag: grids, paths, odometry, tf",
@@ -163,7 +163,7 @@ register(
         readers="`ros2 bag play` to Nav2, RViz",
         limits="2.5·10^7 cells a message, else tiles",
     ),
-    Format(
+    ExportFormat(
         "rosbag1",
         (".bag",),
         "the same for ROS 1",

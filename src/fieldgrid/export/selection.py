@@ -11,7 +11,7 @@ from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds, Lattice, check_inside
 from fieldgrid.mapfile import (
     LAYERS,
-    Blocks,
+    MapBlocks,
     MapView,
     OverviewBlock,
     Readable,
@@ -70,7 +70,7 @@ class Selection:
         return lattice.bounds(lattice.window(self.bounds))
 
     @contextmanager
-    def blocks(self, universal: Readable, layers: Sequence[str] = ()) -> Iterator[Blocks]:
+    def blocks(self, universal: Readable, layers: Sequence[str] = ()) -> Iterator[MapBlocks]:
         """The same as `view` in blocks from the north, of one state of the map, however large."""
         bounds, wanted = self.checked_bounds(universal), tuple(dict.fromkeys((self.layer, *layers)))
         with universal.read_blocks(

@@ -66,7 +66,7 @@ class SpeedOptions(CurveOptions):
     )
 
 
-class Cells(NamedTuple):
+class SpeedCells(NamedTuple):
     """What of a map the mask is made of: occupancy, keep-outs, frames that saw each cell (None
     where that does not matter), and where the cells are."""
 
@@ -77,7 +77,7 @@ class Cells(NamedTuple):
     window: Window
 
 
-def speed_mask(cells: Cells, options: SpeedOptions) -> npt.NDArray[np.int8]:
+def speed_mask(cells: SpeedCells, options: SpeedOptions) -> npt.NDArray[np.int8]:
     """Values of the mask, int8 [rows north, columns east]: 0 without a limit."""
     import cv2
 
@@ -112,7 +112,7 @@ def filter_parameters(mask: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _turns(path: Path, radius_m: float, cells: Cells) -> Bool:
+def _turns(path: Path, radius_m: float, cells: SpeedCells) -> Bool:
     """The cells of the poses in which a route turns."""
     places = _turning_poses(path, radius_m)
     i, j = cells.lattice.index(places[:, 0], places[:, 1])

@@ -18,7 +18,7 @@ import numpy as np
 
 from fieldgrid.array_types import AnyArray, Float64
 from fieldgrid.errors import ConfigError
-from fieldgrid.export.registry import Exported, Format, register
+from fieldgrid.export.registry import Exported, ExportFormat, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.together import write_together
 from fieldgrid.geodesy import Datum
@@ -237,14 +237,14 @@ def _csvw(path: Path, universal: MapFile, selection: Selection) -> dict[str, Any
 
 
 register(
-    Format(
+    ExportFormat(
         "csv",
         (".csv",),
         "a row for each observed cell",
         export_csv,
         readers="spreadsheets, R",
     ),
-    Format(
+    ExportFormat(
         "parquet",
         (".parquet",),
         "the same as GeoParquet, points",

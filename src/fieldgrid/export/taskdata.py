@@ -21,7 +21,7 @@ from fieldgrid.cost import LEAST_SEEN
 from fieldgrid.errors import ConfigError, printable
 from fieldgrid.export.features import feature_layers
 from fieldgrid.export.guidance import NAME, Points, TaskdataOptions, drive_groups, lane_groups
-from fieldgrid.export.registry import Exported, Format, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
@@ -380,7 +380,7 @@ def _write(folder: Path, field: Any, grid: ZoneGrid) -> None:
 
 
 register(
-    Format(
+    ExportFormat(
         "isoxml",
         ("taskdata", "taskdata.zip"),
         "ISO 11783-10 task data 4.3",

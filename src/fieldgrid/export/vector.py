@@ -19,7 +19,7 @@ from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.features import LAYERS, feature_layers
 from fieldgrid.export.options import QuadtreeOptions, ShapeOptions
-from fieldgrid.export.registry import Exported, Format, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import MapFile
@@ -326,7 +326,7 @@ _SHARED: Any = {
 }
 
 register(
-    Format(
+    ExportFormat(
         "geojson",
         (".geojson", ".json"),
         "obstacles, marks, drives, poses in WGS84",
@@ -334,7 +334,7 @@ register(
         readers="GIS, web maps",
         **_SHARED,
     ),
-    Format(
+    ExportFormat(
         "gpkg",
         (".gpkg",),
         "the same, GeoPackage in the map's plane",
@@ -342,7 +342,7 @@ register(
         readers="GIS",
         **_SHARED,
     ),
-    Format(
+    ExportFormat(
         "flatgeobuf",
         (".fgb",),
         "the same as one FlatGeobuf, with an index",
@@ -350,7 +350,7 @@ register(
         readers="GIS, web maps",
         **_SHARED,
     ),
-    Format(
+    ExportFormat(
         "dxf",
         (".dxf",),
         "the same as a drawing, without attributes",
@@ -358,7 +358,7 @@ register(
         readers="CAD",
         **_SHARED,
     ),
-    Format(
+    ExportFormat(
         "shapefile",
         (".shp.zip",),
         "the same, shapefiles in a zip or folder",

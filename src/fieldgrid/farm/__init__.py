@@ -9,7 +9,7 @@ written, and maps are opened when a window touches them::
     view = farm.read(Bounds(0.0, 0.0, 20.0, 20.0), layers=["count"])
 """
 
-from fieldgrid.farm.catalogue import Block, Health
-from fieldgrid.farm.farm import Farm, Moved
+from fieldgrid.farm.catalogue import FarmBlock, Health
+from fieldgrid.farm.farm import Farm, RebasedMap
 
-__all__ = ["Block", "Farm", "Health", "Moved"]
+__all__ = ["Farm", "FarmBlock", "Health", "RebasedMap"]

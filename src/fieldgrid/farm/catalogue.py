@@ -11,7 +11,7 @@ from typing import NamedTuple
 from fieldgrid.errors import ConfigError, FieldgridError, MapError
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, SessionInfo, in_drive_order, open_map
-from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.header import MapHeader
 
 ENDING = ".gpkg"
 _BACKUP = re.compile(r"\.before-repair(-\d+)?$")
@@ -33,7 +33,7 @@ class Health(StrEnum):
     """Another GeoPackage, or none."""
 
 
-class Block(NamedTuple):
+class FarmBlock(NamedTuple):
     """A map of a farm. `problem` is why it is left out, empty for one that can be read; `header`
     and what follows it say nothing then.
 
@@ -46,7 +46,7 @@ class Block(NamedTuple):
     size_bytes: int
     health: Health
     problem: str = ""
-    header: Header | None = None
+    header: MapHeader | None = None
     area_m2: float = 0.0
     bounds: Bounds | None = None
     sessions: tuple[SessionInfo, ...] = ()
@@ -72,7 +72,7 @@ class Block(NamedTuple):
         return _moment(max(ends)) if ends else None
 
 
-def find_blocks(folder: Path, *, verify: bool = False, jobs: int | None = None) -> list[Block]:
+def find_blocks(folder: Path, *, verify: bool = False, jobs: int | None = None) -> list[FarmBlock]:
     """The maps that lie in a folder, by their names. A file that cannot be read is one, too.
 
     ConfigError when there is no such folder, or no file that ends in .gpkg in it.
@@ -97,7 +97,7 @@ def map_files(folder: Path) -> list[Path]:
     )
 
 
-def _block(file: Path, verify: bool, jobs: int | None) -> Block:
+def _block(file: Path, verify: bool, jobs: int | None) -> FarmBlock:
     size = file.stat().st_size
     try:
         with open_map(file) as universal:
@@ -106,18 +106,18 @@ def _block(file: Path, verify: bool, jobs: int | None) -> Block:
             problems = universal.verify(jobs).problems if verify else ()
     except (FieldgridError, OSError) as error:
         foreign = isinstance(error, MapError) and "is not a fieldgrid map" in str(error)
-        return Block(file, size, Health.FOREIGN if foreign else Health.DAMAGED, str(error))
+        return FarmBlock(file, size, Health.FOREIGN if foreign else Health.DAMAGED, str(error))
     if problems:
         more = f" and {len(problems) - 1} problems more" if len(problems) > 1 else ""
-        return Block(file, size, Health.DAMAGED, f"{problems[0]}{more}")
+        return FarmBlock(file, size, Health.DAMAGED, f"{problems[0]}{more}")
     return found._replace(health=Health.SOUND) if verify else found
 
 
-def _read(universal: MapFile, size: int) -> Block:
+def _read(universal: MapFile, size: int) -> FarmBlock:
     with universal.content() as content:
         seen, header = content.seen_cells(), content.header
         sessions = content.evidence.sessions()
-        return Block(
+        return FarmBlock(
             universal.path,
             size,
             Health.OPENS,

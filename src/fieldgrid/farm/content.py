@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldgrid.errors import MapError
-from fieldgrid.farm.catalogue import Block
+from fieldgrid.farm.catalogue import FarmBlock
 from fieldgrid.farm.maps import Maps, OpenMap
 from fieldgrid.lattice import Bounds, Lattice, Window
 from fieldgrid.layers import GROUPS, Cells, ChannelGroup, Combine, channel_names, groups_of
@@ -25,8 +25,8 @@ from fieldgrid.layers.window import with_overviews
 from fieldgrid.mapfile import FrameRecord, MapView, Mark
 from fieldgrid.mapfile.base_cells import Multiple, enlarged, follows_from_touched
 from fieldgrid.mapfile.content import MapContent
-from fieldgrid.mapfile.evidence import Evidence, reaches
-from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.evidence import EvidenceTables, reaches
+from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.mapfile.reading import Request, chunks
 from fieldgrid.mapfile.redatum import Redatum
 from fieldgrid.mapfile.sharing import check_known, known_groups
@@ -37,15 +37,15 @@ _RISE_M = 1000.0
 """How far above or below its datum ground may lie: by that two planes that lean shift a place."""
 
 
-class Part(NamedTuple):
+class FarmPart(NamedTuple):
     """A map as a part of a farm: its extent in the farm's plane; its sessions that are taken, by
     their names in the farm; and what brings it into the plane, None when it is of that datum."""
 
-    block: Block
+    block: FarmBlock
     bounds: Bounds
     names: Mapping[str, str]
     moved: Redatum | None
-    header: Header
+    header: MapHeader
 
     @property
     def is_own(self) -> bool:
@@ -85,7 +85,7 @@ class FarmContent:
     """The content of several maps as one; see `Content`. Pickled it is where the maps lie."""
 
     def __init__(
-        self, maps: Maps, parts: Sequence[Part], header: Header, marks: tuple[Mark, ...]
+        self, maps: Maps, parts: Sequence[FarmPart], header: MapHeader, marks: tuple[Mark, ...]
     ) -> None:
         self._maps, self._parts, self._header, self._marks = maps, parts, header, marks
 
@@ -95,7 +95,7 @@ class FarmContent:
         return _arrived, (parts, self._header, self._marks, known_groups(self._header))
 
     @property
-    def header(self) -> Header:
+    def header(self) -> MapHeader:
         """See `Content`."""
         return self._header
 
@@ -161,7 +161,7 @@ class FarmContent:
 
 
 def _arrived(
-    parts: Sequence[Part], header: Header, marks: tuple[Mark, ...], known: tuple[str, ...]
+    parts: Sequence[FarmPart], header: MapHeader, marks: tuple[Mark, ...], known: tuple[str, ...]
 ) -> FarmContent:
     """The content on a worker, which opens maps as it needs them. ClusterError where it lacks one
     or cannot read them."""
@@ -177,7 +177,7 @@ class _FromMap:
     def __init__(
         self,
         maps: Maps,
-        part: Part,
+        part: FarmPart,
         request: Request,
         source: Callable[[MapContent, Request], CellSource],
     ) -> None:
@@ -295,10 +295,10 @@ def _whole_chunks(content: MapContent, request: Request) -> CellSource:
     return _WholeChunks(*content.cell_source(request))
 
 
-class _MovedEvidence(Evidence):
+class _MovedEvidence(EvidenceTables):
     """The evidence of a map in the plane of another datum."""
 
-    def __init__(self, own: Evidence, block: Block, moved: Redatum) -> None:
+    def __init__(self, own: EvidenceTables, block: FarmBlock, moved: Redatum) -> None:
         super().__init__(own.connection, block.path)
         self._moved = moved
 
@@ -308,7 +308,7 @@ class _MovedEvidence(Evidence):
         sessions: object,
         frame_filter: Callable[[FrameRecord], bool] | None,
     ) -> list[FrameRecord]:
-        """See `Evidence`; `near` is of the farm's plane, and so are the poses."""
+        """See `EvidenceTables`; `near` is of the farm's plane, and so are the poses."""
         back = moved_bounds(Redatum(self._moved.new, self._moved.old), near)
         found = super().accepted(back, sessions, frame_filter)  # type: ignore[arg-type]
         placed = (replace(one, pose=self._moved.pose(one.pose)) for one in found)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from fieldgrid.errors import ConfigError
-from fieldgrid.farm.content import Part
+from fieldgrid.farm.content import FarmPart
 from fieldgrid.farm.maps import Maps
 from fieldgrid.lattice import Bounds, Lattice
 from fieldgrid.mapfile import FrameRecord, Provenance
@@ -19,14 +19,14 @@ from fieldgrid.trajectory import Trajectory
 from fieldgrid.transfer import Transfer, check_cell_sizes
 
 
-class Drives:
+class FarmDrives:
     """The sessions of a farm, each found in the map that has it."""
 
-    def __init__(self, path: Path, maps: Maps, parts: Sequence[Part]) -> None:
+    def __init__(self, path: Path, maps: Maps, parts: Sequence[FarmPart]) -> None:
         self._path, self._maps, self._parts = path, maps, parts
         self._part_of = {name: part for part in parts for name in part.names}
 
-    def part_of(self, session: str) -> Part:
+    def part_of(self, session: str) -> FarmPart:
         """The map that has a session; ConfigError for a name that no session has."""
         found = self._part_of.get(session)
         if found is None:
@@ -84,7 +84,7 @@ class Drives:
             return trace(east_m, north_m, lattice, transfer, frames)
 
 
-def _renamed(part: Part, frames: Iterable[FrameRecord]) -> Iterator[FrameRecord]:
+def _renamed(part: FarmPart, frames: Iterable[FrameRecord]) -> Iterator[FrameRecord]:
     """Frames of a map with the names that its sessions have in the farm."""
     names = {own: name for name, own in part.names.items()}
     return (replace(one, session=names[one.session]) for one in frames)

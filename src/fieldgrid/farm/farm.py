@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from fieldgrid.closing import Closing
 from fieldgrid.errors import ConfigError, DatumError, MapError
-from fieldgrid.farm.catalogue import Block, find_blocks
-from fieldgrid.farm.content import FarmContent, Part, moved_bounds
-from fieldgrid.farm.drives import Drives
+from fieldgrid.farm.catalogue import FarmBlock, find_blocks
+from fieldgrid.farm.content import FarmContent, FarmPart, moved_bounds
+from fieldgrid.farm.drives import FarmDrives
 from fieldgrid.farm.maps import Maps
 from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
 from fieldgrid.lattice import Bounds
@@ -22,8 +22,8 @@ from fieldgrid.layers import check_layers, stored_groups
 from fieldgrid.mapfile import (
     DECISION_LAYERS,
     DROP_LAYERS,
-    Blocks,
     FrameRecord,
+    MapBlocks,
     MapFile,
     MapView,
     Mark,
@@ -33,7 +33,7 @@ from fieldgrid.mapfile import (
 )
 from fieldgrid.mapfile.arrays import Array
 from fieldgrid.mapfile.blocks import blocks_of
-from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.mapfile.history import during
 from fieldgrid.mapfile.merge import free_name, marks_together
 from fieldgrid.mapfile.overviews import read_overviews
@@ -51,11 +51,11 @@ _REACH_M = 15.0
 """How far from the vehicle the ground is seen."""
 
 
-class Moved(NamedTuple):
+class RebasedMap(NamedTuple):
     """A map that is read in the plane of another datum, metres: how far apart the two are, and by
     how much its ground may be too high or low. Places are exact: they go through WGS84."""
 
-    block: Block
+    block: FarmBlock
     distance_m: float
     height_error_m: float
 
@@ -95,7 +95,7 @@ class Farm(Closing):
         self._maps.close()
 
     @property
-    def problems(self) -> tuple[Block, ...]:
+    def problems(self) -> tuple[FarmBlock, ...]:
         """What lies in the folder and cannot be read: views leave it out."""
         return tuple(block for block in self.blocks if block.problem)
 
@@ -115,7 +115,7 @@ class Farm(Closing):
         return reduce(Bounds.union, (part.bounds for part in self._parts))
 
     @property
-    def moved(self) -> tuple[Moved, ...]:
+    def moved(self) -> tuple[RebasedMap, ...]:
         """The maps of other datums, and what that does to them."""
         found = []
         for part in self._parts:
@@ -123,7 +123,7 @@ class Farm(Closing):
                 east, north, _ = part.moved.places(0.0, 0.0, 0.0)
                 distance_m = math.hypot(float(east), float(north))
                 error_m = _REACH_M * distance_m / _EARTH_RADIUS_M
-                found.append(Moved(part.block, distance_m, error_m))
+                found.append(RebasedMap(part.block, distance_m, error_m))
         return tuple(found)
 
     def sessions(self) -> list[SessionInfo]:
@@ -144,7 +144,7 @@ class Farm(Closing):
             )
         return found
 
-    def map_of(self, session: str) -> Block:
+    def map_of(self, session: str) -> FarmBlock:
         """The map that has a session of `sessions`; ConfigError for another."""
         return self._drives.part_of(session).block
 
@@ -213,7 +213,7 @@ class Farm(Closing):
         at: str | int | None = None,
         jobs: int | None = None,
         scheduler: str | Client | None = None,
-    ) -> Iterator[Blocks]:
+    ) -> Iterator[MapBlocks]:
         """As `MapFile.read_blocks`. MapError when a map changes meanwhile."""
         request = self._request(bounds, cell_m, layers, at)._replace(jobs=jobs)
         with runner(1, scheduler) as run:
@@ -254,7 +254,7 @@ class Farm(Closing):
         )
 
     @cached_property
-    def _usable(self) -> list[tuple[Block, Header, Bounds]]:
+    def _usable(self) -> list[tuple[FarmBlock, MapHeader, Bounds]]:
         """The maps that can be read and have seen anything; MapError when there is none."""
         found = [(b, b.header, b.bounds) for b in self.blocks if b.header and b.bounds]
         if not found:
@@ -263,7 +263,7 @@ class Farm(Closing):
         return found
 
     @cached_property
-    def _header(self) -> Header:
+    def _header(self) -> MapHeader:
         (first, header, _), *others = self._usable
         datum = self._given or header.datum
         for other, found, _ in others:
@@ -274,12 +274,12 @@ class Farm(Closing):
                     f"--datum-from {first.path}, or from Python with Farm(folder, datum=...)."
                 )
         lattice = max((found.lattice for _, found, _ in self._usable), key=lambda one: one.cell_m)
-        return Header(datum, lattice, header.transfer, stored_groups())
+        return MapHeader(datum, lattice, header.transfer, stored_groups())
 
     @cached_property
-    def _parts(self) -> tuple[Part, ...]:
+    def _parts(self) -> tuple[FarmPart, ...]:
         """The maps, each drive in one of them."""
-        parts: list[Part] = []
+        parts: list[FarmPart] = []
         names: set[str] = set()
         for block, header, bounds in self._usable:
             moved = None
@@ -298,10 +298,12 @@ class Farm(Closing):
                 if not any(self._is_twin(part, (block, moved), info) for part in parts):
                     own[free_name(info.name, block.name, {*names, *own})] = info.name
             names |= own.keys()
-            parts.append(Part(block, bounds, own, moved, self._header))
+            parts.append(FarmPart(block, bounds, own, moved, self._header))
         return tuple(parts)
 
-    def _is_twin(self, part: Part, other: tuple[Block, Redatum | None], info: SessionInfo) -> bool:
+    def _is_twin(
+        self, part: FarmPart, other: tuple[FarmBlock, Redatum | None], info: SessionInfo
+    ) -> bool:
         """Whether a part has the drive of another map, too; ConfigError when it lies elsewhere."""
         block, moved = other
         for own in part.block.sessions:
@@ -323,7 +325,7 @@ class Farm(Closing):
             return True
         return False
 
-    def _twin(self, block: Block, info: SessionInfo, moved: Redatum | None) -> Twin:
+    def _twin(self, block: FarmBlock, info: SessionInfo, moved: Redatum | None) -> Twin:
         with self._maps.reading(block) as opened:
             return twin_of(opened.universal, info, moved)
 
@@ -339,8 +341,8 @@ class Farm(Closing):
         return tuple(mark._replace(id=number) for number, mark in enumerate(found, 1))
 
     @cached_property
-    def _drives(self) -> Drives:
-        return Drives(self.path, self._maps, self._parts)
+    def _drives(self) -> FarmDrives:
+        return FarmDrives(self.path, self._maps, self._parts)
 
     @cached_property
     def _content(self) -> FarmContent:

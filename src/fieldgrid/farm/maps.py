@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 
 from fieldgrid.closing import Closing
 from fieldgrid.errors import MapError
-from fieldgrid.farm.catalogue import Block
+from fieldgrid.farm.catalogue import FarmBlock
 from fieldgrid.mapfile import MapFile, open_map
 from fieldgrid.mapfile.content import MapContent
 from fieldgrid.mapfile.sources import CellSource
@@ -71,7 +71,7 @@ class Maps(Closing):
         self._lock = threading.Lock()
 
     @contextmanager
-    def reading(self, block: Block) -> Iterator[OpenMap]:
+    def reading(self, block: FarmBlock) -> Iterator[OpenMap]:
         """A map, open. MapError when it is not the one that was listed."""
         with self._lock:
             opened = self._open.pop(block.path, None) or OpenMap(open_map(block.path))

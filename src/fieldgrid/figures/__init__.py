@@ -7,7 +7,7 @@ and no global state is involved.
 
 from fieldgrid.figures.alignment import alignment_scores
 from fieldgrid.figures.drives import (
-    Drive,
+    DrawnDrive,
     draw_heading,
     draw_trajectory,
     drives_of,
@@ -24,7 +24,7 @@ from fieldgrid.palette import UNSEEN
 __all__ = [
     "MOST_POINTS",
     "UNSEEN",
-    "Drive",
+    "DrawnDrive",
     "alignment_scores",
     "change",
     "draw_grid",

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from fieldgrid import palette
 from fieldgrid.errors import MapError
 from fieldgrid.figures.page import add_scale_bar, name_axes, new_figure
-from fieldgrid.mapfile import Driven, FrameRecord
+from fieldgrid.mapfile import DrivenMap, FrameRecord
 from fieldgrid.trajectory import Status, Trajectory
 
 MOST_HEADINGS = 8
@@ -21,7 +21,7 @@ MOST_HEADINGS = 8
 _MOST_NAMES = 8
 
 
-class Drive(NamedTuple):
+class DrawnDrive(NamedTuple):
     """A session as figures show it: its frames, its trajectory where one is kept, its colour."""
 
     name: str
@@ -30,7 +30,7 @@ class Drive(NamedTuple):
     colour: str = palette.SESSIONS[0]
 
 
-def drives_of(universal: Driven, names: Collection[str] | None = None) -> list[Drive]:
+def drives_of(universal: DrivenMap, names: Collection[str] | None = None) -> list[DrawnDrive]:
     """The active sessions of a map or a farm, or those named, in the order of its list."""
     found = []
     for number, info in enumerate(universal.sessions()):
@@ -40,21 +40,21 @@ def drives_of(universal: Driven, names: Collection[str] | None = None) -> list[D
             except MapError:
                 trajectory = None  # frames with poses were added without one
             frames = tuple(universal.frames(info.name))
-            found.append(Drive(info.name, frames, trajectory, palette.session_colour(number)))
+            found.append(DrawnDrive(info.name, frames, trajectory, palette.session_colour(number)))
     return found
 
 
-def trajectory(drives: Sequence[Drive]) -> Figure:
+def trajectory(drives: Sequence[DrawnDrive]) -> Figure:
     """The paths driven, with the positions of the local grids highlighted (Figs. 7a, 10a)."""
     figure = new_figure((8.0, 7.0))
     draw_trajectory(figure.add_subplot(), drives)
     return figure
 
 
-def heading(drives: Sequence[Drive]) -> Figure:
+def heading(drives: Sequence[DrawnDrive]) -> Figure:
     """Heading against time with its 3-sigma band, each session with an axis of time of its own
     (Figs. 7b, 10b, 12b)."""
-    shown = list(drives)[-MOST_HEADINGS:] or [Drive("")]
+    shown = list(drives)[-MOST_HEADINGS:] or [DrawnDrive("")]
     figure = new_figure((9.0, 1.2 + 2.8 * len(shown)))
     for axes, drive in zip(figure.subplots(len(shown), squeeze=False)[:, 0], shown, strict=True):
         draw_heading(axes, drive)
@@ -63,7 +63,7 @@ def heading(drives: Sequence[Drive]) -> Figure:
     return figure
 
 
-def draw_trajectory(axes: Axes, drives: Sequence[Drive]) -> None:
+def draw_trajectory(axes: Axes, drives: Sequence[DrawnDrive]) -> None:
     """Draw the paths and the positions of the local grids into axes."""
     for number, drive in enumerate(drives):
         used = [f.pose for f in drive.frames if f.accepted]
@@ -96,7 +96,7 @@ def draw_trajectory(axes: Axes, drives: Sequence[Drive]) -> None:
     add_scale_bar(axes, east_most - west)
 
 
-def draw_heading(axes: Axes, drive: Drive) -> None:
+def draw_heading(axes: Axes, drive: DrawnDrive) -> None:
     """Draw heading against time into axes, time from the first fix or frame of the session."""
     one = drive.trajectory
     starts = [frame.pose.time_ns for frame in drive.frames]

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch, Rectangle
 from fieldgrid import palette
 from fieldgrid.array_types import AnyArray, Bool, Float64
 from fieldgrid.changes import ChangedObject
-from fieldgrid.figures.drives import Drive
+from fieldgrid.figures.drives import DrawnDrive
 from fieldgrid.figures.found import draw_found
 from fieldgrid.figures.marks import draw_marks
 from fieldgrid.figures.page import add_scale_bar, is_wide, name_axes, new_figure, size_of
@@ -31,7 +31,7 @@ _MOST_NAMES = 8
 
 def universal_grid(
     view: MapView,
-    drives: Sequence[Drive] = (),
+    drives: Sequence[DrawnDrive] = (),
     *,
     layer: str = "density",
     route: Float64 | None = None,
@@ -59,7 +59,7 @@ def universal_grid(
 def draw_grid(
     axes: Axes,
     view: MapView,
-    drives: Sequence[Drive],
+    drives: Sequence[DrawnDrive],
     title: str,
     *,
     layer: str = "density",
@@ -135,7 +135,7 @@ def _add_bar(axes: Axes, image: Any, label: str, *, below: bool) -> None:
     bar.set_label(label)
 
 
-def _mark_frames(axes: Axes, drives: Sequence[Drive], view: MapView) -> None:
+def _mark_frames(axes: Axes, drives: Sequence[DrawnDrive], view: MapView) -> None:
     bounds = view.bounds
     for number, drive in enumerate(drives):
         inside = [

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 
 from fieldgrid.array_types import Float64
-from fieldgrid.figures.drives import Drive, draw_heading, draw_trajectory
+from fieldgrid.figures.drives import DrawnDrive, draw_heading, draw_trajectory
 from fieldgrid.figures.grid import draw_grid
 from fieldgrid.figures.page import new_figure
 from fieldgrid.mapfile import MapView
@@ -22,7 +22,7 @@ _WIDE = 1.6
 
 def sheet(
     view: MapView,
-    drives: Sequence[Drive],
+    drives: Sequence[DrawnDrive],
     *,
     layer: str = "density",
     route: Float64 | None = None,
@@ -32,7 +32,7 @@ def sheet(
     """The map beside or above the paths driven and the headings of the latest drives."""
     bounds = view.bounds
     share = (bounds.north_m - bounds.south_m) / (bounds.east_m - bounds.west_m)
-    shown = list(drives)[-_HEADINGS:] or [Drive("")]
+    shown = list(drives)[-_HEADINGS:] or [DrawnDrive("")]
     if share * _WIDE < 1.0:
         figure = new_figure((16.0, 14.0 * share + 2.0 + 5.5))
         rows = figure.add_gridspec(2, 1, height_ratios=(14.0 * share + 2.0, 5.5))

@@ -1,5 +1,5 @@
 """Forward or reverse, from the track."""
 
-from fieldgrid.gear.legs import Gears, Track, gears, turning_deg
+from fieldgrid.gear.legs import GearEvidence, Gears, gears, turning_deg
 
-__all__ = ["Gears", "Track", "gears", "turning_deg"]
+__all__ = ["GearEvidence", "Gears", "gears", "turning_deg"]

@@ -85,7 +85,7 @@ class Gears(NamedTuple):
     driven: Bool
 
 
-class Track(NamedTuple):
+class GearEvidence(NamedTuple):
     """What the gears are told from, n points in order of time.
 
     `points_m` [n, 2] is east, north at `time_s`. `gap_s` is for how long the drive was not seen
@@ -111,7 +111,7 @@ class _Join(NamedTuple):
     change: float
 
 
-def gears(track: Track) -> Gears:
+def gears(track: GearEvidence) -> Gears:
     """The gear at each point of a drive, and how sure it is."""
     n = len(track.points_m)
     if n == 0:
@@ -129,7 +129,7 @@ def gears(track: Track) -> Gears:
     )
 
 
-def _cut(track: Track) -> list[int]:
+def _cut(track: GearEvidence) -> list[int]:
     """Where legs begin: after each gap, and at each point where the path turns sharply."""
     points = track.points_m
     reach_m = max(REACH_M, REACH_SIGMAS * float(np.median(track.sigma_m)))
@@ -206,13 +206,13 @@ def _length_m(points: Float64) -> float:
     return float(np.hypot(*np.diff(points, axis=0).T).sum()) if len(points) > 1 else 0.0
 
 
-def _forward_nats(track: Track, start: int, stop: int) -> float:
+def _forward_nats(track: GearEvidence, start: int, stop: int) -> float:
     """Log odds that a leg was driven forward: its length, and what wheels or camera saw."""
     habit = min(_length_m(track.points_m[start:stop]) / REVERSE_M_PER_NAT, REVERSE_CAP_NATS)
     return habit + float(track.forward_nats[start + 1 : stop].sum())
 
 
-def _joins(track: Track, legs: list[tuple[int, int]]) -> list[_Join]:
+def _joins(track: GearEvidence, legs: list[tuple[int, int]]) -> list[_Join]:
     """Every way to go on from a leg: to the next, or past a few that may be mere wander."""
     joins = []
     skipping = [_skip_cost(track, a, b) for a, b in legs]
@@ -229,7 +229,7 @@ def _joins(track: Track, legs: list[tuple[int, int]]) -> list[_Join]:
     return joins
 
 
-def _skip_cost(track: Track, start: int, stop: int) -> float:
+def _skip_cost(track: GearEvidence, start: int, stop: int) -> float:
     """What it costs, in nats, to say that a vehicle did not drive this leg but stood there."""
     points = track.points_m[start:stop]
     wander_m = max(WANDER_M, WANDER_SIGMAS * float(track.sigma_m[start]))
@@ -237,7 +237,7 @@ def _skip_cost(track: Track, start: int, stop: int) -> float:
 
 
 def _turn_costs(
-    track: Track, one: tuple[int, int], two: tuple[int, int], seen: TurningSeen
+    track: GearEvidence, one: tuple[int, int], two: tuple[int, int], seen: TurningSeen
 ) -> tuple[float, float]:
     """What it costs, in nats, to go from one leg to another in the same gear, and in the other."""
     gap_s = track.gap_s[two[0]]
@@ -293,7 +293,7 @@ class TurningSeen(NamedTuple):
     radius_m: float
 
 
-def turning_seen(track: Track) -> TurningSeen:
+def turning_seen(track: GearEvidence) -> TurningSeen:
     """The fastest and the tightest of the turns of a path, but for the few that noise makes."""
     points, part = track.points_m, np.cumsum(track.gap_s > 0.0)
     turn = turning_deg(points, part, TANGENT_REACH_M)

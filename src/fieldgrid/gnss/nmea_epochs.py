@@ -44,7 +44,7 @@ class Epoch:
 
 
 @dataclass(slots=True)
-class Counts:
+class SentenceCounts:
     """What was found in intact sentences; :class:`fieldgrid.gnss.NmeaLog` says what is what."""
 
     unreadable: int = 0
@@ -61,7 +61,7 @@ class EpochLog:
     """
 
     def __init__(self, late_epochs: int, max_undated: int) -> None:
-        self.counts = Counts()
+        self.counts = SentenceCounts()
         self.calendar = Calendar(max_undated)
         self.current: Epoch | None = None
         self._late_epochs = late_epochs

@@ -33,7 +33,7 @@ class Seam(NamedTuple):
     reason: str
 
 
-class Gap(NamedTuple):
+class FixGap(NamedTuple):
     """A stretch without an accepted fix: from which one, and how long."""
 
     time_ns: int
@@ -55,7 +55,7 @@ class ConditioningSummary(NamedTuple):
     rejected: tuple[ReasonCount, ...]
     seams: tuple[Seam, ...]
     quality: tuple[tuple[Quality, int], ...]
-    gaps: tuple[Gap, ...]
+    gaps: tuple[FixGap, ...]
     rate_hz: float
     quantum_m: float
     short_term_sigma_m: float
@@ -89,7 +89,7 @@ def summarise(fixes: FixColumns, verdicts: Verdicts) -> ConditioningSummary:
         seams=tuple(Seam(*_place(fixes, k), verdicts.reason[k]) for k in seams),
         quality=tuple(zip(map(Quality, codes.tolist()), counts.tolist(), strict=True)),
         gaps=tuple(
-            Gap(*_place(used, k), float(steps_ns[k]) / 1e9)
+            FixGap(*_place(used, k), float(steps_ns[k]) / 1e9)
             for k in np.flatnonzero(steps_ns > MAX_GAP_NS).tolist()
         ),
         rate_hz=1e9 / float(np.median(steps_ns)) if steps_ns.size else 0.0,

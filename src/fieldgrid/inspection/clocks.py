@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from fieldgrid.build.poses import MISPLACED_M, clock_remedy, usual_speed_mps
 from fieldgrid.build.shifts import explanation
-from fieldgrid.choices import Doubt
+from fieldgrid.choices import StopCode
 from fieldgrid.inspection.findings import Finding, error, info, warning
 from fieldgrid.pose import ClockOffset
 from fieldgrid.pose.clock_search import WIDEST_S
@@ -35,7 +35,7 @@ def clock_findings(
     tell = error if wrong else warning
     remedy = clock_remedy(recording, clock)
     yield tell(
-        Doubt.CLOCK_OFFSET.value,
+        StopCode.CLOCK_OFFSET.value,
         f"The images are stamped {-clock.offset_s:+.3f} ± {clock.sigma_s:.3f} s against the fixes, "
         f"by {clock.steps} steps of the camera{f' ({why})' if why else ''}; at {speed_mps:.1f} m/s "
         f"that is {far_m:.2f} m.",

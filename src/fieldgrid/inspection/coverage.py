@@ -26,7 +26,7 @@ HOLE_SHARE = 0.05
 """More of the steps between frames than this that are too long are worth a word."""
 
 
-class Coverage(NamedTuple):
+class ExpectedMap(NamedTuple):
     """The expected map. `area_m2` is that of the grids of frames with a pose, as far as points
     enter; `spacing_m` the median way between such frames; `grid_m` how far along the way one grid
     reaches, from where the ground comes into view; `holes_share` the share of steps longer than
@@ -55,7 +55,7 @@ def coverage(
     spec: GridSpec,
     reach_m: float,
     disparity_sigma_px: float,
-) -> Coverage | None:
+) -> ExpectedMap | None:
     """What grids of frames at these times, offset included, would cover; None without a pose."""
     poses = [trajectory.at(time_ns) for time_ns in images_ns.tolist()]
     used = [pose for pose in poses if pose.status is Status.OK]
@@ -73,7 +73,7 @@ def coverage(
     if isinstance(rig.sensor, StereoCamera):
         range_m = float(rig.sensor.range_sigma_m(reach_m, disparity_sigma_px))
     off_m = math.hypot(position_m, heading_m, range_m or 0.0)
-    return Coverage(
+    return ExpectedMap(
         frames=len(used),
         area_m2=_area_m2(east_m, north_m, nose, spec.width_m, near_m, reach_m),
         spacing_m=float(np.median(ways_m)) if len(ways_m) else None,
@@ -96,7 +96,7 @@ def nearest_m(rig: Rig) -> float:
     return rig.mount.height_m / math.tan(down) if 0.0 < down < math.pi / 2.0 else 0.0
 
 
-def coverage_findings(found: Coverage | None, cell_m: float, asked: bool) -> Iterator[Finding]:
+def coverage_findings(found: ExpectedMap | None, cell_m: float, asked: bool) -> Iterator[Finding]:
     """Holes between grids, and cells finer than the data; `asked` says whether somebody chose
     the cell."""
     if found is None:

@@ -31,7 +31,7 @@ from fieldgrid.build.poses import (
     imu_notes,
 )
 from fieldgrid.build.report import SessionReport
-from fieldgrid.choices import Doubt
+from fieldgrid.choices import StopCode
 from fieldgrid.inspection.clocks import clock_findings, clock_unknown
 from fieldgrid.inspection.coverage import coverage, coverage_findings
 from fieldgrid.inspection.findings import Finding, error, warning
@@ -43,7 +43,7 @@ from fieldgrid.inspection.fixes import (
     sync_findings,
     synchronisation,
 )
-from fieldgrid.inspection.frame_pass import Seen, Tell, look_at
+from fieldgrid.inspection.frame_pass import FramePass, Tell, look_at
 from fieldgrid.inspection.images import (
     image_findings,
     misalignment_findings,
@@ -134,7 +134,7 @@ def _looked(
     found: Inspection,
     findings: list[Finding],
     tell: Tell | None,
-) -> tuple[Seen, Inspection]:
+) -> tuple[FramePass, Inspection]:
     """The one pass over the frames, and what it says of images and cameras."""
     every = sample_every(recording.frame_count)
     times_ns, heading_deg = np.zeros(0, dtype=np.int64), np.zeros(0)
@@ -169,7 +169,7 @@ def _looked(
 
 
 def _camera_findings(
-    recording: Recording, gridder: LocalGridder, seen: Seen, every: int
+    recording: Recording, gridder: LocalGridder, seen: FramePass, every: int
 ) -> Iterator[Finding]:
     """What a build would refuse these cameras for, were all frames like those looked at."""
     ground = sum(one.refined for one in seen.grounds)
@@ -204,7 +204,7 @@ def _with_poses(
     settings: BuildSettings,
     gridder: LocalGridder,
     fixes_alone: Estimate,
-    seen: Seen,
+    seen: FramePass,
     found: Inspection,
     findings: list[Finding],
 ) -> Inspection:
@@ -228,7 +228,7 @@ def _with_poses(
         if doubted is not None:
             findings.append(refusal(doubted.error, doubted.doubt.value))
         notes = scale_notes(by_way, recording.rig)
-        findings += [_as_warning(Doubt.SCALE.value, note) for note in notes]
+        findings += [_as_warning(StopCode.SCALE.value, note) for note in notes]
     if with_camera is not None and mirrored is None:
         _told_by_camera(recording, with_camera, findings)
     if clock is not None and off:
@@ -304,15 +304,15 @@ def _told_by_camera(recording: Recording, estimate: Estimate, findings: list[Fin
     for doubted in stopping:
         if doubted is not None:
             findings.append(refusal(doubted.error, doubted.doubt.value))
-    findings += [warning(Doubt.IMU_TURNED.value, note) for note in imu_notes(estimate)]
+    findings += [warning(StopCode.IMU_TURNED.value, note) for note in imu_notes(estimate)]
     yaw = estimate.report.camera_yaw
     if yaw is not None and stopping[-1] is None:
-        code = Doubt.CAMERA_YAW.value if yaw.moved is None else "camera-moved"
+        code = StopCode.CAMERA_YAW.value if yaw.moved is None else "camera-moved"
         findings += [warning(code, note) for note in yaw_notes(yaw)]
 
 
 def _with_mount(
-    recording: Recording, seen: Seen, found: Inspection, findings: list[Finding]
+    recording: Recording, seen: FramePass, found: Inspection, findings: list[Finding]
 ) -> Inspection:
     ground = ground_seen(seen.grounds, recording.rig.mount)
     findings += mount_findings(ground, recording.rig.mount, found.scale)

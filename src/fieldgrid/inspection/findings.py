@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Any, NamedTuple
 
-from fieldgrid.choices import Doubt
+from fieldgrid.choices import StopCode
 
 
 class Severity(StrEnum):
@@ -34,13 +34,13 @@ class Finding(NamedTuple):
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        can_accept = self.severity is Severity.ERROR and self.code in list(Doubt)
+        can_accept = self.severity is Severity.ERROR and self.code in list(StopCode)
         return {**self._asdict(), "severity": self.severity.value, "acceptable": can_accept}
 
 
 def error(code: str, message: str, remedy: str = "") -> Finding:
     """What stops a build."""
-    otherwise = f" To build nevertheless, give --accept {code}." if code in list(Doubt) else ""
+    otherwise = f" To build nevertheless, give --accept {code}." if code in list(StopCode) else ""
     return Finding(Severity.ERROR, code, message, f"{remedy}{otherwise}".strip())
 
 

@@ -40,7 +40,7 @@ class Sync(NamedTuple):
     without_share: float
 
 
-class Stretch(NamedTuple):
+class FixStretch(NamedTuple):
     """A part of the drive: seconds since its first fix, its fixes, and how good they are."""
 
     start_s: float
@@ -59,7 +59,7 @@ class FixSummary(NamedTuple):
     hdop: float | None
     age_s: float | None
     sigma_m: float | None
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[FixStretch, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -190,7 +190,7 @@ def rejections(images_ns: Int64, trajectory: Trajectory) -> Counter[str]:
     return Counter(pose.reason for pose in poses if pose.status is not Status.OK)
 
 
-def _stretches(fixes: FixColumns, accepted: Bool) -> tuple[Stretch, ...]:
+def _stretches(fixes: FixColumns, accepted: Bool) -> tuple[FixStretch, ...]:
     if not len(fixes):
         return ()
     times_s = (fixes.time_ns - fixes.time_ns[0]) / 1e9
@@ -201,7 +201,7 @@ def _stretches(fixes: FixColumns, accepted: Bool) -> tuple[Stretch, ...]:
         own = fixes[part == k]
         commonest = Counter(own.quality.tolist()).most_common(1)
         found.append(
-            Stretch(
+            FixStretch(
                 start_s=k * length_s,
                 fixes=len(own),
                 accepted_share=float(accepted[part == k].mean()) if len(own) else None,

@@ -33,7 +33,7 @@ class Unread(NamedTuple):
     misfit: bool
 
 
-class Seen(NamedTuple):
+class FramePass(NamedTuple):
     """What the pass brought. `looks` are of pairs; `grounds` and `observed_shares` of every frame
     that was looked at closely, whatever its kind. `steps` are those of the stretches, out of
     `tried` pairs of neighbours; `followed` frames were looked at for them."""
@@ -61,7 +61,7 @@ def look_at(
     every: int,
     runs: Sequence[range],
     tell: Tell | None = None,
-) -> Seen:
+) -> FramePass:
     """Look at every `every`-th frame closely, and at the frames of `runs` for their motion.
 
     A frame that cannot be read is put down, and the others are looked at.
@@ -77,7 +77,7 @@ def _pairs(
     every: int,
     runs: Sequence[range],
     tell: Tell | None,
-) -> Seen:
+) -> FramePass:
     run_of = {index: k for k, run in enumerate(runs) for index in run}
     close = set(range(0, recording.frame_count, every))
     wanted = sorted(run_of.keys() | close)
@@ -108,7 +108,7 @@ def _pairs(
                 motions[run_of[wanted[done]]].add(found.time_ns + offset_ns, found.features)
                 followed += 1
     steps = _joined([motion.steps() for motion in motions]) if motions else None
-    return Seen(
+    return FramePass(
         looks=tuple(looks),
         grounds=tuple(look.ground for look in looks),
         observed_shares=tuple(look.observed_share for look in looks),
@@ -143,7 +143,7 @@ def _look(frame: Frame, left: Image, right: Image, points: int, gridder: LocalGr
     )
 
 
-def _others(recording: Recording, gridder: LocalGridder, every: int) -> Seen:
+def _others(recording: Recording, gridder: LocalGridder, every: int) -> FramePass:
     """Depth images and clouds: only their grids are made."""
     grounds: list[FrameGround] = []
     observed: list[float] = []
@@ -160,7 +160,7 @@ def _others(recording: Recording, gridder: LocalGridder, every: int) -> Seen:
             continue
         grounds.append(seen.ground)
         observed.append(float(seen.grid.observed.mean()))
-    return Seen((), tuple(grounds), tuple(observed), tuple(unread), None, 0, 0)
+    return FramePass((), tuple(grounds), tuple(observed), tuple(unread), None, 0, 0)
 
 
 def _joined(parts: Sequence[Steps]) -> Steps:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from fieldgrid.choices import Doubt
+from fieldgrid.choices import StopCode
 from fieldgrid.inspection.findings import Finding, error, warning
 from fieldgrid.inspection.frame_pass import Unread
 from fieldgrid.inspection.measures import Look
@@ -120,7 +120,9 @@ def misalignment_findings(found: Misalignment | None) -> Iterator[Finding]:
     remedy = "Calibrate the pair again, or give the rectification of these images."
     if found.residual_px > SHIFT_ERROR_PX:
         yield error(
-            Doubt.VERTICAL_MISALIGNMENT.value, f"{told}; stereo matching needs equal rows.", remedy
+            StopCode.VERTICAL_MISALIGNMENT.value,
+            f"{told}; stereo matching needs equal rows.",
+            remedy,
         )
     elif found.residual_px > SHIFT_WARN_PX:
         yield warning("vertical-misalignment", f"{told}: the calibration has drifted.", remedy)

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from fieldgrid.build.camera_scale import CameraScale
-from fieldgrid.inspection.coverage import Coverage
+from fieldgrid.inspection.coverage import ExpectedMap
 from fieldgrid.inspection.findings import Finding, Severity
 from fieldgrid.inspection.fixes import FixSummary, Sync
 from fieldgrid.inspection.measures import Look
@@ -51,7 +51,7 @@ class Inspection:
     misalignment: Misalignment | None = None
     ground: GroundSeen | None = None
     scale: CameraScale | None = None
-    coverage: Coverage | None = None
+    coverage: ExpectedMap | None = None
     trajectory: Trajectory | None = None
 
     @property

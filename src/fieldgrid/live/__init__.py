@@ -15,19 +15,18 @@ from fieldgrid.live.receiver import Receiver, ReceiverStream
 from fieldgrid.live.replay import replay
 from fieldgrid.live.results import (
     Counts,
-    Doubt,
     LiveEvent,
     LiveGrid,
     LivePose,
     LiveResult,
     LiveWindow,
     What,
+    WindowDoubt,
 )
 
 __all__ = [
     "Counts",
     "DatagramFeed",
-    "Doubt",
     "Feed",
     "ImageFolder",
     "Live",
@@ -44,6 +43,7 @@ __all__ = [
     "Sources",
     "StereoDevices",
     "What",
+    "WindowDoubt",
     "discard_session",
     "finish_from",
     "finish_session",

@@ -14,8 +14,8 @@ import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.live.sensor_rows import Rows
-from fieldgrid.odometry import Step
-from fieldgrid.sweep import LONGEST_S, Way
+from fieldgrid.odometry import CameraStep
+from fieldgrid.sweep import LONGEST_S, OriginTrack
 from fieldgrid.trajectory import Trajectory
 
 KEPT_S = 15.0
@@ -139,13 +139,13 @@ class DeadReckoning:
         with self._lock:
             self._known = _Known(int(time_ns[-1]), speed_mps, bias_rad_s)
 
-    def around(self, time_ns: int) -> Way | None:
+    def around(self, time_ns: int) -> OriginTrack | None:
         """The way around an instant, as far as a sweep may reach; None where nothing tells how
         the vehicle goes then."""
         half_ns = round(LONGEST_S * 1e9)
         return self._way(time_ns, time_ns, half_ns)
 
-    def step(self, from_ns: int, to_ns: int) -> Step | None:
+    def step(self, from_ns: int, to_ns: int) -> CameraStep | None:
         """The motion from one instant to a later one; None where that is long or nothing tells
         it."""
         took_s = (to_ns - from_ns) / 1e9
@@ -159,7 +159,7 @@ class DeadReckoning:
         along_m = ACCELERATION_MPS2 * math.sqrt(took_s**3 / 3.0)
         if by_wheels:
             along_m = WHEEL_SHARE * gone_m
-        return Step(
+        return CameraStep(
             *(forward_m, right_m, math.degrees(float(way.heading_rad[-1]))),
             math.hypot(along_m, SLIDE_M * math.sqrt(gone_m)),
             TURN_DEG * math.sqrt(took_s),
@@ -167,7 +167,7 @@ class DeadReckoning:
             0,
         )
 
-    def _way(self, from_ns: int, to_ns: int, beyond_ns: int) -> Way | None:
+    def _way(self, from_ns: int, to_ns: int, beyond_ns: int) -> OriginTrack | None:
         """The way from one instant to another and so far beyond both, which begins at 0, 0 with
         the heading 0."""
         with self._lock:
@@ -188,7 +188,7 @@ class DeadReckoning:
         sin, cos = np.sin(heading_rad), np.cos(heading_rad)
         east_m = _summed(speed_mps * sin + across_mps * cos, ticks)
         north_m = _summed(speed_mps * cos - across_mps * sin, ticks)
-        return Way(ticks, east_m, north_m, heading_rad)
+        return OriginTrack(ticks, east_m, north_m, heading_rad)
 
 
 def _ticks(from_ns: int, to_ns: int) -> Int64:

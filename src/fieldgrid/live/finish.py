@@ -22,14 +22,14 @@ from fieldgrid.build.poses import attitude_of_grids, check_images
 from fieldgrid.build.session import NewSession, check_names
 from fieldgrid.errors import ConfigError, FieldgridError, MapExistsError
 from fieldgrid.live.gridding_again import gridded_again
-from fieldgrid.live.kept_drive import About
+from fieldgrid.live.kept_drive import SessionStart
 from fieldgrid.live.kept_points import LOST
 from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.mapfile import Patience, StageFile, create_map, open_map
 from fieldgrid.recording import DriveOptions, Recording, open_drive
 from fieldgrid.settings import BuildSettings, Overrides
 from fieldgrid.settings.declare import first_problem
-from fieldgrid.sweep import Way
+from fieldgrid.sweep import OriginTrack
 from fieldgrid.transfer import check_cell_sizes
 
 NOT_LEVELLED = (
@@ -42,7 +42,7 @@ AT_THE_END = frozenset({"pose", "checks"})
 """Tables of settings that may be others at the end: grids do not depend on them."""
 
 
-def check_target(out: Path, about: About) -> None:
+def check_target(out: Path, about: SessionStart) -> None:
     """Raise before the drive what the map would refuse at its end."""
     check_output(out, append=about.append, overwrite=False)
     if not about.append:
@@ -210,7 +210,7 @@ def _placed(
     datum = datum or trajectory.datum
     chosen = settings.map
     with StageFile.temporary(out) as file:
-        final = gridded_again(kept, file, attitude, Way.of(trajectory), progress)
+        final = gridded_again(kept, file, attitude, OriginTrack.of(trajectory), progress)
         session.report.notes += final.notes
         if kept.points.is_lost and not final.notes:
             session.report.notes += (LOST,)

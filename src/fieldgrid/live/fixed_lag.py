@@ -18,8 +18,8 @@ from fieldgrid.live.given import GIVEN_ROWS, given_motion
 from fieldgrid.live.sensor_rows import Rows, motion_of
 from fieldgrid.live.stamps import FIXES, FRAMES
 from fieldgrid.motion import Motion
-from fieldgrid.odometry import Refusal, Step, steps_of
-from fieldgrid.pose import Budget, Estimate, estimate_poses, tells_attitude
+from fieldgrid.odometry import CameraStep, Refusal, steps_of
+from fieldgrid.pose import ErrorBudget, Estimate, estimate_poses, tells_attitude
 from fieldgrid.recording.pose_source import PoseBody
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings, PoseSettings
@@ -44,7 +44,7 @@ class Asked(NamedTuple):
     datum: Datum | None
     settings: PoseSettings
     motion: Motion
-    budget: Budget
+    budget: ErrorBudget
     frame_ns: Int64
     known_ns: int
     """The time of the newest fix; where none is needed, of the newest pose that was given."""
@@ -94,7 +94,7 @@ class FixedLagSmoother:
         self._kept_ns = round(kept_s * 1e9)
         self._fixes: deque[Fix] = deque()
         self._parts: dict[str, deque[Rows]] = {}
-        self._frames: deque[tuple[int, Step | None]] = deque()
+        self._frames: deque[tuple[int, CameraStep | None]] = deque()
         self._last_fix_ns: int | None = None
         self.newest_ns = 0
 
@@ -110,7 +110,7 @@ class FixedLagSmoother:
             self._parts.setdefault(part, deque()).append(rows)
             self._seen(int(rows.time_ns.max()))
 
-    def add_frame(self, time_ns: int, step: Step | None) -> None:
+    def add_frame(self, time_ns: int, step: CameraStep | None) -> None:
         """A frame, in order of time, and the camera's step to it from the one before."""
         self._frames.append((time_ns, step))
         self._seen(time_ns)
@@ -202,7 +202,7 @@ class FixedLagSmoother:
             return motion._replace(poses=given.poses, tilt=motion.tilt or given.tilt)
         frames = [frame for frame in self._frames if frame[0] >= since_ns]
         steps = [step or Refusal.NOT_COMPARED for _, step in frames[1:]]
-        if any(isinstance(step, Step) for step in steps):
+        if any(isinstance(step, CameraStep) for step in steps):
             motion = motion._replace(steps=steps_of([time_ns for time_ns, _ in frames], steps))
         return motion
 

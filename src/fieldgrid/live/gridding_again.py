@@ -21,7 +21,7 @@ from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import StagedFrame, StageFile, stage
 from fieldgrid.odometry import Refusal
 from fieldgrid.rotations import Tilt
-from fieldgrid.sweep import Way
+from fieldgrid.sweep import OriginTrack
 
 NO_POINTS = "its points were not kept, and how the vehicle leaned was not known while driving"
 
@@ -47,7 +47,7 @@ def gridded_again(
     kept: SessionFolder,
     file: StageFile,
     attitude: Attitude | None,
-    way: Way,
+    way: OriginTrack,
     progress: Callable[[Progress], None] | None = None,
 ) -> GriddedAgain:
     """The frames of a session with grids that are level by the `attitude`, perpendicular to the
@@ -95,7 +95,7 @@ def gridded_again(
 
 
 def _again(
-    was: StagedFrame, seen: Seen, gridder: LocalGridder, tilt: Tilt | None, way: Way
+    was: StagedFrame, seen: Seen, gridder: LocalGridder, tilt: Tilt | None, way: OriginTrack
 ) -> StagedFrame:
     if isinstance(seen, CodedDepth):
         grid, ground = gridder.from_coded(seen, tilt)

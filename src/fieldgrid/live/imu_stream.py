@@ -21,7 +21,7 @@ from fieldgrid.recording.bag.transforms import Transforms
 from fieldgrid.recording.motion_files import (
     AXES,
     R_VEHICLE_FLU,
-    Series,
+    MotionSeries,
     directions,
     gravity_unit_mps2,
     inertial_of,
@@ -138,7 +138,7 @@ class ImuStream:
         R_vehicle_imu = R_VEHICLE_FLU @ R_flu_imu
         turned = np.hstack([sensed[:, part] @ R_vehicle_imu.T for part in _PARTS])
         remarks: list[str] = []
-        found = inertial_of(Series(times_ns, turned), remarks)
+        found = inertial_of(MotionSeries(times_ns, turned), remarks)
         self.notes += [f"has an IMU: {remark}" for remark in remarks]
         unit_mps2 = None
         if found is not None and np.isfinite(found.force_mps2).any():

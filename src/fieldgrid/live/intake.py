@@ -44,7 +44,7 @@ class SourceEndedError(Exception):
     """A source has come to its end; nothing more will come from it."""
 
 
-class Source(Protocol):
+class InputSource(Protocol):
     """Where fixes or frames come from."""
 
     @property
@@ -63,7 +63,12 @@ class Intake:
     """What one source has of the session: where to push, and what to tell."""
 
     def __init__(
-        self, live: Live, source: Source, clocks: _Clocks, pauses: Pauses, stop: threading.Event
+        self,
+        live: Live,
+        source: InputSource,
+        clocks: _Clocks,
+        pauses: Pauses,
+        stop: threading.Event,
     ) -> None:
         self.pauses, self.stop = pauses, stop
         self.has_ended = False
@@ -137,7 +142,9 @@ class Sources(Closing):
     """Sources that push into a session until they are closed, which is to be done before the
     session ends. None of them stops the mapping or another."""
 
-    def __init__(self, live: Live, sources: Sequence[Source], pauses: Pauses | None = None) -> None:
+    def __init__(
+        self, live: Live, sources: Sequence[InputSource], pauses: Pauses | None = None
+    ) -> None:
         self._stop, self._ended = threading.Event(), threading.Event()
         clocks = _Clocks(live.rig.image_time_offset_ns / 1e9)
         self._intakes = [

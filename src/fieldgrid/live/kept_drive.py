@@ -16,7 +16,7 @@ from fieldgrid.errors import MapError
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.live.journal import read_journal
-from fieldgrid.live.points_file import Place, points_end
+from fieldgrid.live.points_file import RecordSpan, points_end
 from fieldgrid.live.sensor_rows import Rows, fix_from_json, rows_from_json
 from fieldgrid.mapfile import StageEntry
 from fieldgrid.recording.pose_source import PoseBody
@@ -28,7 +28,7 @@ JOURNAL, GRIDS, POINTS = "journal", "frames.grids", "frames.points"
 
 
 @dataclass(frozen=True, slots=True)
-class About:
+class SessionStart:
     """What a session was begun with."""
 
     name: str
@@ -59,7 +59,7 @@ class About:
             "poses": None if self.poses is None else list(astuple(self.poses)),
         }
 
-    def goes_on(self, earlier: About) -> bool:
+    def goes_on(self, earlier: SessionStart) -> bool:
         """Whether this is the same session again; what is checked at its end may differ."""
         ours, theirs = self.to_json(), earlier.to_json()
         for one in (ours, theirs):
@@ -67,7 +67,7 @@ class About:
         return ours == theirs
 
     @classmethod
-    def from_json(cls, value: dict[str, Any]) -> About:
+    def from_json(cls, value: dict[str, Any]) -> SessionStart:
         """The same again."""
         return cls(
             value["name"],
@@ -102,7 +102,7 @@ class KeptFrame(NamedTuple):
 
     number: int
     found: Found
-    points: Place | None = None
+    points: RecordSpan | None = None
     is_level: bool = False
     is_timed: bool = False
 
@@ -112,10 +112,10 @@ class KeptFrame(NamedTuple):
 
 
 @dataclass(slots=True)
-class Drive:
+class PushedDrive:
     """What was pushed, as it is read back."""
 
-    about: About
+    about: SessionStart
     fixes: list[Fix] = field(default_factory=list)
     parts: dict[str, list[Rows]] = field(default_factory=dict)
     frames: list[KeptFrame] = field(default_factory=list)
@@ -132,15 +132,15 @@ def live_folder(out: Path) -> Path:
     return place.with_name(f"{place.name}.live")
 
 
-def read_drive(folder: Path, entries: Sequence[StageEntry]) -> Drive | None:
+def read_drive(folder: Path, entries: Sequence[StageEntry]) -> PushedDrive | None:
     """What a journal holds, with the frames that the stage file has as well, and the file of points
     if their points were kept; None without a beginning: then nothing was pushed."""
-    drive: Drive | None = None
+    drive: PushedDrive | None = None
     end = points_end(folder / POINTS)
     try:
         for kind, value in read_journal(folder / JOURNAL):
             if kind == "begin":
-                drive = drive or Drive(About.from_json(value))
+                drive = drive or PushedDrive(SessionStart.from_json(value))
             elif drive is not None:
                 _take(drive, kind, value, entries)
         if drive is not None and end is not None:
@@ -156,7 +156,7 @@ def read_drive(folder: Path, entries: Sequence[StageEntry]) -> Drive | None:
     return drive
 
 
-def _take(drive: Drive, kind: str, value: Any, entries: Sequence[StageEntry]) -> None:
+def _take(drive: PushedDrive, kind: str, value: Any, entries: Sequence[StageEntry]) -> None:
     if kind == "fix":
         drive.fixes.append(fix_from_json(value))
     elif kind == "rows":
@@ -168,7 +168,7 @@ def _take(drive: Drive, kind: str, value: Any, entries: Sequence[StageEntry]) ->
         _cut(drive, number)
         if number < len(entries) and entries[number].frame_id == frame_id:
             points, *flags = rest or (None,)
-            place = None if points is None else Place(*points)
+            place = None if points is None else RecordSpan(*points)
             drive.frames.append(KeptFrame(number, found_from_json(found), place, *flags))
             drive.times.add(StageTimes(*times))
     elif kind == "cut":
@@ -180,7 +180,7 @@ def _take(drive: Drive, kind: str, value: Any, entries: Sequence[StageEntry]) ->
         drive.dropped += 1
 
 
-def _cut(drive: Drive, number: int) -> None:
+def _cut(drive: PushedDrive, number: int) -> None:
     """Frames from this number on do not count any more."""
     while drive.frames and drive.frames[-1].number >= number:
         drive.frames.pop()

@@ -16,7 +16,7 @@ import numpy as np
 from fieldgrid.closing import Closing
 from fieldgrid.live.given import GIVEN_ROWS
 from fieldgrid.live.kept_drive import POINTS, KeptFrame
-from fieldgrid.live.points_file import Place, PointsFile, Seen, packed, points_end
+from fieldgrid.live.points_file import PointsFile, RecordSpan, Seen, packed, points_end
 from fieldgrid.live.sensor_rows import Rows
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.sweep import Sweep
@@ -112,7 +112,7 @@ class KeptPoints(Closing):
                 self._warning = f"Points of a frame cannot be kept: {error!r}"
             return None
 
-    def add(self, record: bytes | None, time_ns: int) -> Place | None:
+    def add(self, record: bytes | None, time_ns: int) -> RecordSpan | None:
         """Keep the points of the next frame; where they are, None where they are not kept. When
         there is no more room for them, those of all later frames are not."""
         with self._lock:
@@ -135,13 +135,13 @@ class KeptPoints(Closing):
             except OSError as error:
                 return self._filled(f"{self._path} could not be written ({error.strerror})")
 
-    def take_back(self, at: Place | None) -> None:
+    def take_back(self, at: RecordSpan | None) -> None:
         """Give the room of the points added last back: their frame is not kept."""
         with self._lock:
             if at is not None and self._file is not None:
                 self._file.take_back(at)
 
-    def _filled(self, why: str) -> Place | None:
+    def _filled(self, why: str) -> RecordSpan | None:
         """Keep no more points: there is no place for them."""
         self._is_full, self._warning = True, f"{why}, {_NO_ROOM}"
         return None
@@ -161,11 +161,11 @@ class KeptPoints(Closing):
             warning, self._warning = self._warning, ""
         return warning
 
-    def read(self, at: Place | None, gridder: LocalGridder) -> Seen | None:
+    def read(self, at: RecordSpan | None, gridder: LocalGridder) -> Seen | None:
         """The points of a frame that are there; None where they were not kept or are damaged."""
         return None if at is None or self._file is None else self._file.read(at, gridder)
 
-    def has(self, at: Place | None) -> bool:
+    def has(self, at: RecordSpan | None) -> bool:
         """Whether the points of a frame are there and whole."""
         return at is not None and self._file is not None and self._file.has(at)
 

@@ -20,7 +20,7 @@ from fieldgrid.gnss import NmeaStream
 from fieldgrid.live.finish import check_target, finish
 from fieldgrid.live.fixed_lag import GIVEN_KEPT_S
 from fieldgrid.live.given import GIVEN_ROWS, check_body, check_order, pose_rows
-from fieldgrid.live.kept_drive import About
+from fieldgrid.live.kept_drive import SessionStart
 from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiver import Perceiver
 from fieldgrid.live.poser import Poser
@@ -77,7 +77,7 @@ class Live(Closing):
         on_result: Callable[[LiveResult], None] | None = None,
     ) -> None:
         settings, options = settings or BuildSettings(), options or LiveOptions()
-        about = About(
+        about = SessionStart(
             *(name, rig, settings, datum, datum_hint, append, source, source_sha256, notes),
             None if poses is None else check_body(poses),
         )

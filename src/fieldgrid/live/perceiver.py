@@ -24,9 +24,9 @@ from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.live.stamps import Stamps
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import StagedFrame
-from fieldgrid.odometry import Features, Step, step
+from fieldgrid.odometry import CameraStep, Features, step
 from fieldgrid.recording import CloudFrame, Frame, StereoFrame
-from fieldgrid.sweep import Sweep, Way
+from fieldgrid.sweep import OriginTrack, Sweep
 
 WORKERS = 2
 """Frames that are perceived at a time: one thread does not keep up with 10 Hz beside the poses."""
@@ -36,7 +36,7 @@ MOST_HELD = 20
 """Frames that are stamped ahead of all else; of more the oldest are left out."""
 
 
-class Seen(NamedTuple):
+class PerceivedFrame(NamedTuple):
     """A frame that was perceived, its grid guarded against drops. `step` is the camera's to it from
     the last one that `is_kept`; `is_level` is whether the grid's columns are vertical."""
 
@@ -44,7 +44,7 @@ class Seen(NamedTuple):
     time_ns: int
     grid: LocalGrid
     ground_found: bool
-    step: Step | None
+    step: CameraStep | None
     is_kept: bool
     pushed_s: float
     images_sha256: tuple[str, ...] = ()
@@ -87,8 +87,8 @@ class Perceiver:
         stamps: Stamps,
         most_waiting: int,
         tell: Callable[[LiveResult], None],
-        pass_on: Callable[[Seen], None],
-        way: Callable[[int], Way | None],
+        pass_on: Callable[[PerceivedFrame], None],
+        way: Callable[[int], OriginTrack | None],
         tilt: TellTilt,
     ) -> None:
         self._kept, self._gridder, self._odometry = kept, gridder, odometry
@@ -313,10 +313,10 @@ class Perceiver:
         self._disk_full = not is_kept
         if warning := kept.points.take_warning():
             self._tell(LiveEvent(What.DISK, warning, time_ns))
-        one_step = found if isinstance(found, Step) else None
+        one_step = found if isinstance(found, CameraStep) else None
         guarded = seen.grid.guarded(seen.ground.drops_cm)
         self._pass_on(
-            Seen(
+            PerceivedFrame(
                 *(frame.frame_id, time_ns, guarded, seen.ground.refined, one_step, is_kept),
                 *(waiting.pushed_s, seen.sources_sha256, is_level),
             )

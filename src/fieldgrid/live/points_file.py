@@ -23,7 +23,7 @@ from fieldgrid.closing import Closing
 from fieldgrid.depth import CodedDepth
 from fieldgrid.documents import parse_json
 from fieldgrid.errors import MapError
-from fieldgrid.limits import Budget
+from fieldgrid.limits import UnfoldBudget
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.sweep import Sweep
 
@@ -41,7 +41,7 @@ CARRIED_M = 10.0
 """How far a point is moved at most by the motion within a sweep."""
 
 
-class Place(NamedTuple):
+class RecordSpan(NamedTuple):
     """Where a record is in the file, bytes."""
 
     start: int
@@ -66,7 +66,7 @@ class PointsFile(Closing):
             self.close()
             raise
 
-    def append(self, record: bytes) -> Place:
+    def append(self, record: bytes) -> RecordSpan:
         """Write what `packed` made behind the others. OSError on a full disk: then nothing was
         added."""
         assert self._file is not None, "the file of points is closed"
@@ -80,9 +80,9 @@ class PointsFile(Closing):
                 os.ftruncate(self._file, start)  # other files need the room
             raise
         self.size += len(record)
-        return Place(start, len(record))
+        return RecordSpan(start, len(record))
 
-    def take_back(self, place: Place) -> None:
+    def take_back(self, place: RecordSpan) -> None:
         """Give the room of the last record back."""
         assert self._file is not None, "the file of points is closed"
         if place.start + place.size == self.size:
@@ -90,7 +90,7 @@ class PointsFile(Closing):
                 os.ftruncate(self._file, place.start)
                 self.size = place.start
 
-    def read(self, place: Place, gridder: LocalGridder) -> Seen | None:
+    def read(self, place: RecordSpan, gridder: LocalGridder) -> Seen | None:
         """The points of the record there; None where it is cut off or damaged."""
         parts = self._parts(place)
         if parts is None:
@@ -100,11 +100,11 @@ class PointsFile(Closing):
         except (ValueError, TypeError, AttributeError, IndexError, OverflowError, zlib.error):
             return None  # its sum fits, but it is no record of this program
 
-    def has(self, place: Place) -> bool:
+    def has(self, place: RecordSpan) -> bool:
         """Whether the record there is whole."""
         return self._parts(place) is not None
 
-    def _parts(self, place: Place) -> tuple[bytes, bytes] | None:
+    def _parts(self, place: RecordSpan) -> tuple[bytes, bytes] | None:
         assert self._file is not None, "the file of points is closed"
         record = os.pread(self._file, place.size, place.start)
         if len(record) < max(place.size, _RECORD.size):
@@ -166,7 +166,7 @@ def _unpacked(header: bytes, data: bytes, gridder: LocalGridder) -> Seen:
     if any(length < 0 for _, shape, _ in kinds for length in shape):
         raise ValueError("a length is below 0")
     counts = [math.prod(shape) * _dtype(dtype).itemsize for dtype, shape, _ in kinds]
-    Budget("a record of points", len(data)).spend(sum(counts))
+    UnfoldBudget("a record of points", len(data)).spend(sum(counts))
     raw, arrays = zlib.decompressobj().decompress(data, sum(counts) + 1), list[AnyArray]()
     if len(raw) != sum(counts):
         raise ValueError("it unfolds to another size than it says")

@@ -28,14 +28,14 @@ from fieldgrid.live.dead_reckoning import DeadReckoning
 from fieldgrid.live.estimator import Estimated, Estimator, estimated
 from fieldgrid.live.fixed_lag import Asked, FixedLagSmoother, last_known_ns, pose_at, unknown_pose
 from fieldgrid.live.options import LiveOptions
-from fieldgrid.live.perceiver import Seen
+from fieldgrid.live.perceiver import PerceivedFrame
 from fieldgrid.live.propagation import PropagatedPose, pose_now
 from fieldgrid.live.repeats import Repeats
-from fieldgrid.live.results import Doubt, LiveEvent, LivePose, LiveResult, LiveWindow, What
+from fieldgrid.live.results import LiveEvent, LivePose, LiveResult, LiveWindow, What, WindowDoubt
 from fieldgrid.live.running_tilt import RunningTilt, square_to_ground
 from fieldgrid.live.sensor_rows import Rows
 from fieldgrid.live.stamps import Judged, Stamps
-from fieldgrid.live.window import MOVES_M, Placed, RollingWindow
+from fieldgrid.live.window import MOVES_M, PlacedGrid, RollingWindow
 from fieldgrid.pose import Estimate
 from fieldgrid.recording.pose_source import PoseBody
 from fieldgrid.rig import Rig
@@ -56,14 +56,14 @@ MOST_INBOX = 100_000
 SAID_AGAIN_S = 5.0
 
 
-_Said = Fix | Seen | Estimated | tuple[str, Rows]
+_Said = Fix | PerceivedFrame | Estimated | tuple[str, Rows]
 
 
 class _Frames(NamedTuple):
     """Frames whose pose is good enough: for good, and such as may still move."""
 
-    settled: list[Placed]
-    moving: list[Placed]
+    settled: list[PlacedGrid]
+    moving: list[PlacedGrid]
 
 
 class Poser:
@@ -108,11 +108,11 @@ class Poser:
         self._shown_s = -math.inf
         self._is_asked = self._is_shown = True
         self._is_newest_in = False
-        self._waiting: list[Seen] = []
+        self._waiting: list[PerceivedFrame] = []
         self._repeats = Repeats(lambda text: self._say(What.INPUT, text))
         self._told: set[int] = set()
         self._refused_ns: dict[Gate, int] = {}
-        self._newest: Seen | None = None
+        self._newest: PerceivedFrame | None = None
         self._doubt: str | None = None
         self._pose: Pose | None = None
         self._gear = 0
@@ -130,7 +130,7 @@ class Poser:
             if judged.why:
                 self._tell(LiveEvent(What.FIX_REFUSED, judged.why, said.time_ns))
                 return
-        elif not isinstance(said, Seen | Estimated):
+        elif not isinstance(said, PerceivedFrame | Estimated):
             part, rows = said
             taken, judged = self.stamps.rows(part, rows)
             if judged.is_first:
@@ -148,7 +148,7 @@ class Poser:
             self._inbox.append(said)
             if not isinstance(said, Estimated):
                 self._heard_s = time.monotonic()
-            if isinstance(said, Seen | Estimated):
+            if isinstance(said, PerceivedFrame | Estimated):
                 self._has_frame = True
                 self._changed.notify()
 
@@ -185,7 +185,7 @@ class Poser:
             self._ask(estimated)
         is_due = time.monotonic() - self._shown_s >= EVERY_S
         is_due &= not self._is_shown or still_s > SILENT_S
-        is_due |= any(isinstance(one, Seen) for one in said)
+        is_due |= any(isinstance(one, PerceivedFrame) for one in said)
         is_due |= not self._is_newest_in and any(isinstance(one, Estimated) for one in said)
         if closed or is_due:
             self._tell_all(still_s)
@@ -215,7 +215,7 @@ class Poser:
             self._trailing.add_fix(said)
         elif isinstance(said, Judged):
             self._trailing.forget(said.lost, said.back_ns)
-        elif isinstance(said, Seen):
+        elif isinstance(said, PerceivedFrame):
             seen = self._newest = self._repeats.taken(said)
             if seen.is_kept:
                 self._trailing.add_frame(seen.time_ns, seen.step)
@@ -258,21 +258,21 @@ class Poser:
 
     def _tell_all(self, still_s: float) -> None:
         """Place what was seen, and tell; nothing was pushed for so long."""
-        doubt, code = self._why, Doubt.NO_FIXES
+        doubt, code = self._why, WindowDoubt.NO_FIXES
         placed = self._placed(doubt)
         if self._estimate is not None:
             track, newest_ns = self._estimate.trajectory, self._trailing.newest_ns
             self._pose, self._gear, doubt = pose_now(track, self._latest, newest_ns)
-            code = Doubt.POSE if doubt else Doubt.NONE
+            code = WindowDoubt.POSE if doubt else WindowDoubt.NONE
             self._window.follow(self._pose)
         if self._newest is not None and not doubt:
             new_ns = min(self._newest.time_ns, self._repeats.new_ns)
             silent_s = (self._trailing.newest_ns - new_ns) / 1e9
             if silent_s > SILENT_S:
                 what = "frame" if new_ns == self._newest.time_ns else "new image"
-                doubt, code = f"no {what} for {silent_s:.1f} s", Doubt.NO_FRAMES
+                doubt, code = f"no {what} for {silent_s:.1f} s", WindowDoubt.NO_FRAMES
         if still_s > SILENT_S and not doubt:
-            doubt, code = f"nothing was pushed for {still_s:.0f} s", Doubt.SILENT
+            doubt, code = f"nothing was pushed for {still_s:.0f} s", WindowDoubt.SILENT
         self._window.settle(placed.settled)
         if self._trailing.datum is not None:
             self._show(self._trailing.datum, placed.moving, doubt, code)
@@ -283,7 +283,7 @@ class Poser:
 
     def _placed(self, doubt: str) -> _Frames:
         """Tell the poses of the frames that wait, and what becomes of their grids."""
-        still: list[Seen] = []
+        still: list[PerceivedFrame] = []
         found = _Frames([], [])
         # It is the estimate that must have fixes after a frame, and the frame's own step.
         # Nor is a frame given up before an estimate was made of what came while it waited.
@@ -310,7 +310,7 @@ class Poser:
                 if self._attitude is not None and not seen.is_level:
                     tilt = self._attitude.tilt_at(seen.time_ns)
                     pose = square_to_ground(pose, tilt, self._rig.mount.height_m)
-                frame = Placed(seen.grid, pose, seen.time_ns, sigma_m)
+                frame = PlacedGrid(seen.grid, pose, seen.time_ns, sigma_m)
                 (found.settled if is_settled else found.moving).append(frame)
             if is_settled:
                 self._told.discard(seen.time_ns)
@@ -320,7 +320,9 @@ class Poser:
         self._waiting, self._latest = still, before
         return found
 
-    def _pose_of(self, seen: Seen, before: PropagatedPose | None, doubt: str) -> PropagatedPose:
+    def _pose_of(
+        self, seen: PerceivedFrame, before: PropagatedPose | None, doubt: str
+    ) -> PropagatedPose:
         """The pose of a frame by the latest estimate; where it is newer than that, by the camera's
         step from the frame before, or by gyro and wheels from the end of the estimate."""
         if self._estimate is None:
@@ -339,7 +341,7 @@ class Poser:
         good = (one for one in carried if one.is_good(self._settings, self._budget))
         return next(good, found)
 
-    def _show(self, datum: Datum, moving: list[Placed], doubt: str, code: Doubt) -> None:
+    def _show(self, datum: Datum, moving: list[PlacedGrid], doubt: str, code: WindowDoubt) -> None:
         newest, now_ns = self._newest, self._trailing.newest_ns
         view, age_s, sigma_m = self._window.view(moving, datum, now_ns)
         inflation = self._options.inflation

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.live.fixed_lag import pose_at
-from fieldgrid.odometry import Step
-from fieldgrid.pose import Budget
+from fieldgrid.odometry import CameraStep
+from fieldgrid.pose import ErrorBudget
 from fieldgrid.settings import PoseSettings
 from fieldgrid.trajectory import Pose, Status, Trajectory
 
@@ -40,7 +40,7 @@ class PropagatedPose(NamedTuple):
     added_m: float = 0.0
     added_deg: float = 0.0
 
-    def on(self, time_ns: int, step: Step) -> PropagatedPose:
+    def on(self, time_ns: int, step: CameraStep) -> PropagatedPose:
         """The pose after a step of the camera."""
         pose, took_s = self.pose, (time_ns - self.pose.time_ns) / 1e9
         phi = math.radians(pose.heading_deg)
@@ -67,7 +67,7 @@ class PropagatedPose(NamedTuple):
             math.hypot(self.added_deg, step.sigma_deg),
         )
 
-    def is_good(self, settings: PoseSettings, budget: Budget) -> bool:
+    def is_good(self, settings: PoseSettings, budget: ErrorBudget) -> bool:
         """Whether it is still good enough for the window, as the pose was that it began with."""
         off_m = math.hypot(self.added_m, budget.reach_m * math.radians(self.added_deg))
         return (

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from fieldgrid.build.stuck import REPEATED, StuckCamera
-from fieldgrid.live.perceiver import Seen
+from fieldgrid.live.perceiver import PerceivedFrame
 from fieldgrid.trajectory import Pose, Status
 
 
@@ -34,7 +34,7 @@ class Repeats:
         self.new_ns = 0
         """The time of the newest frame whose image is of where the vehicle was then."""
 
-    def taken(self, seen: Seen) -> Seen:
+    def taken(self, seen: PerceivedFrame) -> PerceivedFrame:
         """The next frame as it comes, without the camera's step where that cannot be the vehicle's:
         no camera that shows an image again tells how it went, nor how far it came since."""
         is_again = self._taken.camera.repeats(seen.images_sha256)
@@ -47,7 +47,7 @@ class Repeats:
         """Judge the frames that wait anew, from the first of them on."""
         self._now = self._settled
 
-    def judged(self, seen: Seen, pose: Pose, *, is_settled: bool) -> Pose:
+    def judged(self, seen: PerceivedFrame, pose: Pose, *, is_settled: bool) -> Pose:
         """The next frame's pose, rejected where an image of it is that of an earlier place."""
         before, time_ns = self._now, seen.time_ns
         is_again = before.camera.repeats(seen.images_sha256)

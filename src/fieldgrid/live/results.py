@@ -37,7 +37,7 @@ class What(StrEnum):
     CLIENT = "client"
 
 
-class Doubt(IntEnum):
+class WindowDoubt(IntEnum):
     """Why the window is not to be trusted; `NONE` where it is."""
 
     NONE = 0
@@ -142,7 +142,7 @@ class LiveWindow:
     frames: int
     frame_id: str
     latency_s: float | None
-    doubt_code: Doubt
+    doubt_code: WindowDoubt
     gear: int
     fixes: FixColumns
     used: Bool

@@ -30,9 +30,9 @@ from fieldgrid.live.kept_drive import (
     GRIDS,
     JOURNAL,
     POINTS,
-    About,
-    Drive,
     KeptFrame,
+    PushedDrive,
+    SessionStart,
     live_folder,
     read_drive,
 )
@@ -55,7 +55,7 @@ of frames that follow faster, since a pair takes as much as a third of a frame."
 class SessionFolder(Closing):
     """The folder of an open session, locked against other processes."""
 
-    def __init__(self, out: Path, about: About | None, points_gb: float = POINTS_GB) -> None:
+    def __init__(self, out: Path, about: SessionStart | None, points_gb: float = POINTS_GB) -> None:
         """Open what is there, or begin with `about`; ConfigError where that is of another drive,
         or where nothing is there to go on with. Points take at most `points_gb`."""
         self.out, self.folder = out, live_folder(out)
@@ -96,7 +96,7 @@ class SessionFolder(Closing):
             raise
         self.is_resumed = bool(self.drive.fixes or self.drive.frames or self.drive.parts)
 
-    def _begun(self, about: About | None) -> Drive:
+    def _begun(self, about: SessionStart | None) -> PushedDrive:
         drive = read_drive(self.folder, self.stage.entries)
         if drive is None:
             if about is None:
@@ -104,7 +104,7 @@ class SessionFolder(Closing):
             self.journal.append("begin", about.to_json())
             self.stage.sync()
             self.journal.sync()
-            return Drive(about)
+            return PushedDrive(about)
         if about is not None and not about.goes_on(drive.about):
             raise ConfigError(
                 f"{self.folder} holds the session {drive.about.name!r}, which was ended before it "
@@ -200,7 +200,7 @@ class SessionFolder(Closing):
             return False
         return True
 
-    def read(self) -> Drive:
+    def read(self) -> PushedDrive:
         """What was pushed so far."""
         self.stage.recall()
         return read_drive(self.folder, self.stage.entries) or self.drive
@@ -252,7 +252,7 @@ class SessionFolder(Closing):
 
     def forget(self) -> None:
         """Hold no more in memory than what the session was begun with, however long it lasts."""
-        self.drive = Drive(self.drive.about)
+        self.drive = PushedDrive(self.drive.about)
         self.stage.forget()
 
     def remove(self) -> None:

@@ -14,8 +14,8 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.grids import LocalGrid
 from fieldgrid.live.fixed_lag import FixedLagSmoother
 from fieldgrid.live.sensor_rows import rows_of
-from fieldgrid.live.window import Placed, RollingWindow
-from fieldgrid.odometry import Step
+from fieldgrid.live.window import PlacedGrid, RollingWindow
+from fieldgrid.odometry import CameraStep
 from fieldgrid.quality import Quality
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings
@@ -38,7 +38,7 @@ def warm_up_poses(rig: Rig, settings: BuildSettings) -> None:
         trailing.add_fix(Fix(time_ns, *place, Quality.RTK_FIXED, 12, sigma_m=0.02))
         trailing.add_rows("gyro", rows_of("gyro", time_ns, 0.0))
         way = (_SPEED_MPS / _RATE_HZ, 0.0, 0.0, 0.01, 0.05, 0.0, 0.0, 0.0, 0.1)
-        trailing.add_frame(time_ns, Step(*way, 100))
+        trailing.add_frame(time_ns, CameraStep(*way, 100))
     with suppress(FieldgridError):  # what asks for more than this drive tells, such as a heading
         trailing.estimate(trailing.newest_ns)
     pose = Pose(trailing.newest_ns, 0.0, 0.0, 0.0, 0.0, 0.1, 0.5, _SPEED_MPS)
@@ -46,5 +46,5 @@ def warm_up_poses(rig: Rig, settings: BuildSettings) -> None:
     seen = LocalGrid(spec, np.zeros(spec.shape, np.uint8), np.ones(spec.shape, np.bool_))
     transfer = settings.map.transfer or Transfer.CENTRE
     window = RollingWindow(settings.universal_cell_m, transfer, 4.0, spec.reach_m)
-    view, *_ = window.view([Placed(seen, pose, pose.time_ns, 0.1)], _DATUM, pose.time_ns)
+    view, *_ = window.view([PlacedGrid(seen, pose, pose.time_ns, 0.1)], _DATUM, pose.time_ns)
     Costmap.from_view(view)

@@ -21,7 +21,7 @@ MOVES_M = 1.0
 """The window moves when the vehicle is farther than this from its middle."""
 
 
-class Placed(NamedTuple):
+class PlacedGrid(NamedTuple):
     """A local grid at its pose; `sigma_m` is how far off its far end may be."""
 
     grid: LocalGrid
@@ -59,7 +59,7 @@ class RollingWindow:
         self._side = round(max(side_m, 2.0 * (reach_m + 2.0 * MOVES_M)) / cell_m)
         self._window = Window(-self._side // 2, -self._side // 2, self._side, self._side)
         self._cells = _Cells.empty(self._window)
-        self._moving: tuple[list[Placed], _Cells] = [], self._cells
+        self._moving: tuple[list[PlacedGrid], _Cells] = [], self._cells
         self.frames = 0
         """Frames that were placed for good."""
 
@@ -83,7 +83,7 @@ class RollingWindow:
             self._cells.sigma_m[to] = kept.sigma_m[from_]
         self._moving = [], self._cells
 
-    def settle(self, frames: Iterable[Placed]) -> None:
+    def settle(self, frames: Iterable[PlacedGrid]) -> None:
         """Place frames for good."""
         before = self.frames
         for frame in frames:
@@ -92,7 +92,7 @@ class RollingWindow:
         if self.frames != before:
             self._moving = [], self._cells
 
-    def place(self, frames: Sequence[Placed]) -> None:
+    def place(self, frames: Sequence[PlacedGrid]) -> None:
         """Place frames that are not settled yet, in place of those of before. Those that are where
         they were cost nothing, if others only follow them."""
         placed, cells = self._moving
@@ -106,7 +106,7 @@ class RollingWindow:
         self._moving = list(frames), cells
 
     def view(
-        self, frames: Sequence[Placed], datum: Datum, now_ns: int
+        self, frames: Sequence[PlacedGrid], datum: Datum, now_ns: int
     ) -> tuple[MapView, Float32, Float32]:
         """What is known with further frames that are not settled yet; the age of each cell in
         seconds at `now_ns`, and its sigma in metres, NaN where nothing was seen."""
@@ -118,7 +118,7 @@ class RollingWindow:
         view = MapView(self.lattice, self._window, density, observed, datum, is_base=True)
         return view, age_s, cells.sigma_m
 
-    def _add(self, cells: _Cells, frame: Placed) -> None:
+    def _add(self, cells: _Cells, frame: PlacedGrid) -> None:
         reached = footprint(frame.grid.spec, frame.pose, self.lattice).intersect(self._window)
         if reached is None:
             return
@@ -131,5 +131,5 @@ class RollingWindow:
         cells.sigma_m[place][newer] = frame.sigma_m
 
 
-def _differs(one: Placed, other: Placed) -> bool:
+def _differs(one: PlacedGrid, other: PlacedGrid) -> bool:
     return one.grid is not other.grid or one[1:] != other[1:]

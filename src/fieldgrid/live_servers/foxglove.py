@@ -57,7 +57,7 @@ _DATA_OP = 1
 _PATIENCE_S = 10.0
 
 
-class Channel(NamedTuple):
+class FoxgloveTopic(NamedTuple):
     """A topic, the name of its schema, and whether more than its newest message counts."""
 
     topic: str
@@ -67,13 +67,13 @@ class Channel(NamedTuple):
 
 GRID, COSTMAP, POSE, PATH, FIX, TRANSFORM, LOG = range(7)
 CHANNELS = (
-    Channel("/grid", "Grid"),
-    Channel("/costmap", "Grid"),
-    Channel("/pose", "PoseInFrame"),
-    Channel("/path", "PosesInFrame"),
-    Channel("/fix", "LocationFix", keeps_all=True),
-    Channel("/tf", "FrameTransform"),
-    Channel("/log", "Log", keeps_all=True),
+    FoxgloveTopic("/grid", "Grid"),
+    FoxgloveTopic("/costmap", "Grid"),
+    FoxgloveTopic("/pose", "PoseInFrame"),
+    FoxgloveTopic("/path", "PosesInFrame"),
+    FoxgloveTopic("/fix", "LocationFix", keeps_all=True),
+    FoxgloveTopic("/tf", "FrameTransform"),
+    FoxgloveTopic("/log", "Log", keeps_all=True),
 )
 
 

@@ -25,7 +25,7 @@ AGE_UNIT_S, SIGMA_UNIT_M = 0.25, 0.01
 MOST_UNITS, NEVER = 254, 255
 
 
-class Step(NamedTuple):
+class PathStep(NamedTuple):
     """A settled pose of the path, metres, and its gear; `is_good` as far as it is in the map."""
 
     east_m: float
@@ -45,7 +45,7 @@ class LiveState:
         self.session, self._on_change = session, on_change
         self._lock = threading.Lock()
         self._window: LiveWindow | None = None
-        self._path: deque[Step] = deque(maxlen=MOST_PATH)
+        self._path: deque[PathStep] = deque(maxlen=MOST_PATH)
         self._events: deque[tuple[int, LiveEvent]] = deque(maxlen=MOST_EVENTS)
         self._walked = self._said = 0
         self._drawn: tuple[LiveWindow, dict[str, Any]] | None = None
@@ -59,7 +59,7 @@ class LiveState:
                 pose = result.pose
                 if result.is_settled and np.isfinite(pose.east_m):
                     is_good = pose.status is not Status.REJECTED
-                    self._path.append(Step(pose.east_m, pose.north_m, result.gear, is_good))
+                    self._path.append(PathStep(pose.east_m, pose.north_m, result.gear, is_good))
                     self._walked += 1
                 return
             if isinstance(result, LiveWindow):
@@ -98,7 +98,7 @@ class LiveState:
         return drawn[1]
 
 
-def _last(steps: deque[Step], count: int) -> list[Step]:
+def _last(steps: deque[PathStep], count: int) -> list[PathStep]:
     return list(steps)[max(len(steps) - count, 0) :] if count > 0 else []
 
 

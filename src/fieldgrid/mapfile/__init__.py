@@ -18,7 +18,7 @@ block ends. One process adds a session at a time, any number read meanwhile.
 """
 
 from fieldgrid.layers import LAYERS
-from fieldgrid.mapfile.blocks import Blocks
+from fieldgrid.mapfile.blocks import MapBlocks
 from fieldgrid.mapfile.change import MEANING, Change, ChangeView
 from fieldgrid.mapfile.database import Patience
 from fieldgrid.mapfile.dataset import cf_dataset, masked
@@ -29,7 +29,7 @@ from fieldgrid.mapfile.merge import Merged, merge_maps
 from fieldgrid.mapfile.metadata import SessionMetadata
 from fieldgrid.mapfile.overviews import OverviewBlock
 from fieldgrid.mapfile.provenance import Contribution, Provenance
-from fieldgrid.mapfile.readable import Driven, Readable
+from fieldgrid.mapfile.readable import DrivenMap, Readable
 from fieldgrid.mapfile.records import FrameRecord, SessionInfo
 from fieldgrid.mapfile.session import Session
 from fieldgrid.mapfile.staging import (
@@ -50,13 +50,13 @@ __all__ = [
     "DROP_LAYERS",
     "LAYERS",
     "MEANING",
-    "Blocks",
     "Change",
     "ChangeView",
     "Contribution",
-    "Driven",
+    "DrivenMap",
     "FrameRecord",
     "HealthReport",
+    "MapBlocks",
     "MapFile",
     "MapView",
     "Mark",

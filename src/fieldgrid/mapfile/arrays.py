@@ -30,7 +30,7 @@ _KINDS = "biufcSUmM"
 """Kinds of NumPy values that are no objects and have no fields."""
 
 
-class Kind(StrEnum):
+class ArrayKind(StrEnum):
     """What an array of a session is for."""
 
     TRAJECTORY = "trajectory"
@@ -48,12 +48,12 @@ class ArrayRow(NamedTuple):
     data: bytes
 
 
-def array_rows(kind: Kind, arrays: Mapping[str, Array]) -> list[ArrayRow]:
+def array_rows(kind: ArrayKind, arrays: Mapping[str, Array]) -> list[ArrayRow]:
     """The rows of named arrays; ConfigError for one that cannot be stored."""
     return [row for name, array in sorted(arrays.items()) for row in _rows(kind, name, array)]
 
 
-def _rows(kind: Kind, name: str, array: Array) -> Iterator[ArrayRow]:
+def _rows(kind: ArrayKind, name: str, array: Array) -> Iterator[ArrayRow]:
     values = np.asarray(array)
     if values.dtype.kind not in _KINDS or values.dtype.names:
         raise ConfigError(
@@ -73,7 +73,9 @@ def _rows(kind: Kind, name: str, array: Array) -> Iterator[ArrayRow]:
         )
 
 
-def read_arrays(connection: sqlite3.Connection, session_id: int, kind: Kind) -> dict[str, Array]:
+def read_arrays(
+    connection: sqlite3.Connection, session_id: int, kind: ArrayKind
+) -> dict[str, Array]:
     """All arrays of one kind that a session has, in the order of their names."""
     rows = connection.execute(
         "SELECT kind, name, part, dtype, shape, data FROM fieldgrid_array "

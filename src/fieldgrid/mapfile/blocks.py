@@ -26,7 +26,7 @@ _MOST = 8
 _ROWS, _COLUMNS = 4 * TILE_CELLS, 32 * TILE_CELLS
 
 
-class Blocks(NamedTuple):
+class MapBlocks(NamedTuple):
     """The cells that were asked for, and the views that cover those that were observed.
 
     The views come from the north to the south, and from the west to the east; each begins and
@@ -61,7 +61,7 @@ def _arrived(content: Content, request: Request) -> _BlockReader:
     return _BlockReader(content, request._replace(jobs=1))
 
 
-def blocks_of(content: Content, request: Request, run: Runner = ONE_BY_ONE) -> Blocks:
+def blocks_of(content: Content, request: Request, run: Runner = ONE_BY_ONE) -> MapBlocks:
     """The view that is asked for in blocks; ConfigError when it has too many cells.
 
     Threads of this process work on one block after the other, those of the request; a cluster
@@ -74,7 +74,7 @@ def blocks_of(content: Content, request: Request, run: Runner = ONE_BY_ONE) -> B
             f"over {MAX_CELLS / 1e9:.0f} thousand million; give smaller bounds or a larger cell."
         )
     views = run.in_order(_BlockReader(content, request), windows(window), most=_MOST)
-    return Blocks(request.lattice, window, (view for view in views if view is not None))
+    return MapBlocks(request.lattice, window, (view for view in views if view is not None))
 
 
 def windows(whole: Window) -> Iterator[Window]:

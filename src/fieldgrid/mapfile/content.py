@@ -18,8 +18,8 @@ from fieldgrid.layers.blocks import whole_blocks
 from fieldgrid.layers.window import with_overviews
 from fieldgrid.mapfile.base_cells import Multiple, enlarged, follows_from_touched
 from fieldgrid.mapfile.change import ChangeView, latest_states, outcome, unseen
-from fieldgrid.mapfile.evidence import Evidence
-from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.evidence import EvidenceTables
+from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.mapfile.history import during, until
 from fieldgrid.mapfile.marks import Mark, read_marks
 from fieldgrid.mapfile.png import decode_png
@@ -46,7 +46,7 @@ class MapContent:
     """The content of one map, as `evidence` and `header` have it. Pickled it is where the map
     lies; where it arrives, that is opened again, for reading."""
 
-    def __init__(self, evidence: Evidence, header: Header) -> None:
+    def __init__(self, evidence: EvidenceTables, header: MapHeader) -> None:
         self.evidence = evidence
         self.header = header
 
@@ -165,10 +165,10 @@ class MapContent:
         return TileTables(self.evidence.connection, TileMatrixSet(self.header.lattice), stored)
 
 
-def _arrived(there: SharedMap, path: Path, header: Header, known: tuple[str, ...]) -> MapContent:
+def _arrived(there: SharedMap, path: Path, header: MapHeader, known: tuple[str, ...]) -> MapContent:
     """The content on a worker. ClusterError when it has another map, or none, or cannot read it."""
     check_known(known)
-    return MapContent(Evidence(opened(there), path), header)
+    return MapContent(EvidenceTables(opened(there), path), header)
 
 
 def read_change(
@@ -218,14 +218,14 @@ def read_change(
     return ChangeView(request.lattice, request.window, change, header.datum, *names)
 
 
-def _stored(header: Header, request: Request, groups: tuple[ChannelGroup, ...]) -> bool:
+def _stored(header: MapHeader, request: Request, groups: tuple[ChannelGroup, ...]) -> bool:
     """Whether tiles hold what is asked for, by the rule that is asked for."""
     by_own_rule = request.transfer is header.transfer and request.frame_filter is None
     wanted = {group.name for group in groups if not group.derived}
     return by_own_rule and wanted <= set(header.groups)
 
 
-def sessions_at(evidence: Evidence, at: str | int, path: Path) -> tuple[str, ...]:
+def sessions_at(evidence: EvidenceTables, at: str | int, path: Path) -> tuple[str, ...]:
     """The active sessions as of a moment, or of `FROM..TO`; ConfigError when there are none."""
     found = tuple(info.name for info in during(at, evidence.sessions(), path))
     if not found:
@@ -236,7 +236,7 @@ def sessions_at(evidence: Evidence, at: str | int, path: Path) -> tuple[str, ...
     return found
 
 
-def extent_of(evidence: Evidence, header: Header) -> Bounds:
+def extent_of(evidence: EvidenceTables, header: MapHeader) -> Bounds:
     """The observed cells' outer edges; MapError when there are none."""
     return header.lattice.bounds(evidence.data_window())
 

@@ -18,9 +18,9 @@ from fieldgrid.layers import Cells, ChannelGroup
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.evidence import frames_of
 from fieldgrid.mapfile.features import hide_session, show_session
-from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.mapfile.metadata import SessionMetadata, find
-from fieldgrid.mapfile.placing import PlacedFrame, SessionTiles, Squares, encoded_of_session
+from fieldgrid.mapfile.placing import PlacedFrame, SessionTiles, TileSquares, encoded_of_session
 from fieldgrid.mapfile.pyramid import Pyramid
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.schema import NOW_SQL
@@ -30,7 +30,7 @@ from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import TileMatrixSet
 
 
-def tables_of(connection: sqlite3.Connection, header: Header, path: Path) -> TileTables:
+def tables_of(connection: sqlite3.Connection, header: MapHeader, path: Path) -> TileTables:
     """The tile tables of a map that is to be changed."""
     matrices = TileMatrixSet(header.lattice)
     return TileTables(connection, matrices, header.writable_groups(path))
@@ -38,7 +38,7 @@ def tables_of(connection: sqlite3.Connection, header: Header, path: Path) -> Til
 
 def show(
     connection: sqlite3.Connection,
-    header: Header,
+    header: MapHeader,
     session_id: int,
     metadata: SessionMetadata,
     tiles: SessionTiles,
@@ -66,7 +66,7 @@ def show_features(
 
 
 def hide(
-    connection: sqlite3.Connection, header: Header, session_id: int, name: str, path: Path
+    connection: sqlite3.Connection, header: MapHeader, session_id: int, name: str, path: Path
 ) -> None:
     """Take a session out of the map, within the caller's transaction; its evidence stays."""
     hide_session(connection, session_id, name)
@@ -74,14 +74,14 @@ def hide(
     touch(connection)
 
 
-def settle(connection: sqlite3.Connection, header: Header, path: Path) -> None:
+def settle(connection: sqlite3.Connection, header: MapHeader, path: Path) -> None:
     """Fill in the tiles that commits have left for later, within the caller's transaction."""
     Pyramid(connection, tables_of(connection, header, path)).settle()
 
 
 def fold_evidence(
     connection: sqlite3.Connection,
-    header: Header,
+    header: MapHeader,
     session_id: int,
     path: Path,
     jobs: int | None = None,
@@ -112,10 +112,10 @@ class SessionFold:
         return tile, encoded_of_session(self._groups, cells)
 
 
-def squares_of(subject: Subject, session_id: int, groups: Sequence[ChannelGroup]) -> Squares:
+def squares_of(subject: Subject, session_id: int, groups: Sequence[ChannelGroup]) -> TileSquares:
     """The stored frames of a session, to be folded square by square."""
     frames = placed_frames(frames_of(subject.connection, session_id))
-    return Squares(frames, subject.header.lattice, subject.header.transfer, groups)
+    return TileSquares(frames, subject.header.lattice, subject.header.transfer, groups)
 
 
 def placed_frames(records: list[FrameRecord]) -> list[PlacedFrame]:
@@ -158,7 +158,7 @@ def rebuild(subject: Subject) -> None:
 
 
 def add_groups(
-    connection: sqlite3.Connection, path: Path, header: Header, names: Collection[str]
+    connection: sqlite3.Connection, path: Path, header: MapHeader, names: Collection[str]
 ) -> None:
     """Add channel groups to the tiles of a map that are up to date but for them, within the
     caller's transaction; those above the base are left for `settle`.

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.mapfile.arrays import Array, Kind
+from fieldgrid.mapfile.arrays import Array, ArrayKind
 
 
 def frame_digest(values: Iterable[Any]) -> str:
@@ -24,12 +24,12 @@ def frame_digest(values: Iterable[Any]) -> str:
 
 def session_digest(
     values: Iterable[Any],
-    arrays: Mapping[Kind, Mapping[str, Array]],
+    arrays: Mapping[ArrayKind, Mapping[str, Array]],
     frames: Iterable[str],
 ) -> str:
     """Of a session: its own columns, its arrays, and the digests of its frames, sorted."""
     hashed = hashlib.sha256(as_json(list(values)))
-    for kind in Kind:
+    for kind in ArrayKind:
         for name, array in sorted(arrays.get(kind, {}).items()):
             value = np.asarray(array)
             value = value.astype(value.dtype.newbyteorder("<"), copy=False)

@@ -13,7 +13,7 @@ from typing import Any
 from fieldgrid.errors import ConfigError, FieldgridError, MapError, quoted
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, TileIndex, Window
-from fieldgrid.mapfile.arrays import Array, Kind, read_arrays, trajectory_of
+from fieldgrid.mapfile.arrays import Array, ArrayKind, read_arrays, trajectory_of
 from fieldgrid.mapfile.codec import EncodedChannel
 from fieldgrid.mapfile.history import in_drive_order
 from fieldgrid.mapfile.records import (
@@ -29,7 +29,7 @@ from fieldgrid.mapfile.transform import Transform, transform_of
 from fieldgrid.trajectory import Trajectory
 
 
-class Evidence:
+class EvidenceTables:
     """The queries on one map."""
 
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
@@ -176,7 +176,7 @@ class Evidence:
     def trajectory(self, session: str, datum: Datum) -> Trajectory:
         """The trajectory that was stored with a session, as driven."""
         session_id, heading_source, _ = self._row_of(session)
-        columns = read_arrays(self.connection, session_id, Kind.TRAJECTORY)
+        columns = read_arrays(self.connection, session_id, ArrayKind.TRAJECTORY)
         if not columns:
             raise MapError(f"Session {session!r} of {self.path} has no trajectory stored with it.")
         return trajectory_of(columns, datum, heading_source)
@@ -188,7 +188,7 @@ class Evidence:
     def inputs(self, session: str) -> dict[str, Array]:
         """The arrays that were given with a session."""
         session_id, *_ = self._row_of(session)
-        return read_arrays(self.connection, session_id, Kind.INPUT)
+        return read_arrays(self.connection, session_id, ArrayKind.INPUT)
 
     def _row_of(self, session: str) -> tuple[int, str, Transform]:
         self.check_sessions([session])

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from fieldgrid.errors import shortened
 from fieldgrid.mapfile import schema
-from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.mapfile.marks import create_marks, has_marks
 from fieldgrid.mapfile.root import meddling_triggers
 from fieldgrid.mapfile.row_sums import create_sums, has_sums
@@ -162,7 +162,7 @@ def _layout(subject: Subject) -> _Layout:
 
 
 @lru_cache(maxsize=8)
-def _empty(header: Header, marks: bool, sums: bool) -> _Layout:
+def _empty(header: MapHeader, marks: bool, sums: bool) -> _Layout:
     with closing(sqlite3.connect("", isolation_level=None)) as made:
         schema.create(made, header.datum, TileMatrixSet(header.lattice), header.transfer, ())
         if marks:

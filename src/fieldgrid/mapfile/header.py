@@ -30,7 +30,7 @@ _SAME_ANGLE_DEG = 1e-9
 _SAME_HEIGHT_M = 1e-3
 
 
-class Header(NamedTuple):
+class MapHeader(NamedTuple):
     """The settings that a map was made with, and the channel groups that its tiles hold."""
 
     datum: Datum
@@ -99,7 +99,7 @@ class Header(NamedTuple):
             )
 
 
-def read_header(connection: sqlite3.Connection, path: Path) -> Header:
+def read_header(connection: sqlite3.Connection, path: Path) -> MapHeader:
     """The settings of a map; MapError when the file is none, is damaged or is too new."""
     (application_id,) = connection.execute("PRAGMA application_id").fetchone()
     tables = {
@@ -123,7 +123,7 @@ def read_header(connection: sqlite3.Connection, path: Path) -> Header:
                 raise ValueError(f"{key} is {meta[key]!r}, not {value}")
         if version == schema.FORMAT_VERSION and "density" not in groups:
             raise ValueError(f"its tiles hold {', '.join(groups) or 'nothing'}, and no density")
-        return Header(
+        return MapHeader(
             Datum(*(float(meta[f"datum_{key}"]) for key in ("lat_deg", "lon_deg", "height_m"))),
             Lattice(float(meta["cell_m"])),
             Transfer(meta["transfer"]),
@@ -132,7 +132,7 @@ def read_header(connection: sqlite3.Connection, path: Path) -> Header:
         )
 
 
-def reread(connection: sqlite3.Connection, path: Path, header: Header) -> Header:
+def reread(connection: sqlite3.Connection, path: Path, header: MapHeader) -> MapHeader:
     """The settings with what changes of them, format and channel groups, as it is now: another
     program may have brought the map up to date since."""
     meta = dict(connection.execute("SELECT key, value FROM fieldgrid_meta").fetchall())

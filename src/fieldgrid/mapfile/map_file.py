@@ -24,7 +24,7 @@ from fieldgrid.mapfile.database import (
     writing,
 )
 from fieldgrid.mapfile.derived import settle
-from fieldgrid.mapfile.header import Header, reread
+from fieldgrid.mapfile.header import MapHeader, reread
 from fieldgrid.mapfile.map_reader import MapReader
 from fieldgrid.mapfile.marks import Mark, insert_marks, set_removed
 from fieldgrid.mapfile.metadata import SessionMetadata, name_is_taken, session_metadata
@@ -65,7 +65,7 @@ class MapFile(MapReader):
         self,
         path: Path,
         connection: sqlite3.Connection,
-        header: Header,
+        header: MapHeader,
         *,
         writable: bool,
         draft: Draft | None = None,
@@ -314,7 +314,7 @@ class MapFile(MapReader):
         strict: bool = False,
         keep: Path | None = None,
         without: str | None = None,
-    ) -> Iterator[Header]:
+    ) -> Iterator[MapHeader]:
         """One transaction in which the map is changed, with its settings as they are in it;
         `trusting` what its root digest covers. `keep` is where it is copied to before.
 

@@ -16,13 +16,13 @@ from fieldgrid.grids import DROP_CHANNEL
 from fieldgrid.lattice import Bounds
 from fieldgrid.layers import check_layers
 from fieldgrid.mapfile.arrays import Array
-from fieldgrid.mapfile.blocks import Blocks, blocks_of
+from fieldgrid.mapfile.blocks import MapBlocks, blocks_of
 from fieldgrid.mapfile.change import ChangeView
 from fieldgrid.mapfile.codec import EncodedChannel
 from fieldgrid.mapfile.content import MapContent, extent_of, read_change, sessions_at
 from fieldgrid.mapfile.database import reading
-from fieldgrid.mapfile.evidence import Evidence, loader, reaches
-from fieldgrid.mapfile.header import Header, check_plane
+from fieldgrid.mapfile.evidence import EvidenceTables, loader, reaches
+from fieldgrid.mapfile.header import MapHeader, check_plane
 from fieldgrid.mapfile.marks import Mark, read_marks
 from fieldgrid.mapfile.metadata import SessionMetadata, find
 from fieldgrid.mapfile.overviews import OverviewBlock, read_overviews
@@ -45,11 +45,11 @@ if TYPE_CHECKING:
 class MapReader:
     """The part of `MapFile` that reads."""
 
-    def __init__(self, path: Path, connection: sqlite3.Connection, header: Header) -> None:
+    def __init__(self, path: Path, connection: sqlite3.Connection, header: MapHeader) -> None:
         self.path = path
         self._connection = connection
         self._header = header
-        self._evidence = Evidence(connection, path)
+        self._evidence = EvidenceTables(connection, path)
 
     def __getstate__(self) -> NoReturn:
         raise TypeError(
@@ -269,7 +269,7 @@ class MapReader:
         at: str | int | None = None,
         jobs: int | None = None,
         scheduler: str | Client | None = None,
-    ) -> Iterator[Blocks]:
+    ) -> Iterator[MapBlocks]:
         """What `read` gives, in views of some million cells, for maps of any size.
 
         One state of the map for as long as the block lasts: nobody can change it meanwhile.

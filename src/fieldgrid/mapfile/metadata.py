@@ -14,7 +14,7 @@ from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile.arrays import (
     Array,
-    Kind,
+    ArrayKind,
     array_rows,
     read_arrays,
     trajectory_arrays,
@@ -47,12 +47,12 @@ class SessionMetadata(NamedTuple):
         return "" if self.trajectory is None else self.trajectory.heading_source
 
     @property
-    def arrays(self) -> dict[Kind, Mapping[str, Array]]:
+    def arrays(self) -> dict[ArrayKind, Mapping[str, Array]]:
         """All arrays, by kind."""
         track = self.trajectory
         return {
-            Kind.TRAJECTORY: {} if track is None else trajectory_arrays(track),
-            Kind.INPUT: self.inputs,
+            ArrayKind.TRAJECTORY: {} if track is None else trajectory_arrays(track),
+            ArrayKind.INPUT: self.inputs,
         }
 
 
@@ -75,7 +75,7 @@ def session_metadata(
         {key: np.array(value) for key, value in (inputs or {}).items()},
         software_version(),
     )
-    array_rows(Kind.INPUT, metadata.inputs)
+    array_rows(ArrayKind.INPUT, metadata.inputs)
     return metadata
 
 
@@ -85,7 +85,7 @@ def check_name(name: str) -> None:
         raise ConfigError(f"A session cannot be called {name!r}; give a printable name.")
 
 
-class Found(NamedTuple):
+class FoundSession(NamedTuple):
     """A session of a map."""
 
     session_id: int
@@ -93,27 +93,27 @@ class Found(NamedTuple):
     metadata: SessionMetadata
 
 
-def find(connection: sqlite3.Connection, path: Path, datum: Datum, name: str) -> Found:
+def find(connection: sqlite3.Connection, path: Path, datum: Datum, name: str) -> FoundSession:
     """A session by its name, with all that is kept beside its frames."""
     row = row_of(connection, path, name)
     session_id, removed, config, source, source_sha256, software, heading_source = row[:7]
     created, transform = row[7:]
     try:
-        columns = read_arrays(connection, session_id, Kind.TRAJECTORY)
+        columns = read_arrays(connection, session_id, ArrayKind.TRAJECTORY)
         metadata = SessionMetadata(
             name=name,
             trajectory=trajectory_of(columns, datum, heading_source) if columns else None,
             config=str(config),
             source=str(source),
             source_sha256=str(source_sha256),
-            inputs=read_arrays(connection, session_id, Kind.INPUT),
+            inputs=read_arrays(connection, session_id, ArrayKind.INPUT),
             software_version=str(software),
             created=str(created),
             transform=transform_of(transform),
         )
     except MapError as error:
         raise MapError(f"Session {name!r} of {path} is damaged: {error}") from error
-    return Found(int(session_id), removed, metadata)
+    return FoundSession(int(session_id), removed, metadata)
 
 
 def row_of(connection: sqlite3.Connection, path: Path, name: str) -> tuple[Any, ...]:
@@ -135,7 +135,7 @@ def row_of(connection: sqlite3.Connection, path: Path, name: str) -> tuple[Any, 
 
 
 def put_arrays(
-    connection: sqlite3.Connection, session_id: int, arrays: Mapping[Kind, Mapping[str, Array]]
+    connection: sqlite3.Connection, session_id: int, arrays: Mapping[ArrayKind, Mapping[str, Array]]
 ) -> None:
     """Store arrays with a session in place of those of the same kind."""
     for kind, named in arrays.items():

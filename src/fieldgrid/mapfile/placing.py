@@ -64,12 +64,12 @@ def fold_tiles(
 
     The tiles come square by square, so that the memory taken does not depend on the session.
     """
-    squares = Squares(frames, lattice, transfer, groups)
+    squares = TileSquares(frames, lattice, transfer, groups)
     for results in in_order(lambda place: squares.fold(place, work), squares.places(), jobs):
         yield from results
 
 
-class Squares:
+class TileSquares:
     """The squares of tiles into which the frames of a session are folded, each by itself."""
 
     def __init__(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile.arrays import Array
-from fieldgrid.mapfile.blocks import Blocks
+from fieldgrid.mapfile.blocks import MapBlocks
 from fieldgrid.mapfile.marks import Mark
 from fieldgrid.mapfile.overviews import OverviewBlock
 from fieldgrid.mapfile.provenance import Provenance
@@ -68,7 +68,7 @@ class Readable(Protocol):
         at: str | int | None = None,
         jobs: int | None = None,
         scheduler: str | Client | None = None,
-    ) -> AbstractContextManager[Blocks]:
+    ) -> AbstractContextManager[MapBlocks]:
         """The same in views of some million cells."""
 
     def overviews(
@@ -85,7 +85,7 @@ class Readable(Protocol):
         """The same with cells of 2, 4, ... 2^levels times the side."""
 
 
-class Driven(Readable, Protocol):
+class DrivenMap(Readable, Protocol):
     """What the viewer and figures need of a map, beside its cells: the drives that they are of."""
 
     def read(

@@ -25,7 +25,7 @@ from fieldgrid.mapfile.decision import (
     deciding,
     marked_cells,
 )
-from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.mapfile.marks import Mark
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.sources import (
@@ -63,7 +63,7 @@ class Content(Protocol):
     """What views are made of: the cells of a map, or of several as one. Within one state of it."""
 
     @property
-    def header(self) -> Header:
+    def header(self) -> MapHeader:
         """The plane, the own cells and the rule by which frames were carried into them."""
 
     def marks(self) -> tuple[Mark, ...]:

@@ -15,7 +15,7 @@ from fieldgrid.layers import stored_groups
 from fieldgrid.mapfile import derived, schema
 from fieldgrid.mapfile.database import connect
 from fieldgrid.mapfile.file_check import MAX_PROBLEMS, damaged_pages, orphans, renew_file
-from fieldgrid.mapfile.header import Header, read_header
+from fieldgrid.mapfile.header import MapHeader, read_header
 from fieldgrid.mapfile.marks import announce_marks, has_marks, read_marks
 from fieldgrid.mapfile.metadata import count_frames
 from fieldgrid.mapfile.root import read_root, seal
@@ -69,7 +69,9 @@ class Repaired(NamedTuple):
     problems: tuple[str, ...]
 
 
-def repair(connection: sqlite3.Connection, path: Path, header: Header, by: Repairers) -> Repaired:
+def repair(
+    connection: sqlite3.Connection, path: Path, header: MapHeader, by: Repairers
+) -> Repaired:
     """Rebuild everything that follows from the evidence, within the caller's transaction.
 
     Raises MapError when the evidence itself is damaged, of which nothing can be made, and when
@@ -130,7 +132,7 @@ def _repair(subject: Subject) -> Repaired:
     return Repaired(stored_groups(), (*left, *check_stored(connection)))
 
 
-def _with_stored(header: Header) -> Header:
+def _with_stored(header: MapHeader) -> MapHeader:
     return header._replace(groups=stored_groups(), version=schema.FORMAT_VERSION)
 
 
@@ -153,7 +155,7 @@ def _left(subject: Subject) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*known, *found)))
 
 
-def _renew_rows(connection: sqlite3.Connection, header: Header) -> None:
+def _renew_rows(connection: sqlite3.Connection, header: MapHeader) -> None:
     """Bring rows up to date that follow from others, although the root digest covers them."""
     *_, own_plane = schema.reference_systems(header.datum)
     _replace_systems(connection, [own_plane])

@@ -13,13 +13,13 @@ from typing import Any
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import derived
-from fieldgrid.mapfile.arrays import Kind
+from fieldgrid.mapfile.arrays import ArrayKind
 from fieldgrid.mapfile.digest import frame_digest
 from fieldgrid.mapfile.evidence import frames_of
 from fieldgrid.mapfile.features import FEATURE_LAYERS
-from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.mapfile.metadata import (
-    Found,
+    FoundSession,
     as_json,
     check_name,
     find,
@@ -34,7 +34,7 @@ from fieldgrid.mapfile.transform import IDENTITY, Transform, transform_of
 from fieldgrid.trajectory import Pose, Trajectory
 
 
-def remove(connection: sqlite3.Connection, path: Path, header: Header, name: str) -> None:
+def remove(connection: sqlite3.Connection, path: Path, header: MapHeader, name: str) -> None:
     """Take a session out of the map, within the caller's transaction."""
     # Its evidence is not looked at: a session may be taken out because that is damaged.
     session_id, removed, *_ = row_of(connection, path, name)
@@ -46,7 +46,7 @@ def remove(connection: sqlite3.Connection, path: Path, header: Header, name: str
     derived.hide(connection, header, session_id, name, path)
 
 
-def restore(connection: sqlite3.Connection, path: Path, header: Header, name: str) -> None:
+def restore(connection: sqlite3.Connection, path: Path, header: MapHeader, name: str) -> None:
     """Put a session back that was taken out, within the caller's transaction."""
     found = find(connection, path, header.datum, name)
     if found.removed is None:
@@ -85,7 +85,7 @@ def rename(connection: sqlite3.Connection, path: Path, name: str, to: str) -> No
 
 
 def transform(
-    connection: sqlite3.Connection, path: Path, header: Header, name: str, to: Transform
+    connection: sqlite3.Connection, path: Path, header: MapHeader, name: str, to: Transform
 ) -> None:
     """Put a session elsewhere in the map, in place of any transform that it had."""
     found = find(connection, path, header.datum, name)
@@ -114,7 +114,7 @@ def middle_m(connection: sqlite3.Connection, path: Path, name: str) -> tuple[flo
 def repose(
     connection: sqlite3.Connection,
     path: Path,
-    header: Header,
+    header: MapHeader,
     name: str,
     poses: Mapping[str, Pose],
     trajectory: Trajectory | None,
@@ -136,7 +136,9 @@ def repose(
             "UPDATE fieldgrid_session SET heading_source = ? WHERE id = ?",
             (trajectory.heading_source, session_id),
         )
-        put_arrays(connection, session_id, {Kind.TRAJECTORY: metadata.arrays[Kind.TRAJECTORY]})
+        put_arrays(
+            connection, session_id, {ArrayKind.TRAJECTORY: metadata.arrays[ArrayKind.TRAJECTORY]}
+        )
     if config is not None:
         metadata = metadata._replace(config=as_json(config))
         connection.execute(
@@ -164,10 +166,12 @@ def repose(
         )
     sum_up(connection, session_id, metadata)
     if removed is None:
-        _place_again(connection, path, header, Found(session_id, removed, metadata))
+        _place_again(connection, path, header, FoundSession(session_id, removed, metadata))
 
 
-def _place_again(connection: sqlite3.Connection, path: Path, header: Header, found: Found) -> None:
+def _place_again(
+    connection: sqlite3.Connection, path: Path, header: MapHeader, found: FoundSession
+) -> None:
     """Place the stored frames of a session anew."""
     with derived.fold_evidence(connection, header, found.session_id, path) as tiles:
         derived.show(connection, header, found.session_id, found.metadata, tiles, path)

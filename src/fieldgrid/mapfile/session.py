@@ -18,7 +18,7 @@ from fieldgrid.mapfile import derived
 from fieldgrid.mapfile.codec import as_decoded
 from fieldgrid.mapfile.database import explained
 from fieldgrid.mapfile.digest import frame_digest
-from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.mapfile.metadata import (
     SessionMetadata,
     name_is_taken,
@@ -56,9 +56,9 @@ class Session:
         connection: sqlite3.Connection,
         path: Path,
         metadata: SessionMetadata,
-        header: Header,
+        header: MapHeader,
         *,
-        committing: Callable[[], AbstractContextManager[Header]],
+        committing: Callable[[], AbstractContextManager[MapHeader]],
         on_end: Callable[[bool], None],
     ) -> None:
         self.name = metadata.name

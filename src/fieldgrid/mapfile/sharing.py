@@ -17,7 +17,7 @@ from typing import NamedTuple
 from fieldgrid.errors import ClusterError
 from fieldgrid.layers import GROUPS, LAYERS
 from fieldgrid.mapfile.database import connect, explained
-from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.workers.place import check_is_here
 
 
@@ -43,7 +43,7 @@ def shared(connection: sqlite3.Connection) -> SharedMap:
     return SharedMap(path, path.stat().st_size, _state(connection))
 
 
-def known_groups(header: Header) -> tuple[str, ...]:
+def known_groups(header: MapHeader) -> tuple[str, ...]:
     """The names of the channel groups of a map that are known here, for `check_known`."""
     return tuple(group.name for group in header.known_groups())
 

@@ -20,7 +20,7 @@ from fieldgrid.mapfile.database import (
     reading,
     writing,
 )
-from fieldgrid.mapfile.header import Header, cut_short, read_header
+from fieldgrid.mapfile.header import MapHeader, cut_short, read_header
 from fieldgrid.mapfile.hot_journal import check_journal, whole_bytes
 from fieldgrid.mapfile.map_file import MapFile
 from fieldgrid.mapfile.root import seal
@@ -111,7 +111,7 @@ def create_map(
     """
     path = Path(path)
     lattice = Lattice(DEFAULT_CELL_M if cell_m is None else cell_m)
-    header = Header(datum, lattice, transfer or Transfer.CENTRE, stored_groups())
+    header = MapHeader(datum, lattice, transfer or Transfer.CENTRE, stored_groups())
     draft = Draft(
         path,
         overwrite=overwrite,

@@ -6,7 +6,7 @@ import sqlite3
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.mapfile.sharing import SharedMap, check_known, known_groups, opened, shared
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import TileMatrixSet
@@ -19,7 +19,7 @@ class Subject(NamedTuple):
 
     connection: sqlite3.Connection
     path: Path
-    header: Header
+    header: MapHeader
     runner: Runner | None = None
     """None where it has arrived."""
     copy: sqlite3.Connection | None = None
@@ -36,7 +36,7 @@ class Subject(NamedTuple):
         return _arrived, (there, self.path, self.header, known_groups(self.header))
 
 
-def _arrived(there: SharedMap, path: Path, header: Header, known: tuple[str, ...]) -> Subject:
+def _arrived(there: SharedMap, path: Path, header: MapHeader, known: tuple[str, ...]) -> Subject:
     """The map on a worker. ClusterError when it has another one, or none, or cannot read all."""
     check_known(known)
     return Subject(opened(there), path, header)

@@ -25,7 +25,7 @@ from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.codec import BITS, EncodedChannel, cells_sha256, decode_cells
 from fieldgrid.mapfile.derived import active, add_groups, rebuild
 from fieldgrid.mapfile.digest import as_json, frame_digest
-from fieldgrid.mapfile.header import Header, check_plane, reread
+from fieldgrid.mapfile.header import MapHeader, check_plane, reread
 from fieldgrid.mapfile.metadata import digest_of, find
 from fieldgrid.mapfile.root import seal
 from fieldgrid.mapfile.subject import Subject
@@ -71,7 +71,7 @@ def _drop_views(connection: sqlite3.Connection) -> None:
         connection.execute(f"DROP VIEW IF EXISTS temp.{name}")
 
 
-def as_it_is_now(connection: sqlite3.Connection, path: Path, header: Header) -> Header:
+def as_it_is_now(connection: sqlite3.Connection, path: Path, header: MapHeader) -> MapHeader:
     """The settings of a map that is about to be changed, whatever other programs have made of it
     since `header` was read; within the caller's transaction."""
     now = reread(connection, path, header)
@@ -80,7 +80,7 @@ def as_it_is_now(connection: sqlite3.Connection, path: Path, header: Header) -> 
     return now
 
 
-def upgraded(header: Header) -> Header:
+def upgraded(header: MapHeader) -> MapHeader:
     """The settings of a map once it is up to date."""
     if header.version < schema.FORMAT_VERSION:
         return header._replace(groups=stored_groups(), version=schema.FORMAT_VERSION)
@@ -93,7 +93,7 @@ def upgraded(header: Header) -> Header:
     )
 
 
-def in_change(header: Header) -> Header:
+def in_change(header: MapHeader) -> MapHeader:
     """The settings of a map while it is changed: of the present format, without retired groups."""
     if header.version < schema.FORMAT_VERSION:
         return upgraded(header)
@@ -101,7 +101,7 @@ def in_change(header: Header) -> Header:
     return header._replace(groups=kept)
 
 
-def drop_retired(connection: sqlite3.Connection, header: Header) -> Header:
+def drop_retired(connection: sqlite3.Connection, header: MapHeader) -> MapHeader:
     """Delete the retired groups of a map, before it is changed, within the caller's transaction;
     returns its settings without them."""
     _delete_groups(connection, RETIRED_GROUPS)
@@ -111,8 +111,8 @@ def drop_retired(connection: sqlite3.Connection, header: Header) -> Header:
 
 
 def replace_retired(
-    connection: sqlite3.Connection, path: Path, header: Header, *, strict: bool
-) -> Header:
+    connection: sqlite3.Connection, path: Path, header: MapHeader, *, strict: bool
+) -> MapHeader:
     """Make the groups that replace retired ones, which `drop_retired` deleted, from the frames of
     the map as it was changed; returns its settings then. `header` has those of before.
 
@@ -152,7 +152,9 @@ def _delete_groups(connection: sqlite3.Connection, names: Iterable[str]) -> None
         )
 
 
-def upgraded_copy(connection: sqlite3.Connection, path: Path, header: Header) -> sqlite3.Connection:
+def upgraded_copy(
+    connection: sqlite3.Connection, path: Path, header: MapHeader
+) -> sqlite3.Connection:
     """A map of format 2 as it would be after an upgrade, in a temporary database; to be closed."""
     copy = sqlite3.connect("", isolation_level=None, check_same_thread=False)
     try:
@@ -167,7 +169,7 @@ def upgraded_copy(connection: sqlite3.Connection, path: Path, header: Header) ->
 
 
 def upgrade(
-    connection: sqlite3.Connection, path: Path, header: Header, without: str | None = None
+    connection: sqlite3.Connection, path: Path, header: MapHeader, without: str | None = None
 ) -> None:
     """Bring a map of format 2 to the present one, within the caller's transaction. A session that
     it is `without` gets no tiles: it is about to be removed.
@@ -273,7 +275,7 @@ def _copy_frames(connection: sqlite3.Connection) -> tuple[set[int], dict[int, st
 
 
 def _renew_digest(
-    connection: sqlite3.Connection, path: Path, header: Header, session_id: int
+    connection: sqlite3.Connection, path: Path, header: MapHeader, session_id: int
 ) -> None:
     """Give a session the digest of today, if it was as it had been stored."""
     name, digest, heading_source, *grid = connection.execute(

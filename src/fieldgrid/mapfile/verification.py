@@ -19,7 +19,7 @@ from typing import Any
 from fieldgrid.errors import ClusterError, FieldgridError, MapError, shortened
 from fieldgrid.layers import GROUPS, RETIRED_GROUPS
 from fieldgrid.mapfile import schema
-from fieldgrid.mapfile.arrays import Kind, read_arrays
+from fieldgrid.mapfile.arrays import ArrayKind, read_arrays
 from fieldgrid.mapfile.codec import cells_sha256
 from fieldgrid.mapfile.digest import frame_digest
 from fieldgrid.mapfile.evidence import frames_of
@@ -30,7 +30,7 @@ from fieldgrid.mapfile.file_check import (
     check_layout,
     check_types,
 )
-from fieldgrid.mapfile.header import Header
+from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.mapfile.marks import check_marks
 from fieldgrid.mapfile.metadata import digest_of, find
 from fieldgrid.mapfile.quick_check import check_sums, is_as_written
@@ -73,7 +73,7 @@ class HealthReport:
 def verify(
     connection: sqlite3.Connection,
     path: Path,
-    header: Header,
+    header: MapHeader,
     runner: Runner,
     *,
     deep: bool = False,
@@ -217,7 +217,7 @@ def check_evidence(subject: Subject, which: str = "") -> Iterator[str]:
                 f"{found[2]} to {found[3]}."
             )
         try:
-            read_arrays(connection, session_id, Kind.INPUT)
+            read_arrays(connection, session_id, ArrayKind.INPUT)
             metadata = find(connection, path, header.datum, name).metadata
         except FieldgridError as error:
             yield str(error)

@@ -21,7 +21,7 @@ from fieldgrid.mounting.frame_probe import FrameProbe, FrameSample
 from fieldgrid.mounting.gnss_check import GnssCheck, check_against_gnss, remarks
 from fieldgrid.mounting.ground_steps import ground_steps
 from fieldgrid.mounting.ground_under_vehicle import MountSamples, ground_under_vehicle
-from fieldgrid.mounting.plane import Plane
+from fieldgrid.mounting.plane import SensorGround
 from fieldgrid.mounting.selection import stretches, usual_every
 from fieldgrid.odometry import Refusal, RigidMotion, camera_motion
 from fieldgrid.recording import DriveOptions, Frame, Recording, open_drive
@@ -272,14 +272,14 @@ def _picked(frames: Iterable[Frame], wanted: set[int]) -> Iterator[Frame]:
     return (frame for k, frame in enumerate(frames) if k in wanted)
 
 
-def _middle(planes: Sequence[Plane]) -> Plane:
+def _middle(planes: Sequence[SensorGround]) -> SensorGround:
     up = np.median([plane.up for plane in planes], axis=0)
     height_m = float(np.median([plane.height_m for plane in planes]))
-    return Plane(up / np.linalg.norm(up), height_m)
+    return SensorGround(up / np.linalg.norm(up), height_m)
 
 
 def _motions(
-    looks: Sequence[FrameSample], joined: Sequence[bool], rig: Rig, rough: Plane
+    looks: Sequence[FrameSample], joined: Sequence[bool], rig: Rig, rough: SensorGround
 ) -> list[RigidMotion | None]:
     """The motion from each look to the next, of the middle of the baseline; None if not known."""
     camera = rig.sensor

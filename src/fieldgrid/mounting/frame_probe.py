@@ -11,7 +11,7 @@ from fieldgrid.mounting.ground_under_vehicle import REACH_M, Patches
 from fieldgrid.mounting.plane import (
     PATCH_M,
     SPARSE_PATCH_M,
-    Plane,
+    SensorGround,
     low_patches,
     refined_plane,
     rough_plane,
@@ -41,7 +41,7 @@ class FrameSample(NamedTuple):
     ground to be seen; `features` of a stereo pair."""
 
     time_ns: int
-    ahead: Plane | None
+    ahead: SensorGround | None
     patches: Patches
     features: Features | None
 
@@ -125,7 +125,9 @@ def _unprojected(
     return np.column_stack([x * depth_m, y * depth_m, depth_m])
 
 
-def _ground(points_m: Float64, sigma_m: Float64, patch_m: float) -> tuple[Plane | None, Patches]:
+def _ground(
+    points_m: Float64, sigma_m: Float64, patch_m: float
+) -> tuple[SensorGround | None, Patches]:
     nothing = Patches(np.zeros((0, 3)), np.zeros(0))
     rough = rough_plane(points_m, sigma_m)
     plane = rough and refined_plane(rough, points_m, sigma_m, patch_m)

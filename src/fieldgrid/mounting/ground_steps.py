@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fieldgrid.mounting.plane import Plane
+from fieldgrid.mounting.plane import SensorGround
 from fieldgrid.odometry import RigidMotion
 from fieldgrid.travel import LEAST_STEP_M, MOST_TURN_DEG, Ways
 
 
-def ground_steps(motions: Sequence[RigidMotion | None], plane: Plane) -> Ways:
+def ground_steps(motions: Sequence[RigidMotion | None], plane: SensorGround) -> Ways:
     """The steps of the ground point, by the motions of the sensor and the plane it stands on.
 
     That point, and not the sensor, which sways by centimetres when the vehicle rolls.

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.mounting.plane import Plane
+from fieldgrid.mounting.plane import SensorGround
 from fieldgrid.odometry import RigidMotion
 from fieldgrid.plane_fit import robust_plane
 
@@ -55,8 +55,8 @@ class MountSamples(NamedTuple):
 
 
 def ground_under_vehicle(
-    seen: Sequence[Patches], motions: Sequence[RigidMotion | None], start: Plane
-) -> tuple[MountSamples, Plane]:
+    seen: Sequence[Patches], motions: Sequence[RigidMotion | None], start: SensorGround
+) -> tuple[MountSamples, SensorGround]:
     """How the sensor stood in all frames under which enough was seen, and their mean plane.
 
     `motions` lead from each frame to the next, in the sensor's frame; None where nothing is known.
@@ -70,7 +70,7 @@ def ground_under_vehicle(
         if not found:
             break
         up = np.median([p.up for _, p in found], axis=0)
-        plane = Plane(up / np.linalg.norm(up), float(np.median(rows[:, 3])))
+        plane = SensorGround(up / np.linalg.norm(up), float(np.median(rows[:, 3])))
     return MountSamples(rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2], rows[:, 3]), plane
 
 
@@ -106,7 +106,7 @@ def _step(j: int, direction: int, motions: Sequence[RigidMotion | None]) -> Rigi
     return RigidMotion(R, -R @ back.t_stop_start_m)
 
 
-def _fit(there: Patches, plane: Plane) -> Plane | None:
+def _fit(there: Patches, plane: SensorGround) -> SensorGround | None:
     """The plane under the vehicle; None when too little of it was seen."""
     level = plane.level(there.points_m)
     x, y, z = level.T

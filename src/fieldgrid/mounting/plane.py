@@ -41,7 +41,7 @@ NEAR_M, NEAR_SHARE = 0.3, 0.03
 """How high above the plane a patch may still be ground, and how much more per metre of range."""
 
 
-class Plane(NamedTuple):
+class SensorGround(NamedTuple):
     """The ground in the frame of the sensor."""
 
     up: Float64
@@ -66,11 +66,11 @@ class Plane(NamedTuple):
         there: Float64 = points_m @ self.rotation().T + [0.0, 0.0, self.height_m]
         return there
 
-    def corrected(self, c: Float64) -> Plane:
+    def corrected(self, c: Float64) -> SensorGround:
         """The plane z = c0 + c1·x + c2·y of this one's level frame."""
         norm = math.sqrt(1.0 + float(c[1] * c[1] + c[2] * c[2]))
         up = self.rotation().T @ (np.array([-c[1], -c[2], 1.0]) / norm)
-        return Plane(up, (self.height_m - float(c[0])) / norm)
+        return SensorGround(up, (self.height_m - float(c[0])) / norm)
 
     def can_be(self) -> bool:
         """Whether a vehicle carries a sensor so."""
@@ -81,7 +81,7 @@ class Plane(NamedTuple):
         )
 
 
-def rough_plane(points_m: Float64, range_sigma_m: Float64) -> Plane | None:
+def rough_plane(points_m: Float64, range_sigma_m: Float64) -> SensorGround | None:
     """The plane that most points [n, 3] lie on and hardly one below; None when there is none.
 
     `range_sigma_m` [n] is how far off the points are along their rays.
@@ -110,7 +110,7 @@ def rough_plane(points_m: Float64, range_sigma_m: Float64) -> Plane | None:
     return best
 
 
-def _through(three_m: Float64) -> Plane | None:
+def _through(three_m: Float64) -> SensorGround | None:
     """The plane through three points, up being the side of the sensor."""
     normal = np.cross(three_m[1] - three_m[0], three_m[2] - three_m[0])
     size = float(np.linalg.norm(normal))
@@ -118,12 +118,12 @@ def _through(three_m: Float64) -> Plane | None:
         return None
     up = normal / size
     height_m = -float(up @ three_m[0])
-    return Plane(up, height_m) if height_m > 0.0 else Plane(-up, -height_m)
+    return SensorGround(up, height_m) if height_m > 0.0 else SensorGround(-up, -height_m)
 
 
 def refined_plane(
-    plane: Plane, points_m: Float64, range_sigma_m: Float64, patch_m: float = PATCH_M
-) -> Plane | None:
+    plane: SensorGround, points_m: Float64, range_sigma_m: Float64, patch_m: float = PATCH_M
+) -> SensorGround | None:
     """A rough plane fitted to the low heights of patches; None when there are too few of them."""
     for _ in range(3):
         x, y, z, sigma = low_patches(plane, points_m, range_sigma_m, patch_m).T
@@ -135,7 +135,7 @@ def refined_plane(
 
 
 def low_patches(
-    plane: Plane, points_m: Float64, range_sigma_m: Float64, patch_m: float = PATCH_M
+    plane: SensorGround, points_m: Float64, range_sigma_m: Float64, patch_m: float = PATCH_M
 ) -> Float64:
     """The ground of patches near a plane, in its level frame: x, y, z, sigma of z, [m, 4].
 

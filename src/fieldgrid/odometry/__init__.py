@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from fieldgrid.odometry.corners import Features, features
 from fieldgrid.odometry.rigid import RigidMotion
-from fieldgrid.odometry.steps import Refusal, Step, camera_motion, step, steps_of
+from fieldgrid.odometry.steps import CameraStep, Refusal, camera_motion, step, steps_of
 
 __all__ = [
+    "CameraStep",
     "Features",
     "Refusal",
     "RigidMotion",
-    "Step",
     "camera_motion",
     "features",
     "step",

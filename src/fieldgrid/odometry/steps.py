@@ -48,7 +48,7 @@ a pitch or a heave looks like a turn or a shift."""
 ROUGH_RADIUS_PX, FINE_RADIUS_PX = 12.0, 5.0
 
 
-class Step(NamedTuple):
+class CameraStep(NamedTuple):
     """Motion of the grid origin from one exposure to the next, in the vehicle frame at the first.
 
     `forward_m` is negative in reverse; `turn_deg` is that of the heading, clockwise. `sigma_m`
@@ -83,7 +83,7 @@ class Refusal(StrEnum):
     NOT_COMPARED = "the program was started again between the two frames"
 
 
-def step(start: Features, stop: Features, rig: Rig) -> Step | Refusal:
+def step(start: Features, stop: Features, rig: Rig) -> CameraStep | Refusal:
     """How the grid origin moved between two frames of a rig, or why that cannot be told."""
     found = _motion(start, stop, rig)
     return found if isinstance(found, Refusal) else _in_vehicle_frame(found, rig)
@@ -211,7 +211,7 @@ def _lean_rad(motion: RigidMotion, rig: Rig) -> tuple[float, float]:
     return math.atan2(vertical[0], vertical[2]), math.atan2(vertical[1], vertical[2])
 
 
-def _in_vehicle_frame(found: Refined, rig: Rig) -> Step:
+def _in_vehicle_frame(found: Refined, rig: Rig) -> CameraStep:
     """The motion of the point below the middle of the baseline, seen from above."""
     right_m, forward_m, up_m = _displacement_m(found.motion, rig)
     turned = _turn_of_vehicle(found.motion, rig)
@@ -219,7 +219,7 @@ def _in_vehicle_frame(found: Refined, rig: Rig) -> Step:
     roll_deg, pitch_deg = roll_pitch_deg(turned)
     floor_m = FLOOR_M + FLOOR_SHARE * math.hypot(right_m, forward_m)
     lean_deg = math.degrees(LEVEL_SIGMA_RAD * math.hypot(*_lean_rad(found.motion, rig)))
-    return Step(
+    return CameraStep(
         forward_m=float(forward_m),
         right_m=float(right_m),
         turn_deg=math.degrees(math.atan2(turned[0, 1], turned[1, 1])),
@@ -255,9 +255,9 @@ def _random_errors(found: Refined, rig: Rig) -> tuple[float, float, float]:
     )
 
 
-def steps_of(times_ns: Sequence[int], found: Sequence[Step | Refusal]) -> Steps:
+def steps_of(times_ns: Sequence[int], found: Sequence[CameraStep | Refusal]) -> Steps:
     """The steps that were found between frames at n + 1 times, as the values of `motion`."""
-    kept = [(k, one) for k, one in enumerate(found) if isinstance(one, Step)]
+    kept = [(k, one) for k, one in enumerate(found) if isinstance(one, CameraStep)]
     times = np.asarray(times_ns, dtype=np.int64)
     rows = np.array([k for k, _ in kept], dtype=np.int64)
     values = np.array([one[:-1] for _, one in kept], dtype=np.float64).reshape(len(kept), 9)

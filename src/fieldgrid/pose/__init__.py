@@ -11,14 +11,14 @@ from fieldgrid.pose.levelled import levelling_attitude, tells_attitude
 from fieldgrid.pose.paper import default_baseline_m
 from fieldgrid.pose.report import FixOffset, PoseReport
 from fieldgrid.pose.settings import HeadingSource, heading_source
-from fieldgrid.pose.verdict import Budget
+from fieldgrid.pose.verdict import ErrorBudget
 
 __all__ = [
     "GIVEN",
-    "Budget",
     "ClockOffset",
     "ClockSearch",
     "Comparison",
+    "ErrorBudget",
     "Estimate",
     "FixOffset",
     "Georeference",

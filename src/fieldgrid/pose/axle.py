@@ -8,7 +8,7 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.motion import Steps
-from fieldgrid.rig import Rig, Vehicle, with_antenna_ahead
+from fieldgrid.rig import Rig, VehicleGeometry, with_antenna_ahead
 from fieldgrid.smoother import Constant, Smoothed
 from fieldgrid.travel import LEAST_STEP_M, MOST_TURN_DEG, Ways, travel
 
@@ -29,7 +29,7 @@ class Axle(NamedTuple):
     `told` is whether the drive showed it, not the declaration of the vehicle.
     """
 
-    vehicle: Vehicle | None
+    vehicle: VehicleGeometry | None
     sigma_m: float = 0.0
     told: bool = False
 
@@ -45,18 +45,18 @@ class Axle(NamedTuple):
         return (float(antenna.right_m), float(antenna.forward_m - axle_m)), -float(axle_m)
 
 
-def names_axle(vehicle: Vehicle | None) -> bool:
+def names_axle(vehicle: VehicleGeometry | None) -> bool:
     """Whether anything says where the axle that does not steer lies."""
     return vehicle is not None and vehicle.rear_axle_forward_m is not None
 
 
-def axle_forward_m(vehicle: Vehicle) -> float:
+def axle_forward_m(vehicle: VehicleGeometry) -> float:
     """Forward coordinate of the unsteered axle: the antenna's when the vehicle does not name it."""
     axle_m = vehicle.rear_axle_forward_m
     return vehicle.antenna.forward_m if axle_m is None else axle_m
 
 
-def axle_of(vehicle: Vehicle | None, steps: Steps | None) -> Axle:
+def axle_of(vehicle: VehicleGeometry | None, steps: Steps | None) -> Axle:
     """The axle as it is declared, or as the camera sees the vehicle turn about it."""
     if names_axle(vehicle):
         return Axle(vehicle)

@@ -28,7 +28,7 @@ SPLITS, LEAST_MOVE_DEG = 8, 1.0
 least; about the clearest of them at twice as many more."""
 
 
-class Moved(NamedTuple):
+class CameraTurn(NamedTuple):
     """That the camera looks `by_deg` ± `sigma_deg` farther right from `time_ns` on than before."""
 
     time_ns: int
@@ -42,7 +42,7 @@ class CameraYaw(NamedTuple):
 
     off_deg: float
     sigma_deg: float
-    moved: Moved | None = None
+    moved: CameraTurn | None = None
 
     @property
     def is_off(self) -> bool:
@@ -97,7 +97,7 @@ def _aside(by_deg: float, sigma_deg: float) -> str:
     return f"{abs(by_deg):.1f}° ± {sigma_deg:.1f}° farther {side}"
 
 
-def _moved(ways: Ways, steps: Steps, ahead_m: float) -> Moved | None:
+def _moved(ways: Ways, steps: Steps, ahead_m: float) -> CameraTurn | None:
     """The clearest place at which the yaw is another after than before; None if none is clear."""
     count = len(ways.stop)
     places = np.linspace(0, count, SPLITS + 2)
@@ -106,7 +106,7 @@ def _moved(ways: Ways, steps: Steps, ahead_m: float) -> Moved | None:
         return None
     near = np.clip(np.linspace(-places[1], places[1], 2 * SPLITS + 1) + coarse[0], 1, count - 1)
     at, by_deg, sigma_deg = _clearest(ways, ahead_m, np.rint(near)) or coarse
-    return Moved(int(steps.start_ns[ways.stop[at]]), by_deg, sigma_deg)
+    return CameraTurn(int(steps.start_ns[ways.stop[at]]), by_deg, sigma_deg)
 
 
 def _clearest(ways: Ways, ahead_m: float, places: Float64) -> tuple[int, float, float] | None:

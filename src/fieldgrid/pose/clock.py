@@ -19,9 +19,9 @@ from fieldgrid.pose.clock_search import (
     MOST_SIGMA_S,
     ClockOffset,
     ClockSearch,
-    Contradiction,
+    DeniedMotions,
 )
-from fieldgrid.pose.drive import Drive, smooth_drive
+from fieldgrid.pose.drive import DriveEstimate, smooth_drive
 from fieldgrid.pose.gears import NO_HINTS, GearHints
 
 POOR_MISFIT, NEAR_SHARE, BETTER_SHARE = 4.0, 0.5, 0.3
@@ -39,7 +39,7 @@ class ClockFindings(NamedTuple):
     within the drive. None where it does not tell."""
 
     offset: ClockOffset | None = None
-    contradiction: Contradiction | None = None
+    contradiction: DeniedMotions | None = None
     change: ClockChange | None = None
 
     def offset_s(self, time_ns: Int64) -> Float64:
@@ -51,7 +51,7 @@ class ClockFindings(NamedTuple):
 
 
 def check_clock(
-    drive: Drive,
+    drive: DriveEstimate,
     fixes: AcceptedFixes,
     motion: Motion,
     axle: Axle,

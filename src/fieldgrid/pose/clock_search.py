@@ -12,7 +12,7 @@ from fieldgrid.array_types import Float64, Int64
 from fieldgrid.motion import Steps
 from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.camera_turns import FEWEST_STEPS
-from fieldgrid.pose.drive import Drive
+from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.smoother import model, refine
 
 WIDEST_S, COARSE_S = 2.5, 0.05
@@ -81,7 +81,7 @@ class ClockOffset(NamedTuple):
         return abs(self.offset_s) >= max(3.0 * self.sigma_s, LEAST_OFFSET_S)
 
 
-class Contradiction(NamedTuple):
+class DeniedMotions(NamedTuple):
     """Of `steps` motions of the camera where the drive is sure of itself, `off` are not those of
     the drive, at any offset of the clock that was found, and count as `weight` that are far off.
     With `gyro_too` the gyro turns as the images do, so it is the fixes that are of other
@@ -101,7 +101,7 @@ class Contradiction(NamedTuple):
 class ClockSearch:
     """A drive without its camera, beside which the camera's motion can be laid."""
 
-    def __init__(self, drive: Drive, steps: Steps, axle: Axle) -> None:
+    def __init__(self, drive: DriveEstimate, steps: Steps, axle: Axle) -> None:
         """The path of `drive` as it is without its camera. `steps` holds at least one."""
         found, (lever_m, ahead_m) = drive.smoothed, axle.frame()
         if len(drive.measured.step):
@@ -120,7 +120,7 @@ class ClockSearch:
             return float("inf")
         return float(self._squared(steps, offset_s).mean())
 
-    def contradiction(self, offset_s: float) -> Contradiction:
+    def contradiction(self, offset_s: float) -> DeniedMotions:
         """How many steps are not of the drive with this offset, whatever its own errors and the
         camera's scale."""
         steps = self._in_metres(self._inside(offset_s, 0.0), offset_s)
@@ -133,7 +133,7 @@ class ClockSearch:
         sure = heading_deg < SURE_TURN_DEG
         off = sure & (squared > OFF_SIGMAS**2)
         weight = np.minimum(squared[off] / FULL_SIGMAS**2, 1.0).sum()
-        return Contradiction(int(off.sum()), float(weight), int(sure.sum()))
+        return DeniedMotions(int(off.sum()), float(weight), int(sure.sum()))
 
     def by_step(self, offsets_s: Float64) -> tuple[Steps, Float64]:
         """The steps that lie within the drive at all of these offsets [o], and the squared distance

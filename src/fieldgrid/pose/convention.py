@@ -13,7 +13,7 @@ import numpy as np
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.rig import Vehicle
+from fieldgrid.rig import VehicleGeometry
 
 FEWEST = 20
 """Fewer sure headings while driving decide nothing."""
@@ -46,7 +46,7 @@ class Comparison(NamedTuple):
         """Whether the drive denies what is declared of the heading."""
         return self.mirrored or abs(self.offset_deg) > most_offset_deg
 
-    def correction(self, rig: Vehicle | None) -> str:
+    def correction(self, rig: VehicleGeometry | None) -> str:
         """What to declare in the mounting instead of what the rig does, as a clause."""
         declared_deg = 0.0 if rig is None else rig.heading_offset_deg or 0.0
         counter = rig is not None and rig.heading_convention == "ccw_east"

@@ -15,9 +15,9 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.pose.axle import names_axle
 from fieldgrid.pose.clock import ClockFindings
-from fieldgrid.pose.drive import Drive
+from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.table import PoseTable
-from fieldgrid.rig import Rig, Vehicle
+from fieldgrid.rig import Rig, VehicleGeometry
 from fieldgrid.smoother import AHEAD, Constant
 
 CLEAR_SIGMAS = 4.0
@@ -55,7 +55,9 @@ class Denied(NamedTuple):
         return any(one is not None for one in (self.right_m, self.ahead_m, self.late_s))
 
 
-def denied_by(drive: Drive, vehicle: Vehicle | None, clocks: ClockFindings) -> Denied:
+def denied_by(
+    drive: DriveEstimate, vehicle: VehicleGeometry | None, clocks: ClockFindings
+) -> Denied:
     """What a drive denies of its vehicle as it was declared, and of the clock of its images."""
     speed_mps = np.abs(drive.speed_mps)
     by_clock_m = speed_mps * np.abs(clocks.offset_s(drive.time_ns))
@@ -84,18 +86,18 @@ def denied_by(drive: Drive, vehicle: Vehicle | None, clocks: ClockFindings) -> D
     return denied._replace(off_m=np.maximum(off_m, by_clock_m))
 
 
-def _sees_turns(drive: Drive) -> bool:
+def _sees_turns(drive: DriveEstimate) -> bool:
     step_s, turned = np.diff(drive.measured.time_s), np.isfinite(drive.measured.turned_rad)
     by_gyro = float(step_s[turned].sum()) / max(float(step_s.sum()), 1e-9)
     return max(by_gyro, _camera_share(drive)) >= LEAST_SEEN_SHARE
 
 
-def _sees_speed(drive: Drive) -> bool:
+def _sees_speed(drive: DriveEstimate) -> bool:
     by_wheels = float(np.mean(np.isfinite(drive.measured.speed_mps)))
     return max(by_wheels, _camera_share(drive)) >= LEAST_SEEN_SHARE
 
 
-def _camera_share(drive: Drive) -> float:
+def _camera_share(drive: DriveEstimate) -> float:
     """The share of the drive's time that the camera's steps cover."""
     time_s, nodes = drive.measured.time_s, drive.measured.step_nodes
     lasted_s = float(time_s[-1] - time_s[0])
@@ -110,14 +112,14 @@ def _value(one: Constant | None) -> float:
     return 0.0 if one is None else one.value
 
 
-def unsure_declared(table: PoseTable, drive: Drive, denied: Denied) -> PoseTable:
+def unsure_declared(table: PoseTable, drive: DriveEstimate, denied: Denied) -> PoseTable:
     """The same poses, their positions as unsure as they would be off. Neighbours share it."""
     node = np.clip(np.searchsorted(drive.time_ns, table.time_ns), 0, len(denied.off_m) - 1)
     sigma_m = np.hypot(table.position_sigma_m, denied.off_m[node] / np.sqrt(2.0))
     return table._replace(position_sigma_m=sigma_m)
 
 
-def denied_notes(drive: Drive, denied: Denied) -> Iterator[str]:
+def denied_notes(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
     """A sentence on each thing that is denied, or one on what does not fit together."""
     for one, more, less in (
         (denied.ahead_m, "farther ahead", "farther back"),
@@ -141,7 +143,7 @@ def denied_notes(drive: Drive, denied: Denied) -> Iterator[str]:
         yield from _unfit_note(drive, denied)
 
 
-def _unfit_note(drive: Drive, denied: Denied) -> Iterator[str]:
+def _unfit_note(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
     """That something does not fit together, and what would explain it alone."""
     found = drive.smoothed.declared
     moving = drive.gear != 0

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from fieldgrid.pose.accepted import AcceptedFixes
-from fieldgrid.pose.drive import Drive
+from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.leaps import holes
 from fieldgrid.pose.seams import LEAST_M, SeenLeap
 
@@ -31,7 +31,7 @@ NORMAL_MAD = 1.4826
 LEAST_SIGMA_M = 1e-3
 
 
-def denied_leaps(fixes: AcceptedFixes, drive: Drive) -> tuple[SeenLeap, ...]:
+def denied_leaps(fixes: AcceptedFixes, drive: DriveEstimate) -> tuple[SeenLeap, ...]:
     """Where the step from one accepted fix to the next is far from that of the drive's estimate,
     and those beside it are not."""
     if len(fixes.time_ns) < FEWEST_STEPS:

@@ -13,10 +13,10 @@ import numpy as np
 from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.clock import ClockFindings
 from fieldgrid.pose.denied import Denied
-from fieldgrid.pose.drive import Drive
+from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.imu_turn import ImuTurn
 from fieldgrid.pose.table import PoseTable
-from fieldgrid.smoother import Wander, wander
+from fieldgrid.smoother import WanderTest, wander
 
 CLEAR_NATS = 8.0
 """Fixes drift only where that is likelier by so much: where the fixes of rendered drives are right,
@@ -32,8 +32,8 @@ itself makes as much."""
 
 
 def drift(
-    drive: Drive, axle: Axle, denied: Denied, clocks: ClockFindings, turned: ImuTurn | None
-) -> Wander | None:
+    drive: DriveEstimate, axle: Axle, denied: Denied, clocks: ClockFindings, turned: ImuTurn | None
+) -> WanderTest | None:
     """By how much the fixes of a drive drift beside its camera's way; None where they do not, and
     where a wrong declaration or clock, or an IMU that is `turned`, explains what does not fit."""
     certain = clocks.contradiction is not None and clocks.contradiction.is_certain
@@ -50,7 +50,7 @@ def drift(
     return found if large and likely else None
 
 
-def unsure_drift(table: PoseTable, drive: Drive, found: Wander | None) -> PoseTable:
+def unsure_drift(table: PoseTable, drive: DriveEstimate, found: WanderTest | None) -> PoseTable:
     """The same poses, as unsure as the fixes drift: nobody knows where these were right, so
     positions by half of the drift along each axis."""
     if found is None:
@@ -62,7 +62,7 @@ def unsure_drift(table: PoseTable, drive: Drive, found: Wander | None) -> PoseTa
     )
 
 
-def drift_notes(found: Wander | None) -> Iterator[str]:
+def drift_notes(found: WanderTest | None) -> Iterator[str]:
     """That the fixes drift."""
     if found is not None:
         yield (

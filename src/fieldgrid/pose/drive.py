@@ -50,7 +50,7 @@ DRIVEN_M = 0.1
 """A camera that has moved by more was driven."""
 
 
-class Drive(NamedTuple):
+class DriveEstimate(NamedTuple):
     """The estimate at n nodes: the middle of the unsteered axle, and what is sure of it.
 
     `fix` [n] is the accepted fix at a node or -1; `gear` +1, -1, 0 at rest; `doubt` the
@@ -109,7 +109,7 @@ def smooth_drive(
     axle: Axle,
     recorded: RecordedHeadings | None = None,
     hints: GearHints = NO_HINTS,
-) -> Drive:
+) -> DriveEstimate:
     """The batch estimate from accepted fixes and the vehicle's own motion.
 
     `all_ns` are the times of all fixes, which get poses too; `recorded` headings have passed their
@@ -131,13 +131,13 @@ def smooth_drive(
 
 
 def with_recorded(
-    drive: Drive,
+    drive: DriveEstimate,
     fixes: AcceptedFixes,
     motion: Motion,
     axle: Axle,
     recorded: RecordedHeadings,
     hints: GearHints,
-) -> Drive:
+) -> DriveEstimate:
     """The same drive by its recorded headings, too: only what they change is estimated again,
     unless they turn a gear around."""
     resting = drive.resting[np.flatnonzero(drive.fix >= 0)]
@@ -181,7 +181,7 @@ def _drive(
     found: StationGears,
     smoothed: Smoothed,
     axle: Axle,
-) -> Drive:
+) -> DriveEstimate:
     assigned, doubt = _assigned(at, found)
     resting = measured.standing
     east, north, heading, speed = smoothed.state[:, :4].T
@@ -217,7 +217,7 @@ def _drive(
         ],
         axis=1,
     )
-    return Drive(
+    return DriveEstimate(
         at,
         measured,
         found,

@@ -20,7 +20,7 @@ from fieldgrid.pose.clock_jump import clock_jump
 from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.denied import Denied, denied_by, unsure_declared
 from fieldgrid.pose.drifting import drift, drift_notes, unsure_drift
-from fieldgrid.pose.drive import Drive, with_recorded
+from fieldgrid.pose.drive import DriveEstimate, with_recorded
 from fieldgrid.pose.fused import Fused, conditioned, fuse
 from fieldgrid.pose.given import CLEAR_OFFSET_DEG, place_poses
 from fieldgrid.pose.levelled import leaning, tells_attitude, unsure_lean
@@ -29,10 +29,10 @@ from fieldgrid.pose.report import PoseReport, drive_notes, fix_offset
 from fieldgrid.pose.settings import HeadingSource, heading_source
 from fieldgrid.pose.slope import FLAT, slope_notes, slope_seen, unsure_slope
 from fieldgrid.pose.table import PoseTable, pose_table
-from fieldgrid.pose.verdict import Budget, judged
-from fieldgrid.rig import LeverArm, Vehicle
+from fieldgrid.pose.verdict import ErrorBudget, judged
+from fieldgrid.rig import LeverArm, VehicleGeometry
 from fieldgrid.settings import PoseSettings
-from fieldgrid.smoother import Wander
+from fieldgrid.smoother import WanderTest
 from fieldgrid.trajectory import Trajectory
 
 
@@ -47,11 +47,11 @@ class Estimate(NamedTuple):
 
 def estimate_poses(
     fixes: FixColumns,
-    rig: Vehicle | None = None,
+    rig: VehicleGeometry | None = None,
     datum: Datum | None = None,
     settings: PoseSettings | None = None,
     motion: Motion | None = None,
-    budget: Budget | None = None,
+    budget: ErrorBudget | None = None,
     *,
     frame_ns: Int64 | None = None,
     level_grids: bool = True,
@@ -138,13 +138,13 @@ class _Checks(NamedTuple):
     clocks: ClockFindings
     yaw: CameraYaw | None
     denied: Denied
-    drifts: Wander | None
+    drifts: WanderTest | None
 
 
 def _checked(
     found: Fused,
-    drive: Drive,
-    declared: Vehicle | None,
+    drive: DriveEstimate,
+    declared: VehicleGeometry | None,
     source: HeadingSource,
     *,
     follows_path: bool,
@@ -164,11 +164,11 @@ def _checked(
 
 def _of_given(
     fixes: FixColumns,
-    rig: Vehicle | None,
+    rig: VehicleGeometry | None,
     datum: Datum | None,
     settings: PoseSettings,
     motion: Motion,
-    budget: Budget | None,
+    budget: ErrorBudget | None,
     *,
     level_grids: bool,
 ) -> Estimate:
@@ -257,7 +257,7 @@ def _recorded(
     return np.asarray(wrap_deg(recorded - found.offset_deg)), found, notes
 
 
-def _carried(table: PoseTable, rig: Vehicle | None, source: HeadingSource) -> PoseTable:
+def _carried(table: PoseTable, rig: VehicleGeometry | None, source: HeadingSource) -> PoseTable:
     """Rows carried to the grid origin."""
     if rig is None:
         return table

@@ -22,7 +22,7 @@ from fieldgrid.pose.accepted import accepted_fixes, datum_of, no_fix_sentence
 from fieldgrid.pose.axle import Axle, axle_by_gyro, axle_of
 from fieldgrid.pose.convention import Comparison, compare
 from fieldgrid.pose.denied_leaps import denied_leaps
-from fieldgrid.pose.drive import Drive, smooth_drive
+from fieldgrid.pose.drive import DriveEstimate, smooth_drive
 from fieldgrid.pose.gears import GearHints, gear_hints
 from fieldgrid.pose.gyro_check import Trusted, with_trusted_gyro, without_wrong_gyro
 from fieldgrid.pose.gyro_faults import without_faulty_samples
@@ -32,7 +32,7 @@ from fieldgrid.pose.seen_leaps import seen_leaps
 from fieldgrid.pose.stray import MOST_ROUNDS, stray_fixes
 from fieldgrid.pose.table import Conditioned
 from fieldgrid.pose.wheel_sense import with_right_wheels
-from fieldgrid.rig import Vehicle, nose_heading_deg
+from fieldgrid.rig import VehicleGeometry, nose_heading_deg
 from fieldgrid.settings import PoseSettings
 
 
@@ -43,7 +43,7 @@ class Fused(NamedTuple):
     the vertical against what was declared. `notes` say which sensors were changed or left out."""
 
     log: Conditioned
-    drive: Drive
+    drive: DriveEstimate
     motion: Motion
     axle: Axle
     hints: GearHints
@@ -77,7 +77,7 @@ class Fused(NamedTuple):
 
 def fuse(
     log: Conditioned,
-    rig: Vehicle | None,
+    rig: VehicleGeometry | None,
     motion: Motion,
     settings: PoseSettings,
     frame_ns: Int64 | None,

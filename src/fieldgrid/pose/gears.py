@@ -9,7 +9,7 @@ import numpy as np
 from fieldgrid.angles import heading_deg, wrap_deg
 from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.course import first_beyond, stations
-from fieldgrid.gear import Gears, Track, gears
+from fieldgrid.gear import GearEvidence, Gears, gears
 from fieldgrid.motion import Motion
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.leaps import leaps
@@ -89,7 +89,7 @@ def station_gears(
         for column in (hole, np.where(torn, steps_s, 0.0))
     )
     gap_s = np.concatenate([[np.inf], np.where(holes > 0.0, np.diff(at_ns) / 1e9, torn_s)])
-    track = Track(
+    track = GearEvidence(
         points[station],
         seconds(at_ns),
         gap_s,

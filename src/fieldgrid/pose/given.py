@@ -19,10 +19,10 @@ from fieldgrid.pose.accepted import fix_offsets
 from fieldgrid.pose.georeference import CLEAR_SIGMAS, Georeference, Pairs, by_fixes, declared
 from fieldgrid.pose.given_motion import Chords, chords_of, course_off_heading_deg, resting
 from fieldgrid.pose.table import Conditioned, PoseTable
-from fieldgrid.pose.verdict import Budget, judged
+from fieldgrid.pose.verdict import ErrorBudget, judged
 from fieldgrid.quality import Quality
 from fieldgrid.reasons import commonest_reason
-from fieldgrid.rig import Rig, Vehicle
+from fieldgrid.rig import Rig, VehicleGeometry
 from fieldgrid.rotations import R_enu_level, R_level_vehicle
 from fieldgrid.settings import GateLimits, PoseSettings
 from fieldgrid.trajectory import MAX_GAP_NS, Trajectory
@@ -58,7 +58,7 @@ class Given(NamedTuple):
     fix: Int64
 
 
-class Placed(NamedTuple):
+class PlacedPoses(NamedTuple):
     """Given poses in the LTP: the trajectory, the row of each fix in it (without fixes, all rows),
     and what was found. `pairs` are the fixes compared, None without any."""
 
@@ -74,13 +74,13 @@ def place_poses(
     poses: GivenPoses,
     tilt: RecordedTilt | None,
     log: Conditioned | None,
-    rig: Vehicle | None,
+    rig: VehicleGeometry | None,
     datum: Datum,
     settings: PoseSettings,
-    budget: Budget | None,
+    budget: ErrorBudget | None,
     *,
     level_grids: bool,
-) -> Placed:
+) -> PlacedPoses:
     """Given poses, laid along the accepted fixes of a log or where the settings declare them.
 
     `tilt` says how the vehicle leans, as far as that is known. Raises GnssError where fixes and
@@ -107,7 +107,7 @@ def place_poses(
             "good the fixes are with --accuracy METRES, or leave --poses out, so that poses are "
             "estimated from fixes and motion."
         )
-    return Placed(trajectory, fix_row, found, attitude, pairs, tuple(notes))
+    return PlacedPoses(trajectory, fix_row, found, attitude, pairs, tuple(notes))
 
 
 def _with_fixes(poses: GivenPoses, log: Conditioned | None) -> Given:
@@ -140,7 +140,7 @@ def _axes(poses: GivenPoses) -> Float64:
     return np.asarray(R_enu_level(poses.heading_deg) @ level)
 
 
-def _pairs(rows: Given, log: Conditioned | None, rig: Vehicle | None) -> Pairs | None:
+def _pairs(rows: Given, log: Conditioned | None, rig: VehicleGeometry | None) -> Pairs | None:
     """The accepted fixes that poses were given for; None without any."""
     at = rows.fix >= 0
     if log is None or not at.any():
@@ -286,7 +286,7 @@ def _attitude(table: PoseTable, tilt: RecordedTilt) -> Attitude:
 
 
 def _at_origin(
-    table: PoseTable, poses: GivenPoses, rig: Vehicle | None, *, level_grids: bool
+    table: PoseTable, poses: GivenPoses, rig: VehicleGeometry | None, *, level_grids: bool
 ) -> PoseTable:
     """From the sensor to the ground below it: vertically, or for grids that are not level along
     the vehicle's own axis."""

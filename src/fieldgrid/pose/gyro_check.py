@@ -12,7 +12,7 @@ from fieldgrid.course import first_beyond
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import Axle
-from fieldgrid.pose.drive import Drive, smooth_drive
+from fieldgrid.pose.drive import DriveEstimate, smooth_drive
 from fieldgrid.pose.gears import GearHints
 from fieldgrid.pose.gyro_sense import gyro_sense
 from fieldgrid.pose.leaps import usual_period_s
@@ -61,7 +61,7 @@ class Trusted(NamedTuple):
     where nothing was. `unsure_deg` [n] is how far the headings with it and without it are apart at
     the nodes where nobody knows which of them is right, else 0."""
 
-    drive: Drive
+    drive: DriveEstimate
     motion: Motion
     unsure_deg: Float64
     note: str | None = None
@@ -154,7 +154,7 @@ def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, st
 
 
 def with_trusted_gyro(
-    drive: Drive,
+    drive: DriveEstimate,
     fixes: AcceptedFixes,
     all_ns: Int64,
     motion: Motion,
@@ -195,7 +195,7 @@ def with_trusted_gyro(
     return Trusted(rest, without, _apart_deg(rest, drive) * float(either), note)
 
 
-def _apart_deg(one: Drive, other: Drive) -> Float64:
+def _apart_deg(one: DriveEstimate, other: DriveEstimate) -> Float64:
     """How far two estimates of a drive are apart in heading at the nodes of the first."""
     heading_rad = np.unwrap(np.radians(other.heading_deg))
     beside_deg = np.degrees(np.interp(one.time_ns, other.time_ns, heading_rad))

@@ -17,18 +17,18 @@ import numpy as np
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.attitude import (
     ORIENTATION,
+    AntennaTrack,
     Attitude,
     AxisTilt,
-    Track,
     axes_of_orientation,
     estimate_attitude,
 )
 from fieldgrid.motion import Gyro, Motion, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import axle_forward_m
-from fieldgrid.pose.drive import Drive
+from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.table import PoseTable
-from fieldgrid.rig import Rig, Vehicle
+from fieldgrid.rig import Rig, VehicleGeometry
 from fieldgrid.rotations import R_enu_level, R_level_vehicle, heading_rad
 from fieldgrid.trajectory import Trajectory
 
@@ -85,9 +85,9 @@ def _known(axes: Sequence[AxisTilt], fix_ns: Int64) -> tuple[AxisTilt, ...]:
 
 def find_lean(
     fixes: AcceptedFixes,
-    drive: Drive,
+    drive: DriveEstimate,
     motion: Motion,
-    rig: Vehicle | None,
+    rig: VehicleGeometry | None,
     frame_ns: Int64 | None,
     stated: Sequence[AxisTilt] = (),
 ) -> tuple[Lean | None, tuple[str, ...]]:
@@ -108,7 +108,7 @@ def find_lean(
     if not (measured or axes):
         return None, notes
     at = drive.fix >= 0
-    track = Track(
+    track = AntennaTrack(
         fixes.time_ns,
         np.stack([fixes.east_m, fixes.north_m, fixes.up_m], axis=1),
         np.outer(fixes.noise.across_m, [1.0, 1.0, 2.0]),

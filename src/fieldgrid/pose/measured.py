@@ -11,7 +11,7 @@ from fieldgrid.motion import Motion, Steps, WheelSpeed
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.nodes import UNSEEN_NS, Nodes, seconds
 from fieldgrid.quality import Quality
-from fieldgrid.rig import Vehicle
+from fieldgrid.rig import VehicleGeometry
 from fieldgrid.smoother import Measurements
 
 USUAL_ANTENNA_M = 2.0
@@ -58,7 +58,7 @@ def measurements(
     resting: Bool,
     motion: Motion,
     gear: Int64,
-    rig: Vehicle | None,
+    rig: VehicleGeometry | None,
 ) -> Measurements:
     """All that was measured at the nodes, but for recorded headings. `resting` [n] marks nodes at
     rest, `gear` [n] is theirs, which signs the speeds of wheels that never turn back."""
@@ -139,7 +139,7 @@ def _last_before(time_ns: Int64, sorted_ns: Int64) -> Int64:
     return np.asarray(np.maximum(np.searchsorted(sorted_ns, time_ns, side="right") - 1, 0))
 
 
-def _sway_m(rig: Vehicle | None) -> float:
+def _sway_m(rig: VehicleGeometry | None) -> float:
     up_m = 0.0 if rig is None else rig.antenna.up_m
     return (up_m if up_m > 0.0 else USUAL_ANTENNA_M) * float(np.radians(SWAY_DEG))
 

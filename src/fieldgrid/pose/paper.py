@@ -7,7 +7,7 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.course import NOISE_SHARE, STATION_M, Course, course, course_of_axle, stations
 from fieldgrid.pose.accepted import AcceptedFixes
-from fieldgrid.rig import Vehicle
+from fieldgrid.rig import VehicleGeometry
 from fieldgrid.settings import PoseSettings
 from fieldgrid.trajectory import MAX_GAP_NS
 
@@ -34,7 +34,9 @@ def _known(heading_deg: Float64, sigma_deg: Float64) -> Course:
     return Course(heading_deg, sigma_deg, np.ones(n, dtype=np.int64), np.zeros(n))
 
 
-def course_heading(fixes: AcceptedFixes, rig: Vehicle | None, settings: PoseSettings) -> Course:
+def course_heading(
+    fixes: AcceptedFixes, rig: VehicleGeometry | None, settings: PoseSettings
+) -> Course:
     """Course where it is the heading: at the axle that does not steer, when the rig names it.
 
     The antenna, a metre ahead, swings outward in a turn: its course leads the heading by

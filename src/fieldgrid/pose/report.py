@@ -17,16 +17,16 @@ from fieldgrid.pose.axle import Axle, names_axle
 from fieldgrid.pose.camera_yaw import CameraYaw, yaw_notes
 from fieldgrid.pose.clock_change import ClockChange
 from fieldgrid.pose.clock_jump import ClockJump
-from fieldgrid.pose.clock_search import ClockOffset, Contradiction
+from fieldgrid.pose.clock_search import ClockOffset, DeniedMotions
 from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.denied import Denied, denied_notes
-from fieldgrid.pose.drive import Drive
+from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.georeference import Georeference
 from fieldgrid.pose.imu_turn import ImuTurn
 from fieldgrid.pose.seams import LEAP_S
 from fieldgrid.pose.settings import HeadingSource
 from fieldgrid.reasons import commonest_reason
-from fieldgrid.rig import Rig, Vehicle
+from fieldgrid.rig import Rig, VehicleGeometry
 from fieldgrid.settings import PoseSettings
 from fieldgrid.smoother import Constant
 from fieldgrid.trajectory import Trajectory
@@ -71,7 +71,7 @@ class PoseReport:
     wheel_scale: Constant | None
     notes: tuple[str, ...]
     georeference: Georeference | None = None
-    contradiction: Contradiction | None = None
+    contradiction: DeniedMotions | None = None
     jump: ClockJump | None = None
     clock_change: ClockChange | None = None
     camera_yaw: CameraYaw | None = None
@@ -127,9 +127,9 @@ def fix_offset(fixes: AcceptedFixes, offset_m: Float64) -> FixOffset:
 
 
 def drive_notes(
-    drive: Drive,
+    drive: DriveEstimate,
     fixes: AcceptedFixes,
-    rig: Vehicle | None,
+    rig: VehicleGeometry | None,
     axle: Axle,
     denied: Denied,
     source: HeadingSource,
@@ -151,7 +151,9 @@ def drive_notes(
         yield _remedy(trajectory, fixes, settings)
 
 
-def _constant_note(source: HeadingSource, drive: Drive, settings: PoseSettings) -> Iterator[str]:
+def _constant_note(
+    source: HeadingSource, drive: DriveEstimate, settings: PoseSettings
+) -> Iterator[str]:
     """A heading given by hand beside that of the drive."""
     moving = (drive.gear != 0) & (drive.heading_sigma_deg < settings.max_heading_sigma_deg)
     if source.kind != "constant" or not moving.any():
@@ -195,7 +197,7 @@ def clock_notes(clock: ClockOffset | None) -> Iterator[str]:
         )
 
 
-def _no_axle(rig: Vehicle | None, axle: Axle) -> str:
+def _no_axle(rig: VehicleGeometry | None, axle: Axle) -> str:
     """That nobody says where the axle is, and what that means."""
     remedy = "Say it with --antenna-ahead METRES."
     if isinstance(rig, Rig):

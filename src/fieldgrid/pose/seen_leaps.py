@@ -13,7 +13,7 @@ import numpy as np
 from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.motion import Steps
 from fieldgrid.pose.accepted import AcceptedFixes
-from fieldgrid.pose.drive import Drive
+from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.leaps import HOLE_PERIODS, TORN_S, usual_period_s
 from fieldgrid.pose.seams import LEAST_M, SeenLeap
 from fieldgrid.rig import LeverArm
@@ -37,7 +37,7 @@ MOST_WAY_M = 30.0
 
 
 def seen_leaps(
-    fixes: AcceptedFixes, drive: Drive, steps: Steps | None, antenna: LeverArm
+    fixes: AcceptedFixes, drive: DriveEstimate, steps: Steps | None, antenna: LeverArm
 ) -> tuple[SeenLeap, ...]:
     """Where fixes that follow each other lie elsewhere to each other than the camera went.
 
@@ -89,7 +89,9 @@ def _by_fixes(fixes: AcceptedFixes, at: Int64) -> tuple[Float64, Bool]:
 class _CameraPath:
     """The way of the antenna by the camera's steps, beside that of the fixes."""
 
-    def __init__(self, fixes: AcceptedFixes, drive: Drive, steps: Steps, antenna: LeverArm) -> None:
+    def __init__(
+        self, fixes: AcceptedFixes, drive: DriveEstimate, steps: Steps, antenna: LeverArm
+    ) -> None:
         order = np.argsort(steps.start_ns, kind="stable")
         steps = Steps._make(column[order] for column in steps)
         heading_deg = np.degrees(np.unwrap(np.radians(drive.heading_deg)))

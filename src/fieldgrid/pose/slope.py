@@ -16,7 +16,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.plane_fit import robust_plane
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.table import PoseTable
-from fieldgrid.rig import Vehicle
+from fieldgrid.rig import VehicleGeometry
 
 CLIMB_SIGMA_RAD, LEAST_CHORD_M, MOST_CHORD_M = 0.01, 3.0, 30.0
 """The path's climb is that between fixes so far apart that their noise makes no more than this."""
@@ -100,7 +100,9 @@ def _wide(round_: int, residuals: Float64) -> float:
     return 6.0 * max(NORMAL_MAD * float(np.median(np.abs(residuals))), 0.05)
 
 
-def unsure_slope(table: PoseTable, slope: Slope, rig: Vehicle, *, turns_seen: bool) -> PoseTable:
+def unsure_slope(
+    table: PoseTable, slope: Slope, rig: VehicleGeometry, *, turns_seen: bool
+) -> PoseTable:
     """The same poses with what an unknown lean of the antenna above the ground adds to their
     sigmas. Of their positions it is common to neighbours; a heading that gyro or camera saw turn
     does not hang on the antenna's track."""
@@ -112,12 +114,12 @@ def unsure_slope(table: PoseTable, slope: Slope, rig: Vehicle, *, turns_seen: bo
     )
 
 
-def off_m(slope: Slope, rig: Vehicle) -> float:
+def off_m(slope: Slope, rig: VehicleGeometry) -> float:
     """How far the lean moves the antenna, 1-sigma along one axis."""
     return float(abs(rig.antenna.up_m) * np.tan(slope.lean_rad) / np.sqrt(2.0))
 
 
-def slope_notes(slope: Slope, rig: Vehicle | None) -> Iterator[str]:
+def slope_notes(slope: Slope, rig: VehicleGeometry | None) -> Iterator[str]:
     """A word on a slope that matters."""
     slope_deg = float(np.degrees(slope.lean_rad))
     if rig is not None and rig.antenna.up_m and slope_deg > TOLD_DEG:

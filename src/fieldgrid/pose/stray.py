@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from fieldgrid.array_types import Bool, Float64
-from fieldgrid.pose.drive import Drive
+from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.gears import breaks
 from fieldgrid.pose.nodes import seconds
 from fieldgrid.pose.table import Conditioned
@@ -36,7 +36,7 @@ MOST_SHARE = 0.1
 """A drive that would deny more of its fixes at once is itself in doubt, and denies none of them."""
 
 
-def stray_fixes(drive: Drive, log: Conditioned) -> dict[int, str]:
+def stray_fixes(drive: DriveEstimate, log: Conditioned) -> dict[int, str]:
     """The accepted fixes that are short excursions from the drive that the others tell: rows of
     the log's fixes, and why."""
     has = drive.fix >= 0

@@ -12,12 +12,12 @@ from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Verdicts
 from fieldgrid.pose.accepted import AcceptedFixes, fix_offsets
-from fieldgrid.pose.drive import Drive
+from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.paper import constant_heading, course_heading, recorded_heading
 from fieldgrid.pose.settings import HeadingSource
 from fieldgrid.pose.verdict import jumps
 from fieldgrid.quality import Quality
-from fieldgrid.rig import Vehicle
+from fieldgrid.rig import VehicleGeometry
 from fieldgrid.settings import PoseSettings
 
 
@@ -68,9 +68,9 @@ class Conditioned(NamedTuple):
 def pose_table(
     source: HeadingSource,
     log: Conditioned,
-    drive: Drive,
+    drive: DriveEstimate,
     recorded_deg: Float64,
-    rig: Vehicle | None,
+    rig: VehicleGeometry | None,
     settings: PoseSettings,
 ) -> tuple[PoseTable, Int64]:
     """The table, and the row of each fix in it. `recorded_deg` are headings of the vehicle that
@@ -87,7 +87,7 @@ def pose_table(
     return rows, np.arange(len(log.fixes), dtype=np.int64)
 
 
-def _smooth_table(log: Conditioned, drive: Drive) -> tuple[PoseTable, Int64]:
+def _smooth_table(log: Conditioned, drive: DriveEstimate) -> tuple[PoseTable, Int64]:
     """The nodes of the drive, each judged by what is known there, and beside them every
     rejected fix with the estimate of its time: a bad fix does not spoil the pose."""
     ok, reason = log.verdicts.ok, log.verdicts.reason
@@ -142,7 +142,7 @@ def _positions(log: Conditioned, rows: Int64) -> tuple[Float64, Float64, Float64
 
 
 def _paper_table(
-    log: Conditioned, drive: Drive, found: Course, settings: PoseSettings
+    log: Conditioned, drive: DriveEstimate, found: Course, settings: PoseSettings
 ) -> PoseTable:
     """A row a fix, at its own position, with a heading of the paper's kind."""
     ok, used = log.verdicts.ok, log.accepted

@@ -20,7 +20,7 @@ JUMP_SIGMAS, JUMP_DEG = 4.0, 5.0
 """A nose does not turn faster than its tightest turn by more than this."""
 
 
-class Budget(NamedTuple):
+class ErrorBudget(NamedTuple):
     """How far off a cell at the far end of a local grid may be, metres, 1-sigma, and how far
     ahead that end is."""
 
@@ -32,7 +32,7 @@ OFFSET_SIGMAS, LEAST_OFFSET_M = 2.0, 0.1
 """Poses may lie from their fixes by so many times what these state, and by this in any case."""
 
 
-def refusals(table: PoseTable, settings: PoseSettings, budget: Budget | None) -> list[str]:
+def refusals(table: PoseTable, settings: PoseSettings, budget: ErrorBudget | None) -> list[str]:
     """Why each pose is not sure enough for a map; empty where it is."""
     reasons = list(table.rejection)
     refused = np.array([bool(reason) for reason in reasons])
@@ -87,7 +87,7 @@ def judged(
     table: PoseTable,
     datum: Datum,
     settings: PoseSettings,
-    budget: Budget | None,
+    budget: ErrorBudget | None,
     heading_source: str,
 ) -> Trajectory:
     """Rows of the grid origin, each with its verdict."""

@@ -14,7 +14,7 @@ from fieldgrid.cost import DENSITIES, CostCurve
 from fieldgrid.errors import ConfigError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, Lattice, Window
-from fieldgrid.mapfile import Blocks, MapView, Readable
+from fieldgrid.mapfile import MapBlocks, MapView, Readable
 from fieldgrid.quadtree.rule import LOSS, MAX_LEVEL, Near, Rule, checked_rule, whole_squares
 from fieldgrid.quadtree.split import Squares, joined, squares_of
 
@@ -94,11 +94,11 @@ class Quadtree:
         """The squares of a view that was read already, with the layers that `MapFile.deciding`
         names. What lies outside of it counts as unseen."""
         rule = checked_rule(view.lattice, loss, sides_m, least_seen, near, curve)
-        whole = Blocks(view.lattice, view.window, iter((view,)))
+        whole = MapBlocks(view.lattice, view.window, iter((view,)))
         return cls._of(whole, view.datum, rule, "density")
 
     @classmethod
-    def _of(cls, blocks: Blocks, datum: Datum, rule: Rule, layer: str) -> Self:
+    def _of(cls, blocks: MapBlocks, datum: Datum, rule: Rule, layer: str) -> Self:
         found = joined(
             _counted(part for view in blocks.views for part in squares_of(view, rule, layer))
         )

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from fieldgrid.array_types import Float32
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.files import read_bytes
-from fieldgrid.recording.frame_table import TABLE, Layout
+from fieldgrid.recording.frame_table import TABLE, FrameLayout
 from fieldgrid.recording.frames import CloudFrame, Frame
 from fieldgrid.recording.las import las_time_ns, read_las
 from fieldgrid.recording.motion_files import directions
@@ -45,7 +45,7 @@ def _time_ns(path: Path) -> int:
     )
 
 
-CLOUDS = Layout(("cloud",), ("clouds",), SUFFIXES, "cloud", "cloud", _time_ns)
+CLOUDS = FrameLayout(("cloud",), ("clouds",), SUFFIXES, "cloud", "cloud", _time_ns)
 
 
 @dataclass(frozen=True, slots=True)

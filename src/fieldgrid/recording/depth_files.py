@@ -15,7 +15,7 @@ import numpy.typing as npt
 from fieldgrid.array_types import Float32
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.files import read_bytes
-from fieldgrid.recording.frame_table import Layout
+from fieldgrid.recording.frame_table import FrameLayout
 from fieldgrid.recording.frames import DepthFrame, Frame
 from fieldgrid.recording.image_header import read_header
 from fieldgrid.recording.images import MAX_PIXELS
@@ -27,8 +27,8 @@ _Any = npt.NDArray[np.generic]
 SUFFIXES = frozenset({".png", ".tif", ".tiff", ".npy", ".pfm"})
 """File name endings of depths and disparities, in lower case."""
 
-DEPTHS = Layout(("depth",), ("depth",), SUFFIXES, "depth image")
-DISPARITIES = Layout(("disparity",), ("disparity",), SUFFIXES, "disparity image")
+DEPTHS = FrameLayout(("depth",), ("depth",), SUFFIXES, "depth image")
+DISPARITIES = FrameLayout(("disparity",), ("disparity",), SUFFIXES, "disparity image")
 
 MILLIMETRES, KITTI_DISPARITY = 0.001, 1.0 / 256.0
 """What one unit of whole numbers is when nothing is said: of depths, metres; of disparities, px."""

@@ -14,13 +14,13 @@ LIMIT = 10**9
 """No length, angle or offset is as large."""
 
 
-class Table(BaseModel):
+class EntryTable(BaseModel):
     """A table of entries: frozen, and an unknown key is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
-Model = TypeVar("Model", bound=Table)
+Model = TypeVar("Model", bound=EntryTable)
 
 
 def entry(remedy: str, default: Any = ..., **limits: Any) -> Any:
@@ -81,8 +81,8 @@ def fitted(model: type[Model], document: Any) -> Model:
 
 
 def _at(
-    model: type[Table], place: tuple[int | str, ...]
-) -> tuple[type[Table], FieldInfo | None, str]:
+    model: type[EntryTable], place: tuple[int | str, ...]
+) -> tuple[type[EntryTable], FieldInfo | None, str]:
     """The innermost table and entry at a place, and the entry's key."""
     info, key = None, ""
     for part in map(str, place):
@@ -90,6 +90,6 @@ def _at(
             break
         info, key = model.model_fields[part], part
         for kind in (info.annotation, *get_args(info.annotation)):
-            if isinstance(kind, type) and issubclass(kind, Table):
+            if isinstance(kind, type) and issubclass(kind, EntryTable):
                 model = kind
     return model, info, key

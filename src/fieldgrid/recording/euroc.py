@@ -22,7 +22,7 @@ from fieldgrid.recording.format import Format
 from fieldgrid.recording.frame_table import MAX_FRAMES
 from fieldgrid.recording.image_format import image_format
 from fieldgrid.recording.logs import find_log, with_log
-from fieldgrid.recording.motion_files import Series, in_order, inertial_of
+from fieldgrid.recording.motion_files import MotionSeries, in_order, inertial_of
 from fieldgrid.recording.mounting import MOUNTING, Mounting
 from fieldgrid.recording.options import NO_MOUNTING, DriveOptions
 from fieldgrid.recording.settings_file import SETTINGS, read_settings
@@ -223,7 +223,7 @@ def _turning(
     for part in range(len(columns) // 3):
         three = slice(3 * part, 3 * part + 3)
         sensed[:, three] = series.values[:, three] @ R_vehicle_imu.T
-    inertial = inertial_of(Series(series.time_ns, sensed), notes)
+    inertial = inertial_of(MotionSeries(series.time_ns, sensed), notes)
     return Motion(gyro=Gyro(series.time_ns, rate), inertial=inertial), tuple(notes)
 
 

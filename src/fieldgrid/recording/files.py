@@ -16,7 +16,7 @@ from pathlib import Path, PurePath
 from typing import Any, BinaryIO, cast
 
 from fieldgrid.errors import FieldgridError, RecordingError
-from fieldgrid.limits import Budget, bounded_lines, check_rows
+from fieldgrid.limits import UnfoldBudget, bounded_lines, check_rows
 
 MAX_TEXT_BYTES = 256 << 20
 MAX_LOG_BYTES = 2 << 30
@@ -101,7 +101,7 @@ def open_log_bytes(path: Path) -> Iterator[BinaryIO]:
             packed = file.read(2) == b"\x1f\x8b"
             file.seek(0)
             source = cast(BinaryIO, gzip.GzipFile(fileobj=file)) if packed else file
-            budget = Budget(path, size, is_log=True) if packed else None
+            budget = UnfoldBudget(path, size, is_log=True) if packed else None
             yield cast(BinaryIO, io.BufferedReader(_Limited(source, path, budget), 1 << 16))
     except (EOFError, zlib.error, gzip.BadGzipFile) as problem:
         raise RecordingError(
@@ -114,7 +114,7 @@ def open_log_bytes(path: Path) -> Iterator[BinaryIO]:
 class _Limited(io.RawIOBase):
     """A source that ends with an error where a log can no longer be meant."""
 
-    def __init__(self, source: BinaryIO, path: Path, budget: Budget | None) -> None:
+    def __init__(self, source: BinaryIO, path: Path, budget: UnfoldBudget | None) -> None:
         super().__init__()
         self._source, self._path, self._left = source, path, MAX_LOG_BYTES
         self._budget = budget

@@ -29,7 +29,7 @@ from fieldgrid.recording.oxts import FIELDS, oxts_fixes, oxts_motion
 from fieldgrid.recording.places import Places
 from fieldgrid.recording.qualities import read_qualities
 from fieldgrid.recording.table_time import TimeColumn, find_time
-from fieldgrid.recording.tables import NOTHING, Block, Table, open_table
+from fieldgrid.recording.tables import NOTHING, OpenTable, TableRows, open_table
 
 _OWN = {
     "lat": "lat_deg", "lon": "lon_deg", "height": "height_m", "quality": "quality",
@@ -59,7 +59,7 @@ def read_fix_table(path: Path, columns: Columns | None = None) -> FixLog:
         return FixLog(fixes, plan.notes())
 
 
-def _read_oxts(table: Table) -> FixLog:
+def _read_oxts(table: OpenTable) -> FixLog:
     time = find_time(table, Columns())
     places = [table.header.index(name) for name in FIELDS]
     blocks = [
@@ -82,7 +82,7 @@ def _read_oxts(table: Table) -> FixLog:
 class _Plan:
     """Which columns are read, and what came up while reading."""
 
-    table: Table
+    table: OpenTable
     columns: Columns
     time: TimeColumn = field(init=False)
     places: dict[str, int] = field(init=False)
@@ -131,7 +131,7 @@ class _Plan:
             )
         return f"{told}; name it: {how_to_say(**{role: 'COLUMN'})}. {has}"
 
-    def fixes(self, block: Block) -> FixColumns:
+    def fixes(self, block: TableRows) -> FixColumns:
         """The fixes of some rows; rows without a position or without a time are counted."""
         times_ns = self.time.utc_ns(block)
         lat, lon = self.where.lat_lon(block)
@@ -164,7 +164,7 @@ class _Plan:
                 f"{how_to_say(height_units='mm')}, or cm or ft."
             )
 
-    def _optional(self, block: Block, keep: Index) -> dict[str, npt.ArrayLike]:
+    def _optional(self, block: TableRows, keep: Index) -> dict[str, npt.ArrayLike]:
         """What fixes may lack, by the field of a fix."""
         value = {r: self._numbers(r, block)[keep] for r in _NUMBERS if r in self.places}
         sigma = value.get("sigma")
@@ -188,7 +188,7 @@ class _Plan:
             said["satellites"] = self._satellites(block, keep)
         return said
 
-    def _numbers(self, role: str, block: Block) -> Float64:
+    def _numbers(self, role: str, block: TableRows) -> Float64:
         return self.table.numbers(block, self.places[role])
 
     def _unit(self, role: str) -> tuple[str, float]:
@@ -207,7 +207,7 @@ class _Plan:
             else (factor * speed_factor(unit))
         )
 
-    def _heights(self, block: Block) -> Float64:
+    def _heights(self, block: TableRows) -> Float64:
         """Metres, NaN where a row has none."""
         if "height" not in self.places:
             return np.zeros(len(block.rows))
@@ -230,7 +230,7 @@ class _Plan:
     def _wrapped(self, angles: Float64 | None) -> Float64 | None:
         return None if angles is None else wrap_deg(angles)
 
-    def _heading(self, value: dict[str, Float64], block: Block, keep: Index) -> Float64 | None:
+    def _heading(self, value: dict[str, Float64], block: TableRows, keep: Index) -> Float64 | None:
         """Headings clockwise from north; NaN where they are marked as not valid."""
         if "heading" not in value:
             return None
@@ -247,7 +247,7 @@ class _Plan:
             angle = np.where(invalid, np.nan, angle)
         return angle
 
-    def _qualities(self, block: Block, keep: Index, sigma: Float64 | None) -> npt.ArrayLike:
+    def _qualities(self, block: TableRows, keep: Index, sigma: Float64 | None) -> npt.ArrayLike:
         if "quality" not in self.places:
             return Quality.UNKNOWN if sigma is None else quality_by_sigma(sigma)
         name = self.table.header[self.places["quality"]]
@@ -256,12 +256,12 @@ class _Plan:
         self.unknown.update(read.unknown)
         return read.codes
 
-    def _satellites(self, block: Block, keep: Index) -> list[int]:
+    def _satellites(self, block: TableRows, keep: Index) -> list[int]:
         cells = self._kept("satellites", block, keep)
         known = {cell: _fewest(cell) for cell in set(cells)}
         return [known[cell] for cell in cells]
 
-    def _kept(self, role: str, block: Block, keep: Index) -> list[str]:
+    def _kept(self, role: str, block: TableRows, keep: Index) -> list[str]:
         """The cells of the rows that become fixes."""
         cells = block.cells(self.places[role])
         return cells if keep.size == len(cells) else [cells[k] for k in keep]

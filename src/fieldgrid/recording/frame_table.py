@@ -23,7 +23,7 @@ MAX_FRAMES = 500_000
 """Half a day at ten frames a second. Each takes some 400 bytes."""
 
 
-class Layout(NamedTuple):
+class FrameLayout(NamedTuple):
     """How one kind of frame lies in a folder: its columns in the table, the folder of each, the
     endings of its files, what a frame and a file are called, what else tells a file's time,
     whether files that the table names may be missing, and whether all frames are still to come."""
@@ -42,7 +42,7 @@ class Layout(NamedTuple):
         return all((folder / name).is_dir() for name in self.folders)
 
 
-PAIRS = Layout(("left", "right"), ("left", "right"), SUFFIXES, "stereo pair")
+PAIRS = FrameLayout(("left", "right"), ("left", "right"), SUFFIXES, "stereo pair")
 
 
 _DATE = re.compile(r"20\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])")
@@ -53,7 +53,7 @@ FEWEST_ROWS, MOST_ASTRAY = 10, 0.02
 
 
 def read_frames(
-    folder: Path, table: str | None = None, layout: Layout = PAIRS
+    folder: Path, table: str | None = None, layout: FrameLayout = PAIRS
 ) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
     """The frames of a folder in order of time, and remarks.
 
@@ -80,7 +80,7 @@ def _moved(in_folder: InFolder, path: Path) -> tuple[str, ...]:
     )
 
 
-def _from_table(path: Path, layout: Layout, in_folder: InFolder) -> list[Shot]:
+def _from_table(path: Path, layout: FrameLayout, in_folder: InFolder) -> list[Shot]:
     shots: list[Shot] = []
     for line, row in read_table(path, needed_columns(layout), named=frame_columns):
         if len(shots) == MAX_FRAMES:
@@ -108,7 +108,7 @@ def _out_of_order(shots: Sequence[Shot], path: Path) -> tuple[str, ...]:
     )
 
 
-def needed_columns(layout: Layout) -> tuple[str, ...]:
+def needed_columns(layout: FrameLayout) -> tuple[str, ...]:
     """The columns that no table of such frames lacks, besides that of the time."""
     return ("frame_id", *layout.columns)
 
@@ -122,7 +122,7 @@ def frame_columns(header: list[str]) -> list[str]:
 
 
 def shot_of_row(
-    row: dict[str, str], where: str, layout: Layout, in_folder: Callable[[str], str]
+    row: dict[str, str], where: str, layout: FrameLayout, in_folder: Callable[[str], str]
 ) -> Shot:
     """The frame that a row of a table tells; `where` is what an error calls the row, `in_folder`
     gives the path of a file in the recording."""
@@ -145,7 +145,7 @@ def shot_of_row(
     return Shot(time_ns, row["frame_id"], files)
 
 
-def _from_names(folder: Path, layout: Layout) -> tuple[list[Shot], tuple[str, ...]]:
+def _from_names(folder: Path, layout: FrameLayout) -> tuple[list[Shot], tuple[str, ...]]:
     listings = [_files(folder / name, layout.suffixes) for name in layout.folders]
     common = set.intersection(*(set(listing) for listing in listings))
     shots: list[Shot] = []
@@ -185,7 +185,7 @@ def _time_of_name(stem: str) -> _Named | None:
     return None if time_ns == NO_TIME else _Named(time_ns, scale)
 
 
-def file_time_ns(folder: Path, file: str, layout: Layout) -> int:
+def file_time_ns(folder: Path, file: str, layout: FrameLayout) -> int:
     """The time of a frame by the name of its first file in nanoseconds, by what else tells it, or
     by the name in another unit."""
     stem = PurePath(file).stem

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fieldgrid.choices import GearName
 from fieldgrid.errors import RecordingError
-from fieldgrid.recording.tables import Block, Table, open_table
+from fieldgrid.recording.tables import OpenTable, TableRows, open_table
 from fieldgrid.recording.times import UnreadableTimeError, guess_scale, to_utc_ns
 from fieldgrid.settings import GearSpan
 
@@ -51,7 +51,7 @@ def read_gear_spans(path: Path) -> tuple[GearSpan, ...]:
     return tuple(spans)
 
 
-def _times_ns(table: Table, block: Block, place: int) -> list[int]:
+def _times_ns(table: OpenTable, block: TableRows, place: int) -> list[int]:
     cells = block.cells(place)
     scale = guess_scale(table.header[place], cells, table.decimal_comma)
     if scale is None:

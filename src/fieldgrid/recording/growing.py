@@ -14,7 +14,7 @@ from fieldgrid.recording.files import delimiter_of
 from fieldgrid.recording.folder import SESSION, mounting_path
 from fieldgrid.recording.frame_table import (
     TABLE,
-    Layout,
+    FrameLayout,
     file_time_ns,
     frame_columns,
     needed_columns,
@@ -28,7 +28,7 @@ from fieldgrid.recording.options import DriveOptions
 from fieldgrid.recording.sensors import read_seen
 from fieldgrid.recording.settings_file import (
     SETTINGS,
-    Settings,
+    RecordingSettings,
     read_session_datum,
     read_settings,
 )
@@ -59,8 +59,8 @@ class GrowingFolder:
     datum_hint: Datum | None
     notes: tuple[str, ...]
     kind: FrameKind
-    _settings: Settings
-    _layout: Layout
+    _settings: RecordingSettings
+    _layout: FrameLayout
     _in_folder: InFolder
     _is_first: bool = True
     _names: list[set[str]] = field(default_factory=list)

@@ -8,14 +8,14 @@ from pathlib import Path
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.images import ImageFile, ImageFormat
 from fieldgrid.recording.pixels import BITS, Pixels, significant_bits
-from fieldgrid.recording.settings_file import Settings
+from fieldgrid.recording.settings_file import RecordingSettings
 from fieldgrid.recording.stored import Shot
 
 _SAMPLES = 5
 
 
 def image_format(
-    folder: Path, shots: Sequence[Shot], settings: Settings
+    folder: Path, shots: Sequence[Shot], settings: RecordingSettings
 ) -> tuple[ImageFormat, tuple[str, ...]]:
     """The format of the images of all frames, and a remark where it was guessed.
 

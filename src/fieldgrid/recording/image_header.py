@@ -19,7 +19,7 @@ _TIFF_COMPRESSIONS = frozenset({1, 5, 8, 32773, 32946})  # none, LZW, deflate, P
 _TIFF_MAX_STRIPS = 100_000
 
 
-class Header(NamedTuple):
+class ImageHeader(NamedTuple):
     """Size, whether a value of a pixel has 16 bits, and whether the end of the file is there, as
     far as can be seen without decoding."""
 
@@ -29,24 +29,24 @@ class Header(NamedTuple):
     is_whole: bool = True
 
 
-def read_header(data: bytes, tiff_bits: Collection[int] = (8, 16)) -> Header | None:
+def read_header(data: bytes, tiff_bits: Collection[int] = (8, 16)) -> ImageHeader | None:
     """What an image says of itself, None if it is no image that we read; of TIFFs those with
     `tiff_bits` in a value."""
     try:
         if data.startswith(b"\x89PNG\r\n\x1a\n"):
             width, height, depth = struct.unpack(">IIB", data[16:25])
-            return Header(width, height, depth == 16, _png_is_whole(data))
+            return ImageHeader(width, height, depth == 16, _png_is_whole(data))
         if data.startswith(b"\xff\xd8"):
             return _jpeg(data)
         if data.startswith(b"BM"):
             width, height = struct.unpack("<ii", data[18:26])
-            return Header(width, abs(height)) if width >= 0 else None
+            return ImageHeader(width, abs(height)) if width >= 0 else None
         if data.startswith((b"II*\0", b"MM\0*")):
             return _tiff(data, tiff_bits)
     except struct.error:
         return None
     match = _PNM.match(data)
-    return None if match is None else Header(int(match[1]), int(match[2]), int(match[3]) > 255)
+    return None if match is None else ImageHeader(int(match[1]), int(match[2]), int(match[3]) > 255)
 
 
 def _png_is_whole(data: bytes) -> bool:
@@ -58,7 +58,7 @@ def _png_is_whole(data: bytes) -> bool:
     return kind == b"IEND" and at <= len(data)
 
 
-def _tiff(data: bytes, bits: Collection[int]) -> Header | None:
+def _tiff(data: bytes, bits: Collection[int]) -> ImageHeader | None:
     """The first image of a TIFF, if it is of the plain kind that cameras write: in strips, with
     so many bits. Others can ask a decoder for anything."""
     order = "<" if data.startswith(b"II") else ">"
@@ -81,10 +81,10 @@ def _tiff(data: bytes, bits: Collection[int]) -> Header | None:
     if compression not in _TIFF_COMPRESSIONS or len(depths) != 1 or not depths <= set(bits):
         return None
     ends = [start + size for start, size in zip(tags[_OFFSETS], tags[_LENGTHS], strict=False)]
-    return Header(tags[_WIDTH][0], tags[_HEIGHT][0], depths == {16}, max(ends) <= len(data))
+    return ImageHeader(tags[_WIDTH][0], tags[_HEIGHT][0], depths == {16}, max(ends) <= len(data))
 
 
-def _jpeg(data: bytes) -> Header | None:
+def _jpeg(data: bytes) -> ImageHeader | None:
     at = 2
     while at + 9 <= len(data) and data[at] == 0xFF:
         kind = data[at + 1]
@@ -94,7 +94,7 @@ def _jpeg(data: bytes) -> Header | None:
             height, width = struct.unpack(">HH", data[at + 5 : at + 9])
             # Some decoders fill a cut JPEG with grey. In coded data FF is never followed by D9,
             # so the last FF D9 is the end of the image, or of a thumbnail before it.
-            return Header(width, height, is_whole=data.rfind(b"\xff\xd9") > at)
+            return ImageHeader(width, height, is_whole=data.rfind(b"\xff\xd9") > at)
         else:
             at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
     return None

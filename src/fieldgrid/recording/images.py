@@ -14,7 +14,7 @@ import numpy.typing as npt
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.files import read_bytes
 from fieldgrid.recording.frames import Image
-from fieldgrid.recording.image_header import Header, read_header
+from fieldgrid.recording.image_header import ImageHeader, read_header
 from fieldgrid.recording.pixels import BITS, to_grey
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff"})
@@ -105,7 +105,7 @@ def decode_image(
     return to_grey(pixels, _encoding(pixels, image_format, name), image_format.bits)
 
 
-def _checked_header(data: bytes, name: str, max_pixels: int) -> Header:
+def _checked_header(data: bytes, name: str, max_pixels: int) -> ImageHeader:
     """What an image says of itself, once it is sure that such an image can be."""
     if not data:
         raise RecordingError(f"{name} is empty; record or copy it again.")
@@ -122,7 +122,9 @@ def _checked_header(data: bytes, name: str, max_pixels: int) -> Header:
     return header
 
 
-def _pixels(data: bytes, header: Header, name: str, flags: int = cv2.IMREAD_UNCHANGED) -> _Pixels:
+def _pixels(
+    data: bytes, header: ImageHeader, name: str, flags: int = cv2.IMREAD_UNCHANGED
+) -> _Pixels:
     pixels = _decode(data, flags) if header.is_whole else None
     if pixels is None or pixels.shape[:2] != (header.height_px, header.width_px):
         raise RecordingError(f"{name} is truncated or damaged; copy it again.")

@@ -27,7 +27,7 @@ from fieldgrid.recording.kitti_calibration import CAMERA_HEIGHT_M, floats, numbe
 from fieldgrid.recording.logs import find_log, log_name, read_fix_log
 from fieldgrid.recording.mounting import MOUNTING
 from fieldgrid.recording.options import NO_MOUNTING, DriveOptions
-from fieldgrid.recording.settings_file import SETTINGS, Settings, Start, read_settings
+from fieldgrid.recording.settings_file import SETTINGS, RecordingSettings, Start, read_settings
 from fieldgrid.recording.stored import PairKind, Shot, StoredFrames, checked_shots
 from fieldgrid.rectify import camera_from_projections
 from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
@@ -166,7 +166,9 @@ def _first_camera(left_projection: Float64, camera: StereoCamera, mount: Mount) 
     return LeverArm(right, forward, mount.height_m + up)
 
 
-def _poses_as_fixes(path: Path, times_ns: list[int], settings: Settings, mount: Mount) -> FixLog:
+def _poses_as_fixes(
+    path: Path, times_ns: list[int], settings: RecordingSettings, mount: Mount
+) -> FixLog:
     """The fixes that the poses come to; none, and what is missing for them."""
     file = next((p for p in _pose_files(path) if p.is_file()), None)
     if file is None:

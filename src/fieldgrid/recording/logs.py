@@ -19,7 +19,7 @@ from fieldgrid.recording.isoxml import is_time_log, read_time_log
 from fieldgrid.recording.options import DriveOptions
 from fieldgrid.recording.rtklib import SUFFIXES as SOLUTIONS
 from fieldgrid.recording.rtklib import is_solution, read_solution
-from fieldgrid.recording.settings_file import Settings
+from fieldgrid.recording.settings_file import RecordingSettings
 from fieldgrid.recording.stream_log import NoStreamError, looks_like_stream, read_stream
 from fieldgrid.recording.tables import COMMENTS, split_header
 
@@ -137,7 +137,11 @@ def _looks_like_table(head: bytes) -> bool:
 
 
 def with_log(
-    drive: Drive, folder: Path, log_path: Path | None, settings: Settings, options: DriveOptions
+    drive: Drive,
+    folder: Path,
+    log_path: Path | None,
+    settings: RecordingSettings,
+    options: DriveOptions,
 ) -> Drive:
     """A drive in a folder with the fixes of a log, or a remark that there is none."""
     if log_path is None:

@@ -15,7 +15,7 @@ from fieldgrid.errors import RecordingError
 from fieldgrid.motion import Gyro, Inertial, Motion, WheelSpeed
 from fieldgrid.recording.columns import Columns, speed_factor, take_apart
 from fieldgrid.recording.table_time import find_time
-from fieldgrid.recording.tables import Table, open_table
+from fieldgrid.recording.tables import OpenTable, open_table
 
 AXES = "flu"
 """How an IMU is mounted when nothing is said: x forward, y left, z up."""
@@ -57,7 +57,7 @@ class MotionFiles(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-class Series(NamedTuple):
+class MotionSeries(NamedTuple):
     """Values [n] or [n, k] with their times, increasing."""
 
     time_ns: Int64
@@ -107,12 +107,12 @@ def gravity_unit_mps2(usual: Float64) -> float | None:
     return 1.0 if 9.0 < size < 10.6 else None
 
 
-def inertial_of(sensed: Series, notes: list[str]) -> Inertial | None:
+def inertial_of(sensed: MotionSeries, notes: list[str]) -> Inertial | None:
     """An IMU of samples [n, 6], rates and forces, whose accelerometer is believed if it sees
     gravity, in m/s² or in g, and sees it above it. None without a sample."""
     sane = ~(np.abs(sensed.values) > _MOST_SENSED).any(axis=1)
     if not sane.all():
-        sensed = Series(sensed.time_ns[sane], sensed.values[sane])
+        sensed = MotionSeries(sensed.time_ns[sane], sensed.values[sane])
     complete = np.isfinite(sensed.values).all(axis=1)
     count, felt = len(sensed.time_ns), int(complete.sum())
     if not count:
@@ -124,7 +124,7 @@ def inertial_of(sensed: Series, notes: list[str]) -> Inertial | None:
             f"The accelerometer says nothing in {count - felt} of {count} samples; {used}."
         )
     if felt > _MOSTLY * count:
-        sensed = Series(sensed.time_ns[complete], sensed.values[complete])
+        sensed = MotionSeries(sensed.time_ns[complete], sensed.values[complete])
     rates, forces = sensed.values[:, :3], sensed.values[:, 3:]
     inertial = Inertial(sensed.time_ns, rates.astype(np.float32), forces.astype(np.float32))
     usual = np.median(forces, axis=0)
@@ -153,7 +153,7 @@ def _tables(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.name.lower().endswith(endings))
 
 
-def _read_imu(path: Path, axes: str, notes: list[str]) -> tuple[Path, Series] | None:
+def _read_imu(path: Path, axes: str, notes: list[str]) -> tuple[Path, MotionSeries] | None:
     """Rates (rad/s) and forces (m/s²) along the vehicle's axes right, forward, up, [n, 6]; NaN
     where a file has fewer axes. None without a gyro about the vertical."""
     vertical = next(k for k, axis in enumerate(axes) if axis in "ud")
@@ -183,7 +183,7 @@ def _read_imu(path: Path, axes: str, notes: list[str]) -> tuple[Path, Series] | 
     for part in range(len(turning + pushing) // 3):
         three = slice(3 * part, 3 * part + 3)
         sensed[:, three] = read.values[:, three] @ R_vehicle_imu.T
-    return path, Series(read.time_ns, sensed)
+    return path, MotionSeries(read.time_ns, sensed)
 
 
 R_VEHICLE_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -191,7 +191,7 @@ R_VEHICLE_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _find(
-    table: Table, known: tuple[tuple[str, bool], ...], axis: str, euroc: str
+    table: OpenTable, known: tuple[tuple[str, bool], ...], axis: str, euroc: str
 ) -> tuple[str, bool] | None:
     """The column of an axis, and whether its unit is the second one of its kind."""
     for pattern, other_unit in known:
@@ -202,7 +202,7 @@ def _find(
     return (euroc.format(axis), False) if euroc.format(axis) in table.header else None
 
 
-def _read_speed(path: Path, notes: list[str]) -> tuple[Path, Series] | None:
+def _read_speed(path: Path, notes: list[str]) -> tuple[Path, MotionSeries] | None:
     with open_table(path) as table:
         named = {take_apart(name): name for name in reversed(table.header)}
         bases = {apart.base: apart for apart in named}
@@ -215,12 +215,12 @@ def _read_speed(path: Path, notes: list[str]) -> tuple[Path, Series] | None:
             notes.append(
                 f"{path.name}: speed from '{named[apart]}' in {apart.unit or 'm/s (assumed)'}."
             )
-    return path, Series(series.time_ns, series.values[:, 0])
+    return path, MotionSeries(series.time_ns, series.values[:, 0])
 
 
 def _read(
-    table: Table, names: list[str], factors: list[float], notes: list[str], needed: int = 1
-) -> Series:
+    table: OpenTable, names: list[str], factors: list[float], notes: list[str], needed: int = 1
+) -> MotionSeries:
     """Columns [n, k] with their times, increasing; rows without one of the first `needed` of them
     are dropped and counted."""
     time, places = find_time(table, Columns()), [table.header.index(name) for name in names]
@@ -237,7 +237,7 @@ def _read(
     return series
 
 
-def in_order(times_ns: Int64, values: Float64, needed: int = 1) -> tuple[Series, int]:
+def in_order(times_ns: Int64, values: Float64, needed: int = 1) -> tuple[MotionSeries, int]:
     """The rows with a time and their first `needed` values, times increasing, the first of each;
     and how many are left out."""
     known = (times_ns > 0) & np.isfinite(values.reshape(len(values), -1)[:, :needed]).all(axis=1)
@@ -245,10 +245,10 @@ def in_order(times_ns: Int64, values: Float64, needed: int = 1) -> tuple[Series,
     if np.any(np.diff(kept_ns) <= 0):
         kept_ns, first = np.unique(kept_ns, return_index=True)
         kept = kept[first]
-    return Series(kept_ns, kept), len(times_ns) - len(kept_ns)
+    return MotionSeries(kept_ns, kept), len(times_ns) - len(kept_ns)
 
 
-def _joined(parts: Sequence[tuple[Path, Series]]) -> Series | None:
+def _joined(parts: Sequence[tuple[Path, MotionSeries]]) -> MotionSeries | None:
     """The files of one sensor in order of time; two that overlap are two sensors."""
     filled = sorted((p for p in parts if len(p[1].time_ns)), key=lambda p: int(p[1].time_ns[0]))
     for (path, earlier), (other, later) in pairwise(filled):
@@ -258,7 +258,7 @@ def _joined(parts: Sequence[tuple[Path, Series]]) -> Series | None:
             )
     if not filled:
         return None
-    return Series(
+    return MotionSeries(
         np.concatenate([series.time_ns for _, series in filled]),
         np.concatenate([series.values for _, series in filled]),
     )

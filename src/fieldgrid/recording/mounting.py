@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field
 from fieldgrid.documents import MAX_BYTES, parse_json
 from fieldgrid.errors import CalibrationError
 from fieldgrid.publish import replacing
-from fieldgrid.recording.entries import MisfitError, Number, Table, entry, fitted
+from fieldgrid.recording.entries import EntryTable, MisfitError, Number, entry, fitted
 from fieldgrid.recording.files import read_text
 from fieldgrid.recording.motion_files import AXES, check_axes
 from fieldgrid.rig import (
@@ -45,7 +45,7 @@ def _axes(value: object) -> str:
 _Point = Annotated[list[Number], Field(min_length=3, max_length=3)]
 
 
-class _File(Table):
+class _File(EntryTable):
     """The keys of a mounting; points are [forward, left, up] (FLU)."""
 
     camera_height_above_ground_m: Number = entry(_METRES)

@@ -23,7 +23,7 @@ BITS = range(8, 17)
 """How many bits of 16 a camera can fill."""
 
 
-class Layout(NamedTuple):
+class PixelLayout(NamedTuple):
     """How an encoding stores a pixel: `channels` numbers of `dtype`."""
 
     dtype: npt.DTypeLike
@@ -34,15 +34,15 @@ class Layout(NamedTuple):
 _YUV = {"yuv422": 1, "uyvy": 1, "yuv422_yuy2": 0, "yuyv": 0}
 
 _LAYOUTS = {
-    **dict.fromkeys(("mono8", "8UC1"), Layout(np.uint8, 1)),
-    **dict.fromkeys(("mono16", "16UC1"), Layout(np.uint16, 1)),
-    **dict.fromkeys(("bgr8", "rgb8", "8UC3"), Layout(np.uint8, 3)),
-    **dict.fromkeys(("bgra8", "rgba8", "8UC4"), Layout(np.uint8, 4)),
-    **dict.fromkeys(("bgr16", "rgb16"), Layout(np.uint16, 3)),
-    **dict.fromkeys(("bgra16", "rgba16"), Layout(np.uint16, 4)),
-    **{f"bayer_{pattern}8": Layout(np.uint8, 1) for pattern in BAYER_PATTERNS},
-    **{f"bayer_{pattern}16": Layout(np.uint16, 1) for pattern in BAYER_PATTERNS},
-    **dict.fromkeys(_YUV, Layout(np.uint8, 2)),
+    **dict.fromkeys(("mono8", "8UC1"), PixelLayout(np.uint8, 1)),
+    **dict.fromkeys(("mono16", "16UC1"), PixelLayout(np.uint16, 1)),
+    **dict.fromkeys(("bgr8", "rgb8", "8UC3"), PixelLayout(np.uint8, 3)),
+    **dict.fromkeys(("bgra8", "rgba8", "8UC4"), PixelLayout(np.uint8, 4)),
+    **dict.fromkeys(("bgr16", "rgb16"), PixelLayout(np.uint16, 3)),
+    **dict.fromkeys(("bgra16", "rgba16"), PixelLayout(np.uint16, 4)),
+    **{f"bayer_{pattern}8": PixelLayout(np.uint8, 1) for pattern in BAYER_PATTERNS},
+    **{f"bayer_{pattern}16": PixelLayout(np.uint16, 1) for pattern in BAYER_PATTERNS},
+    **dict.fromkeys(_YUV, PixelLayout(np.uint8, 2)),
 }
 # OpenCV names a mosaic by the second and third pixel of the second and third row.
 _BAYER_CODES = {
@@ -57,7 +57,7 @@ _COLOUR_CODES = {
 }
 
 
-def layout(encoding: str) -> Layout:
+def layout(encoding: str) -> PixelLayout:
     """How an encoding by ROS's name stores a pixel; RecordingError for one that is unknown."""
     found = _LAYOUTS.get(encoding)
     if found is None:

@@ -12,7 +12,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.errors import RecordingError
 from fieldgrid.geodesy import unprojected
 from fieldgrid.recording.columns import how_to_say, is_radians, take_apart
-from fieldgrid.recording.tables import Block, Table
+from fieldgrid.recording.tables import OpenTable, TableRows
 
 _E7 = 1e8
 """Beyond this whole numbers are 1e-7 degrees, as u-blox and MAVLink count: coordinates of
@@ -30,13 +30,13 @@ class Places(NamedTuple):
     """Where a table has its positions: columns of latitude and longitude, or, in a projection
     `crs`, of northing and easting. `units` are those of `LAT_LON_UNITS`, '' for what is found."""
 
-    table: Table
+    table: OpenTable
     lat_place: int
     lon_place: int
     units: str = ""
     crs: str = ""
 
-    def lat_lon(self, block: Block) -> tuple[Float64, Float64]:
+    def lat_lon(self, block: TableRows) -> tuple[Float64, Float64]:
         """Degrees of some rows, NaN where there is no position."""
         lat = self.table.numbers(block, self.lat_place, latitude)
         lon = self.table.numbers(block, self.lon_place, longitude)

@@ -9,7 +9,7 @@ from pathlib import PurePosixPath
 from typing import Any, NamedTuple
 
 from fieldgrid.errors import ConfigError, FieldgridError, RecordingError, quoted, shortened
-from fieldgrid.limits import Budget, check_rows
+from fieldgrid.limits import UnfoldBudget, check_rows
 from fieldgrid.recording.copies import copy_of, is_own_name, is_whole
 from fieldgrid.recording.files import is_inside
 
@@ -102,7 +102,7 @@ def check_unfolding(url: str, files: Mapping[str, RemoteFile]) -> None:
     system, root = url_to_fs(container)
     packed = system.info(root).get("size")
     if packed is not None:
-        Budget(quoted(url, 200), packed).spend(sum(file.size or 0 for file in files.values()))
+        UnfoldBudget(quoted(url, 200), packed).spend(sum(file.size or 0 for file in files.values()))
 
 
 def _remote_file(info: Mapping[str, Any]) -> RemoteFile:

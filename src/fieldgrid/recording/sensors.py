@@ -16,10 +16,10 @@ from fieldgrid.recording.calibration_ros import read_ros_camera
 from fieldgrid.recording.cloud_files import AXES, CLOUDS, CloudFile, CloudKind
 from fieldgrid.recording.depth_files import DEPTHS, DISPARITIES, DepthFormat, DepthKind
 from fieldgrid.recording.files import read_table
-from fieldgrid.recording.frame_table import PAIRS, TABLE, Layout, frame_columns, read_frames
+from fieldgrid.recording.frame_table import PAIRS, TABLE, FrameLayout, frame_columns, read_frames
 from fieldgrid.recording.image_format import image_format, stored_size_px
 from fieldgrid.recording.mounting import Mounting
-from fieldgrid.recording.settings_file import Settings
+from fieldgrid.recording.settings_file import RecordingSettings
 from fieldgrid.recording.stored import FrameKind, PairKind, Shot
 from fieldgrid.rig import DepthCamera, LeverArm, Lidar, Rig
 
@@ -32,14 +32,14 @@ _MEASURED_AT = (0.5, 0.25, 0.75)
 _LAYOUTS = {"stereo": PAIRS, "depth": DEPTHS, "disparity": DISPARITIES, "cloud": CLOUDS}
 
 
-class Seen(NamedTuple):
+class SensorFrames(NamedTuple):
     """The frames of a recording, the rig that saw them, and remarks."""
 
     rig: Rig
     shots: tuple[Shot, ...]
     kind: FrameKind
     notes: tuple[str, ...]
-    layout: Layout = PAIRS
+    layout: FrameLayout = PAIRS
 
 
 def has_frames(path: Path) -> bool:
@@ -49,13 +49,13 @@ def has_frames(path: Path) -> bool:
 
 def read_seen(
     path: Path,
-    settings: Settings,
+    settings: RecordingSettings,
     mounting: Mounting,
     offset_ns: int,
     *,
     incomplete: bool = False,
     growing: bool = False,
-) -> Seen:
+) -> SensorFrames:
     """The frames of the recording in a folder.
 
     Where there are several kinds, the settings say which, or else the first of pairs, depths,
@@ -65,7 +65,9 @@ def read_seen(
     found = _kinds(path, settings)
     sensor = settings.sensor or next(iter(found), "stereo")
     layout = _LAYOUTS[sensor]._replace(incomplete=incomplete, growing=growing)
-    read: dict[str, Callable[[Path, Settings, Mounting, int, Layout], Seen]] = {
+    read: dict[
+        str, Callable[[Path, RecordingSettings, Mounting, int, FrameLayout], SensorFrames]
+    ] = {
         "stereo": _pairs,
         "depth": _depths,
         "disparity": _depths,
@@ -82,7 +84,7 @@ def read_seen(
     return seen
 
 
-def _kinds(path: Path, settings: Settings) -> list[str]:
+def _kinds(path: Path, settings: RecordingSettings) -> list[str]:
     """The kinds of frames that the table has columns for, or without rows there are folders for."""
     table = path / (settings.frames or TABLE)
     if settings.frames is not None or table.exists():
@@ -92,8 +94,8 @@ def _kinds(path: Path, settings: Settings) -> list[str]:
 
 
 def _pairs(
-    path: Path, settings: Settings, mounting: Mounting, offset_ns: int, layout: Layout
-) -> Seen:
+    path: Path, settings: RecordingSettings, mounting: Mounting, offset_ns: int, layout: FrameLayout
+) -> SensorFrames:
     shots, notes = read_frames(path, settings.frames, layout)
     calibration = read_calibration(
         path / CALIBRATION, settings.calibration, settings.rectified, stored_size_px(path, shots)
@@ -102,12 +104,12 @@ def _pairs(
     stored, image_notes = image_format(path, shots, settings)
     size_px = (rig.camera.width_px, rig.camera.height_px)
     kind = PairKind(size_px, calibration.rectifier, stored)
-    return Seen(rig, shots, kind, (*calibration.notes, *notes, *image_notes))
+    return SensorFrames(rig, shots, kind, (*calibration.notes, *notes, *image_notes))
 
 
 def _depths(
-    path: Path, settings: Settings, mounting: Mounting, offset_ns: int, layout: Layout
-) -> Seen:
+    path: Path, settings: RecordingSettings, mounting: Mounting, offset_ns: int, layout: FrameLayout
+) -> SensorFrames:
     rig, offset_px, calibration_notes = _depth_rig(path, settings, mounting, offset_ns)
     camera = rig.sensor
     assert isinstance(camera, DepthCamera)
@@ -123,11 +125,11 @@ def _depths(
         stated = DepthFormat("disparity", settings.scale, product, offset_px)
     shots, notes = read_frames(path, settings.frames, layout)
     kind = DepthKind((camera.width_px, camera.height_px), stated)
-    return Seen(rig, shots, kind, (*calibration_notes, *notes))
+    return SensorFrames(rig, shots, kind, (*calibration_notes, *notes))
 
 
 def _depth_rig(
-    path: Path, settings: Settings, mounting: Mounting, offset_ns: int
+    path: Path, settings: RecordingSettings, mounting: Mounting, offset_ns: int
 ) -> tuple[Rig, float, tuple[str, ...]]:
     """The rig of a depth camera, the disparity at infinity of its pair, and remarks."""
     info = path / CALIBRATION / (settings.calibration or DEPTH_INFO)
@@ -165,12 +167,14 @@ def _from_left(rig: Rig, camera: DepthCamera) -> Rig:
 
 
 def _clouds(
-    path: Path, settings: Settings, mounting: Mounting, offset_ns: int, layout: Layout
-) -> Seen:
+    path: Path, settings: RecordingSettings, mounting: Mounting, offset_ns: int, layout: FrameLayout
+) -> SensorFrames:
     shots, notes = read_frames(path, settings.frames, layout)
     kind = CloudKind(settings.axes or AXES, bool(settings.corrected), settings.cloud_scale_m)
     if settings.points_per_sr is not None:
-        return Seen(mounting.rig(Lidar(settings.points_per_sr), offset_ns), shots, kind, notes)
+        return SensorFrames(
+            mounting.rig(Lidar(settings.points_per_sr), offset_ns), shots, kind, notes
+        )
     if layout.growing:
         raise CalibrationError(
             f"Nothing says how dense the clouds of {path} are, and none is there to measure it; "
@@ -178,7 +182,7 @@ def _clouds(
         )
     density, name = _measured_density(path, shots, kind)
     note = f"The lidar takes {density:.0f} points in a steradian, by {name}."
-    return Seen(mounting.rig(Lidar(density), offset_ns), shots, kind, (*notes, note))
+    return SensorFrames(mounting.rig(Lidar(density), offset_ns), shots, kind, (*notes, note))
 
 
 def _measured_density(path: Path, shots: tuple[Shot, ...], kind: CloudKind) -> tuple[float, str]:

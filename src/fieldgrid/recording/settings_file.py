@@ -14,11 +14,11 @@ from fieldgrid.errors import ConfigError, DatumError, RecordingError
 from fieldgrid.geodesy import Datum
 from fieldgrid.recording.columns import Columns, columns_from_mapping
 from fieldgrid.recording.entries import (
+    EntryTable,
     Exact,
     MisfitError,
     Number,
     Positive,
-    Table,
     entry,
     fitted,
 )
@@ -43,7 +43,7 @@ class Start:
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class RecordingSettings:
     """What `recording.toml` says; the defaults are what holds without it.
 
     `frames` and `calibration` are paths inside the recording. `rectified` is whether the images
@@ -93,13 +93,13 @@ _INSIDE = "give a path inside its folder, in quotes"
 _ABOVE = "give a number above 0"
 
 
-class _Datum(Table):
+class _Datum(EntryTable):
     lat_deg: Number = entry("give the latitude in degrees")
     lon_deg: Number = entry("give the longitude in degrees")
     height_m: Number = entry("give the height above the ellipsoid in metres")
 
 
-class _Origin(Table):
+class _Origin(EntryTable):
     """The datum as other programs write it, among other things."""
 
     model_config = ConfigDict(extra="ignore")
@@ -109,11 +109,11 @@ class _Origin(Table):
     ellipsoid_height_m: Number = entry("give the height above the ellipsoid in metres")
 
 
-class _Gnss(Table):
+class _Gnss(EntryTable):
     columns: dict[str, Any] | None = entry("give a table [gnss.columns]", None)
 
 
-class _Images(Table):
+class _Images(EntryTable):
     rectified: bool | None = entry("give true or false", None)
     bayer: str | None = entry(
         f"give one of {', '.join(BAYER_PATTERNS)}, the colours of the first two pixels of the "
@@ -129,7 +129,7 @@ class _Images(Table):
     )
 
 
-class _Start(Table):
+class _Start(EntryTable):
     utc_s: Exact = entry(
         "give the UTC of the first frame as seconds since 1970, a time after 1980",
         ge=MIN_TIME_NS / 10**9,
@@ -141,17 +141,17 @@ class _Start(Table):
         return Start(round(self.utc_s * 1_000_000_000), self.heading_deg)
 
 
-class _Depth(Table):
+class _Depth(EntryTable):
     scale_m: Positive | None = entry(_ABOVE, None)
     baseline_m: Positive | None = entry(_ABOVE, None)
 
 
-class _Disparity(Table):
+class _Disparity(EntryTable):
     scale_px: Positive | None = entry(_ABOVE, None)
     baseline_m: Positive | None = entry(_ABOVE, None)
 
 
-class _Cloud(Table):
+class _Cloud(EntryTable):
     axes: Annotated[str | None, BeforeValidator(_axes)] = entry(
         "give where x, y and z of the clouds point, a right-handed set of f or b, l or r, u or d, "
         "like flu or rdf",
@@ -162,7 +162,7 @@ class _Cloud(Table):
     corrected: bool | None = entry("give true or false", None)
 
 
-class _Poses(Table):
+class _Poses(EntryTable):
     file: _Path | None = entry(_INSIDE, None)
     topic: str | None = entry(_TEXT, None)
     axes: str | None = entry("give where x, y and z of the body point, like flu or rdf", None)
@@ -189,7 +189,7 @@ class _Poses(Table):
         )
 
 
-class _File(Table):
+class _File(EntryTable):
     name: str = entry(_TEXT, "")
     image_time_offset_s: Exact = entry(
         "give the seconds that an image time must be moved by to be GNSS time, at most 40 years",
@@ -219,13 +219,13 @@ class _File(Table):
     poses: _Poses | None = entry("give a table [poses]", None)
 
 
-def read_settings(path: Path) -> Settings:
+def read_settings(path: Path) -> RecordingSettings:
     """The settings in a file, the defaults where there is none.
 
     Raises RecordingError for one that cannot be understood, unknown keys included.
     """
     if not path.exists():
-        return Settings()
+        return RecordingSettings()
     text = read_text(path, MAX_BYTES)
     try:
         document = parse_toml(text, Decimal)  # exact, for the nanoseconds
@@ -244,7 +244,7 @@ def read_settings(path: Path) -> Settings:
             f"{path} has both [depth] and [disparity]; leave the one that is not used out."
         )
     depth, disparity = said.depth or _Depth(), said.disparity or _Disparity()
-    return Settings(
+    return RecordingSettings(
         name=said.name,
         image_time_offset_ns=round(said.image_time_offset_s * 1_000_000_000),
         gnss_offset_ns=round(said.gnss_time_offset_s * 1_000_000_000),

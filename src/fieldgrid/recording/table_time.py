@@ -11,7 +11,7 @@ import numpy as np
 from fieldgrid.array_types import Int64
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.columns import Columns, epoch_s, guess, how_to_say, time_candidates
-from fieldgrid.recording.tables import Block, Table
+from fieldgrid.recording.tables import OpenTable, TableRows
 from fieldgrid.recording.times import (
     UNITS,
     TimeScale,
@@ -30,14 +30,14 @@ _FIRST_WEEK = 1024
 class TimeColumn(NamedTuple):
     """A table's time: one column, a date beside a time of day, or a week beside a time of week."""
 
-    table: Table
+    table: OpenTable
     place: int
     scale: TimeScale
     date_place: int | None = None
     week_place: int | None = None
     notes: tuple[str, ...] = ()
 
-    def utc_ns(self, block: Block) -> Int64:
+    def utc_ns(self, block: TableRows) -> Int64:
         """UTC nanoseconds of some rows, 0 where there is no time after 1980."""
         cells = self._cells(block)
         try:
@@ -50,7 +50,7 @@ class TimeColumn(NamedTuple):
                 block.line + problem.place, self.place, cells[problem.place], "is no UTC time"
             ) from None
 
-    def _cells(self, block: Block) -> list[str]:
+    def _cells(self, block: TableRows) -> list[str]:
         cells = block.cells(self.place)
         if self.date_place is None:
             return cells
@@ -58,7 +58,7 @@ class TimeColumn(NamedTuple):
         return [f"{d.strip()} {c.strip()}".strip() for d, c in zip(days, cells, strict=True)]
 
 
-def find_time(table: Table, columns: Columns) -> TimeColumn:
+def find_time(table: OpenTable, columns: Columns) -> TimeColumn:
     """The time of a table by what is said of its columns, else by name and content."""
     said = columns.names.get("time", "")
     if said and said not in table.header:
@@ -102,14 +102,14 @@ def _check_zone(time: TimeColumn, time_zone: str) -> None:
     )
 
 
-def _shown(table: Table, name: str) -> str:
+def _shown(table: OpenTable, name: str) -> str:
     """A column with its first value, as an error shows it."""
     cells = table.sample.cells(table.header.index(name))
     value = next((cell.strip() for cell in cells if cell.strip()), "")
     return f"{name} {value[:40]!r}"
 
 
-def _column(table: Table, name: str, columns: Columns) -> TimeColumn | None:
+def _column(table: OpenTable, name: str, columns: Columns) -> TimeColumn | None:
     place = table.header.index(name)
     alone = TimeColumn(table, place, TimeScale())
     scale = _scale(name, table.sample.cells(place), table, columns)
@@ -123,7 +123,7 @@ def _column(table: Table, name: str, columns: Columns) -> TimeColumn | None:
     return None if scale is None or scale.places is not None else paired._replace(scale=scale)
 
 
-def _scale(name: str, cells: Sequence[str], table: Table, columns: Columns) -> TimeScale | None:
+def _scale(name: str, cells: Sequence[str], table: OpenTable, columns: Columns) -> TimeScale | None:
     if columns.time_epoch:
         places = UNITS[columns.time_units or "s"]
         return TimeScale(places, origin_s=epoch_s(columns.time_epoch), declared=True)
@@ -141,7 +141,7 @@ def _scale(name: str, cells: Sequence[str], table: Table, columns: Columns) -> T
     return scale._replace(gps=of_gps and not scale.zoned)
 
 
-def _by_week(table: Table, columns: Columns) -> TimeColumn | None:
+def _by_week(table: OpenTable, columns: Columns) -> TimeColumn | None:
     week = columns.names.get("week") or guess("week", table.header)
     tow = columns.names.get("tow") or guess("tow", table.header)
     if not (week and tow and week in table.header and tow in table.header):

@@ -36,7 +36,7 @@ _DATA = re.compile(r"[\s\"]*[+-]?\.?\d")
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+(?:[eE][+-]?\d+)?\s*")
 
 
-class Block(NamedTuple):
+class TableRows(NamedTuple):
     """Some rows of a table as they stand in the file, `line` being that of the first."""
 
     line: int
@@ -50,7 +50,7 @@ class Block(NamedTuple):
             return [row[column] if column < len(row) else "" for row in self.rows]
 
 
-class Table:
+class OpenTable:
     """An open table: its header, and its rows block by block."""
 
     def __init__(self, path: Path, text: TextIO) -> None:
@@ -88,20 +88,20 @@ class Table:
         return tuple(name.strip() for name in names)
 
     @property
-    def sample(self) -> Block:
+    def sample(self) -> TableRows:
         """The first block, which decides how the columns are understood."""
-        return Block(self._line + 1, self._sample)
+        return TableRows(self._line + 1, self._sample)
 
-    def blocks(self) -> Iterator[Block]:
+    def blocks(self) -> Iterator[TableRows]:
         """All rows from the first; empty lines are rows without cells."""
         block, first = self.sample, self._line + 1
         while block.rows:
             line = block.line + len(block.rows)
             check_rows(line - first, self.path)
             yield block
-            block = Block(line, list(islice(self._rows, self._block_rows)))
+            block = TableRows(line, list(islice(self._rows, self._block_rows)))
 
-    def numbers(self, block: Block, column: int, parse: Parse | None = None) -> Float64:
+    def numbers(self, block: TableRows, column: int, parse: Parse | None = None) -> Float64:
         """One column as numbers, NaN where there is none; an error names line and cell. `parse`
         reads what is no plain number."""
         cells = block.cells(column)
@@ -135,13 +135,13 @@ class Table:
 
 
 @contextmanager
-def open_table(path: Path) -> Iterator[Table]:
+def open_table(path: Path) -> Iterator[OpenTable]:
     """The table in a file, packed by gzip or not. What breaks while reading names the file."""
     with open_log_bytes(path) as stream:
         start = stream.peek(4) if isinstance(stream, io.BufferedReader) else b""
         text = io.TextIOWrapper(stream, encoding=_encoding(start), errors="replace", newline="")
         try:
-            yield Table(path, text)
+            yield OpenTable(path, text)
         except (csv.Error, UnicodeError) as problem:
             raise RecordingError(
                 f"{path} is not a CSV file: {problem}; correct or export it again."

@@ -15,13 +15,13 @@ import numpy as np
 from fieldgrid.array_types import Int64
 from fieldgrid.closing import Closing
 from fieldgrid.errors import LimitError, RecordingError
-from fieldgrid.limits import Budget, limits
+from fieldgrid.limits import UnfoldBudget, limits
 from fieldgrid.ros.db3 import Db3File, is_db3
 from fieldgrid.ros.definitions import has_header
-from fieldgrid.ros.folder import Files, find_files, is_bag_folder, unpacked
+from fieldgrid.ros.folder import BagFiles, find_files, is_bag_folder, unpacked
 from fieldgrid.ros.mcap_file import MAGIC as MCAP_MAGIC
 from fieldgrid.ros.mcap_file import McapFile
-from fieldgrid.ros.model import Connection, Message, Part, Record, Topic, counted
+from fieldgrid.ros.model import BagPart, Connection, Message, Record, Topic, counted
 from fieldgrid.ros.rosbag1 import MAGIC as ROSBAG1_MAGIC
 from fieldgrid.ros.rosbag1 import Rosbag1File
 from fieldgrid.ros.source import ZSTD_MAGIC, inflate
@@ -29,7 +29,7 @@ from fieldgrid.ros.sqlite_file import MAGIC as SQLITE_MAGIC
 from fieldgrid.ros.sqlite_file import mended
 from fieldgrid.ros.stamps import stamp_ns
 
-_PARTS: dict[bytes, type[Part]] = {
+_PARTS: dict[bytes, type[BagPart]] = {
     ROSBAG1_MAGIC: Rosbag1File,
     MCAP_MAGIC: McapFile,
     SQLITE_MAGIC: Db3File,
@@ -153,8 +153,8 @@ class Bag(Closing):
             )
         return self._topics[name]
 
-    def _open_parts(self) -> list[Part]:
-        files = find_files(self.path) if self.path.is_dir() else Files([self.path], [])
+    def _open_parts(self) -> list[BagPart]:
+        files = find_files(self.path) if self.path.is_dir() else BagFiles([self.path], [])
         self._notes += files.notes
         if len(files.paths) == 1:
             return [self._part(files.paths[0])]
@@ -168,7 +168,7 @@ class Bag(Closing):
                 self._notes.append(f"{path.name} is empty or does not begin like any bag")
         return parts
 
-    def _part(self, path: Path) -> Part:
+    def _part(self, path: Path) -> BagPart:
         if not path.is_file():
             raise RecordingError(f"{path} is not there, or is no file; check its name.")
         file, is_all = unpacked(path, self._stack)
@@ -243,7 +243,7 @@ class Bag(Closing):
 
     def _whole(self, records: Iterator[Record]) -> Iterator[Record]:
         """The records, those that are compressed one by one decompressed."""
-        budget = Budget(self.path, self._bytes)
+        budget = UnfoldBudget(self.path, self._bytes)
         for record in records:
             if record.connection.encoding == "cdr" and record.data[:4] == ZSTD_MAGIC:
                 # No CDR begins like this.

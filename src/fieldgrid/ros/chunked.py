@@ -13,9 +13,9 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import ClassVar
 
-from fieldgrid.limits import Budget, limits
+from fieldgrid.limits import UnfoldBudget, limits
 from fieldgrid.ros.model import MAX_GAPS, Connections, Damage, Record
-from fieldgrid.ros.source import BadChunkError, Source, Torn, inflate
+from fieldgrid.ros.source import BadChunkError, BoundedFile, Torn, inflate
 
 
 class ChunkedFile:
@@ -32,7 +32,7 @@ class ChunkedFile:
     def records(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[Record]:
         """Every message that is readable, in the order of the file."""
         self.damage = Damage()
-        with Source(self.file) as source:
+        with BoundedFile(self.file) as source:
             yield from self.run(self, source, topics).records(start)
 
 
@@ -43,7 +43,9 @@ class Run(ABC):
     """What every chunk has at its start or soon after."""
     widest_mark: ClassVar[int]
 
-    def __init__(self, part: ChunkedFile, source: Source, topics: Collection[str] | None) -> None:
+    def __init__(
+        self, part: ChunkedFile, source: BoundedFile, topics: Collection[str] | None
+    ) -> None:
         self.path = part.path
         self.source = source
         self.damage = part.damage
@@ -53,7 +55,7 @@ class Run(ABC):
         self.at = 0
         self.has_ended = False
         self._topics = topics
-        self._budget = Budget(part.path, source.size)
+        self._budget = UnfoldBudget(part.path, source.size)
 
     @abstractmethod
     def begin(self) -> None:

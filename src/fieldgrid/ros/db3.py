@@ -8,7 +8,7 @@ from contextlib import closing, suppress
 from pathlib import Path
 
 from fieldgrid.errors import RecordingError
-from fieldgrid.limits import Budget
+from fieldgrid.limits import UnfoldBudget
 from fieldgrid.ros.model import (
     MAX_CONNECTIONS,
     MAX_GAPS,
@@ -97,7 +97,7 @@ class Db3File:
         if topics is not None:
             numbers = [n for n, one in self.connections.items() if one.topic in topics]
             query = _ROWS.format(f"AND topic_id IN ({', '.join(map(str, numbers))})")
-        budget = Budget(self.path, self.file.stat().st_size)
+        budget = UnfoldBudget(self.path, self.file.stat().st_size)
         last = intact = start - 1
         step, gaps = 1, 0
         while last < _FURTHEST_ROW and gaps <= MAX_GAPS:

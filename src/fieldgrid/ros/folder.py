@@ -15,7 +15,7 @@ from typing import NamedTuple
 import yaml
 
 from fieldgrid.errors import RecordingError
-from fieldgrid.limits import Budget
+from fieldgrid.limits import UnfoldBudget
 from fieldgrid.ros.source import ZSTD_MAGIC, unpacked_pieces
 
 METADATA = "metadata.yaml"
@@ -27,7 +27,7 @@ _ROS2, _ROS1 = (".db3", ".mcap"), (".bag", ".bag.active")
 _PACKED = ".zstd"
 
 
-class Files(NamedTuple):
+class BagFiles(NamedTuple):
     """The files of a bag, and clauses on what is wrong with the list of them."""
 
     paths: list[Path]
@@ -44,7 +44,7 @@ def is_ros2_folder(folder: Path) -> bool:
     return bool(_named(folder, _ROS2)) or _KEY.encode() in _metadata(folder)
 
 
-def find_files(folder: Path) -> Files:
+def find_files(folder: Path) -> BagFiles:
     """The files in the order of recording. Raises RecordingError where there is none."""
     names = _listed(folder)
     listed = [folder / PurePath(name).name for name in names]
@@ -60,7 +60,7 @@ def find_files(folder: Path) -> Files:
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         notes.append(f"{missing[0]}{more}, named in {METADATA}, is missing")
-    return Files(paths, notes)
+    return BagFiles(paths, notes)
 
 
 def unpacked(path: Path, stack: ExitStack) -> tuple[Path, bool]:
@@ -76,7 +76,7 @@ def unpacked(path: Path, stack: ExitStack) -> tuple[Path, bool]:
 def _unpack(path: Path, inner: Path) -> bool:
     try:
         with path.open("rb") as packed, inner.open("wb") as file:
-            for piece in unpacked_pieces(packed, Budget(path, path.stat().st_size)):
+            for piece in unpacked_pieces(packed, UnfoldBudget(path, path.stat().st_size)):
                 file.write(piece)
     except EOFError:
         return False

@@ -17,7 +17,7 @@ from fieldgrid.ros.model import (
     Record,
     ros2_name,
 )
-from fieldgrid.ros.source import COMPRESSIONS, BadChunkError, Source, Torn
+from fieldgrid.ros.source import COMPRESSIONS, BadChunkError, BoundedFile, Torn
 
 MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
@@ -49,7 +49,9 @@ class _Run(Run):
     )
     widest_mark = 64
 
-    def __init__(self, part: ChunkedFile, source: Source, topics: Collection[str] | None) -> None:
+    def __init__(
+        self, part: ChunkedFile, source: BoundedFile, topics: Collection[str] | None
+    ) -> None:
         super().__init__(part, source, topics)
         self._schemas: dict[int, _Schema] = {}
         self._defined = self._schema_bytes = 0

@@ -57,7 +57,7 @@ class Record(NamedTuple):
     at: int
 
 
-class Part(Protocol):
+class BagPart(Protocol):
     """One file of a bag, known to begin as its kind does: `path` names it, `file` is read."""
 
     path: Path

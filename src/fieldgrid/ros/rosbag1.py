@@ -15,7 +15,7 @@ from fieldgrid.errors import RecordingError, quoted
 from fieldgrid.limits import limits
 from fieldgrid.ros.chunked import ChunkedFile, Run
 from fieldgrid.ros.model import UNCLOSED, Connection, Definition, Record, ros2_name
-from fieldgrid.ros.source import COMPRESSIONS, BadChunkError, Source, Torn
+from fieldgrid.ros.source import COMPRESSIONS, BadChunkError, BoundedFile, Torn
 
 MAGIC = b"#ROSBAG V"
 _VERSION = b"2.0\n"
@@ -55,7 +55,9 @@ class _Run(Run):
     chunk_mark = re.compile(rb"\x04\x00\x00\x00op=\x05")
     widest_mark = _WIDEST_CHUNK_HEADER
 
-    def __init__(self, part: ChunkedFile, source: Source, topics: Collection[str] | None) -> None:
+    def __init__(
+        self, part: ChunkedFile, source: BoundedFile, topics: Collection[str] | None
+    ) -> None:
         super().__init__(part, source, topics)
         self._header = _MESSAGE_HEADERS[b"conn", b"op", b"time"]
         self._indexed = 0  # messages that the index counts

@@ -12,7 +12,7 @@ from typing import BinaryIO, Protocol
 
 from fieldgrid.closing import Closing
 from fieldgrid.errors import RecordingError
-from fieldgrid.limits import Budget, limits
+from fieldgrid.limits import UnfoldBudget, limits
 
 _STEP_BYTES = 1 << 22
 _SEARCH_BYTES = 1 << 20
@@ -29,7 +29,7 @@ class BadChunkError(Exception):
     """The records within a chunk make no sense."""
 
 
-class Source(Closing):
+class BoundedFile(Closing):
     """A file open for reading, which gives no byte beyond its end and none unasked."""
 
     def __init__(self, path: Path) -> None:
@@ -173,7 +173,7 @@ def inflate(data: bytes, compression: str, most: int) -> bytes:
     return bytes(found)
 
 
-def unpacked_pieces(packed: BinaryIO, budget: Budget) -> Iterator[bytes]:
+def unpacked_pieces(packed: BinaryIO, budget: UnfoldBudget) -> Iterator[bytes]:
     """What a file compressed by zstd holds, piece by piece. Raises EOFError where it is damaged,
     and LimitError beyond the budget."""
     import zstandard

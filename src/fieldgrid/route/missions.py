@@ -22,7 +22,7 @@ _RELATIVE_ALTITUDE, _MISSION = 3, 2
 _ARDUPILOT, _ROVER = 3, 10
 
 
-class Stretch(NamedTuple):
+class RouteStretch(NamedTuple):
     """Poses of a route in one gear and one lane, by their numbers."""
 
     poses: slice
@@ -30,13 +30,13 @@ class Stretch(NamedTuple):
     lane: str
 
 
-def stretches(route: Route) -> list[Stretch]:
+def stretches(route: Route) -> list[RouteStretch]:
     """The stretches of a route, each to the first pose of the next where the gear stays."""
     turns = np.diff(route.gear) != 0
     ends = [0, *(np.flatnonzero(turns | (route.lane[:-1] != route.lane[1:])) + 1).tolist()]
     slices = [slice(a, b + int(not turns[b - 1])) for a, b in itertools.pairwise(ends)]
     slices.append(slice(ends[-1], len(route.gear)))
-    return [Stretch(s, int(route.gear[s.start]), str(route.lane[s.start])) for s in slices]
+    return [RouteStretch(s, int(route.gear[s.start]), str(route.lane[s.start])) for s in slices]
 
 
 def _vertices(route: Route, poses: slice) -> Float64:

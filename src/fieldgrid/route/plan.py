@@ -19,7 +19,7 @@ from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, MapView, open_map
 from fieldgrid.route.ground import KEEPOUT_MARK, Ground
 from fieldgrid.route.path import Path
-from fieldgrid.route.search import MAX_STATES, Pose, Searcher
+from fieldgrid.route.search import MAX_STATES, Searcher, SearchPose
 from fieldgrid.route.vehicle import Vehicle
 from fieldgrid.route.verify import find_fault
 
@@ -187,7 +187,7 @@ def searcher_of(
 
 
 def find_way(
-    searcher: Searcher, starts: list[Pose], goals: list[Pose], what: str, max_poses: int
+    searcher: Searcher, starts: list[SearchPose], goals: list[SearchPose], what: str, max_poses: int
 ) -> Float64:
     """A way from one of the starts to one of the goals, as rows of x, y, yaw, gear, curvature;
     `what` says in words from where to where. Raises NoRouteError where there is none."""
@@ -242,7 +242,9 @@ def check_place(name: str, place: tuple[float, ...]) -> None:
         )
 
 
-def free_poses(searcher: Searcher, place: tuple[float, ...], name: str, seen: Bounds) -> list[Pose]:
+def free_poses(
+    searcher: Searcher, place: tuple[float, ...], name: str, seen: Bounds
+) -> list[SearchPose]:
     """The poses at a place in which the vehicle may stand: one, or those of all headings. Raises
     NoRouteError where there is none."""
     ground, vehicle = searcher.ground, searcher.vehicle
@@ -252,7 +254,7 @@ def free_poses(searcher: Searcher, place: tuple[float, ...], name: str, seen: Bo
     poses = np.column_stack([np.full((len(yaws), 2), (x, y)), yaws])
     free = searcher.is_free(poses)
     if free.any():
-        return [Pose(*pose) for pose in poses[free].tolist()]
+        return [SearchPose(*pose) for pose in poses[free].tolist()]
     west, south, east, north = ground.bounds_m
     what = f"The {name}{'' if len(place) == 3 else ', with any heading,'}"
     if not (west < place[0] < east and south < place[1] < north):

@@ -53,7 +53,7 @@ _BLOCKED_COST = 1000.0
 """What a metre through what is blocked is worth, where the question is what is in the way."""
 
 
-class Pose(NamedTuple):
+class SearchPose(NamedTuple):
     """Metres from the window's corner, yaw in radians counter-clockwise from east."""
 
     x: float
@@ -61,14 +61,14 @@ class Pose(NamedTuple):
     yaw: float
 
 
-class Found(NamedTuple):
+class SearchResult(NamedTuple):
     """What a search found: rows of x, y, yaw, gear, curvature, none where there is no way.
 
     `nearest` is the pose that came nearest to the goal, `exhausted` says that every pose of the
     lattice was tried, and `tried_m` where they are [n, 2], of a search that found nothing."""
 
     samples: Float64
-    nearest: Pose
+    nearest: SearchPose
     exhausted: bool
     tried_m: Float64
 
@@ -98,7 +98,7 @@ class Searcher:
         free: Bool = self.gaps_m(poses, self.shape.clearance_m) >= self.shape.clearance_m
         return free
 
-    def curve(self, start: Pose, goal: Pose, longest_m: float = math.inf) -> Float64:
+    def curve(self, start: SearchPose, goal: SearchPose, longest_m: float = math.inf) -> Float64:
         """The cheapest free curve from pose to pose that costs less than `longest_m`, as rows of x,
         y, yaw, gear, curvature; no rows when none is free."""
         radius = self.vehicle.turning_radius_m
@@ -126,8 +126,12 @@ class Searcher:
         return samples
 
     def search(
-        self, starts: list[Pose], goals: list[Pose], left_m: Float32, max_states: int = MAX_STATES
-    ) -> Found:
+        self,
+        starts: list[SearchPose],
+        goals: list[SearchPose],
+        left_m: Float32,
+        max_states: int = MAX_STATES,
+    ) -> SearchResult:
         """A way from one of the starts to one of the goals, which are free and differ in their
         yaw only; `left_m` is `distance_left` of the goal."""
         bound_m = float(left_m[self.coarse_place(starts[0])])
@@ -135,7 +139,7 @@ class Searcher:
         if self._may_be_free(starts[0], goals[0], bound_m):
             direct = self._best_curve(starts, goals)
         if len(direct) and driven_cost(direct) <= 1.05 * bound_m:
-            return Found(direct, goals[0], False, direct[:0, :2])
+            return SearchResult(direct, goals[0], False, direct[:0, :2])
         states, links = np.zeros((max_states, 5)), np.empty((max_states, 2), dtype=np.int64)
         heap, places = np.zeros(max_states), np.empty(max_states, dtype=np.int64)
         table = np.full((1 << (4 * max_states).bit_length(), 2), -1, dtype=np.int64)
@@ -156,7 +160,7 @@ class Searcher:
             )  # fmt: skip
             if here < 0:
                 break
-            pose = Pose(*states[here, :3].tolist())
+            pose = SearchPose(*states[here, :3].tolist())
             if not self._may_be_free(pose, goals[0], float(left_m[self.coarse_place(pose)])):
                 continue
             # A way about is taken for one only when the search has gone on for long.
@@ -168,9 +172,9 @@ class Searcher:
             ways.append(self._shortened(way, starts, goals, left_m))
         if ways:
             best = min(ways, key=driven_cost)
-            return Found(best, goals[0], False, best[:0, :2])
+            return SearchResult(best, goals[0], False, best[:0, :2])
         nearest, tried = states[counters[NEAREST], :3], states[: counters[COUNT], :2].copy()
-        return Found(direct, Pose(*nearest.tolist()), here == -1, tried)
+        return SearchResult(direct, SearchPose(*nearest.tolist()), here == -1, tried)
 
     def _moves(self, states: Float64, links: Int64, here: int) -> list[Float64]:
         """The moves from a start to a state, as rows of x, y, yaw, gear, curvature."""
@@ -207,14 +211,14 @@ class Searcher:
         """The same [10, n, 5]: all moves are equally long."""
         return np.stack(self._arcs)
 
-    def _may_be_free(self, start: Pose, goal: Pose, left_m: float) -> bool:
+    def _may_be_free(self, start: SearchPose, goal: SearchPose, left_m: float) -> bool:
         """Whether a curve between poses may be free, that are so far apart by `distance_left`: none
         is shorter than the way around what is blocked."""
         most_m = math.dist(start[:2], goal[:2]) + _LONGEST_WORD * self.vehicle.turning_radius_m
         return most_m >= self.least_m(left_m)
 
     def _best_curve(
-        self, starts: list[Pose], goals: list[Pose], longest_m: float = math.inf
+        self, starts: list[SearchPose], goals: list[SearchPose], longest_m: float = math.inf
     ) -> Float64:
         """The cheapest free curve from one of the starts to one of the goals."""
         best = self._samples[:0]
@@ -226,7 +230,7 @@ class Searcher:
         return best
 
     def _shortened(
-        self, samples: Float64, starts: list[Pose], goals: list[Pose], left_m: Float32
+        self, samples: Float64, starts: list[SearchPose], goals: list[SearchPose], left_m: Float32
     ) -> Float64:
         """A way with curves in the place of its stretches where that is cheaper."""
         for _ in range(3):
@@ -236,10 +240,11 @@ class Searcher:
                 stop = len(samples) - 1
                 while stop - start > 4:
                     stop += _is_doubled(samples, stop)
+                    ends = [[SearchPose(*samples[k, :3].tolist())] for k in (start, stop)]
                     shorter = self._replaced(
                         samples, start, stop,
-                        starts if start == 0 else [Pose(*samples[start, :3].tolist())],
-                        goals if stop == len(samples) - 1 else [Pose(*samples[stop, :3].tolist())],
+                        starts if start == 0 else ends[0],
+                        goals if stop == len(samples) - 1 else ends[1],
                         left_m,
                     )  # fmt: skip
                     if shorter is not None:
@@ -256,8 +261,8 @@ class Searcher:
         samples: Float64,
         start: int,
         stop: int,
-        starts: list[Pose],
-        goals: list[Pose],
+        starts: list[SearchPose],
+        goals: list[SearchPose],
         left_m: Float32,
     ) -> Float64 | None:
         """The way with a curve between two of its poses, or others where its ends are free to
@@ -281,7 +286,7 @@ class Searcher:
             return None
         return joined([before, curve, samples[stop:]])
 
-    def distance_left(self, goal: Pose, through: float = math.inf) -> Float32:
+    def distance_left(self, goal: SearchPose, through: float = math.inf) -> Float32:
         """How far it is from each coarse cell to the goal for a disc that fits into the vehicle,
         inf where there is no way; a metre through what is blocked counts `through`."""
         passable, size = self.passable, self._coarse_m
@@ -313,12 +318,12 @@ class Searcher:
         coarse: UInt8 = strips.reshape(height // scale, width // scale, scale).max(axis=2)
         return coarse
 
-    def coarse_place(self, pose: Pose) -> tuple[int, int]:
+    def coarse_place(self, pose: SearchPose) -> tuple[int, int]:
         """Row and column of the coarse cell that encloses a pose."""
         size = self._coarse_m
         return int(pose.y / size), int(pose.x / size)
 
-    def bottleneck(self, start: Pose, goal: Pose) -> tuple[float, float]:
+    def bottleneck(self, start: SearchPose, goal: SearchPose) -> tuple[float, float]:
         """Metres from the corner: where the way that goes through least of what is blocked first
         does so, from a start that is cut off."""
         passable, left = self.passable, self.distance_left(goal, _BLOCKED_COST)

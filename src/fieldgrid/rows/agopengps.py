@@ -32,7 +32,7 @@ _HOLE_M2 = 1.0
 _CLOSED_M = 0.3
 
 
-class Plane(NamedTuple):
+class FieldPlane(NamedTuple):
     """The plane of a field: metres from an origin in degrees."""
 
     lat_deg: float
@@ -88,7 +88,7 @@ def write_agopengps(planting: Planting, folder: Path, *, overwrite: bool = False
     ]
     middle = np.array([shapely.get_coordinates(outer.centroid)[0]])
     lat, lon, _ = planting.datum.to_geodetic(middle[:, 0], middle[:, 1], np.zeros(1))
-    plane = Plane(round(float(lat[0]), 9), round(float(lon[0]), 9))
+    plane = FieldPlane(round(float(lat[0]), 9), round(float(lon[0]), 9))
     with replacing_folder(
         folder,
         overwrite=overwrite,
@@ -103,13 +103,13 @@ def write_agopengps(planting: Planting, folder: Path, *, overwrite: bool = False
             (draft / name).write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
 
 
-def _field(plane: Plane) -> Iterator[str]:
+def _field(plane: FieldPlane) -> Iterator[str]:
     yield f"{datetime.now():%Y-%b-%d %I:%M:%S %p}"
     yield from ("$FieldDir", "fieldgrid", "$Offsets", "0,0", "Convergence", "0", "StartFix")
     yield f"{plane.lat_deg:.9f},{plane.lon_deg:.9f}"
 
 
-def _boundary(rings: list[shapely.LinearRing], plane: Plane, datum: Datum) -> Iterator[str]:
+def _boundary(rings: list[shapely.LinearRing], plane: FieldPlane, datum: Datum) -> Iterator[str]:
     yield "$Boundary"
     for ring in rings:
         # Closed by itself: the first point is not repeated.
@@ -119,7 +119,7 @@ def _boundary(rings: list[shapely.LinearRing], plane: Plane, datum: Datum) -> It
         yield from _points(points, np.roll(points, -1, axis=0) - points)
 
 
-def _tracks(planting: Planting, plane: Plane) -> Iterator[str]:
+def _tracks(planting: Planting, plane: FieldPlane) -> Iterator[str]:
     yield "$TrackLines"
     for lane in planting.lanes:
         line = np.asarray(lane.line.coords, dtype=np.float64)[:, :2]

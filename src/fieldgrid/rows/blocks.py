@@ -12,17 +12,17 @@ from scipy.sparse.csgraph import connected_components
 from fieldgrid.array_types import Float64
 from fieldgrid.polyline import lengths, part, resampled
 from fieldgrid.rows.crops import Crop
-from fieldgrid.rows.measure import Measured
+from fieldgrid.rows.measure import MeasuredRow
 from fieldgrid.rows.neighbours import Pair, neighbour_pairs
 
 _INSET_SPACINGS = 0.25
 """The line of a lane begins this far inside its mouth, so that it lies between both rows."""
 
 
-class Ordered(NamedTuple):
+class OrderedRows(NamedTuple):
     """Rows of all blocks with their ids, and the pairs of neighbours by the places of rows."""
 
-    rows: list[Measured]
+    rows: list[MeasuredRow]
     block_of: list[str]
     ids: list[str]
     pairs: list[Pair]
@@ -39,10 +39,10 @@ class LaneLine(NamedTuple):
     distance_m: float
 
 
-def order_rows(rows: list[Measured], crop: Crop) -> Ordered:
+def order_rows(rows: list[MeasuredRow], crop: Crop) -> OrderedRows:
     """Rows by block and from left to right in each; blocks from the one with most rows."""
     if not rows:
-        return Ordered([], [], [], [], np.nan)
+        return OrderedRows([], [], [], [], np.nan)
     lines = [row.line for row in rows]
     pairs, spacing = neighbour_pairs(lines, crop)
     count = len(rows)
@@ -64,10 +64,10 @@ def order_rows(rows: list[Measured], crop: Crop) -> Ordered:
     new = {old: k for k, old in enumerate(places)}
     moved = [p._replace(left=new[p.left], right=new[p.right]) for p in pairs]
     moved.sort(key=lambda p: (p.left, p.right))
-    return Ordered([rows[k] for k in places], names, ids, moved, spacing)
+    return OrderedRows([rows[k] for k in places], names, ids, moved, spacing)
 
 
-def lane_lines(ordered: Ordered) -> list[LaneLine]:
+def lane_lines(ordered: OrderedRows) -> list[LaneLine]:
     """The lanes: a middle line and the ground from row to row, where both rows stand."""
     found = []
     for pair in ordered.pairs:

@@ -14,7 +14,7 @@ from fieldgrid.trajectory import Status
 from fieldgrid.transfer import to_universal
 
 
-class Drives(NamedTuple):
+class VehicleTracks(NamedTuple):
     """What the drives of a map say beside their evidence: where the vehicle was, what each frame
     covers, the session it is of, and the sigma of its place."""
 
@@ -35,7 +35,7 @@ class Reached(NamedTuple):
 class Reach:
     """Looks up which frames of the drives cover a shape; without drives none does."""
 
-    def __init__(self, drives: Drives | None) -> None:
+    def __init__(self, drives: VehicleTracks | None) -> None:
         self._drives = drives if drives is not None and len(drives.footprints) else None
         self._tree = None if self._drives is None else shapely.STRtree(self._drives.footprints)
 
@@ -50,7 +50,7 @@ class Reach:
         return Reached(sessions, float(np.median(known)) if len(known) else 0.0)
 
 
-def drives_of(universal: MapFile, at: str | int | None) -> Drives:
+def drives_of(universal: MapFile, at: str | int | None) -> VehicleTracks:
     """The drives that a map has, or had after a session or by a date."""
     active = [info.name for info in universal.sessions() if info.active]
     names = active if at is None else universal.sessions_at(at)
@@ -67,4 +67,4 @@ def drives_of(universal: MapFile, at: str | int | None) -> Drives:
             sessions.append(name)
             sigmas.append(pose.position_sigma_m)
         tracks.append(np.array([(f.pose.east_m, f.pose.north_m) for f in frames]).reshape(-1, 2))
-    return Drives(np.concatenate(tracks), footprints, sessions, np.array(sigmas))
+    return VehicleTracks(np.concatenate(tracks), footprints, sessions, np.array(sigmas))

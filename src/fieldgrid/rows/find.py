@@ -17,14 +17,14 @@ from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, MapView, open_map
 from fieldgrid.polyline import part
-from fieldgrid.rows.blocks import LaneLine, Ordered, block_area, lane_lines, order_rows
+from fieldgrid.rows.blocks import LaneLine, OrderedRows, block_area, lane_lines, order_rows
 from fieldgrid.rows.chains import reference_lines
 from fieldgrid.rows.crops import Crop, crop_named
 from fieldgrid.rows.doubts import find_doubts, is_better, may_bend
-from fieldgrid.rows.drives import Drives, Reach, Reached, drives_of
+from fieldgrid.rows.drives import Reach, Reached, VehicleTracks, drives_of
 from fieldgrid.rows.ground import (
+    ObstacleCells,
     Stray,
-    Thing,
     canopies,
     find_headlands,
     find_things,
@@ -94,7 +94,7 @@ def find_rows(
 
 def rows_of_view(
     view: MapView,
-    drives: Drives | None = None,
+    drives: VehicleTracks | None = None,
     *,
     crop: str | Crop = "vineyard",
     obstacle_above: int = OBSTACLE_ABOVE,
@@ -116,7 +116,7 @@ def _check_lengths(hole_m: float, headland_m: float) -> None:
 def _planting(
     evidence: Evidence,
     datum: Datum,
-    drives: Drives | None,
+    drives: VehicleTracks | None,
     *,
     crop: str | Crop,
     hole_m: float,
@@ -133,7 +133,7 @@ def _planting(
 def _with_crop(
     evidence: Evidence,
     datum: Datum,
-    drives: Drives | None,
+    drives: VehicleTracks | None,
     crop: Crop,
     hole_m: float,
     headland_m: float,
@@ -187,7 +187,7 @@ def _measured(evidence: Evidence, crop: Crop) -> Split:
     return split_at_roads(measure_rows(evidence, lines, crop), crop)
 
 
-def _rows(ordered: Ordered, reach: Reach) -> tuple[Row, ...]:
+def _rows(ordered: OrderedRows, reach: Reach) -> tuple[Row, ...]:
     spacing: dict[int, list[float]] = {}
     for pair in ordered.pairs:
         if pair.is_lane:
@@ -224,10 +224,10 @@ def _lanes(
     filled: Evidence,
     clean: Evidence,
     bare: Evidence,
-    ordered: Ordered,
+    ordered: OrderedRows,
     lanes: list[LaneLine],
     rows: tuple[Row, ...],
-    drives: Drives | None,
+    drives: VehicleTracks | None,
     reach: Reach,
 ) -> tuple[Lane, ...]:
     counts: dict[str, int] = {}
@@ -273,7 +273,7 @@ def _least(widths_m: Float64) -> float:
 
 
 def _gaps(
-    evidence: Evidence, ordered: Ordered, rows: tuple[Row, ...], reach: Reach
+    evidence: Evidence, ordered: OrderedRows, rows: tuple[Row, ...], reach: Reach
 ) -> tuple[Gap, ...]:
     found = []
     for row, told in zip(ordered.rows, rows, strict=True):
@@ -287,7 +287,7 @@ def _gaps(
     return tuple(found)
 
 
-def _block_areas(ordered: Ordered, lanes: list[LaneLine]) -> dict[str, shapely.Polygon]:
+def _block_areas(ordered: OrderedRows, lanes: list[LaneLine]) -> dict[str, shapely.Polygon]:
     areas = {}
     for block in dict.fromkeys(ordered.block_of):
         members = [k for k, name in enumerate(ordered.block_of) if name == block]
@@ -300,7 +300,7 @@ def _block_areas(ordered: Ordered, lanes: list[LaneLine]) -> dict[str, shapely.P
 
 
 def _blocks(
-    ordered: Ordered,
+    ordered: OrderedRows,
     areas: dict[str, shapely.Polygon],
     rows: tuple[Row, ...],
     lanes: tuple[Lane, ...],
@@ -332,9 +332,9 @@ def _blocks(
 def _off_rows(
     evidence: Evidence,
     speckless: Evidence,
-    ordered: Ordered,
+    ordered: OrderedRows,
     areas: dict[str, shapely.Polygon],
-) -> tuple[list[Thing], Stray]:
+) -> tuple[list[ObstacleCells], Stray]:
     """What stands off the canopies: things, and cells of blocks."""
     canopy = canopies(evidence, ordered.rows)
     return find_things(speckless, canopy), stray_cells(evidence, canopy, list(areas.values()))
@@ -342,7 +342,7 @@ def _off_rows(
 
 def _headlands(
     evidence: Evidence,
-    ordered: Ordered,
+    ordered: OrderedRows,
     areas: dict[str, shapely.Polygon],
     reach_m: float,
     reach: Reach,
@@ -372,8 +372,8 @@ def _headlands(
 
 def _obstacles(
     evidence: Evidence,
-    things: list[Thing],
-    ordered: Ordered,
+    things: list[ObstacleCells],
+    ordered: OrderedRows,
     lanes: tuple[Lane, ...],
     reach: Reach,
 ) -> tuple[Obstacle, ...]:

@@ -13,7 +13,7 @@ from fieldgrid.array_types import Bool, Float64, Int64, UInt8
 from fieldgrid.evidence import FREE, OBSTACLE, UNSEEN, Evidence, Strip
 from fieldgrid.polyline import part
 from fieldgrid.rows.blocks import LaneLine
-from fieldgrid.rows.measure import Measured
+from fieldgrid.rows.measure import MeasuredRow
 
 _PER_CELL = 1.5
 """Samples a cell along and across a lane: any more than √2 leave no cell out, however it lies."""
@@ -168,14 +168,14 @@ def seen_cells(evidence: Evidence, line: shapely.LineString, reach_m: float) -> 
     return round(np.count_nonzero(strip.cells != UNSEEN) / _PER_CELL**2)
 
 
-class Thing(NamedTuple):
+class ObstacleCells(NamedTuple):
     """Obstacle cells that are no part of a row: their outline, and the area of the cells."""
 
     outline: shapely.Polygon
     area_m2: float
 
 
-def find_things(evidence: Evidence, canopy: UInt8) -> list[Thing]:
+def find_things(evidence: Evidence, canopy: UInt8) -> list[ObstacleCells]:
     """What stands in lanes, in gaps and beside the rows, whose canopies are a mask of the cells."""
     obstacle = (evidence.cells == OBSTACLE).astype(np.uint8)
     size = max(1, round(_JOIN_M / evidence.cell_m)) | 1
@@ -197,7 +197,7 @@ def find_things(evidence: Evidence, canopy: UInt8) -> list[Thing]:
             continue
         if touching[k] and not _sticks_out(evidence, canopy, window, mine):
             continue
-        found.append(Thing(_hull(evidence, mine, left, top), area))
+        found.append(ObstacleCells(_hull(evidence, mine, left, top), area))
     return found
 
 
@@ -232,7 +232,7 @@ def _sticks_out(evidence: Evidence, canopy: UInt8, window: tuple[slice, slice], 
     return bool(depth[inside][mine].max() * evidence.cell_m >= _PROTRUSION_M)
 
 
-def canopies(evidence: Evidence, rows: list[Measured]) -> UInt8:
+def canopies(evidence: Evidence, rows: list[MeasuredRow]) -> UInt8:
     """A mask of the ground that rows cover, their gaps left out."""
     mask = np.zeros(evidence.cells.shape, dtype=np.uint8)
     for row in rows:

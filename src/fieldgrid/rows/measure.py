@@ -30,7 +30,7 @@ _GATE = 0.42
 """Cells that are nearer than this share of the way to the next row belong to a row."""
 
 
-class Measured(NamedTuple):
+class MeasuredRow(NamedTuple):
     """A row: its middle line from end to end, sigma at its points, extent along the line, half
     width of the canopy, from how many sides it was seen (0 to 2, a mean), its obstacle cells."""
 
@@ -59,7 +59,7 @@ class HalfWidth(NamedTuple):
     sigma_m: float
 
 
-def measure_rows(evidence: Evidence, lines: list[Float64], crop: Crop) -> list[Measured]:
+def measure_rows(evidence: Evidence, lines: list[Float64], crop: Crop) -> list[MeasuredRow]:
     """The rows near reference lines; a line that turns out to be none, or that does not stand out
     from the ground beside it, is left out."""
     settled = _all_settled(evidence, lines, _gates(lines, crop), crop)
@@ -76,7 +76,7 @@ def measure_rows(evidence: Evidence, lines: list[Float64], crop: Crop) -> list[M
     return _standing_out(candidates, crop)
 
 
-def _uncrossed(candidates: list[tuple[Measured, float]]) -> list[tuple[Measured, float]]:
+def _uncrossed(candidates: list[tuple[MeasuredRow, float]]) -> list[tuple[MeasuredRow, float]]:
     """The candidates but for those that lead across two others which are less likely noise: trees
     on a grid stand in line that way, too."""
     if len(candidates) < 3:
@@ -103,7 +103,7 @@ def _all_settled(
 
 def _candidates(
     evidence: Evidence, settled: list[Settled], width: HalfWidth, crop: Crop
-) -> list[tuple[Measured, float]]:
+) -> list[tuple[MeasuredRow, float]]:
     """The rows of profiles, each with its chance to be noise."""
     found, contrasts = [], []
     for near in settled:
@@ -115,14 +115,16 @@ def _candidates(
     return list(zip(found, chances_of_noise(contrasts).tolist(), strict=True))
 
 
-def _single(candidates: list[tuple[Measured, float]], crop: Crop) -> list[tuple[Measured, float]]:
+def _single(
+    candidates: list[tuple[MeasuredRow, float]], crop: Crop
+) -> list[tuple[MeasuredRow, float]]:
     """The candidates without those that turned out to lie on a longer one: the two faces of a wide
     canopy both lead to its middle."""
     kept = without_doubles([row.line for row, _ in candidates], crop)
     return [candidates[k] for k in kept]
 
 
-def _standing_out(candidates: list[tuple[Measured, float]], crop: Crop) -> list[Measured]:
+def _standing_out(candidates: list[tuple[MeasuredRow, float]], crop: Crop) -> list[MeasuredRow]:
     candidates = _single(_uncrossed(candidates), crop)
     are_rows = stand_out(np.array([chance for _, chance in candidates]))
     return [row for (row, _), is_row in zip(candidates, are_rows, strict=True) if is_row]
@@ -196,7 +198,7 @@ def _half_width(settled: list[Settled], crop: Crop) -> HalfWidth:
 
 def _measured(
     evidence: Evidence, settled: Settled, width: HalfWidth, crop: Crop
-) -> Measured | None:
+) -> MeasuredRow | None:
     """The row of a profile: every station moved from the cells that were seen to the middle."""
     profile, faces, _ = settled
     both = faces.left_seen & faces.right_seen
@@ -239,7 +241,7 @@ def _measured(
         extent.ends_seen,
     )
     sides = float((faces.left_seen[inside].astype(int) + faces.right_seen[inside]).mean())
-    return Measured(
+    return MeasuredRow(
         own,
         np.interp(at, lengths(curve.line), sigma),
         shifted,

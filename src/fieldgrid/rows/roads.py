@@ -18,7 +18,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.polyline import lengths, part, project
 from fieldgrid.rows.crops import Crop
 from fieldgrid.rows.extent import Extent, Span
-from fieldgrid.rows.measure import Measured
+from fieldgrid.rows.measure import MeasuredRow
 from fieldgrid.rows.neighbours import Pair, neighbour_pairs
 
 _ROAD_M = 2.5
@@ -58,7 +58,7 @@ class DoubtfulRoad(NamedTuple):
 class Split(NamedTuple):
     """Rows, those that a road crosses as one on each side of it, and roads that are in doubt."""
 
-    rows: list[Measured]
+    rows: list[MeasuredRow]
     doubtful: list[DoubtfulRoad]
 
 
@@ -70,7 +70,7 @@ class _Hole(NamedTuple):
     is_seen: bool
 
 
-def split_at_roads(rows: list[Measured], crop: Crop) -> Split:
+def split_at_roads(rows: list[MeasuredRow], crop: Crop) -> Split:
     """The rows, those that a road crosses as one on each side of it, and what is in doubt."""
     holes = [
         _Hole(k, span, is_seen)
@@ -109,7 +109,7 @@ def _row_count(road: list[_Hole]) -> int:
     return len({hole.row for hole in road})
 
 
-def _edges(rows: list[Measured], road: list[_Hole]) -> Float64:
+def _edges(rows: list[MeasuredRow], road: list[_Hole]) -> Float64:
     """Where holes begin and end beside the straight edges that fit them, metres [n, 2]."""
     first = rows[road[0].row].line
     along = (first[-1] - first[0]) / np.hypot(*(first[-1] - first[0]))
@@ -130,7 +130,9 @@ def _is_ragged(edges_m: Float64) -> bool:
     return bool(np.sqrt((edges_m**2).sum(axis=0) / freedom).min() > _RAGGED_M)
 
 
-def _chance(rows: list[Measured], road: list[_Hole], edges_m: Float64, others: set[_Hole]) -> float:
+def _chance(
+    rows: list[MeasuredRow], road: list[_Hole], edges_m: Float64, others: set[_Hole]
+) -> float:
     """How many sets of holes are expected by chance to be in line as those of a road, where the
     other holes of its rows lie wherever they like: some begin one, the second row gives it any
     direction, and those of each further one have to lie on its line."""
@@ -148,7 +150,7 @@ def _chance(rows: list[Measured], road: list[_Hole], edges_m: Float64, others: s
     return len(sizes) / len(own) * any_way * in_line ** (len(own) - 2)
 
 
-def _roads(rows: list[Measured], holes: list[_Hole], pairs: list[Pair]) -> list[list[_Hole]]:
+def _roads(rows: list[MeasuredRow], holes: list[_Hole], pairs: list[Pair]) -> list[list[_Hole]]:
     """Holes side by side that no row beside them closes."""
     of_row: dict[int, list[int]] = {}
     for place, hole in enumerate(holes):
@@ -180,13 +182,13 @@ def _roads(rows: list[Measured], holes: list[_Hole], pairs: list[Pair]) -> list[
     return found
 
 
-def _beside(row: Measured, span_m: Span, other: Measured) -> Span:
+def _beside(row: MeasuredRow, span_m: Span, other: MeasuredRow) -> Span:
     """A stretch of a row, along the line of another one that runs the same way or against it."""
     s, _ = project(part(row.line, *span_m)[[0, -1]], other.line)
     return float(s.min()), float(s.max())
 
 
-def _pieces(row: Measured, cuts: list[Span], crop: Crop) -> list[Measured]:
+def _pieces(row: MeasuredRow, cuts: list[Span], crop: Crop) -> list[MeasuredRow]:
     """A row without some stretches; all of it when a piece would be no row."""
     starts = [0.0, *(cut[1] for cut in cuts)]
     stops = [*(cut[0] for cut in cuts), row.extent.stop_m]

@@ -1,7 +1,7 @@
 """The settings of a build: defaults, over them a TOML file, over that the flags."""
 
 from fieldgrid.settings.declare import (
-    Declared,
+    DeclaredSetting,
     Flag,
     Settings,
     declared,
@@ -24,7 +24,7 @@ from fieldgrid.settings.resolve import Overrides, resolve
 __all__ = [
     "BuildSettings",
     "CheckSettings",
-    "Declared",
+    "DeclaredSetting",
     "DensitySettings",
     "Flag",
     "GateLimits",

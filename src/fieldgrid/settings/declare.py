@@ -48,7 +48,7 @@ def setting(
     )
 
 
-class Problem(NamedTuple):
+class SettingsProblem(NamedTuple):
     """Why values are no settings: the first place, what stands there, and why it cannot."""
 
     place: tuple[str, ...]
@@ -62,15 +62,17 @@ class Problem(NamedTuple):
         return ".".join(self.place) or "settings"
 
 
-def first_problem(error: ValidationError) -> Problem:
+def first_problem(error: ValidationError) -> SettingsProblem:
     """The first of what is wrong, in words that stand in the middle of a sentence."""
     first = error.errors()[0]
     why = str(first["msg"]).removeprefix("Value error, ")
     unknown = first["type"] == "extra_forbidden"
-    return Problem(tuple(map(str, first["loc"])), first["input"], unknown, why[0].lower() + why[1:])
+    return SettingsProblem(
+        tuple(map(str, first["loc"])), first["input"], unknown, why[0].lower() + why[1:]
+    )
 
 
-class Declared(NamedTuple):
+class DeclaredSetting(NamedTuple):
     """A setting with its place, such as ("pose", "gnss", "max_hdop")."""
 
     path: tuple[str, ...]
@@ -113,14 +115,14 @@ class Declared(NamedTuple):
         return ", ".join(words)
 
 
-def declared(model: type[BaseModel], path: tuple[str, ...] = ()) -> Iterator[Declared]:
+def declared(model: type[BaseModel], path: tuple[str, ...] = ()) -> Iterator[DeclaredSetting]:
     """All settings of a model and of the tables in it, in the order of their declaration."""
     for name, info in model.model_fields.items():
         kind = info.annotation
         if isinstance(kind, type) and issubclass(kind, BaseModel):
             yield from declared(kind, (*path, name))
         else:
-            yield Declared((*path, name), info)
+            yield DeclaredSetting((*path, name), info)
 
 
 def described(value: object) -> str:

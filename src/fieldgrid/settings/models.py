@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field, field_validator, model_validator
 
-from fieldgrid.choices import Doubt, GearName, MatcherKind, Transfer
+from fieldgrid.choices import GearName, MatcherKind, StopCode, Transfer
 from fieldgrid.errors import ConfigError
 from fieldgrid.quality import NOT_FROM_SATELLITES, Quality
 from fieldgrid.settings.declare import Flag, Settings, setting
@@ -342,9 +342,9 @@ class PoseSettings(Settings):
 class CheckSettings(Settings):
     """What a build makes of what `inspect` calls an error."""
 
-    accept: frozenset[Doubt] = setting(
+    accept: frozenset[StopCode] = setting(
         frozenset(),
-        f"errors of inspect that do not stop a build: {', '.join(Doubt)}",
+        f"errors of inspect that do not stop a build: {', '.join(StopCode)}",
         usual="none",
         flag=Flag("--accept", "CODE"),
     )

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from fieldgrid.documents import MAX_BYTES, parse_toml
 from fieldgrid.errors import ConfigError
 from fieldgrid.limits import file_bytes
-from fieldgrid.settings.declare import Problem, declared, first_problem
+from fieldgrid.settings.declare import SettingsProblem, declared, first_problem
 from fieldgrid.settings.models import BuildSettings
 
 Overrides = Mapping[str, Mapping[str, Any]]
@@ -60,7 +60,7 @@ def _read(path: Path) -> dict[str, Any]:
         raise ConfigError(f"The settings file {path} is not TOML: {error}.") from error
 
 
-def _sentence(problem: Problem, path: Path | None, flagged: set[tuple[str, str]]) -> str:
+def _sentence(problem: SettingsProblem, path: Path | None, flagged: set[tuple[str, str]]) -> str:
     flags = {one.path: one.flag for one in declared(BuildSettings)}
     flag = flags.get(problem.place) if problem.place in flagged else None
     where = f" in {path}" if path is not None else ""

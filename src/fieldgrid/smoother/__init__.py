@@ -1,20 +1,20 @@
 """The batch estimate of a drive: position, heading, signed speed and slow errors, with sigmas."""
 
 from fieldgrid.smoother.batch import Smoothed, refine, smooth
-from fieldgrid.smoother.declared import AHEAD, MOST_MISFIT, Constant, Declared
+from fieldgrid.smoother.declared import AHEAD, MOST_MISFIT, Constant, DeclaredCorrection
 from fieldgrid.smoother.envelope import STATES
 from fieldgrid.smoother.measurements import Measurements
-from fieldgrid.smoother.wander import Wander, unstated_wander, wander
+from fieldgrid.smoother.wander import WanderTest, unstated_wander, wander
 
 __all__ = [
     "AHEAD",
     "MOST_MISFIT",
     "STATES",
     "Constant",
-    "Declared",
+    "DeclaredCorrection",
     "Measurements",
     "Smoothed",
-    "Wander",
+    "WanderTest",
     "refine",
     "smooth",
     "unstated_wander",

@@ -8,12 +8,12 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.smoother import model
-from fieldgrid.smoother.declared import Constant, Declared, HeadingResponse, tested
+from fieldgrid.smoother.declared import Constant, DeclaredCorrection, HeadingResponse, tested
 from fieldgrid.smoother.measurements import Measurements
 from fieldgrid.smoother.rounds import (
     Covariances,
     Linear,
-    Problem,
+    SmoothingProblem,
     Solution,
     converged,
     inverse,
@@ -56,7 +56,7 @@ class Smoothed(NamedTuple):
     heading_offset: Constant | None
     wheel_scale: Constant | None
     camera_scale: Constant | None
-    declared: Declared
+    declared: DeclaredCorrection
     response: HeadingResponse
     steering: Float64
     steers: Steering
@@ -75,7 +75,7 @@ def smooth(
     motion the steps tell, from the middle of the axle that does not steer. How much the vehicle
     steers is what makes its own fixes likeliest. The same input gives the same bits.
     """
-    problem = Problem.of(measured, lever_m, step_ahead_m)
+    problem = SmoothingProblem.of(measured, lever_m, step_ahead_m)
     # A gyro sees the steering; without one the drive has to tell what to expect of it.
     gyro = np.isfinite(measured.turned_rad)
     learns = bool(gyro.size) and float(gyro.mean()) < GYRO_SHARE
@@ -99,13 +99,13 @@ def refine(
     known: Smoothed, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
 ) -> Smoothed:
     """The same drive by other measurements at its nodes, with the steering that was learnt."""
-    problem = Problem.of(measured, lever_m, step_ahead_m)
+    problem = SmoothingProblem.of(measured, lever_m, step_ahead_m)
     weights = stated_weights(measured, known.steering)
     found = converged(problem, known.state, np.zeros(model.CONSTANTS), weights)
     return _with_sigmas(problem, found, known.steers)
 
 
-def _with_sigmas(problem: Problem, found: Solution, steers: Steering) -> Smoothed:
+def _with_sigmas(problem: SmoothingProblem, found: Solution, steers: Steering) -> Smoothed:
     """The estimate with its sigmas; where it has not settled, what still changes counts too."""
     linear, off = linearized(problem, found.x, found.constants, found.weights, held=False)
     declared, response = tested(problem, found, linear)

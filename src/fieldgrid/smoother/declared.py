@@ -11,7 +11,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.kernel import kernel
 from fieldgrid.smoother.envelope import STATES, solve
 from fieldgrid.smoother.model import BIAS_E, BIAS_N, GYRO, GYRO_NOISE, KAPPA, PHI, E, N, V
-from fieldgrid.smoother.rounds import Linear, Problem, Solution, inverse
+from fieldgrid.smoother.rounds import Linear, SmoothingProblem, Solution, inverse
 
 AHEAD, LATE = 1, 2
 """Which of the constants that are tested are the antenna's place ahead and the delay of the fixes.
@@ -45,7 +45,7 @@ class Constant(NamedTuple):
     sigma: float
 
 
-class Declared(NamedTuple):
+class DeclaredCorrection(NamedTuple):
     """What the drive would have added to what was declared: to the antenna's place, to the right
     and ahead (metres), to how late the fixes are stamped (seconds), and to the gyro's scale (a
     share; of a gyro that is upside down it is near -2).
@@ -91,7 +91,9 @@ class HeadingResponse(NamedTuple):
     unverified: Float64
 
 
-def tested(problem: Problem, found: Solution, linear: Linear) -> tuple[Declared, HeadingResponse]:
+def tested(
+    problem: SmoothingProblem, found: Solution, linear: Linear
+) -> tuple[DeclaredCorrection, HeadingResponse]:
     """What would have to be added to what was declared for the drive to fit best, and what the
     headings would be then: one step of Gauss and Newton with all states following."""
     measured = problem.measured
@@ -104,7 +106,7 @@ def tested(problem: Problem, found: Solution, linear: Linear) -> tuple[Declared,
     right_m, ahead_m, late_s, gyro = map(Constant, values.tolist(), sigmas.tolist())
     alone = right / np.diagonal(schur)
     misfit = math.sqrt(max(together, 0.0))
-    declared = Declared(
+    declared = DeclaredCorrection(
         *(right_m, ahead_m, late_s, gyro), misfit, tuple(alone.tolist()), tuple(left.tolist())
     )
     heading = -followed[PHI::STATES]
@@ -139,7 +141,7 @@ class _Told(NamedTuple):
     right: Float64
 
 
-def _told(problem: Problem, found: Solution, linear: Linear) -> _Told:
+def _told(problem: SmoothingProblem, found: Solution, linear: Linear) -> _Told:
     measured = problem.measured
     border, corner, right = couplings(
         found.x,
@@ -158,7 +160,7 @@ def _told(problem: Problem, found: Solution, linear: Linear) -> _Told:
     return _Told(followed, information, right - followed.T @ linear.system.right)
 
 
-def unverified_nats(problem: Problem, found: Solution, linear: Linear) -> float:
+def unverified_nats(problem: SmoothingProblem, found: Solution, linear: Linear) -> float:
     """How much likelier a drive is when what was declared may be off by
     :data:`UNVERIFIED_SIGMAS`, than when it is exact: Laplace's approximation."""
     _, information, right = _told(problem, found, linear)

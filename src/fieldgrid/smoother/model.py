@@ -67,7 +67,7 @@ NO_BIAS_M = 1e-4
 """The least sigma of a slow error, so that a receiver without one can be solved."""
 
 
-class System(NamedTuple):
+class NormalEquations(NamedTuple):
     """Normal equations: `values` is the matrix of the nodes' states in the shape of an envelope,
     `border` [states, constants] couples them with the constants, `corner` is that of the constants
     alone. `total` is the sum of the squared residuals in units of their sigmas, and that of the
@@ -82,14 +82,16 @@ class System(NamedTuple):
     total: Float64
 
 
-def empty_system(shape: Envelope, values: Float64 | None = None, *, coupled: bool = True) -> System:
+def empty_system(
+    shape: Envelope, values: Float64 | None = None, *, coupled: bool = True
+) -> NormalEquations:
     """Normal equations that nothing has been added to, in the memory of `values` if given. Where
     nothing measures a constant, none is `coupled` with the states and the border has no rows."""
     n = STATES * shape.nodes
     if values is None:
         values = np.empty(shape.size)
     values.fill(0.0)
-    return System(
+    return NormalEquations(
         shape,
         values,
         np.zeros(n),

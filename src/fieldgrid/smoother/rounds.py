@@ -28,7 +28,7 @@ OUTLIER_FREEDOM = 4.0
 the less the farther they lie."""
 
 
-class Problem(NamedTuple):
+class SmoothingProblem(NamedTuple):
     """The measurements of a drive and where on the vehicle they are of: `lever_m` is the antenna's
     place (right, ahead) and `step_ahead_m` that of the point whose motion the steps tell, from the
     middle of the axle that does not steer. `values` is the memory of the normal equations, the
@@ -43,7 +43,7 @@ class Problem(NamedTuple):
     @classmethod
     def of(
         cls, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
-    ) -> Problem:
+    ) -> SmoothingProblem:
         """The problem with the shape of its equations."""
         shape = envelope(len(measured.time_s), measured.step_nodes)
         return cls(measured, np.array(lever_m), step_ahead_m, shape, np.empty(shape.size))
@@ -84,7 +84,7 @@ class Linear(NamedTuple):
     """The normal equations of a solution, factored: what is known of the states beside the
     constants, and the constants that have measurements."""
 
-    system: model.System
+    system: model.NormalEquations
     log_determinant: float
     active: Int64
     coupling: Float64
@@ -109,7 +109,7 @@ def _inverse_squared(sigma: Float64) -> Float64:
 
 
 def converged(
-    problem: Problem,
+    problem: SmoothingProblem,
     start: Float64,
     constants: Float64,
     weights: Weights,
@@ -134,7 +134,9 @@ def converged(
     return found
 
 
-def improved(problem: Problem, found: Solution, linear: Linear, off: Residuals) -> Solution:
+def improved(
+    problem: SmoothingProblem, found: Solution, linear: Linear, off: Residuals
+) -> Solution:
     """One round: the solution of the linear equations, whose right side becomes it, and the
     weights for the next."""
     system, active = linear.system, linear.active
@@ -160,7 +162,12 @@ def improved(problem: Problem, found: Solution, linear: Linear, off: Residuals) 
 
 
 def linearized(
-    problem: Problem, x: Float64, constants: Float64, weights: Weights, *, held: bool = True
+    problem: SmoothingProblem,
+    x: Float64,
+    constants: Float64,
+    weights: Weights,
+    *,
+    held: bool = True,
 ) -> tuple[Linear, Residuals]:
     """The factored normal equations about a state, and how far each measurement is off. `held` for
     a round to come, not for sigmas. What an earlier call gave for this problem is overwritten."""

@@ -16,7 +16,7 @@ from fieldgrid.smoother.measurements import Measurements
 from fieldgrid.smoother.rounds import (
     Covariances,
     Linear,
-    Problem,
+    SmoothingProblem,
     Solution,
     converged,
     improved,
@@ -111,7 +111,7 @@ def local_steering(
     return np.asarray(np.minimum(mixed, MOST_STEERING) * step_s)
 
 
-def adapted(problem: Problem, found: Solution, steering: Steering) -> Solution:
+def adapted(problem: SmoothingProblem, found: Solution, steering: Steering) -> Solution:
     """The drive when steering is expected where it was seen, and where it may be hidden."""
     k, measured = model.KAPPA, problem.measured
     blind = blind_steps(measured)
@@ -170,7 +170,7 @@ def bent_share(measured: Measurements, x: Float64) -> float:
     return float(np.clip(tight / model.CURVATURE_SIGMA, LEAST_BENT, MOST_BENT))
 
 
-def likeliest_steering(problem: Problem, found: Solution) -> Steering:
+def likeliest_steering(problem: SmoothingProblem, found: Solution) -> Steering:
     """The curvatures of the drive, and the steering noise of :data:`STEERING_NOISES` under which
     its measurements are likeliest.
 
@@ -196,7 +196,7 @@ def likeliest_steering(problem: Problem, found: Solution) -> Steering:
     return Steering(STEERING_NOISES[at], bent)
 
 
-def stretches(problem: Problem, found: Solution) -> list[tuple[Problem, Float64]]:
+def stretches(problem: SmoothingProblem, found: Solution) -> list[tuple[SmoothingProblem, Float64]]:
     """Parts of a drive that stand for it, each with its states."""
     n = len(found.x)
     if n <= STRETCHES * STRETCH_NODES:
@@ -205,26 +205,28 @@ def stretches(problem: Problem, found: Solution) -> list[tuple[Problem, Float64]
     lever_m = (float(problem.lever_m[0]), float(problem.lever_m[1]))
     return [
         (
-            Problem.of(problem.measured.part(a, a + STRETCH_NODES), lever_m, problem.step_ahead_m),
+            SmoothingProblem.of(
+                problem.measured.part(a, a + STRETCH_NODES), lever_m, problem.step_ahead_m
+            ),
             found.x[a : a + STRETCH_NODES],
         )
         for a in starts
     ]
 
 
-def roughly(problem: Problem, start: Float64, constants: Float64) -> Solution:
+def roughly(problem: SmoothingProblem, start: Float64, constants: Float64) -> Solution:
     """The drive with the usual steering, to within centimetres."""
     usual = usual_steering(np.diff(problem.measured.time_s))
     weights = stated_weights(problem.measured, usual)
     return converged(problem, start, constants, weights, enough=ROUGHLY)
 
 
-def log_likelihood(problem: Problem, near: Solution, steering: Steering) -> float:
+def log_likelihood(problem: SmoothingProblem, near: Solution, steering: Steering) -> float:
     """Of the measurements under a steering, every drive considered."""
     return likelihood_of(problem, adapted(problem, near, steering))
 
 
-def likelihood_of(problem: Problem, solution: Solution) -> float:
+def likelihood_of(problem: SmoothingProblem, solution: Solution) -> float:
     """Of the measurements, every drive around a solution considered: Laplace's approximation, up
     to a constant."""
     linear, _ = linearized(problem, solution.x, solution.constants, solution.weights, held=False)

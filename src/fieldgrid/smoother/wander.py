@@ -12,7 +12,7 @@ from fieldgrid.smoother.batch import Smoothed
 from fieldgrid.smoother.declared import unverified_nats
 from fieldgrid.smoother.measurements import Measurements
 from fieldgrid.smoother.rounds import (
-    Problem,
+    SmoothingProblem,
     Solution,
     converged,
     linearized,
@@ -42,7 +42,7 @@ FEWEST_PAIRS = 10
 """Of fewer nodes so far apart a mean says nothing."""
 
 
-class Wander(NamedTuple):
+class WanderTest(NamedTuple):
     """How much likelier the drive is when its fixes wander, `nats`, and the same beside
     declarations that may be off by what is usual, `unexplained_nats`; how far apart the slow errors
     of its nodes lie then, `extent_m`; and by how much its headings [n] differ from those of fixes
@@ -56,14 +56,14 @@ class Wander(NamedTuple):
 
 def wander(
     known: Smoothed, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
-) -> Wander:
+) -> WanderTest:
     """What an estimate `known` from the same measurements says of the wander of its fixes: its
     likelihood beside that of a slow error that goes on from the stated one at random. Steps that
     are outliers are left out."""
     off = np.abs(known.step_off) / measured.step_sigma[:, [0, 0, 1]]
     measured = measured.with_steps(off.max(axis=1) < OUTLIER_SIGMAS)
 
-    def found(rate_m: float) -> tuple[Problem, Solution]:
+    def found(rate_m: float) -> tuple[SmoothingProblem, Solution]:
         passed_s = measured.time_s - measured.time_s[0]
         wandering = measured
         if rate_m > 0.0:
@@ -71,7 +71,7 @@ def wander(
                 bias_m=np.sqrt(measured.bias_m**2 + rate_m**2 * passed_s),
                 bias_s=np.full_like(measured.bias_s, FOREVER_S),
             )
-        problem = Problem.of(wandering, lever_m, step_ahead_m)
+        problem = SmoothingProblem.of(wandering, lever_m, step_ahead_m)
         weights = stated_weights(wandering, known.steering)
         return problem, converged(problem, known.state, np.zeros(model.CONSTANTS), weights)
 
@@ -88,7 +88,7 @@ def wander(
     free = found(FREE_RATE_M)[1].x
     extent_m = float(np.hypot(*np.ptp(free[:, model.BIAS_E :], axis=0)))
     turned = free[:, model.PHI] - known.state[:, model.PHI]
-    return Wander(nats[0], nats[1], extent_m, np.asarray(turned))
+    return WanderTest(nats[0], nats[1], extent_m, np.asarray(turned))
 
 
 def unstated_wander(state: Float64, measured: Measurements) -> float:

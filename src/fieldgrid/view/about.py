@@ -7,7 +7,7 @@ from typing import Any
 from fieldgrid import palette
 from fieldgrid.farm import Farm
 from fieldgrid.layers import LAYERS
-from fieldgrid.mapfile import Driven, SessionInfo, in_drive_order
+from fieldgrid.mapfile import DrivenMap, SessionInfo, in_drive_order
 from fieldgrid.view import layers
 from fieldgrid.view.maps import Shown
 
@@ -45,7 +45,7 @@ def describe_map(number: int, shown: Shown) -> dict[str, Any]:
         }
 
 
-def _bounds(universal: Driven, infos: list[SessionInfo]) -> list[float] | None:
+def _bounds(universal: DrivenMap, infos: list[SessionInfo]) -> list[float] | None:
     has_cells = any(info.active and info.accepted for info in infos)
     return list(universal.bounds) if has_cells else None
 

@@ -22,7 +22,7 @@ from starlette.routing import Route
 from fieldgrid.errors import ConfigError, FieldgridError, MapError, MapWriteError
 from fieldgrid.lattice import Bounds, TileIndex
 from fieldgrid.layers import LAYERS
-from fieldgrid.mapfile import Driven
+from fieldgrid.mapfile import DrivenMap
 from fieldgrid.view import actions, drives, exports, layers, page
 from fieldgrid.view.about import describe_map
 from fieldgrid.view.changes import changed_objects
@@ -242,7 +242,9 @@ def _single(shown: Shown) -> ShownMap:
     return shown
 
 
-def _images(universal: Driven, session: str) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
+def _images(
+    universal: DrivenMap, session: str
+) -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
     return {
         frame.frame_id: (frame.images, frame.images_sha256) for frame in universal.frames(session)
     }
@@ -254,7 +256,7 @@ def _layer(name: str) -> str:
     return name
 
 
-def _session_names(universal: Driven, numbers: str) -> list[str]:
+def _session_names(universal: DrivenMap, numbers: str) -> list[str]:
     """The names of sessions that a request counts, as in `0.2.3`; none for an empty text."""
     infos = universal.sessions()
     found = []
@@ -265,7 +267,7 @@ def _session_names(universal: Driven, numbers: str) -> list[str]:
     return found
 
 
-def _session_name(universal: Driven, number: str) -> str:
+def _session_name(universal: DrivenMap, number: str) -> str:
     names = _session_names(universal, number)
     if len(names) != 1:
         raise ConfigError(f"{number[:40]!r} is no session; give the number of one.")

@@ -15,7 +15,7 @@ import numpy as np
 from fieldgrid.array_types import AnyArray, Float64, Index, Int64
 from fieldgrid.errors import FieldgridError, MapError
 from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import Driven
+from fieldgrid.mapfile import DrivenMap
 from fieldgrid.rig import LeverArm
 from fieldgrid.trajectory import Trajectory
 
@@ -24,7 +24,7 @@ MOST_FRAMES = 1_500
 """What is drawn at once: more points than these no screen shows."""
 
 
-def track(universal: Driven, session: str, most_rows: int = MOST_ROWS) -> dict[str, Any]:
+def track(universal: DrivenMap, session: str, most_rows: int = MOST_ROWS) -> dict[str, Any]:
     """A drive in columns: positions, heading, sigmas, speed, gear, quality, verdict, residual.
 
     `time_ms` counts from `start_ms`, milliseconds of UTC; None is NaN. `reasons` are the texts
@@ -75,7 +75,7 @@ def _thinned(found: Trajectory, most_rows: int) -> Index:
     return np.flatnonzero(keep)
 
 
-def _residuals(universal: Driven, session: str, found: Trajectory) -> Float64:
+def _residuals(universal: DrivenMap, session: str, found: Trajectory) -> Float64:
     """Of each row the distance between its fix and the antenna of its pose, NaN without a fix."""
     distance = np.full(len(found), np.nan)
     info = next(info for info in universal.sessions() if info.name == session)
@@ -115,7 +115,7 @@ class FrameTable(NamedTuple):
     length_m: Float64
 
 
-def frame_table(universal: Driven, names: Collection[str] | None = None) -> FrameTable:
+def frame_table(universal: DrivenMap, names: Collection[str] | None = None) -> FrameTable:
     """The frames of the active sessions, or of some of them, without their grids."""
     number = {
         info.name: k

@@ -17,7 +17,7 @@ MOST_CELLS = 100_000_000
 """A larger part is for the command line, which says how far it is."""
 
 
-class Written(NamedTuple):
+class SentFile(NamedTuple):
     """A file to be sent, and the folder that is to be removed then."""
 
     file: Path
@@ -33,7 +33,7 @@ def formats() -> list[dict[str, str]]:
     return [{"name": name, "says": known.says} for name, known in export.formats().items()]
 
 
-def write_export(universal: Readable, name: str, selection: Selection, format_: str) -> Written:
+def write_export(universal: Readable, name: str, selection: Selection, format_: str) -> SentFile:
     """Export a part of a map into a folder of its own; several files come as one zip archive.
 
     `name` is what the file is called. Raises ConfigError for a part that is too large, and what
@@ -60,12 +60,12 @@ def write_export(universal: Readable, name: str, selection: Selection, format_: 
         export_map(universal, out, selection, format=format_)
         files = [path for path in inner.rglob("*") if path.is_file()]
         if len(files) == 1:
-            return Written(files[0], folder)
+            return SentFile(files[0], folder)
         archive = folder / f"{name}-{format_}.zip"
         with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as packed:
             for path in files:
                 packed.write(path, path.relative_to(inner))
-        return Written(archive, folder)
+        return SentFile(archive, folder)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds, TileIndex
-from fieldgrid.mapfile import Driven, MapFile, Mark, open_map
+from fieldgrid.mapfile import DrivenMap, MapFile, Mark, open_map
 from fieldgrid.view import drives, pyramid
 from fieldgrid.view.features import read_features
 
@@ -35,7 +35,7 @@ class Identity(NamedTuple):
     sessions: tuple[tuple[str, str], ...]
 
     @classmethod
-    def of(cls, universal: Driven) -> Identity:
+    def of(cls, universal: DrivenMap) -> Identity:
         """That of an open map."""
         sessions = tuple((info.name, info.created) for info in universal.sessions())
         return cls(universal.datum, universal.cell_m, sessions)
@@ -70,10 +70,10 @@ class Shown(ABC):
         """Text that differs once a file was written to or replaced."""
 
     @abstractmethod
-    def open(self) -> AbstractContextManager[Driven]:
+    def open(self) -> AbstractContextManager[DrivenMap]:
         """What is read of it."""
 
-    def open_alone(self) -> AbstractContextManager[Driven]:
+    def open_alone(self) -> AbstractContextManager[DrivenMap]:
         """The same for what takes long, during which other requests go on."""
         return self.open()
 
@@ -97,7 +97,7 @@ class Shown(ABC):
     def frames(self, bounds: Bounds) -> list[drives.FrameTable]:
         """The frames of which some may reach into bounds."""
 
-    def describe(self, universal: Driven) -> None:
+    def describe(self, universal: DrivenMap) -> None:
         """Note which map a page is told of, so that it gets nothing of another."""
         self._described = Identity.of(universal)
 

@@ -25,7 +25,7 @@ _SIDE_PX = 1600
 _QUALITY = 88
 
 
-class Picture(NamedTuple):
+class ShownImage(NamedTuple):
     """A JPEG to be shown, and the size of the image that it was made from."""
 
     jpeg: bytes
@@ -33,7 +33,7 @@ class Picture(NamedTuple):
     height_px: int
 
 
-def find_picture(name: str, sha256: str, folders: Sequence[Path]) -> Picture:
+def find_picture(name: str, sha256: str, folders: Sequence[Path]) -> ShownImage:
     """The image of a name, in one of the folders; RecordingError says why there is none."""
     changed = None
     for path in _candidates(name, folders):
@@ -77,7 +77,7 @@ def _read(path: Path) -> bytes | None:
         return None
 
 
-def _drawn(data: bytes, name: str) -> Picture:
+def _drawn(data: bytes, name: str) -> ShownImage:
     try:
         with Image.open(io.BytesIO(data)) as image:
             width, height = image.size
@@ -89,7 +89,7 @@ def _drawn(data: bytes, name: str) -> Picture:
         drawn.save(written, "JPEG", quality=_QUALITY)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise RecordingError(f"{name} cannot be shown: it is no image ({error}).") from error
-    return Picture(written.getvalue(), width, height)
+    return ShownImage(written.getvalue(), width, height)
 
 
 def _eight_bits(image: Image.Image) -> Image.Image:

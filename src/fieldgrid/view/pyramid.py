@@ -18,7 +18,7 @@ _NAME_BYTES = 32
 """At most, of the level and the place of a tile as text."""
 
 
-class Levels(NamedTuple):
+class ZoomLevels(NamedTuple):
     """The zoom levels of the density: `base_zoom` has the map's own cells, `above` levels above it
     have cells of twice the side each."""
 
@@ -37,15 +37,15 @@ def stored(path: Path) -> Iterator[sqlite3.Connection]:
         connection.close()
 
 
-def read_levels(connection: sqlite3.Connection) -> Levels:
+def read_levels(connection: sqlite3.Connection) -> ZoomLevels:
     """The levels that have tiles; none above the base in an empty map."""
     top, base = connection.execute(
         "SELECT min(zoom_level), max(zoom_level) FROM density"
     ).fetchone()
-    return Levels(base or 1, 0 if base is None else base - top)
+    return ZoomLevels(base or 1, 0 if base is None else base - top)
 
 
-def finest_within(connection: sqlite3.Connection, levels: Levels, room_bytes: int) -> int:
+def finest_within(connection: sqlite3.Connection, levels: ZoomLevels, room_bytes: int) -> int:
     """The lowest level from which all tiles up to the top, in base 64 and named, take no more
     than some bytes together; the top one where not even that does."""
     sizes = dict(
@@ -64,7 +64,7 @@ def finest_within(connection: sqlite3.Connection, levels: Levels, room_bytes: in
 
 
 def pictures(
-    connection: sqlite3.Connection, levels: Levels, finest: int
+    connection: sqlite3.Connection, levels: ZoomLevels, finest: int
 ) -> Iterator[tuple[int, int, int, bytes]]:
     """Every tile from a level up: level, ty, tx, PNG."""
     for zoom, column, row, picture in connection.execute(
@@ -76,7 +76,7 @@ def pictures(
 
 
 def read_picture(
-    connection: sqlite3.Connection, levels: Levels, level: int, tile: TileIndex
+    connection: sqlite3.Connection, levels: ZoomLevels, level: int, tile: TileIndex
 ) -> bytes | None:
     """The PNG of a tile, `level` 0 for the base; None where nothing was observed."""
     zoom = levels.base_zoom - level

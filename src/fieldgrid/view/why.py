@@ -16,7 +16,7 @@ from fieldgrid.errors import CalibrationError
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.layers import LAYERS
-from fieldgrid.mapfile import Contribution, Driven, SessionInfo
+from fieldgrid.mapfile import Contribution, DrivenMap, SessionInfo
 from fieldgrid.rig import DepthCamera, Lidar, Rig, StereoCamera
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import to_local
@@ -29,7 +29,7 @@ _SLICE_TOP_M = 2.2
 
 
 def explain(
-    universal: Driven, east_m: float, north_m: float, sessions: Collection[str] | None
+    universal: DrivenMap, east_m: float, north_m: float, sessions: Collection[str] | None
 ) -> dict[str, Any]:
     """The cell at a point, of all active sessions or some of them, newest frame last."""
     found = universal.query(east_m, north_m)
@@ -57,7 +57,7 @@ def explain(
 
 
 def _values(
-    universal: Driven, bounds: Bounds, sessions: Collection[str] | None
+    universal: DrivenMap, bounds: Bounds, sessions: Collection[str] | None
 ) -> dict[str, float | None]:
     """What each layer says of the cell; empty where it was not observed."""
     names = [name for name in LAYERS if name != "density"]

@@ -10,7 +10,7 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError
 from fieldgrid.lens import lens_model, raw_camera
-from fieldgrid.recording.bag.content import Content
+from fieldgrid.recording.bag.content import BagIndex
 from fieldgrid.recording.bag.images import baseline_m
 from fieldgrid.recording.bag.topics import INFO, is_rectified, listing
 from fieldgrid.rectify import Rectifier, camera_from_projections, rectify_by_projections
@@ -19,7 +19,7 @@ from fieldgrid.rig import DepthCamera, StereoCamera
 _MOST_COEFFICIENTS = 64
 
 
-class Pair(NamedTuple):
+class CameraPair(NamedTuple):
     """A stereo camera, how raw pairs become rectified ones (None where they are), the rotation
     from the frame of the raw left camera to the rectified one's, and remarks."""
 
@@ -41,7 +41,7 @@ class _Info(NamedTuple):
     source: str
 
 
-def stereo_pair(content: Content, said: bool | None) -> Pair:
+def stereo_pair(content: BagIndex, said: bool | None) -> CameraPair:
     """The camera of the pair by its two calibrations. Raises CalibrationError.
 
     Whether the images are rectified is `said`, or by None told by the names of their topics.
@@ -61,7 +61,7 @@ def stereo_pair(content: Content, said: bool | None) -> Pair:
         )
     if named[0] if said is None else said:
         camera = camera_from_projections(left.P, right.P, left.size_px, right.source)
-        return Pair(camera, None, left.R, ())
+        return CameraPair(camera, None, left.R, ())
     first, second = (
         raw_camera(one.size_px, one.K, one.D, lens_model(one.model, one.source), one.source)
         for one in (left, right)
@@ -70,19 +70,19 @@ def stereo_pair(content: Content, said: bool | None) -> Pair:
         first, second, (left.R, right.R), (left.P, right.P), right.source
     )
     if found.rectifier is None:
-        return Pair(found.camera, None, found.R_rect_left, ())
+        return CameraPair(found.camera, None, found.R_rect_left, ())
     note = f"The images are raw, and rectified by {left.source} and {right.source}."
-    return Pair(found.camera, found.rectifier, found.R_rect_left, (note,))
+    return CameraPair(found.camera, found.rectifier, found.R_rect_left, (note,))
 
 
-def depth_camera(content: Content, baseline: float | None) -> DepthCamera:
+def depth_camera(content: BagIndex, baseline: float | None) -> DepthCamera:
     """The camera of depth images by their calibration; `baseline` is that of the pair they come
     from, metres, None where nobody says it."""
     info = _info(content, "depth_info")
     return _depth_camera(info, info.P if info.P[0, 0] > 0.0 else info.K, baseline)
 
 
-def disparity_camera(content: Content, image: Any) -> DepthCamera:
+def disparity_camera(content: BagIndex, image: Any) -> DepthCamera:
     """The camera of disparity images, of which the first is given: f and T are its own."""
     info = _info(content, "left_info")
     P = info.P.copy()
@@ -98,7 +98,7 @@ def _depth_camera(info: _Info, P: Float64, baseline: float | None) -> DepthCamer
         raise CalibrationError(f"{info.source}: {problem}") from problem
 
 
-def _info(content: Content, role: str) -> _Info:
+def _info(content: BagIndex, role: str) -> _Info:
     path, roles, topics = content.path, content.roles, content.bag.topics
     message = content.readings.first(roles.get(role))
     if message is None:

@@ -42,7 +42,7 @@ from fieldgrid.recording.motion_files import (
     inertial_of,
 )
 from fieldgrid.recording.options import DriveOptions
-from fieldgrid.recording.settings_file import SETTINGS, Settings, read_settings
+from fieldgrid.recording.settings_file import SETTINGS, RecordingSettings, read_settings
 from fieldgrid.recording.stream_log import nmea_notes
 from fieldgrid.ros import Bag
 from fieldgrid.ros.gnss import DETAILS, ORIENTATION, TILT
@@ -69,12 +69,12 @@ class BagFixes(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Content:
+class BagIndex:
     """A bag after the one run over it, before anything is made of its frames."""
 
     bag: Bag
     path: Path
-    settings: Settings
+    settings: RecordingSettings
     settings_path: Path
     choice: Choice
     readings: Readings
@@ -104,7 +104,7 @@ class Content:
         return (*several, *self.choice.notes, *self.fixes.log.notes, *of_topics)
 
 
-def read_content(bag: Bag, path: Path, options: DriveOptions, readings: Readings) -> Content:
+def read_content(bag: Bag, path: Path, options: DriveOptions, readings: Readings) -> BagIndex:
     """What is small in a bag, and which of its topics are used. Raises RecordingError where that
     is left open, but not for what concerns the frames alone."""
     settings_path = _settings_path(path)
@@ -130,7 +130,7 @@ def read_content(bag: Bag, path: Path, options: DriveOptions, readings: Readings
             readings.leave_out(used.pop(role), str(problem))
     if "odometry" not in used and (moving := readings.moving(bag)) is not None:
         used["odometry"] = moving[0]
-    return Content(
+    return BagIndex(
         bag,
         path,
         settings,
@@ -150,7 +150,7 @@ def _settings_path(path: Path) -> Path:
     return own if own.exists() else path.with_name(SETTINGS)
 
 
-def _refuse_settings(settings: Settings, path: Path) -> None:
+def _refuse_settings(settings: RecordingSettings, path: Path) -> None:
     for key in ("frames", "bayer", "start", "scale"):
         if getattr(settings, key) is not None:
             raise RecordingError(
@@ -213,7 +213,7 @@ def _fixes_of_topics(bag: Bag, readings: Readings, roles: Mapping[str, str]) -> 
     return BagFixes(FixLog(fixes, tuple(notes)), topic, None, found.sha256(), topic)
 
 
-def find_motion(content: Content, imu_axes: str = AXES) -> tuple[Motion, tuple[str, ...]]:
+def find_motion(content: BagIndex, imu_axes: str = AXES) -> tuple[Motion, tuple[str, ...]]:
     """Gyro and wheels, and remarks. The axes of the IMU are `imu_axes` if these are others than
     the usual, else those of the static transforms, else of the name of its frame."""
     bag, readings = content.bag, content.readings
@@ -256,7 +256,7 @@ def find_motion(content: Content, imu_axes: str = AXES) -> tuple[Motion, tuple[s
     return motion, tuple(notes)
 
 
-def _leaning(content: Content, imu_axes: str, motion: Motion, notes: list[str]) -> Motion:
+def _leaning(content: BagIndex, imu_axes: str, motion: Motion, notes: list[str]) -> Motion:
     """The motion with roll and pitch that messages state: those of the topic that was given for
     them, else, where no accelerometer tells them, those of the IMU or of the odometry. An
     accelerometer is what an IMU has its orientation from: it does not count twice."""
@@ -303,7 +303,7 @@ def _feels_other_axis(turns: Turns | None) -> bool:
     return turns is not None and felt_upward(turns.sensed()[:, 3:]) is not None
 
 
-def _axes_of(content: Content, axes: str, frame: str) -> tuple[Float64, str]:
+def _axes_of(content: BagIndex, axes: str, frame: str) -> tuple[Float64, str]:
     """From the axes of a frame to forward, left, up [3, 3], and how that is known."""
     if axes == AXES:
         R_flu_imu = imu_rotation(frame, content.transforms)
@@ -352,7 +352,7 @@ def _lost(topic: str, lost: int) -> list[str]:
     return [f"{topic}: {lost} messages without a time or value, or repeated, skipped."]
 
 
-def as_drive(content: Content) -> Drive:
+def as_drive(content: BagIndex) -> Drive:
     """The drive without its frames and its own motion."""
     path, settings, fixes = content.path, content.settings, content.fixes
     return Drive(

@@ -18,7 +18,7 @@ from fieldgrid.array_types import Int64
 from fieldgrid.errors import RecordingError
 from fieldgrid.recording.bag.clouds import MessageCloud
 from fieldgrid.recording.bag.images import CompressedImage, DepthImage, DisparityImage, RawImage
-from fieldgrid.recording.bag.order import WINDOW, Clock, Ordered, clock, ordered, pair
+from fieldgrid.recording.bag.order import WINDOW, Clock, OrderedMessages, clock, ordered, pair
 from fieldgrid.recording.bag.packed_depth import PackedDepthImage
 from fieldgrid.recording.frames import (
     CloudFrame,
@@ -193,7 +193,7 @@ def _clock_notes(topic: str, found: Clock) -> list[str]:
     ]
 
 
-def _order_notes(topic: str, found: Ordered) -> list[str]:
+def _order_notes(topic: str, found: OrderedMessages) -> list[str]:
     counted = (
         (found.timeless, "messages without a time skipped"),
         (found.late, "messages skipped that repeat a time or come after later ones"),

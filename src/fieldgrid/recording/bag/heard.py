@@ -183,7 +183,7 @@ class Speeds(Heard):
         return np.array(self._speeds, dtype=np.float64)
 
 
-class Attitudes(Heard):
+class AttitudeMessages(Heard):
     """How the vehicle leans, by the topic that was given for it."""
 
     def __init__(self) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError
 from fieldgrid.recording.bag.clouds import R_OPTICAL_FLU
-from fieldgrid.recording.bag.transforms import Place, Transforms
+from fieldgrid.recording.bag.transforms import FrameTransform, Transforms
 from fieldgrid.recording.kitti_calibration import mount_angles_deg
 from fieldgrid.recording.motion_files import directions
 from fieldgrid.recording.mounting import MOUNTING, Mounting, estimating, missing_mounting
@@ -133,7 +133,11 @@ def _moved(mounting: Mounting, sensor: SensorFrame) -> Mounting:
 
 
 def _mounted(
-    path: Path, placed: Place, antenna: Place, axle: Place | None, sensor: SensorFrame
+    path: Path,
+    placed: FrameTransform,
+    antenna: FrameTransform,
+    axle: FrameTransform | None,
+    sensor: SensorFrame,
 ) -> Mounted:
     """The mounting by places below the ground's frame: of the sensor, the antenna, the axle."""
     R = _VEHICLE_FROM_FLU @ placed.R @ sensor.R.T
@@ -162,7 +166,7 @@ def _rounded(value: float) -> float:
     return round(float(value), _DIGITS) + 0.0  # and no -0
 
 
-def _place(transforms: Transforms, frame: str, base: str) -> Place | None:
+def _place(transforms: Transforms, frame: str, base: str) -> FrameTransform | None:
     return transforms.place(frame, base) if frame and transforms.has(frame) else None
 
 

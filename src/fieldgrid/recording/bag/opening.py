@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
-from fieldgrid.recording.bag.content import Content, as_drive, find_motion, read_content
+from fieldgrid.recording.bag.content import BagIndex, as_drive, find_motion, read_content
 from fieldgrid.recording.bag.frames import BagFrames, CloudMaker
 from fieldgrid.recording.bag.mounts import exactly, find_mounting, mounting_path
 from fieldgrid.recording.bag.readings import Readings
@@ -46,7 +46,7 @@ def open_bag_drive(path: Path, options: DriveOptions) -> Drive:
         return replace(drive, topics=topics, losses=losses, stack=stack.pop_all())
 
 
-def _recording(drive: Drive, content: Content, options: DriveOptions) -> Recording:
+def _recording(drive: Drive, content: BagIndex, options: DriveOptions) -> Recording:
     """Raises RecordingError for a bag that has nothing to make frames of, and CalibrationError
     where nothing tells the rig."""
     sensed = sense(content)

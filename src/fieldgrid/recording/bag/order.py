@@ -29,7 +29,7 @@ class Clock(NamedTuple):
     received: bool
 
 
-class Ordered(NamedTuple):
+class OrderedMessages(NamedTuple):
     """Messages in order of time: their times, strictly increasing, and their places in the topic.
 
     `late` counts those that came after later ones had to be passed on, or again at the same
@@ -79,14 +79,14 @@ def _example(time_ns: Int64) -> int:
     return int(time_ns[0]) if len(time_ns) else 0
 
 
-def ordered(time_ns: Int64) -> Ordered:
+def ordered(time_ns: Int64) -> OrderedMessages:
     """Messages with these times (0 for none) in order, as a reader can have them that holds at
     most :data:`WINDOW`: what comes later than that is left out."""
     place = np.flatnonzero(time_ns > 0)
     timeless = len(time_ns) - len(place)
     times_ns = time_ns[place]
     if np.all(np.diff(times_ns) > 0):
-        return Ordered(times_ns, place.astype(np.int64), 0, timeless)
+        return OrderedMessages(times_ns, place.astype(np.int64), 0, timeless)
     kept: list[tuple[int, int]] = []
     waiting: list[tuple[int, int]] = []
     last_ns = 0
@@ -102,7 +102,7 @@ def ordered(time_ns: Int64) -> Ordered:
             kept.append(first)
             last_ns = first[0]
     columns = np.array(kept, dtype=np.int64).reshape(-1, 2)
-    return Ordered(columns[:, 0], columns[:, 1], len(times_ns) - len(kept), timeless)
+    return OrderedMessages(columns[:, 0], columns[:, 1], len(times_ns) - len(kept), timeless)
 
 
 def pair(left_ns: Int64, right_ns: Int64) -> Paired:

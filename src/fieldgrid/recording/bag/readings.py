@@ -18,7 +18,7 @@ from fieldgrid.errors import RecordingError
 from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Orientation, RecordedTilt
 from fieldgrid.recording.bag.heard import (
-    Attitudes,
+    AttitudeMessages,
     First,
     Fixes,
     Heard,
@@ -41,7 +41,7 @@ from fieldgrid.recording.bag.topics import (
     worth,
 )
 from fieldgrid.recording.bag.transforms import Transforms
-from fieldgrid.recording.bag.trees import MovingTrees, Trees, Way
+from fieldgrid.recording.bag.trees import FrameTrack, MovingTrees, Trees
 from fieldgrid.rig import Rig
 from fieldgrid.ros import Bag, Message, Take
 from fieldgrid.ros.gnss import DATUM, DETAILS, ORIENTATION, RIG, TILT, datum_of, rig_of
@@ -65,7 +65,7 @@ _SAID_ONCE = {RIG: (_TEXT,), DATUM: (_TEXT, FIX)}
 _Heard = TypeVar("_Heard", bound=Heard)
 
 
-class Series(NamedTuple):
+class TopicSeries(NamedTuple):
     """Values of a topic with their times, 0 where there is none, in the order of the record."""
 
     time_ns: Int64
@@ -82,7 +82,7 @@ class Readings:
         self._given, self._gnss = given, gnss
         self._heard: dict[str, Heard] = {}
         self._best: dict[str, str] = {}
-        self.attitude: Attitudes | None = None
+        self.attitude: AttitudeMessages | None = None
         self._notes: dict[str, str] = {}
 
     def listen(self, name: str, type_: str) -> Take | None:
@@ -103,7 +103,7 @@ class Readings:
             self._heard[name] = heard
         if name != self._given.get("attitude"):
             return None if heard is None else heard.take
-        self.attitude = attitude = Attitudes()
+        self.attitude = attitude = AttitudeMessages()
         return attitude.take if heard is None else _both(heard.take, attitude.take)
 
     def _lacks_odometry(self) -> bool:
@@ -191,7 +191,7 @@ class Readings:
                 tree.update(found.transforms)
         return tree
 
-    def moving(self, bag: Bag) -> tuple[str, Way] | None:
+    def moving(self, bag: Bag) -> tuple[str, FrameTrack] | None:
         """The topic of transforms that tells the way of the vehicle, and that way."""
         for name, heard in sorted(self._heard.items()):
             if not isinstance(heard, MovingTrees):
@@ -205,9 +205,9 @@ class Readings:
                 return name, way
         return None
 
-    def series(self, bag: Bag, topic: str, places: array[int], values: Float64) -> Series:
+    def series(self, bag: Bag, topic: str, places: array[int], values: Float64) -> TopicSeries:
         """Values that were heard, by the one clock that their topic has."""
-        return Series(self.times_ns(bag, topic)[np.array(places, dtype=np.int64)], values)
+        return TopicSeries(self.times_ns(bag, topic)[np.array(places, dtype=np.int64)], values)
 
     def times_ns(self, bag: Bag, topic: str) -> Int64:
         """The times of all messages of a topic, 0 for none."""

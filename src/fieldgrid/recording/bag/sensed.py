@@ -13,7 +13,7 @@ from fieldgrid.cloud import points_per_sr
 from fieldgrid.errors import CalibrationError, RecordingError
 from fieldgrid.recording.bag.cameras import depth_camera, disparity_camera, stereo_pair
 from fieldgrid.recording.bag.clouds import MessageCloud
-from fieldgrid.recording.bag.content import Content
+from fieldgrid.recording.bag.content import BagIndex
 from fieldgrid.recording.bag.frames import (
     DepthMaker,
     FrameMaker,
@@ -57,7 +57,7 @@ class Sensed(NamedTuple):
         )  # fmt: skip
 
 
-def sense(content: Content) -> Sensed:
+def sense(content: BagIndex) -> Sensed:
     """The sensor and the plan of its frames. Raises RecordingError for a bag that has none or
     leaves open which, CalibrationError where nothing tells the camera."""
     if content.choice.problem is not None:
@@ -68,7 +68,7 @@ def sense(content: Content) -> Sensed:
     return kinds[content.choice.kind](content)
 
 
-def _stereo(content: Content) -> Sensed:
+def _stereo(content: BagIndex) -> Sensed:
     bag, roles, settings = content.bag, content.roles, content.settings
     plan = plan_pairs(bag, roles["left"], roles["right"])
     bits, notes = _bits(content, plan)
@@ -90,7 +90,7 @@ def _stereo(content: Content) -> Sensed:
     return Sensed(SensorFrame(name, R, middle_m, middle_m), plan, camera, maker, notes)
 
 
-def _disparity(content: Content) -> Sensed:
+def _disparity(content: BagIndex) -> Sensed:
     if content.settings.baseline_m is not None:
         raise RecordingError(
             f"{content.settings_path}: baseline_m is in every message with disparities, as T; "
@@ -105,7 +105,7 @@ def _disparity(content: Content) -> Sensed:
     return Sensed(frame._replace(measured_m=middle_m), plan, camera, maker)
 
 
-def _depth(content: Content) -> Sensed:
+def _depth(content: BagIndex) -> Sensed:
     camera = depth_camera(content, content.settings.baseline_m)
     plan = plan_single(content.bag, content.roles["depth"])
     frame = _single_frame(content.frame_id("depth_info"), content)
@@ -114,13 +114,13 @@ def _depth(content: Content) -> Sensed:
     return Sensed(frame, plan, camera, DepthMaker(kind, (camera.width_px, camera.height_px)))
 
 
-def _cloud(content: Content) -> Sensed:
+def _cloud(content: BagIndex) -> Sensed:
     plan = plan_single(content.bag, content.roles["cloud"])
     name = str(_first(content, plan).header.frame_id)
     return Sensed(_single_frame(name, content, content.settings.axes), plan)
 
 
-def are_corrected(content: Content) -> bool:
+def are_corrected(content: BagIndex) -> bool:
     """Whether the points of the clouds were carried to one instant by who recorded them: as the
     settings say, else by the name of their topic."""
     if content.settings.corrected is not None:
@@ -128,17 +128,17 @@ def are_corrected(content: Content) -> bool:
     return _CORRECTED.search(content.roles.get("cloud", "").lower()) is not None
 
 
-def _single_frame(name: str, content: Content, axes: str | None = None) -> SensorFrame:
+def _single_frame(name: str, content: BagIndex, axes: str | None = None) -> SensorFrame:
     R = optical(name, content.transforms, axes)
     return SensorFrame(name, R, np.zeros(3), np.zeros(3))
 
 
-def _first(content: Content, plan: Plan) -> Any:
+def _first(content: BagIndex, plan: Plan) -> Any:
     (taken,) = next(read_frames(content.bag, plan))
     return decode(taken.message)
 
 
-def find_lidar(content: Content, plan: Plan, R: Float64) -> Lidar:
+def find_lidar(content: BagIndex, plan: Plan, R: Float64) -> Lidar:
     """The lidar as the settings say it, else by the first clouds that have enough points."""
     if content.settings.points_per_sr is not None:
         return Lidar(content.settings.points_per_sr)
@@ -153,7 +153,7 @@ def find_lidar(content: Content, plan: Plan, R: Float64) -> Lidar:
     raise problem or RecordingError(f"{path}: {topic} has no cloud; record it again.")
 
 
-def _bits(content: Content, plan: Plan) -> tuple[int, tuple[str, ...]]:
+def _bits(content: BagIndex, plan: Plan) -> tuple[int, tuple[str, ...]]:
     """How many of 16 bits the cameras fill, by what is said, else by some of the images."""
     if content.settings.bits is not None:
         return content.settings.bits, ()

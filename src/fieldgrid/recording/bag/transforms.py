@@ -17,7 +17,7 @@ _SAME = 1e-6
 """Transforms that differ by less, in metres or radians, are of one place."""
 
 
-class Place(NamedTuple):
+class FrameTransform(NamedTuple):
     """A frame seen from another: R turns its directions into the other's, `at_m` is its origin."""
 
     R: Float64
@@ -28,7 +28,7 @@ class Transforms:
     """The tree of frames. Names are without a leading slash; the last word on a frame holds."""
 
     def __init__(self) -> None:
-        self._parents: dict[str, tuple[str, Place]] = {}
+        self._parents: dict[str, tuple[str, FrameTransform]] = {}
         self._moved: set[str] = set()
 
     def add(self, message: Any) -> None:
@@ -61,7 +61,7 @@ class Transforms:
         frame = _plain(frame)
         return frame in self._parents or any(frame == p for p, _ in self._parents.values())
 
-    def place(self, frame: str, base: str) -> Place | None:
+    def place(self, frame: str, base: str) -> FrameTransform | None:
         """A frame seen from `base`, whichever is above the other; None where nothing joins them.
 
         Raises CalibrationError for frames that hang in a circle.
@@ -72,11 +72,11 @@ class Transforms:
             return None
         of_frame, of_base = up[shared], from_base[shared]
         R_base = of_base.R.T
-        return Place(R_base @ of_frame.R, R_base @ (of_frame.at_m - of_base.at_m))
+        return FrameTransform(R_base @ of_frame.R, R_base @ (of_frame.at_m - of_base.at_m))
 
-    def _ancestors(self, frame: str) -> dict[str, Place]:
+    def _ancestors(self, frame: str) -> dict[str, FrameTransform]:
         """The frame itself and those above it, nearest first, with its place in each."""
-        here = Place(np.eye(3), np.zeros(3))
+        here = FrameTransform(np.eye(3), np.zeros(3))
         found = {frame: here}
         while frame in self._parents:
             parent, place = self._parents[frame]
@@ -85,13 +85,13 @@ class Transforms:
                     f"The static transforms of frame {frame!r} lead in a circle; record a "
                     "/tf_static in which each frame has one parent, or write mounting.json."
                 )
-            here = Place(place.R @ here.R, place.R @ here.at_m + place.at_m)
+            here = FrameTransform(place.R @ here.R, place.R @ here.at_m + place.at_m)
             found[parent] = here
             frame = parent
         return found
 
 
-def told(message: Any) -> Iterator[tuple[Any, tuple[str, str, Place]]]:
+def told(message: Any) -> Iterator[tuple[Any, tuple[str, str, FrameTransform]]]:
     """The transforms of a message that are any, each with its child, parent and place."""
     for one in message.transforms:
         child, parent = _plain(one.child_frame_id), _plain(one.header.frame_id)
@@ -100,7 +100,7 @@ def told(message: Any) -> Iterator[tuple[Any, tuple[str, str, Place]]]:
             yield one, (child, parent, place)
 
 
-def _is_same(one: Place, other: Place) -> bool:
+def _is_same(one: FrameTransform, other: FrameTransform) -> bool:
     apart_m, turned = np.abs(one.at_m - other.at_m).max(), np.abs(one.R - other.R).max()
     return bool(apart_m < _SAME and turned < _SAME)
 
@@ -109,7 +109,7 @@ def _plain(frame: str) -> str:
     return frame.lstrip("/")
 
 
-def _place(transform: Any) -> Place | None:
+def _place(transform: Any) -> FrameTransform | None:
     shift, turn = transform.translation, transform.rotation
     at_m = np.array([shift.x, shift.y, shift.z], dtype=np.float64)
     q = np.array([turn.w, turn.x, turn.y, turn.z], dtype=np.float64)
@@ -126,4 +126,4 @@ def _place(transform: Any) -> Place | None:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-    return Place(R, at_m)
+    return FrameTransform(R, at_m)

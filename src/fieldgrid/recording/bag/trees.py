@@ -31,7 +31,7 @@ _WORLD = {"odom": 0, "map": 1, "world": 2}
 """Frames in which a vehicle moves, the smoothest first."""
 
 
-class Way(NamedTuple):
+class FrameTrack(NamedTuple):
     """Where the frame of a vehicle was in another, n times in the order of the record: `at_m`
     [n, 3], and `forward` [n, 3], the direction of its x axis there."""
 
@@ -79,7 +79,7 @@ class MovingTrees(Trees):
                 times.extend((place, stamp.sec * 1_000_000_000 + stamp.nanosec))
                 values.extend((*at.at_m, *at.R[:, 0]))
 
-    def way(self, bag: Bag, topic: str, *, is_mapped: bool) -> Way | None:
+    def way(self, bag: Bag, topic: str, *, is_mapped: bool) -> FrameTrack | None:
         """The way of the vehicle: in `odom`, which has no jumps, before others. None where there is
         none, or those of several vehicles, or not all was heard. In a `map` that lies on the globe
         (`is_mapped`) it was found by the fixes, and says nothing beside them."""
@@ -98,10 +98,10 @@ class MovingTrees(Trees):
         place, stamp_ns = np.array(times, dtype=np.int64).reshape(-1, 2).T
         time_ns = clock(topic, stamp_ns, bag.stamps(topic)[1][place]).time_ns
         columns = np.array(values, dtype=np.float64).reshape(-1, 6)[time_ns > 0]
-        return Way(*found[0], time_ns[time_ns > 0], columns[:, :3], columns[:, 3:])
+        return FrameTrack(*found[0], time_ns[time_ns > 0], columns[:, :3], columns[:, 3:])
 
 
-def forward_speeds(way: Way) -> tuple[Int64, Float64]:
+def forward_speeds(way: FrameTrack) -> tuple[Int64, Float64]:
     """Times in the middle of chords of a tenth of a second, and the speed along the vehicle's x
     axis on each, negative in reverse."""
     order = np.unique(way.time_ns, return_index=True)[1]
