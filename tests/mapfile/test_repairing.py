@@ -120,6 +120,54 @@ def test_damaged_evidence_is_refused_and_leaves_no_copy(
     assert list(tmp_path.iterdir()) == [spoiled]
 
 
+@pytest.fixture
+def one() -> Iterator[str]:
+    """The address of a scheduler with one worker, which has done all that was done before."""
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"
+    ) as made:
+        yield made.scheduler_address
+
+
+def rot(path: Path) -> None:
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute("UPDATE fieldgrid_grid SET data = zeroblob(9) WHERE frame = 2")
+
+
+def test_a_frame_that_is_damaged_since_the_last_repair_is_not_sealed(
+    sound: Path, one: str, tmp_path: Path
+) -> None:
+    """Although its copy has the name, size and state of the one that was repaired before."""
+    path, keep = Path(shutil.copy(sound, tmp_path / "map.gpkg")), tmp_path / "kept.gpkg"
+    with open_map(path, writable=True) as universal:
+        assert universal.repair(keep=keep, scheduler=one) == ()
+    keep.unlink()
+    shutil.copy(sound, path)
+    rot(path)
+    before = path.read_bytes()
+    with (
+        open_map(path, writable=True) as universal,
+        pytest.raises(MapError, match="its evidence is damaged"),
+    ):
+        universal.repair(keep=keep, scheduler=one)
+    assert path.read_bytes() == before
+
+
+def test_a_map_that_was_refused_and_restored_is_repaired(
+    spoiled: Path, one: str, tmp_path: Path
+) -> None:
+    restored, keep = spoiled.read_bytes(), tmp_path / "kept.gpkg"
+    rot(spoiled)
+    with (
+        open_map(spoiled, writable=True) as universal,
+        pytest.raises(MapError, match="its evidence is damaged"),
+    ):
+        universal.repair(keep=keep, scheduler=one)
+    spoiled.write_bytes(restored)
+    with open_map(spoiled, writable=True) as universal:
+        assert universal.repair(keep=keep, scheduler=one) == ()
+
+
 def test_an_older_format_is_to_be_upgraded_first(
     local: distributed.LocalCluster, tmp_path: Path
 ) -> None:
