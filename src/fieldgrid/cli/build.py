@@ -225,7 +225,7 @@ def command(
         # Without --align it is little work, and no cluster is needed for it.
         there = scheduler if align else None
         lies = _compare(out, [report.session for report in reports], align, wait_s, jobs, there)
-    except FieldgridError as problem:  # the drives are in the map, which is told first
+    except FieldgridError as problem:  # the drives are in the map, and are reported first
         lost = problem
     if as_json:
         sessions = [report.as_dict() for report in reports]
