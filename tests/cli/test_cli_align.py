@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+import fieldgrid.align as fieldgrid_align
 from fieldgrid.mapfile import Transform, open_map
 from fieldgrid.rows import find_rows
 from fieldgrid.rows.report import block_quality
@@ -157,6 +158,20 @@ def test_what_cannot_be_done(
 ) -> None:
     result = fieldgrid("align", path, *arguments)
     assert says in (result.sentence() if status == 1 else result.usage())
+
+
+def test_rows_are_read_here_when_a_cluster_compares(
+    fieldgrid: Run, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a cluster that is gone after the change would leave it without a report."""
+    align = fieldgrid_align.align_map
+    monkeypatch.setattr(
+        fieldgrid_align, "align_map", lambda *given, scheduler, **more: align(*given, **more)
+    )
+    asked = "align", path, "--rows", "--json", "--scheduler", "tcp://127.0.0.1:1"
+    found = json.loads(fieldgrid(*asked).output())
+    assert found["applied"] is True
+    assert len(found["rows"]["after"]) == 1
 
 
 def test_a_drive_that_is_appended_says_how_it_lies_and_is_aligned_when_asked(

@@ -20,8 +20,10 @@ import cv2
 import numpy as np
 import pytest
 
+import fieldgrid.align as fieldgrid_align
+import fieldgrid.build as fieldgrid_build
 from fieldgrid.build import build_map
-from fieldgrid.errors import ConfigError
+from fieldgrid.errors import ClusterError, ConfigError
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import open_map
 from fieldgrid.reasons import grouped_reasons
@@ -789,3 +791,45 @@ def test_jobs_and_a_scheduler_exclude_each_other(fieldgrid: Run, tmp_path: Path)
     assert "the workers of the --scheduler do the work" in said.usage()
     with pytest.raises(ConfigError, match="leave out --jobs"):
         build_map([tmp_path], out, BuildSettings(), jobs=2, scheduler="tcp://a:1")
+
+
+@pytest.fixture
+def gone(monkeypatch: pytest.MonkeyPatch) -> str:
+    """A cluster that has staged all drives, and is gone when they are compared."""
+    build, align = fieldgrid_build.build_map, fieldgrid_align.align_map
+
+    def built(*given: Any, scheduler: str, **more: Any) -> Any:
+        return build(*given, **more)
+
+    def compared(*given: Any, scheduler: str | None, **more: Any) -> Any:
+        if scheduler is not None:
+            raise ClusterError(f"The Dask scheduler {scheduler} is gone; start it again.")
+        return align(*given, **more)
+
+    monkeypatch.setattr(fieldgrid_build, "build_map", built)
+    monkeypatch.setattr(fieldgrid_align, "align_map", compared)
+    return "tcp://127.0.0.1:1"
+
+
+def test_drives_that_cannot_be_aligned_on_the_cluster_are_reported(
+    fieldgrid: Run, make_drive: MakeDrive, out: Path, gone: str
+) -> None:
+    drives = [make_drive("june-03"), make_drive("june-10", range(3, 7))]
+    asked = "build", *drives, "-o", out, "--overwrite", "--scheduler", gone
+    assert fieldgrid(*asked).status == 0  # nothing is compared there
+    result = fieldgrid(*asked, "--align")
+    assert result.status == 1
+    assert "session june-10" in result.out
+    assert f"map {out}" in result.out
+    assert "nothing was aligned" not in result.out
+    assert f"fieldgrid: The Dask scheduler {gone} is gone; start it again.\n" in result.err
+    broken = make_drive("june-17", range(40, 43))
+    (broken / "left" / "000041.jpg").unlink()
+    (broken / "left" / "000041.jpg").write_bytes(b"no image")
+    result = fieldgrid("build", broken, *asked[1:], "--align", "--json")
+    assert result.status == 1
+    told = json.loads(result.out)
+    assert [one["session"] for one in told["sessions"]] == ["june-03", "june-10"]
+    assert [one["session"] for one in told["failed"]] == ["june-17"]
+    assert "is gone; start it again." in result.err
+    assert "fieldgrid: 2 of 3 drives are in the map. june-17: " in result.err

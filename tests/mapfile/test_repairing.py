@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from fieldgrid.cli import app
 from fieldgrid.errors import ClusterError, ConfigError, MapError, MapWriteError
-from fieldgrid.mapfile import open_map
+from fieldgrid.mapfile import Patience, database, open_map
 from fieldgrid.workers.cluster import Ended
 from fieldgrid.workers.remote import OnCluster
 from tests.mapfile.content import content
@@ -120,6 +120,54 @@ def test_damaged_evidence_is_refused_and_leaves_no_copy(
     assert list(tmp_path.iterdir()) == [spoiled]
 
 
+@pytest.fixture
+def one() -> Iterator[str]:
+    """The address of a scheduler with one worker, which has done all that was done before."""
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"
+    ) as made:
+        yield made.scheduler_address
+
+
+def rot(path: Path) -> None:
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute("UPDATE fieldgrid_grid SET data = zeroblob(9) WHERE frame = 2")
+
+
+def test_a_frame_that_is_damaged_since_the_last_repair_is_not_sealed(
+    sound: Path, one: str, tmp_path: Path
+) -> None:
+    """Although its copy has the name, size and state of the one that was repaired before."""
+    path, keep = Path(shutil.copy(sound, tmp_path / "map.gpkg")), tmp_path / "kept.gpkg"
+    with open_map(path, writable=True) as universal:
+        assert universal.repair(keep=keep, scheduler=one) == ()
+    keep.unlink()
+    shutil.copy(sound, path)
+    rot(path)
+    before = path.read_bytes()
+    with (
+        open_map(path, writable=True) as universal,
+        pytest.raises(MapError, match="its evidence is damaged"),
+    ):
+        universal.repair(keep=keep, scheduler=one)
+    assert path.read_bytes() == before
+
+
+def test_a_map_that_was_refused_and_restored_is_repaired(
+    spoiled: Path, one: str, tmp_path: Path
+) -> None:
+    restored, keep = spoiled.read_bytes(), tmp_path / "kept.gpkg"
+    rot(spoiled)
+    with (
+        open_map(spoiled, writable=True) as universal,
+        pytest.raises(MapError, match="its evidence is damaged"),
+    ):
+        universal.repair(keep=keep, scheduler=one)
+    spoiled.write_bytes(restored)
+    with open_map(spoiled, writable=True) as universal:
+        assert universal.repair(keep=keep, scheduler=one) == ()
+
+
 def test_an_older_format_is_to_be_upgraded_first(
     local: distributed.LocalCluster, tmp_path: Path
 ) -> None:
@@ -151,7 +199,78 @@ def test_a_file_that_is_there_already_is_no_place_for_the_copy(
     mine.write_text("mine")
     with (
         open_map(spoiled, writable=True) as universal,
-        pytest.raises(MapWriteError, match=r"mine\.gpkg exists already; name another file"),
+        pytest.raises(MapWriteError, match=r"mine\.gpkg exists already, .*name another file"),
     ):
         universal.repair(keep=mine)
     assert mine.read_text() == "mine"
+
+
+def test_a_copy_that_another_repair_made_while_this_one_waited_is_not_removed(
+    spoiled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(database, "_TELL_EVERY_S", 0.01)
+    keep = tmp_path / "kept.gpkg"
+    with closing(sqlite3.connect(spoiled, isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+
+        def goes_on(waited_s: float) -> None:
+            if other.in_transaction:
+                keep.write_text("the other's")
+                other.execute("ROLLBACK")
+
+        with (
+            open_map(spoiled, writable=True, patience=Patience(tell=goes_on)) as universal,
+            pytest.raises(MapWriteError, match=r"kept\.gpkg exists already, and .* try again"),
+        ):
+            universal.repair(keep=keep)
+    assert keep.read_text() == "the other's"
+
+
+def test_a_link_to_nowhere_is_no_place_for_the_copy_and_stays(
+    spoiled: Path, tmp_path: Path
+) -> None:
+    link = spoiled.with_name("map.before-repair.gpkg")
+    link.symlink_to(tmp_path / "missing" / "map.gpkg")
+    with (
+        open_map(spoiled, writable=True) as universal,
+        pytest.raises(MapWriteError, match="exists already"),
+    ):
+        universal.repair(keep=link)
+    assert link.is_symlink()
+    result = CliRunner().invoke(app, ["repair", str(spoiled)])
+    kept = spoiled.with_name("map.before-repair-2.gpkg")
+    assert result.stdout == f"repaired {spoiled}; as it was: {kept}\n", result.output
+    assert link.is_symlink()
+
+
+def test_an_interrupt_after_the_commit_leaves_the_copy(
+    spoiled: Path, sound: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keep, before, when_free = tmp_path / "kept.gpkg", content(spoiled), database._when_free
+
+    def interrupted(connection: sqlite3.Connection, statement: str, patience: Patience) -> None:
+        when_free(connection, statement, patience)
+        if statement == "COMMIT":
+            raise KeyboardInterrupt
+
+    with open_map(spoiled, writable=True) as universal, monkeypatch.context() as patched:
+        patched.setattr(database, "_when_free", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            universal.repair(keep=keep)
+    assert content(spoiled) == content(sound)
+    assert content(keep) == before
+
+
+def test_a_copy_that_cannot_be_removed_does_not_hide_why(
+    spoiled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On Windows, where a worker has it open."""
+
+    def held(path: Path, missing_ok: bool = False) -> None:
+        raise PermissionError(13, "in use", str(path))
+
+    rot(spoiled)
+    with open_map(spoiled, writable=True) as universal, monkeypatch.context() as patched:
+        patched.setattr(Path, "unlink", held)
+        with pytest.raises(MapError, match="its evidence is damaged"):
+            universal.repair(keep=tmp_path / "kept.gpkg")

@@ -183,7 +183,6 @@ def test_a_format_that_needs_all_at_once_is_refused_on_a_cluster(
 def test_a_worker_that_lacks_what_is_asked_for_is_told(
     what: str, farm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sharing.opened.cache_clear()
     for file in farm.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
     with open_map(tmp_path / "a.gpkg") as universal, Farm(tmp_path) as both:
@@ -198,7 +197,6 @@ def test_a_worker_that_lacks_what_is_asked_for_is_told(
         patched.setattr(sharing, "LAYERS", {})
         with pytest.raises(ClusterError, match="does not know the layer 'max'; start it with"):
             pickle.loads(packed)
-    sharing.opened.cache_clear()
     (tmp_path / "a.gpkg").unlink()
     with pytest.raises(ClusterError, match=r"a\.gpkg does not exist on the worker .*; mount or"):
         pickle.loads(packed)

@@ -154,7 +154,6 @@ def test_a_worker_that_cannot_see_the_map_ends_it_and_is_no_problem_of_the_map(
     def check(path: Path, size: int | None, things: str) -> None:
         raise ClusterError(f"{path} does not exist on the worker there; copy the {things}.")
 
-    sharing.opened.cache_clear()
     monkeypatch.setattr(sharing, "check_is_here", check)
     with (
         open_map(sound) as universal,
@@ -211,14 +210,12 @@ def test_sending_a_map_lets_go_of_no_lock(sound: Path, tmp_path: Path) -> None:
         assert arrived.connection is not connection
         done = subprocess.run([sys.executable, "-c", commit, path], capture_output=True, text=True)
     assert "database is locked" in done.stderr
-    sharing.opened.cache_clear()
 
 
 def test_a_worker_that_does_not_know_a_group_is_told(
     sound: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     packed = sent(sound)
-    sharing.opened.cache_clear()
     monkeypatch.setattr(sharing, "GROUPS", {"density": sharing.GROUPS["density"]})
     with pytest.raises(ClusterError, match=r"does not know the channel group '\w+'; start it with"):
         pickle.loads(packed)

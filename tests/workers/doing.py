@@ -6,7 +6,7 @@ import os
 import signal
 import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from fieldgrid.errors import ClusterError, MapError
 
@@ -35,3 +35,22 @@ class Squaring(NamedTuple):
                     marks.write("x")
                 os.kill(os.getpid(), signal.SIGKILL)
         return number * number
+
+
+arrived: list[None] = []
+"""One for each time that work has arrived in this process."""
+
+
+class Arriving:
+    """Returns its items, and counts how often it arrives."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _arrived, ()
+
+    def __call__(self, item: int) -> int:
+        return item
+
+
+def _arrived() -> Arriving:
+    arrived.append(None)
+    return Arriving()

@@ -13,7 +13,7 @@ from fieldgrid.errors import ClusterError, MapError
 from fieldgrid.workers.order import Runner, Threads
 from fieldgrid.workers.remote import OnCluster
 from fieldgrid.workers.runner import runner
-from tests.workers.doing import Squaring
+from tests.workers.doing import Arriving, Squaring, arrived
 
 distributed = pytest.importorskip("distributed")
 
@@ -87,6 +87,15 @@ def test_work_that_cannot_be_sent_is_refused(inside: distributed.Client) -> None
         pytest.raises(ClusterError, match=r"cannot be done on a cluster .*leave out --scheduler"),
     ):
         list(found.in_order(lambda number: lock, range(3)))
+
+
+def test_work_arrives_once_for_each_time_it_is_asked_for(inside: distributed.Client) -> None:
+    """What it opens as it arrives are the files of that time."""
+    with OnCluster(inside) as found:
+        for _ in range(2):
+            arrived.clear()
+            assert list(found.in_order(Arriving(), range(30))) == list(range(30))
+            assert 1 <= len(arrived) <= 2  # one or both threads of the worker
 
 
 def test_who_stops_asking_leaves_nothing_behind(inside: distributed.Client) -> None:

@@ -99,14 +99,12 @@ def command(
                 universal, session, to=to or (), datum_from=datum_from, reach_m=reach,
                 progress=show, jobs=jobs, scheduler=scheduler,
             )  # fmt: skip
-        if rows:
-            plantings["before" if found.transforms else "now"] = find_rows(
-                universal, jobs=jobs, scheduler=scheduler
-            )
+        if rows:  # read here: the workers need no map, and after a change nothing may be lost
+            plantings["before" if found.transforms else "now"] = find_rows(universal, jobs=jobs)
         if not dry_run and found.transforms:
             universal.set_transforms(found.transforms)
             if rows:
-                plantings["after"] = find_rows(universal, jobs=jobs, scheduler=scheduler)
+                plantings["after"] = find_rows(universal, jobs=jobs)
     if figure is not None:
         from fieldgrid.figures import alignment_scores, save
 

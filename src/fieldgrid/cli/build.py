@@ -14,7 +14,7 @@ from fieldgrid.cli import options, output, progress, warming
 from fieldgrid.cli.drive_options import Drive
 from fieldgrid.cli.pose_flags import Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
-from fieldgrid.errors import printable
+from fieldgrid.errors import FieldgridError, printable
 from fieldgrid.settings import Overrides
 
 if TYPE_CHECKING:
@@ -220,7 +220,13 @@ def command(
         partly, reports = problem, list(problem.reports)
         if not reports:
             raise
-    lies = _compare(out, [report.session for report in reports], align, wait_s, jobs, scheduler)
+    lies, lost = list[dict[str, Any]](), None
+    try:
+        # Without --align it is little work, and no cluster is needed for it.
+        there = scheduler if align else None
+        lies = _compare(out, [report.session for report in reports], align, wait_s, jobs, there)
+    except FieldgridError as problem:  # the drives are in the map, and are reported first
+        lost = problem
     if as_json:
         sessions = [report.as_dict() for report in reports]
         failed = [] if partly is None else partly.failed
@@ -232,8 +238,7 @@ def command(
                 "alignment": lies,
             }
         )
-        if partly is not None:
-            raise partly
+        _raise(partly, lost)
         return
     for report in reports:
         report_session(report)
@@ -241,11 +246,20 @@ def command(
         _report_drives(reports, partly)
     for pair in lies:
         output.report_line(_said(pair, out))
-    if align and not lies:
+    if align and not lies and lost is None:
         output.report_line("no other drive of the map saw the same ground; nothing was aligned")
     output.report_line(f"map {out}")
+    _raise(partly, lost)
+
+
+def _raise(partly: PartlyBuiltError | None, lost: FieldgridError | None) -> None:
+    """Raise what went wrong, after all was reported: drives that failed, or their comparison."""
     if partly is not None:
+        if lost is not None:
+            typer.echo(printable(f"fieldgrid: {lost}"), err=True)
         raise partly
+    if lost is not None:
+        raise lost
 
 
 def _bad(text: str | None) -> int | float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from itertools import chain, count
 from pathlib import Path
 from typing import Annotated
@@ -84,4 +85,4 @@ def _unused(map_: Path) -> Path:
     """A name beside the map for the map as it was."""
     names = chain([""], (f"-{k}" for k in count(2)))
     beside = (map_.with_name(f"{map_.stem}.before-repair{k}{map_.suffix}") for k in names)
-    return next(path for path in beside if not path.exists())
+    return next(path for path in beside if not os.path.lexists(path))

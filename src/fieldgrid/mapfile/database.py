@@ -173,22 +173,39 @@ def _first_byte(file: Path) -> bytes:
         return opened.read(1)
 
 
-def copy_to(path: Path, copy: Path) -> None:
-    """Copy a map page by page, damaged ones too, to a new file that is on the disk afterwards.
+@contextmanager
+def copied(path: Path, copy: Path | None) -> Iterator[None]:
+    """Copy a map page by page, damaged ones too, to a new file that is on the disk afterwards; on
+    an error in the block it is removed. MapWriteError where it cannot be made, or is there already,
+    and then it stays. Without a `copy` nothing is done.
 
     By SQLite, which keeps the locks that a transaction of this process has on the file: whoever
     opens and closes it otherwise lets go of them.
     """
+    if copy is None:
+        yield
+        return
     try:
         os.close(os.open(copy, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    except FileExistsError as error:
+        raise MapWriteError(
+            f"{copy} exists already, and {path} was not changed; try again, or name another file "
+            "for the copy of the map."
+        ) from error
     except OSError as error:
         raise MapWriteError(
             f"{copy} could not be made ({error.strerror}), and {path} was not changed; check the "
             "permissions of the folder."
         ) from error
-    with closing(sqlite3.connect(path)) as source, closing(sqlite3.connect(copy)) as target:
-        target.execute("PRAGMA synchronous = EXTRA")
-        source.backup(target)
+    try:
+        with closing(sqlite3.connect(path)) as source, closing(sqlite3.connect(copy)) as target:
+            target.execute("PRAGMA synchronous = EXTRA")
+            source.backup(target)
+        yield
+    except BaseException:
+        with suppress(OSError):  # on Windows, where a worker has it open
+            copy.unlink()
+        raise
 
 
 @contextmanager

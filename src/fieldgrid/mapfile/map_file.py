@@ -18,7 +18,7 @@ from fieldgrid.mapfile.database import (
     USUAL_PATIENCE,
     Patience,
     clear_journal,
-    copy_to,
+    copied,
     is_ours,
     reading,
     writing,
@@ -324,9 +324,8 @@ class MapFile(MapReader):
         """
         before = self._header
         try:
-            with writing(self._connection, self.path, self._patience):
-                if keep is not None:
-                    copy_to(self.path, keep)
+            # The copy is never removed once the commit has begun: that may have been done.
+            with writing(self._connection, self.path, self._patience), copied(self.path, keep):
                 self._header = as_it_is_now(self._connection, self.path, before)
                 if self._header.version < FORMAT_VERSION:
                     upgrade(self._connection, self.path, self._header, without)

@@ -10,7 +10,7 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from fieldgrid.errors import ConfigError, MapError, MapWriteError, shortened
+from fieldgrid.errors import ConfigError, MapError, shortened
 from fieldgrid.layers import stored_groups
 from fieldgrid.mapfile import derived, schema
 from fieldgrid.mapfile.database import connect
@@ -43,22 +43,14 @@ def repairers(
     jobs: int | None, scheduler: str | Client | None, keep: Path | None
 ) -> Iterator[Repairers]:
     """Threads of this process, or the workers of a cluster, to repair a map of which a copy is kept
-    at `keep`; on an error it is removed. ConfigError for a cluster without a copy, MapWriteError
-    where there is such a file already, ClusterError where no scheduler answers."""
+    at `keep`. ConfigError for a cluster without a copy, ClusterError where no scheduler answers."""
     if scheduler is not None and keep is None:
         raise ConfigError(
             "The workers of a cluster read the copy that is kept of the map; leave out --in-place, "
             "or the --scheduler."
         )
-    if keep is not None and keep.exists():
-        raise MapWriteError(f"{keep} exists already; name another file for the copy of the map.")
     with runner(jobs, scheduler) as found:
-        try:
-            yield Repairers(found, None if scheduler is None else keep)
-        except BaseException:
-            if keep is not None:
-                keep.unlink(missing_ok=True)
-            raise
+        yield Repairers(found, None if scheduler is None else keep)
 
 
 class Repaired(NamedTuple):

@@ -10,7 +10,6 @@ import hashlib
 import platform
 import sqlite3
 from collections.abc import Collection
-from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -62,9 +61,12 @@ def check_known(groups: Collection[str], layers: Collection[str] = ()) -> None:
                 )
 
 
-@lru_cache(maxsize=2)
 def opened(there: SharedMap) -> sqlite3.Connection:
-    """The map on a worker, for reading. ClusterError when it has none, or another one."""
+    """The map on a worker, for reading. ClusterError when it has none, or another one.
+
+    It is opened for each work anew: a file that was replaced by another of the same name and state
+    would else be read on, and frames that are damaged since be taken for sound.
+    """
     check_is_here(there.path, there.size, "map")
     connection = connect(there.path, there.path, writable=False)
     with explained(there.path, writing=False):

@@ -10,6 +10,7 @@ from functools import lru_cache
 from itertools import count, islice
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from uuid import uuid4
 
 from fieldgrid.closing import Closing
 from fieldgrid.errors import ClusterError, FieldgridError
@@ -69,7 +70,7 @@ class OnCluster(Closing):
         done: dict[int, list[Any]] = {}
         waiting: deque[int] = deque()
         numbers = count()
-        self._cluster.begin(group, packed(work))
+        self._cluster.begin(group, packed((uuid4().hex, work)))
         try:
             while True:
                 at_a_time = (1 + _WAITING) * self._cluster.ahead
@@ -134,7 +135,9 @@ def packed(work: object) -> bytes:
 def do_batch(work: bytes, number: int, items: bytes) -> list[Any]:
     """What a worker makes of some items, up to the first that work refuses.
 
-    ClusterError when the worker cannot do the work, as where it lacks a file.
+    `work` is packed with the name of its group, which no other has: so the same work is unpacked
+    once a group, and reads the files that are there then. ClusterError when the worker cannot do
+    the work, as where it lacks a file.
     """
     del number
     done, call = list[Any](), _unpacked(work)
@@ -153,5 +156,6 @@ def do_batch(work: bytes, number: int, items: bytes) -> list[Any]:
 
 @lru_cache(maxsize=2)
 def _unpacked(work: bytes) -> Callable[[Any], Any]:
-    found: Callable[[Any], Any] = pickle.loads(work)
+    found: Callable[[Any], Any]
+    _, found = pickle.loads(work)
     return found
