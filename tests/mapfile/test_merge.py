@@ -22,6 +22,7 @@ from fieldgrid.mapfile.transform import (
     Wander,
     placing,
 )
+from fieldgrid.mapfile.twins import SAME_PLACE_M
 from fieldgrid.transfer import Transfer
 from tests.mapfile.content import content
 from tests.mapfile.maps import DATUM, drive, track, write_map, write_session
@@ -158,6 +159,26 @@ def test_one_drive_aligned_in_one_map_only(
         assert [one.twin for one in merge_maps(maps, out, datum=DATUM)] == [None, None, "0", "1"]
         return
     with pytest.raises(ConfigError, match=rf"'1' of .*south.* '1'.*{why}.*align --undo"):
+        merge_maps(maps, out, datum=DATUM)
+
+
+@pytest.mark.parametrize("more_m", [0.0, 0.004])
+def test_a_drive_that_was_shifted_before_it_came_into_a_leaning_plane_is_the_same_drive(
+    north: Path, tmp_path: Path, more_m: float
+) -> None:
+    """A shift stays level: 5 km apart it rises by 0.8 mm a metre."""
+    with open_map(north, writable=True) as universal:
+        universal.set_transform("1", -27.0, 14.0)
+    merge_maps([north], tmp_path / "far.gpkg", datum=FAR)
+    maps, out = [north, tmp_path / "far.gpkg"], tmp_path / "both.gpkg"
+    if not more_m:
+        for k, order in enumerate((maps, maps[::-1])):
+            merged = merge_maps(order, tmp_path / f"{k}.gpkg", datum=DATUM)
+            assert [one.twin for one in merged] == [None, None, "0", "1"]
+        return
+    with open_map(north, writable=True) as universal:
+        universal.set_transform("1", -27.0, 14.0 + SAME_PLACE_M + more_m)
+    with pytest.raises(ConfigError, match=r"'1' .* lies up to 0\.024 m aside"):
         merge_maps(maps, out, datum=DATUM)
 
 
