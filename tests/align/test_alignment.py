@@ -192,6 +192,44 @@ def test_a_leap_within_a_drive_is_reported_with_its_place_and_its_size(tmp_path:
         assert (sigma_m.max() < 0.05) == (name != "c")
 
 
+def test_a_leap_in_a_small_part_of_a_long_drive_is_within_three_sigma(tmp_path: Path) -> None:
+    field = Field()
+    true = {
+        name: field.drive([0.0, SPACING_M] * 3, sigma_m=0.02, seed=seed, start_s=1e5 * seed)
+        for seed, name in enumerate("abc")
+    }
+    assert len(true["c"]) == 180
+    drives = {**true, "c": mixed(true["c"], Transform(0.6), 0.02, slice(70, 80))}
+    path = write_field(tmp_path / "map.gpkg", drives, 0.5)
+    with open_map(path, writable=True) as universal:
+        found = align_map(universal)
+        universal.set_transforms(found.transforms)
+    apart_m = {(pair.a, pair.b): pair.sigma_m for pair in found.pairs}
+    assert apart_m["a", "b"] < 0.05
+    assert min(apart_m["a", "c"], apart_m["b", "c"]) > 0.6 / 3.0
+    for name in "abc":
+        off_m, sigma_m = placed_m(path, name, true[name])
+        assert (off_m < 3.0 * sigma_m).all()
+        assert (sigma_m.max() < 0.05) == (name != "c")
+
+
+def test_of_two_that_contradict_each_other_the_better_receiver_may_be_wrong(
+    tmp_path: Path,
+) -> None:
+    field = Field()
+    true = {
+        name: field.drive([0.0], sigma_m=sigma_m, seed=seed, start_s=1e5 * seed)
+        for seed, (name, sigma_m) in enumerate({"poor": 0.3, "rtk": 0.02}.items())
+    }
+    drives = {**true, "rtk": mixed(true["rtk"], Transform(1.0), 0.02, slice(10, 20))}
+    path = write_field(tmp_path / "map.gpkg", drives, 0.5)
+    with open_map(path, writable=True) as universal:
+        universal.set_transforms(align_map(universal).transforms)
+    for name, frames in true.items():
+        off_m, sigma_m = placed_m(path, name, frames)
+        assert (off_m < 3.0 * sigma_m).all()
+
+
 def test_what_a_drive_states_more_of_stays_as_unsure_as_it_is(tmp_path: Path) -> None:
     """RTK until it is lost: one error for the whole drive says nothing of what comes after."""
     true = along_one_lane("ab")

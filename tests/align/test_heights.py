@@ -236,6 +236,25 @@ def test_more_than_can_be_solved_is_reported(
     assert levelled(path, doubtful=(1,))["good"] is not None
 
 
+def test_more_pairs_that_share_ground_than_can_be_solved_are_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One block driven over and over: few pieces, of which each shares ground with all others."""
+    path = write(tmp_path / "m.gpkg", {"good": (0.02, rises(0.0)), "poor": (0.3, rises(0.6))})
+    with open_map(path) as universal:
+        drives = read_drives(universal, {info.name: Role.MOVES for info in universal.sessions()})
+    seen = heights._ground(drives, [Transform()] * 2)
+    by_submap = [set(seen.place[seen.submap == n]) for n in np.unique(seen.submap)]
+    shared = sum(bool(a & b) for a in by_submap for b in by_submap if a is not b)
+    monkeypatch.setattr(heights, "MOST_SHARED", shared)
+    assert levelled(path)["good"] is not None
+    monkeypatch.setattr(heights, "MOST_SHARED", shared - 1)
+    monkeypatch.setattr(heights, "_solve", None)
+    assert levelled(path) == {"good": None, "poor": None}
+    why = f"{shared} times two pieces of 8 m share ground, more than the {shared - 1} that are"
+    assert set(kept_heights(path).values()) == {f"{why} solved"}
+
+
 def test_priors_are_those_of_a_part_that_stays_and_one_that_wanders(tmp_path: Path) -> None:
     path = write(tmp_path / "m.gpkg", {"one": (0.02, rises(0.0)), "other": (0.3, rises(0.6))})
     with open_map(path) as universal:

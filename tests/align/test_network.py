@@ -8,6 +8,7 @@ import pytest
 from fieldgrid.align.drives import Role, SubmapDrive
 from fieldgrid.align.matches import Match
 from fieldgrid.align.network import FACE_M, NetworkSolution, solve
+from fieldgrid.align.report import _with_contradictions
 from fieldgrid.align.submaps import Submap
 from fieldgrid.array_types import Float64
 from fieldgrid.mapfile import Transform
@@ -194,3 +195,18 @@ def test_without_matches_a_drive_is_as_sure_as_its_receiver() -> None:
     found = solve([drive("a", 0.3)], [Transform()], [])
     assert np.abs(moved(found, 0)).max() < 1e-9
     assert 0.3 < found.sigma_m[0, 0] < 0.5
+
+
+@pytest.mark.parametrize("poor", [1, 2])
+def test_drives_that_follow_a_leap_of_a_better_one_are_as_unsure_as_that(poor: int) -> None:
+    """Half way the better receiver, which is the last one, is 1.5 m off: the others bend."""
+    leap = np.where(np.arange(N)[:, None] < N // 2, 0.0, [[1.5, 0.0]])
+    off = {n: constant(0.0, 0.0) for n in range(poor)} | {poor: leap}
+    drives = [*(drive(name, 0.3) for name in "ab"[:poor]), drive("rtk", 0.02)]
+    pairs = [(n, poor) for n in range(poor)] + ([(0, 1)] if poor == 2 else [])
+    some = matches(off, pairs)
+    solution = solve(drives, [Transform()] * len(drives), some)
+    sigma_m = _with_contradictions(drives, some, solution, solution.sigma_m)
+    for n in range(len(drives)):
+        off_m = np.hypot(*(moved(solution, n) + off[n]).T)
+        assert (off_m < 3.0 * sigma_m[n, n]).all()

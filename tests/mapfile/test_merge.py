@@ -14,6 +14,7 @@ import pytest
 from fieldgrid.errors import ConfigError, DatumError, MapError, MapExistsError
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import Mark, MarkKind, create_map, merge_maps, open_map
+from fieldgrid.mapfile.redatum import Redatum
 from fieldgrid.mapfile.transform import (
     Aligned,
     Beside,
@@ -22,6 +23,7 @@ from fieldgrid.mapfile.transform import (
     Wander,
     placing,
 )
+from fieldgrid.mapfile.twins import SAME_PLACE_M
 from fieldgrid.transfer import Transfer
 from tests.mapfile.content import content
 from tests.mapfile.maps import DATUM, drive, track, write_map, write_session
@@ -159,6 +161,40 @@ def test_one_drive_aligned_in_one_map_only(
         return
     with pytest.raises(ConfigError, match=rf"'1' of .*south.* '1'.*{why}.*align --undo"):
         merge_maps(maps, out, datum=DATUM)
+
+
+@pytest.mark.parametrize("more_m", [0.0, 0.004])
+def test_a_drive_that_was_shifted_before_it_came_into_a_leaning_plane_is_the_same_drive(
+    north: Path, tmp_path: Path, more_m: float
+) -> None:
+    """A shift stays level: 5 km apart it rises by 0.8 mm a metre."""
+    with open_map(north, writable=True) as universal:
+        universal.set_transform("1", -27.0, 14.0)
+    merge_maps([north], tmp_path / "far.gpkg", datum=FAR)
+    maps, out = [north, tmp_path / "far.gpkg"], tmp_path / "both.gpkg"
+    if not more_m:
+        for k, order in enumerate((maps, maps[::-1])):
+            merged = merge_maps(order, tmp_path / f"{k}.gpkg", datum=DATUM)
+            assert [one.twin for one in merged] == [None, None, "0", "1"]
+        return
+    with open_map(north, writable=True) as universal:
+        universal.set_transform("1", -27.0, 14.0 + SAME_PLACE_M + more_m)
+    with pytest.raises(ConfigError, match=r"'1' .* lies up to 0\.024 m aside"):
+        merge_maps(maps, out, datum=DATUM)
+
+
+def test_a_drive_without_heights_is_the_same_drive_in_two_planes(tmp_path: Path) -> None:
+    """Its poses are level with the datum of each map, which are some metres apart."""
+    frames = [(grid, replace(pose, up_m=0.0)) for grid, pose in drive(5)]
+    far = [(grid, replace(Redatum(DATUM, FAR).pose(pose), up_m=0.0)) for grid, pose in frames]
+    write_map(tmp_path / "north.gpkg", [frames])
+    with create_map(tmp_path / "far.gpkg", FAR, cell_m=0.1) as universal:
+        write_session(universal, "0", far)
+    maps = [tmp_path / "north.gpkg", tmp_path / "far.gpkg"]
+    assert [one.twin for one in merge_maps(maps, tmp_path / "both.gpkg", datum=DATUM)] == [
+        None,
+        "0",
+    ]
 
 
 def lie_beside(path: Path, sigma_m: float) -> None:

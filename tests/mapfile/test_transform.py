@@ -101,6 +101,16 @@ def test_a_window_of_shifted_sessions_reads_the_frames_near_it_alone(
         assert moved.observed.any()
 
 
+def test_places_of_maps_that_were_aligned_before_have_the_error_that_was_stored() -> None:
+    """Trajectories are stored as placed: `verify --deep` computes them again."""
+    old = transform_of(Transform(0.1, aligned=Aligned(0.4, 0.1, ("june",))).to_text())
+    driven_m, placed_m = [0.02, 0.33, 0.5, math.nan], [0.02, 0.33, 0.4, 0.4]
+    poses = [replace(pose_at(1.0, 2.0, 3.0), position_sigma_m=sigma_m) for sigma_m in driven_m]
+    assert [old.pose(pose).position_sigma_m for pose in poses] == placed_m
+    driven = replace(track(4), position_sigma_m=np.array(driven_m))
+    assert old.trajectory(driven).position_sigma_m.tolist() == placed_m
+
+
 def test_a_turn_of_a_right_angle_to_the_right() -> None:
     placed = Transform(turn_deg=90.0, pivot_east_m=10.0, pivot_north_m=20.0).pose(
         pose_at(10.0, 25.0, 0.0)
@@ -188,7 +198,6 @@ def test_what_alignment_found_reads_back_and_damage_is_told() -> None:
     # Maps that were aligned before it was kept do not say how sure that is beside others.
     old = json.loads(text)
     del old["aligned"]["beside"], old["aligned"]["stated_m"]
-    assert transform_of(json.dumps(old)).pose(pose_at(1.0, 2.0, 3.0)).position_sigma_m == 0.02
     assert replace(transform_of(json.dumps(old)), aligned=transform.aligned) == transform
     # A place that was aligned is as sure as that, but for those that state more than usual.
     for driven_m, placed_m in ((0.3, 0.02), (0.01, 0.02), (math.nan, 0.02), (0.41, 0.41)):

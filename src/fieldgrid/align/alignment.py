@@ -176,7 +176,7 @@ def _as_poor_as_found(
         if size > FAR_SIGMAS * math.hypot(drives[a].sigma_m, drives[b].sigma_m)
     }
     found = list(drives)
-    for n, size in wrong_ones(drives, apart).items():
+    for n, size in wrong_ones([drive.sigma_m for drive in drives], apart).items():
         sigma_m = max(size / 2.0, drives[n].sigma_m)
         wander_m = max(min(WANDER_SHARE * sigma_m, FOUND_WANDER_M), drives[n].wander_m)
         found[n] = replace(drives[n], sigma_m=sigma_m, wander_m=wander_m)

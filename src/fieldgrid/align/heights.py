@@ -50,8 +50,9 @@ FREEDOM, SCATTER_M = 2.0, 0.05
 
 ROUNDS, SETTLED_M = 20, 0.001
 
-MOST_SUBMAPS = 10_000
-"""The equations of more are not solved: ten drives of 8 km over one field take 36 s and 1.5 GB."""
+MOST_SUBMAPS, MOST_SHARED = 10_000, 3_000_000
+"""The equations of more submaps are not solved, nor of more pairs of them (each counted twice) that
+share ground: these take up to 1 GB."""
 
 
 class _Seen(NamedTuple):
@@ -87,7 +88,13 @@ def level(
     if count > MOST_SUBMAPS:
         why = f"{count} pieces of {SUBMAP_M:.0f} m are more than the {MOST_SUBMAPS} that are solved"
         return Levels((None,) * len(drives), kept | dict.fromkeys(moving - {*doubtful}, why))
-    corrections, far = _corrections(drives, transforms, doubtful)
+    corrections, far, shared = _corrections(drives, transforms, doubtful)
+    if shared > MOST_SHARED:
+        why = (
+            f"{shared} times two pieces of {SUBMAP_M:.0f} m share ground, more than the "
+            f"{MOST_SHARED} that are solved"
+        )
+        return Levels(tuple(corrections), kept | dict.fromkeys(moving - {*doubtful}, why))
     if far:
         why = f"they are over {FAR_M:.0f} m off: another zero, or none"
         found = level(drives, transforms, {*doubtful, *far})
@@ -102,24 +109,28 @@ def _has_ground(drive: SubmapDrive) -> bool:
 
 def _corrections(
     drives: Sequence[SubmapDrive], transforms: Sequence[Transform], doubtful: Collection[int]
-) -> tuple[list[HeightCorrection | None], set[int]]:
-    """What to add to the heights of each drive, and those that are too far off."""
+) -> tuple[list[HeightCorrection | None], set[int], int]:
+    """What to add to the heights of each drive, those that are too far off, and how many pairs of
+    submaps share ground; nothing where these are more than `MOST_SHARED`."""
     corrections: list[HeightCorrection | None] = [None] * len(drives)
     chosen = [n for n in range(len(drives)) if n not in doubtful]
     own = [drives[n] for n in chosen]
     count = sum(len(drive.submaps) for drive in own)
     if not count:
-        return corrections, set()
+        return corrections, set(), 0
     placed = [transforms[n] for n in chosen]
     seen = _ground(own, placed)
     if not len(seen.place):
-        return corrections, set()
+        return corrections, set(), 0
+    shared = _pairs_that_share(seen, count)
+    if shared > MOST_SHARED:
+        return corrections, set(), shared
     parts = np.split(np.arange(count), np.cumsum([len(drive.submaps) for drive in own])[:-1])
     stated_m = np.concatenate([_stated_m(*one) for one in zip(own, placed, strict=True)])
     up_m, normal = _solve(seen, own, stated_m, parts)
     far = {n for n, part in zip(chosen, parts, strict=True) if np.abs(up_m[part]).max() > FAR_M}
     if far:
-        return corrections, far
+        return corrections, far, shared
     least_m = _turned_out(
         np.array([np.sqrt(np.mean(up_m[part] ** 2)) for part in parts]),
         np.array([np.median(stated_m[part]) for part in parts]),
@@ -131,7 +142,7 @@ def _corrections(
             corrections[n] = HeightCorrection(
                 tuple(drive.time_ns.tolist()), tuple(up_m[part].tolist()), sigma_m
             )
-    return corrections, set()
+    return corrections, set(), shared
 
 
 def _shared(normal: sparse.csr_array, parts: Sequence[Int64]) -> Bool:
@@ -289,6 +300,13 @@ def _without_places(seen: _Seen, weights: Float64, count: int) -> tuple[sparse.c
         seen.up_m - (np.bincount(seen.place, weights * seen.up_m, places) / of_place)[seen.place]
     )
     return normal.tocsr(), np.asarray(-np.bincount(seen.submap, weights * off_m, count), np.float64)
+
+
+def _pairs_that_share(seen: _Seen, count: int) -> int:
+    """How many pairs of submaps saw ground of one place, each counted twice."""
+    ones = np.ones(len(seen.place), np.bool_)
+    each = sparse.csr_array((ones, (seen.submap, seen.place)), shape=(count, seen.place.max() + 1))
+    return int((each @ each.T).nnz) - len(np.unique(seen.submap))
 
 
 def _left_m(seen: _Seen, weights: Float64, up_m: Float64) -> Float64:

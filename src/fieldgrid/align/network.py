@@ -230,15 +230,16 @@ def left_between(
 
 
 def wrong_ones(
-    drives: Sequence[SubmapDrive], apart_m: Mapping[tuple[int, int], float]
+    stated_m: Sequence[float], apart_m: Mapping[tuple[int, int], float]
 ) -> dict[int, float]:
     """By how much drives are wrong, of those that contradict each other by `apart_m`: the one that
-    contradicts most, or the one whose receiver states most; where that is the same, both are."""
+    contradicts most others, of several the one whose receiver states most (`stated_m`, of each
+    drive); where that is the same, all of them."""
     found = dict[int, float]()
     while apart_m:
         counts = Counter(n for pair in apart_m for n in pair)
-        worst = max((count, drives[n].sigma_m) for n, count in counts.items())
-        wrong = {n for n, count in counts.items() if (count, drives[n].sigma_m) == worst}
+        worst = max((count, stated_m[n]) for n, count in counts.items())
+        wrong = {n for n, count in counts.items() if (count, stated_m[n]) == worst}
         for n in wrong:
             found[n] = max(size for pair, size in apart_m.items() if n in pair)
         apart_m = {pair: size for pair, size in apart_m.items() if not wrong & set(pair)}

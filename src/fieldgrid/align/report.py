@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -12,13 +13,19 @@ import numpy as np
 from fieldgrid.align.agreement import Agreement
 from fieldgrid.align.drives import Role, SubmapDrive
 from fieldgrid.align.matches import Match, information_of
-from fieldgrid.align.network import NetworkSolution, left_between, wrong_ones
+from fieldgrid.align.network import SCATTER_M, NetworkSolution, left_between, wrong_ones
 from fieldgrid.array_types import Float64
 from fieldgrid.mapfile import Transform
 from fieldgrid.mapfile.transform import Aligned
 
 CONTRADICTS_SIGMAS = 4.0
 """What is left of a match, in its sigmas, that its two axes have by chance in one of 3,000."""
+
+BENT_SIGMAS = 3.0
+"""So many of its stated slow errors a drive is bent by chance in one place of 90."""
+
+WITHIN_SIGMAS = 2.0
+"""Places that contradict each other are so many of the errors apart that are stated for them."""
 
 
 class DriveAlignment(NamedTuple):
@@ -209,19 +216,48 @@ def _with_contradictions(
     solution: NetworkSolution,
     sigma_m: Float64,
 ) -> Float64:
-    """The errors [n, n] of drives and of each two, no less than what is left where single matches
-    contradict each other: part of a drive lies elsewhere, such as after a leap of its receiver."""
-    off = {
-        (m.a, m.b) for m, s in zip(matches, solution.misfit, strict=True) if s > CONTRADICTS_SIGMAS
-    }
+    """The errors [n, n] of drives and of each two, such that places where single matches, or what
+    their receivers state, contradict each other are within `WITHIN_SIGMAS` of them: part of a
+    drive lies elsewhere, such as after a leap of its receiver, also where it is a small part."""
+    apart_m = defaultdict[tuple[int, int], float](float)
     between_m = left_between(matches, solution)
-    apart_m = {pair: between_m[pair] for pair in off & between_m.keys()}
+    for match, left_m, sigmas in zip(matches, solution.left_m, solution.misfit, strict=True):
+        pair = match.a, match.b
+        if sigmas > CONTRADICTS_SIGMAS and pair in between_m:
+            far_m = float(np.hypot(*left_m)) / WITHIN_SIGMAS
+            apart_m[pair] = max(apart_m[pair], between_m[pair], far_m)
+    # A drive that is bent by more than its receiver leaves open may have followed a leap.
+    bent_m = [_bent_m(*one) for one in zip(drives, solution.transforms, strict=True)]
+    for match in matches:
+        a, b = pair = match.a, match.b
+        far_m = float(np.hypot(*(bent_m[a][match.k] - bent_m[b][match.l])))
+        if a != b and far_m > _open_m(drives[a], drives[b]):
+            apart_m[pair] = max(apart_m[pair], far_m)
     found = sigma_m.copy()
     for (a, b), size_m in apart_m.items():
         found[[a, b], [b, a]] = max(sigma_m[a, b], size_m)
-    for n, size_m in wrong_ones(drives, apart_m).items():
+    # Which of two receivers is wrong what they state does not tell: a good one may leap, too.
+    for n, size_m in wrong_ones([0.0] * len(drives), apart_m).items():
         found[n, n] = max(sigma_m[n, n], size_m)
+    for n, drive in enumerate(drives):
+        far_m = float(np.hypot(*bent_m[n].T).max())
+        if far_m > _open_m(drive):
+            found[n, n] = max(found[n, n], far_m)
     return found
+
+
+def _bent_m(drive: SubmapDrive, transform: Transform) -> Float64:
+    """By how much alignment moves each submap of a drive [n, 2], less the mean of them."""
+    if drive.role is not Role.MOVES:
+        return np.zeros((len(drive.submaps), 2))
+    east_m, north_m = drive.middle_m.T
+    moved = np.column_stack(transform.points(east_m, north_m, drive.time_ns)) - drive.middle_m
+    return np.asarray(moved - moved.mean(axis=0))
+
+
+def _open_m(*drives: SubmapDrive) -> float:
+    """By how much drives may be bent against each other, as their receivers state."""
+    return max(BENT_SIGMAS * math.hypot(*(drive.wander_m for drive in drives)), SCATTER_M)
 
 
 def _contradictions(

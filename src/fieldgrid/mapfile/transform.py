@@ -237,8 +237,10 @@ class Transform:
         aligned = self.aligned
         if aligned is None or aligned.sigma_m is None:
             return stated
-        usual_m = np.inf if aligned.stated_m is None else aligned.stated_m
-        is_worse = stated > max(WORSE_TIMES * usual_m, aligned.sigma_m)
+        if aligned.stated_m is None:
+            # So the trajectories of maps were stored that were aligned before this was known.
+            return np.asarray(np.fmin(stated, aligned.sigma_m))
+        is_worse = stated > max(WORSE_TIMES * aligned.stated_m, aligned.sigma_m)
         return np.where(is_worse, stated, aligned.sigma_m)
 
     def points(
