@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import importlib
 import json
 import os
 import shutil
@@ -14,6 +15,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 
 import fsspec
 import pytest
+from fsspec.implementations.local import LocalFileSystem
 from typer.testing import CliRunner
 
 from fieldgrid.build import PartlyBuiltError, build_map, remote
@@ -712,6 +714,67 @@ def test_links_at_a_url_are_followed(memory: Any, monkeypatch: pytest.MonkeyPatc
         for name in ("frames.csv", "gnss/rtk.nmea", "left/0.png", "left/1.png", "right/0.png")
     }
     assert not [path for path in copy.rglob("*") if path.is_symlink()]
+
+
+class Linked(LocalFileSystem):  # type: ignore[misc]
+    """The files of this machine, listed as by SSH: a link as such, without where it leads."""
+
+    protocol = "linked"
+
+    @classmethod
+    def _strip_protocol(cls, path: str) -> str:
+        return str(path).removeprefix("linked://").rstrip("/") or "/"
+
+    def ls(self, path: str, detail: bool = False, **_: Any) -> list[Any]:
+        entries = [self.about(f"{path.rstrip('/')}/{name}") for name in os.listdir(path)]
+        return entries if detail else [entry["name"] for entry in entries]
+
+    def about(self, path: str) -> dict[str, Any]:
+        status = os.lstat(path)
+        kind = "link" if Path(path).is_symlink() else "directory" if Path(path).is_dir() else "file"
+        return {"name": path, "type": kind, "size": status.st_size, "mtime": status.st_mtime}
+
+    def info(self, path: str, **_: Any) -> dict[str, Any]:
+        return {**self.about(os.path.realpath(path)), "name": path}
+
+
+@pytest.mark.parametrize("target", ["..", ".", "../..", "/", "{farm}", "../../june-03/left"])
+def test_a_link_to_a_folder_that_it_is_in_is_not_followed(
+    target: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setitem(importlib.import_module("fsspec.registry")._registry, "linked", Linked)
+    farm = tmp_path / "farm"
+    for name in ("june-03/left/0.png", "june-02/right/0.png", "june-02/right/back/0.png", "key"):
+        (farm / name).parent.mkdir(parents=True, exist_ok=True)
+        (farm / name).write_text(f"content of {name}")
+    (farm / "june-03" / "right").symlink_to("../june-02/right")
+    (farm / "june-03" / "left" / "back").symlink_to(target.format(farm=farm))
+    found = list[str]()
+    find = Linked.find
+    monkeypatch.setattr(
+        Linked, "find", lambda self, path, **how: found.append(path) or find(self, path, **how)
+    )
+    copy = fetch(f"linked://{farm}/june-03")
+    assert sorted(files_of(copy)) == ["left/0.png", "right/0.png", "right/back/0.png"]
+    assert found == [str(farm / "june-03"), str(farm / "june-03" / "right")]
+    assert "left/back' is left out: it is a link to a folder that it is in" in caplog.text
+
+
+def test_a_link_to_a_folder_of_the_same_structure_is_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A link of the same name there is another one, and so is a link of another name."""
+    monkeypatch.setitem(importlib.import_module("fsspec.registry")._registry, "linked", Linked)
+    for name in ("june-03", "june-02", "june-01-a"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "a.txt").write_text(name)
+    (tmp_path / "june-03" / "before").symlink_to("../june-02")
+    (tmp_path / "june-02" / "before").symlink_to("../june-01-a")
+    (tmp_path / "june-02" / "beside").symlink_to("../june-03")
+    for link in ("june-03/before", "june-02/beside"):
+        os.utime(tmp_path / link, (0, 0), follow_symlinks=False)
+    copy = fetch(f"linked://{tmp_path}/june-03")
+    assert files_of(copy) == {"a.txt": "june-03", "before/a.txt": "june-02"}
 
 
 def test_a_worker_makes_its_own_copy_and_names_images_as_here(

@@ -149,6 +149,12 @@ def test_ssh(
         url = f"sftp://127.0.0.1:{port}/june-03"
         here = built(str(farm / "june-03"), tmp_path / "here.gpkg")
         assert (built(url, tmp_path / "there.gpkg") == here).all()
+        (farm / "june-03" / "gnss" / "back").symlink_to("../..")
+        try:
+            copy = fetch(url)
+        finally:
+            (farm / "june-03" / "gnss" / "back").unlink()
+        assert not (copy / "gnss" / "back").exists()
         archived = f"zip://june-03::sftp://127.0.0.1:{port}/2026.zip"
         assert (built(archived, tmp_path / "archived.gpkg") == here).all()
         with pytest.raises(RecordingError, match=r"does not exist; give the URL"):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import errno
+import logging
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import PurePosixPath
 from typing import Any, NamedTuple
 
@@ -30,6 +31,9 @@ _VERSIONS = (
     ),
 )
 """What file systems call the version of a file or the time of its last change, best first."""
+_LINK = ("type", "size", "uid", "gid", "mtime")
+"""What a listing says of a link itself, wherever it is met; the time of access changes."""
+_LOG = logging.getLogger(__name__)
 
 
 class RemoteFile(NamedTuple):
@@ -76,7 +80,8 @@ def _followed(
 ) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """All files below a folder, and those that links in it lead to: SSH lists a link as such, with
     the size of its name. A link that leads nowhere is left out, and so is one to a folder that is
-    found behind such a link."""
+    found behind such a link, or that the link itself is in: with `..` or `/` in place of a folder
+    of images, all that the server has would be fetched."""
     for path, listed in system.find(root, detail=True).items():
         if listed.get("type") != "link":
             yield path, listed
@@ -87,8 +92,30 @@ def _followed(
             continue
         if info["type"] != "directory":
             yield path, {**info, "name": path, "is_link": True}
+        elif folders and _is_around(system, path, listed):
+            _LOG.warning(
+                "%s is left out: it is a link to a folder that it is in itself; let it lead to the "
+                "folder that is meant",
+                quoted(path, 200),
+            )
         elif folders:
             yield from _followed(system, path, folders=False)
+
+
+def _is_around(system: Any, path: str, listed: Mapping[str, Any]) -> bool:
+    """Whether a link leads to a folder that it is in itself: then the link is met again behind it.
+    File systems of SSH do not say where a link leads."""
+    link = PurePosixPath(path)
+    for folder in link.parents:
+        again = link / link.relative_to(folder)
+        found = []
+        with suppress(Exception):  # there is no such folder: each file system has its own errors
+            found = system.ls(str(again.parent), detail=True)
+        for info in found:
+            is_same = all(info.get(key) == listed.get(key) for key in _LINK)
+            if is_same and PurePosixPath(info["name"]) == again:
+                return True
+    return False
 
 
 def check_unfolding(url: str, files: Mapping[str, RemoteFile]) -> None:
