@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +15,7 @@ from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.clock import ClockFindings
 from fieldgrid.pose.denied import denied_by
 from fieldgrid.pose.drive import smooth_drive
+from fieldgrid.quality import Quality
 from fieldgrid.rig import Carrier, LeverArm, VehicleGeometry
 from fieldgrid.settings import PoseSettings
 from fieldgrid.smoother import Constant, DeclaredCorrection
@@ -57,6 +61,44 @@ def test_positions_are_as_unsure_as_a_denied_antenna_is_off() -> None:
     found = estimate(simulate(ROWS, 35.0), rig(), ahead_m=1.5)
     assert any("farther ahead than mounting.json says" in note for note in found.report.notes)
     assert sigmas_m(found)[0] == pytest.approx(1.5 / np.sqrt(2.0), rel=0.1)
+
+
+@pytest.mark.parametrize("commands", [ROWS, K_TURN])
+@pytest.mark.parametrize("ahead_m", [0.5, -0.9, 1.5])
+def test_recorded_headings_tell_all_of_how_far_ahead_an_antenna_sits(
+    commands: list[Command], ahead_m: float
+) -> None:
+    """Those that a wrong place contradicts most have little weight: it is found step by step."""
+    drive = simulate(commands, 35.0)
+    antenna = LeverArm(0.0, ahead_m, 3.0)
+    fixes = fixes_of(drive, 0.2, RTK_M, antenna=antenna, heading_sigma_deg=0.5)
+    found = estimate_poses(fixes, rig(), DATUM)
+    (note,) = (note for note in found.report.notes if "than mounting.json says" in note)
+    told = re.search(r"sits (.*) m ± (.*) m farther (ahead|back)", note)
+    assert told is not None
+    sign = 1.0 if told[3] == "ahead" else -1.0
+    assert abs(sign * float(told[1]) - ahead_m) < 3.0 * float(told[2]) + 0.01
+    assert float(told[2]) < 0.1
+    assert sigmas_m(found)[0] == pytest.approx(abs(ahead_m) / np.sqrt(2.0), rel=0.1)
+
+
+@pytest.mark.parametrize("commands", [SLALOM, K_TURN, ROWS])
+def test_recorded_headings_do_not_deny_what_is_declared_rightly(commands: list[Command]) -> None:
+    fixes = fixes_of(simulate(commands, 35.0), 0.2, RTK_M, heading_sigma_deg=0.5)
+    found = estimate_poses(fixes, rig(), DATUM)
+    assert found.report.notes == ()
+    assert sigmas_m(found)[1] < 0.1
+
+
+@pytest.mark.parametrize("quality", [Quality.RTK_FIXED, Quality.RTK_FLOAT])
+def test_no_mean_makes_float_positions_surer_than_stated(quality: Quality) -> None:
+    drive = simulate(ROWS, 35.0)
+    fixes = fixes_of(drive, 0.2, 0.02, quality=quality)
+    fixes = replace(fixes, sigma_m=np.full(len(fixes), 0.3))
+    found = estimate_poses(fixes, rig(), DATUM, motion=Motion(gyro=gyro_of(drive)))
+    sigma_m = found.trajectory.position_sigma_m
+    assert sigma_m.max() < 0.4
+    assert (sigma_m.min() >= 0.3) == (quality is Quality.RTK_FLOAT)
 
 
 def test_positions_are_as_unsure_as_a_denied_delay_is_long() -> None:

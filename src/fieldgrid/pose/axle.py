@@ -69,6 +69,12 @@ def axle_of(vehicle: VehicleGeometry | None, steps: Steps | None) -> Axle:
     return Axle(with_antenna_ahead(vehicle, antenna_ahead_m), ahead.sigma, told=True)
 
 
+def with_antenna_moved(axle: Axle, ahead_m: float) -> Axle:
+    """The same with the antenna so much farther ahead of the axle."""
+    (_, was_m), _ = axle.frame()
+    return axle._replace(vehicle=with_antenna_ahead(axle.vehicle, was_m + ahead_m))
+
+
 def axle_by_gyro(axle: Axle, ahead: Constant) -> Axle:
     """The axle by what a drive with a gyro would add to the antenna's place ahead of it."""
     told = ahead.sigma < SURE_AXLE_M and abs(ahead.value) < FARTHEST_AXLE_M

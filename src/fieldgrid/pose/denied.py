@@ -7,7 +7,7 @@ is told, and positions are as unsure as the two are apart.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +29,9 @@ LEAST_LEVER_M, LEAST_DELAY_S = 0.3, 0.05
 LEAST_SEEN_SHARE = 0.5
 """A camera or a gyro that saw less of a drive denies nothing: of five frames, and of a log that
 ended early, the antenna was 3 m aside by six sigmas."""
+
+MOST_ROUNDS = 10
+"""A wrong place is settled in two to six."""
 
 LEAST_DOUBT_DEG, LEAST_OFF_M = 1.0, 0.1
 """What does not fit together and moves no heading or position by more is not worth a word."""
@@ -84,6 +87,24 @@ def denied_by(
             if found.explains(k):
                 off_m = np.maximum(off_m, np.abs(found.alone[k]) * moved)
     return denied._replace(off_m=np.maximum(off_m, by_clock_m))
+
+
+def with_whole_place(denied: Denied, placed: Callable[[float], DriveEstimate]) -> Denied:
+    """The same with all of how far the antenna sits ahead, where recorded headings tell it.
+
+    The headings that a wrong place contradicts most have little weight, so that the drive shows a
+    part of it at once. `placed` is the drive with the antenna so much farther ahead than declared.
+    """
+    if denied.ahead_m is None:
+        return denied
+    total_m, sigma_m = denied.ahead_m
+    for _ in range(MOST_ROUNDS):
+        value_m, sigma_m = placed(total_m).smoothed.declared.ahead_m
+        total_m += value_m
+        if abs(value_m) < sigma_m:
+            break
+    ahead_m = Constant(total_m, float(np.hypot(sigma_m, value_m)))
+    return denied._replace(ahead_m=ahead_m, off_m=np.maximum(denied.off_m, abs(total_m)))
 
 
 def _sees_turns(drive: DriveEstimate) -> bool:

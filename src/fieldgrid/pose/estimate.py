@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,12 +14,12 @@ from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import condition, summarise
 from fieldgrid.motion import Motion
-from fieldgrid.pose.axle import axle_forward_m
+from fieldgrid.pose.axle import axle_forward_m, with_antenna_moved
 from fieldgrid.pose.camera_yaw import CameraYaw, camera_yaw
 from fieldgrid.pose.clock import ClockFindings, check_clock
 from fieldgrid.pose.clock_jump import clock_jump
 from fieldgrid.pose.convention import Comparison
-from fieldgrid.pose.denied import Denied, denied_by, unsure_declared
+from fieldgrid.pose.denied import Denied, denied_by, unsure_declared, with_whole_place
 from fieldgrid.pose.drifting import drift, drift_notes, unsure_drift
 from fieldgrid.pose.drive import DriveEstimate, with_recorded
 from fieldgrid.pose.fused import Fused, conditioned, fuse
@@ -81,14 +82,13 @@ def estimate_poses(
     recorded_deg, comparison, notes = _recorded(found, source, settings)
     if motion.poses is not None:
         notes.append(f"The given poses were not used, since headings shall be {source}.")
-    log, drive, axle, lean = found.log, found.drive, found.axle, found.lean
-    if source.kind == "smooth" and np.isfinite(recorded_deg).any():
-        recorded = RecordedHeadings(recorded_deg)
-        if comparison is not None:
-            recorded = recorded._replace(offset_sigma_deg=settings.max_heading_offset_deg)
-        drive = with_recorded(drive, log.accepted, found.motion, axle, recorded, found.hints)
+    log, axle, lean = found.log, found.axle, found.lean
+    recorded = RecordedHeadings(recorded_deg)
+    if comparison is not None:
+        recorded = recorded._replace(offset_sigma_deg=settings.max_heading_offset_deg)
+    drive = _with_recorded(found, recorded) if source.kind == "smooth" else found.drive
     # What the drive denies of clocks, antenna and camera.
-    checks = _checked(found, drive, rig, source, follows_path=not np.isfinite(recorded_deg).any())
+    checks = _checked(found, drive, rig, source, recorded)
     # A row for each fix and each instant between, as unsure as all of that makes it.
     table, fix_row = pose_table(source, log, drive, recorded_deg, axle.vehicle, settings)
     if source.kind == "smooth":
@@ -146,8 +146,7 @@ def _checked(
     drive: DriveEstimate,
     declared: VehicleGeometry | None,
     source: HeadingSource,
-    *,
-    follows_path: bool,
+    recorded: RecordedHeadings,
 ) -> _Checks:
     """What a drive, with its recorded headings, says of the vehicle that was declared."""
     # A gyro of another clock than the fixes is not used, and yet tells that of the images.
@@ -156,10 +155,21 @@ def _checked(
     )
     smooth = source.kind == "smooth"
     # Where a heading is recorded, a vehicle that slips sideways does not look where it goes.
+    follows_path = not np.isfinite(recorded.heading_deg).any()
     yaw = camera_yaw(found.motion.steps, found.axle) if smooth and follows_path else None
     denied = denied_by(drive, declared, clocks)
+    if smooth and not drive.turns_seen:
+        denied = with_whole_place(denied, partial(_with_recorded, found, recorded))
     drifts = drift(drive, found.axle, denied, clocks, found.imu_turn) if smooth else None
     return _Checks(clocks, yaw, denied, drifts)
+
+
+def _with_recorded(found: Fused, recorded: RecordedHeadings, ahead_m: float = 0.0) -> DriveEstimate:
+    """The drive by its recorded headings, too, with the antenna so much farther ahead."""
+    if not np.isfinite(recorded.heading_deg).any():
+        return found.drive
+    axle = with_antenna_moved(found.axle, ahead_m) if ahead_m else found.axle
+    return with_recorded(found.drive, found.log.accepted, found.motion, axle, recorded, found.hints)
 
 
 def _of_given(
