@@ -1,5 +1,6 @@
-"""`python -m benchmarks.align_heights [SUBMAPS [DRIVES]]`: time and memory of the heights of many
-drives over one field, all lanes of which every drive goes along.
+"""`python -m benchmarks.align_heights [SUBMAPS [DRIVES [BLOCK_M]]]`: time and memory of the heights
+of many drives over one field, all lanes of which every drive goes along; over and over, where the
+field is a square block.
 
 What the drives saw is made: the ground of each submap of 8 m, with the error of its receiver.
 """
@@ -35,11 +36,14 @@ def drive_of(submaps: int, number: int) -> SubmapDrive:
     )
 
 
-def places_of(submap: int, random: np.random.Generator) -> np.ndarray:
+def places_of(submap: int, random: np.random.Generator, block_m: float | None) -> np.ndarray:
     """The places that a submap of a drive saw the ground of, as whole numbers."""
-    lane, along = divmod(submap, int(LANE_M / SUBMAP_M))
+    of_lane = int((block_m or LANE_M) / SUBMAP_M)
+    lane, along = divmod(submap, of_lane)
     if lane % 2:
-        along = int(LANE_M / SUBMAP_M) - 1 - along
+        along = of_lane - 1 - along
+    if block_m is not None:
+        lane %= int(block_m / LANES_APART_M)
     east, north = lane * LANES_APART_M, along * SUBMAP_M
     i, j = (
         np.arange(
@@ -56,6 +60,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("submaps", nargs="?", type=int, default=heights.MOST_SUBMAPS)
     parser.add_argument("drives", nargs="?", type=int, default=10)
+    parser.add_argument("block_m", nargs="?", type=float)
     given = parser.parse_args()
     random = np.random.default_rng(0)
     each = given.submaps // given.drives
@@ -64,19 +69,21 @@ def main() -> None:
         [random.normal(0.0, 0.5) + np.cumsum(random.normal(0.0, 0.02, each))
          for _ in range(given.drives)]
     )  # fmt: skip
-    places = [places_of(n % each, random) for n in range(count)]
+    places = [places_of(n % each, random, given.block_m) for n in range(count)]
     submap = np.repeat(np.arange(count), [*map(len, places)])
     _, place = np.unique(np.concatenate(places), return_inverse=True)
     up_m = error_m[submap] + random.normal(0.0, SCATTER_M, len(submap))
     seen = heights._Seen(submap, place, up_m)
     drives = [drive_of(each, n) for n in range(given.drives)]
     parts = np.split(np.arange(count), given.drives)
+    shared = heights._pairs_that_share(seen, count)
     start = time.process_time()
     found_m, _ = heights._solve(seen, drives, np.full(count, 0.5), parts)
     spent_s, left_m = time.process_time() - start, found_m + error_m
     print(
         f"{count} submaps of {given.drives} drives, {count * SUBMAP_M / 1000:.0f} km, "
-        f"{len(submap) / 1e6:.1f} M heights: {spent_s:.1f} s of processor time, peak "
+        f"{len(submap) / 1e6:.1f} M heights, {shared / 1e6:.1f} M times two submaps share ground "
+        f"(at most {heights.MOST_SHARED / 1e6:.0f}): {spent_s:.1f} s of processor time, peak "
         f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB; "
         f"{1000.0 * left_m.std():.1f} mm left between them"
     )
