@@ -204,7 +204,7 @@ def test_frames_that_are_perceived_beside_each_other_are_kept_in_order(
 def test_a_client_that_fails_changes_nothing(
     kind: str, short_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fieldgrid.live.live.CLIENT_S", 0.1)
+    monkeypatch.setattr("fieldgrid.live.results.CLIENT_S", 0.1)
     held = threading.Event()
 
     def client(result: LiveResult) -> None:

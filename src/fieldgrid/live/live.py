@@ -17,6 +17,7 @@ from fieldgrid.errors import ConfigError, RecordingError
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import NmeaStream
+from fieldgrid.live.disk_state import DiskState
 from fieldgrid.live.finish import check_target, finish
 from fieldgrid.live.fixed_lag import GIVEN_KEPT_S
 from fieldgrid.live.given import GIVEN_ROWS, check_body, check_order, pose_rows
@@ -38,9 +39,6 @@ from fieldgrid.settings import BuildSettings, Overrides
 
 SYNC_S = 0.5
 """What is pushed is on the disk after this and the time that the disk takes."""
-
-CLIENT_S = 2.0
-"""So long a client that does not take its results is waited for at the end."""
 
 
 class Live(Closing):
@@ -94,7 +92,7 @@ class Live(Closing):
         self._fixes, self._bad = len(drive.fixes), len(drive.bad)
         self._rows = {part: sum(len(r.time_ns) for r in all_) for part, all_ in drive.parts.items()}
         self._pushed = self._heard_ns = 0
-        self._is_full, self._lost = False, 0
+        self._disk = DiskState(self._kept.folder)
         self.is_resumed = self._kept.is_resumed
         self.newest_frame_ns: int | None = None
         """The time of the last frame that is kept, by the receiver's clock; None without."""
@@ -175,7 +173,7 @@ class Live(Closing):
         one before is left out. When more wait than may, the oldest is dropped; with `wait` this
         waits instead.
         """
-        camera = self._kept.drive.about.rig.camera
+        camera = self.rig.camera
         name, size_px = self._frame_id(frame_id), (camera.width_px, camera.height_px)
         sides = Pushed(f"{name}/left", left), Pushed(f"{name}/right", right)
         return self.push_frame(StereoFrame(name, int(time_ns), *sides, size_px), wait=wait)
@@ -190,8 +188,7 @@ class Live(Closing):
     ) -> bool:
         """An image of depths along the optical axis, metres, NaN where there is none; the rest as
         in `push_pair`."""
-        camera = self._kept.drive.about.rig.depth_camera
-        name = self._frame_id(frame_id)
+        name, camera = self._frame_id(frame_id), self.rig.depth_camera
         size_px = (camera.width_px, camera.height_px)
         frame = DepthFrame(name, int(time_ns), Pushed(f"{name}/depth", depth_m), size_px)
         return self.push_frame(frame, wait=wait)
@@ -357,7 +354,7 @@ class Live(Closing):
         self._kept.sync()
         self._outbox.close()
         if self._deliverer is not None:
-            self._deliverer.join(CLIENT_S)
+            self._deliverer.join()
 
     def push_rows(self, part: str, rows: Rows) -> None:
         """Rows of a part of the motion (`live.sensor_rows.PARTS`), in any order, or of poses."""
@@ -380,17 +377,7 @@ class Live(Closing):
         self._newest_pose_ns = check_order(rows, self._newest_pose_ns, self._most_late_ns)
 
     def _note_disk(self, taken: bool, time_ns: int) -> None:
-        if taken == self._is_full:
-            self._is_full = not taken
-            lost, self._lost = self._kept.lost - self._lost, self._kept.lost
-            text = "The disk takes what is pushed again."
-            if lost:
-                text += f" {lost} records did not fit into memory meanwhile and are lost."
-            if not taken:
-                text = (
-                    f"The disk of {self._kept.folder} takes nothing: what is pushed waits in "
-                    "memory and is lost with a kill; free some space there."
-                )
+        if text := self._disk.changed(taken=taken, lost=self._kept.lost):
             self._tell(LiveEvent(What.DISK, text, time_ns))
 
     def _sync(self) -> None:

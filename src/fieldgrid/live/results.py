@@ -230,6 +230,10 @@ class Outbox:
             self._changed.notify_all()
 
 
+CLIENT_S = 2.0
+"""So long a client that does not take its results is waited for at the end."""
+
+
 class Deliverer:
     """A thread that calls a client's callback; what this raises is counted, and told once."""
 
@@ -253,9 +257,9 @@ class Deliverer:
                     text = f"The callback raised {what}; later ones are counted, not told."
                     self._outbox.put(LiveEvent(What.CLIENT, text, time.time_ns()))
 
-    def join(self, timeout_s: float) -> None:
-        """Wait for what was not delivered yet, but no longer: a client may block."""
-        self._thread.join(timeout_s)
+    def join(self) -> None:
+        """Wait for what was not delivered yet, but not for long: a client may block."""
+        self._thread.join(CLIENT_S)
 
 
 def _known(value: float) -> float | None:
