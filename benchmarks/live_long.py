@@ -1,9 +1,12 @@
-"""`python -m benchmarks.live_long [--hours 8] [--rate 30]`: a live session of many simulated hours.
+"""`python -m benchmarks.live_long [--hours 8] [--rate 30] [--imu]`: a live session of many
+simulated hours.
 
 A depth camera of 160 x 120 pixels looks twice a second at level ground with a post now and then,
 from a vehicle that drives lane after lane at 1.5 m/s, with a receiver of 5 Hz and a gyro of 20 Hz;
-time runs `rate` times as fast. Each line is a part of the drive: what the process holds in memory,
-what the session has on the disk, and how long grids took. At the end the map is made.
+time runs `rate` times as fast. With `--imu` all axes of an IMU are pushed, too, so that grids are
+level and the points of frames are kept to the end. Each line is a part of the drive: what the
+process holds in memory, what the session has on the disk, and how long grids took. At the end the
+map is made.
 """
 
 from __future__ import annotations
@@ -44,12 +47,13 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--hours", type=float, default=8.0)
     options.add_argument("--rate", type=float, default=30.0)
+    options.add_argument("--imu", action="store_true", help="push all axes of an IMU, too")
     chosen = options.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        drive(Path(folder) / "map.gpkg", chosen.hours, chosen.rate)
+        drive(Path(folder) / "map.gpkg", chosen.hours, chosen.rate, has_imu=chosen.imu)
 
 
-def drive(out: Path, hours: float, rate: float) -> None:
+def drive(out: Path, hours: float, rate: float, *, has_imu: bool) -> None:
     """One session; `rate` times as fast as it would be."""
     to_grid: list[float] = []
     lock = threading.Lock()
@@ -66,7 +70,7 @@ def drive(out: Path, hours: float, rate: float) -> None:
     live = Live(out, RIG, SETTINGS, name="long", datum=DATUM, on_result=take)
     noise_m = np.random.default_rng(0).normal(0.0, 0.01, (FIX_HZ * 1000, 3))
     for second in range(seconds):
-        push(live, float(second), noise_m)
+        push(live, float(second), noise_m, has_imu=has_imu)
         time.sleep(max(0.0, began_s + (second + 1) / rate - time.monotonic()))
         if (second + 1) % max(seconds // PARTS, 1) == 0:
             live.drain()
@@ -89,13 +93,15 @@ def drive(out: Path, hours: float, rate: float) -> None:
     print(f"{out.stat().st_size / 1e6:.1f} MB; {memory_mb():.0f} MB in memory after it")
 
 
-def push(live: Live, second: float, noise_m: np.ndarray) -> None:
+def push(live: Live, second: float, noise_m: np.ndarray, *, has_imu: bool) -> None:
     """What the sensors say in one second."""
     for k in range(GYRO_HZ):
         at_s = second + k / GYRO_HZ
         time_ns = START_NS + round(1e9 * at_s)
         east_m, north_m, _, rate_rad_s = vehicle(at_s)
         live.push_gyro(time_ns, rate_rad_s)
+        if has_imu:
+            live.push_imu(time_ns, *imu(rate_rad_s, noise_m[round(at_s * GYRO_HZ) % len(noise_m)]))
         if k % (GYRO_HZ // FIX_HZ) == 0:
             off_m = noise_m[round(at_s * FIX_HZ) % len(noise_m)]
             up_m = 1.5 + off_m[2]
@@ -118,6 +124,14 @@ def vehicle(at_s: float) -> tuple[float, float, float, float]:
     north_m = (LANE_M if side > 0.0 else 0.0) + side * TURN_M * math.sin(turned)
     heading = turned if side > 0.0 else math.pi - turned
     return east_m + TURN_M * (1.0 - math.cos(turned)), north_m, heading, side * SPEED_MPS / TURN_M
+
+
+def imu(rate_rad_s: float, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rates and specific forces of a level vehicle that turns clockwise at a rate: right, forward,
+    up, with noise [3]."""
+    rates = np.array([0.0, 0.0, -rate_rad_s]) + 0.1 * noise
+    forces = np.array([SPEED_MPS * rate_rad_s, 0.0, 9.81]) + noise
+    return rates, forces
 
 
 def depths(number: int) -> np.ndarray:
