@@ -8,13 +8,16 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from scipy.spatial.transform import Rotation
 
-from fieldgrid.build import build_map
+from fieldgrid.attitude import Attitude
+from fieldgrid.build import build_map, estimate_drive
 from fieldgrid.convert import convert_recording
 from fieldgrid.errors import ConfigError
 from fieldgrid.live import LiveOptions, McapStream, Sources, live_folder
@@ -27,6 +30,7 @@ from fieldgrid.recording.growing import open_growing
 from fieldgrid.recording.pose_files import read_pose_file
 from fieldgrid.recording.pose_source import PoseSource
 from fieldgrid.recording.stored import PairKind
+from fieldgrid.rotations import R_enu_level, R_level_vehicle
 from fieldgrid.settings import BuildSettings
 from tests.build.making import content
 from tests.build.yard import recorded as recorded_yard
@@ -35,6 +39,8 @@ from tests.live.sources import QUICK, Heard, running
 from tests.recording.bags import Maker
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")
+
+R_FLU_VEHICLE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 Written = tuple[int, str, str, str, bytes, bytes]
 """When a message was written, its topic, encoding, type with its definition, and its data."""
@@ -184,6 +190,77 @@ def test_the_map_out_of_a_pipe_with_an_imu_is_that_of_a_build(
         live.finish()
     with open_map(out) as universal:
         assert universal.sessions()[0].config["level_grids"] is True
+    ours, theirs = content(out), content(tmp_path / "built.gpkg")
+    for kind in theirs:
+        if kind != "fieldgrid_session":
+            assert ours[kind] == theirs[kind], kind
+
+
+def with_orientations(bag: Path, out: Path, source: str, attitude: Attitude, off: float) -> Path:
+    """The same drive, whose `source` (imu or odometry) tells its lean by orientation, `off` by so
+    many degrees to and fro, and whose IMU has no accelerometer."""
+    ros = Maker("mcap")
+    odometry = "nav_msgs/msg/Odometry"
+    text, _ = ros.store.generate_msgdef(odometry, ros_version=2)
+
+    def turned(time_ns: int) -> Any:
+        at = attitude.at(np.array([time_ns], dtype=np.int64))
+        sway = off * np.sin(time_ns / 1e9)
+        R = R_enu_level(at.heading_deg) @ R_level_vehicle(at.roll_deg + sway, at.pitch_deg - sway)
+        return ros.quaternion(*Rotation.from_matrix(R[0] @ R_FLU_VEHICLE.T).as_quat().tolist())
+
+    def said() -> Iterator[Written]:
+        for one in messages_of(bag):
+            if one[1] != "/imu/data":
+                yield one
+                continue
+            message = ros.store.deserialize_cdr(one[-1], one[3])
+            none = np.array([-1.0, *[0.0] * 8])
+            message.linear_acceleration_covariance = message.orientation_covariance = none
+            if source == "imu":
+                message.orientation_covariance = np.full(9, 1e-4)
+                message.orientation = turned(one[0])
+            yield (*one[:-1], bytes(ros.store.serialize_cdr(message, one[3])))
+            if source == "odometry":
+                moving = ros.odometry(one[0], 1.0)
+                moving.pose.pose.orientation = turned(one[0])
+                moving.pose.covariance = np.full(36, 1e-4)
+                data = bytes(ros.store.serialize_cdr(moving, odometry))
+                yield one[0], "/odom", "cdr", odometry, text.encode(), data
+
+    return write_as_it_comes(out, said())
+
+
+@pytest.mark.parametrize("source", ["imu", "odometry"])
+@pytest.mark.parametrize("off", [0.0, 12.0])
+def test_orientations_out_of_a_pipe_make_the_map_of_a_build(
+    source: str,
+    off: float,
+    short_drive: Path,
+    recorded_leaning: Path,
+    pipe: Path,
+    tmp_path: Path,
+) -> None:
+    """Also those that the drive denies, of which no grid is level."""
+    out, heard = tmp_path / "m.gpkg", Heard()
+    with open_recording(recorded_leaning) as recording:
+        attitude = estimate_drive(recording).report.attitude
+    assert attitude is not None
+    bag = with_orientations(recorded_leaning, tmp_path / "bag.mcap", source, attitude, off)
+    build_map([bag], tmp_path / "built.gpkg", BuildSettings())
+    with open_recording(bag) as recording:
+        motion, fixes = recording.motion(), len(recording.fixes())
+        assert motion.inertial is None or not np.isfinite(motion.inertial.force_mps2).any()
+        assert motion.orientation is not None
+        live = begin(recording, out, on_result=heard, options=LiveOptions(queue_frames=6))
+        with Sources(live, (stream(short_drive, pipe),), QUICK):
+            write(pipe, bag.read_bytes())
+            heard.wait(lambda: live.counts.frames == 6 and live.counts.fixes == fixes)
+            rows = len(motion.orientation.time_ns)
+            heard.wait(lambda: live.counts.rows.get("orientation") == rows)
+        live.finish()
+    with open_map(out) as universal:
+        assert universal.sessions()[0].config["level_grids"] is (off == 0.0)
     ours, theirs = content(out), content(tmp_path / "built.gpkg")
     for kind in theirs:
         if kind != "fieldgrid_session":

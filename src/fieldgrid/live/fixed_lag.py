@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Int64
+from fieldgrid.attitude import Attitude
 from fieldgrid.build import cell_budget
 from fieldgrid.errors import FieldgridError, GnssError
 from fieldgrid.fixes import Fix, FixColumns
@@ -19,7 +20,13 @@ from fieldgrid.live.sensor_rows import Rows, motion_of
 from fieldgrid.live.stamps import FIXES, FRAMES
 from fieldgrid.motion import Motion
 from fieldgrid.odometry import CameraStep, Refusal, steps_of
-from fieldgrid.pose import ErrorBudget, Estimate, estimate_poses, tells_attitude
+from fieldgrid.pose import (
+    ErrorBudget,
+    Estimate,
+    estimate_poses,
+    levelling_attitude,
+    tells_attitude,
+)
 from fieldgrid.recording.pose_source import PoseBody
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings, PoseSettings
@@ -55,6 +62,13 @@ class Asked(NamedTuple):
     def is_level(self) -> bool:
         """Whether the poses are those of level grids."""
         return self.level_grids and tells_attitude(self.motion, self.fixes.time_ns)
+
+    def levelling(self, estimate: Estimate) -> Attitude | None:
+        """The attitude that makes grids level by the `estimate` of this, as in a build; None where
+        they are square to the ground, also since the drive denies what states its lean."""
+        if not self.level_grids:
+            return None
+        return levelling_attitude(estimate.report.attitude, self.motion, self.fixes.time_ns)
 
     def estimate(self) -> Estimate:
         """The poses. GnssError where there are none, which says why."""

@@ -64,6 +64,20 @@ class ImuStream:
         self.notes: list[str] = []
         """What the user must know of it."""
 
+    @property
+    def feels(self) -> bool | None:
+        """Whether an accelerometer tells how the vehicle leans; None until that is clear."""
+        if self._axes is None:
+            return None if self._held else False
+        if not self.is_whole or np.isnan(self._axes.unit_mps2):
+            return False
+        return None if self._unturned is not None else True
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it is known how all its axes sit, as far as its messages tell."""
+        return self._axes is None or self._axes.R_vehicle_imu is not None
+
     def take(self, message: Any, time_ns: int) -> list[tuple[str, Rows]]:
         """Rows, by their parts, that are known with the next message, of `sensor_msgs/Imu`."""
         if message.angular_velocity_covariance[:1].tolist() == [-1.0]:  # by its definition: no gyro

@@ -18,6 +18,7 @@ from fieldgrid.fixes import Fix
 from fieldgrid.live.imu_stream import ImuStream
 from fieldgrid.live.intake import Intake, SourceEndedError
 from fieldgrid.live.links import Link, LinkEndedError, open_link, parse_address
+from fieldgrid.live.orientation_stream import OrientationStream
 from fieldgrid.live.receiver import ReceiverStream
 from fieldgrid.live.sensor_rows import Rows, rows_of
 from fieldgrid.recording.bag.frames import CloudMaker, PairMaker, Taken
@@ -135,6 +136,7 @@ class McapStream:
                 )
         self._transforms = Transforms()
         self._kind, self._imu = kind, ImuStream(imu_axes, self._transforms)
+        self._leans = OrientationStream(imu_axes, self._imu, self._transforms)
         self._takes_fixes, self._poses = takes_fixes, poses
         self._roles: dict[str, str] = {}
         self._told: set[str] = set()
@@ -172,6 +174,7 @@ class McapStream:
     def finish(self, intake: Intake) -> None:
         """Give the fixes that are still open, and what was held of an IMU."""
         self._push_imu(self._imu.finish(), intake)
+        self._push_imu(self._leans.finish(), intake)
         for fix in self._nmea.finish():
             intake.push_fix(fix)
 
@@ -319,18 +322,22 @@ class McapStream:
             intake.push_fix(fix)
 
     def _turn(self, message: Message, time_ns: int, intake: Intake) -> None:
-        self._push_imu(self._imu.take(decode(message), time_ns), intake)
+        said = decode(message)
+        self._push_imu(self._imu.take(said, time_ns), intake)
+        self._push_imu(self._leans.take("imu", said, time_ns, str(said.header.frame_id)), intake)
 
     def _push_imu(self, made: list[tuple[str, Rows]], intake: Intake) -> None:
         for part, rows in made:
             intake.push_rows(part, rows)
-        for note in self._imu.notes:
+        for note in (*self._imu.notes, *self._leans.notes):
             self._say(intake, note)
 
     def _speed(self, message: Message, time_ns: int, intake: Intake) -> None:
-        speed_mps = float(decode(message).twist.twist.linear.x)
+        said = decode(message)
+        speed_mps = float(said.twist.twist.linear.x)
         if np.isfinite(speed_mps):
             intake.push_rows("wheels", rows_of("wheels", time_ns, speed_mps))
+        self._push_imu(self._leans.take("odometry", said, time_ns, said.child_frame_id), intake)
 
     def _is_pose(self, connection: Connection, intake: Intake) -> bool:
         """Whether a topic is that of the poses."""

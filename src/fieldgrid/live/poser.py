@@ -241,9 +241,11 @@ class Poser:
         track = made.estimate.trajectory
         self._trailing.datum = track.datum
         self.going.know(track)
-        is_level = made.asked is not None and made.asked.is_level
+        asked = made.asked
+        is_level = asked is not None and asked.is_level
+        # Poses of a lean that is denied are those of level grids, too; no grid is level by it.
         self._attitude = made.estimate.report.attitude if is_level else None
-        self.tilt.know(self._attitude)
+        self.tilt.know(None if asked is None else asked.levelling(made.estimate))
         self._used = np.isin(self._fixes.time_ns, track.time_ns[track.accepted])
         self._say_refused(made.estimate)
 

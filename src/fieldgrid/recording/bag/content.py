@@ -48,7 +48,7 @@ from fieldgrid.ros import Bag
 from fieldgrid.ros.gnss import DETAILS, ORIENTATION, TILT
 
 OPTICAL_AXES = "rdf"
-_TAKEN = f"axes taken as {AXES}"
+TAKEN = f"axes taken as {AXES}"
 _GRAVITY_SHARE = 0.95
 """Of what an accelerometer feels, an axis that is upright feels this much."""
 
@@ -222,10 +222,10 @@ def find_motion(content: BagIndex, imu_axes: str = AXES) -> tuple[Motion, tuple[
     topic = content.roles.get("imu", "")
     turns = readings.of(topic, Turns)
     if turns is not None and turns.places:
-        R_flu_imu, told = _axes_of(content, imu_axes, content.frame_id("imu"))
+        R_flu_imu, told = axes_of(content.transforms, imu_axes, content.frame_id("imu"))
         times_ns, sensed = readings.series(bag, topic, turns.places, turns.sensed())
         upward, is_whole = R_flu_imu[2], True
-        if told == _TAKEN and (felt := felt_upward(sensed[:, 3:])) is not None:
+        if told == TAKEN and (felt := felt_upward(sensed[:, 3:])) is not None:
             upward, is_whole = felt, False
             told = f"axes taken so that gravity is felt upward, along {upward.astype(int).tolist()}"
         rates = -rate_about(sensed[:, :3], upward)
@@ -276,14 +276,14 @@ def _leaning(content: BagIndex, imu_axes: str, motion: Motion, notes: list[str])
             continue
         is_imu = content.bag.topics[topic].type == IMU
         body = heard.frame_id if isinstance(heard, Turns) else heard.body
-        R_flu_body, how = _axes_of(content, imu_axes if is_imu else AXES, body)
+        R_flu_body, how = axes_of(content.transforms, imu_axes if is_imu else AXES, body)
         frame_sigma_deg = 0.0 if is_imu else ODOMETRY_FRAME_SIGMA_DEG
         told = readings.series(content.bag, topic, heard.leans.places, heard.leans.values())
         found: Orientation | Untold
-        if how == _TAKEN and _feels_other_axis(readings.of(topic, Turns)):
+        if how == TAKEN and _feels_other_axis(readings.of(topic, Turns)):
             found = Untold("it does not feel gravity along its z axis", by_axes=True)
         else:
-            found = orientation_of(*told, R_flu_body, frame_sigma_deg, axes_known=how != _TAKEN)
+            found = orientation_of(*told, R_flu_body, frame_sigma_deg, axes_known=how != TAKEN)
         if isinstance(found, Orientation):
             notes.append(f"{topic}: roll and pitch by its orientation.")
             return motion._replace(orientation=found)
@@ -303,15 +303,16 @@ def _feels_other_axis(turns: Turns | None) -> bool:
     return turns is not None and felt_upward(turns.sensed()[:, 3:]) is not None
 
 
-def _axes_of(content: BagIndex, axes: str, frame: str) -> tuple[Float64, str]:
-    """From the axes of a frame to forward, left, up [3, 3], and how that is known."""
+def axes_of(transforms: Transforms, axes: str, frame: str) -> tuple[Float64, str]:
+    """From the axes of a frame to forward, left, up [3, 3], and how that is known: `TAKEN` where
+    nothing tells it."""
     if axes == AXES:
-        R_flu_imu = imu_rotation(frame, content.transforms)
+        R_flu_imu = imu_rotation(frame, transforms)
         if R_flu_imu is not None:
             return R_flu_imu, "axes by the static transforms"
         if is_optical(frame):
             axes = OPTICAL_AXES
-    told = _TAKEN if axes == AXES else f"axes taken as {axes}"
+    told = TAKEN if axes == AXES else f"axes taken as {axes}"
     return np.array(directions(axes), dtype=np.float64).T, told
 
 

@@ -116,15 +116,23 @@ def orientation_of(
     if mean_up < 0.0 and not axes_known:
         return Untold("by its orientation the vehicle is upside down", by_axes=True)
     up = up * np.sign(mean_up)  # frames whose z axis points down: north, east, down
-    sigma = np.maximum(np.where(kept[:, 3] > 0.0, kept[:, 3], UNSTATED_SIGMA_DEG), LEAST_SIGMA_DEG)
     rows = _apart(time_ns)
-    right, forward, above = up[rows].T
+    return stated_orientation(time_ns[rows], up[rows], kept[rows, 3], frame_sigma_deg)
+
+
+def stated_orientation(
+    time_ns: Int64, up: Float64, sigma_deg: Float64, frame_sigma_deg: float
+) -> Orientation:
+    """Roll and pitch by verticals [n, 3] in the vehicle's axes, with their stated 1-sigma errors
+    [n], NaN for none."""
+    right, forward, above = up.T
+    sigma = np.maximum(np.where(sigma_deg > 0.0, sigma_deg, UNSTATED_SIGMA_DEG), LEAST_SIGMA_DEG)
     return Orientation(
-        time_ns[rows],
+        time_ns,
         np.degrees(np.arctan2(-right, above)),
         np.degrees(np.arctan2(forward, np.hypot(right, above))),
-        sigma[rows],
-        np.full(len(rows), frame_sigma_deg),
+        sigma,
+        np.full(len(time_ns), frame_sigma_deg),
     )
 
 

@@ -1,0 +1,153 @@
+"""Roll and pitch by the orientations of a stream's IMU or odometry, by the rules of a bag."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fieldgrid.array_types import Float64
+from fieldgrid.errors import CalibrationError
+from fieldgrid.live.imu_stream import ImuStream
+from fieldgrid.live.sensor_rows import Rows
+from fieldgrid.motion import Orientation
+from fieldgrid.recording.bag.content import TAKEN, axes_of
+from fieldgrid.recording.bag.leaning import (
+    LEAST_STEP_NS,
+    ODOMETRY_FRAME_SIGMA_DEG,
+    Leans,
+    Untold,
+    orientation_of,
+    stated_orientation,
+)
+from fieldgrid.recording.bag.transforms import Transforms
+from fieldgrid.recording.motion_files import AXES, R_VEHICLE_FLU
+
+SETTLED_NS = 5_000_000_000
+"""Orientations are held for so long before one source is chosen: the other may begin later."""
+
+IMU_FIRST_NS = 30_000_000_000
+"""Odometry waits for so long for an IMU whose orientation has not changed yet."""
+
+MOST_HELD = 100_000
+"""So many orientations of a source are held; one that never leans until then is not used."""
+
+_FRAME_SIGMA_DEG = {"imu": 0.0, "odometry": ODOMETRY_FRAME_SIGMA_DEG}
+
+
+class _Chosen(NamedTuple):
+    """The source that tells roll and pitch, and from its axes to the vehicle's, upward [3, 3]."""
+
+    role: str
+    R_vehicle_body: Float64
+
+
+class OrientationStream:
+    """Takes messages of an `imu` and of `odometry`, and gives rows of orientation.
+
+    As in a bag, an accelerometer goes first, then the IMU's orientation, then that of odometry.
+    Of `transforms` those count that are known when the source is chosen.
+    """
+
+    def __init__(self, imu_axes: str, imu: ImuStream, transforms: Transforms) -> None:
+        self._imu, self._transforms = imu, transforms
+        self._axes = {"imu": imu_axes, "odometry": AXES}
+        self._held: dict[str, Leans] = {}
+        self._bodies: dict[str, str] = {}
+        self._chosen: _Chosen | None = None
+        self._since_ns: int | None = None
+        self._last_ns = 0
+        self._next_try = 2
+        self.is_over = False
+        """Whether no orientation is used."""
+        self.notes: list[str] = []
+        """What the user must know of it."""
+
+    def take(self, role: str, message: Any, time_ns: int, body: str) -> list[tuple[str, Rows]]:
+        """Rows that are known with the next message of a role, whose frame is `body`."""
+        if self.is_over:
+            return []
+        if self._chosen is not None:
+            return self._next(message, time_ns) if role == self._chosen.role else []
+        self._bodies[role] = self._bodies.get(role) or body
+        held = self._held.setdefault(role, Leans())
+        if len(held.places) < MOST_HELD:
+            held.add(message, time_ns)
+        self._since_ns = time_ns if self._since_ns is None else self._since_ns
+        waited_ns = time_ns - self._since_ns
+        count = sum(len(leans.places) for leans in self._held.values())
+        # Twice as many each time: what does not lean is not looked at with each message.
+        if waited_ns < SETTLED_NS or count < self._next_try or self._imu.feels is None:
+            return []
+        self._next_try = 2 * count
+        return self._choose(waits_for_imu=waited_ns < IMU_FIRST_NS)
+
+    def finish(self) -> list[tuple[str, Rows]]:
+        """The rows of what is held, when nothing more comes."""
+        if self.is_over or self._chosen is not None:
+            return []
+        return self._choose(waits_for_imu=False)
+
+    def _choose(self, *, waits_for_imu: bool) -> list[tuple[str, Rows]]:
+        if self._imu.feels:
+            self.is_over = True
+            self._held.clear()
+            return []
+        for role in _FRAME_SIGMA_DEG:
+            held = self._held.get(role)
+            if held is None or not held.places:
+                continue
+            found = self._found(role, held)
+            if isinstance(found, Orientation):
+                self._held.clear()
+                self._last_ns = int(found.time_ns[-1])
+                return [("orientation", Rows(found.time_ns, found[1:]))]
+            if found.by_axes:
+                self._note(
+                    f"has orientations of its {role} that tell no roll and pitch: {found.why}; say "
+                    "how it sits by a static transform at the start of the stream"
+                    f"{' or imu_axes in mounting.json' if role == 'imu' else ''}."
+                )
+            elif waits_for_imu and role == "imu":
+                break
+        return []
+
+    def _found(self, role: str, held: Leans) -> Orientation | Untold:
+        try:
+            R_flu_body, how = axes_of(self._transforms, self._axes[role], self._bodies[role])
+        except CalibrationError as problem:
+            return Untold(str(problem).removesuffix("."), by_axes=True)
+        if role == "imu" and how == TAKEN and not self._imu.is_whole:
+            return Untold("it does not feel gravity along its z axis", by_axes=True)
+        values, times_ns = held.values(), np.array(held.places, dtype=np.int64)
+        frame_sigma_deg = _FRAME_SIGMA_DEG[role]
+        found = orientation_of(
+            times_ns, values, R_flu_body, frame_sigma_deg, axes_known=how != TAKEN
+        )
+        if isinstance(found, Orientation):
+            R_vehicle_body = R_VEHICLE_FLU @ R_flu_body
+            upward = np.sign(float((values[:, :3] @ R_vehicle_body.T)[:, 2].mean()))
+            self._chosen = _Chosen(role, upward * R_vehicle_body)
+        return found
+
+    def _next(self, message: Any, time_ns: int) -> list[tuple[str, Rows]]:
+        """The row of a message of the chosen source."""
+        assert self._chosen is not None
+        if time_ns < self._last_ns + LEAST_STEP_NS:
+            return []
+        leans = Leans()
+        leans.add(message, time_ns)
+        if not leans.places:
+            return []
+        self._last_ns, values = time_ns, leans.values()
+        found = stated_orientation(
+            np.array([time_ns], dtype=np.int64),
+            values[:, :3] @ self._chosen.R_vehicle_body.T,
+            values[:, 3],
+            _FRAME_SIGMA_DEG[self._chosen.role],
+        )
+        return [("orientation", Rows(found.time_ns, found[1:]))]
+
+    def _note(self, text: str) -> None:
+        if text not in self.notes:
+            self.notes.append(text)
