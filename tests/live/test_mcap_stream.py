@@ -267,6 +267,15 @@ def test_orientations_out_of_a_pipe_make_the_map_of_a_build(
             assert ours[kind] == theirs[kind], kind
 
 
+def test_a_topic_of_another_type_is_reported_and_not_used(
+    short_drive: Path, recorded_leaning: Path, pipe: Path
+) -> None:
+    with running(stream(short_drive, pipe, odometry="/imu/data")) as notes:
+        write(pipe, recorded_leaning.read_bytes())
+        notes.wait_told("has /imu/data of the type sensor_msgs/Imu, not nav_msgs/Odometry, which is not used")
+        notes.wait(lambda: len(notes.frames) == 6)
+
+
 def turned_imu(bag: Path, out: Path) -> Path:
     """The same drive from an IMU that is mounted upside down, as the static transforms say."""
     ros = Maker("mcap")

@@ -1,4 +1,4 @@
-"""Messages of an MCAP as they come through a pipe: a source of frames, fixes, gyro and wheels.
+"""Messages of an MCAP as they come through a pipe: a source of frames, fixes and motion.
 
 Messages are decoded by what reads bags. Nothing is known of a stream beforehand, so a topic is
 taken for a role by its type and its name as soon as it is announced, or because it was said to be.
@@ -25,7 +25,7 @@ from fieldgrid.recording.bag.frames import CloudMaker, PairMaker, Taken
 from fieldgrid.recording.bag.heard import Fixes
 from fieldgrid.recording.bag.mounts import is_optical, optical
 from fieldgrid.recording.bag.order import MAX_APART_NS, is_utc
-from fieldgrid.recording.bag.topics import ODOMETRY, TF, TF_STATIC
+from fieldgrid.recording.bag.topics import ODOMETRY, TF, TF_STATIC, TYPES_OF_ROLES, short
 from fieldgrid.recording.bag.transforms import Transforms
 from fieldgrid.recording.cloud_files import CloudKind
 from fieldgrid.recording.motion_files import AXES
@@ -173,8 +173,8 @@ class McapStream:
 
     def finish(self, intake: Intake) -> None:
         """Give the fixes that are still open, and what was held of an IMU."""
-        self._push_imu(self._imu.finish(), intake)
-        self._push_imu(self._leans.finish(), intake)
+        self._push_motion(self._imu.finish(), intake)
+        self._push_motion(self._leans.finish(), intake)
         for fix in self._nmea.finish():
             intake.push_fix(fix)
 
@@ -206,7 +206,15 @@ class McapStream:
         topic = connection.topic
         for role, name in self._given.items():
             if name == topic:
-                return role
+                if connection.type in TYPES_OF_ROLES[role]:
+                    return role
+                wanted = " or ".join(short(kind) for kind in TYPES_OF_ROLES[role])
+                self._say(
+                    intake,
+                    f"has {topic} of the type {short(connection.type)}, not {wanted}, which is not "
+                    f"used; give another with --topic {role}=NAME.",
+                )
+                return ""
         role = "" if topic == DATUM else _BY_TYPE.get(connection.type, "")
         if isinstance(self._kind, CloudKind):
             role = "cloud" if connection.type == _CLOUD else role
@@ -255,7 +263,7 @@ class McapStream:
             self._say(intake, f"has messages on {message.topic} that are left out: {problem}")
             return
         self._imu.check_transforms()
-        self._push_imu([], intake)
+        self._push_motion([], intake)
         for topic, (frame, maker) in self._makers.items():
             if self._maker(frame) != maker:
                 self._say(
@@ -323,10 +331,10 @@ class McapStream:
 
     def _turn(self, message: Message, time_ns: int, intake: Intake) -> None:
         said = decode(message)
-        self._push_imu(self._imu.take(said, time_ns), intake)
-        self._push_imu(self._leans.take("imu", said, time_ns, str(said.header.frame_id)), intake)
+        self._push_motion(self._imu.take(said, time_ns), intake)
+        self._push_motion(self._leans.take("imu", said, time_ns, str(said.header.frame_id)), intake)
 
-    def _push_imu(self, made: list[tuple[str, Rows]], intake: Intake) -> None:
+    def _push_motion(self, made: list[tuple[str, Rows]], intake: Intake) -> None:
         for part, rows in made:
             intake.push_rows(part, rows)
         for note in (*self._imu.notes, *self._leans.notes):
@@ -337,7 +345,7 @@ class McapStream:
         speed_mps = float(said.twist.twist.linear.x)
         if np.isfinite(speed_mps):
             intake.push_rows("wheels", rows_of("wheels", time_ns, speed_mps))
-        self._push_imu(self._leans.take("odometry", said, time_ns, said.child_frame_id), intake)
+        self._push_motion(self._leans.take("odometry", said, time_ns, said.child_frame_id), intake)
 
     def _is_pose(self, connection: Connection, intake: Intake) -> bool:
         """Whether a topic is that of the poses."""

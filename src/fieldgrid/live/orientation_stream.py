@@ -58,14 +58,14 @@ class OrientationStream:
         self._since_ns: int | None = None
         self._last_ns = 0
         self._next_try = 2
-        self.is_over = False
-        """Whether no orientation is used."""
+        self._is_unused = False
+        """Whether an accelerometer tells roll and pitch."""
         self.notes: list[str] = []
-        """What the user must know of it."""
+        """What is reported of it."""
 
     def take(self, role: str, message: Any, time_ns: int, body: str) -> list[tuple[str, Rows]]:
         """Rows that are known with the next message of a role, whose frame is `body`."""
-        if self.is_over:
+        if self._is_unused:
             return []
         if self._chosen is not None:
             return self._next(message, time_ns) if role == self._chosen.role else []
@@ -84,13 +84,13 @@ class OrientationStream:
 
     def finish(self) -> list[tuple[str, Rows]]:
         """The rows of what is held, when nothing more comes."""
-        if self.is_over or self._chosen is not None:
+        if self._is_unused or self._chosen is not None:
             return []
         return self._choose(waits_for_imu=False)
 
     def _choose(self, *, waits_for_imu: bool) -> list[tuple[str, Rows]]:
         if self._imu.feels:
-            self.is_over = True
+            self._is_unused = True
             self._held.clear()
             return []
         for role in _FRAME_SIGMA_DEG:

@@ -27,7 +27,7 @@ FIXES = frozenset({"fix", "nmea"})
 """The roles that give fixes, of which one is taken."""
 TF_STATIC, TF = "/tf_static", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
-_TYPES: dict[str, tuple[str, ...]] = {
+TYPES_OF_ROLES: dict[str, tuple[str, ...]] = {
     **{"left": (IMAGE, COMPRESSED), "right": (IMAGE, COMPRESSED)},
     **{"left_info": (INFO,), "right_info": (INFO,), "depth_info": (INFO,)},
     **{"disparity": (DISPARITY,), "depth": (IMAGE, COMPRESSED), "cloud": (CLOUD,)},
@@ -153,7 +153,7 @@ def _told(roles: Mapping[str, str], topics: Mapping[str, Topic]) -> tuple[str, .
 
 
 _KNOWN_TYPES = frozenset(
-    kind for role, kinds in _TYPES.items() for kind in kinds if role != "attitude"
+    kind for role, kinds in TYPES_OF_ROLES.items() for kind in kinds if role != "attitude"
 )
 """Of these a recording takes some by itself."""
 
@@ -181,8 +181,8 @@ class _Finder:
                     f"{listing(everything.values())}."
                 )
             found = everything[name].type
-            if found not in _TYPES[role]:
-                wanted = " or ".join(short(kind) for kind in _TYPES[role])
+            if found not in TYPES_OF_ROLES[role]:
+                wanted = " or ".join(short(kind) for kind in TYPES_OF_ROLES[role])
                 raise RecordingError(
                     f"{self._path}: --topic {role}={name} is of the type {short(found)}, not "
                     f"{wanted}; give another topic of {listing(everything.values())}."
@@ -216,7 +216,7 @@ class _Finder:
     def single(self, role: str) -> None:
         """Find the one topic of a role, if there is any."""
         found = self._one_of(
-            role, _of_types(self._topics, _TYPES[role]), lambda name: worth(role, name)
+            role, _of_types(self._topics, TYPES_OF_ROLES[role]), lambda name: worth(role, name)
         )
         if found:
             self.roles[role] = found
