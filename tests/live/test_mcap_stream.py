@@ -272,7 +272,7 @@ def test_a_topic_of_another_type_is_reported_and_not_used(
 ) -> None:
     with running(stream(short_drive, pipe, odometry="/imu/data")) as notes:
         write(pipe, recorded_leaning.read_bytes())
-        notes.wait_told("has /imu/data of the type sensor_msgs/Imu, not nav_msgs/Odometry, which is not used")
+        notes.wait_told("of the type sensor_msgs/Imu, not nav_msgs/Odometry, which is not used")
         notes.wait(lambda: len(notes.frames) == 6)
 
 
