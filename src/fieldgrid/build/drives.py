@@ -34,8 +34,8 @@ from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.pool import Pool
 from fieldgrid.build.poses import attitude_of_grids, check_images, check_poses, estimate_drive
 from fieldgrid.build.report import PartlyBuiltError, Progress, SessionReport
-from fieldgrid.build.session import NewSession, Telling, check_names
-from fieldgrid.build.staging import Staged, stage_frames
+from fieldgrid.build.session import NewSession, Telling, check_names, is_in_map
+from fieldgrid.build.staging import stage_frames
 from fieldgrid.errors import (
     ClusterError,
     ConfigError,
@@ -155,6 +155,8 @@ def build_map(
         )
         if scheduler is not None:
             build.client = opened.enter_context(connected(scheduler))
+        elif not resume:
+            build.start_processes(opened)  # they import while the drives are checked
         datum = build.estimate(datum)
         if not (append or is_there):
             universal = opened.enter_context(
@@ -200,6 +202,16 @@ class _Build:
                 drive.name = drive.recording.name if name is None else name
             except FieldgridError as error:
                 self._fail(drive, error)
+
+    def start_processes(self, opened: ExitStack, frames: int | None = None) -> None:
+        """Start the processes that stage, where so many frames (all, when not given) are worth
+        it."""
+        if frames is None:
+            counts = (drive.recording.frame_count for drive in self._good())
+            frames = sum(len(range(0, count, self.every)) for count in counts)
+        if self.jobs > 1 and frames >= WORTH_FRAMES:
+            count = min(self.jobs, -(-frames // SHARE_FRAMES))
+            self.executor = opened.enter_context(Pool(count, self.out))
 
     def estimate(self, datum: Datum | None) -> Datum:
         """The datum of the map, after a look at what can be known before the first image is
@@ -254,8 +266,8 @@ class _Build:
         with ExitStack() as running:
             if self.client is not None and missing:
                 self.executor = running.enter_context(Stagers(self.client))
-            elif self.jobs > 1 and missing * SHARE_FRAMES >= WORTH_FRAMES:
-                self.executor = running.enter_context(Pool(min(self.jobs, missing), self.out))
+            elif self.executor is None:
+                self.start_processes(running, missing * SHARE_FRAMES)
             for drive in self._good():
                 self._begin(drive, universal, taken)
             for drive in self._good():
@@ -387,13 +399,3 @@ class _Build:
             drive.parts.remove()
         if self.fail_fast or len(self.drives) == 1:
             raise error
-
-
-def is_in_map(universal: MapFile, name: str, staged: Staged) -> bool:
-    """Whether a session of the map has the frames that were staged, and no others."""
-    kept = {
-        frame.frame_id: (frame.cells_sha256, frame.images_sha256)
-        for frame in universal.frames(name)
-    }
-    frames = (staged.frames[k] for k in range(len(staged.entries)))
-    return kept == {f.frame_id: (f.cells_sha256, f.images_sha256) for f in frames}

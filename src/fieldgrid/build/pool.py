@@ -57,8 +57,8 @@ class _Drive(NamedTuple):
 
 
 class Pool(Closing):
-    """So many processes (a :class:`~fieldgrid.build.executor.Executor`). They start with the first
-    share."""
+    """So many processes (a :class:`~fieldgrid.build.executor.Executor`). They start at once; one
+    that dies is followed by another when there is a share for it."""
 
     def __init__(self, count: int, out: Path) -> None:
         self.events: SimpleQueue[Event] = SimpleQueue()
@@ -112,6 +112,8 @@ class Pool(Closing):
         """The life of a thread: a process, or one after the other, and its shares."""
         process: subprocess.Popen[bytes] | None = None
         known = -1
+        with suppress(OSError, EOFError):  # the first share tries again, and says why not
+            process = self._start()
         while (task := self._next()) is not None:
             try:
                 if process is None:

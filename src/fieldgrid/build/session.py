@@ -372,3 +372,13 @@ def check_names(names: Sequence[str], taken: Sequence[str]) -> None:
                 f"Two of the recordings are called {name!r}; build them one after the other, the "
                 "second with --append and a --name."
             )
+
+
+def is_in_map(universal: MapFile, name: str, staged: Staged) -> bool:
+    """Whether a session of the map has the frames that were staged, and no others."""
+    kept = {
+        frame.frame_id: (frame.cells_sha256, frame.images_sha256)
+        for frame in universal.frames(name)
+    }
+    frames = (staged.frames[k] for k in range(len(staged.entries)))
+    return kept == {f.frame_id: (f.cells_sha256, f.images_sha256) for f in frames}
