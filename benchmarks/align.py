@@ -30,7 +30,7 @@ from fieldgrid.evaluation import evaluate, read_truth
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import FrameRecord, MapFile, Transform, create_map, open_map
-from fieldgrid.mapfile.transform import Wander
+from fieldgrid.mapfile.corrections import Wander
 from fieldgrid.recording import DriveOptions
 from fieldgrid.settings import BuildSettings
 from fieldgrid.trajectory import Pose

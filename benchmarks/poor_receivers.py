@@ -25,7 +25,7 @@ from fieldgrid.align.score import Against, peak
 from fieldgrid.align.submaps import cut, draw
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import FrameRecord, MapFile, Transform, open_map
-from fieldgrid.mapfile.transform import Wander
+from fieldgrid.mapfile.corrections import Wander
 
 STATED_M = 0.27
 """What poses of the rendered decimetre logs state."""

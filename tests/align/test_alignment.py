@@ -16,7 +16,8 @@ from fieldgrid.align.submaps import cut
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import Transform, open_map
-from fieldgrid.mapfile.transform import Wander, placing
+from fieldgrid.mapfile.corrections import Wander
+from fieldgrid.mapfile.transform import placing
 from tests.align.field import SPACING_M, Drive, Field, along_one_lane, left_m, mixed, write_field
 
 OFF = Transform(0.9, -0.7)

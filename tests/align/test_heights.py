@@ -16,7 +16,7 @@ from fieldgrid.align.heights import level
 from fieldgrid.array_types import Float64
 from fieldgrid.grids import GROUND_CHANNEL, NO_GROUND_CM
 from fieldgrid.mapfile import Transform, create_map, open_map
-from fieldgrid.mapfile.transform import HeightCorrection
+from fieldgrid.mapfile.corrections import HeightCorrection
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import to_universal
 from tests.align.field import DATUM, SPEC, Field

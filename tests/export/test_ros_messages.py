@@ -10,7 +10,8 @@ from fieldgrid.cost import CostCurve
 from fieldgrid.export import Selection, ros_messages
 from fieldgrid.export.bag_content import BagContent, messages
 from fieldgrid.mapfile import Transform, open_map
-from fieldgrid.mapfile.transform import Aligned, HeightCorrection
+from fieldgrid.mapfile.corrections import HeightCorrection
+from fieldgrid.mapfile.transform import Aligned
 from tests.export.asymmetric import SPRING, write_asymmetric_map
 from tests.mapfile.maps import track
 

@@ -16,7 +16,8 @@ from fieldgrid.farm.maps import Maps
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapView, Mark, MarkKind, Readable, create_map, merge_maps, open_map
-from fieldgrid.mapfile.transform import HeightCorrection, Transform
+from fieldgrid.mapfile.corrections import HeightCorrection
+from fieldgrid.mapfile.transform import Transform
 from tests.mapfile.maps import DATUM, drive, write_session
 
 ELSEWHERE = Datum(DATUM.lat_deg + 2e-4, DATUM.lon_deg - 3e-4, DATUM.height_m + 4.0)

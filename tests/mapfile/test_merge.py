@@ -14,15 +14,9 @@ import pytest
 from fieldgrid.errors import ConfigError, DatumError, MapError, MapExistsError
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import Mark, MarkKind, create_map, merge_maps, open_map
+from fieldgrid.mapfile.corrections import HeightCorrection, Wander
 from fieldgrid.mapfile.redatum import Redatum
-from fieldgrid.mapfile.transform import (
-    Aligned,
-    Beside,
-    HeightCorrection,
-    Transform,
-    Wander,
-    placing,
-)
+from fieldgrid.mapfile.transform import Aligned, Beside, Transform, placing
 from fieldgrid.mapfile.twins import SAME_PLACE_M
 from fieldgrid.transfer import Transfer
 from tests.mapfile.content import content

@@ -18,14 +18,9 @@ from hypothesis import strategies as st
 from fieldgrid.errors import ConfigError, DatumError, MapError
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import LAYERS, Transform, evidence, merge_maps, open_map
+from fieldgrid.mapfile.corrections import HeightCorrection, Wander
 from fieldgrid.mapfile.records import frame_record
-from fieldgrid.mapfile.transform import (
-    Aligned,
-    Beside,
-    HeightCorrection,
-    Wander,
-    transform_of,
-)
+from fieldgrid.mapfile.transform import Aligned, Beside, transform_of
 from tests.mapfile.content import content
 from tests.mapfile.maps import drive, pose_at, track, write_map
 

@@ -41,7 +41,8 @@ from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import MapFile, Transform
-from fieldgrid.mapfile.transform import HeightCorrection, transform_of
+from fieldgrid.mapfile.corrections import HeightCorrection
+from fieldgrid.mapfile.transform import transform_of
 from fieldgrid.workers.order import Runner, Threads
 from fieldgrid.workers.runner import runner
 

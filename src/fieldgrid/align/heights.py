@@ -22,7 +22,7 @@ from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.grids import GROUND_CHANNEL, NO_GROUND_CM
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import Transform
-from fieldgrid.mapfile.transform import HeightCorrection
+from fieldgrid.mapfile.corrections import HeightCorrection
 from fieldgrid.trajectory import HEIGHT_SHARE
 from fieldgrid.transfer import to_universal
 

@@ -23,7 +23,7 @@ from fieldgrid.align.drives import Role, SubmapDrive
 from fieldgrid.align.matches import Match, information_of, shift_equations, turn_equations
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.mapfile import Transform
-from fieldgrid.mapfile.transform import Wander
+from fieldgrid.mapfile.corrections import Wander
 
 WANDER_S = 300.0
 """A receiver's slow error changes over some minutes."""

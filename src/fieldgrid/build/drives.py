@@ -204,8 +204,7 @@ class _Build:
                 self._fail(drive, error)
 
     def start_processes(self, opened: ExitStack, frames: int | None = None) -> None:
-        """Start the processes that stage, where so many frames (all, when not given) are worth
-        it."""
+        """Start the processes that stage, where so many frames are worth it; all if None."""
         if frames is None:
             counts = (drive.recording.frame_count for drive in self._good())
             frames = sum(len(range(0, count, self.every)) for count in counts)

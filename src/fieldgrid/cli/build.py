@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fieldgrid.cli import options, output, progress, warming
+from fieldgrid.cli.build_report import report_drives, report_remarks, report_session
 from fieldgrid.cli.drive_options import Drive
 from fieldgrid.cli.pose_flags import Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
@@ -18,10 +18,9 @@ from fieldgrid.errors import FieldgridError, printable
 from fieldgrid.settings import Overrides
 
 if TYPE_CHECKING:
-    from fieldgrid.build import PartlyBuiltError, SessionReport
+    from fieldgrid.build import PartlyBuiltError
 
 _SESSION = options.MAP_FILE
-_BAD_SHOWN = 10
 
 
 def command(
@@ -243,7 +242,7 @@ def command(
     for report in reports:
         report_session(report)
     if len(recordings) > 1:
-        _report_drives(reports, partly)
+        report_drives(reports, partly)
     for pair in lies:
         output.report_line(_said(pair, out))
     if align and not lies and lost is None:
@@ -274,16 +273,6 @@ def _bad(text: str | None) -> int | float:
             param_hint="--skip-bad",
         )
     return int(match[1]) if match[1] else float(match[3]) if share is None else share
-
-
-def _report_drives(reports: Sequence[SessionReport], partly: PartlyBuiltError | None) -> None:
-    """One line a drive."""
-    rows = [
-        (report.session, "in the map", f"{report.used} of {report.frames}", str(len(report.bad)))
-        for report in reports
-    ]
-    rows += [(name, "failed", "-", "-") for name, _ in (partly.failed if partly else ())]
-    output.report_table(("drive", "", "frames used", "bad frames"), rows)
 
 
 def _compare(
@@ -371,51 +360,9 @@ def _repose(
             ("turned, median / most", _change(report.turned_deg, 2, "°")),
         ]  # fmt: skip
         output.report_table(("", ""), rows, title=f"session {report.session}")
-        _report_remarks(report)
+        report_remarks(report)
     output.report_line(f"map {path}")
 
 
 def _change(values: tuple[float, float] | None, decimals: int, unit: str) -> str:
     return "-" if values is None else f"{values[0]:.{decimals}f} / {values[1]:.{decimals}f} {unit}"
-
-
-def report_session(report: SessionReport, *, rate: bool = True) -> None:
-    """What became of a drive, as a table and remarks; with the `rate` of the work, or without."""
-    rows = [
-        ("frames used", f"{report.used} of {report.frames}"),
-        ("fixes accepted", f"{report.fixes_accepted} of {report.fixes}"),
-        ("distance mapped", output.number(report.distance_m, 1, "m")),
-        (f"heading sigma, median ({report.heading_source})",
-         output.number(report.heading_sigma_deg, 2, "°")),
-        ("position sigma, median", output.number(report.position_sigma_m, 3, "m")),
-        ("camera steps", _steps(report)),
-        ("points used up to", output.number(report.max_range_m, 1, "m")),
-        ("ground plane refined in", f"{report.ground_refined} frames"),
-    ]  # fmt: skip
-    if rate:
-        # As wide for a slow machine as for a fast one, so that tables can be compared.
-        rows.append(("rate", f"{report.frames_per_s:7.1f} frames/s"))
-    output.report_table(("", ""), rows, title=f"session {report.session}")
-    _report_remarks(report)
-    stages = asdict(report.stages).items()
-    spent = ", ".join(f"{name.removesuffix('_s')} {value:.1f} s" for name, value in stages)
-    output.log.info("processor time by stage: %s", spent)
-
-
-def _report_remarks(report: Any) -> None:
-    from fieldgrid.reasons import grouped_reasons
-
-    for count, example in grouped_reasons(report.reasons):
-        output.report_line(f"rejected {count}: {example}")
-    bad = getattr(report, "bad", ())
-    for one in bad[:_BAD_SHOWN]:
-        output.report_line(f"left out frame {one.frame_id}: {one.reason}")
-    if len(bad) > _BAD_SHOWN:
-        output.report_line(f"left out {len(bad) - _BAD_SHOWN} more frames; --json lists them all")
-    for note in report.notes:
-        output.report_line(f"note: {note}")
-
-
-def _steps(report: SessionReport) -> str:
-    tried = report.camera_steps + report.camera_refusals
-    return f"{report.camera_steps} of {tried}" if tried else "not used"

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fieldgrid.cli import options, output, progress
-from fieldgrid.cli.build import report_session
+from fieldgrid.cli.build_report import report_session
 from fieldgrid.cli.drive_options import DriveFlags
 from fieldgrid.cli.groups import FieldsOf
 from fieldgrid.cli.live_sources import GNSS, LiveInput, SourceFlags, of_recording, of_sources, speed

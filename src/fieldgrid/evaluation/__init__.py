@@ -8,14 +8,14 @@ from fieldgrid.evaluation.against_survey import (
     evaluate_survey,
 )
 from fieldgrid.evaluation.attitude import AttitudeScores
-from fieldgrid.evaluation.scores import (
+from fieldgrid.evaluation.results import (
     Evaluation,
     FrameError,
     ObstacleScores,
     PoseErrors,
     ScoredGroup,
-    evaluate,
 )
+from fieldgrid.evaluation.scores import evaluate
 from fieldgrid.evaluation.survey import Survey, Surveyed, read_survey
 from fieldgrid.evaluation.terrain import TerrainScores, TrueGround
 from fieldgrid.evaluation.truth import Truth, TruthPose, read_truth

@@ -16,8 +16,9 @@ import numpy.typing as npt
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64
 from fieldgrid.geodesy import Datum
+from fieldgrid.mapfile.corrections import Wander
 from fieldgrid.mapfile.metadata import SessionMetadata
-from fieldgrid.mapfile.transform import Transform, Wander, transform_of
+from fieldgrid.mapfile.transform import Transform, transform_of
 from fieldgrid.trajectory import Pose, Trajectory
 
 

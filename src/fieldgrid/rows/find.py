@@ -21,24 +21,19 @@ from fieldgrid.rows.blocks import LaneLine, OrderedRows, block_area, lane_lines,
 from fieldgrid.rows.chains import reference_lines
 from fieldgrid.rows.crops import Crop, crop_named
 from fieldgrid.rows.doubts import find_doubts, is_better, may_bend
-from fieldgrid.rows.drives import Reach, Reached, VehicleTracks, drives_of
+from fieldgrid.rows.drives import Reach, VehicleTracks, drives_of
 from fieldgrid.rows.ground import (
-    ObstacleCells,
-    Stray,
-    canopies,
-    find_headlands,
-    find_things,
     measure_lane,
     seen_cells,
-    stray_cells,
     without_specks,
 )
 from fieldgrid.rows.measure import measure_rows
 from fieldgrid.rows.neighbours import oriented
 from fieldgrid.rows.pitch import plant_pitch_m
-from fieldgrid.rows.result import Block, Gap, Headland, Lane, Obstacle, Planting, Row
+from fieldgrid.rows.result import Block, Gap, Lane, Planting, Row
 from fieldgrid.rows.roads import Split, split_at_roads
 from fieldgrid.rows.segments import find_segments, link, thinned
+from fieldgrid.rows.surroundings import headlands_of, obstacles_of, off_rows
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -150,7 +145,7 @@ def _with_crop(
     bare = fill_pinholes(without_specks(evidence, of_any_size=True), hole_m) if coarse else clean
     found_lanes = _lanes(evidence, filled, clean, bare, ordered, lanes, rows, drives, reach)
     areas = _block_areas(ordered, lanes)
-    things, stray = _off_rows(evidence, speckless, ordered, areas)
+    things, stray = off_rows(evidence, speckless, ordered, areas)
     found = Planting(
         datum,
         evidence.lattice.bounds(evidence.window),
@@ -158,9 +153,9 @@ def _with_crop(
         rows,
         found_lanes,
         _gaps(evidence, ordered, rows, reach),
-        _headlands(clean, ordered, areas, headland_m, reach),
+        headlands_of(clean, ordered, areas, headland_m, reach),
         _blocks(ordered, areas, rows, found_lanes),
-        _obstacles(evidence, things, ordered, found_lanes, reach),
+        obstacles_of(evidence, things, ordered, found_lanes, reach),
     )
     singles = ordered.rows if crop.are_single else []
     pitch_m = [plant_pitch_m(evidence, row.line, row.half_width_m) for row in singles]
@@ -327,80 +322,3 @@ def _blocks(
             )
         )
     return tuple(found)
-
-
-def _off_rows(
-    evidence: Evidence,
-    speckless: Evidence,
-    ordered: OrderedRows,
-    areas: dict[str, shapely.Polygon],
-) -> tuple[list[ObstacleCells], Stray]:
-    """What stands off the canopies: things, and cells of blocks."""
-    canopy = canopies(evidence, ordered.rows)
-    return find_things(speckless, canopy), stray_cells(evidence, canopy, list(areas.values()))
-
-
-def _headlands(
-    evidence: Evidence,
-    ordered: OrderedRows,
-    areas: dict[str, shapely.Polygon],
-    reach_m: float,
-    reach: Reach,
-) -> tuple[Headland, ...]:
-    if not areas:
-        return ()
-    ends = [(row.line[0], row.line[-1]) for row in ordered.rows]
-    found, counts = [], 0
-    for area in find_headlands(evidence, list(areas.values()), reach_m):
-        # Of the end of the rows that it is nearest to, over all of them.
-        near = [[area.distance(shapely.Point(end)) for end in pair] for pair in ends]
-        start, stop = (min(pair[k] for pair in near) for k in (0, 1))
-        closest = int(np.argmin([min(pair) for pair in near]))
-        if min(start, stop) > 3.0:
-            continue
-        counts += 1
-        near_to = [k for k, at in enumerate(("start", "stop")) if min(p[k] for p in near) <= 3.0]
-        end = "both" if len(near_to) == 2 else ("start", "stop")[near_to[0]]
-        reaching = reach.of(area)
-        found.append(
-            Headland(f"H{counts}", ordered.block_of[closest], end, area, float(area.area),
-                     _of_cells(evidence, reaching), round(area.area / evidence.cell_m**2),
-                     reaching.sessions)
-        )  # fmt: skip
-    return tuple(found)
-
-
-def _obstacles(
-    evidence: Evidence,
-    things: list[ObstacleCells],
-    ordered: OrderedRows,
-    lanes: tuple[Lane, ...],
-    reach: Reach,
-) -> tuple[Obstacle, ...]:
-    rows = [shapely.LineString(row.line) for row in ordered.rows]
-    found = []
-    for number, thing in enumerate(things, 1):
-        shared = [lane.area.intersection(thing.outline).area for lane in lanes]
-        best = int(np.argmax(shared)) if shared and max(shared) > 0.0 else -1
-        distance = [line.distance(thing.outline.centroid) for line in rows]
-        on = int(np.argmin(distance)) if distance else -1
-        reached = reach.of(thing.outline)
-        is_on_row = on >= 0 and distance[on] < ordered.rows[on].half_width_m
-        found.append(
-            Obstacle(
-                f"O{number}",
-                lanes[best].id if best >= 0 else "",
-                ordered.ids[on] if is_on_row else "",
-                thing.outline,
-                thing.area_m2,
-                _of_cells(evidence, reached),
-                round(thing.area_m2 / evidence.cell_m**2),
-                reached.sessions,
-            )
-        )
-    return tuple(found)
-
-
-def _of_cells(evidence: Evidence, reached: Reached) -> float:
-    """The standard deviation of an outline that runs along cells: theirs, and that of the poses."""
-    return float(np.hypot(reached.sigma_m, evidence.cell_m / np.sqrt(12.0)))

@@ -29,6 +29,7 @@ from fieldgrid.recording.bag.heard import (
     Turns,
 )
 from fieldgrid.recording.bag.order import clock
+from fieldgrid.recording.bag.topic_names import worth
 from fieldgrid.recording.bag.topics import (
     FIX,
     FIXES,
@@ -38,7 +39,6 @@ from fieldgrid.recording.bag.topics import (
     ODOMETRY,
     TF,
     TF_STATIC,
-    worth,
 )
 from fieldgrid.recording.bag.transforms import Transforms
 from fieldgrid.recording.bag.trees import FrameTrack, MovingTrees, Trees

@@ -8,6 +8,14 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from fieldgrid.errors import NoFramesError, RecordingError
+from fieldgrid.recording.bag.topic_names import (
+    MADE,
+    base_name,
+    namespace,
+    right_partners,
+    side_of,
+    worth,
+)
 from fieldgrid.ros import Topic
 from fieldgrid.ros.gnss import DATUM
 
@@ -40,15 +48,6 @@ _SENSORS: dict[Sensing, tuple[str, ...]] = {
     "depth": ("depth", "depth_info"),
     "cloud": ("cloud",),
 }
-# How names tell the two sides apart: what stands in a left topic, and in its right partner.
-_SIDES = tuple(
-    (re.compile(rf"(?<![a-z]){left}(?![a-z0-9])", re.IGNORECASE), right)
-    for left, right in (
-        *(("left", "right"), ("l", "r"), ("cam0", "cam1"), ("cam_0", "cam_1")),
-        *(("camera0", "camera1"), ("camera_0", "camera_1"), ("image_0", "image_1")),
-        *(("infra1", "infra2"), ("infra_1", "infra_2")),
-    )
-)
 _NO_PICTURE = re.compile(r"depth|disparity|confidence|mask|label|segment|debug|theora")
 _DEPTH = re.compile(r"depth|(?<![a-z])stereo/image_(raw|rect)$")
 """Names of depth images; the cameras of Luxonis say just `stereo`."""
@@ -139,7 +138,7 @@ def static_transforms(topics: Mapping[str, Topic], roles: Mapping[str, str]) -> 
 
 def is_rectified(topic: str) -> bool:
     """Whether an image topic is named as a rectified one, like `image_rect` or `rect/image`."""
-    return any(_RECTIFIED.search(word) for word in _base(topic).lower().split("/")[-2:])
+    return any(_RECTIFIED.search(word) for word in base_name(topic).lower().split("/")[-2:])
 
 
 def _told(roles: Mapping[str, str], topics: Mapping[str, Topic]) -> tuple[str, ...]:
@@ -225,7 +224,7 @@ class _Finder:
         pairs = self._pairs()
         best = min((_image_rank(pair[0], self._topics) for pair in pairs), default=None)
         pairs = [pair for pair in pairs if _image_rank(pair[0], self._topics) == best]
-        places = {_namespace(left) for left, _ in pairs}
+        places = {namespace(left) for left, _ in pairs}
         if len(places) > 1:
             named = ", ".join(f"{left} with {right}" for left, right in pairs)
             raise RecordingError(
@@ -251,7 +250,7 @@ class _Finder:
         pairs = [
             (name, partner)
             for name in images
-            for partner in _partners(name)
+            for partner in right_partners(name)
             if partner in images
             and not _NO_PICTURE.search(name.lower())
             and self._topics[name].type == self._topics[partner].type
@@ -286,7 +285,7 @@ class _Finder:
 
     def _depth(self) -> bool:
         images = _of_types(self._topics, (IMAGE, COMPRESSED))
-        depths = [n for n in images if _DEPTH.search(_base(n).lower())]
+        depths = [n for n in images if _DEPTH.search(base_name(n).lower())]
         depths = [n for n in depths if "confidence" not in n.lower()]
         found = self._one_of("depth", depths, self._depth_rank)
         if not found:
@@ -302,7 +301,7 @@ class _Finder:
 
     def _cloud(self) -> bool:
         clouds = _of_types(self._topics, (CLOUD,))
-        found = self._one_of("cloud", clouds, lambda n: _MADE.search(n.lower()) is not None)
+        found = self._one_of("cloud", clouds, lambda n: MADE.search(n.lower()) is not None)
         if not found:
             return False
         self.roles["cloud"] = found
@@ -312,11 +311,11 @@ class _Finder:
         """The calibration beside an image, or the only one of its side, or if it may be `lone`
         the only one at all. That there is none is told later."""
         infos = _of_types(self._topics, (INFO,))
-        parts = _base(image).split("/")[:-1]
+        parts = base_name(image).split("/")[:-1]
         near = ["/".join(parts[:k]) for k in range(len(parts), 0, -1)]
-        beside = [f"{place}/camera_info" for place in (_base(image), *near[: 2 if lone else 1])]
+        beside = [f"{place}/camera_info" for place in (base_name(image), *near[: 2 if lone else 1])]
         beside += [f"{place}/{side}/camera_info" for place in near if side]
-        sided = [name for name in infos if _side(name) == side]
+        sided = [name for name in infos if side_of(name) == side]
         candidates = [
             *([self._given[role]] if role in self._given else []),
             *(name for name in beside if name in infos),
@@ -340,35 +339,6 @@ class _Finder:
         return names[0] if names else ""
 
 
-_MADE = re.compile(r"filter|ground|obstacle|cluster|map|accumul|global|segment|debug")
-
-
-def _driven(name: str) -> int:
-    """Wheels before whatever else estimates a speed; estimates that contain the fixes last."""
-    if re.search(r"gps|gnss|navsat|global|map", name.lower()):
-        return 3
-    if _MADE.search(name.lower()) or re.search(r"ekf|visual|vio|vo\b", name.lower()):
-        return 2
-    return 0 if re.search(r"wheel|controller|drive|encoder", name.lower()) else 1
-
-
-def _imu_rank(name: str) -> tuple[bool, bool, bool, bool]:
-    """With a gyro before without, the vehicle's own before one inside a camera, calibrated before
-    raw."""
-    inside = re.search(r"camera|zed|oak|realsense|d4\d\d|ouster|livox|velodyne", name.lower())
-    is_raw = "raw" in name.lower()
-    return "accel" in name.lower(), inside is not None, is_raw, not name.endswith("data")
-
-
-def worth(role: str, name: str) -> tuple[int, ...]:
-    """How good a name is for a role, the lowest being the best."""
-    if role == "imu":
-        return _imu_rank(name)
-    if role == "odometry":
-        return (_driven(name),)
-    return (role == "fix" and _MADE.search(name.lower()) is not None,)
-
-
 def _of_types(topics: Mapping[str, Topic], types: tuple[str, ...]) -> list[str]:
     return sorted(name for name, topic in topics.items() if topic.type in types)
 
@@ -379,28 +349,7 @@ def _image_rank(name: str, topics: Mapping[str, Topic]) -> tuple[bool, bool, boo
     return not is_rectified(name), coloured, topics[name].type == COMPRESSED
 
 
-def _base(name: str) -> str:
-    """An image topic without what its transport appends."""
-    return name.removesuffix("/compressed").removesuffix("/compressedDepth")
-
-
-def _namespace(name: str) -> str:
-    return _base(name).rpartition("/")[0]
-
-
 def _beside(image: str, topics: Mapping[str, Topic]) -> str:
     """The calibration below an image, else beside it."""
-    below = f"{_base(image)}/camera_info"
-    return below if below in topics else f"{_namespace(image)}/camera_info"
-
-
-def _partners(left: str) -> list[str]:
-    named = (pattern.sub(right, left) for pattern, right in _SIDES)
-    return [name for name in named if name != left]
-
-
-def _side(name: str) -> str:
-    if _partners(name):
-        return "left"
-    rights = (rf"(?<![a-z]){right}(?![a-z0-9])" for _, right in _SIDES)
-    return "right" if any(re.search(p, name, re.IGNORECASE) for p in rights) else ""
+    below = f"{base_name(image)}/camera_info"
+    return below if below in topics else f"{namespace(image)}/camera_info"
