@@ -7,7 +7,9 @@ import shutil
 import signal
 import sqlite3
 import subprocess
+import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -102,6 +104,27 @@ def test_an_answer_that_cannot_be_read_ends_the_build(
     with pytest.raises(TypeError, match="what"):
         build([make_drive()], tmp_path / "m.gpkg", jobs=2)
     assert {path.name for path in tmp_path.iterdir()} == {"drive"}
+
+
+@pytest.mark.usefixtures("processes")
+def test_processes_start_while_the_drives_are_checked(
+    make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started = threading.Event()
+    usual_start, usual_check = pool.Pool._start, drives.estimate_drive
+
+    def start(self: pool.Pool) -> subprocess.Popen[bytes]:
+        process = usual_start(self)
+        started.set()
+        return process
+
+    def check(*arguments: Any) -> Any:
+        assert started.wait(60.0)
+        return usual_check(*arguments)
+
+    monkeypatch.setattr(pool.Pool, "_start", start)
+    monkeypatch.setattr(drives, "estimate_drive", check)
+    build([make_drive()], tmp_path / "m.gpkg", jobs=2)
 
 
 # --- a build that is ended
