@@ -27,7 +27,15 @@ from fieldgrid.errors import ClusterError, ConfigError, LimitError, RecordingErr
 from fieldgrid.limits import limited
 from fieldgrid.mapfile import open_map
 from fieldgrid.mounting import estimate_mount, write_estimate
-from fieldgrid.recording import DriveOptions, copies, fetch, fetched, is_url, open_drive
+from fieldgrid.recording import (
+    DriveOptions,
+    copies,
+    fetch,
+    fetched,
+    is_url,
+    open_drive,
+    remote_files,
+)
 from fieldgrid.settings import BuildSettings
 from tests.build.making import content
 from tests.conftest import make_small_drive
@@ -750,14 +758,65 @@ def test_a_link_to_a_folder_that_it_is_in_is_not_followed(
     (farm / "june-03" / "right").symlink_to("../june-02/right")
     (farm / "june-03" / "left" / "back").symlink_to(target.format(farm=farm))
     found = list[str]()
-    find = Linked.find
+    usual = remote_files._found
     monkeypatch.setattr(
-        Linked, "find", lambda self, path, **how: found.append(path) or find(self, path, **how)
+        remote_files,
+        "_found",
+        lambda system, path, unlisted: found.append(path) or usual(system, path, unlisted),
     )
     copy = fetch(f"linked://{farm}/june-03")
     assert sorted(files_of(copy)) == ["left/0.png", "right/0.png", "right/back/0.png"]
     assert found == [str(farm / "june-03"), str(farm / "june-03" / "right")]
     assert "left/back' is left out: it is a link to a folder that it is in" in caplog.text
+
+
+def test_files_of_a_folder_that_cannot_be_listed_stay_in_the_copy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setitem(importlib.import_module("fsspec.registry")._registry, "linked", Linked)
+    for name in ("left/0.png", "right/0.png", "right/more/1.png", "right_info.txt"):
+        (tmp_path / "june" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "june" / name).write_text(f"content of {name}")
+    url = f"linked://{tmp_path}/june"
+    copy = fetch(url)
+    whole = files_of(copy)
+    assert len(whole) == 4
+    assert not caplog.records
+    list_folder = Linked.ls
+
+    def denied(self: Linked, path: str, detail: bool = False, **how: Any) -> list[Any]:
+        if path.endswith("/right"):
+            raise PermissionError(errno.EACCES, "Permission denied", path)
+        return list_folder(self, path, detail, **how)
+
+    monkeypatch.setattr(Linked, "ls", denied)
+    (tmp_path / "june" / "right_info.txt").unlink()
+    assert fetch(url) == copy
+    assert files_of(copy) == {name: text for name, text in whole.items() if "info" not in name}
+    assert "right' cannot be listed" in caplog.text
+    assert not copies.is_whole(copy)
+    monkeypatch.setattr(Linked, "ls", list_folder)
+    (tmp_path / "june" / "right" / "0.png").unlink()
+    fetch(url)
+    assert sorted(files_of(copy)) == ["left/0.png", "right/more/1.png"]
+    assert copies.is_whole(copy)
+
+
+def test_a_recording_that_cannot_be_listed_is_refused_and_its_copy_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(importlib.import_module("fsspec.registry")._registry, "linked", Linked)
+    (tmp_path / "june").mkdir()
+    (tmp_path / "june" / "a.txt").write_text("a")
+    copy = fetch(f"linked://{tmp_path}/june")
+
+    def denied(*_: Any, **how: Any) -> list[Any]:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Linked, "ls", denied)
+    with pytest.raises(RecordingError, match="Permission denied"):
+        fetch(f"linked://{tmp_path}/june")
+    assert files_of(copy) == {"a.txt": "a"}
 
 
 def test_a_link_to_a_folder_of_the_same_structure_is_followed(

@@ -12,7 +12,7 @@ import shutil
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 from fieldgrid.errors import ConfigError, RecordingError
@@ -45,12 +45,13 @@ _LISTED_S = 60.0
 
 
 class _Listing(NamedTuple):
-    """The files of a recording at a URL, by their paths relative to it, and when they were listed,
-    by the monotonic clock."""
+    """The files of a recording at a URL, by their paths relative to it, the folders that could not
+    be listed, and when they were listed, by the monotonic clock."""
 
     url: str
     system: Any
     files: Mapping[str, RemoteFile]
+    unlisted: tuple[str, ...]
     at_s: float
 
     @property
@@ -122,8 +123,8 @@ def _listing(url: str) -> _Listing | Path:
             return Path(root)
         system.invalidate_cache()  # of listings: another process may have written since
         remote = listed_files(system, root, url)
-        check_unfolding(url, remote)
-    return _Listing(url, system, remote, time.monotonic())
+        check_unfolding(url, remote.files)
+    return _Listing(url, system, *remote, time.monotonic())
 
 
 def _file_system(url: str) -> tuple[Any, str]:
@@ -162,12 +163,16 @@ def _fetch_missing(
 ) -> None:
     """The manifest is written after each batch, so that a fetch that is interrupted goes on from
     there."""
-    url, system, remote, _ = listing
+    url, system, remote, unlisted, _ = listing
     manifest = read_manifest(copy)
     missing = [name for name in wanted if not _is_here(remote[name], copy, name, manifest)]
     _check_room(url, sum(remote[name].size or 0 for name in missing))
     noted, known = manifest, dict(manifest.versions)
-    gone = known.keys() - remote.keys()
+    gone = {
+        name
+        for name in known.keys() - remote.keys()
+        if not any(PurePosixPath(name).is_relative_to(folder) for folder in unlisted)
+    }
     check_links(copy, [*missing, *gone])
     for first in range(0, len(missing), _BATCH):
         progress(len(wanted) - len(missing) + first, len(wanted))
@@ -186,7 +191,7 @@ def _fetch_missing(
     for name in gone:
         with suppress(FileNotFoundError, NotADirectoryError, IsADirectoryError):
             place_in(copy, name).unlink()
-    left = {name: known[name] for name in known if name in remote}
+    left = {name: known[name] for name in known if name not in gone}
     is_whole = left == {name: file.version for name, file in remote.items()}
     if (done := Manifest(url, left, is_whole)) != noted:
         write_manifest(copy, done)

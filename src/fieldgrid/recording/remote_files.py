@@ -46,9 +46,17 @@ class RemoteFile(NamedTuple):
     is_link: bool
 
 
-def listed_files(system: Any, root: str, url: str) -> dict[str, RemoteFile]:
-    """The files of the recording, by their paths relative to it; "" is the recording itself. Files
-    with the names of what lies beside copies (`is_own_name`) are left out."""
+class RemoteFiles(NamedTuple):
+    """The files of a recording at a URL, by their paths relative to it; "" is the recording itself.
+    What is in the folders `unlisted`, relative to it as well, nobody may know."""
+
+    files: dict[str, RemoteFile]
+    unlisted: tuple[str, ...] = ()
+
+
+def listed_files(system: Any, root: str, url: str) -> RemoteFiles:
+    """The files of the recording. Files with the names of what lies beside copies (`is_own_name`)
+    are left out."""
     about = system.info(root)
     if about["type"] != "directory":
         if url.endswith("/"):
@@ -56,13 +64,13 @@ def listed_files(system: Any, root: str, url: str) -> dict[str, RemoteFile]:
                 f"{url} is no folder whose files can be listed (web servers list none); give the "
                 "URL of a bag, a log, or an archive as zip://FOLDER::URL."
             )
-        return {"": _remote_file(about)}
-    files = {}
-    for count, (path, info) in enumerate(_followed(system, root), start=1):
+        return RemoteFiles({"": _remote_file(about)})
+    files, unlisted = {}, list[str]()
+    for count, (path, info) in enumerate(_followed(system, root, unlisted), start=1):
         check_rows(count, url)
         if path.endswith("/") or path == root:
             continue  # some stores keep an empty object for a folder
-        name = str(PurePosixPath(path).relative_to(PurePosixPath(root)))
+        name = _below(root, path)
         if not is_inside(name):
             raise RecordingError(
                 f"{url} has a file {quoted(name)}, whose name leads out of the recording; rename "
@@ -72,17 +80,21 @@ def listed_files(system: Any, root: str, url: str) -> dict[str, RemoteFile]:
             files[name] = _remote_file(info)
     if not files:
         raise RecordingError(f"{url} is an empty folder; give the URL of a recording.")
-    return files
+    return RemoteFiles(files, tuple(_below(root, folder) for folder in unlisted))
+
+
+def _below(root: str, path: str) -> str:
+    return str(PurePosixPath(path).relative_to(PurePosixPath(root)))
 
 
 def _followed(
-    system: Any, root: str, *, folders: bool = True
+    system: Any, root: str, unlisted: list[str], *, folders: bool = True
 ) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """All files below a folder, and those that links in it lead to: SSH lists a link as such, with
     the size of its name. A link that leads nowhere is left out, and so is one to a folder that is
     found behind such a link, or that the link itself is in: with `..` or `/` in place of a folder
     of images, all that the server has would be fetched."""
-    for path, listed in system.find(root, detail=True).items():
+    for path, listed in _found(system, root, unlisted).items():
         if listed.get("type") != "link":
             yield path, listed
             continue
@@ -99,7 +111,44 @@ def _followed(
                 quoted(path, 200),
             )
         elif folders:
-            yield from _followed(system, path, folders=False)
+            yield from _followed(system, path, unlisted, folders=False)
+
+
+def _found(system: Any, root: str, unlisted: list[str]) -> Mapping[str, Mapping[str, Any]]:
+    """All files below a folder, by their paths. Folders that cannot be listed, such as the
+    `lost+found` of a disk, are added to `unlisted`: fsspec's own `find` leaves them out without a
+    word where it lists folder by folder."""
+    from fsspec import AbstractFileSystem
+    from fsspec.asyn import AsyncFileSystem
+
+    kind = type(system)
+    if kind.find is not AbstractFileSystem.find or (
+        isinstance(system, AsyncFileSystem) and kind._find is not AsyncFileSystem._find
+    ):
+        found: Mapping[str, Mapping[str, Any]] = system.find(root, detail=True)
+        return found
+    files, folders = {}, [root]
+    for folder in folders:
+        try:
+            listed = system.ls(folder, detail=True)
+        except OSError as error:
+            if folder == root:
+                raise
+            unlisted.append(folder)
+            _LOG.warning(
+                "the folder %s cannot be listed (%s), so its files are left out; allow reading it "
+                "there if they belong to the recording",
+                quoted(folder, 200),
+                shortened(error),
+            )
+            continue
+        for info in listed:
+            path = info["name"]
+            if info["type"] == "directory" and path.rstrip("/") != folder.rstrip("/"):
+                folders.append(path.rstrip("/"))
+            else:
+                files[path] = info
+    return dict(sorted(files.items()))
 
 
 def _is_around(system: Any, path: str, listed: Mapping[str, Any]) -> bool:
