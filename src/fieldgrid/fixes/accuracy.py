@@ -10,6 +10,7 @@ from fieldgrid.quality import CENTIMETRES_M, Quality
 
 _LEAST_SIGMA_M = 0.01
 _USUAL_SHARE = 0.1
+_CODE_SOLUTIONS, _CODE_SHARE = (Quality.GPS, Quality.DIFFERENTIAL, Quality.SBAS), 0.5
 _SIGMA_OF_CODE = np.array([q.usual_sigma_m for q in sorted(Quality)])
 
 
@@ -28,6 +29,19 @@ def position_sigma_m(quality: npt.ArrayLike, sigma_m: npt.ArrayLike) -> Float64:
     known = np.isfinite(stated) & (stated > 0.0)
     believed = np.maximum(np.where(known, stated, 0.0), np.maximum(floor, _LEAST_SIGMA_M))
     return np.where(known, believed, usual)
+
+
+def least_sigma_m(quality: npt.ArrayLike) -> Float64:
+    """The least 1-sigma error along one horizontal axis, metres, with which positions of each
+    quality are used, whatever was stated: half of what is usual for a solution without carrier
+    phases, 0 for others.
+
+    Such a receiver computes its figure from the scatter of its ranges, which the slow errors of
+    orbits, clocks and air do not enter.
+    """
+    code = np.asarray(quality, dtype=np.int64)
+    usual = _SIGMA_OF_CODE[code - Quality.UNKNOWN]
+    return np.where(np.isin(code, _CODE_SOLUTIONS), _CODE_SHARE * usual, 0.0)
 
 
 def known_codes(codes: npt.ArrayLike) -> Int64:
