@@ -36,7 +36,7 @@ def motion(sensors: str) -> Motion:
     ("sensors", "vehicle", "unseen"),
     [
         ("", RIG, (ASIDE, AHEAD, LATE, DRIFT)),
-        ("", Carrier(0.0), (LATE, DRIFT)),
+        ("", Carrier(0.0), (DRIFT,)),
         ("", paper_rig(antenna=LeverArm(0.0, 0.0, 3.0)), (ASIDE, LATE, DRIFT)),
         ("heading", RIG, (ASIDE, LATE, DRIFT)),
         ("heading, wheels", RIG, (LATE, DRIFT)),

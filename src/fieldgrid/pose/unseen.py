@@ -46,8 +46,8 @@ _WORDS = {
 def unseen_faults(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tuple[UnseenFault, ...]:
     """The faults that this drive would not show, of a vehicle as it was declared.
 
-    Of a log alone positions are those of its antenna, so that no place of it is wrong; and where
-    nobody says where the axle is, no place ahead of it is either.
+    Of a log alone positions are those of its antenna in its own clock, so that neither can be wrong;
+    and where nobody says where the axle is, no place ahead of it is either.
     """
     told, placed = drive.smoothed.declared, isinstance(vehicle, Rig)
     turns, speed = sees_turns(drive), sees_speed(drive)
@@ -61,9 +61,8 @@ def unseen_faults(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tupl
         and not (turned and _is_told(told.ahead_m)),
         # Only turns show stamps that are late beside a gyro's or a camera's: what moves the antenna
         # ahead shows there, too.
-        UnseenFault.LATE_STAMPS: not (
-            turns and _is_told(told.ahead_m) and _is_told(told.late_s, usual_mps)
-        ),
+        UnseenFault.LATE_STAMPS: placed
+        and not (turns and _is_told(told.ahead_m) and _is_told(told.late_s, usual_mps)),
         UnseenFault.SLOW_DRIFT: not len(drive.measured.step),
     }
     return tuple(fault for fault, unseen in hidden.items() if unseen)
