@@ -55,12 +55,10 @@ def test_only_centimetres_tell_a_quality() -> None:
         (Quality.GPS, 0.75),
         (Quality.DIFFERENTIAL, 0.25),
         (Quality.SBAS, 0.25),
-        (Quality.RTK_FIXED, 0.0),
-        (Quality.RTK_FLOAT, 0.0),
+        (Quality.RTK_FLOAT, 0.125),
+        (Quality.RTK_FIXED, 0.01),
         (Quality.UNKNOWN, 0.0),
     ],
 )
-def test_the_least_error_of_a_solution_without_carrier_phases(
-    quality: Quality, least_m: float
-) -> None:
-    assert least_sigma_m([quality, Quality.RTK_FIXED]).tolist() == pytest.approx([least_m, 0.0])
+def test_the_least_error_of_a_quality(quality: Quality, least_m: float) -> None:
+    assert least_sigma_m([quality, Quality.UNKNOWN]).tolist() == pytest.approx([least_m, 0.0])

@@ -92,12 +92,12 @@ def stating(sigma_m: float, quality: Quality, accuracy_m: float | None = None) -
         (Quality.SBAS, 0.1, 0.25),
         (Quality.GPS, 0.3, 0.75),
         (Quality.DIFFERENTIAL, 0.3, 0.3),
-        (Quality.RTK_FLOAT, 0.1, 0.1),
+        (Quality.RTK_FLOAT, 0.05, 0.125),
         (Quality.RTK_FIXED, 0.1, 0.1),
         (Quality.UNKNOWN, 0.1, 0.1),
     ],
 )
-def test_no_position_without_carrier_phases_is_surer_than_half_of_what_is_usual(
+def test_no_position_is_surer_than_half_of_what_is_usual(
     quality: Quality, stated_m: float, counts_m: float
 ) -> None:
     sigma_m = stating(stated_m, quality).trajectory.position_sigma_m
@@ -118,3 +118,19 @@ def test_only_position_sigmas_know_of_it() -> None:
     wider = other.position_sigma_m / one.position_sigma_m
     assert np.median(wider) == pytest.approx(2.5, rel=1e-3)
     assert 1.0 <= wider.min() <= wider.max() < 2.6
+
+
+@pytest.mark.parametrize("last_fixed_s", [5.0, None])
+def test_fixed_positions_vouch_for_float_ones_near_them(last_fixed_s: float | None) -> None:
+    """Here those of the first seconds, for a minute; what comes later counts as its quality."""
+    drive = simulate([Command(110.0, 1.5)], 35.0)
+    fixes = fixes_of(drive, 0.5, 0.01)
+    time_s = (fixes.time_ns - fixes.time_ns[0]) / 1e9
+    fixed = time_s <= (-1.0 if last_fixed_s is None else last_fixed_s)
+    quality = np.where(fixed, int(Quality.RTK_FIXED), int(Quality.RTK_FLOAT))
+    fixes = replace(fixes, quality=quality, sigma_m=np.full(len(fixes), 0.05))
+    found = estimate_poses(fixes, Carrier(0.0), DATUM)
+    sigma_m = found.trajectory.position_sigma_m[found.fix_row]
+    vouched = time_s < (0.0 if last_fixed_s is None else last_fixed_s + 59.0)
+    assert np.all(sigma_m[vouched] < 0.1)
+    assert np.all(sigma_m[~vouched & (time_s > 70.0)] > 0.12)

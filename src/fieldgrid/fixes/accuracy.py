@@ -10,7 +10,7 @@ from fieldgrid.quality import CENTIMETRES_M, Quality
 
 _LEAST_SIGMA_M = 0.01
 _USUAL_SHARE = 0.1
-_CODE_SOLUTIONS, _CODE_SHARE = (Quality.GPS, Quality.DIFFERENTIAL, Quality.SBAS), 0.5
+_LEAST_SHARE = 0.5
 _SIGMA_OF_CODE = np.array([q.usual_sigma_m for q in sorted(Quality)])
 
 
@@ -32,16 +32,15 @@ def position_sigma_m(quality: npt.ArrayLike, sigma_m: npt.ArrayLike) -> Float64:
 
 
 def least_sigma_m(quality: npt.ArrayLike) -> Float64:
-    """The least 1-sigma error along one horizontal axis, metres, with which positions of each
-    quality are used, whatever was stated: half of what is usual for a solution without carrier
-    phases, 0 for others.
+    """The least 1-sigma error along one horizontal axis, metres, that positions of each quality
+    have, whatever was stated: half of what is usual for it, 0 of unknown quality.
 
-    Such a receiver computes its figure from the scatter of its ranges, which the slow errors of
-    orbits, clocks and air do not enter.
+    A receiver computes its figure from the scatter of what it measures, which the slow errors of
+    orbits, clocks, air and of a float solution's waves do not enter.
     """
     code = np.asarray(quality, dtype=np.int64)
     usual = _SIGMA_OF_CODE[code - Quality.UNKNOWN]
-    return np.where(np.isin(code, _CODE_SOLUTIONS), _CODE_SHARE * usual, 0.0)
+    return np.where(code == Quality.UNKNOWN, 0.0, _LEAST_SHARE * usual)
 
 
 def known_codes(codes: npt.ArrayLike) -> Int64:

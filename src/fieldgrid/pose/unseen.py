@@ -13,17 +13,22 @@ from enum import StrEnum
 
 import numpy as np
 
+from fieldgrid.array_types import Bool
 from fieldgrid.fixes import least_sigma_m
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import names_axle
 from fieldgrid.pose.denied import CLEAR_SIGMAS, sees_speed, sees_turns
 from fieldgrid.pose.drive import DRIVING_MPS, DriveEstimate
 from fieldgrid.pose.table import PoseTable
+from fieldgrid.quality import Quality
 from fieldgrid.rig import Rig, VehicleGeometry
 from fieldgrid.smoother import Constant
 
 FAR_M = 1.0
 """A fault that is denied only from an error of so much on is not seen."""
+
+FIXED_NEAR_S = 60.0
+"""A float solution so near in time to a fixed one is hardly worse than it states."""
 
 
 class UnseenFault(StrEnum):
@@ -46,8 +51,8 @@ _WORDS = {
 def unseen_faults(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tuple[UnseenFault, ...]:
     """The faults that this drive would not show, of a vehicle as it was declared.
 
-    Of a log alone positions are those of its antenna in its own clock, so that neither can be wrong;
-    and where nobody says where the axle is, no place ahead of it is either.
+    Of a log alone positions are those of its antenna in its own clock, so that neither can be
+    wrong; and where nobody says where the axle is, no place ahead of it is either.
     """
     told, placed = drive.smoothed.declared, isinstance(vehicle, Rig)
     turns, speed = sees_turns(drive), sees_speed(drive)
@@ -82,8 +87,21 @@ def unseen_sentence(faults: Sequence[UnseenFault]) -> str:
 
 def unsure_receiver(table: PoseTable, fixes: AcceptedFixes) -> PoseTable:
     """The same poses, their positions as unsure as if the receiver had stated at least
-    :func:`~fieldgrid.fixes.least_sigma_m`. Neighbours share it."""
+    :func:`~fieldgrid.fixes.least_sigma_m`. Neighbours share it.
+
+    Float positions near fixed ones are believed: those vouch for them.
+    """
+    vouched = (fixes.quality == Quality.RTK_FLOAT) & _near_fixed(fixes)
+    least_m = np.where(vouched, 0.0, least_sigma_m(fixes.quality))
     last = np.searchsorted(fixes.time_ns, table.time_ns, side="right") - 1
-    last = np.maximum(last, 0)
-    times = np.maximum(least_sigma_m(fixes.quality) / fixes.sigma_m, 1.0)
-    return table._replace(position_sigma_m=table.position_sigma_m * times[last])
+    times = np.maximum(least_m / fixes.sigma_m, 1.0)[np.maximum(last, 0)]
+    return table._replace(position_sigma_m=table.position_sigma_m * times)
+
+
+def _near_fixed(fixes: AcceptedFixes) -> Bool:
+    """Which fixes [n] come within :data:`FIXED_NEAR_S` of a fixed solution."""
+    fixed_ns = fixes.time_ns[fixes.quality == Quality.RTK_FIXED]
+    near_ns = round(FIXED_NEAR_S * 1e9)
+    first = np.searchsorted(fixed_ns, fixes.time_ns - near_ns)
+    stop = np.searchsorted(fixed_ns, fixes.time_ns + near_ns, side="right")
+    return np.asarray(stop > first)
