@@ -2,7 +2,9 @@
 
 A vehicle, its sensors, its receiver, what that states of its error, and one fault are drawn with
 each seed. What matters is whether poses are within three of their sigmas, and of those that are
-not whether the report says so. `--each` prints every drive that is silently wrong, the worst last.
+not whether the report says so: in a note (else the drive is *silent*), or at least as a fault that
+this drive would not show (else it is *unnamed*). `--each` prints every drive that is silently
+wrong, the worst last, and `*` after those that are unnamed.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.errors import GnssError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Motion, Steps, WheelSpeed
-from fieldgrid.pose import estimate_poses
+from fieldgrid.pose import UnseenFault, estimate_poses
 from fieldgrid.pose.report import NO_AXLE
 from fieldgrid.quality import Quality
 from fieldgrid.rig import LeverArm, Lidar, Mount, Rig
@@ -46,6 +48,14 @@ FAULTS = (
     *("none", "multipath", "drift", "holes", "late stamps", "antenna aside", "antenna ahead"),
     *("gyro scale", "camera scale", "slope"),
 )
+NAMED = {
+    "antenna aside": UnseenFault.ANTENNA_ASIDE,
+    "antenna ahead": UnseenFault.ANTENNA_AHEAD,
+    "late stamps": UnseenFault.LATE_STAMPS,
+    "drift": UnseenFault.SLOW_DRIFT,
+}
+"""What a report calls these faults where a drive would not show them."""
+
 RATES_HZ = (1.0, 2.0, 5.0, 10.0)
 STATEMENTS = {"right": 1.0, "3 x too small": 1.0 / 3.0, "3 x too large": 3.0, "growing": 1.0}
 GRADES = {Quality.RTK_FIXED: 0.015, Quality.DIFFERENTIAL: 0.4, Quality.RTK_FLOAT: 0.15}
@@ -69,7 +79,8 @@ class Case(NamedTuple):
 
 class Found(NamedTuple):
     """Of a case: the share of accepted poses, those of their positions and headings that are beyond
-    three sigma, the largest errors, median sigmas, and the warnings of the report."""
+    three sigma, the largest errors, median sigmas, and of the report the warnings and the faults
+    that it names as not seen."""
 
     case: Case
     accepted: float
@@ -80,11 +91,22 @@ class Found(NamedTuple):
     most_deg: float
     sigma_deg: float
     notes: tuple[str, ...]
+    unseen: tuple[UnseenFault, ...] = ()
 
     @property
     def is_wrong(self) -> bool:
         """Whether too many of its poses are beyond three sigma."""
         return max(self.place_beyond, self.heading_beyond) > MOST_BEYOND
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether they are, and no note says that something is wrong."""
+        return self.is_wrong and not self.notes
+
+    @property
+    def is_unnamed(self) -> bool:
+        """Whether they are, and the fault is not even among those that the report names."""
+        return self.is_silent and NAMED.get(self.case.fault) not in self.unseen
 
 
 def drawn(seed: int) -> tuple[Case, np.random.Generator]:
@@ -296,12 +318,13 @@ def found(seed: int) -> Found:
         float(off_deg.max()),
         float(np.median(sigma_deg)),
         notes,
+        report.unseen,
     )
 
 
 def _each(many: Sequence[Found]) -> Iterator[str]:
     """A line a drive that is wrong and silent, the worst last."""
-    silent = [one for one in many if one.is_wrong and not one.notes]
+    silent = [one for one in many if one.is_silent]
     for one in sorted(silent, key=lambda one: max(one.place_beyond, one.heading_beyond)):
         case = one.case
         yield (
@@ -310,6 +333,7 @@ def _each(many: Sequence[Found]) -> Iterator[str]:
             f"{case.fault:<14}{case.size:>6.2f} used {percent(one.accepted):>5}"
             f" place {percent(one.place_beyond):>5} {one.most_m:>5.2f} m ({one.sigma_m:.2f})"
             f" heading {percent(one.heading_beyond):>5} {one.most_deg:>5.1f}° ({one.sigma_deg:.1f})"
+            f"{' *' if one.is_unnamed else ''}"
         )
 
 
@@ -317,7 +341,7 @@ def _table(title: str, groups: dict[str, list[Found]]) -> Iterator[str]:
     """A line a group of drives."""
     yield (
         f"{title:<44}{'drives':>7}{'used':>7}{'place in 3':>11}{'worst':>7}"
-        f"{'heading in 3':>13}{'worst':>7}{'wrong':>7}{'silent':>7}"
+        f"{'heading in 3':>13}{'worst':>7}{'wrong':>7}{'silent':>7}{'unnamed':>8}"
     )
     for name, many in groups.items():
         known = [one for one in many if np.isfinite(one.place_beyond)]
@@ -330,7 +354,8 @@ def _table(title: str, groups: dict[str, list[Found]]) -> Iterator[str]:
             f"{name:<44}{len(many):>7}{percent(float(np.mean([m.accepted for m in many])), 1):>7}"
             f"{percent(float(place.mean()), 1):>11}{percent(float(place.min())):>7}"
             f"{percent(float(heading.mean()), 1):>13}{percent(float(heading.min())):>7}"
-            f"{len(wrong):>7}{sum(not one.notes for one in wrong):>7}"
+            f"{len(wrong):>7}{sum(one.is_silent for one in wrong):>7}"
+            f"{sum(one.is_unnamed for one in wrong):>8}"
         )
 
 

@@ -28,7 +28,7 @@ KEYS = {
     *("clock_offset", "clock_jump", "clock_change", "camera_contradiction", "camera_yaw"),
     "imu_turn",
     *("gyro_bias_dps", "fix_offset", "camera_scale", "wheel_scale", "notes"),
-    *("attitude", "georeference"),
+    *("attitude", "georeference", "unseen"),
 }
 
 
@@ -68,6 +68,8 @@ def test_the_table_of_a_recording(fieldgrid: Run, out: Path) -> None:
     assert re.search(r"^datum: .* 41\.65, -4\.72, 787\.4$", text, re.MULTILINE)
     assert re.search(r"^gyro bias +-?\d\.\d{3} °/s$", text, re.MULTILINE)
     assert "note: gnss_sf1.nmea: 6 damaged sentences skipped." in lines
+    unseen = next(line for line in lines if line.startswith("unseen: "))
+    assert "farther left or right than declared or a receiver that drifts slowly" in unseen
 
 
 def test_no_image_is_needed(fieldgrid: Run, tmp_path: Path, out: Path) -> None:

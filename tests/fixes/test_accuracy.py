@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from fieldgrid.fixes import known_codes, position_sigma_m, quality_by_sigma
+from fieldgrid.fixes import known_codes, least_sigma_m, position_sigma_m, quality_by_sigma
 from fieldgrid.quality import Quality
 
 
@@ -47,3 +47,18 @@ def test_position_sigma(quality: Quality, sigma_m: float, expected: float) -> No
 def test_only_centimetres_tell_a_quality() -> None:
     found = quality_by_sigma([0.02, 0.05, 0.051, 0.3, 0.0, -1.0, math.nan])
     assert [Quality(code) for code in found] == [Quality.RTK_FIXED] * 2 + [Quality.UNKNOWN] * 5
+
+
+@pytest.mark.parametrize(
+    ("quality", "least_m"),
+    [
+        (Quality.GPS, 0.75),
+        (Quality.DIFFERENTIAL, 0.25),
+        (Quality.SBAS, 0.25),
+        (Quality.RTK_FLOAT, 0.125),
+        (Quality.RTK_FIXED, 0.01),
+        (Quality.UNKNOWN, 0.0),
+    ],
+)
+def test_the_least_error_of_a_quality(quality: Quality, least_m: float) -> None:
+    assert least_sigma_m([quality, Quality.UNKNOWN]).tolist() == pytest.approx([least_m, 0.0])

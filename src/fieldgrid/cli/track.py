@@ -152,6 +152,8 @@ def _print_json(out: Path, figure: Path | None, drive: TrackedDrive, summary: Tr
 
 
 def _report(out: Path, figure: Path | None, drive: TrackedDrive, summary: TrackSummary) -> None:
+    from fieldgrid.pose import unseen_sentence
+
     rows = [*_fix_rows(summary), *_way_rows(summary), *_sensor_rows(summary)]
     output.report_table(("", ""), rows, title=f"track {drive.name}")
     for count, example in summary.reasons[:_MOST_REASONS]:
@@ -162,6 +164,8 @@ def _report(out: Path, figure: Path | None, drive: TrackedDrive, summary: TrackS
         output.report_line(f"rejected {count}: for {len(more)} other reasons")
     for note in (*drive.notes, *summary.report.notes):
         output.report_line(f"note: {note}")
+    if summary.report.unseen:
+        output.report_line(f"unseen: {unseen_sentence(summary.report.unseen)}")
     output.report_line(f"track {out}")
     if figure is not None:
         output.report_line(f"figure {figure}")

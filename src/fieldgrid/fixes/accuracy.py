@@ -10,6 +10,7 @@ from fieldgrid.quality import CENTIMETRES_M, Quality
 
 _LEAST_SIGMA_M = 0.01
 _USUAL_SHARE = 0.1
+_LEAST_SHARE = 0.5
 _SIGMA_OF_CODE = np.array([q.usual_sigma_m for q in sorted(Quality)])
 
 
@@ -28,6 +29,18 @@ def position_sigma_m(quality: npt.ArrayLike, sigma_m: npt.ArrayLike) -> Float64:
     known = np.isfinite(stated) & (stated > 0.0)
     believed = np.maximum(np.where(known, stated, 0.0), np.maximum(floor, _LEAST_SIGMA_M))
     return np.where(known, believed, usual)
+
+
+def least_sigma_m(quality: npt.ArrayLike) -> Float64:
+    """The least 1-sigma error along one horizontal axis, metres, that positions of each quality
+    have, whatever was stated: half of what is usual for it, 0 of unknown quality.
+
+    A receiver computes its figure from the scatter of what it measures, which the slow errors of
+    orbits, clocks, air and of a float solution's waves do not enter.
+    """
+    code = np.asarray(quality, dtype=np.int64)
+    usual = _SIGMA_OF_CODE[code - Quality.UNKNOWN]
+    return np.where(code == Quality.UNKNOWN, 0.0, _LEAST_SHARE * usual)
 
 
 def known_codes(codes: npt.ArrayLike) -> Int64:

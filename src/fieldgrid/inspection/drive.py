@@ -34,7 +34,7 @@ from fieldgrid.build.report import SessionReport
 from fieldgrid.choices import StopCode
 from fieldgrid.inspection.clocks import clock_findings, clock_unknown
 from fieldgrid.inspection.coverage import coverage, coverage_findings
-from fieldgrid.inspection.findings import Finding, error, warning
+from fieldgrid.inspection.findings import Finding, error, info, warning
 from fieldgrid.inspection.fixes import (
     fix_findings,
     pose_findings,
@@ -54,7 +54,7 @@ from fieldgrid.inspection.report import Inspection
 from fieldgrid.inspection.rigs import ground_seen, mount_findings
 from fieldgrid.inspection.sampling import sample_every, stretches
 from fieldgrid.localgrid import LocalGridder
-from fieldgrid.pose import Estimate
+from fieldgrid.pose import Estimate, unseen_sentence
 from fieldgrid.pose.camera_yaw import yaw_notes
 from fieldgrid.pose.report import NO_AXLE, clock_notes
 from fieldgrid.recording import Drive, Recording
@@ -88,6 +88,8 @@ def pose_notes(estimate: Estimate) -> Iterator[Finding]:
     for note in report.notes:
         if note not in own and not note.startswith(NO_AXLE):
             yield _as_warning("poses", note)
+    if report.unseen:
+        yield info("unseen", unseen_sentence(report.unseen))
 
 
 def _as_warning(code: str, note: str) -> Finding:

@@ -11,6 +11,7 @@ from fieldgrid.pose.levelled import levelling_attitude, tells_attitude
 from fieldgrid.pose.paper import default_baseline_m
 from fieldgrid.pose.report import FixOffset, PoseReport
 from fieldgrid.pose.settings import HeadingSource, heading_source
+from fieldgrid.pose.unseen import UnseenFault, unseen_sentence
 from fieldgrid.pose.verdict import ErrorBudget
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "Georeference",
     "HeadingSource",
     "PoseReport",
+    "UnseenFault",
     "carry_lever",
     "conditioned",
     "datum_of",
@@ -33,4 +35,5 @@ __all__ = [
     "levelling_attitude",
     "no_fix_sentence",
     "tells_attitude",
+    "unseen_sentence",
 ]

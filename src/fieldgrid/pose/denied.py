@@ -65,18 +65,18 @@ def denied_by(
     speed_mps = np.abs(drive.speed_mps)
     by_clock_m = speed_mps * np.abs(clocks.offset_s(drive.time_ns))
     by_heading = names_axle(vehicle) and drive.headings_recorded
-    if not _sees_turns(drive) and not by_heading:
+    if not sees_turns(drive) and not by_heading:
         return Denied(None, None, None, by_clock_m)
     found = drive.smoothed.declared
     # Of a log alone positions are those of the antenna; and where nobody says where the axle is,
     # its place is no contradiction, and moves no position.
     placed = isinstance(vehicle, Rig)
     # An antenna aside is the faster one in a turn, which only those see who see the speed.
-    places = placed and _sees_speed(drive), placed and names_axle(vehicle)
+    places = placed and sees_speed(drive), placed and names_axle(vehicle)
     right_m = _clear(found.right_m, LEAST_LEVER_M) if places[0] else None
     ahead_m = _clear(found.ahead_m, LEAST_LEVER_M) if places[1] else None
     # Recorded headings have the stamps of the fixes.
-    late_s = _clear(found.late_s, LEAST_DELAY_S) if _sees_turns(drive) else None
+    late_s = _clear(found.late_s, LEAST_DELAY_S) if sees_turns(drive) else None
     off_m = np.hypot(math.hypot(_value(right_m), _value(ahead_m)), _value(late_s) * speed_mps)
     denied = Denied(right_m, ahead_m, late_s, off_m)
     # An axle that nobody names explains what an antenna ahead of it explains.
@@ -107,13 +107,15 @@ def with_whole_place(denied: Denied, placed: Callable[[float], DriveEstimate]) -
     return denied._replace(ahead_m=ahead_m, off_m=np.maximum(denied.off_m, abs(total_m)))
 
 
-def _sees_turns(drive: DriveEstimate) -> bool:
+def sees_turns(drive: DriveEstimate) -> bool:
+    """Whether a gyro or a camera saw how the vehicle turned, over most of the drive."""
     step_s, turned = np.diff(drive.measured.time_s), np.isfinite(drive.measured.turned_rad)
     by_gyro = float(step_s[turned].sum()) / max(float(step_s.sum()), 1e-9)
     return max(by_gyro, _camera_share(drive)) >= LEAST_SEEN_SHARE
 
 
-def _sees_speed(drive: DriveEstimate) -> bool:
+def sees_speed(drive: DriveEstimate) -> bool:
+    """Whether wheels or a camera measured its speed, over most of the drive."""
     by_wheels = float(np.mean(np.isfinite(drive.measured.speed_mps)))
     return max(by_wheels, _camera_share(drive)) >= LEAST_SEEN_SHARE
 
@@ -160,7 +162,7 @@ def denied_notes(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
             f"{late} against gyro and camera; look at how they were logged. Until then positions "
             "count as unsure by what is driven in that time."
         )
-    if drive.smoothed.declared.contradicts and not denied.clear and _sees_turns(drive):
+    if drive.smoothed.declared.contradicts and not denied.clear and sees_turns(drive):
         yield from _unfit_note(drive, denied)
 
 

@@ -30,6 +30,7 @@ from fieldgrid.pose.report import PoseReport, drive_notes, fix_offset
 from fieldgrid.pose.settings import HeadingSource, heading_source
 from fieldgrid.pose.slope import FLAT, slope_notes, slope_seen, unsure_slope
 from fieldgrid.pose.table import PoseTable, pose_table
+from fieldgrid.pose.unseen import unseen_faults, unsure_receiver
 from fieldgrid.pose.verdict import ErrorBudget, judged
 from fieldgrid.rig import LeverArm, VehicleGeometry
 from fieldgrid.settings import PoseSettings
@@ -91,6 +92,8 @@ def estimate_poses(
     checks = _checked(found, drive, rig, source, recorded)
     # A row for each fix and each instant between, as unsure as all of that makes it.
     table, fix_row = pose_table(source, log, drive, recorded_deg, axle.vehicle, settings)
+    if settings.accuracy_m is None:
+        table = unsure_receiver(table, log.accepted)
     if source.kind == "smooth":
         unsure_deg = found.trusted.unsure_at(table.time_ns)
         table = table._replace(heading_sigma_deg=np.hypot(table.heading_sigma_deg, unsure_deg))
@@ -121,6 +124,7 @@ def estimate_poses(
         offset=fix_offset(log.accepted, drive.offset_m),
         camera_scale=drive.smoothed.camera_scale,
         wheel_scale=drive.smoothed.wheel_scale,
+        unseen=unseen_faults(drive, rig),
         notes=(
             *(*found.notes, *notes),
             *slope_notes(slope, axle.vehicle),

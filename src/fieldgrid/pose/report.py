@@ -25,6 +25,7 @@ from fieldgrid.pose.georeference import Georeference
 from fieldgrid.pose.imu_turn import ImuTurn
 from fieldgrid.pose.seams import LEAP_S
 from fieldgrid.pose.settings import HeadingSource
+from fieldgrid.pose.unseen import UnseenFault
 from fieldgrid.reasons import commonest_reason
 from fieldgrid.rig import Rig, VehicleGeometry
 from fieldgrid.settings import PoseSettings
@@ -58,7 +59,8 @@ class PoseReport:
     wheels are too long. As the camera's motion has it, `clock` is the time offset between images
     and fixes, `jump` where the clock of images and gyro jumps, `clock_change` where that offset
     changes otherwise, `contradiction` how much of the motion no offset explains, `camera_yaw`
-    where the camera looks, and `imu_turn` how the IMU is turned.
+    where the camera looks, and `imu_turn` how the IMU is turned. `unseen` are faults that the drive
+    would not show: its sigmas do not cover them.
     """
 
     conditioning: ConditioningSummary
@@ -76,6 +78,7 @@ class PoseReport:
     clock_change: ClockChange | None = None
     camera_yaw: CameraYaw | None = None
     imu_turn: ImuTurn | None = None
+    unseen: tuple[UnseenFault, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON; what is unknown is null."""
@@ -101,6 +104,7 @@ class PoseReport:
             "camera_yaw": None if self.camera_yaw is None else self.camera_yaw.as_dict(),
             "imu_turn": None if self.imu_turn is None else self.imu_turn.as_dict(),
             "gyro_bias_dps": None if np.isnan(bias) else bias,
+            "unseen": [str(fault) for fault in self.unseen],
             "notes": list(self.notes),
         }
 
