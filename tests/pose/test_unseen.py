@@ -104,6 +104,18 @@ def test_no_position_is_surer_than_half_of_what_is_usual(
     assert np.median(sigma_m) == pytest.approx(counts_m, rel=0.15)
 
 
+def test_it_is_reported_with_its_remedy() -> None:
+    (note,) = (n for n in stating(0.1, Quality.DIFFERENTIAL).report.notes if "--accuracy" in n)
+    assert "differential fixes state 0.10 m in the median and count as 0.25 m" in note
+    for sigma_m, quality, accuracy_m in (
+        (0.3, Quality.DIFFERENTIAL, None),
+        (0.1, Quality.RTK_FIXED, None),
+        (0.1, Quality.DIFFERENTIAL, 0.1),
+    ):
+        notes = stating(sigma_m, quality, accuracy_m).report.notes
+        assert not [note for note in notes if "--accuracy" in note]
+
+
 def test_a_declared_accuracy_is_believed() -> None:
     found = stating(0.4, Quality.DIFFERENTIAL, accuracy_m=0.1)
     assert np.median(found.trajectory.position_sigma_m) == pytest.approx(0.1, rel=0.15)

@@ -30,7 +30,7 @@ from fieldgrid.pose.report import PoseReport, drive_notes, fix_offset
 from fieldgrid.pose.settings import HeadingSource, heading_source
 from fieldgrid.pose.slope import FLAT, slope_notes, slope_seen, unsure_slope
 from fieldgrid.pose.table import PoseTable, pose_table
-from fieldgrid.pose.unseen import unseen_faults, unsure_receiver
+from fieldgrid.pose.unseen import unseen_faults, unsure_notes, unsure_receiver
 from fieldgrid.pose.verdict import ErrorBudget, judged
 from fieldgrid.rig import LeverArm, VehicleGeometry
 from fieldgrid.settings import PoseSettings
@@ -127,6 +127,7 @@ def estimate_poses(
         unseen=unseen_faults(drive, rig),
         notes=(
             *(*found.notes, *notes),
+            *(unsure_notes(log.accepted) if settings.accuracy_m is None else ()),
             *slope_notes(slope, axle.vehicle),
             *drift_notes(checks.drifts),
             *drive_notes(

@@ -8,12 +8,12 @@ that every receiver of a kind has.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from enum import StrEnum
 
 import numpy as np
 
-from fieldgrid.array_types import Bool
+from fieldgrid.array_types import Bool, Float64
 from fieldgrid.fixes import least_sigma_m
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import names_axle
@@ -29,6 +29,9 @@ FAR_M = 1.0
 
 FIXED_NEAR_S = 60.0
 """A float solution so near in time to a fixed one is hardly worse than it states."""
+
+_CLEARLY, _LEAST_SHARE = 1.5, 0.05
+"""Fixes that count as so many times less sure than stated are reported, where they are so many."""
 
 
 class UnseenFault(StrEnum):
@@ -91,11 +94,30 @@ def unsure_receiver(table: PoseTable, fixes: AcceptedFixes) -> PoseTable:
 
     Float positions near fixed ones are believed: those vouch for them.
     """
-    vouched = (fixes.quality == Quality.RTK_FLOAT) & _near_fixed(fixes)
-    least_m = np.where(vouched, 0.0, least_sigma_m(fixes.quality))
     last = np.searchsorted(fixes.time_ns, table.time_ns, side="right") - 1
-    times = np.maximum(least_m / fixes.sigma_m, 1.0)[np.maximum(last, 0)]
+    times = np.maximum(_least_m(fixes) / fixes.sigma_m, 1.0)[np.maximum(last, 0)]
     return table._replace(position_sigma_m=table.position_sigma_m * times)
+
+
+def unsure_notes(fixes: AcceptedFixes) -> Iterator[str]:
+    """What the report says of fixes that :func:`unsure_receiver` makes much less sure."""
+    least_m = _least_m(fixes)
+    raised = least_m > _CLEARLY * fixes.sigma_m
+    for quality in map(Quality, np.unique(fixes.quality[raised])):
+        these = raised & (fixes.quality == quality)
+        if np.mean(these) >= _LEAST_SHARE:
+            stated_m, counts_m = np.median([fixes.sigma_m[these], least_m[these]], axis=1)
+            yield (
+                f"{int(these.sum())} {quality.label} fixes state {stated_m:.2f} m in the median "
+                f"and count as {counts_m:.2f} m, since a receiver's own figure does not contain "
+                "its slow errors. If yours is known to be surer, as with PPP, give --accuracy "
+                "METRES."
+            )
+
+
+def _least_m(fixes: AcceptedFixes) -> Float64:
+    vouched = (fixes.quality == Quality.RTK_FLOAT) & _near_fixed(fixes)
+    return np.where(vouched, 0.0, least_sigma_m(fixes.quality))
 
 
 def _near_fixed(fixes: AcceptedFixes) -> Bool:
