@@ -283,7 +283,7 @@ class SessionFolder(Closing):
 
     def remove(self) -> None:
         """Remove all of it: the drive is in the map, or is given up. Files of others stay."""
-        pairs = [path for path in list(self.folder.iterdir()) if _OF_PAIRS.fullmatch(path.name)]
+        pairs = [path for path in self.folder.glob("*") if _OF_PAIRS.fullmatch(path.name)]
         # Without the journal nothing of the rest counts, but for pairs.
         for path in (*pairs, *(self.folder / name for name in (POINTS, JOURNAL, GRIDS))):
             with suppress(OSError):
