@@ -93,6 +93,26 @@ def test_a_request_to_end_makes_the_map_of_what_was_driven(
     assert not (tmp_path / "m.gpkg.live").exists()
 
 
+@pytest.mark.parametrize(("ends", "status"), [(KeyboardInterrupt(), 130), (SystemExit(143), 143)])
+def test_who_interrupts_the_making_of_the_map_is_told_where_the_drive_is(
+    ends: BaseException, status: int, drive: Path, tmp_path: Path, fieldgrid: Run
+) -> None:
+    out = tmp_path / "m.gpkg"
+
+    def interrupted(*_given: object) -> None:
+        raise ends
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fieldgrid.live.finish.estimate_drive", interrupted)
+        replay = "live", "-o", out, "--replay", drive, "--rate", "max"
+        for attempt in (replay, ("live", "-o", out, "--finish")):
+            result = fieldgrid(*attempt)
+            assert result.status == status
+            assert f"the drive is kept in {out}.live, and fieldgrid live" in result.err
+            assert "--finish makes the map of it" in result.err
+    fieldgrid("live", "-o", out, "--finish").output()
+
+
 def test_another_writer_is_waited_for_as_long_as_is_said(
     drive: Path, tmp_path: Path, two_lanes_map: Path, fieldgrid: Run
 ) -> None:

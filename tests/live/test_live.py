@@ -273,6 +273,92 @@ def test_fixes_and_rows_that_a_full_disk_costs_are_told(
     assert sum(kind in ("fix", "rows") for kind, _ in journal) == pushed - int(found[1])
 
 
+def test_fixes_that_a_full_disk_never_took_are_in_the_map(
+    short_drive: Path, built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "m.gpkg"
+    with open_recording(short_drive) as recording:
+        live = begin(recording, out)
+        for frame in recording.frames():
+            live.push_frame(frame, wait=True)
+        live.drain()
+        monkeypatch.setattr(Journal, "_write", lambda _self: False)
+        push_fixes(live, recording)
+        live.finish()
+    assert content(out) == content(built)
+
+
+def test_an_end_on_a_full_disk_says_what_is_lost(
+    short_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "m.gpkg"
+    with open_recording(short_drive) as recording:
+        live = begin(recording, out)
+        push_fixes(live, recording)
+        for frame in recording.frames():
+            live.push_frame(frame, wait=True)
+        live.drain()
+        monkeypatch.setattr(Journal, "_write", lambda _self: False)
+        live.push_gyro(1, 0.0)
+
+        def full(*_given: object, **_options: object) -> None:
+            raise MapWriteError(errno.ENOSPC, "The disk is full.")
+
+        monkeypatch.setattr("fieldgrid.live.finish.create_map", full)
+        with pytest.raises(MapWriteError, match="but for the last 1 records") as caught:
+            live.finish()
+        assert "--finish tries again" in str(caught.value)
+        monkeypatch.undo()
+    assert finish_session(out).used == 6
+
+
+def test_times_that_no_map_can_have_are_refused_and_not_kept(
+    short_drive: Path, tmp_path: Path
+) -> None:
+    with open_recording(short_drive) as recording:
+        live = begin(recording, tmp_path / "m.gpkg")
+        fix, frame = next(iter(recording.fixes())), next(iter(recording.frames()))
+        for time_ns in (-1, 1 << 63, 1 << 70):
+            with pytest.raises(ConfigError, match=f"UTC\\): {time_ns}"):
+                live.push_fix(fix._replace(time_ns=time_ns))
+            with pytest.raises(ConfigError, match=f"UTC\\): {time_ns}"):
+                live.push_pair(*frame.images(), time_ns)
+        live.stop()
+        assert (live.counts.fixes, live.counts.frames) == (0, 0)
+    assert [kind for kind, _ in read_journal(live.folder / "journal")] == ["begin"]
+
+
+def test_images_of_another_kind_are_told_and_left_out(short_drive: Path, tmp_path: Path) -> None:
+    told = Told()
+    with open_recording(short_drive) as recording:
+        live = begin(recording, tmp_path / "m.gpkg", on_result=told)
+        left, right = next(iter(recording.frames())).images()
+        wrong: list[Any] = [np.dstack([left] * 3), left.astype(np.uint16), None]
+        for k, image in enumerate(wrong):
+            live.push_pair(image, right, 1_000_000_000 + k, wait=True)
+        live.stop()
+    texts = told.texts("frame bad")
+    for text, what in zip(texts, ("uint8 [480, 640, 3]", "uint16", "NoneType"), strict=True):
+        assert f"/left is {what}" in text
+        assert "push a grey image of 8 bit" in text
+
+
+def test_frames_of_a_clock_that_was_put_back_say_what_to_do(
+    short_drive: Path, tmp_path: Path
+) -> None:
+    told = Told()
+    with open_recording(short_drive) as recording:
+        live = begin(recording, tmp_path / "m.gpkg", on_result=told)
+        left, right = next(iter(recording.frames())).images()
+        day_s = 86_400
+        assert live.push_pair(left, right, 2 * day_s * 10**9, wait=True)
+        assert not live.push_pair(left, right, day_s * 10**9)
+        live.stop()
+    (text,) = told.texts("frame late")
+    assert "86400 s before the newest one" in text
+    assert "end this session and begin another" in text
+
+
 def test_a_frame_that_cannot_be_read_is_told_and_left_out(
     short_drive: Path, tmp_path: Path
 ) -> None:

@@ -15,12 +15,13 @@ from typing import Any
 
 import pytest
 
-from fieldgrid.errors import MapError
+from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.fixes import Fix
 from fieldgrid.live import Live, finish_session, live_folder, replay
-from fieldgrid.live.journal import Journal, read_journal
+from fieldgrid.live.journal import DAMAGED, MAGIC, Journal, read_journal
 from fieldgrid.live.sensor_rows import fix_from_json, fix_to_json
 from fieldgrid.live.session_folder import MOST_PAIRS, SessionFolder
+from fieldgrid.mapfile import open_map
 from fieldgrid.quality import Quality
 from fieldgrid.recording import open_recording
 from tests.build.making import content
@@ -92,14 +93,56 @@ def test_a_damaged_record_costs_itself_alone(tmp_path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0x55
     path.write_bytes(data)
-    values = [value for _, value in read_journal(path)]
+    records = list(read_journal(path))
+    values = [value for kind, value in records if kind == "rows"]
     assert len(values) == 8
+    (lost,) = [value for kind, value in records if kind == DAMAGED]
+    assert 0 < lost < len(data) / 8
     with Journal(path) as journal:
         journal.append("rows", 9)
-    assert [value for _, value in read_journal(path)] == [*values, 9]
+    rows = [value for kind, value in read_journal(path) if kind == "rows"]
+    assert rows == [*values, 9]
     path.write_bytes(b"something else altogether")
     with pytest.raises(MapError, match="no journal"):
         Journal(path)
+
+
+def test_records_behind_a_long_damage_are_found_and_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fieldgrid.live.journal._SEARCHED_BYTES", 64)
+    path = tmp_path / "journal"
+    with Journal(path) as journal:
+        journal.append("rows", 1)
+    first = path.read_bytes()
+    hole = bytes(2_000)
+    path.write_bytes(first + hole + first[len(MAGIC) :])
+    for _ in range(2):
+        assert list(read_journal(path)) == [("rows", 1), (DAMAGED, len(hole)), ("rows", 1)]
+        Journal(path).close()
+    # Its own first line may be what is damaged.
+    path.write_bytes(b"\0" + first[1:])
+    assert list(read_journal(path)) == [(DAMAGED, len(MAGIC)), ("rows", 1)]
+    Journal(path).close()
+    assert path.read_bytes() == first
+
+
+def test_what_a_disk_did_not_take_is_told_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, disk = tmp_path / "journal", SmallDisk(1 << 20)
+    with Journal(path) as journal:
+        disk.room = 50  # the second record is written in part
+        monkeypatch.setattr("fieldgrid.live.journal.os.pwrite", disk.pwrite)
+        for k in range(4):
+            journal.append("rows", [k] * 5)
+        on_disk = list(read_journal(path))
+        assert len(on_disk) == 1
+        assert [*on_disk, *journal.waiting()] == [("rows", [k] * 5) for k in range(4)]
+        disk.room = 1 << 20
+        assert journal.sync()
+        assert journal.waiting() == []
+    assert list(read_journal(path)) == [("rows", [k] * 5) for k in range(4)]
 
 
 def test_a_fix_comes_back_as_it_was() -> None:
@@ -139,6 +182,38 @@ def test_files_that_are_cut_off_anywhere_lose_their_end_only(
         assert live.counts.frames == len(had) < len(frames)
         replay(live, recording, rate=None)
     assert content(out) == content(built_level)
+
+
+def test_a_session_whose_beginning_is_damaged_goes_on(
+    short_drive: Path, built: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "m.gpkg"
+    journal = staged(short_drive, out) / "journal"
+    data = bytearray(journal.read_bytes())
+    data[len(MAGIC) + 40] ^= 0x55
+    journal.write_bytes(data)
+    with pytest.raises(ConfigError, match="same rig and settings"):
+        finish_session(out)
+    with open_recording(short_drive) as recording:
+        live = begin(recording, out)
+        assert live.counts.frames == 6
+        assert live.counts.fixes == len(recording.fixes())
+        report = live.finish()
+    (note,) = report.notes
+    assert "journal were damaged" in note
+    with open_map(out) as ours, open_map(built) as theirs:
+        assert [f.pose for f in ours.frames("drive")] == [f.pose for f in theirs.frames("drive")]
+
+
+def test_files_of_others_beside_a_session_stay(short_drive: Path, tmp_path: Path) -> None:
+    folder = live_folder(tmp_path / "m.gpkg")
+    folder.mkdir()
+    (folder / "notes.txt").write_text("mine")
+    (folder / "00000000-left.png.txt").write_text("mine")
+    (folder / ".00000000-left.png.0a1b2c3d.partial.png").touch()  # a kill left it
+    staged(short_drive, tmp_path / "m.gpkg")
+    finish_session(tmp_path / "m.gpkg")
+    assert sorted(path.name for path in folder.iterdir()) == ["00000000-left.png.txt", "notes.txt"]
 
 
 def test_an_end_that_was_killed_after_the_commit_is_not_done_twice(

@@ -269,6 +269,23 @@ def test_a_client_that_does_not_read_misses_grids_and_holds_up_nobody() -> None:
     assert text.startswith("A client of Foxglove missed ")
 
 
+def test_a_client_that_does_not_read_is_cut_off_at_the_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("fieldgrid.live_servers.foxglove._CLOSE_S", 0.05)
+    served = FoxgloveServer(port=0)
+    with Client(served, ahead=1) as sleeps:
+        sleeps.subscribe("/costmap")
+        sleeps.settle()
+        big, number = noisy(BIG, pose_of(1.0, 2.0)), 0
+        while not served._clients[0].missed:
+            number += 1
+            assert number < MANY
+            served.take(big)
+        served.close()
+        assert not served._thread.is_alive()
+
+
 def test_what_waits_is_bounded_and_what_gives_way_is_counted() -> None:
     client = foxglove._Client()
     message = foxglove._Message(0, lambda: None)  # type: ignore[arg-type, return-value]

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-import signal
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,10 +15,10 @@ from fieldgrid.cli import options, output, progress
 from fieldgrid.cli.build_report import report_session
 from fieldgrid.cli.drive_options import DriveFlags
 from fieldgrid.cli.groups import FieldsOf
+from fieldgrid.cli.live_signals import ended_by_signals, kept_when_interrupted
 from fieldgrid.cli.live_sources import GNSS, LiveInput, SourceFlags, of_recording, of_sources, speed
 from fieldgrid.cli.pose_flags import PoseFlags, Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
-from fieldgrid.errors import printable
 from fieldgrid.settings import Overrides
 
 if TYPE_CHECKING:
@@ -236,7 +233,7 @@ def _drive(
             on_result=watch.take,
         )
         watch.live = live
-        with _ended_by_signals() as stop:
+        with ended_by_signals() as stop:
             try:
                 all_of_it = driven.run(live, stop)
             except BaseException:
@@ -246,16 +243,9 @@ def _drive(
                 output.message("ending the drive and making its map; interrupt again to cancel")
         watch.making_the_map()
         patience = Patience(wait_s, progress.waits_for(out, wait_s))
-        try:
+        with kept_when_interrupted(live.folder, out):
             report = live.finish(progress=watch.making_the_map, patience=patience)
             return report, live.counts  # with the frames that still waited
-        except KeyboardInterrupt:
-            said = (
-                f"fieldgrid: interrupted; the drive is kept in {live.folder}, and fieldgrid live "
-                f"-o {out} --finish makes the map of it."
-            )
-            typer.echo(printable(said), err=True)
-            raise typer.Exit(130) from None
 
 
 def _feed(text: str, watch: _Watch) -> Feed | DatagramFeed:
@@ -286,20 +276,6 @@ def _foxglove(text: str, session: str, watch: _Watch) -> FoxgloveServer:
     host, port = server.address
     output.message(f"Foxglove can connect to ws://{host}:{port}")
     return server
-
-
-@contextmanager
-def _ended_by_signals() -> Iterator[threading.Event]:
-    """In the block Ctrl-C and SIGTERM set an event, and interrupt nothing."""
-    stop = threading.Event()
-    before = {
-        one: signal.signal(one, lambda *_: stop.set()) for one in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield stop
-    finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)
 
 
 class _Watch:
@@ -370,10 +346,10 @@ def _finished(
     settings: Overrides,
     wait_s: float,
 ) -> SessionReport:
-    from fieldgrid.live import finish_from, finish_session
+    from fieldgrid.live import finish_from, finish_session, live_folder
     from fieldgrid.mapfile import Patience
 
-    with progress.building(out, wait_s) as tell:
+    with kept_when_interrupted(live_folder(out), out), progress.building(out, wait_s) as tell:
         patience = Patience(wait_s, tell.waiting)
         if recording is None:
             return finish_session(out, settings, progress=tell.show, patience=patience)

@@ -144,8 +144,9 @@ def finish(
         placed = _placed(kept, kept.recording(), settings, progress, patience or Patience())
     except FieldgridError as error:
         sentence = str(error).removesuffix(".")
+        lost = "" if kept.sync() else kept.unwritten()
         raise type(error)(
-            f"{sentence}. The drive is kept in {kept.folder}; fieldgrid live -o {kept.out} "
+            f"{sentence}. The drive is kept in {kept.folder}{lost}; fieldgrid live -o {kept.out} "
             "--finish tries again, with pose options or --accept, and --discard gives it up."
         ) from error
     report = placed.report

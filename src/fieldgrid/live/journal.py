@@ -10,10 +10,11 @@ import json
 import os
 import threading
 import zlib
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from struct import Struct
-from typing import Any
+from typing import Any, BinaryIO
 
 from fieldgrid.closing import Closing
 from fieldgrid.documents import parse_json
@@ -24,6 +25,9 @@ _RECORD = Struct("<4sII")
 """Of each record: a mark, the length of its JSON, the CRC-32 of that."""
 _MARK = b"\xf1LIV"
 MAX_RECORD_BYTES = 64 << 20
+_SEARCHED_BYTES = 1 << 20
+"""So much is read at a time to find the next record behind a damaged one."""
+DAMAGED = "damaged"
 MAX_WAITING_BYTES = 16 << 20
 """What waits in memory while the disk takes nothing: minutes of all sensors."""
 
@@ -38,17 +42,19 @@ class Journal(Closing):
         """Open a journal, or make it. MapError for another file, OSError where there can be
         none."""
         self._lock = threading.Lock()
-        self._waiting = bytearray()
+        self._waiting: deque[bytes] = deque()
+        self._waiting_bytes = 0
+        self._part = 0  # bytes of the first that waits which are written
         self._synced = True
         self.lost = 0
         """Records that no longer fitted into memory while the disk took nothing."""
         self._file: int | None = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
-            if os.fstat(self._file).st_size < len(MAGIC):
-                os.pwrite(self._file, MAGIC, 0)
+            is_new = os.fstat(self._file).st_size < len(MAGIC)
             self._end = len(MAGIC)
-            for self._end, _ in _scan(path):
+            for self._end, _ in () if is_new else _scan(path):
                 pass
+            os.pwrite(self._file, MAGIC, 0)  # it may be damaged
             os.ftruncate(self._file, self._end)
         except BaseException:
             self.close()
@@ -60,11 +66,18 @@ class Journal(Closing):
         body = json.dumps([kind, value], ensure_ascii=False, separators=(",", ":")).encode()
         record = _RECORD.pack(_MARK, len(body), zlib.crc32(body)) + body
         with self._lock:
-            if len(self._waiting) + len(record) > MAX_WAITING_BYTES:
+            if self._waiting_bytes + len(record) > MAX_WAITING_BYTES:
                 self.lost += 1
                 return False
-            self._waiting += record
+            self._waiting.append(record)
+            self._waiting_bytes += len(record)
             return self._write()
+
+    def waiting(self) -> list[Record]:
+        """The records that the disk did not take yet, in order: they follow those of the file."""
+        with self._lock:
+            bodies = [record[_RECORD.size :] for record in self._waiting]
+        return [record for body in bodies if (record := _record(body)) is not None]
 
     def _write(self) -> bool:
         """Write what waits; whole records, since a part of one counts as none."""
@@ -72,10 +85,14 @@ class Journal(Closing):
             return False
         try:
             while self._waiting:
-                written = os.pwrite(self._file, self._waiting, self._end)
+                record = self._waiting[0]
+                written = os.pwrite(self._file, record[self._part :], self._end)
                 self._end += written
-                del self._waiting[:written]
+                self._part += written
                 self._synced = False
+                if self._part == len(record):
+                    self._waiting_bytes -= len(self._waiting.popleft())
+                    self._part = 0
         except OSError:
             return False
         return True
@@ -107,47 +124,46 @@ class Journal(Closing):
 
 
 def read_journal(path: Path) -> Iterator[Record]:
-    """The records of a journal, in order. MapError for another file."""
+    """The records of a journal, in order, and `(DAMAGED, bytes)` for a stretch between or before
+    them that cannot be read. MapError for another file."""
     for _, record in _scan(path):
         yield record
 
 
 def _scan(path: Path) -> Iterator[tuple[int, Record]]:
-    """Each whole record, and where the next one goes."""
+    """Each whole record or stretch that is damaged, and where the next one goes."""
     with path.open("rb") as file:
-        if file.read(len(MAGIC)) != MAGIC:
-            raise MapError(f"{path} is no journal of a live session. Check the name.")
+        is_journal = file.read(len(MAGIC)) == MAGIC
         offset = len(MAGIC)
-        while True:
-            file.seek(offset)
-            head = file.read(_RECORD.size)
-            if len(head) < _RECORD.size:
-                return
-            mark, length, check = _RECORD.unpack(head)
-            body = file.read(length) if mark == _MARK and length <= MAX_RECORD_BYTES else b""
-            record = _record(body) if len(body) == length and zlib.crc32(body) == check else None
-            if record is not None:
-                offset += _RECORD.size + length
-                yield offset, record
-                continue
-            file.seek(offset + 1)
-            found = _next_mark(file.read(MAX_RECORD_BYTES))
-            if found is None:
-                return
-            offset += 1 + found
+        while (found := _next_record(file, offset)) is not None:
+            start, end, record = found
+            if start > offset or not is_journal:
+                yield start, (DAMAGED, start - offset if is_journal else start)
+            is_journal = True
+            offset = end
+            yield offset, record
+        if not is_journal:
+            raise MapError(f"{path} is no journal of a live session. Check the name.")
 
 
-def _next_mark(data: bytes) -> int | None:
-    """Where the next record that is whole begins."""
-    at = data.find(_MARK)
-    while at >= 0:
-        if at + _RECORD.size <= len(data):
-            _, length, check = _RECORD.unpack_from(data, at)
-            body = data[at + _RECORD.size : at + _RECORD.size + length]
-            if len(body) == length and zlib.crc32(body) == check:
-                return at
-        at = data.find(_MARK, at + 1)
-    return None
+def _next_record(file: BinaryIO, offset: int) -> tuple[int, int, Record] | None:
+    """Where the first whole record from `offset` on begins and ends, and what it is; None where
+    none follows."""
+    while True:
+        file.seek(offset)
+        head = file.read(_RECORD.size)
+        if len(head) < _RECORD.size:
+            return None
+        mark, length, check = _RECORD.unpack(head)
+        if mark == _MARK and length <= MAX_RECORD_BYTES:
+            body = file.read(length)
+            if len(body) == length and zlib.crc32(body) == check and (record := _record(body)):
+                return offset, offset + _RECORD.size + length, record
+        file.seek(offset + 1)
+        searched = file.read(_SEARCHED_BYTES)
+        at = searched.find(_MARK)
+        # A mark may lie across the end of what was searched.
+        offset += 1 + (at if at >= 0 else max(0, len(searched) - len(_MARK) + 1))
 
 
 def _record(body: bytes) -> Record | None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from fieldgrid.build.staging import Found
 from fieldgrid.errors import MapError
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
-from fieldgrid.live.journal import read_journal
+from fieldgrid.live.journal import DAMAGED, Record, read_journal
 from fieldgrid.live.points_file import RecordSpan, points_end
 from fieldgrid.live.sensor_rows import Rows, fix_from_json, rows_from_json
 from fieldgrid.mapfile import StageEntry
@@ -121,6 +122,8 @@ class PushedDrive:
     frames: list[KeptFrame] = field(default_factory=list)
     bad: list[tuple[int, BadFrame]] = field(default_factory=list)
     dropped: int = 0
+    damaged_bytes: int = 0
+    """Of the journal, what cannot be read any more."""
     cut_at: int | None = None
     """The number of the first frame whose points were lost with the power: it does not count."""
     times: StageTimes = field(default_factory=StageTimes)
@@ -132,16 +135,25 @@ def live_folder(out: Path) -> Path:
     return place.with_name(f"{place.name}.live")
 
 
-def read_drive(folder: Path, entries: Sequence[StageEntry]) -> PushedDrive | None:
-    """What a journal holds, with the frames that the stage file has as well, and the file of points
-    if their points were kept; None without a beginning: then nothing was pushed."""
+def read_drive(
+    folder: Path, entries: Sequence[StageEntry], waiting: Iterable[Record] = ()
+) -> PushedDrive | None:
+    """What a journal holds, and what is `waiting` to be written to it, with the frames that the
+    stage file has as well, and the file of points if their points were kept; None without a
+    beginning. One that a damage took is written anew behind the rest."""
     drive: PushedDrive | None = None
+    before: list[Record] = []
     end = points_end(folder / POINTS)
     try:
-        for kind, value in read_journal(folder / JOURNAL):
+        for kind, value in chain(read_journal(folder / JOURNAL), waiting):
             if kind == "begin":
                 drive = drive or PushedDrive(SessionStart.from_json(value))
-            elif drive is not None:
+                for record in before:
+                    _take(drive, *record, entries)
+                before.clear()
+            elif drive is None:
+                before.append((kind, value))
+            else:
                 _take(drive, kind, value, entries)
         if drive is not None and end is not None:
             while drive.frames and not drive.frames[-1].is_within(end):
@@ -178,6 +190,8 @@ def _take(drive: PushedDrive, kind: str, value: Any, entries: Sequence[StageEntr
         drive.bad.append((time_ns, BadFrame(*bad)))
     elif kind == "dropped":
         drive.dropped += 1
+    elif kind == DAMAGED:
+        drive.damaged_bytes += value
 
 
 def _cut(drive: PushedDrive, number: int) -> None:

@@ -25,7 +25,7 @@ from fieldgrid.live.kept_drive import SessionStart
 from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiver import Perceiver
 from fieldgrid.live.poser import Poser
-from fieldgrid.live.pushed import Pushed, warm_up
+from fieldgrid.live.pushed import Pushed, PushedImage, warm_up
 from fieldgrid.live.results import Counts, Deliverer, LiveEvent, LiveResult, Outbox, What
 from fieldgrid.live.sensor_rows import Rows, rows_of
 from fieldgrid.live.session_folder import SessionFolder
@@ -175,7 +175,7 @@ class Live(Closing):
         """
         camera = self.rig.camera
         name, size_px = self._frame_id(frame_id), (camera.width_px, camera.height_px)
-        sides = Pushed(f"{name}/left", left), Pushed(f"{name}/right", right)
+        sides = PushedImage(f"{name}/left", left), PushedImage(f"{name}/right", right)
         return self.push_frame(StereoFrame(name, int(time_ns), *sides, size_px), wait=wait)
 
     def push_depth(
@@ -219,9 +219,9 @@ class Live(Closing):
         """A fix, in any order; one that comes later than the lag counts at the end only."""
         self._check_open()
         with self._lock:
+            self._note_disk(self._kept.add_fix(fix), fix.time_ns)
             self._fixes += 1
             self._heard_ns = max(self._heard_ns, fix.time_ns)
-            self._note_disk(self._kept.add_fix(fix), fix.time_ns)
         self._poser.put(fix)
 
     def push_nmea(self, data: bytes) -> int:

@@ -20,8 +20,9 @@ from fieldgrid.grids import LocalGrid
 from fieldgrid.live.kept_drive import KeptFrame
 from fieldgrid.live.results import LiveEvent, LiveGrid, LiveResult, What
 from fieldgrid.live.running_tilt import TellTilt
+from fieldgrid.live.sensor_rows import check_time
 from fieldgrid.live.session_folder import SessionFolder
-from fieldgrid.live.stamps import Stamps
+from fieldgrid.live.stamps import OFF_S, Stamps
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import StagedFrame
 from fieldgrid.odometry import CameraStep, Features, step
@@ -122,7 +123,8 @@ class Perceiver:
         """Let a frame be perceived; False where it is not, since it is not newer than the one
         before or since no frame is taken any more. With `wait` it waits for its turn where none
         may be dropped. One that is stamped ahead of all else is held until it is clear what time it
-        is."""
+        is. ConfigError for a time that no map can have."""
+        check_time("a frame", frame.time_ns)
         with self._pushing:
             judged = self._stamps.frame(self._time_ns(frame))
             self._leave_refuted()
@@ -161,7 +163,8 @@ class Perceiver:
         dropped = None
         with self._changed:
             is_again = time_ns == self._again_ns and self._last is None
-            is_late = self._newest_ns is not None and time_ns <= self._newest_ns and not is_again
+            newest_ns = self._newest_ns if self._newest_ns is not None else time_ns - 1
+            is_late = time_ns <= newest_ns and not is_again
             if not is_late:
                 if wait:
                     self._changed.wait_for(lambda: self._closed or len(self._queue) < self._most)
@@ -174,7 +177,14 @@ class Perceiver:
                 self._newest_ns, self._again_ns = time_ns, None
                 self._changed.notify_all()
         if is_late:
-            self._leave(frame, "is not newer than the one before")
+            behind_s = (newest_ns - time_ns) / 1e9
+            why = "is not newer than the one before"
+            if behind_s > OFF_S:
+                why = (
+                    f"is stamped {behind_s:.0f} s before the newest one (where its clock was put "
+                    "back, end this session and begin another)"
+                )
+            self._leave(frame, why)
         if dropped is not None:
             self._kept.add_dropped(dropped.frame_id, dropped.time_ns)
             text = (

@@ -52,6 +52,24 @@ class Pushed:
         return b""
 
 
+class PushedImage(Pushed):
+    """The same of a grey image. Reading raises RecordingError for what is none."""
+
+    __slots__ = ()
+
+    def read(self) -> Any:
+        """The values, uint8 [height, width]."""
+        values = self.values
+        if isinstance(values, np.ndarray) and values.dtype == np.uint8 and values.ndim == 2:
+            return values
+        what = type(values).__name__
+        if isinstance(values, np.ndarray):
+            what = f"{values.dtype} {list(values.shape)}"
+        raise RecordingError(
+            f"{self.name} is {what}; push a grey image of 8 bit, uint8 [height, width]."
+        )
+
+
 def warm_up(gridder: LocalGridder, *, odometry: bool) -> None:
     """Stage a frame of level ground with noise on it, and forget it: what a frame goes through is
     compiled or loaded then, which takes seconds, and the first frames need not wait for it."""

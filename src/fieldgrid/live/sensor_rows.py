@@ -44,6 +44,14 @@ class Rows(NamedTuple):
     columns: tuple[AnyArray, ...]
 
 
+def check_time(what: str, time_ns: int) -> None:
+    """Raise ConfigError for what no time of a drive can be: no map could have it."""
+    if not 0 <= time_ns < MOST_NS:
+        raise ConfigError(
+            f"The time of {what} is no number of nanoseconds since 1970 (UTC): {time_ns}."
+        )
+
+
 def rows_of(part: str, time_ns: npt.ArrayLike, *columns: npt.ArrayLike) -> Rows:
     """Rows of a part of the motion, one or many; ConfigError for what cannot be rows of it."""
     times = np.atleast_1d(np.asarray(time_ns, dtype=np.int64))

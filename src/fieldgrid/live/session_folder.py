@@ -7,7 +7,7 @@ frame counts when all files have it, so a kill between two of them loses that fr
 
 from __future__ import annotations
 
-import shutil
+import re
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -25,7 +25,7 @@ from fieldgrid.closing import Closing
 from fieldgrid.errors import ConfigError, MapError, MapWriteError
 from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.live.given import GIVEN_ROWS, NO_POSES, body_poses
-from fieldgrid.live.journal import Journal
+from fieldgrid.live.journal import Journal, read_journal
 from fieldgrid.live.kept_drive import (
     GRIDS,
     JOURNAL,
@@ -39,7 +39,7 @@ from fieldgrid.live.kept_drive import (
 from fieldgrid.live.kept_points import KeptPoints
 from fieldgrid.live.options import POINTS_GB
 from fieldgrid.live.pairs import KeptPairs, pair_numbers
-from fieldgrid.live.sensor_rows import Rows, fix_to_json, motion_of, rows_to_json
+from fieldgrid.live.sensor_rows import Rows, check_time, fix_to_json, motion_of, rows_to_json
 from fieldgrid.mapfile import StagedFrame, StageFile
 from fieldgrid.odometry import Refusal
 from fieldgrid.publish import holding, replacing
@@ -50,6 +50,9 @@ from fieldgrid.rig import StereoCamera
 MOST_PAIRS, PAIR_EVERY_NS = 12, 500_000_000
 """Pairs that are kept to check the cameras: every one at first, then every second, and so on; none
 of frames that follow faster, since a pair takes as much as a third of a frame."""
+
+_OF_PAIRS = re.compile(r"\d{8,}-(left|right)\.png|\.\d{8,}-(left|right)\.png\..{8}\.partial.*")
+"""Files of pairs, also such as a kill left half-written."""
 
 
 class SessionFolder(Closing):
@@ -99,12 +102,20 @@ class SessionFolder(Closing):
     def _begun(self, about: SessionStart | None) -> PushedDrive:
         drive = read_drive(self.folder, self.stage.entries)
         if drive is None:
+            is_damaged = next(read_journal(self.folder / JOURNAL), None) is not None
+            if about is None and is_damaged:
+                raise ConfigError(
+                    f"The beginning of the session in {self.folder} is damaged. Run the command "
+                    "that began it again, with the same rig and settings: it goes on with what is "
+                    "kept, and its end makes the map. Or remove the folder."
+                )
             if about is None:
                 raise ConfigError(f"{self.folder} holds no session; remove it.")
             self.journal.append("begin", about.to_json())
             self.stage.sync()
             self.journal.sync()
-            return PushedDrive(about)
+            drive = read_drive(self.folder, self.stage.entries) if is_damaged else None
+            drive = drive or PushedDrive(about)
         if about is not None and not about.goes_on(drive.about):
             raise ConfigError(
                 f"{self.folder} holds the session {drive.about.name!r}, which was ended before it "
@@ -133,7 +144,9 @@ class SessionFolder(Closing):
         return points
 
     def add_fix(self, fix: Fix) -> bool:
-        """Keep a fix; this and what follows is False while the disk takes nothing."""
+        """Keep a fix; this and what follows is False while the disk takes nothing. ConfigError for
+        a time that no map can have."""
+        check_time("a fix", fix.time_ns)
         return self.journal.append("fix", fix_to_json(fix))
 
     def add_rows(self, part: str, rows: Rows) -> bool:
@@ -200,10 +213,18 @@ class SessionFolder(Closing):
             return False
         return True
 
+    def unwritten(self) -> str:
+        """A remark on what was pushed and is in memory alone; empty where all is in the file."""
+        count = len(self.journal.waiting())
+        if not count:
+            return ""
+        return f", but for the last {count} records of sensors, which the full disk did not take"
+
     def read(self) -> PushedDrive:
         """What was pushed so far."""
         self.stage.recall()
-        return read_drive(self.folder, self.stage.entries) or self.drive
+        waiting = self.journal.waiting()  # a full disk took nothing of it
+        return read_drive(self.folder, self.stage.entries, waiting) or self.drive
 
     def staged(self) -> Staged:
         """The frames, as a build has them of its drive."""
@@ -233,6 +254,11 @@ class SessionFolder(Closing):
         notes = about.notes
         if drive.dropped:
             notes += (f"{drive.dropped} frames were dropped while it was driven.",)
+        if drive.damaged_bytes:
+            notes += (
+                f"{drive.damaged_bytes} bytes of the session's journal were damaged; what they "
+                "held is lost. Check the disk.",
+            )
         recording = Recording(
             path=self.folder,
             name=about.name,
@@ -256,8 +282,14 @@ class SessionFolder(Closing):
         self.stage.forget()
 
     def remove(self) -> None:
-        """Remove all of it: the drive is in the map, or is given up."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        """Remove all of it: the drive is in the map, or is given up. Files of others stay."""
+        pairs = [path for path in self.folder.glob("*") if _OF_PAIRS.fullmatch(path.name)]
+        # Without the journal nothing of the rest counts, but for pairs.
+        for path in (*pairs, *(self.folder / name for name in (POINTS, JOURNAL, GRIDS))):
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+        with suppress(OSError):
+            self.folder.rmdir()
         self.close()
 
     def close(self) -> None:

@@ -55,6 +55,8 @@ _MOST_ASKED_BYTES = 65_536
 _DATA = struct.Struct("<BIQ")
 _DATA_OP = 1
 _PATIENCE_S = 10.0
+_CLOSE_S = 2.0
+"""A client that does not read is cut off at the end after so long."""
 
 
 class FoxgloveTopic(NamedTuple):
@@ -233,8 +235,15 @@ class FoxgloveServer(Closing):
             max_size=_MOST_ASKED_BYTES,
             server_header=None,
             logger=silent,
-        ):
+        ) as server:
             await self._closing.wait()
+            connections = server.connections
+            server.close()
+            try:
+                await asyncio.wait_for(server.wait_closed(), _CLOSE_S)
+            except TimeoutError:
+                for connection in connections:
+                    connection.transport.abort()
 
     async def _connected(self, connection: ServerConnection) -> None:
         from websockets.exceptions import ConnectionClosed

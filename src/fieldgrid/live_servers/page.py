@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import secrets
 import threading
 from collections.abc import AsyncIterator
@@ -88,6 +89,8 @@ class LivePage(Closing):
             self._is_closed = True
             self._wake()
             self._server.should_exit = True
+            # A client that does not read is cut off, which the server reports as a failure.
+            logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
             self._thread.join(_LEAST_PATIENCE_S)
             self._listening.close()
 
