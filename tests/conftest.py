@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
     from fieldgrid.build import SessionReport
+    from tests.clusters import Cluster
 
 # The first example of a kernel compiles it, and the machine has other work: time says nothing here.
 settings.register_profile("untimed", deadline=None)
@@ -259,6 +260,22 @@ def worked_out_once() -> Iterator[None]:
 def worked_out_afresh() -> None:
     """For tests of threads, processes and memory in a folder where the others share what was worked
     out: nothing is remembered for them."""
+
+
+@pytest.fixture(scope="session")
+def _one_cluster() -> Iterator[Cluster]:
+    pytest.importorskip("distributed")
+    from tests.clusters import started
+
+    with started() as one:
+        yield one
+
+
+@pytest.fixture
+def cluster(_one_cluster: Cluster) -> Cluster:
+    """A Dask cluster with all its workers: that of this process, for what needs no other."""
+    _one_cluster.complete()
+    return _one_cluster
 
 
 @pytest.fixture(scope="session")

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import signal
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import pytest
 from typer.testing import CliRunner
@@ -17,8 +14,8 @@ from typer.testing import CliRunner
 from fieldgrid.cli import app
 from fieldgrid.errors import ClusterError, ConfigError, MapError, MapWriteError
 from fieldgrid.mapfile import Patience, database, open_map
-from fieldgrid.workers.cluster import Ended
-from fieldgrid.workers.remote import OnCluster
+from fieldgrid.workers import connecting
+from tests.clusters import Cluster
 from tests.mapfile.content import content
 from tests.mapfile.maps import drive, track, write_map
 
@@ -49,48 +46,27 @@ def spoiled(sound: Path, tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def local() -> Iterator[distributed.LocalCluster]:
-    """Two workers, processes of this machine, started again when they die."""
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
-    ) as made:
-        yield made
-
-
 def test_a_cluster_of_which_a_worker_is_killed_repairs_to_the_bits_of_one_process(
     sound: Path,
     spoiled: Path,
-    local: distributed.LocalCluster,
+    cluster: Cluster,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    told, killed, worked = OnCluster._told, list[int](), set[str]()
-
-    def kill_one(self: OnCluster, group: int, what: Any) -> None:
-        if isinstance(what, Ended):
-            worked.add(what.task.name)
-            if not killed:
-                killed.append(next(iter(local.workers.values())).pid)
-                os.kill(killed[0], signal.SIGKILL)
-        told(self, group, what)
-
-    monkeypatch.setattr(OnCluster, "_told", kill_one)
+    ended = cluster.kill_one(monkeypatch)
     keep, before = tmp_path / "kept.gpkg", content(spoiled)
     with open_map(spoiled, writable=True) as universal:
-        assert universal.repair(keep=keep, scheduler=local.scheduler_address) == ()
+        assert universal.repair(keep=keep, scheduler=cluster.scheduler_address) == ()
         assert universal.verify(1, deep=True).sound
-    assert killed
-    assert worked == {"_framecheck", "sessionfold"}
+    assert ended
+    assert {one.task.name for _, one in ended} == {"_framecheck", "sessionfold"}
     assert content(spoiled) == content(sound)
     assert content(keep) == before
     assert {path.name for path in tmp_path.iterdir()} == {"map.gpkg", "kept.gpkg"}
 
 
-def test_the_command_repairs_on_a_cluster(
-    sound: Path, spoiled: Path, local: distributed.LocalCluster
-) -> None:
-    address = ["--scheduler", local.scheduler_address]
+def test_the_command_repairs_on_a_cluster(sound: Path, spoiled: Path, cluster: Cluster) -> None:
+    address = ["--scheduler", cluster.scheduler_address]
     result = CliRunner().invoke(app, ["repair", str(spoiled), *address])
     kept = spoiled.with_name("map.before-repair.gpkg")
     assert result.stdout == f"repaired {spoiled}; as it was: {kept}\n", result.output
@@ -106,7 +82,7 @@ def test_the_command_repairs_on_a_cluster(
 
 
 def test_damaged_evidence_is_refused_and_leaves_no_copy(
-    spoiled: Path, local: distributed.LocalCluster, tmp_path: Path
+    spoiled: Path, cluster: Cluster, tmp_path: Path
 ) -> None:
     with closing(sqlite3.connect(spoiled, isolation_level=None)) as database:
         database.execute("UPDATE fieldgrid_grid SET data = zeroblob(9) WHERE frame = 2")
@@ -115,7 +91,7 @@ def test_damaged_evidence_is_refused_and_leaves_no_copy(
         open_map(spoiled, writable=True) as universal,
         pytest.raises(MapError, match="cannot be repaired, because its evidence is damaged"),
     ):
-        universal.repair(keep=tmp_path / "kept.gpkg", scheduler=local.scheduler_address)
+        universal.repair(keep=tmp_path / "kept.gpkg", scheduler=cluster.scheduler_address)
     assert spoiled.read_bytes() == before
     assert list(tmp_path.iterdir()) == [spoiled]
 
@@ -168,20 +144,21 @@ def test_a_map_that_was_refused_and_restored_is_repaired(
         assert universal.repair(keep=keep, scheduler=one) == ()
 
 
-def test_an_older_format_is_to_be_upgraded_first(
-    local: distributed.LocalCluster, tmp_path: Path
-) -> None:
+def test_an_older_format_is_to_be_upgraded_first(cluster: Cluster, tmp_path: Path) -> None:
     path = Path(shutil.copy(FORMAT_2, tmp_path / "old.gpkg"))
     with (
         open_map(path, writable=True) as universal,
         pytest.raises(ConfigError, match=r"format 2, which .* cannot fold; .*repair --upgrade"),
     ):
-        universal.repair(keep=tmp_path / "kept.gpkg", scheduler=local.scheduler_address)
+        universal.repair(keep=tmp_path / "kept.gpkg", scheduler=cluster.scheduler_address)
     assert path.read_bytes() == FORMAT_2.read_bytes()
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_without_a_copy_or_a_cluster_nothing_is_done(spoiled: Path, tmp_path: Path) -> None:
+def test_without_a_copy_or_a_cluster_nothing_is_done(
+    spoiled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connecting, "CONNECT_S", 0.2)
     before = spoiled.read_bytes()
     with open_map(spoiled, writable=True) as universal:
         with pytest.raises(ConfigError, match=r"read the copy that is kept .*; leave out --in-p"):

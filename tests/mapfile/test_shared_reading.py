@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import pickle
-import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +18,7 @@ from fieldgrid.mapfile import blocks as blocks_module
 from fieldgrid.mapfile import content as content_module
 from fieldgrid.mapfile import reading as reading_module
 from fieldgrid.mapfile.readable import Readable
-from fieldgrid.workers.cluster import Ended
-from fieldgrid.workers.remote import OnCluster
+from tests.clusters import Cluster
 from tests.mapfile.maps import drive, track, write_map
 
 distributed = pytest.importorskip("distributed")
@@ -42,15 +38,6 @@ def farm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     write_map(folder / "b.gpkg", [drive(4, heading_deg=40.0)], trajectory=track(5))
     return folder
-
-
-@pytest.fixture(scope="module")
-def local() -> Iterator[distributed.LocalCluster]:
-    """Two workers, processes of this machine, started again when they die."""
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
-    ) as made:
-        yield made
 
 
 @pytest.fixture(autouse=True)
@@ -82,36 +69,26 @@ def arrays(*held: Any) -> list[Any]:
 
 @pytest.mark.parametrize("cell_m", [None, 0.1, 0.12])
 def test_a_cluster_reads_what_one_process_reads(
-    farm: Path, cell_m: float | None, local: distributed.LocalCluster
+    farm: Path, cell_m: float | None, cluster: Cluster
 ) -> None:
     with open_map(farm / "a.gpkg") as universal, Farm(farm) as both:
         for source in (universal, both):
             here = everything(source, jobs=1, cell_m=cell_m)
             assert len(here) > 4
-            assert everything(source, local.scheduler_address, cell_m=cell_m) == here
+            assert everything(source, cluster.scheduler_address, cell_m=cell_m) == here
 
 
 def test_a_worker_that_is_killed_costs_no_block(
-    farm: Path, local: distributed.LocalCluster, monkeypatch: pytest.MonkeyPatch
+    farm: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told, killed = OnCluster._told, list[int]()
-
-    def kill_one(self: OnCluster, group: int, what: Any) -> None:
-        if not killed and isinstance(what, Ended):
-            killed.append(next(iter(local.workers.values())).pid)
-            os.kill(killed[0], signal.SIGKILL)
-        told(self, group, what)
-
     with open_map(farm / "a.gpkg") as universal:
         here = everything(universal)
-        monkeypatch.setattr(OnCluster, "_told", kill_one)
-        assert everything(universal, local.scheduler_address) == here
-    assert killed
+        ended = cluster.kill_one(monkeypatch)
+        assert everything(universal, cluster.scheduler_address) == here
+    assert ended
 
 
-def test_marks_are_those_of_the_map(
-    farm: Path, tmp_path: Path, local: distributed.LocalCluster
-) -> None:
+def test_marks_are_those_of_the_map(farm: Path, tmp_path: Path, cluster: Cluster) -> None:
     path = tmp_path / "marked.gpkg"
     path.write_bytes((farm / "a.gpkg").read_bytes())
     drawn = ["--kind", "keepout", "--polygon", "0,0;8,0;8,8"]
@@ -120,15 +97,15 @@ def test_marks_are_those_of_the_map(
     with open_map(path) as universal:
         here = everything(universal)
         assert any(isinstance(mark, Mark) for block in here for mark in block[1])
-        assert everything(universal, local.scheduler_address) == here
+        assert everything(universal, cluster.scheduler_address) == here
 
 
 def test_an_export_by_the_command_has_the_same_bytes(
-    farm: Path, tmp_path: Path, local: distributed.LocalCluster
+    farm: Path, tmp_path: Path, cluster: Cluster
 ) -> None:
     for name, more in (
         ("here", ["--jobs", "1"]),
-        ("there", ["--scheduler", local.scheduler_address]),
+        ("there", ["--scheduler", cluster.scheduler_address]),
     ):
         result = CliRunner().invoke(
             app,

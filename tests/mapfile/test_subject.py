@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 import re
 import shutil
-import signal
 import socket
 import sqlite3
 import subprocess
@@ -14,7 +12,6 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -24,8 +21,7 @@ from fieldgrid.mapfile.database import connect, reading
 from fieldgrid.mapfile.header import read_header
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.workers import connecting
-from fieldgrid.workers.cluster import Ended
-from fieldgrid.workers.remote import OnCluster
+from tests.clusters import Cluster
 from tests.mapfile.maps import drive, track, write_map
 
 distributed = pytest.importorskip("distributed")
@@ -62,44 +58,27 @@ def damaged(sound: Path) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def local() -> Iterator[distributed.LocalCluster]:
-    """Two workers, processes of this machine, started again when they die."""
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
-    ) as made:
-        yield made
-
-
 def test_a_cluster_finds_what_one_process_finds(
-    sound: Path, damaged: Path, local: distributed.LocalCluster
+    sound: Path, damaged: Path, cluster: Cluster
 ) -> None:
     for path in (sound, damaged):
         with open_map(path) as universal:
             here = universal.verify(1, deep=True)
-            there = universal.verify(deep=True, scheduler=local.scheduler_address)
+            there = universal.verify(deep=True, scheduler=cluster.scheduler_address)
         assert here == there
         assert here.sound == (path == sound)
 
 
 def test_a_worker_that_is_killed_changes_nothing(
-    sound: Path, local: distributed.LocalCluster, monkeypatch: pytest.MonkeyPatch
+    sound: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told, killed = OnCluster._told, list[int]()
-
-    def kill_one(self: OnCluster, group: int, what: Any) -> None:
-        if not killed and isinstance(what, Ended):
-            killed.append(next(iter(local.workers.values())).pid)
-            os.kill(killed[0], signal.SIGKILL)
-        told(self, group, what)
-
-    monkeypatch.setattr(OnCluster, "_told", kill_one)
+    ended = cluster.kill_one(monkeypatch)
     with open_map(sound) as universal:
         here = universal.verify(1, deep=True)
-        with distributed.Client(local, set_as_default=False) as client:
+        with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
             assert universal.verify(deep=True, scheduler=client) == here
             assert client.status == "running"
-    assert killed
+    assert ended
 
 
 @contextmanager

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import pickle
-import signal
 from pathlib import Path
-from typing import Any
 
 import pytest
 from typer.testing import CliRunner
@@ -14,8 +11,7 @@ from typer.testing import CliRunner
 from fieldgrid.cli import app
 from fieldgrid.mapfile import blocks as blocks_module
 from fieldgrid.rows import find_rows
-from fieldgrid.workers.cluster import Ended
-from fieldgrid.workers.remote import OnCluster
+from tests.clusters import Cluster
 from tests.rows.fields import straight, view_of, write_map
 
 distributed = pytest.importorskip("distributed")
@@ -25,30 +21,19 @@ pytestmark = [pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning")]
 
 
 def test_a_cluster_of_which_a_worker_is_killed_finds_the_rows_of_one_process(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rows = view_of(straight(4, 30.0, 2.5, 25.0), missing=[(1, 10.0, 13.0)])
     path = write_map(tmp_path / "field.gpkg", rows)
     monkeypatch.setattr(blocks_module, "_ROWS", 256)
     monkeypatch.setattr(blocks_module, "_COLUMNS", 256)
-    told, killed = OnCluster._told, list[int]()
-
-    def kill_one(self: OnCluster, group: int, what: Any) -> None:
-        if not killed and isinstance(what, Ended):
-            killed.append(next(iter(local.workers.values())).pid)
-            os.kill(killed[0], signal.SIGKILL)
-        told(self, group, what)
-
-    monkeypatch.setattr(OnCluster, "_told", kill_one)
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
-    ) as local:
-        here = find_rows(path, jobs=1)
-        assert not killed
-        there = find_rows(path, scheduler=local.scheduler_address)
-        command = ["rows", str(path), "--scheduler", local.scheduler_address]
-        result = CliRunner().invoke(app, command)
-    assert killed
+    ended = cluster.kill_one(monkeypatch)
+    here = find_rows(path, jobs=1)
+    assert not ended
+    there = find_rows(path, scheduler=cluster.scheduler_address)
+    command = ["rows", str(path), "--scheduler", cluster.scheduler_address]
+    result = CliRunner().invoke(app, command)
+    assert ended
     assert len(here.rows) == 4
     assert pickle.dumps(there) == pickle.dumps(here)
     assert result.exit_code == 0, result.output

@@ -1,0 +1,68 @@
+"""A Dask cluster in a process of its own, which a process of the tests starts once.
+
+No threads of a scheduler are in a process that tests fork, and starting workers, which import
+everything, took more than most tests of them.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fieldgrid.workers.cluster import Ended
+from fieldgrid.workers.remote import OnCluster
+
+
+class Cluster:
+    """Two workers of one thread, processes of this machine, started again when they die."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self._process = process
+        self.scheduler_address = self._line()
+        self.pids: list[int] = []
+
+    def _line(self) -> str:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        assert line, "the cluster has ended"
+        return line.strip()
+
+    def complete(self) -> None:
+        """Waits until all workers are there, also those that were killed."""
+        assert self._process.stdin is not None
+        print(file=self._process.stdin, flush=True)
+        self.pids = [int(one) for one in self._line().split()]
+
+    def kill_one(self, monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, Ended]]:
+        """Kills a worker when the first task has ended; the tasks that end, with their groups."""
+        told, ended = OnCluster._told, list[tuple[int, Ended]]()
+
+        def kill_one(found: OnCluster, group: int, what: Any) -> None:
+            if isinstance(what, Ended):
+                if not ended:
+                    os.kill(self.pids[0], signal.SIGKILL)
+                ended.append((group, what))
+            told(found, group, what)
+
+        monkeypatch.setattr(OnCluster, "_told", kill_one)
+        return ended
+
+
+@contextmanager
+def started() -> Iterator[Cluster]:
+    with subprocess.Popen(
+        [sys.executable, "-m", "tests.cluster_process"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parents[1],
+    ) as process:  # which ends at the end of its input
+        yield Cluster(process)
