@@ -17,6 +17,18 @@ FRAMES = range(20, 26)
 IMU = "imu/imu_100hz.csv"
 
 
+@pytest.fixture(autouse=True)
+def _nothing_is_worked_out_twice(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What pairs show and where drives went is tested elsewhere, and that kernels are ready before
+    the first frame in a process of its own."""
+    monkeypatch.setattr("fieldgrid.live.live.warm_up", lambda gridder, odometry: None)
+    monkeypatch.setattr("fieldgrid.live.live.warm_up_poses", lambda rig, settings: None)
+    if "worked_out_afresh" not in request.fixturenames:
+        request.getfixturevalue("worked_out_once")
+
+
 @pytest.fixture(scope="session")
 def short_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six pairs of the example and the log around them; no IMU, which would tell how it leans."""

@@ -231,8 +231,15 @@ def with_orientations(bag: Path, out: Path, source: str, attitude: Attitude, off
     return write_as_it_comes(out, said())
 
 
-@pytest.mark.parametrize("source", ["imu", "odometry"])
-@pytest.mark.parametrize("off", [0.0, 12.0])
+@pytest.mark.parametrize(
+    ("source", "off"),
+    [
+        ("imu", 0.0),
+        ("odometry", 12.0),
+        pytest.param("imu", 12.0, marks=pytest.mark.long),
+        pytest.param("odometry", 0.0, marks=pytest.mark.long),
+    ],
+)
 def test_orientations_out_of_a_pipe_make_the_map_of_a_build(
     source: str,
     off: float,
