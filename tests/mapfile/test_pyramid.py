@@ -75,7 +75,7 @@ def assert_levels_show(path: Path, frames: list[Frame]) -> None:
 
 
 def test_every_level_is_the_mean_over_all_that_fell_into_its_cells(tmp_path: Path) -> None:
-    frames = drive(60)
+    frames = drive(30)
     assert_levels_show(write_map(tmp_path / "map.gpkg", [frames]), frames)
 
 
@@ -84,8 +84,8 @@ def test_a_map_that_grows_gets_the_levels_that_it_would_have_had_at_once(tmp_pat
     frames = drive(1)
     for name, more in (
         ("b", drive(3, start=9)),
-        ("c", drive(25, heading_deg=-110.0)),
-        ("d", drive(45)),
+        ("c", drive(12, heading_deg=-110.0)),
+        ("d", drive(25)),
     ):
         with open_map(path, datum=DATUM) as universal:
             write_session(universal, name, more)
@@ -96,8 +96,8 @@ def test_a_map_that_grows_gets_the_levels_that_it_would_have_had_at_once(tmp_pat
 def test_a_drive_longer_than_the_memory_gives_the_same_map(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    there = drive(30)
-    frames = [*there, *drive(30, heading_deg=37.3, start=0)[::-1], *drive(10, heading_deg=140.0)]
+    there = drive(20)
+    frames = [*there, *drive(20, heading_deg=37.3)[::-1], *drive(10, heading_deg=140.0)]
     monkeypatch.setattr(placing, "BLOCK_TILES", 1)
     monkeypatch.setattr(placing, "RECENT_FRAMES", 1)
     monkeypatch.setattr(placing, "RECENT_TILES", 0)

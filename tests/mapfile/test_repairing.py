@@ -31,7 +31,7 @@ FORMAT_2 = Path(__file__).with_name("format2.gpkg")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_map(
         tmp_path_factory.mktemp("map") / "map.gpkg",
-        [drive(6, step_m=9.0), drive(5, heading_deg=-70.0)],
+        [drive(6, step_m=5.0), drive(5, heading_deg=-70.0)],
         trajectory=track(9),
     )
 

@@ -34,7 +34,7 @@ def farm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two maps side by side."""
     folder = tmp_path_factory.mktemp("farm")
     write_map(
-        folder / "a.gpkg", [drive(6, step_m=9.0), drive(5, heading_deg=-70.0)], trajectory=track(9)
+        folder / "a.gpkg", [drive(6, step_m=5.0), drive(5, heading_deg=-70.0)], trajectory=track(9)
     )
     write_map(folder / "b.gpkg", [drive(4, heading_deg=40.0)], trajectory=track(5))
     return folder

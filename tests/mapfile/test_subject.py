@@ -35,7 +35,7 @@ pytestmark = [pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning")]
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_map(
         tmp_path_factory.mktemp("map") / "map.gpkg",
-        [drive(6, step_m=9.0), drive(5, heading_deg=-70.0)],
+        [drive(6, step_m=5.0), drive(5, heading_deg=-70.0)],
         trajectory=track(9),
     )
 
