@@ -29,6 +29,7 @@ test: .venv/installed ## Run the tests
 
 long: .venv/installed ## Run the tests that take long: more cases, and real drives
 	$(PY) -m pytest -n auto --dist worksteal -m long
+	$(PY) -m pytest -n auto --dist worksteal -m "hypothesis and not long" --hypothesis-profile=long
 
 check: .venv/installed ## Check style, types, and the code and commands in the documentation
 	$(BIN)/ruff check $(SOURCES)

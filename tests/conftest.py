@@ -31,7 +31,10 @@ if TYPE_CHECKING:
     from tests.clusters import Cluster
 
 # The first example of a kernel compiles it, and the machine has other work: time says nothing here.
-settings.register_profile("untimed", deadline=None)
+# A property that names no number is tried with fewer examples with each change than by `make long`,
+# which runs all properties again and gives this profile.
+settings.register_profile("long", deadline=None)
+settings.register_profile("untimed", deadline=None, max_examples=40)
 settings.load_profile("untimed")
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -49,8 +49,8 @@ WITHOUT_CAMERA = {"pose": {"visual_odometry": False}}
 
 @pytest.fixture(scope="module")
 def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Every second frame of the example, and its IMU."""
-    folder = make_small_drive(tmp_path_factory.mktemp("pairs") / "pairs", range(0, 50, 2))
+    """Every third frame of the example, and its IMU."""
+    folder = make_small_drive(tmp_path_factory.mktemp("pairs") / "pairs", range(0, 50, 3))
     shutil.copytree(TWO_LANES / "imu", folder / "imu")
     return folder
 

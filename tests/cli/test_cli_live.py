@@ -71,7 +71,7 @@ def test_a_request_to_end_makes_the_map_of_what_was_driven(
     drive = make_small_drive(tmp_path / "drives" / "june", (20, 25, 30, 49))
     cut_log(drive)
     out = tmp_path / "m.gpkg"
-    arguments = ("live", "-o", out, "--replay", drive, "--rate", "4", "--json")
+    arguments = ("live", "-o", out, "--replay", drive, "--rate", "8", "--json")
     said = []
     with subprocess.Popen(
         in_a_process(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

@@ -24,7 +24,7 @@ from tests.mapfile.content import ANONYMOUS, content
 from tests.mapfile.maps import CELL_M, DATUM, drive, write_map, write_session
 
 
-@pytest.mark.parametrize("kills", [6, pytest.param(12, marks=pytest.mark.long)])
+@pytest.mark.parametrize("kills", [4, pytest.param(12, marks=pytest.mark.long)])
 def test_a_writer_killed_at_random_loses_nothing_that_it_acknowledged(
     tmp_path: Path, kills: int
 ) -> None:
@@ -91,7 +91,7 @@ def test_four_writers_at_once_lose_nothing_and_readers_see_whole_states(tmp_path
         assert len(universal.sessions()) == 13
 
 
-@pytest.mark.parametrize("damages", [10, pytest.param(20, marks=pytest.mark.long)])
+@pytest.mark.parametrize("damages", [6, pytest.param(20, marks=pytest.mark.long)])
 def test_damaged_maps_are_found_or_say_what_they_said(tmp_path: Path, damages: int) -> None:
     trial = Trial(tmp_path)
     total = run_random(trial, damages, seed=4)

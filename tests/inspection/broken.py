@@ -25,13 +25,14 @@ FEW = range(0, 24, 3)
 
 def copy_of(
     folder: Path,
-    frames: Iterable[int] = range(50),
+    frames: Iterable[int] = range(36),
     *,
     log: str = RTK,
     imu: bool = True,
     moved_s: float = 0.0,
 ) -> Path:
-    """A drive of some frames of the example; images are links, and their stamps are `moved_s`."""
+    """A drive of frames of the example, by itself the first lane and the turn; images are links, and
+    their stamps are moved by `moved_s`."""
     (folder / "gnss").mkdir(parents=True)
     for side in ("left", "right"):
         (folder / side).mkdir()

@@ -125,7 +125,7 @@ def test_thirty_milliseconds(drive: Make, moved_s: float, log: str) -> None:
 
 
 def test_two_seconds_are_an_error_without_a_gyro_too(drive: Make) -> None:
-    found = inspect_recording(drive(moved_s=2.0, imu=False))
+    found = inspect_recording(drive(frames=range(50), moved_s=2.0, imu=False))
     assert not found.builds
     assert serious(found) == {"clock-offset"}
     assert codes(found, Severity.ERROR) == {"clock-offset"}
@@ -145,7 +145,7 @@ def test_the_remedy_mends_it(drive: Make) -> None:
     ("moved_s", "gps"), [(-15.0, "fixes"), pytest.param(18.0, "images", marks=pytest.mark.long)]
 )
 def test_gps_time_for_utc(drive: Make, moved_s: float, gps: str) -> None:
-    found = inspect_recording(drive(moved_s=moved_s))
+    found = inspect_recording(drive(frames=range(50), moved_s=moved_s))
     assert not found.builds
     assert serious(found) == {"clock-offset"}
     message, remedy = finding(found, "clock-offset")

@@ -32,6 +32,7 @@ from fieldgrid.settings import BuildSettings
 from tests.build.making import content
 from tests.conftest import make_small_drive
 
+pytestmark = pytest.mark.usefixtures("worked_out_once")
 URL = "memory://vines/june-03"
 
 
