@@ -31,7 +31,7 @@ def copy_of(
     imu: bool = True,
     moved_s: float = 0.0,
 ) -> Path:
-    """A drive of frames of the example, by itself the first lane and the turn; images are links, and
+    """A drive of frames of the example, mostly the first lane and the turn; images are links, and
     their stamps are moved by `moved_s`."""
     (folder / "gnss").mkdir(parents=True)
     for side in ("left", "right"):

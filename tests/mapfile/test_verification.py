@@ -307,7 +307,8 @@ def test_what_does_not_follow_from_the_evidence_is_found_and_repaired(
 ) -> None:
     path = changed(sound, tmp_path, statement)
     found = problems(path)
-    assert found
+    # Not by the sums alone: that rows were changed does not say that they are wrong.
+    assert any(not problem.startswith("The rows of ") for problem in found), found
     assert all(problem.endswith(".") for problem in found), found
     with open_map(path, writable=True) as universal:
         universal.repair()
