@@ -19,7 +19,15 @@ def main() -> None:
     import dask
     import distributed
 
-    dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"})
+    dask.config.set(
+        {
+            "distributed.worker.multiprocessing-method": "forkserver",
+            # It lasts as long as the tests, mostly idle: no watching of itself many times a second.
+            "distributed.worker.profile.enabled": False,
+            "distributed.admin.tick.interval": "1s",
+            "distributed.admin.system-monitor.interval": "10s",
+        }
+    )
     with distributed.LocalCluster(
         n_workers=WORKERS, threads_per_worker=1, processes=True, dashboard_address=":0"
     ) as local:
