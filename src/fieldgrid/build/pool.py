@@ -148,6 +148,7 @@ class Pool(Closing):
             self._running.add(process)
         assert process.stdin is not None
         pickle.dump(sys.path, process.stdin)
+        process.stdin.flush()  # so that it imports before its first order
         return process
 
     def _end(self, process: subprocess.Popen[bytes]) -> int:
