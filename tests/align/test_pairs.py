@@ -11,6 +11,7 @@ from fieldgrid.align.pairs import (
     Overlap,
     _shares,
     for_every_shift,
+    of_nearest,
     overlapping,
     placed,
 )
@@ -134,3 +135,19 @@ def test_what_submaps_share_at_each_shift_is_counted_in_blocks() -> None:
                 there = np.roll(blocks[1], (j, i), (0, 1))
                 expected.append((blocks[0] * there).sum() / 25.0 / min(a.cells, b.cells))
     assert np.sort(shares) == pytest.approx(np.sort(expected), rel=1e-12)
+
+
+def test_a_drive_is_compared_with_those_that_it_shares_most_with() -> None:
+    shares = {(0, 1): 0.5, (0, 2): 0.9, (1, 2): 0.4, (0, 3): 0.3, (2, 3): 0.8, (1, 3): 0.35}
+    pairs = [Overlap(a, 0, b, 0, share) for (a, b), share in shares.items()]
+    pairs += [Overlap(0, 1, 1, 1, 0.45), Overlap(2, 0, 2, 5, 0.3)]
+
+    def kept(moving: list[int], most: int) -> set[tuple[int, int]]:
+        return {(one.a, one.b) for one in of_nearest(pairs, moving, most)}
+
+    # Of 0 and 1 two submaps each: together they share most.
+    assert kept([0], 1) == {(0, 1), (2, 2)}
+    assert kept([3], 1) == {(2, 3), (2, 2)}
+    assert kept([0, 3], 2) == {(0, 1), (0, 2), (2, 3), (1, 3), (2, 2)}
+    assert kept([0, 1, 2, 3], 3) == {*shares, (2, 2)}
+    assert of_nearest(pairs, [0, 1, 2, 3], 3) == pairs

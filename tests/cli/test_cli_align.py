@@ -6,12 +6,14 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
 import fieldgrid.align as fieldgrid_align
+from fieldgrid.cli import build
 from fieldgrid.mapfile import Transform, open_map
 from fieldgrid.rows import find_rows
 from fieldgrid.rows.report import block_quality
@@ -172,6 +174,31 @@ def test_rows_are_read_here_when_a_cluster_compares(
     found = json.loads(fieldgrid(*asked).output())
     assert found["applied"] is True
     assert len(found["rows"]["after"]) == 1
+
+
+def test_of_many_pairs_those_that_agree_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
+    def pair(n: int, east_m: float, doubt: str | None = None) -> dict[str, Any]:
+        lies = {"of": f"d{n}", "against": "june", "lay_apart_m": [east_m, 0.0], "sigma_m": 0.1}
+        return lies | {"doubt": doubt, "aligned": False}
+
+    few = [pair(n, 0.1) for n in range(9)] + [pair(9, 0.5)]
+    build._report_lies(few, Path("m.gpkg"))
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 10
+    assert [line for line in lines if "makes them coincide" in line] == lines[9:]
+    build._report_lies([*few, pair(10, 0.0, "they share little")], Path("m.gpkg"))
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["d9", "d10", "pairs"]
+    assert lines[2].endswith("two standard errors: 9")
+
+
+def test_so_many_others_are_compared(tmp_path: Path) -> None:
+    with open_map(write_field(tmp_path / "m.gpkg", along_one_lane("abcd"), 0.5)) as universal:
+        every = fieldgrid_align.align_map(universal, rounds=0).pairs
+        few = fieldgrid_align.align_map(universal, rounds=0, most_others=1).pairs
+    assert len(every) == 6
+    assert 2 <= len(few) <= 4
+    assert {(one.a, one.b) for one in few} <= {(one.a, one.b) for one in every}
 
 
 def test_a_drive_that_is_appended_says_how_it_lies_and_is_aligned_when_asked(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
@@ -29,6 +29,7 @@ from fieldgrid.align.pairs import (
     SubmapPair,
     bounded,
     for_every_shift,
+    of_nearest,
     overlapping,
     placed,
     thinned,
@@ -85,6 +86,7 @@ def align_map(
     datum_from: str | None = None,
     reach_m: float = REACH_M,
     rounds: int = FINE_ROUNDS,
+    most_others: int | None = None,
     progress: Progress | None = None,
     jobs: int | None = None,
     scheduler: str | Client | None = None,
@@ -96,25 +98,25 @@ def align_map(
     as far as they are sure. Those in `to`, and `datum_from`, hold: they are right. With `to` no
     further ones take part.
     `reach_m` is the largest shift that is believed; without `rounds` of fine comparison shifts are
-    good to a decimetre, in a third of the time. `jobs` is the number of threads, all cores when
-    not given; with a `scheduler`, the address of one of Dask or a client, the workers of that
-    cluster compare submaps, which are sent to them. Raises ConfigError for names that are not in
-    the map, or nothing to align, ClusterError where no scheduler answers.
+    good to a decimetre, in a third of the time. With `most_others` each drive that may move is
+    compared with so many others, those that it shares most ground with, and not with all.
+    `jobs` is the number of threads, all cores when not given; with a `scheduler`, the address of
+    one of Dask or a client, the workers of that cluster compare submaps, which are sent to them.
+    Raises ConfigError for names that are not in the map, or nothing to align, ClusterError where
+    no scheduler answers.
     """
     if not 0.0 < reach_m <= MOST_REACH_M:
         raise ConfigError(f"A reach of {reach_m:g} m cannot be; give 0 to {MOST_REACH_M:g} m.")
     drives = read_drives(universal, _roles(universal, sessions, to, datum_from))
     tell = progress or (lambda stage, done, count: None)
     with runner(jobs, scheduler) as workers:
-        found = _aligned(drives, reach_m, rounds, tell, workers)
+        run = _Run(drives, reach_m, most_others, tell, workers)
+        found = _aligned(run, drives, rounds)
     return with_beside(universal, found)
 
 
-def _aligned(
-    drives: list[SubmapDrive], reach_m: float, rounds: int, tell: Progress, workers: Runner
-) -> MapAlignment:
+def _aligned(run: _Run, drives: list[SubmapDrive], rounds: int) -> MapAlignment:
     """How drives lie against each other, by their submaps."""
-    run = _Run(drives, reach_m, tell, workers)
     agreements, coarse = run.compare_as_wholes()
     believed = {(one.a, one.b): one.along for one in agreements if one.doubt is None}
     matched = np.bincount([n for m in coarse for n in (m.a, m.b)], minlength=len(drives)) > 0
@@ -250,20 +252,25 @@ class _Run:
         self,
         drives: Sequence[SubmapDrive],
         reach_m: float,
+        most_others: int | None,
         tell: Progress,
         workers: Runner,
     ) -> None:
-        self._drives, self._reach_m = drives, reach_m
+        self._drives, self._reach_m, self._most_others = drives, reach_m, most_others
         self._tell, self._workers = tell, workers
         self._local_m = max(f.spec.cell_m for d in drives for s in d.submaps for f in s.frames)
 
     def compare_as_wholes(self) -> tuple[list[Agreement], list[Match]]:
-        """Where every two drives agree, and the matches of those that do without doubt."""
+        """Where two drives each agree, and the matches of those that do without doubt."""
         transforms = [drive.transform for drive in self._drives]
         drawn = self._draw(transforms, COARSE_M, "drives")
         (pictures,) = drawn
         by_pair = defaultdict(list)
-        chosen = thinned(self._overlaps(pictures, None))
+        overlaps: Iterable[Overlap] = self._overlaps(pictures, None)
+        if self._most_others is not None:
+            moving = [n for n, drive in enumerate(self._drives) if drive.role is Role.MOVES]
+            overlaps = of_nearest(overlaps, moving, self._most_others)
+        chosen = thinned(overlaps)
         chosen = for_every_shift(chosen, pictures, self._reach_m)
         pairs = [placed(one, pictures) for one in chosen]
 

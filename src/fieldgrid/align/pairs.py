@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -104,6 +104,21 @@ def placed(of: Overlap, pictures: Sequence[Sequence[SubmapImage]]) -> SubmapPair
     """The pair, with where it lies and how its submaps look at it."""
     one, other = pictures[of.a][of.k], pictures[of.b][of.l]
     return SubmapPair(*of[:4], *_place(one, other), one.facing - other.facing, of.share)
+
+
+def of_nearest(pairs: Iterable[Overlap], moving: Collection[int], most: int) -> list[Overlap]:
+    """The pairs within drives, and those of each `moving` drive with so many others: those that it
+    shares most ground with."""
+    every = list(pairs)
+    shared = defaultdict[tuple[int, int], float](float)
+    for pair in every:
+        for one, other in ((pair.a, pair.b), (pair.b, pair.a)):
+            shared[one, other] += pair.share
+    kept = {(n, n) for n, _ in shared}
+    for n in moving:
+        others = sorted((-shared[a, b], b) for a, b in shared if a == n != b)
+        kept |= {(min(n, b), max(n, b)) for _, b in others[:most]}
+    return [pair for pair in every if (pair.a, pair.b) in kept]
 
 
 def thinned(pairs: Iterable[Overlap]) -> list[Overlap]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,6 +23,11 @@ if TYPE_CHECKING:
     from fieldgrid.build import PartlyBuiltError
 
 _SESSION = options.MAP_FILE
+_MOST_OTHERS = 4
+"""Without --align a new drive is compared with so many others: that shows where it lies."""
+
+_MOST_PAIRS = 10
+"""Of more pairs of drives than these, only those are listed that do not agree."""
 
 
 def command(
@@ -243,8 +250,7 @@ def command(
         report_session(report)
     if len(recordings) > 1:
         report_drives(reports, partly)
-    for pair in lies:
-        output.report_line(_said(pair, out))
+    _report_lies(lies, out)
     if align and not lies and lost is None:
         output.report_line("no other drive of the map saw the same ground; nothing was aligned")
     output.report_line(f"map {out}")
@@ -298,6 +304,7 @@ def _compare(
                 universal,
                 moving,
                 rounds=FINE_ROUNDS if align else 0,
+                most_others=None if align else _MOST_OTHERS,
                 progress=show,
                 jobs=jobs,
                 scheduler=scheduler,
@@ -317,6 +324,16 @@ def _compare(
     ]
 
 
+def _report_lies(lies: Sequence[dict[str, Any]], out: Path) -> None:
+    """How new drives lie, a line for each pair; of many pairs only those that do not agree."""
+    agree = [pair for pair in lies if _agrees(pair)] if len(lies) > _MOST_PAIRS else []
+    for pair in lies:
+        if pair not in agree:
+            output.report_line(_said(pair, out))
+    if agree:
+        output.report_line(f"pairs of drives that agree within two standard errors: {len(agree)}")
+
+
 def _said(pair: dict[str, Any], out: Path) -> str:
     """What is said of how a new drive lies against an older one."""
     east_m, north_m = pair["lay_apart_m"]
@@ -326,8 +343,12 @@ def _said(pair: dict[str, Any], out: Path) -> str:
     apart = f"{between}: {east_m:+.2f} m east, {north_m:+.2f} m north ± {pair['sigma_m']:.2f} m"
     if pair["aligned"]:
         return f"{apart}, aligned"
-    clear = (east_m**2 + north_m**2) ** 0.5 > 2.0 * pair["sigma_m"]
-    return f"{apart}; `fieldgrid align {out}` makes them coincide" if clear else apart
+    return apart if _agrees(pair) else f"{apart}; `fieldgrid align {out}` makes them coincide"
+
+
+def _agrees(pair: dict[str, Any]) -> bool:
+    """Whether a new drive lies where an older one does, as far as can be told."""
+    return pair["doubt"] is None and math.hypot(*pair["lay_apart_m"]) <= 2.0 * pair["sigma_m"]
 
 
 def _repose(
