@@ -14,6 +14,9 @@ _NUMBER = re.compile(rb"[+-]?(?:\d{1,12}(?:\.\d{0,30})?|\.\d{1,30})")
 _TIME = re.compile(rb"(\d\d)(\d\d)(\d\d)(?:\.(\d*))?")
 _ANGLE = re.compile(rb"(\d{1,3})(\d\d(?:\.\d*)?)")
 _UNIX_DAY = date(1970, 1, 1).toordinal()
+FIRST_YEAR, LAST_YEAR = 1980, 2100
+"""GPS began in 1980; maps have times until 2116 (2^62 ns)."""
+
 _REMEMBERED = 2048
 
 
@@ -111,6 +114,6 @@ def unix_day(day: bytes, month: bytes, year: bytes) -> int:
     d, m, y = (integer(v) or 0 for v in (day, month, year))
     if len(year) == 2:
         y += 1900 if y >= 80 else 2000
-    if not 1980 <= y <= 2200:  # GPS began in 1980; 64 bits of nanoseconds end in 2262
+    if not FIRST_YEAR <= y <= LAST_YEAR:
         raise ValueError(year)
     return date(y, m, d).toordinal() - _UNIX_DAY

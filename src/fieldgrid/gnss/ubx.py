@@ -19,6 +19,7 @@ import numpy as np
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.fixes import Fix
+from fieldgrid.gnss.fields import FIRST_YEAR, LAST_YEAR
 from fieldgrid.quality import Quality
 
 _SYNC = b"\xb5\x62"
@@ -320,7 +321,7 @@ class UbxParser:
 def _utc_ns(civil: tuple[int, ...], nano: int) -> int:
     """UTC of year, month, day, hour, minute, second; `nano` may be negative."""
     year, month, day, hour, minute, second = civil
-    if not (1980 <= year <= 2200 and hour < 24 and minute < 60 and second <= 60):
+    if not (FIRST_YEAR <= year <= LAST_YEAR and hour < 24 and minute < 60 and second <= 60):
         raise ValueError(civil)
     if abs(nano) > 1_000_000_000:
         raise ValueError(nano)

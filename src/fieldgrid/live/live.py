@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Self
 
@@ -212,8 +213,9 @@ class Live(Closing):
         """A frame as recordings have it, which is read by the session's own thread; the rest as in
         `push_pair`."""
         self._check_open()
+        is_taken = self._perceiver.push(frame, wait=wait)
         self._heard_ns = max(self._heard_ns, frame.time_ns + self.rig.image_time_offset_ns)
-        return self._perceiver.push(frame, wait=wait)
+        return is_taken
 
     def push_fix(self, fix: Fix) -> None:
         """A fix, in any order; one that comes later than the lag counts at the end only."""
@@ -309,17 +311,15 @@ class Live(Closing):
     ) -> SessionReport:
         """End the session and put it into the map; options and errors as of `finish_session`."""
         self._check_open()
-        self._end()
-        try:
+        with closing(self._kept):
+            self._end()
             return finish(self._kept, overrides or {}, progress, patience)
-        finally:
-            self._kept.close()
 
     def stop(self) -> None:
         """End the session without a map; what is kept waits for its next start or its finish."""
         if self._is_open:
-            self._end()
-            self._kept.close()
+            with closing(self._kept):
+                self._end()
 
     def close(self) -> None:
         """`finish`, unless the session has ended or has no frame: then nothing is kept."""
@@ -342,19 +342,19 @@ class Live(Closing):
         return self
 
     def _end(self) -> None:
-        """End the threads, in the order in which data go through them."""
+        """End the threads, in the order in which data go through them, each of them whatever
+        becomes of those before."""
         self._is_open = False
-        for fix in self._nmea.finish():
-            self._kept.add_fix(fix)
-            self._poser.put(fix)
-        self._perceiver.close()
-        self._poser.close()
-        self._stopping.set()
-        self._syncer.join()
-        self._kept.sync()
-        self._outbox.close()
-        if self._deliverer is not None:
-            self._deliverer.join()
+        with ExitStack() as ending:  # the last comes first
+            if self._deliverer is not None:
+                ending.callback(self._deliverer.join)
+            for step in (self._outbox.close, self._kept.sync, self._syncer.join):
+                ending.callback(step)
+            for step in (self._stopping.set, self._poser.close, self._perceiver.close):
+                ending.callback(step)
+            for fix in self._nmea.finish():
+                self._kept.add_fix(fix)
+                self._poser.put(fix)
 
     def push_rows(self, part: str, rows: Rows) -> None:
         """Rows of a part of the motion (`live.sensor_rows.PARTS`), in any order, or of poses."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,10 +10,13 @@ from pathlib import Path
 from fieldgrid.array_types import Int64
 from fieldgrid.recording import Frame, ImageFile, StereoFrame
 
+_LEFT = re.compile(r"([0-9]{8})-left\.png")
+
 
 def pair_numbers(folder: Path) -> list[int]:
     """The numbers of the frames whose pairs are in a folder."""
-    return sorted(int(path.name[:8]) for path in folder.glob("????????-left.png"))
+    found = map(_LEFT.fullmatch, (path.name for path in folder.iterdir()))
+    return sorted(int(name[1]) for name in found if name)
 
 
 @dataclass(frozen=True, slots=True)

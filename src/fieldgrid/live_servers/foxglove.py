@@ -233,6 +233,9 @@ class FoxgloveServer(Closing):
             origins=_ORIGINS,
             compression=None,
             max_size=_MOST_ASKED_BYTES,
+            # Else who never ends a handshake, or is being refused, delays the end.
+            open_timeout=_CLOSE_S,
+            close_timeout=_CLOSE_S,
             server_header=None,
             logger=silent,
         ) as server:

@@ -38,6 +38,7 @@ LEAST_S = 0.1
 """No client is sent more in less: eyes do not see it."""
 
 _LEAST_PATIENCE_S = 10.0
+_THREAD = "fieldgrid-page"
 
 
 class LivePage(Closing):
@@ -74,7 +75,7 @@ class LivePage(Closing):
         self._thread = threading.Thread(
             target=self._server.run,
             kwargs={"sockets": [self._listening]},
-            name="fieldgrid-page",
+            name=_THREAD,
             daemon=True,
         )
         self._thread.start()
@@ -90,8 +91,10 @@ class LivePage(Closing):
             self._wake()
             self._server.should_exit = True
             # A client that does not read is cut off, which the server reports as a failure.
-            logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
+            log = logging.getLogger("uvicorn.error")
+            log.addFilter(_is_of_another)
             self._thread.join(_LEAST_PATIENCE_S)
+            log.removeFilter(_is_of_another)
             self._listening.close()
 
     def _wake(self) -> None:
@@ -150,3 +153,8 @@ def _colours(request: Request) -> Response:
             "sigma_unit_m": SIGMA_UNIT_M,
         }
     )
+
+
+def _is_of_another(record: logging.LogRecord) -> bool:
+    """Whether a record was logged by another server than a page's."""
+    return record.threadName != _THREAD
