@@ -110,21 +110,61 @@ def test_an_answer_that_cannot_be_read_ends_the_build(
 def test_processes_start_while_the_drives_are_checked(
     make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    started = threading.Event()
+    processes, both = list[subprocess.Popen[bytes]](), threading.Event()
     usual_start, usual_check = pool.Pool._start, drives.estimate_drive
 
     def start(self: pool.Pool) -> subprocess.Popen[bytes]:
-        process = usual_start(self)
-        started.set()
-        return process
+        processes.append(usual_start(self))
+        if len(processes) == 2:
+            both.set()
+        return processes[-1]
 
     def check(*arguments: Any) -> Any:
-        assert started.wait(60.0)
+        assert both.wait(60.0)
         return usual_check(*arguments)
 
     monkeypatch.setattr(pool.Pool, "_start", start)
     monkeypatch.setattr(drives, "estimate_drive", check)
     build([make_drive()], tmp_path / "m.gpkg", jobs=2)
+    assert [process.returncode is not None for process in processes] == [True, True]
+
+
+@pytest.mark.usefixtures("processes")
+def test_processes_end_before_the_parts_that_they_write_are_let_go(
+    make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    running = list[int]()
+    usual = parts.DriveParts.close
+
+    def close(self: parts.DriveParts) -> None:
+        running.extend(len(one._running) for one in pools)
+        usual(self)
+
+    pools, made = list[pool.Pool](), pool.Pool.__init__
+
+    def make(self: pool.Pool, count: int, out: Path) -> None:
+        pools.append(self)
+        made(self, count, out)
+
+    def fail(*arguments: Any, **options: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pool.Pool, "__init__", make)
+    monkeypatch.setattr(parts.DriveParts, "close", close)
+    monkeypatch.setattr(drives._Build, "_finish", fail)
+    with pytest.raises(KeyboardInterrupt):
+        build([make_drive()], tmp_path / "m.gpkg", jobs=2)
+    assert running == [0]
+
+
+@pytest.mark.usefixtures("processes")
+def test_a_process_that_cannot_start_is_reported(
+    make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where Python is embedded in another program, which is not to be started again."""
+    monkeypatch.setattr(pool.sys, "executable", None)
+    with pytest.raises(TypeError):
+        build([make_drive()], tmp_path / "m.gpkg", jobs=2)
 
 
 # --- a build that is ended

@@ -1,6 +1,6 @@
 """The main job, and the only wiring: recordings to a map, or to more sessions of one."""
 
-from fieldgrid.build.drives import build_map, check_output
+from fieldgrid.build.drives import build_map
 from fieldgrid.build.perception import Perceived, local_grid, perceive, visual_odometry
 from fieldgrid.build.poses import cell_budget, check_poses, estimate_drive, estimate_trajectory
 from fieldgrid.build.report import (
@@ -10,7 +10,7 @@ from fieldgrid.build.report import (
     SessionReport,
     StageTimes,
 )
-from fieldgrid.build.session import add_recording, session_config
+from fieldgrid.build.session import add_recording, check_output, session_config
 
 __all__ = [
     "BadFrame",

@@ -28,13 +28,14 @@ from fieldgrid.build.parts import (
     parts_folder,
     remove_parts,
     settle_left_behind,
+    shares_of,
     write_part,
 )
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.pool import Pool
 from fieldgrid.build.poses import attitude_of_grids, check_images, check_poses, estimate_drive
 from fieldgrid.build.report import PartlyBuiltError, Progress, SessionReport
-from fieldgrid.build.session import NewSession, Telling, check_names, is_in_map
+from fieldgrid.build.session import NewSession, Telling, check_names, check_output, is_in_map
 from fieldgrid.build.staging import stage_frames
 from fieldgrid.errors import (
     ClusterError,
@@ -77,14 +78,6 @@ class _Drive:
     key: str = ""
     began_s: float | None = None
     error: FieldgridError | None = None
-
-
-def check_output(path: Path, *, append: bool, overwrite: bool) -> None:
-    """Raise before any work is done when the output cannot be what was asked for."""
-    if append and overwrite:
-        raise ConfigError("--append and --overwrite exclude each other; give one of them.")
-    if append and not path.exists():
-        raise ConfigError(f"There is no map {path} to append to; leave out --append to make it.")
 
 
 def build_map(
@@ -156,7 +149,7 @@ def build_map(
         if scheduler is not None:
             build.client = opened.enter_context(connected(scheduler))
         elif not resume:
-            build.start_processes(opened)  # they import while the drives are checked
+            build.start_processes(opened)
         datum = build.estimate(datum)
         if not (append or is_there):
             universal = opened.enter_context(
@@ -203,14 +196,14 @@ class _Build:
             except FieldgridError as error:
                 self._fail(drive, error)
 
-    def start_processes(self, opened: ExitStack, frames: int | None = None) -> None:
-        """Start the processes that stage, where so many frames are worth it; all if None."""
-        if frames is None:
-            counts = (drive.recording.frame_count for drive in self._good())
-            frames = sum(len(range(0, count, self.every)) for count in counts)
-        if self.jobs > 1 and frames >= WORTH_FRAMES:
-            count = min(self.jobs, -(-frames // SHARE_FRAMES))
-            self.executor = opened.enter_context(Pool(count, self.out))
+    def start_processes(self, opened: ExitStack, shares: int | None = None) -> None:
+        """Start the processes that stage, where so many shares are worth it. If None, all of them,
+        while the drives are checked."""
+        if shares is None:
+            counts = [-(-drive.recording.frame_count // self.every) for drive in self._good()]
+            shares = sum(len(shares_of(count)) for count in counts)
+        if self.jobs > 1 and shares * SHARE_FRAMES >= WORTH_FRAMES:
+            self.executor = opened.enter_context(Pool(min(self.jobs, shares), self.out))
 
     def estimate(self, datum: Datum | None) -> Datum:
         """The datum of the map, after a look at what can be known before the first image is
@@ -266,7 +259,9 @@ class _Build:
             if self.client is not None and missing:
                 self.executor = running.enter_context(Stagers(self.client))
             elif self.executor is None:
-                self.start_processes(running, missing * SHARE_FRAMES)
+                self.start_processes(running, missing)
+            else:  # before the folders that it writes to are let go
+                running.callback(self.executor.close)
             for drive in self._good():
                 self._begin(drive, universal, taken)
             for drive in self._good():

@@ -71,3 +71,6 @@ class Executor(Protocol):
 
     def drop(self, drive: int) -> None:
         """Stage no more shares of a drive."""
+
+    def close(self) -> None:
+        """End all staging; another time does nothing."""

@@ -58,6 +58,13 @@ class PartsInfo(NamedTuple):
     parts: int
 
 
+def shares_of(count: int) -> list[Share]:
+    """The shares of a drive of so many frames."""
+    return [
+        Share(first, min(first + SHARE_FRAMES, count)) for first in range(0, count, SHARE_FRAMES)
+    ]
+
+
 def parts_folder(out: Path) -> Path:
     """Where the parts of a build of the map `out` lie."""
     place = out.resolve()
@@ -122,10 +129,7 @@ class DriveParts(Closing):
     def __init__(self, out: Path, key: str, name: str, recording: str, count: int) -> None:
         self.key, self._out, self._name, self._count = key, out, name, count
         self.folder = parts_folder(out) / key
-        self.shares = [
-            Share(first, min(first + SHARE_FRAMES, count))
-            for first in range(0, count, SHARE_FRAMES)
-        ]
+        self.shares = shares_of(count)
         self._parts: dict[Share, Staged] = {}
         self.frames_done, self.bad_count, self.moved_m = 0, 0, 0.0
         about = self.folder / _ABOUT

@@ -112,7 +112,7 @@ class Pool(Closing):
         """The life of a thread: a process, or one after the other, and its shares."""
         process: subprocess.Popen[bytes] | None = None
         known = -1
-        with suppress(OSError, EOFError):  # the first share tries again, and says why not
+        with suppress(Exception):  # the first share tries again, and tells why not
             process = self._start()
         while (task := self._next()) is not None:
             try:
@@ -147,8 +147,12 @@ class Pool(Closing):
             )
             self._running.add(process)
         assert process.stdin is not None
-        pickle.dump(sys.path, process.stdin)
-        process.stdin.flush()  # so that it imports before its first order
+        try:
+            pickle.dump(sys.path, process.stdin)
+            process.stdin.flush()  # so that it imports before its first order
+        except OSError:
+            self._end(process)
+            raise
         return process
 
     def _end(self, process: subprocess.Popen[bytes]) -> int:

@@ -13,6 +13,7 @@ import time
 from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -359,6 +360,14 @@ def _median(values: Sequence[float]) -> float | None:
 
 def _step_m(last: Pose, pose: Pose) -> float:
     return float(np.hypot(pose.east_m - last.east_m, pose.north_m - last.north_m))
+
+
+def check_output(path: Path, *, append: bool, overwrite: bool) -> None:
+    """Raise before any work is done when the output cannot be what was asked for."""
+    if append and overwrite:
+        raise ConfigError("--append and --overwrite exclude each other; give one of them.")
+    if append and not path.exists():
+        raise ConfigError(f"There is no map {path} to append to; leave out --append to make it.")
 
 
 def check_names(names: Sequence[str], taken: Sequence[str]) -> None:
