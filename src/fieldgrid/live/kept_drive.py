@@ -20,6 +20,7 @@ from fieldgrid.live.journal import DAMAGED, Record, read_journal
 from fieldgrid.live.points_file import RecordSpan, points_end
 from fieldgrid.live.sensor_rows import Rows, fix_from_json, rows_from_json
 from fieldgrid.mapfile import StageEntry
+from fieldgrid.odometry import Refusal
 from fieldgrid.recording.pose_source import PoseBody
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings
@@ -124,6 +125,8 @@ class PushedDrive:
     dropped: int = 0
     damaged_bytes: int = 0
     """Of the journal, what cannot be read any more."""
+    is_damaged_since: bool = False
+    """Whether some of that lies behind the last frame: frames may be lost there."""
     cut_at: int | None = None
     """The number of the first frame whose points were lost with the power: it does not count."""
     times: StageTimes = field(default_factory=StageTimes)
@@ -181,7 +184,11 @@ def _take(drive: PushedDrive, kind: str, value: Any, entries: Sequence[StageEntr
         if number < len(entries) and entries[number].frame_id == frame_id:
             points, *flags = rest or (None,)
             place = None if points is None else RecordSpan(*points)
-            drive.frames.append(KeptFrame(number, found_from_json(found), place, *flags))
+            step = found_from_json(found)
+            if drive.is_damaged_since and drive.frames and number != drive.frames[-1].number + 1:
+                step = Refusal.LOST  # it led from a frame that is lost
+            drive.is_damaged_since = False
+            drive.frames.append(KeptFrame(number, step, place, *flags))
             drive.times.add(StageTimes(*times))
     elif kind == "cut":
         _cut(drive, value)
@@ -192,6 +199,7 @@ def _take(drive: PushedDrive, kind: str, value: Any, entries: Sequence[StageEntr
         drive.dropped += 1
     elif kind == DAMAGED:
         drive.damaged_bytes += value
+        drive.is_damaged_since = True
 
 
 def _cut(drive: PushedDrive, number: int) -> None:

@@ -81,6 +81,7 @@ class Refusal(StrEnum):
     TIPPED = "the likeliest motion tips the vehicle over"
     RIVAL = "two motions explain the images about as well"
     NOT_COMPARED = "the program was started again between the two frames"
+    LOST = "a frame between the two was lost by damage"
 
 
 def step(start: Features, stop: Features, rig: Rig) -> CameraStep | Refusal:
