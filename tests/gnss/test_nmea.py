@@ -186,6 +186,7 @@ def test_a_truncated_and_a_merged_line_cost_only_themselves() -> None:
         "GPGGA,120000,4139.0,N,00443.0,W,-1,08,1.0,735.0,M,52.4,M,,",
         "GPRMC,120000,A,4139.0,N,00443.0,W,1.0,,310211,,,A",
         "GPZDA,120000,15,06,9999,00,00",
+        "GPZDA,120000,15,06,2150,00,00",  # later than a map can be of
     ],
 )
 def test_what_cannot_be_is_broken_however_good_its_checksum(body: str) -> None:

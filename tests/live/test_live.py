@@ -273,6 +273,38 @@ def test_fixes_and_rows_that_a_full_disk_costs_are_told(
     assert sum(kind in ("fix", "rows") for kind, _ in journal) == pushed - int(found[1])
 
 
+def test_an_end_that_is_interrupted_lets_go_of_the_session(
+    short_drive: Path, built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    out = tmp_path / "m.gpkg"
+    before = set(threading.enumerate())
+    with open_recording(short_drive) as recording:
+        live = begin(recording, out)
+        replay(live, recording, rate=None)
+        live.drain()
+        close = live._perceiver.close
+        monkeypatch.setattr(live._perceiver, "close", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            live.finish()
+        close()
+    assert set(threading.enumerate()) == before
+    finish_session(out)
+    assert content(out) == content(built)
+
+
+def test_a_frame_that_is_refused_is_not_heard(short_drive: Path, tmp_path: Path) -> None:
+    with open_recording(short_drive) as recording:
+        live = begin(recording, tmp_path / "m.gpkg")
+        grey = np.zeros((480, 640), np.uint8)
+        with pytest.raises(ConfigError, match="no number of nanoseconds"):
+            live.push_pair(grey, grey, 1 << 70)
+        assert live._heard_ns == 0
+        live.stop()
+
+
 def test_fixes_that_a_full_disk_never_took_are_in_the_map(
     short_drive: Path, built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -21,7 +21,7 @@ from fieldgrid.live import Live, finish_session, live_folder, replay
 from fieldgrid.live.journal import DAMAGED, MAGIC, Journal, read_journal
 from fieldgrid.live.sensor_rows import fix_from_json, fix_to_json
 from fieldgrid.live.session_folder import MOST_PAIRS, SessionFolder
-from fieldgrid.mapfile import open_map
+from fieldgrid.mapfile import StageFile, open_map
 from fieldgrid.quality import Quality
 from fieldgrid.recording import open_recording
 from tests.build.making import content
@@ -203,6 +203,50 @@ def test_a_session_whose_beginning_is_damaged_goes_on(
     assert "journal were damaged" in note
     with open_map(out) as ours, open_map(built) as theirs:
         assert [f.pose for f in ours.frames("drive")] == [f.pose for f in theirs.frames("drive")]
+
+
+def test_a_damaged_grid_costs_its_frame_alone_and_the_drive_stays(
+    short_drive: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "m.gpkg"
+    grids = staged(short_drive, out) / "frames.grids"
+    data = bytearray(grids.read_bytes())
+    data[len(data) // 2] ^= 1
+    grids.write_bytes(data)
+    report = finish_session(out)
+    assert (report.frames, report.used) == (5, 5)
+    (note,) = (note for note in report.notes if "damaged" in note)
+    assert note.startswith("1 frames are left out of the map, since their grids were damaged")
+    assert "--finish-from RECORDING" in note
+    assert grids.read_bytes() == data
+    # No step of the camera leads over it.
+    assert report.camera_refusal_reasons == {"a frame between the two was lost by damage": 1}
+    with SessionFolder(out, None) as kept:
+        assert [frame.number for frame in kept.drive.frames] == [0, 1, 2, 4, 5]
+
+
+def test_zeros_behind_the_grids_are_no_frames(short_drive: Path, tmp_path: Path) -> None:
+    grids = staged(short_drive, tmp_path / "m.gpkg") / "frames.grids"
+    whole = grids.read_bytes()
+    grids.write_bytes(whole + bytes(100_000))
+    with StageFile(grids, passes_damage=True) as file:
+        assert len(file) == 6
+
+
+def test_pictures_of_others_beside_a_session_stop_nothing(
+    short_drive: Path, built: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "m.gpkg"
+    folder = live_folder(out)
+    folder.mkdir()
+    (folder / "IMG_0001-left.png").write_bytes(b"a picture")
+    with open_recording(short_drive) as recording:
+        live = begin(recording, out)
+        replay(live, recording, rate=None)
+        live.stop()
+    finish_session(out)
+    assert content(out) == content(built)
+    assert [path.name for path in folder.iterdir()] == ["IMG_0001-left.png"]
 
 
 def test_files_of_others_beside_a_session_stay(short_drive: Path, tmp_path: Path) -> None:

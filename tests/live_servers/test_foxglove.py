@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+import socket
 import struct
 import sys
 import threading
@@ -282,6 +283,21 @@ def test_a_client_that_does_not_read_is_cut_off_at_the_end(
             number += 1
             assert number < MANY
             served.take(big)
+        served.close()
+        assert not served._thread.is_alive()
+
+
+@pytest.mark.parametrize("said", [b"", b"GET / HTTP/1.1\r\nHost: x\r\n"])
+def test_who_never_ends_a_handshake_does_not_delay_the_end(
+    said: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fieldgrid.live_servers.foxglove._CLOSE_S", 0.05)
+    monkeypatch.setattr("fieldgrid.live_servers.foxglove._PATIENCE_S", 3.0)
+    served = FoxgloveServer(port=0)
+    with socket.create_connection(served.address) as client:
+        client.sendall(said)
+        with Client(served) as later:  # the server knows of the one before, then
+            later.settle()
         served.close()
         assert not served._thread.is_alive()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import logging
 import socket
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -285,3 +286,10 @@ def test_nothing_serious_in_the_way_of_anybody(served: LivePage, look: Any, sche
         "[one.impact, one.id, one.nodes.map((n) => `${n.html} ${n.failureSummary}`)]))"
     )
     assert [one for one in found if one[0] in ("serious", "critical")] == []
+
+
+def test_the_log_of_other_servers_is_left_as_it_is() -> None:
+    log = logging.getLogger("uvicorn.error")
+    before = log.level, list(log.filters)
+    LivePage(port=0).close()
+    assert (log.level, list(log.filters)) == before

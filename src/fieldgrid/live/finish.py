@@ -150,9 +150,12 @@ def finish(
             "--finish tries again, with pose options or --accept, and --discard gives it up."
         ) from error
     report = placed.report
+    unreadable = len(kept.read().unreadable)
     if placed.left_out:
-        report.notes += (_still_kept(kept, placed.left_out),)
-    else:
+        report.notes += (_still_kept(kept, placed.left_out, _NO_POINTS),)
+    if unreadable:
+        report.notes += (_still_kept(kept, unreadable, _NO_GRIDS),)
+    if not (placed.left_out or unreadable):
         kept.remove()
     report.wall_s = time.perf_counter() - started
     return report
@@ -165,17 +168,20 @@ class _Placed(NamedTuple):
     left_out: int
 
 
-def _still_kept(kept: SessionFolder, left_out: int) -> str:
+_NO_POINTS = "their points are not there and it was not known while driving how the vehicle leaned"
+_NO_GRIDS = "their grids were damaged on the disk, which should be checked"
+
+
+def _still_kept(kept: SessionFolder, left_out: int, why: str) -> str:
     """The remark on a drive that is in the map without some of its frames."""
     name = kept.drive.about.name
     first = f"remove {kept.out}"
     if kept.drive.about.append:
         first = f"remove the session from it (fieldgrid sessions {kept.out} --remove {name})"
     return (
-        f"{left_out} frames are left out of the map, since their points are not there and it was "
-        f"not known while driving how the vehicle leaned. The drive stays in {kept.folder}: with a "
-        f"recording, {first} and run fieldgrid live -o {kept.out} --finish-from RECORDING; "
-        "without one, --discard removes what is kept."
+        f"{left_out} frames are left out of the map, since {why}. "
+        f"The drive stays in {kept.folder}: with a recording, {first} and run fieldgrid live "
+        f"-o {kept.out} --finish-from RECORDING; without one, --discard removes what is kept."
     )
 
 

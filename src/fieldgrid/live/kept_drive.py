@@ -127,6 +127,8 @@ class PushedDrive:
     """Of the journal, what cannot be read any more."""
     is_damaged_since: bool = False
     """Whether some of that lies behind the last frame: frames may be lost there."""
+    unreadable: list[int] = field(default_factory=list)
+    """The numbers of frames whose grids cannot be read any more."""
     cut_at: int | None = None
     """The number of the first frame whose points were lost with the power: it does not count."""
     times: StageTimes = field(default_factory=StageTimes)
@@ -185,11 +187,14 @@ def _take(drive: PushedDrive, kind: str, value: Any, entries: Sequence[StageEntr
             points, *flags = rest or (None,)
             place = None if points is None else RecordSpan(*points)
             step = found_from_json(found)
-            if drive.is_damaged_since and drive.frames and number != drive.frames[-1].number + 1:
+            is_lost = drive.is_damaged_since or number - 1 in drive.unreadable
+            if is_lost and drive.frames and number != drive.frames[-1].number + 1:
                 step = Refusal.LOST  # it led from a frame that is lost
             drive.is_damaged_since = False
             drive.frames.append(KeptFrame(number, step, place, *flags))
             drive.times.add(StageTimes(*times))
+        else:
+            drive.unreadable.append(number)
     elif kind == "cut":
         _cut(drive, value)
     elif kind == "bad":
@@ -204,5 +209,7 @@ def _take(drive: PushedDrive, kind: str, value: Any, entries: Sequence[StageEntr
 
 def _cut(drive: PushedDrive, number: int) -> None:
     """Frames from this number on do not count any more."""
+    while drive.unreadable and drive.unreadable[-1] >= number:
+        drive.unreadable.pop()
     while drive.frames and drive.frames[-1].number >= number:
         drive.frames.pop()

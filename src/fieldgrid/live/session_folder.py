@@ -79,7 +79,9 @@ class SessionFolder(Closing):
                     f"Another program maps into {self.folder}; end it, or give another map."
                 )
             self.journal = self._open.enter_context(Journal(journal))
-            self.stage = self._open.enter_context(StageFile(self.folder / GRIDS, out))
+            self.stage = self._open.enter_context(
+                StageFile(self.folder / GRIDS, out, passes_damage=True)
+            )
         except OSError as error:
             self._open.close()
             if isinstance(error, MapWriteError):

@@ -18,6 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -242,11 +243,10 @@ class FoxgloveServer(Closing):
             await self._closing.wait()
             connections = server.connections
             server.close()
-            try:
+            with suppress(TimeoutError):
                 await asyncio.wait_for(server.wait_closed(), _CLOSE_S)
-            except TimeoutError:
-                for connection in connections:
-                    connection.transport.abort()
+            for connection in connections:
+                connection.transport.abort()
 
     async def _connected(self, connection: ServerConnection) -> None:
         from websockets.exceptions import ConnectionClosed

@@ -116,10 +116,19 @@ class StageFile(Closing):
     _count = 0
     _holds_entries = True
 
-    def __init__(self, path: str | Path, target: Path | None = None) -> None:
+    _passes_damage = False
+
+    def __init__(
+        self, path: str | Path, target: Path | None = None, *, passes_damage: bool = False
+    ) -> None:
         """Open a stage file to read it and append to it, or make it. MapError for another file.
-        Where the disk is full, the error names the `target`, the map that the frames are for."""
-        self._place = Path(path)
+        Where the disk is full, the error names the `target`, the map that the frames are for.
+
+        A file ends at its first frame that is not whole, which the next one replaces. With
+        `passes_damage` one of which no byte lacks keeps its number, as an entry of the name "",
+        and those behind it are found.
+        """
+        self._place, self._passes_damage = Path(path), passes_damage
         self._target = target or self._place
         self.entries: list[StageEntry] = []
         self._memory: bytearray | None = None
@@ -243,14 +252,19 @@ class StageFile(Closing):
             start = os.pread(file, _FRAME.size, offset)
             if len(start) < _FRAME.size:
                 return offset
-            _, header, data, _ = _FRAME.unpack(start)
+            mark, header, data, _ = _FRAME.unpack(start)
             size = _FRAME.size + header + data
             if size > MAX_FRAME_BYTES:
                 return offset
-            frame = _unpacked(os.pread(file, size, offset))
-            if frame is None:
+            record = os.pread(file, size, offset)
+            frame = _unpacked(record)
+            if frame is not None:
+                entry = StageEntry(frame.frame_id, frame.time_ns, frame.ground_found, offset, size)
+            elif self._passes_damage and mark == _MARK and len(record) == size:
+                entry = StageEntry("", 0, False, offset, size)
+            else:
                 return offset
-            self._add(StageEntry(frame.frame_id, frame.time_ns, frame.ground_found, offset, size))
+            self._add(entry)
             offset += size
 
     def _unwritable(self, error: OSError) -> MapWriteError:
