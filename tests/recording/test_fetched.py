@@ -185,7 +185,7 @@ def test_a_file_that_arrives_cut_is_no_copy(memory: Any, monkeypatch: pytest.Mon
 def test_a_damaged_manifest_costs_a_fetch_and_nothing_else(memory: Any) -> None:
     copy = fetch(URL)
     (manifest,) = copy.parent.glob(".june-03.fetched.json")
-    for text in ("{", "[]", '{"files": 3}', "[" * 100_000):
+    for text in ("{", "[]", '{"files": 3}', '{"files": {}, "unlisted": 3}', "[" * 100_000):
         manifest.write_text(text)
         assert len(files_of(fetch(URL))) == 3
         assert json.loads(manifest.read_text())["url"] == URL
@@ -861,6 +861,13 @@ def test_a_copy_without_what_nobody_may_list_is_whole(
     assert "lost' cannot be listed" in caplog.text
 
 
+def unreachable() -> FileNotFoundError:
+    """As fsspec says of a server that is not there."""
+    error = FileNotFoundError("right")
+    error.__cause__ = ConnectionRefusedError("nobody listens")
+    return error
+
+
 @pytest.mark.usefixtures("linked")
 @pytest.mark.parametrize(
     ("error", "told"),
@@ -871,6 +878,7 @@ def test_a_copy_without_what_nobody_may_list_is_whole(
         ),
         (TimeoutError("timed out"), "june' cannot be read .*timed out"),
         (OSError(errno.EIO, "a bad disk"), "june' cannot be read .*a bad disk"),
+        (unreachable(), "june' cannot be read .*nobody listens"),
         (FileNotFoundError("right"), "right' was gone before it was listed; repeat the command"),
     ],
 )
