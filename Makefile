@@ -28,8 +28,7 @@ test: .venv/installed ## Run the tests
 	$(PY) -m pytest -n auto --dist worksteal
 
 long: .venv/installed ## Run the tests that take long: more cases, and real drives
-	$(PY) -m pytest -n auto --dist worksteal -m long
-	$(PY) -m pytest -n auto --dist worksteal -m "hypothesis and not long" --hypothesis-profile=long
+	$(PY) -m pytest -n auto --dist worksteal -m "long or hypothesis" --hypothesis-profile=long
 
 check: .venv/installed ## Check style, types, and the code and commands in the documentation
 	$(BIN)/ruff check $(SOURCES)

@@ -1,11 +1,16 @@
-"""The process of `tests.clusters`: the address of its scheduler, then, for each line that it reads,
-the processes of its workers when all are there."""
+"""The process of `tests.clusters`: the address of its scheduler, then, for each line of processes
+that were killed, those of its workers when all are there."""
 
 from __future__ import annotations
 
 import multiprocessing
 import sys
+import time
 from multiprocessing import forkserver
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from distributed import LocalCluster
 
 WORKERS = 2
 
@@ -32,9 +37,21 @@ def main() -> None:
         n_workers=WORKERS, threads_per_worker=1, processes=True, dashboard_address=":0"
     ) as local:
         print(local.scheduler_address, flush=True)
-        for _ in sys.stdin:
-            local.wait_for_workers(WORKERS)
-            print(*(nanny.pid for nanny in local.workers.values()), flush=True)
+        for line in sys.stdin:
+            print(*_complete(local, set(map(int, line.split()))), flush=True)
+
+
+def _complete(local: LocalCluster, killed: set[int]) -> set[int]:
+    """The processes of the workers when all that the scheduler knows are living. Neither it nor the
+    worker's nanny has noticed at once that one was killed."""
+    while True:
+        local.wait_for_workers(WORKERS)
+        known = local.scheduler_info["workers"]
+        nannies = local.workers.values()
+        pids = {nanny.pid for nanny in nannies if nanny.worker_address in known} - killed
+        if len(pids) == WORKERS:
+            return pids
+        time.sleep(0.05)
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ class Cluster:
         self._process = process
         self.scheduler_address = self._line()
         self.pids: list[int] = []
+        self._killed: list[int] = []
 
     def _line(self) -> str:
         assert self._process.stdout is not None
@@ -36,10 +37,17 @@ class Cluster:
         return line.strip()
 
     def complete(self) -> None:
-        """Waits until all workers are there, also those that were killed."""
+        """Waits until all workers are there, others in place of those that were killed."""
         assert self._process.stdin is not None
-        print(file=self._process.stdin, flush=True)
-        self.pids = [int(one) for one in self._line().split()]
+        print(*self._killed, file=self._process.stdin, flush=True)
+        self.pids, self._killed = [int(one) for one in self._line().split()], []
+
+    def kill(self) -> int:
+        """Kills a worker, once after each `complete`; its process."""
+        assert not self._killed
+        os.kill(self.pids[0], signal.SIGKILL)
+        self._killed.append(self.pids[0])
+        return self.pids[0]
 
     def kill_one(self, monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, Ended]]:
         """Kills a worker when the first task has ended; the tasks that end, with their groups."""
@@ -48,7 +56,7 @@ class Cluster:
         def kill_one(found: OnCluster, group: int, what: Any) -> None:
             if isinstance(what, Ended):
                 if not ended:
-                    os.kill(self.pids[0], signal.SIGKILL)
+                    self.kill()
                 ended.append((group, what))
             told(found, group, what)
 

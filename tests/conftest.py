@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 # The first example of a kernel compiles it, and the machine has other work: time says nothing here.
 # A property that names no number is tried with fewer examples with each change than by `make long`,
-# which runs all properties again and gives this profile.
+# which runs all properties, new examples of those that name one, and gives this profile.
 settings.register_profile("long", deadline=None)
 settings.register_profile("untimed", deadline=None, max_examples=40)
 settings.load_profile("untimed")

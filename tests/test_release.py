@@ -75,3 +75,12 @@ def test_ways_to_install_are_named() -> None:
     text = (ROOT / "README.md").read_text()
     for way in ("pip install fieldgrid", "pipx install", "uv tool install", "docker build"):
         assert way in text
+
+
+def test_the_long_run_tries_all_properties_with_its_profile() -> None:
+    """Also those that are marked `long`."""
+    recipe = re.search(r"^long:.*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert recipe is not None
+    (run,) = recipe[1].splitlines()
+    assert '-m "long or hypothesis"' in run
+    assert "--hypothesis-profile=long" in run

@@ -15,6 +15,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 
 import fsspec
 import pytest
+from fsspec import AbstractFileSystem
 from fsspec.implementations.local import LocalFileSystem
 from typer.testing import CliRunner
 
@@ -22,6 +23,7 @@ from fieldgrid.build import PartlyBuiltError, build_map, remote
 from fieldgrid.build.parts import Share
 from fieldgrid.build.poses import estimate_drive
 from fieldgrid.build.session import NewSession
+from fieldgrid.build.staging import DriveWork
 from fieldgrid.cli import app
 from fieldgrid.errors import ClusterError, ConfigError, LimitError, RecordingError
 from fieldgrid.limits import limited
@@ -183,7 +185,7 @@ def test_a_file_that_arrives_cut_is_no_copy(memory: Any, monkeypatch: pytest.Mon
 def test_a_damaged_manifest_costs_a_fetch_and_nothing_else(memory: Any) -> None:
     copy = fetch(URL)
     (manifest,) = copy.parent.glob(".june-03.fetched.json")
-    for text in ("{", "[]", '{"files": 3}', "[" * 100_000):
+    for text in ("{", "[]", '{"files": 3}', '{"files": {}, "unlisted": 3}', "[" * 100_000):
         manifest.write_text(text)
         assert len(files_of(fetch(URL))) == 3
         assert json.loads(manifest.read_text())["url"] == URL
@@ -628,6 +630,14 @@ def test_the_mounting_of_a_copy_is_not_written(zipped: str) -> None:
             write_estimate(estimate, place)
 
 
+def work_on(here: Path) -> DriveWork:
+    with open_drive(here, DriveOptions()) as opened:
+        recording = opened.recording()
+        trajectory = estimate_drive(recording, BuildSettings(), None).trajectory
+        session = NewSession(recording, BuildSettings(), None, None, "june", 1, known=trajectory)
+        return session.work(recording.source)
+
+
 def test_a_worker_fetches_the_files_of_its_frames_only(
     memory: Any, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -637,11 +647,7 @@ def test_a_worker_fetches_the_files_of_its_frames_only(
         if file.is_file():
             memory.pipe(f"/vines/june-10/{file.relative_to(drive)}", file.read_bytes())
     here = fetch("memory://vines/june-10")
-    with open_drive(here, DriveOptions()) as opened:
-        recording = opened.recording()
-        trajectory = estimate_drive(recording, BuildSettings(), None).trajectory
-        session = NewSession(recording, BuildSettings(), None, None, "june-10", 1, known=trajectory)
-        work = session.work(recording.source)
+    work = work_on(here)
     place, packed = remote.place_of(here), remote.packed(work)
     passing_over = remote.packed(work._replace(skips_bad=True))
     parts = [remote.stage_share(packed, Share(k, k + 2), place) for k in (0, 2)]
@@ -746,12 +752,33 @@ class Linked(LocalFileSystem):  # type: ignore[misc]
     def info(self, path: str, **_: Any) -> dict[str, Any]:
         return {**self.about(os.path.realpath(path)), "name": path}
 
+    @classmethod
+    def fails_at(cls, name: str, error: OSError, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Folders of this name cannot be listed either."""
+        list_folder = cls.ls
 
+        def failing(self: Linked, path: str, detail: bool = False, **how: Any) -> list[Any]:
+            if path.endswith(f"/{name}"):
+                raise error
+            return list_folder(self, path, detail, **how)
+
+        monkeypatch.setattr(cls, "ls", failing)
+
+
+_LINKED_LS = Linked.ls
+_DENIED = PermissionError(errno.EACCES, "Permission denied")
+
+
+@pytest.fixture
+def linked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(importlib.import_module("fsspec.registry")._registry, "linked", Linked)
+
+
+@pytest.mark.usefixtures("linked")
 @pytest.mark.parametrize("target", ["..", ".", "../..", "/", "{farm}", "../../june-03/left"])
 def test_a_link_to_a_folder_that_it_is_in_is_not_followed(
     target: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setitem(importlib.import_module("fsspec.registry")._registry, "linked", Linked)
     farm = tmp_path / "farm"
     for name in ("june-03/left/0.png", "june-02/right/0.png", "june-02/right/back/0.png", "key"):
         (farm / name).parent.mkdir(parents=True, exist_ok=True)
@@ -763,7 +790,7 @@ def test_a_link_to_a_folder_that_it_is_in_is_not_followed(
     monkeypatch.setattr(
         remote_files,
         "_found",
-        lambda system, path, unlisted: found.append(path) or usual(system, path, unlisted),
+        lambda walk, path: found.append(path) or usual(walk, path),
     )
     copy = fetch(f"linked://{farm}/june-03")
     assert sorted(files_of(copy)) == ["left/0.png", "right/0.png", "right/back/0.png"]
@@ -771,60 +798,177 @@ def test_a_link_to_a_folder_that_it_is_in_is_not_followed(
     assert "left/back' is left out: it is a link to a folder that it is in" in caplog.text
 
 
+def june(tmp_path: Path, *names: str) -> str:
+    """The URL of a folder with these files."""
+    for name in names:
+        (tmp_path / "june" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "june" / name).write_text(f"content of {name}")
+    return f"linked://{tmp_path}/june"
+
+
+@pytest.mark.usefixtures("linked")
 def test_files_of_a_folder_that_cannot_be_listed_stay_in_the_copy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setitem(importlib.import_module("fsspec.registry")._registry, "linked", Linked)
-    for name in ("left/0.png", "right/0.png", "right/more/1.png", "right_info.txt"):
-        (tmp_path / "june" / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / "june" / name).write_text(f"content of {name}")
-    url = f"linked://{tmp_path}/june"
+    url = june(tmp_path, "left/0.png", "right/0.png", "right/more/1.png", "right_info.txt")
     copy = fetch(url)
     whole = files_of(copy)
     assert len(whole) == 4
     assert not caplog.records
-    list_folder = Linked.ls
-
-    def denied(self: Linked, path: str, detail: bool = False, **how: Any) -> list[Any]:
-        if path.endswith("/right"):
-            raise PermissionError(errno.EACCES, "Permission denied", path)
-        return list_folder(self, path, detail, **how)
-
-    monkeypatch.setattr(Linked, "ls", denied)
+    Linked.fails_at("right", _DENIED, monkeypatch)
     (tmp_path / "june" / "right_info.txt").unlink()
     assert fetch(url) == copy
     assert files_of(copy) == {name: text for name, text in whole.items() if "info" not in name}
     assert "right' cannot be listed" in caplog.text
     assert not copies.is_whole(copy)
-    monkeypatch.setattr(Linked, "ls", list_folder)
+    monkeypatch.setattr(Linked, "ls", _LINKED_LS)
     (tmp_path / "june" / "right" / "0.png").unlink()
     fetch(url)
     assert sorted(files_of(copy)) == ["left/0.png", "right/more/1.png"]
     assert copies.is_whole(copy)
 
 
+class ServerError(OSError):
+    """As of smbprotocol: with the number of a refusal, but of no class of Python's for it."""
+
+
+@pytest.mark.usefixtures("linked")
+@pytest.mark.parametrize("chain", ["linked://{}/june", "dir://june::linked://{}"])
+@pytest.mark.parametrize(
+    "error", [_DENIED, PermissionError("no number"), ServerError(errno.EPERM, "refused")]
+)
+def test_a_copy_without_what_nobody_may_list_is_whole(
+    error: OSError,
+    chain: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Also where another file system is asked for all files of the folder, and behind a link."""
+    june(tmp_path, "a.txt", "left/0.png", "lost+found/#1")
+    (tmp_path / "june" / "lost").symlink_to("lost+found")
+    Linked.fails_at("lost", error, monkeypatch)
+    Linked.fails_at("lost+found", error, monkeypatch)
+    copy = fetch(chain.format(tmp_path))
+    assert sorted(files_of(copy)) == ["a.txt", "left/0.png"]
+    assert copies.is_whole(copy)
+    assert "lost+found' cannot be listed" in caplog.text
+    monkeypatch.setattr(Linked, "ls", _LINKED_LS)
+    Linked.fails_at("lost", error, monkeypatch)
+    caplog.clear()
+    fetch(chain.format(tmp_path))
+    assert sorted(files_of(copy)) == ["a.txt", "left/0.png", "lost+found/#1"]
+    assert "lost' cannot be listed" in caplog.text
+
+
+def unreachable() -> FileNotFoundError:
+    """As fsspec says of a server that is not there."""
+    error = FileNotFoundError("right")
+    error.__cause__ = ConnectionRefusedError("nobody listens")
+    return error
+
+
+@pytest.mark.usefixtures("linked")
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (
+            ConnectionResetError(errno.ECONNRESET, "reset by peer"),
+            "june' cannot be read .*reset by",
+        ),
+        (TimeoutError("timed out"), "june' cannot be read .*timed out"),
+        (OSError(errno.EIO, "a bad disk"), "june' cannot be read .*a bad disk"),
+        (unreachable(), "june' cannot be read .*nobody listens"),
+        (FileNotFoundError("right"), "right' was gone before it was listed; repeat the command"),
+    ],
+)
+def test_a_listing_that_breaks_off_is_no_recording_without_the_rest(
+    error: OSError, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = june(tmp_path, "a.txt", "left/0.png", "right/0.png")
+    Linked.fails_at("right", error, monkeypatch)
+    with pytest.raises(RecordingError, match=told):
+        fetch(url)
+    assert not copies.copy_of(url).exists()
+
+
+class Circle(AbstractFileSystem):  # type: ignore[misc]
+    """Each folder has `loops` that lead back to it, shown as folders."""
+
+    def __init__(self, loops: int) -> None:
+        super().__init__(skip_instance_cache=True)
+        self.loops, self.listed = loops, 0
+
+    def info(self, path: str, **_: Any) -> dict[str, Any]:
+        return {"name": path, "type": "directory", "size": 0}
+
+    def ls(self, path: str, detail: bool = True, **_: Any) -> list[Any]:
+        self.listed += 1
+        assert self.listed < 1000, "there is no end"
+        loops = [self.info(f"{path}/{k}") for k in range(self.loops)]
+        return [*loops, {"name": f"{path}/a.txt", "type": "file", "size": 1}]
+
+
+def test_folders_that_go_round_in_a_circle_have_an_end() -> None:
+    with pytest.raises(RecordingError, match=r"100 deep in each other.* is a link to a folder"):
+        remote_files.listed_files(Circle(loops=1), "farm/june", "circle://farm/june")
+    with limited(rows=500), pytest.raises(LimitError, match="june has more than 500 rows"):
+        remote_files.listed_files(Circle(loops=2), "farm/june", "circle://farm/june")
+
+
+@pytest.mark.usefixtures("linked")
 def test_a_recording_that_cannot_be_listed_is_refused_and_its_copy_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(importlib.import_module("fsspec.registry")._registry, "linked", Linked)
-    (tmp_path / "june").mkdir()
-    (tmp_path / "june" / "a.txt").write_text("a")
-    copy = fetch(f"linked://{tmp_path}/june")
-
-    def denied(*_: Any, **how: Any) -> list[Any]:
-        raise PermissionError(errno.EACCES, "Permission denied")
-
-    monkeypatch.setattr(Linked, "ls", denied)
+    url = june(tmp_path, "a.txt")
+    copy = fetch(url)
+    Linked.fails_at("june", _DENIED, monkeypatch)
     with pytest.raises(RecordingError, match="Permission denied"):
-        fetch(f"linked://{tmp_path}/june")
-    assert files_of(copy) == {"a.txt": "a"}
+        fetch(url)
+    assert files_of(copy) == {"a.txt": "content of a.txt"}
 
 
-def test_a_link_to_a_folder_of_the_same_structure_is_followed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.usefixtures("linked")
+def test_a_worker_needs_of_a_folder_that_may_not_be_listed_what_its_frames_need(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """What the copy here has of it is from before; a new worker can get none of it."""
+    shutil.copytree(drive, tmp_path / "june")
+    url = june(tmp_path, "lost+found/1.txt")
+    here = fetch(url)
+    one = work_on(here)
+    passing_over = one._replace(skips_bad=True)
+
+    def staged_afresh(work: DriveWork, place: remote.RecordingPlace, name: str) -> remote.Made:
+        packed = remote.packed(work)
+        with monkeypatch.context() as patched:
+            patched.setenv("FIELDGRID_CACHE", str(tmp_path / name))
+            remote._unpacked.cache_clear()
+            remote._fetched.clear()
+            fetched._listings.clear()
+            return remote.stage_share(packed, Share(0, 2), place)
+
+    at_home = staged_afresh(one, remote.place_of(here), "cache")
+    Linked.fails_at("lost+found", _DENIED, monkeypatch)
+    assert fetch(url) == here
+    place = remote.place_of(here)
+    for number, work in enumerate((one, passing_over)):
+        far_away = staged_afresh(work, place, f"worker {number}")
+        assert far_away.part.grids == at_home.part.grids
+    Linked.fails_at("left", _DENIED, monkeypatch)
+    with pytest.raises(ClusterError, match=r"has changed .* may not list '.*left.*' there"):
+        staged_afresh(one, place, "worker that sees less")
+    assert fetch(url) == here
+    place = remote.place_of(here)
+    for number, work in enumerate((one, passing_over)):
+        assert staged_afresh(work, place, "cache").part.grids == at_home.part.grids
+        with pytest.raises(ClusterError, match=r"the folder 'left' of .*, or leave out --sched"):
+            staged_afresh(work, place, f"new worker {number}")
+
+
+@pytest.mark.usefixtures("linked")
+def test_a_link_to_a_folder_of_the_same_structure_is_followed(tmp_path: Path) -> None:
     """A link of the same name there is another one, and so is a link of another name."""
-    monkeypatch.setitem(importlib.import_module("fsspec.registry")._registry, "linked", Linked)
     for name in ("june-03", "june-02", "june-01-a"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "a.txt").write_text(name)
@@ -841,12 +985,7 @@ def test_a_worker_makes_its_own_copy_and_names_images_as_here(
     zipped: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     here = fetch(zipped)
-    with open_drive(here, DriveOptions()) as opened:
-        recording = opened.recording()
-        settings = BuildSettings()
-        trajectory = estimate_drive(recording, settings, None).trajectory
-        session = NewSession(recording, settings, None, None, "june-03", 1, known=trajectory)
-        work = remote.packed(session.work(recording.source))
+    work = remote.packed(work_on(here))
     place = remote.place_of(here)
     assert place.url == zipped
     at_home = remote.stage_share(work, Share(0, 2), place)

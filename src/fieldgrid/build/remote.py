@@ -9,7 +9,7 @@ import platform
 import re
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache
@@ -19,8 +19,15 @@ from typing import Any, NamedTuple
 from fieldgrid.build.parts import PartBytes, Share, part_bytes, write_part
 from fieldgrid.build.staging import DriveWork, Looked, stage_frames
 from fieldgrid.build.worker import not_importable
-from fieldgrid.errors import ClusterError, FieldgridError, MapWriteError
-from fieldgrid.recording.copies import cache_folder, copy_of, in_cache, url_of, version_of
+from fieldgrid.errors import ClusterError, FieldgridError, MapWriteError, quoted
+from fieldgrid.recording.copies import (
+    cache_folder,
+    copy_of,
+    digest_of,
+    in_cache,
+    read_manifest,
+    url_of,
+)
 from fieldgrid.recording.fetched import fetch, fetch_some
 from fieldgrid.workers.place import check_is_here
 
@@ -30,13 +37,15 @@ _AT_HOME = "leave out --scheduler"
 class RecordingPlace(NamedTuple):
     """Where a recording lies, for all workers: its absolute path, the size of a file, None of a
     folder, and the folder that a relative path was given from, else empty. Of the copy of a
-    recording at a URL, that and the version of the copy, else empty: each worker makes its own."""
+    recording at a URL, that, the version of the copy and that of what it has `kept`, else empty:
+    each worker makes its own."""
 
     path: str
     size: int | None
     given_from: str
     url: str
     version: str
+    kept: str
 
 
 class Made(NamedTuple):
@@ -53,7 +62,11 @@ def place_of(recording: Path) -> RecordingPlace:
     size = path.stat().st_size if path.is_file() else None
     given_from = "" if recording.is_absolute() else str(Path.cwd())
     url = url_of(path)
-    return RecordingPlace(str(path), size, given_from, url or "", version_of(path) if url else "")
+    if url is None:
+        return RecordingPlace(str(path), size, given_from, "", "", "")
+    manifest = read_manifest(path)
+    kept = digest_of(manifest.kept())
+    return RecordingPlace(str(path), size, given_from, url, manifest.version, kept)
 
 
 class _Absolute(pickle.Pickler):
@@ -78,7 +91,7 @@ def packed(work: DriveWork) -> bytes:
 
 
 def stage_share(
-    work: bytes, share: tuple[int, int], place: tuple[str, int | None, str, str, str]
+    work: bytes, share: tuple[int, int], place: tuple[str, int | None, str, str, str, str]
 ) -> Made:
     """Stage the frames number `share[0]` to before `share[1]` of a drive, `packed`.
 
@@ -88,7 +101,7 @@ def stage_share(
     start = time.perf_counter()
     where, frames = RecordingPlace(*place), Share(*share)
     if where.url:
-        _fetch(where.url, where.version, _files_of(_unpacked(work), frames))
+        _fetch(where, _unpacked(work), frames)
     else:
         check_is_here(Path(where.path), where.size, "recordings")
     moved_m: list[float] = []
@@ -110,10 +123,8 @@ _fetched: set[tuple[str, str]] = set()
 
 
 def _files_of(work: DriveWork, share: Share) -> set[Path]:
-    """The files of the frames of a share, and of the one before it; none where others may be
-    needed: where frames that are bad are passed over, or are not files of their own."""
-    if work.skips_bad:
-        return set()
+    """The files of the frames of a share, and of the one before it; none where they are not files
+    of their own."""
     try:
         taken = list(work.taken(max(share.first - 1, 0), share.last))
     except (FieldgridError, OSError):  # a bag, which is not here yet
@@ -121,21 +132,48 @@ def _files_of(work: DriveWork, share: Share) -> set[Path]:
     return {Path(source.name) for frame in taken for source in frame.sources}
 
 
-def _fetch(url: str, version: str, files: set[Path]) -> None:
-    """Have these files of this version here, or all. ClusterError where that cannot be."""
-    if (url, version) in _fetched and version_of(copy_of(url)) == version:
-        return
-    try:
-        if files and fetch_some(url, version, files):
-            return
-        copy = fetch(url)
-    except FieldgridError as error:
-        raise ClusterError(f"The worker on {platform.node()} has no copy: {error}") from error
-    if version_of(copy) != version:
-        raise ClusterError(
-            f"{url} has changed since this build began; build it again when it is at rest."
-        )
-    _fetched.add((url, version))
+def _fetch(place: RecordingPlace, work: DriveWork, share: Share) -> None:
+    """Have the files of the frames of a share here, or all where frames that are bad are passed
+    over, since others may be needed then. ClusterError where that cannot be."""
+    url, version = place.url, place.version
+    copy = copy_of(url)
+    manifest = read_manifest(copy)
+    if (url, version) not in _fetched or manifest.version != version:
+        files = set() if work.skips_bad else _files_of(work, share)
+        try:
+            if files and fetch_some(url, version, files):
+                return
+            fetch(url)
+        except FieldgridError as error:
+            raise ClusterError(f"The worker on {platform.node()} has no copy: {error}") from error
+        manifest = read_manifest(copy)
+        if manifest.version != version:
+            raise ClusterError(_of_another_version(url, manifest.unlisted))
+        _fetched.add((url, version))
+    if manifest.unlisted and digest_of(manifest.kept()) != place.kept:
+        _check_listed(place, manifest.unlisted, _files_of(work, share))
+
+
+def _of_another_version(url: str, unlisted: Sequence[str]) -> str:
+    told = f"{url} has changed since this build began; build it again when it is at rest."
+    if not unlisted:
+        return told
+    return (
+        f"{told} The worker on {platform.node()} may not list {quoted(', '.join(unlisted), 200)} "
+        "there; if other machines may, allow it for all."
+    )
+
+
+def _check_listed(place: RecordingPlace, unlisted: Iterable[str], files: set[Path]) -> None:
+    """ClusterError where a file of the frames lies in a folder that the worker may not list: its
+    copy has no such file, or that of another time."""
+    for folder in unlisted:
+        if any(file.is_relative_to(copy_of(place.url) / folder) for file in files):
+            raise ClusterError(
+                f"The worker on {platform.node()} may not list the folder {quoted(folder, 200)} of "
+                f"{place.url}, and its copy has not the files of it that this build began with; "
+                f"allow reading it there, or {_AT_HOME}."
+            )
 
 
 @lru_cache(maxsize=2)

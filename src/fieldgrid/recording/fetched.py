@@ -12,7 +12,7 @@ import shutil
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from fieldgrid.errors import ConfigError, RecordingError
@@ -56,7 +56,7 @@ class _Listing(NamedTuple):
 
     @property
     def version(self) -> str:
-        """The same as of a copy that has all of it."""
+        """The same as of the manifest of a copy that has all of it."""
         return digest_of({name: file.version for name, file in self.files.items()})
 
 
@@ -168,11 +168,7 @@ def _fetch_missing(
     missing = [name for name in wanted if not _is_here(remote[name], copy, name, manifest)]
     _check_room(url, sum(remote[name].size or 0 for name in missing))
     noted, known = manifest, dict(manifest.versions)
-    gone = {
-        name
-        for name in known.keys() - remote.keys()
-        if not any(PurePosixPath(name).is_relative_to(folder) for folder in unlisted)
-    }
+    gone = known.keys() - remote.keys() - Manifest(url, known, unlisted=unlisted).kept().keys()
     check_links(copy, [*missing, *gone])
     for first in range(0, len(missing), _BATCH):
         progress(len(wanted) - len(missing) + first, len(wanted))
@@ -186,14 +182,14 @@ def _fetch_missing(
             place.parent.mkdir(parents=True, exist_ok=True)
             draft.replace(place)
         known |= {name: remote[name].version for name in names}
-        noted = Manifest(url, dict(known))
+        noted = Manifest(url, dict(known), unlisted=unlisted)
         write_manifest(copy, noted)
     for name in gone:
         with suppress(FileNotFoundError, NotADirectoryError, IsADirectoryError):
             place_in(copy, name).unlink()
     left = {name: known[name] for name in known if name not in gone}
     is_whole = left == {name: file.version for name, file in remote.items()}
-    if (done := Manifest(url, left, is_whole)) != noted:
+    if (done := Manifest(url, left, is_whole, unlisted)) != noted:
         write_manifest(copy, done)
     progress(len(wanted), len(wanted))
 

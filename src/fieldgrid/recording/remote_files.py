@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import PurePosixPath
 from typing import Any, NamedTuple
@@ -15,6 +15,7 @@ from fieldgrid.recording.copies import copy_of, is_own_name, is_whole
 from fieldgrid.recording.files import is_inside
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
+_REFUSED = {errno.EACCES, errno.EPERM}
 _GONE = (404, 410)
 """What a web server answers where there is no such file."""
 _VERSIONS = (
@@ -33,6 +34,9 @@ _VERSIONS = (
 """What file systems call the version of a file or the time of its last change, best first."""
 _LINK = ("type", "size", "uid", "gid", "mtime")
 """What a listing says of a link itself, wherever it is met; the time of access changes."""
+_DEEPEST = 100
+"""How many folders may lie in each other: where a server shows a link as a folder, a circle of them
+has no end, and its paths would fill the memory long before their number is too large."""
 _LOG = logging.getLogger(__name__)
 
 
@@ -48,10 +52,19 @@ class RemoteFile(NamedTuple):
 
 class RemoteFiles(NamedTuple):
     """The files of a recording at a URL, by their paths relative to it; "" is the recording itself.
-    What is in the folders `unlisted`, relative to it as well, nobody may know."""
+    What is in the folders `unlisted`, relative to it as well, this user may not see."""
 
     files: dict[str, RemoteFile]
     unlisted: tuple[str, ...] = ()
+
+
+class _Walk(NamedTuple):
+    """What is listed, of which URL; the folders that refuse it are added to `unlisted`."""
+
+    system: Any
+    root: str
+    url: str
+    unlisted: list[str]
 
 
 def listed_files(system: Any, root: str, url: str) -> RemoteFiles:
@@ -65,8 +78,8 @@ def listed_files(system: Any, root: str, url: str) -> RemoteFiles:
                 "URL of a bag, a log, or an archive as zip://FOLDER::URL."
             )
         return RemoteFiles({"": _remote_file(about)})
-    files, unlisted = {}, list[str]()
-    for count, (path, info) in enumerate(_followed(system, root, unlisted), start=1):
+    files, walk = {}, _Walk(system, root, url, [])
+    for count, (path, info) in enumerate(_followed(walk, root), start=1):
         check_rows(count, url)
         if path.endswith("/") or path == root:
             continue  # some stores keep an empty object for a folder
@@ -80,7 +93,7 @@ def listed_files(system: Any, root: str, url: str) -> RemoteFiles:
             files[name] = _remote_file(info)
     if not files:
         raise RecordingError(f"{url} is an empty folder; give the URL of a recording.")
-    return RemoteFiles(files, tuple(_below(root, folder) for folder in unlisted))
+    return RemoteFiles(files, tuple(_below(root, folder) for folder in walk.unlisted))
 
 
 def _below(root: str, path: str) -> str:
@@ -88,13 +101,14 @@ def _below(root: str, path: str) -> str:
 
 
 def _followed(
-    system: Any, root: str, unlisted: list[str], *, folders: bool = True
+    walk: _Walk, top: str, *, folders: bool = True
 ) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """All files below a folder, and those that links in it lead to: SSH lists a link as such, with
     the size of its name. A link that leads nowhere is left out, and so is one to a folder that is
     found behind such a link, or that the link itself is in: with `..` or `/` in place of a folder
     of images, all that the server has would be fetched."""
-    for path, listed in _found(system, root, unlisted).items():
+    system = walk.system
+    for path, listed in _found(walk, top).items():
         if listed.get("type") != "link":
             yield path, listed
             continue
@@ -111,44 +125,73 @@ def _followed(
                 quoted(path, 200),
             )
         elif folders:
-            yield from _followed(system, path, unlisted, folders=False)
+            yield from _followed(walk, path, folders=False)
 
 
-def _found(system: Any, root: str, unlisted: list[str]) -> Mapping[str, Mapping[str, Any]]:
-    """All files below a folder, by their paths. Folders that cannot be listed, such as the
-    `lost+found` of a disk, are added to `unlisted`: fsspec's own `find` leaves them out without a
-    word where it lists folder by folder."""
-    from fsspec import AbstractFileSystem
-    from fsspec.asyn import AsyncFileSystem
-
-    kind = type(system)
-    if kind.find is not AbstractFileSystem.find or (
-        isinstance(system, AsyncFileSystem) and kind._find is not AsyncFileSystem._find
-    ):
-        found: Mapping[str, Mapping[str, Any]] = system.find(root, detail=True)
+def _found(walk: _Walk, top: str) -> Mapping[str, Mapping[str, Any]]:
+    """All files below a folder, by their paths. Folders that may not be listed, such as the
+    `lost+found` of a disk, are added to `unlisted`: fsspec's own `find` leaves out all that it
+    cannot list, without a word, where it lists folder by folder."""
+    if not _lists_by_folder(walk.system):
+        found: Mapping[str, Mapping[str, Any]] = walk.system.find(top, detail=True)
         return found
-    files, folders = {}, [root]
+    files, folders = {}, [top]
     for folder in folders:
-        try:
-            listed = system.ls(folder, detail=True)
-        except OSError as error:
-            if folder == root:
-                raise
-            unlisted.append(folder)
-            _LOG.warning(
-                "the folder %s cannot be listed (%s), so its files are left out; allow reading it "
-                "there if they belong to the recording",
-                quoted(folder, 200),
-                shortened(error),
-            )
-            continue
-        for info in listed:
+        for info in _listed(walk, folder):
             path = info["name"]
             if info["type"] == "directory" and path.rstrip("/") != folder.rstrip("/"):
                 folders.append(path.rstrip("/"))
             else:
                 files[path] = info
+        check_rows(len(files) + len(folders), walk.url)
     return dict(sorted(files.items()))
+
+
+def _lists_by_folder(system: Any) -> bool:
+    """Whether fsspec finds the files below a folder by listing one folder after the other."""
+    from fsspec import AbstractFileSystem
+    from fsspec.asyn import AsyncFileSystem
+    from fsspec.implementations.dirfs import DirFileSystem
+
+    while isinstance(system, DirFileSystem):  # it asks the file system that it is a folder of
+        system = system.fs
+    kind = type(system)
+    if isinstance(system, AsyncFileSystem) and kind._find is not AsyncFileSystem._find:
+        return False
+    return kind.find is AbstractFileSystem.find
+
+
+def _listed(walk: _Walk, folder: str) -> Sequence[Mapping[str, Any]]:
+    """What is in a folder; nothing, with a warning, where this user may not list it. All else that
+    fails, such as a connection that is lost, would leave files out that belong to the recording."""
+    if len(PurePosixPath(_below(walk.root, folder)).parts) > _DEEPEST:
+        raise RecordingError(
+            f"{walk.url} has folders that lie more than {_DEEPEST} deep in each other, as in "
+            f"{quoted(folder, 200)}; if one of them is a link to a folder that it is in, remove it "
+            "there."
+        )
+    try:
+        listed: Sequence[Mapping[str, Any]] = walk.system.ls(folder, detail=True)
+    except FileNotFoundError as error:
+        if folder == walk.root or _is_unreachable(error.__cause__):
+            raise
+        raise RecordingError(
+            f"The folder {quoted(folder, 200)} was gone before it was listed; repeat the command "
+            "when the recording is at rest."
+        ) from error
+    except OSError as error:
+        is_refused = isinstance(error, PermissionError) or error.errno in _REFUSED
+        if folder == walk.root or not is_refused:
+            raise
+        walk.unlisted.append(folder)
+        _LOG.warning(
+            "the folder %s cannot be listed (%s), so its files are left out; allow reading it "
+            "there if they belong to the recording",
+            quoted(folder, 200),
+            shortened(error),
+        )
+        return ()
+    return listed
 
 
 def _is_around(system: Any, path: str, listed: Mapping[str, Any]) -> bool:
