@@ -1,7 +1,8 @@
-"""A journal that is damaged anywhere: no wrong step, nothing lost without a word, no wrong owner."""
+"""A damaged journal: no wrong step, nothing lost without a report, no session of another rig."""
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from typing import Any
 import pytest
 
 from fieldgrid.live import live_folder, replay
-from fieldgrid.live.journal import _RECORD, MAGIC
+from fieldgrid.live.journal import _RECORD, DAMAGED, MAGIC, Journal, read_journal
 from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.odometry import CameraStep, Refusal
 from fieldgrid.recording import open_recording
@@ -78,3 +79,84 @@ def test_damage_between_two_frames_costs_no_step(out: Path) -> None:
     with SessionFolder(out, None) as kept:
         assert kept.read().damaged_bytes > 0
         assert kept.staged().found == before
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Path:
+    """A journal of twenty records."""
+    path = tmp_path / "journal"
+    with Journal(path) as journal:
+        for k in range(20):
+            journal.append("rows", [k, "ä" * k, 0.1 * k])
+    return path
+
+
+def test_damage_at_the_end_is_reported_each_time(written: Path) -> None:
+    sound, data = list(read_journal(written)), written.read_bytes()
+    starts = [start for start, *_ in records(written)]
+    ends: list[tuple[int, bytes]] = [(k, bytes(len(data) - starts[k])) for k in (0, 12, 19)]
+    for place in (0, 5, 9, 14, len(data) - starts[19] - 1):  # mark, length, check, JSON
+        last = bytearray(data[starts[19] :])
+        last[place] ^= 0x55
+        ends.append((19, bytes(last)))
+    ends.append((17, bytes(len(data) - starts[17] - 40) + data[-40:]))
+    ends.append((20, bytes(3000)))
+    ends.append((19, data[starts[19] : -9] + bytes(7)))  # a power cut left the rest unwritten
+    for k, end in ends:
+        written.write_bytes(data[: starts[k] if k < 20 else len(data)] + end)
+        expected = [*sound[:k], (DAMAGED, len(end))]
+        for _ in range(2):
+            assert list(read_journal(written)) == expected
+            Journal(written).close()
+        with Journal(written) as journal:
+            journal.append("rows", "next")
+        assert list(read_journal(written)) == [*expected, ("rows", "next")]
+
+
+def test_what_a_kill_cut_off_is_no_damage(written: Path) -> None:
+    sound, data = list(read_journal(written)), written.read_bytes()
+    *_, (last, end, _, _) = records(written)
+    for cut in range(last, end):
+        for hole in (b"", bytes(100)):  # or behind some
+            written.write_bytes(data[:last] + hole + data[last:cut])
+            if hole and cut - last < 12:
+                continue  # so little of it cannot be told from damage
+            expected = [*sound[:-1], *([(DAMAGED, len(hole))] if hole else [])]
+            assert list(read_journal(written)) == expected
+            Journal(written).close()
+            assert written.stat().st_size == last + len(hole)
+
+
+def test_the_last_records_of_a_drive_are_not_lost_without_a_word(out: Path) -> None:
+    journal = live_folder(out) / "journal"
+    last = [start for start, *_ in records(journal)][-3:]
+    size = journal.stat().st_size
+    damage(journal, last)
+    for _ in range(2):
+        with SessionFolder(out, None) as kept:
+            assert f"{size - last[0]} bytes" in kept.recording().notes[-1]
+
+
+@pytest.mark.parametrize("length", [20, 6 * 500, 1 << 30])
+def test_the_search_behind_damage_reads_little_for_marks_of_no_record(
+    length: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = 0
+
+    class Counting(io.BufferedReader):
+        def read(self, size: int | None = -1, /) -> bytes:
+            nonlocal read
+            data = super().read(size)
+            read += len(data)
+            return data
+
+    path = tmp_path / "journal"
+    with Journal(path) as journal:
+        journal.append("rows", 1)
+    record = path.read_bytes()[len(MAGIC) :]
+    mark = _RECORD.pack(b"\xf1LIV", length, 1) + b'["'
+    size = path.write_bytes(MAGIC + mark * 1000 + record)
+    monkeypatch.setattr(Path, "open", lambda path, _mode: Counting(io.FileIO(path)))
+    monkeypatch.setattr("fieldgrid.live.journal._SEARCHED_BYTES", 16)
+    assert list(read_journal(path)) == [(DAMAGED, 14_000), ("rows", 1)]
+    assert read < 6 * size
