@@ -160,3 +160,32 @@ def test_the_search_behind_damage_reads_little_for_marks_of_no_record(
     monkeypatch.setattr("fieldgrid.live.journal._SEARCHED_BYTES", 16)
     assert list(read_journal(path)) == [(DAMAGED, 14_000), ("rows", 1)]
     assert read < 6 * size
+
+
+def test_a_full_disk_and_a_damaged_beginning_do_not_cost_the_session(
+    out: Path, short_drive: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    damage(live_folder(out) / "journal", starts_of(out, "begin"))
+    monkeypatch.setattr(Journal, "_write", lambda journal: False)
+    with open_recording(short_drive) as recording:
+        live = begin(recording, out)
+        assert live.is_resumed
+        assert live.counts.frames == 6
+        live.stop()
+
+
+def test_a_block_without_a_frame_removes_only_what_it_began(out: Path, short_drive: Path) -> None:
+    journal = live_folder(out) / "journal"
+    damage(journal, starts_of(out, "frame"))
+    data = journal.read_bytes()
+    with open_recording(short_drive) as recording:
+        with begin(recording, out) as live:
+            assert live.counts.frames == 0
+        assert journal.read_bytes() == data
+        journal.write_bytes(bytes(len(data)))  # after a power cut
+        with begin(recording, out):
+            pass
+        assert journal.stat().st_size > len(data)
+        with begin(recording, out.with_name("n.gpkg")):
+            pass
+        assert not live_folder(out.with_name("n.gpkg")).exists()

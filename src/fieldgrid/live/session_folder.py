@@ -97,7 +97,8 @@ class SessionFolder(Closing):
         except BaseException:
             self._open.close()
             raise
-        self.is_resumed = bool(self.drive.fixes or self.drive.frames or self.drive.parts)
+        drive = self.drive
+        self.is_resumed = bool(drive.fixes or drive.frames or drive.parts or drive.damaged_bytes)
 
     def _begun(self, about: SessionStart | None) -> PushedDrive:
         drive = read_drive(self.folder, self.stage.entries)
@@ -114,8 +115,8 @@ class SessionFolder(Closing):
             self.journal.append("begin", about.to_json())
             self.stage.sync()
             self.journal.sync()
-            drive = read_drive(self.folder, self.stage.entries) if is_damaged else None
-            drive = drive or PushedDrive(about)
+            waiting = self.journal.waiting()  # a full disk takes no beginning
+            drive = read_drive(self.folder, self.stage.entries, waiting) or PushedDrive(about)
         if about is not None and not about.goes_on(drive.about):
             raise ConfigError(
                 f"{self.folder} holds the session {drive.about.name!r}, which was ended before it "
