@@ -6,13 +6,17 @@ import io
 import json
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from fieldgrid.live import live_folder, replay
+from fieldgrid.build.report import StageTimes
+from fieldgrid.errors import ConfigError
+from fieldgrid.live import Live, live_folder, replay
 from fieldgrid.live.journal import _RECORD, DAMAGED, MAGIC, Journal, read_journal
+from fieldgrid.live.kept_drive import KeptFrame
 from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.odometry import CameraStep, Refusal
 from fieldgrid.recording import open_recording
@@ -189,3 +193,32 @@ def test_a_block_without_a_frame_removes_only_what_it_began(out: Path, short_dri
         with begin(recording, out.with_name("n.gpkg")):
             pass
         assert not live_folder(out.with_name("n.gpkg")).exists()
+
+
+def test_frames_are_not_left_to_another_rig_where_the_beginning_is_damaged(
+    out: Path, short_drive: Path
+) -> None:
+    journal = live_folder(out) / "journal"
+    first, second = starts_of(out, "begin")
+    with SessionFolder(out, None) as kept:
+        sound = kept.read()
+    damage(journal, [first])
+    with open_recording(short_drive) as recording:
+        other = replace(recording.rig, image_time_offset_ns=7)
+        with pytest.raises(ConfigError, match="of another rig or other settings"):
+            Live(out, other, name=recording.name)
+    with SessionFolder(out, None) as kept:
+        assert (kept.drive.frames, kept.drive.fixes) == (sound.frames, sound.fixes)
+    # Where the damage took the other one, too, the rig cannot be compared.
+    damage(journal, [second])
+    with open_recording(short_drive) as recording:
+        live = begin(recording, out)
+        assert live.counts.frames == 6
+        live.stop()
+
+
+def test_the_beginning_is_written_again_from_time_to_time(out: Path) -> None:
+    with SessionFolder(out, None) as kept:
+        for number in range(6, 201):
+            kept.add_frame(KeptFrame(number, None), f"{number:06d}", StageTimes())
+    assert len(starts_of(out, "begin")) == 1 + 3

@@ -51,6 +51,10 @@ MOST_PAIRS, PAIR_EVERY_NS = 12, 500_000_000
 """Pairs that are kept to check the cameras: every one at first, then every second, and so on; none
 of frames that follow faster, since a pair takes as much as a third of a frame."""
 
+BEGINS_EVERY = 100
+"""At each of so many frames it is written again what the session was begun with: damage to the
+beginning does not leave the frames to a session of another rig."""
+
 _OF_PAIRS = re.compile(r"\d{8,}-(left|right)\.png|\.\d{8,}-(left|right)\.png\..{8}\.partial.*")
 """Files of pairs, also such as a kill left half-written."""
 
@@ -159,6 +163,8 @@ class SessionFolder(Closing):
         """Keep what else is known of a frame that is in the stage file."""
         spent = [round(getattr(times, name), 6) for name in times.__slots__]
         number, found, *points = frame
+        if number % BEGINS_EVERY == 0:
+            self.journal.append("begin", self.drive.about.to_json())
         return self.journal.append(
             "frame", [number, frame_id, found_to_json(found), spent, *points]
         )
