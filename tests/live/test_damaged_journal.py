@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
+import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,8 +15,8 @@ from typing import Any
 import pytest
 
 from fieldgrid.build.report import StageTimes
-from fieldgrid.errors import ConfigError
-from fieldgrid.live import Live, live_folder, replay
+from fieldgrid.errors import ConfigError, MapError, MapWriteError
+from fieldgrid.live import Live, discard_session, live_folder, replay
 from fieldgrid.live.journal import _RECORD, DAMAGED, MAGIC, Journal, read_journal
 from fieldgrid.live.kept_drive import KeptFrame
 from fieldgrid.live.session_folder import SessionFolder
@@ -222,3 +224,59 @@ def test_the_beginning_is_written_again_from_time_to_time(out: Path) -> None:
         for number in range(6, 201):
             kept.add_frame(KeptFrame(number, None), f"{number:06d}", StageTimes())
     assert len(starts_of(out, "begin")) == 1 + 3
+
+
+def test_whatever_is_damaged_can_be_discarded(
+    out: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, data = live_folder(out), (whole / "journal").read_bytes()
+    of_others = folder / "notes.txt"
+    journals = [
+        data.replace(b'["begin",', b'["begun",'),
+        bytes(len(data)),  # a power cut left it unwritten
+        b"",
+        data.replace(b'["fix",[', b'["fix",{'),
+    ]
+    for journal in journals:
+        shutil.copytree(whole, folder, dirs_exist_ok=True)
+        of_others.write_text("mine")
+        (folder / "journal").write_bytes(journal)
+        assert discard_session(out)[0] in ("", "drive")
+        assert [path.name for path in folder.iterdir()] == ["notes.txt"]
+    # A full disk may take not even what is there already.
+    shutil.copytree(whole, folder, dirs_exist_ok=True)
+
+    def full(*_given: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "pwrite", full)
+    assert discard_session(out) == ("drive", 6)
+    with pytest.raises(ConfigError, match="no live session"):
+        discard_session(out)
+
+
+def test_files_of_others_and_sessions_that_go_on_are_not_discarded(
+    out: Path, short_drive: Path
+) -> None:
+    with open_recording(short_drive) as recording:
+        live = begin(recording, out)
+        with pytest.raises(MapError, match="Another program"):
+            discard_session(out)
+        live.stop()
+    journal = live_folder(out) / "journal"
+    journal.write_text("what happened on the third of June")
+    with pytest.raises(MapError, match="no journal"):
+        discard_session(out)
+    assert journal.exists()
+    assert (journal.parent / "frames.grids").exists()
+
+
+def test_what_cannot_be_removed_is_not_reported_as_removed(
+    out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_given: object, **_named: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "unlink", refused)
+    with pytest.raises(MapWriteError, match="permissions"):
+        discard_session(out)

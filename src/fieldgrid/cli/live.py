@@ -149,7 +149,9 @@ def command(
         )
         from fieldgrid.live import discard_session
 
-        output.report_line("removed the session {} with {} frames".format(*discard_session(out)))
+        session, frames = discard_session(out)
+        what = f"the session {session} with {frames} frames" if session else "an unreadable session"
+        output.report_line(f"removed {what}")
         return
     if not any(driving):
         flags = set(SettingsFlags("pose", "checks").names())

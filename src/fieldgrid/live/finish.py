@@ -20,11 +20,11 @@ from fieldgrid.build import (
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import attitude_of_grids, check_images
 from fieldgrid.build.session import NewSession, check_names
-from fieldgrid.errors import ConfigError, FieldgridError, MapExistsError
+from fieldgrid.errors import ConfigError, FieldgridError, MapExistsError, MapWriteError
 from fieldgrid.live.gridding_again import gridded_again
-from fieldgrid.live.kept_drive import SessionStart
+from fieldgrid.live.kept_drive import JOURNAL, SessionStart, live_folder
 from fieldgrid.live.kept_points import LOST
-from fieldgrid.live.session_folder import SessionFolder
+from fieldgrid.live.session_folder import SessionFolder, remove_unread
 from fieldgrid.mapfile import Patience, StageFile, create_map, open_map
 from fieldgrid.recording import DriveOptions, Recording, open_drive
 from fieldgrid.settings import BuildSettings, Overrides
@@ -121,10 +121,19 @@ def finish_from(
 
 
 def discard_session(out: str | Path) -> tuple[str, int]:
-    """Remove what a session that was ended has kept; its name, and how many frames it had."""
-    with SessionFolder(Path(out), None) as kept:
-        name, frames = kept.drive.about.name, len(kept.drive.frames)
-        kept.remove()
+    """Remove what a session that was ended has kept; its name, and how many frames it had: an empty
+    name and 0 where that cannot be read."""
+    name, frames = "", 0
+    try:
+        with SessionFolder(Path(out), None) as kept:
+            name, frames = kept.drive.about.name, len(kept.drive.frames)
+            kept.remove()
+    except FieldgridError:  # it is given up: what is wrong with it does not matter
+        if not remove_unread(Path(out)):
+            raise
+    folder = live_folder(Path(out))
+    if (folder / JOURNAL).exists():
+        raise MapWriteError(f"{folder} could not be removed; check its permissions.")
     return name, frames
 
 

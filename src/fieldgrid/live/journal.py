@@ -57,8 +57,11 @@ class Journal(Closing):
             for self._end, _ in () if is_new else _scan(path):
                 pass
             # What is damaged stays, so that it is reported each time; what is torn goes.
-            os.pwrite(self._file, MAGIC, 0)  # it may be damaged
-            os.ftruncate(self._file, self._end)
+            # A full disk may refuse to write even what is there already.
+            if os.pread(self._file, len(MAGIC), 0) != MAGIC:
+                os.pwrite(self._file, MAGIC, 0)
+            if os.fstat(self._file).st_size > self._end:
+                os.ftruncate(self._file, self._end)
         except BaseException:
             self.close()
             raise

@@ -112,10 +112,14 @@ class SessionFolder(Closing):
                 raise ConfigError(
                     f"The beginning of the session in {self.folder} is damaged. Run the command "
                     "that began it again, with the same rig and settings: it goes on with what is "
-                    "kept, and its end makes the map. Or remove the folder."
+                    f"kept, and its end makes the map. Or give it up: fieldgrid live -o {self.out} "
+                    "--discard."
                 )
             if about is None:
-                raise ConfigError(f"{self.folder} holds no session; remove it.")
+                raise ConfigError(
+                    f"{self.folder} holds no session; fieldgrid live -o {self.out} --discard "
+                    "removes it."
+                )
             self.journal.append("begin", about.to_json())
             self.stage.sync()
             self.journal.sync()
@@ -290,18 +294,36 @@ class SessionFolder(Closing):
 
     def remove(self) -> None:
         """Remove all of it: the drive is in the map, or is given up. Files of others stay."""
-        pairs = [path for path in self.folder.glob("*") if _OF_PAIRS.fullmatch(path.name)]
-        # Without the journal nothing of the rest counts, but for pairs.
-        for path in (*pairs, *(self.folder / name for name in (POINTS, JOURNAL, GRIDS))):
-            with suppress(OSError):
-                path.unlink(missing_ok=True)
-        with suppress(OSError):
-            self.folder.rmdir()
+        _remove(self.folder)
         self.close()
 
     def close(self) -> None:
         """Let go of the folder."""
         self._open.close()
+
+
+def remove_unread(out: Path) -> bool:
+    """Remove the session for a map whatever of it can be read; False where there is none, or where
+    another program has it. MapError where the journal is a file of others."""
+    journal = live_folder(out) / JOURNAL
+    if not journal.is_file():
+        return False
+    with holding(journal) as is_ours:
+        if is_ours:
+            next(read_journal(journal), None)
+            _remove(journal.parent)
+    return is_ours
+
+
+def _remove(folder: Path) -> None:
+    """Remove the files of a session. Files of others stay."""
+    pairs = [path for path in folder.glob("*") if _OF_PAIRS.fullmatch(path.name)]
+    # Without the journal nothing of the rest counts, but for pairs.
+    for path in (*pairs, *(folder / name for name in (POINTS, JOURNAL, GRIDS))):
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
 
 
 @dataclass(frozen=True, slots=True)
