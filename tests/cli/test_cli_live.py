@@ -108,7 +108,7 @@ def test_who_interrupts_the_making_of_the_map_is_told_where_the_drive_is(
         for attempt in (replay, ("live", "-o", out, "--finish")):
             result = fieldgrid(*attempt)
             assert result.status == status
-            assert f"the drive is kept in {out}.live, and fieldgrid live" in result.err
+            assert f"interrupted. The drive is kept in {out}.live; fieldgrid live" in result.err
             assert "--finish makes the map of it" in result.err
     fieldgrid("live", "-o", out, "--finish").output()
 

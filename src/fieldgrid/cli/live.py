@@ -351,7 +351,9 @@ def _finished(
     from fieldgrid.live import finish_from, finish_session, live_folder
     from fieldgrid.mapfile import Patience
 
-    with kept_when_interrupted(live_folder(out), out), progress.building(out, wait_s) as tell:
+    way = "--finish" if recording is None else f"--finish-from {recording}"
+    kept = kept_when_interrupted(live_folder(out), out, way)
+    with kept, progress.building(out, wait_s) as tell:
         patience = Patience(wait_s, tell.waiting)
         if recording is None:
             return finish_session(out, settings, progress=tell.show, patience=patience)

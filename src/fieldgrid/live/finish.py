@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -104,19 +105,20 @@ def finish_from(
                         f"{recording} has no frame of the time {entry.time_ns} ns, as the session "
                         f"{about.name!r} in {kept.folder} has; give the recording of that drive."
                     )
-        (report,) = build_map(
-            [recording],
-            kept.out,
-            with_overrides(about.settings, overrides or {}),
-            options,
-            datum=about.datum,
-            append=about.append,
-            name=about.name,
-            jobs=jobs,
-            progress=progress,
-            patience=patience,
-        )
-        kept.remove()
+        with _telling_where(kept, f"--finish-from {recording}"):
+            (report,) = build_map(
+                [recording],
+                kept.out,
+                with_overrides(about.settings, overrides or {}),
+                options,
+                datum=about.datum,
+                append=about.append,
+                name=about.name,
+                jobs=jobs,
+                progress=progress,
+                patience=patience,
+            )
+            kept.remove()
     return report
 
 
@@ -147,24 +149,37 @@ def finish(
     started = time.perf_counter()
     about = kept.drive.about
     settings = with_overrides(about.settings, overrides)
-    try:
-        if not kept.staged().entries:
-            raise ConfigError(f"The session {about.name!r} has no frame, so there is no map of it.")
-        placed = _placed(kept, kept.recording(), settings, progress, patience or Patience())
-    except FieldgridError as error:
-        sentence = str(error).removesuffix(".")
-        lost = "" if kept.sync() else kept.unwritten()
-        raise type(error)(
-            f"{sentence}. The drive is kept in {kept.folder}{lost}; fieldgrid live -o {kept.out} "
-            "--finish tries again, with pose options or --accept, and --discard gives it up."
-        ) from error
-    report = placed.report
-    if placed.left_out:
-        report.notes += (_still_kept(kept, placed.left_out),)
-    else:
-        kept.remove()
+    with _telling_where(kept, "--finish"):
+        try:
+            if not kept.staged().entries:
+                raise ConfigError(
+                    f"The session {about.name!r} has no frame, so there is no map of it."
+                )
+            placed = _placed(kept, kept.recording(), settings, progress, patience or Patience())
+        except FieldgridError as error:
+            sentence = str(error).removesuffix(".")
+            where = kept.what_is_kept(
+                f"fieldgrid live -o {kept.out} --finish tries again, with pose options or "
+                "--accept, and --discard gives it up"
+            )
+            raise type(error)(f"{sentence}. {where}") from error
+        report = placed.report
+        if placed.left_out:
+            report.notes += (_still_kept(kept, placed.left_out),)
+        else:
+            kept.remove()
     report.wall_s = time.perf_counter() - started
     return report
+
+
+@contextmanager
+def _telling_where(kept: SessionFolder, way: str) -> Iterator[None]:
+    """Give Ctrl-C and SIGTERM a note on where the drive is, and by which option it goes on."""
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit) as end:
+        end.add_note(kept.what_is_kept(f"fieldgrid live -o {kept.out} {way} makes the map of it"))
+        raise
 
 
 class _Placed(NamedTuple):

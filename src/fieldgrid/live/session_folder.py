@@ -224,12 +224,18 @@ class SessionFolder(Closing):
             return False
         return True
 
-    def unwritten(self) -> str:
-        """A remark on what was pushed and is in memory alone; empty where all is in the file."""
-        count = len(self.journal.waiting())
-        if not count:
-            return ""
-        return f", but for the last {count} records of sensors, which the full disk did not take"
+    def what_is_kept(self, then: str) -> str:
+        """A sentence on where the drive is, and with what command it goes on (`then`). It writes
+        first what waits."""
+        journal = self.folder / JOURNAL
+        if not journal.exists():
+            return f"The drive is in the map {self.out}."
+        taken = self.sync()
+        if not taken and next(read_journal(journal), None) is None:
+            return "Nothing of the drive is kept, since the full disk took none of it."
+        count = sum(kind != "begin" for kind, _ in self.journal.waiting())
+        lost = f", but for the last {count} records, which the full disk did not take"
+        return f"The drive is kept in {self.folder}{lost if count else ''}; {then}."
 
     def read(self) -> PushedDrive:
         """What was pushed so far."""
