@@ -17,7 +17,9 @@ from typing import Any
 from urllib.request import urlopen
 
 import pytest
+import typer
 
+from fieldgrid.cli.live_signals import kept_when_interrupted
 from fieldgrid.mapfile import open_map
 from tests.cli.conftest import Run, in_a_process
 from tests.conftest import make_small_drive
@@ -108,7 +110,7 @@ def test_who_interrupts_the_making_of_the_map_is_told_where_the_drive_is(
         for attempt in (replay, ("live", "-o", out, "--finish")):
             result = fieldgrid(*attempt)
             assert result.status == status
-            assert f"the drive is kept in {out}.live, and fieldgrid live" in result.err
+            assert f"interrupted. The drive is kept in {out}.live; fieldgrid live" in result.err
             assert "--finish makes the map of it" in result.err
     fieldgrid("live", "-o", out, "--finish").output()
 
@@ -145,6 +147,32 @@ def test_a_drive_whose_end_is_refused_is_finished_or_discarded_later(
     assert text == "removed the session june with 4 frames\n"
     assert not (tmp_path / "m.gpkg.live").exists()
     assert "no live session" in fieldgrid("live", "-o", out, "--finish").sentence()
+
+
+def test_a_session_of_which_nothing_can_be_read_is_discarded(
+    tmp_path: Path, fieldgrid: Run
+) -> None:
+    folder = tmp_path / "m.gpkg.live"
+    folder.mkdir()
+    (folder / "journal").write_bytes(bytes(300))  # as a power cut may leave it
+    out = tmp_path / "m.gpkg"
+    assert "--discard" in fieldgrid("live", "-o", out, "--finish").sentence()
+    assert fieldgrid("live", "-o", out, "--discard").output() == "removed an unreadable session\n"
+    assert not folder.exists()
+
+
+def test_an_interruption_before_the_end_has_begun_names_the_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted() -> str:
+        kept = kept_when_interrupted(tmp_path / "live", tmp_path / "m", "--finish-from june")
+        with pytest.raises(typer.Exit), kept:
+            raise KeyboardInterrupt
+        return capsys.readouterr().err
+
+    assert interrupted() == "fieldgrid: interrupted.\n"
+    (tmp_path / "live").mkdir()
+    assert "-o " + str(tmp_path / "m") + " --finish-from june makes the map" in interrupted()
 
 
 def test_wrong_uses(drive: Path, tmp_path: Path, fieldgrid: Run) -> None:

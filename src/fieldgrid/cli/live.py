@@ -149,7 +149,9 @@ def command(
         )
         from fieldgrid.live import discard_session
 
-        output.report_line("removed the session {} with {} frames".format(*discard_session(out)))
+        session, frames = discard_session(out)
+        what = f"the session {session} with {frames} frames" if session else "an unreadable session"
+        output.report_line(f"removed {what}")
         return
     if not any(driving):
         flags = set(SettingsFlags("pose", "checks").names())
@@ -349,7 +351,9 @@ def _finished(
     from fieldgrid.live import finish_from, finish_session, live_folder
     from fieldgrid.mapfile import Patience
 
-    with kept_when_interrupted(live_folder(out), out), progress.building(out, wait_s) as tell:
+    way = "--finish" if recording is None else f"--finish-from {recording}"
+    kept = kept_when_interrupted(live_folder(out), out, way)
+    with kept, progress.building(out, wait_s) as tell:
         patience = Patience(wait_s, tell.waiting)
         if recording is None:
             return finish_session(out, settings, progress=tell.show, patience=patience)

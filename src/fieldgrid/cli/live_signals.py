@@ -14,16 +14,21 @@ from fieldgrid.errors import printable
 
 
 @contextmanager
-def kept_when_interrupted(folder: Path, out: Path) -> Iterator[None]:
-    """Say where the drive is when Ctrl-C or SIGTERM ends the making of its map."""
+def kept_when_interrupted(folder: Path, out: Path, way: str = "--finish") -> Iterator[None]:
+    """Say where the drive is when Ctrl-C or SIGTERM ends the making of its map; `way` is the option
+    that makes it."""
     try:
         yield
     except (KeyboardInterrupt, SystemExit) as end:
-        said = (
-            f"fieldgrid: interrupted; the drive is kept in {folder}, and fieldgrid live -o {out} "
-            "--finish makes the map of it."
-        )
-        typer.echo(printable(said), err=True)
+        where = ""
+        if folder.exists():
+            where = (
+                f"What is kept of the drive is in {folder}; fieldgrid live -o {out} {way} makes "
+                "the map of it."
+            )
+        # Where the end had begun, it has noted what became of the drive.
+        where = getattr(end, "__notes__", [where])[-1]
+        typer.echo(printable(f"fieldgrid: interrupted. {where}".rstrip()), err=True)
         raise typer.Exit(130 if isinstance(end, KeyboardInterrupt) else 143) from None
 
 

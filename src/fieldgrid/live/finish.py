@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,11 +21,11 @@ from fieldgrid.build import (
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import attitude_of_grids, check_images
 from fieldgrid.build.session import NewSession, check_names
-from fieldgrid.errors import ConfigError, FieldgridError, MapExistsError
+from fieldgrid.errors import ConfigError, FieldgridError, MapExistsError, MapWriteError
 from fieldgrid.live.gridding_again import gridded_again
-from fieldgrid.live.kept_drive import SessionStart
+from fieldgrid.live.kept_drive import JOURNAL, SessionStart, live_folder
 from fieldgrid.live.kept_points import LOST
-from fieldgrid.live.session_folder import SessionFolder
+from fieldgrid.live.session_folder import SessionFolder, remove_unread
 from fieldgrid.mapfile import Patience, StageFile, create_map, open_map
 from fieldgrid.recording import DriveOptions, Recording, open_drive
 from fieldgrid.settings import BuildSettings, Overrides
@@ -104,27 +105,37 @@ def finish_from(
                         f"{recording} has no frame of the time {entry.time_ns} ns, as the session "
                         f"{about.name!r} in {kept.folder} has; give the recording of that drive."
                     )
-        (report,) = build_map(
-            [recording],
-            kept.out,
-            with_overrides(about.settings, overrides or {}),
-            options,
-            datum=about.datum,
-            append=about.append,
-            name=about.name,
-            jobs=jobs,
-            progress=progress,
-            patience=patience,
-        )
-        kept.remove()
+        with _telling_where(kept, f"--finish-from {recording}"):
+            (report,) = build_map(
+                [recording],
+                kept.out,
+                with_overrides(about.settings, overrides or {}),
+                options,
+                datum=about.datum,
+                append=about.append,
+                name=about.name,
+                jobs=jobs,
+                progress=progress,
+                patience=patience,
+            )
+            kept.remove()
     return report
 
 
 def discard_session(out: str | Path) -> tuple[str, int]:
-    """Remove what a session that was ended has kept; its name, and how many frames it had."""
-    with SessionFolder(Path(out), None) as kept:
-        name, frames = kept.drive.about.name, len(kept.drive.frames)
-        kept.remove()
+    """Remove what a session that was ended has kept; its name, and how many frames it had: an empty
+    name and 0 where that cannot be read."""
+    name, frames = "", 0
+    try:
+        with SessionFolder(Path(out), None) as kept:
+            name, frames = kept.drive.about.name, len(kept.drive.frames)
+            kept.remove()
+    except FieldgridError:  # it is given up: what is wrong with it does not matter
+        if not remove_unread(Path(out)):
+            raise
+    folder = live_folder(Path(out))
+    if (folder / JOURNAL).exists():
+        raise MapWriteError(f"{folder} could not be removed; check its permissions.")
     return name, frames
 
 
@@ -138,27 +149,39 @@ def finish(
     started = time.perf_counter()
     about = kept.drive.about
     settings = with_overrides(about.settings, overrides)
-    try:
-        if not kept.staged().entries:
-            raise ConfigError(f"The session {about.name!r} has no frame, so there is no map of it.")
-        placed = _placed(kept, kept.recording(), settings, progress, patience or Patience())
-    except FieldgridError as error:
-        sentence = str(error).removesuffix(".")
-        lost = "" if kept.sync() else kept.unwritten()
-        raise type(error)(
-            f"{sentence}. The drive is kept in {kept.folder}{lost}; fieldgrid live -o {kept.out} "
-            "--finish tries again, with pose options or --accept, and --discard gives it up."
-        ) from error
-    report = placed.report
-    unreadable = len(kept.read().unreadable)
-    if placed.left_out:
-        report.notes += (_still_kept(kept, placed.left_out, _NO_POINTS),)
-    if unreadable:
-        report.notes += (_still_kept(kept, unreadable, _NO_GRIDS),)
-    if not (placed.left_out or unreadable):
-        kept.remove()
+    with _telling_where(kept, "--finish"):
+        try:
+            if not kept.staged().entries:
+                raise ConfigError(
+                    f"The session {about.name!r} has no frame, so there is no map of it."
+                )
+            placed = _placed(kept, kept.recording(), settings, progress, patience or Patience())
+        except FieldgridError as error:
+            sentence = str(error).removesuffix(".")
+            where = kept.what_is_kept(
+                f"fieldgrid live -o {kept.out} --finish tries again, with pose options or "
+                "--accept, and --discard gives it up"
+            )
+            raise type(error)(f"{sentence}. {where}") from error
+        report = placed.report
+        if placed.left_out:
+            report.notes += (_still_kept(kept, placed.left_out, _NO_POINTS),)
+        if kept.unreadable:
+            report.notes += (_still_kept(kept, kept.unreadable, _NO_GRIDS),)
+        if not (placed.left_out or kept.unreadable):
+            kept.remove()
     report.wall_s = time.perf_counter() - started
     return report
+
+
+@contextmanager
+def _telling_where(kept: SessionFolder, way: str) -> Iterator[None]:
+    """Give Ctrl-C and SIGTERM a note on where the drive is, and by which option it goes on."""
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit) as end:
+        end.add_note(kept.what_is_kept(f"fieldgrid live -o {kept.out} {way} makes the map of it"))
+        raise
 
 
 class _Placed(NamedTuple):

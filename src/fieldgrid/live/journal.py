@@ -1,7 +1,7 @@
 """A file that grows by whole records: what was pushed is there again after a kill.
 
 Each record is a JSON value with its CRC-32. A record that was not written to its end is not in the
-file; one that was damaged later is left out, and those after it are found again.
+file; one that was damaged later is left out and reported, and those after it are found again.
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ _RECORD = Struct("<4sII")
 """Of each record: a mark, the length of its JSON, the CRC-32 of that."""
 _MARK = b"\xf1LIV"
 MAX_RECORD_BYTES = 64 << 20
-_SEARCHED_BYTES = 1 << 20
-"""So much is read at a time to find the next record behind a damaged one."""
+_BEGINS = b'["'
+"""The first bytes of each JSON."""
+_SEARCHED_BYTES = 1 << 12
+"""So much is read at first to find the next mark, then twice as much each time."""
 DAMAGED = "damaged"
 MAX_WAITING_BYTES = 16 << 20
 """What waits in memory while the disk takes nothing: minutes of all sensors."""
@@ -54,8 +56,12 @@ class Journal(Closing):
             self._end = len(MAGIC)
             for self._end, _ in () if is_new else _scan(path):
                 pass
-            os.pwrite(self._file, MAGIC, 0)  # it may be damaged
-            os.ftruncate(self._file, self._end)
+            # What is damaged stays, so that it is reported each time; what is torn goes.
+            # A full disk may refuse to write even what is there already.
+            if os.pread(self._file, len(MAGIC), 0) != MAGIC:
+                os.pwrite(self._file, MAGIC, 0)
+            if os.fstat(self._file).st_size > self._end:
+                os.ftruncate(self._file, self._end)
         except BaseException:
             self.close()
             raise
@@ -124,8 +130,9 @@ class Journal(Closing):
 
 
 def read_journal(path: Path) -> Iterator[Record]:
-    """The records of a journal, in order, and `(DAMAGED, bytes)` for a stretch between or before
-    them that cannot be read. MapError for another file."""
+    """The records of a journal, in order, and `(DAMAGED, bytes)` for a stretch before, between or
+    behind them that cannot be read. A record at the end that was not written to its end is none.
+    MapError for another file."""
     for _, record in _scan(path):
         yield record
 
@@ -133,37 +140,84 @@ def read_journal(path: Path) -> Iterator[Record]:
 def _scan(path: Path) -> Iterator[tuple[int, Record]]:
     """Each whole record or stretch that is damaged, and where the next one goes."""
     with path.open("rb") as file:
-        is_journal = file.read(len(MAGIC)) == MAGIC
-        offset = len(MAGIC)
-        while (found := _next_record(file, offset)) is not None:
-            start, end, record = found
-            if start > offset or not is_journal:
-                yield start, (DAMAGED, start - offset if is_journal else start)
+        size = os.fstat(file.fileno()).st_size
+        magic = file.read(len(MAGIC))
+        is_journal = magic == MAGIC or not any(magic)  # a power cut may leave zeros
+        read_to = len(MAGIC) if magic == MAGIC else 0
+        last = at = len(MAGIC)
+        while at < size:
+            record, end = _record_at(file, at, size)
+            if record is None:
+                last, at = at, _next_mark(file, at + 1, size)
+                continue
+            if at > read_to:
+                yield at, (DAMAGED, at - read_to)
             is_journal = True
-            offset = end
-            yield offset, record
+            last = at = read_to = end
+            yield end, record
         if not is_journal:
-            raise MapError(f"{path} is no journal of a live session. Check the name.")
+            raise MapError(
+                f"{path} is no journal of a live session. Check the name, or remove the file."
+            )
+        end = last if _is_torn(file, last, size) else size
+        if end > read_to:
+            yield end, (DAMAGED, end - read_to)
 
 
-def _next_record(file: BinaryIO, offset: int) -> tuple[int, int, Record] | None:
-    """Where the first whole record from `offset` on begins and ends, and what it is; None where
-    none follows."""
-    while True:
-        file.seek(offset)
-        head = file.read(_RECORD.size)
-        if len(head) < _RECORD.size:
-            return None
-        mark, length, check = _RECORD.unpack(head)
-        if mark == _MARK and length <= MAX_RECORD_BYTES:
-            body = file.read(length)
-            if len(body) == length and zlib.crc32(body) == check and (record := _record(body)):
-                return offset, offset + _RECORD.size + length, record
-        file.seek(offset + 1)
-        searched = file.read(_SEARCHED_BYTES)
-        at = searched.find(_MARK)
-        # A mark may lie across the end of what was searched.
-        offset += 1 + (at if at >= 0 else max(0, len(searched) - len(_MARK) + 1))
+def _record_at(file: BinaryIO, at: int, size: int) -> tuple[Record | None, int]:
+    """The whole record that begins there, and where it ends; None where there is none."""
+    file.seek(at)
+    head = file.read(_RECORD.size)
+    if len(head) < _RECORD.size:
+        return None, at
+    mark, length, check = _RECORD.unpack(head)
+    end = at + _RECORD.size + length
+    if mark != _MARK or length > MAX_RECORD_BYTES or end > size:
+        return None, at
+    body = b""
+    while len(body) < length:
+        part = file.read(min(length - len(body), max(_SEARCHED_BYTES, len(body))))
+        body += part
+        # No JSON has a mark: a damaged length is noticed where the next record begins, so that no
+        # byte is read for many records that are none.
+        if not part or not body.startswith(_BEGINS) or _MARK in body:
+            return None, at
+    return (_record(body) if zlib.crc32(body) == check else None), end
+
+
+def _next_mark(file: BinaryIO, at: int, size: int) -> int:
+    """Where the next mark is from there on; the size where none follows."""
+    searched_bytes = _SEARCHED_BYTES
+    while at < size:
+        file.seek(at)
+        searched = file.read(searched_bytes)
+        found = searched.find(_MARK)
+        if found >= 0:
+            return at + found
+        if len(searched) < len(_MARK):
+            break
+        at += len(searched) - len(_MARK) + 1  # it may lie across the end of what was searched
+        searched_bytes = min(2 * searched_bytes, 1 << 20)
+    return size
+
+
+def _is_torn(file: BinaryIO, at: int, size: int) -> bool:
+    """Whether the file ends, from there on, with the first part of one record."""
+    if size - at >= _RECORD.size + MAX_RECORD_BYTES:
+        return False
+    file.seek(at)
+    head = file.read(_RECORD.size)
+    if len(head) < _RECORD.size:
+        return _MARK.startswith(head[: len(_MARK)])
+    mark, length, _ = _RECORD.unpack(head)
+    body = file.read(size - at - len(head))
+    return (
+        mark == _MARK
+        and len(body) < length <= MAX_RECORD_BYTES
+        and body.startswith(_BEGINS[: len(body)])
+        and b"\0" not in body  # of what a power cut left unwritten
+        and _record(body) is None  # its length is damaged
+    )
 
 
 def _record(body: bytes) -> Record | None:

@@ -322,7 +322,7 @@ class Live(Closing):
                 self._end()
 
     def close(self) -> None:
-        """`finish`, unless the session has ended or has no frame: then nothing is kept."""
+        """`finish`, unless the session has ended or has no frame: then what it began is removed."""
         if not self._is_open:
             return
         self.drain()
@@ -330,7 +330,7 @@ class Live(Closing):
             self.finish()
         else:
             self._end()
-            self._kept.remove()
+            (self._kept.close if self.is_resumed else self._kept.remove)()
 
     def __exit__(self, *error: object) -> None:
         if len(error) > 1 and isinstance(error[1], Exception):

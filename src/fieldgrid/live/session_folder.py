@@ -51,6 +51,10 @@ MOST_PAIRS, PAIR_EVERY_NS = 12, 500_000_000
 """Pairs that are kept to check the cameras: every one at first, then every second, and so on; none
 of frames that follow faster, since a pair takes as much as a third of a frame."""
 
+BEGINS_EVERY = 100
+"""At each of so many frames it is written again what the session was begun with: damage to the
+beginning does not leave the frames to a session of another rig."""
+
 _OF_PAIRS = re.compile(r"\d{8,}-(left|right)\.png|\.\d{8,}-(left|right)\.png\..{8}\.partial.*")
 """Files of pairs, also such as a kill left half-written."""
 
@@ -99,7 +103,10 @@ class SessionFolder(Closing):
         except BaseException:
             self._open.close()
             raise
-        self.is_resumed = bool(self.drive.fixes or self.drive.frames or self.drive.parts)
+        drive = self.drive
+        self.unreadable = len(drive.unreadable)
+        """How many frames' grids could not be read back, as last read."""
+        self.is_resumed = bool(drive.fixes or drive.frames or drive.parts or drive.damaged_bytes)
 
     def _begun(self, about: SessionStart | None) -> PushedDrive:
         drive = read_drive(self.folder, self.stage.entries)
@@ -109,15 +116,19 @@ class SessionFolder(Closing):
                 raise ConfigError(
                     f"The beginning of the session in {self.folder} is damaged. Run the command "
                     "that began it again, with the same rig and settings: it goes on with what is "
-                    "kept, and its end makes the map. Or remove the folder."
+                    f"kept, and its end makes the map. Or give it up: fieldgrid live -o {self.out} "
+                    "--discard."
                 )
             if about is None:
-                raise ConfigError(f"{self.folder} holds no session; remove it.")
+                raise ConfigError(
+                    f"{self.folder} holds no session; fieldgrid live -o {self.out} --discard "
+                    "removes it."
+                )
             self.journal.append("begin", about.to_json())
             self.stage.sync()
             self.journal.sync()
-            drive = read_drive(self.folder, self.stage.entries) if is_damaged else None
-            drive = drive or PushedDrive(about)
+            waiting = self.journal.waiting()  # a full disk takes no beginning
+            drive = read_drive(self.folder, self.stage.entries, waiting) or PushedDrive(about)
         if about is not None and not about.goes_on(drive.about):
             raise ConfigError(
                 f"{self.folder} holds the session {drive.about.name!r}, which was ended before it "
@@ -160,6 +171,8 @@ class SessionFolder(Closing):
         """Keep what else is known of a frame that is in the stage file."""
         spent = [round(getattr(times, name), 6) for name in times.__slots__]
         number, found, *points = frame
+        if number % BEGINS_EVERY == 0:
+            self.journal.append("begin", self.drive.about.to_json())
         return self.journal.append(
             "frame", [number, frame_id, found_to_json(found), spent, *points]
         )
@@ -215,18 +228,26 @@ class SessionFolder(Closing):
             return False
         return True
 
-    def unwritten(self) -> str:
-        """A remark on what was pushed and is in memory alone; empty where all is in the file."""
-        count = len(self.journal.waiting())
-        if not count:
-            return ""
-        return f", but for the last {count} records of sensors, which the full disk did not take"
+    def what_is_kept(self, then: str) -> str:
+        """A sentence on where the drive is, and with what command it goes on (`then`). It writes
+        first what waits."""
+        journal = self.folder / JOURNAL
+        if not journal.exists():
+            return f"The drive is in the map {self.out}."
+        taken = self.sync()
+        if not taken and next(read_journal(journal), None) is None:
+            return "Nothing of the drive is kept, since the full disk took none of it."
+        count = sum(kind != "begin" for kind, _ in self.journal.waiting())
+        lost = f", but for the last {count} records, which the full disk did not take"
+        return f"The drive is kept in {self.folder}{lost if count else ''}; {then}."
 
     def read(self) -> PushedDrive:
         """What was pushed so far."""
         self.stage.recall()
         waiting = self.journal.waiting()  # a full disk took nothing of it
-        return read_drive(self.folder, self.stage.entries, waiting) or self.drive
+        drive = read_drive(self.folder, self.stage.entries, waiting) or self.drive
+        self.unreadable = len(drive.unreadable)
+        return drive
 
     def staged(self) -> Staged:
         """The frames, as a build has them of its drive."""
@@ -285,18 +306,36 @@ class SessionFolder(Closing):
 
     def remove(self) -> None:
         """Remove all of it: the drive is in the map, or is given up. Files of others stay."""
-        pairs = [path for path in self.folder.glob("*") if _OF_PAIRS.fullmatch(path.name)]
-        # Without the journal nothing of the rest counts, but for pairs.
-        for path in (*pairs, *(self.folder / name for name in (POINTS, JOURNAL, GRIDS))):
-            with suppress(OSError):
-                path.unlink(missing_ok=True)
-        with suppress(OSError):
-            self.folder.rmdir()
+        _remove(self.folder)
         self.close()
 
     def close(self) -> None:
         """Let go of the folder."""
         self._open.close()
+
+
+def remove_unread(out: Path) -> bool:
+    """Remove the session for a map whatever of it can be read; False where there is none, or where
+    another program has it. MapError where the journal is a file of others."""
+    journal = live_folder(out) / JOURNAL
+    if not journal.is_file():
+        return False
+    with holding(journal) as is_ours:
+        if is_ours:
+            next(read_journal(journal), None)
+            _remove(journal.parent)
+    return is_ours
+
+
+def _remove(folder: Path) -> None:
+    """Remove the files of a session. Files of others stay."""
+    pairs = [path for path in folder.glob("*") if _OF_PAIRS.fullmatch(path.name)]
+    # Without the journal nothing of the rest counts, but for pairs.
+    for path in (*pairs, *(folder / name for name in (POINTS, JOURNAL, GRIDS))):
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
 
 
 @dataclass(frozen=True, slots=True)
