@@ -22,4 +22,5 @@ def test_a_receiver_that_is_less_sure_than_it_states_is_no_warning(quality: Qual
     assert {finding.severity for finding in findings} == {Severity.INFO}
     (found,) = (finding for finding in findings if finding.code == "poses")
     assert found.message.endswith("m.")
-    assert found.remedy.startswith("If yours is known") and "--accuracy METRES" in found.remedy
+    assert found.remedy.startswith("If yours is known")
+    assert "--accuracy METRES" in found.remedy
