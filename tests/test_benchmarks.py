@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import clock, mounting, reading
+from benchmarks import clock, mounting, random_drives, reading
 from fieldgrid.motion import Steps
 from fieldgrid.mounting import Measured
 from fieldgrid.pose import ClockOffset
+from fieldgrid.quality import Quality
 from tests.conftest import TWO_LANES
 
 ROOT = Path(mounting.__file__).parents[1]
@@ -35,6 +36,14 @@ def test_every_measurement_can_be_loaded(name: str) -> None:
     assert found is None or not found.startswith(("fieldgrid", "benchmarks", "fuzz", "tests"))
     if found is not None:
         pytest.skip(f"{found} is not installed")
+
+
+def test_what_is_so_of_every_receiver_warns_of_no_fault() -> None:
+    """A differential receiver that states a third of its error, and drifts unseen."""
+    silent = random_drives.found(8111)
+    assert silent.case.quality is Quality.DIFFERENTIAL
+    assert silent.sigma_m > 0.2
+    assert silent.notes == ()
 
 
 def test_a_mount_beside_its_truth(

@@ -15,12 +15,15 @@ from fieldgrid.build.inputs import Inputs, from_arrays, to_arrays
 from fieldgrid.errors import ConfigError, FieldgridError, GnssError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import GivenPoses, Motion
-from fieldgrid.pose import GIVEN, ErrorBudget, Estimate, estimate_poses
+from fieldgrid.pose import GIVEN, ErrorBudget, Estimate, UnseenFault, estimate_poses
+from fieldgrid.quality import Quality
 from fieldgrid.recording import DriveOptions, open_drive
 from fieldgrid.recording.pose_source import PoseSource
+from fieldgrid.rig import LeverArm
 from fieldgrid.settings import PoseSettings
 from fieldgrid.track import write_track
 from fieldgrid.trajectory import Trajectory
+from tests.scenes import paper_rig
 from tests.simulated import DATUM, K_TURN, START, Command, Drive, fixes_of, simulate, time_ns
 
 ROWS = simulate([Command(40.0, 1.5), Command(6.3, 1.0, 0.5), Command(40.0, 1.5)] * 2, 20.0)
@@ -322,3 +325,52 @@ def test_other_headings_do_without_them() -> None:
     found = placed(slam(ROWS), fixes, heading="course")
     assert found.trajectory.heading_source == "course"
     assert any("given poses were not used" in note for note in found.report.notes)
+
+
+# --- what neither fixes nor poses show
+
+
+def stating(sigma_m: float, quality: Quality, drive: Drive = ROWS) -> FixColumns:
+    fixes = fixes_of(drive, 0.2, 0.01, quality=quality)
+    return fixes.replace(sigma_m=np.full(len(fixes), sigma_m))
+
+
+def test_poses_are_no_surer_than_the_receiver_that_they_lie_by() -> None:
+    fixes = stating(0.06, Quality.DIFFERENTIAL)
+    found = placed(slam(ROWS), fixes)
+    assert np.median(found.trajectory.position_sigma_m) == pytest.approx(0.25, abs=0.01)
+    assert any("state 0.06 m" in note and "--accuracy" in note for note in found.report.notes)
+    for other, accuracy_m in ((stating(0.06, Quality.UNKNOWN), None), (fixes, 0.06)):
+        found = placed(slam(ROWS), other, accuracy_m=accuracy_m)
+        assert np.median(found.trajectory.position_sigma_m) < 0.1
+        assert not any("--accuracy" in note for note in found.report.notes)
+
+
+def test_fixes_weigh_by_what_they_state() -> None:
+    """So that a frame that lies by RTK fixes is as sure as these."""
+    fixes = stating(0.06, Quality.DIFFERENTIAL)
+    fixed = np.arange(len(fixes)) < len(fixes) // 2
+    fixes = fixes.replace(
+        quality=np.where(fixed, int(Quality.RTK_FIXED), fixes.quality),
+        sigma_m=np.where(fixed, 0.01, 0.06),
+    )
+    assert np.median(placed(slam(ROWS), fixes).trajectory.position_sigma_m) < 0.08
+
+
+def test_what_a_rigid_fit_hides_is_named() -> None:
+    """What is the same in the vehicle is scatter where it turns; a steady drift is a turn."""
+    lane = simulate([Command(40.0, 1.5)], 20.0)
+    rig = paper_rig(antenna=LeverArm(0.0, 0.0, 3.0), rear_axle_forward_m=0.0)
+    for drive, vehicle, unseen in (
+        (ROWS, rig, (UnseenFault.SLOW_DRIFT,)),
+        (lane, rig, tuple(UnseenFault)),
+        (lane, None, (UnseenFault.SLOW_DRIFT,)),
+    ):
+        motion = Motion(poses=slam(drive))
+        found = estimate_poses(fixes_of(drive, 0.2, 0.01), vehicle, DATUM, None, motion)
+        assert found.report.unseen == unseen
+
+
+def test_fixes_do_not_move_a_frame_that_is_declared() -> None:
+    settings = {**EAST_UP, "frame_heading_deg": 90.0, "accuracy_m": 0.1}
+    assert placed(slam(ROWS), fixes_of(ROWS, 0.2)[:0], **settings).report.unseen == ()

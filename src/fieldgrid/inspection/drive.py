@@ -5,7 +5,7 @@ Each step gives the report with what it has found out, and adds to the findings.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -57,6 +57,7 @@ from fieldgrid.localgrid import LocalGridder
 from fieldgrid.pose import Estimate, unseen_sentence
 from fieldgrid.pose.camera_yaw import yaw_notes
 from fieldgrid.pose.report import NO_AXLE, clock_notes
+from fieldgrid.pose.unseen import SLOW_ERRORS
 from fieldgrid.recording import Drive, Recording
 from fieldgrid.rig import StereoCamera
 from fieldgrid.settings import BuildSettings
@@ -87,15 +88,16 @@ def pose_notes(estimate: Estimate) -> Iterator[Finding]:
         own.update(yaw_notes(report.camera_yaw))
     for note in report.notes:
         if note not in own and not note.startswith(NO_AXLE):
-            yield _as_warning("poses", note)
+            kind = info if note.startswith(SLOW_ERRORS) else warning
+            yield _with_remedy(kind, "poses", note)
     if report.unseen:
         yield info("unseen", unseen_sentence(report.unseen))
 
 
-def _as_warning(code: str, note: str) -> Finding:
+def _with_remedy(kind: Callable[[str, str, str], Finding], code: str, note: str) -> Finding:
     """A note of a build, whose remedy follows a semicolon."""
     what, _, remedy = note.partition("; ")
-    return warning(code, f"{what.removesuffix('.')}.", remedy[:1].upper() + remedy[1:])
+    return kind(code, f"{what.removesuffix('.')}.", remedy[:1].upper() + remedy[1:])
 
 
 def with_frames(
@@ -230,7 +232,7 @@ def _with_poses(
         if doubted is not None:
             findings.append(refusal(doubted.error, doubted.doubt.value))
         notes = scale_notes(by_way, recording.rig)
-        findings += [_as_warning(StopCode.SCALE.value, note) for note in notes]
+        findings += [_with_remedy(warning, StopCode.SCALE.value, note) for note in notes]
     if with_camera is not None and mirrored is None:
         _told_by_camera(recording, with_camera, findings)
     if clock is not None and off:

@@ -28,7 +28,8 @@ class AcceptedFixes(NamedTuple):
     """Accepted fixes in order of time, length n. Positions are the antenna's, LTP metres.
 
     `sigma_m` is the error of one axis, mostly slow: the stated one, what seams show beyond it, and
-    that of the digits that a log holds; `lasting_s` is for how long that of seams stays the same,
+    that of the digits that a log holds; `stated_m` is the receiver's own figure, NaN where it has
+    none; `lasting_s` is for how long that of seams stays the same,
     and `noise` what changes from fix to fix. `disputed` are those after fixes that were refused for
     how they lie: one of the two sides may be the wrong one. NaN stands for what a fix does not say;
     a recorded heading is as the source means it.
@@ -39,6 +40,7 @@ class AcceptedFixes(NamedTuple):
     north_m: Float64
     up_m: Float64
     sigma_m: Float64
+    stated_m: Float64
     lasting_s: Float64
     noise: FixNoise
     quality: Int64
@@ -79,6 +81,7 @@ def accepted_fixes(
         north,
         up,
         np.sqrt(stated_m**2 + doubt.sigma_m**2 + cut_m**2),
+        used.sigma_m,
         doubt.lasting_s,
         noise,
         used.quality,

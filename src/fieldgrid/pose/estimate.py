@@ -30,7 +30,12 @@ from fieldgrid.pose.report import PoseReport, drive_notes, fix_offset
 from fieldgrid.pose.settings import HeadingSource, heading_source
 from fieldgrid.pose.slope import FLAT, slope_notes, slope_seen, unsure_slope
 from fieldgrid.pose.table import PoseTable, pose_table
-from fieldgrid.pose.unseen import unseen_faults, unsure_notes, unsure_receiver
+from fieldgrid.pose.unseen import (
+    unseen_faults,
+    unseen_of_given,
+    unsure_notes,
+    unsure_receiver,
+)
 from fieldgrid.pose.verdict import ErrorBudget, judged
 from fieldgrid.rig import LeverArm, VehicleGeometry
 from fieldgrid.settings import PoseSettings
@@ -124,7 +129,7 @@ def estimate_poses(
         offset=fix_offset(log.accepted, drive.offset_m),
         camera_scale=drive.smoothed.camera_scale,
         wheel_scale=drive.smoothed.wheel_scale,
-        unseen=unseen_faults(drive, rig),
+        unseen=unseen_faults(drive, rig, source),
         notes=(
             *(*found.notes, *notes),
             *(unsure_notes(log.accepted) if settings.accuracy_m is None else ()),
@@ -226,6 +231,7 @@ def _of_given(
         wheel_scale=None,
         notes=(*notes, *placed.notes),
         georeference=found,
+        unseen=unseen_of_given(placed.trajectory, found, rig),
     )
     return Estimate(placed.trajectory, placed.fix_row, report)
 

@@ -19,6 +19,7 @@ from fieldgrid.pose.accepted import fix_offsets
 from fieldgrid.pose.georeference import CLEAR_SIGMAS, Georeference, Pairs, by_fixes, declared
 from fieldgrid.pose.given_motion import Chords, chords_of, course_off_heading_deg, resting
 from fieldgrid.pose.table import Conditioned, PoseTable
+from fieldgrid.pose.unseen import unsure_fit_m, unsure_notes
 from fieldgrid.pose.verdict import ErrorBudget, judged
 from fieldgrid.quality import Quality
 from fieldgrid.reasons import commonest_reason
@@ -90,6 +91,10 @@ def place_poses(
     pairs = _pairs(rows, log, rig)
     # Where the frame lies, and whether the body's forward axis is the vehicle's.
     found = _georeference(poses, pairs, log, datum, settings)
+    unsure: tuple[str, ...] = ()
+    if pairs is not None and found.by != "declared" and settings.accuracy_m is None:
+        sigma_m = float(np.hypot(found.place_sigma_m, unsure_fit_m(pairs.fixes)))
+        found, unsure = found._replace(place_sigma_m=sigma_m), tuple(unsure_notes(pairs.fixes))
     chords = chords_of(rows.poses)
     aside_deg = course_off_heading_deg(chords, settings)
     # A row a pose, carried to the grid origin and judged; beside them the fixes that have none.
@@ -100,7 +105,7 @@ def place_poses(
     table = _jumping(table, datum, settings.gnss)
     table, fix_row = _with_other_fixes(table, rows.fix, log)
     trajectory = judged(table, datum, settings, budget, GIVEN)
-    notes = list(_notes(found, aside_deg))
+    notes = [*_notes(found, aside_deg), *unsure]
     if not trajectory.accepted.any():
         notes.append(
             f"No pose can be used, mostly because: {commonest_reason(trajectory.reason)}; say how "

@@ -14,15 +14,18 @@ from enum import StrEnum
 import numpy as np
 
 from fieldgrid.array_types import Bool, Float64
-from fieldgrid.fixes import least_sigma_m
+from fieldgrid.fixes import least_sigma_m, position_sigma_m
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import names_axle
-from fieldgrid.pose.denied import CLEAR_SIGMAS, sees_speed, sees_turns
+from fieldgrid.pose.denied import CLEAR_SIGMAS, sees_speed, sees_turns, sees_way
 from fieldgrid.pose.drive import DRIVING_MPS, DriveEstimate
+from fieldgrid.pose.georeference import Georeference
+from fieldgrid.pose.settings import HeadingSource
 from fieldgrid.pose.table import PoseTable
 from fieldgrid.quality import Quality
 from fieldgrid.rig import Rig, VehicleGeometry
 from fieldgrid.smoother import Constant
+from fieldgrid.trajectory import Trajectory
 
 FAR_M = 1.0
 """A fault that is denied only from an error of so much on is not seen."""
@@ -32,6 +35,17 @@ FIXED_NEAR_S = 60.0
 
 _CLEARLY, _LEAST_SHARE = 1.5, 0.05
 """Fixes that count as so many times less sure than stated are reported, where they are so many."""
+
+_NEARLY_ALL = 0.95
+"""What may be declared of all fixes is named where so many are of one quality."""
+
+SLOW_ERRORS = "A receiver's own figure does not contain its slow errors"
+"""How the note on such fixes begins."""
+
+ONE_WAY = 0.9
+"""A vehicle whose unit headings have a mean of this length heads one way: what is the same in its
+frame is then the same everywhere. Below, the scatter of the fixes beside given poses covers it by
+three sigmas."""
 
 
 class UnseenFault(StrEnum):
@@ -51,11 +65,14 @@ _WORDS = {
 }
 
 
-def unseen_faults(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tuple[UnseenFault, ...]:
+def unseen_faults(
+    drive: DriveEstimate, vehicle: VehicleGeometry | None, source: HeadingSource
+) -> tuple[UnseenFault, ...]:
     """The faults that this drive would not show, of a vehicle as it was declared.
 
     Of a log alone positions are those of its antenna in its own clock, so that neither can be
-    wrong; and where nobody says where the axle is, no place ahead of it is either.
+    wrong; and where nobody says where the axle is, no place ahead of it is either. A drift
+    is looked for where the drive gives the headings.
     """
     told, placed = drive.smoothed.declared, isinstance(vehicle, Rig)
     turns, speed = sees_turns(drive), sees_speed(drive)
@@ -71,9 +88,28 @@ def unseen_faults(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tupl
         # ahead shows there, too.
         UnseenFault.LATE_STAMPS: placed
         and not (turns and _is_told(told.ahead_m) and _is_told(told.late_s, usual_mps)),
-        UnseenFault.SLOW_DRIFT: not len(drive.measured.step),
+        UnseenFault.SLOW_DRIFT: not (source.kind == "smooth" and sees_way(drive)),
     }
     return tuple(fault for fault, unseen in hidden.items() if unseen)
+
+
+def unseen_of_given(
+    track: Trajectory, frame: Georeference, vehicle: VehicleGeometry | None
+) -> tuple[UnseenFault, ...]:
+    """The faults that poses of another program would not show, where they lie by the fixes.
+
+    What changes along the drive is scatter of the fixes beside the poses, which their sigmas
+    contain; a steady drift passes for a turn of the frame, and what is the same in the vehicle for
+    a shift of it, where the vehicle heads one way. A declared frame is not moved by the fixes.
+    """
+    if frame.by == "declared":
+        return ()
+    heading_rad = np.radians(track.heading_deg[np.isfinite(track.heading_deg)])
+    one_way = abs(np.mean(np.exp(1j * heading_rad))) > ONE_WAY
+    if not (one_way and isinstance(vehicle, Rig)):
+        return (UnseenFault.SLOW_DRIFT,)
+    ahead = (UnseenFault.ANTENNA_AHEAD,) if names_axle(vehicle) else ()
+    return (UnseenFault.ANTENNA_ASIDE, *ahead, UnseenFault.LATE_STAMPS, UnseenFault.SLOW_DRIFT)
 
 
 def _is_told(one: Constant, per_unit_m: float = 1.0) -> bool:
@@ -92,30 +128,54 @@ def unsure_receiver(table: PoseTable, fixes: AcceptedFixes) -> PoseTable:
     """The same poses, their positions as unsure as if the receiver had stated at least
     :func:`~fieldgrid.fixes.least_sigma_m`. Neighbours share it.
 
-    Float positions near fixed ones are believed: those vouch for them.
+    The missing variance is added, and is linear in time from one fix to the next: in a gap the
+    estimate passes from the error of one end to that of the other, and what it drifts itself is
+    not the receiver's.
     """
-    last = np.searchsorted(fixes.time_ns, table.time_ns, side="right") - 1
-    times = np.maximum(_least_m(fixes) / fixes.sigma_m, 1.0)[np.maximum(last, 0)]
-    return table._replace(position_sigma_m=table.position_sigma_m * times)
+    first_ns = fixes.time_ns[0]
+    at_ns, fix_ns = table.time_ns - first_ns, fixes.time_ns - first_ns
+    missing_m2 = np.interp(at_ns, fix_ns, _missing_m2(fixes))
+    return table._replace(position_sigma_m=np.sqrt(table.position_sigma_m**2 + missing_m2))
+
+
+def unsure_fit_m(fixes: AcceptedFixes) -> float:
+    """By how much a rigid fit to fixes is less sure along one axis, metres, than these state: they
+    weigh in it by what they state."""
+    return float(np.sqrt(np.average(_missing_m2(fixes), weights=1.0 / fixes.sigma_m**2)))
 
 
 def unsure_notes(fixes: AcceptedFixes) -> Iterator[str]:
-    """What the report says of fixes that :func:`unsure_receiver` makes much less sure."""
+    """What the report says of fixes that count as much less sure than stated."""
     least_m = _least_m(fixes)
-    raised = least_m > _CLEARLY * fixes.sigma_m
+    raised = least_m > _CLEARLY * _believed_m(fixes)
     for quality in map(Quality, np.unique(fixes.quality[raised])):
         these = raised & (fixes.quality == quality)
-        if np.mean(these) >= _LEAST_SHARE:
-            stated_m, counts_m = np.median([fixes.sigma_m[these], least_m[these]], axis=1)
-            yield (
-                f"{int(these.sum())} {quality.label} fixes state {stated_m:.2f} m in the median "
-                f"and count as {counts_m:.2f} m, since a receiver's own figure does not contain "
-                "its slow errors. If yours is known to be surer, as with PPP, give --accuracy "
-                "METRES."
-            )
+        if np.mean(these) < _LEAST_SHARE:
+            continue
+        stated_m, counts_m = np.median([fixes.stated_m[these], least_m[these]], axis=1)
+        # A declared accuracy is that of all fixes: it would spoil the others of a mixed log.
+        alone = np.mean(fixes.quality == quality) >= _NEARLY_ALL
+        remedy = "; if yours is known to be surer, as with PPP, give --accuracy METRES"
+        yield (
+            f"{SLOW_ERRORS}: {int(these.sum())} {quality.label} fixes state {stated_m:.3g} m in "
+            f"the median and count as {counts_m:.3g} m{remedy if alone else ''}."
+        )
+
+
+def _missing_m2(fixes: AcceptedFixes) -> Float64:
+    """The variance along one axis, square metres [n], that the fixes do not state."""
+    return np.maximum(_least_m(fixes) ** 2 - _believed_m(fixes) ** 2, 0.0)
+
+
+def _believed_m(fixes: AcceptedFixes) -> Float64:
+    """What the receiver states, as far as it is believed. What seams and few digits add to it are
+    other errors."""
+    return position_sigma_m(fixes.quality, fixes.stated_m)
 
 
 def _least_m(fixes: AcceptedFixes) -> Float64:
+    """The least error along one axis, metres [n]. Float positions near fixed ones are believed:
+    those vouch for them."""
     vouched = (fixes.quality == Quality.RTK_FLOAT) & _near_fixed(fixes)
     return np.where(vouched, 0.0, least_sigma_m(fixes.quality))
 
