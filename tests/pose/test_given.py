@@ -372,5 +372,12 @@ def test_what_a_rigid_fit_hides_is_named() -> None:
 
 
 def test_fixes_do_not_move_a_frame_that_is_declared() -> None:
-    settings = {**EAST_UP, "frame_heading_deg": 90.0, "accuracy_m": 0.1}
-    assert placed(slam(ROWS), fixes_of(ROWS, 0.2)[:0], **settings).report.unseen == ()
+    poses = slam(ROWS, turned_deg=0.0)
+    start = ROWS.at(np.zeros(1))
+    poses = poses._replace(
+        x_m=poses.x_m - SHIFT_M[0] + start.east_m, y_m=poses.y_m - SHIFT_M[1] + start.north_m
+    )
+    settings = {**EAST_UP, "frame_heading_deg": 90.0}
+    found = placed(poses, stating(0.06, Quality.DIFFERENTIAL), **settings)
+    assert found.report.unseen == ()
+    assert np.median(found.trajectory.position_sigma_m) < 0.1
