@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import json
 import math
@@ -283,6 +284,7 @@ def test_a_client_that_does_not_read_is_cut_off_at_the_end(
             number += 1
             assert number < MANY
             served.take(big)
+            asyncio.run_coroutine_threadsafe(asyncio.sleep(0.0), served._loop).result()
         served.close()
         assert not served._thread.is_alive()
 
