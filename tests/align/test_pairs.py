@@ -148,6 +148,8 @@ def test_a_drive_is_compared_with_those_that_it_shares_most_with() -> None:
     # Of 0 and 1 two submaps each: together they share most.
     assert kept([0], 1) == {(0, 1), (2, 2)}
     assert kept([3], 1) == {(2, 3), (2, 2)}
-    assert kept([0, 3], 2) == {(0, 1), (0, 2), (2, 3), (1, 3), (2, 2)}
+    # New ones do not take the place of older ones.
+    assert kept([0, 1], 1) == {(0, 1), (0, 2), (1, 2), (2, 2)}
+    assert kept([0, 3], 2) == {(0, 1), (0, 2), (0, 3), (2, 3), (1, 3), (2, 2)}
     assert kept([0, 1, 2, 3], 3) == {*shares, (2, 2)}
     assert of_nearest(pairs, [0, 1, 2, 3], 3) == pairs

@@ -99,7 +99,8 @@ def align_map(
     further ones take part.
     `reach_m` is the largest shift that is believed; without `rounds` of fine comparison shifts are
     good to a decimetre, in a third of the time. With `most_others` each drive that may move is
-    compared with so many others, those that it shares most ground with, and not with all.
+    compared with so many others that may and so many that may not, those that it shares most
+    ground with, and not with all.
     `jobs` is the number of threads, all cores when not given; with a `scheduler`, the address of
     one of Dask or a client, the workers of that cluster compare submaps, which are sent to them.
     Raises ConfigError for names that are not in the map, or nothing to align, ClusterError where

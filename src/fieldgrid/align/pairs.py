@@ -107,8 +107,9 @@ def placed(of: Overlap, pictures: Sequence[Sequence[SubmapImage]]) -> SubmapPair
 
 
 def of_nearest(pairs: Iterable[Overlap], moving: Collection[int], most: int) -> list[Overlap]:
-    """The pairs within drives, and those of each `moving` drive with so many others: those that it
-    shares most ground with."""
+    """The pairs within drives, and those of each `moving` drive with so many others that move, and
+    so many that do not: those that it shares most ground with. Drives of one day may share one
+    error, which only older ones show."""
     every = list(pairs)
     shared = defaultdict[tuple[int, int], float](float)
     for pair in every:
@@ -117,7 +118,9 @@ def of_nearest(pairs: Iterable[Overlap], moving: Collection[int], most: int) -> 
     kept = {(n, n) for n, _ in shared}
     for n in moving:
         others = sorted((-shared[a, b], b) for a, b in shared if a == n != b)
-        kept |= {(min(n, b), max(n, b)) for _, b in others[:most]}
+        for moves in (True, False):
+            of_kind = [b for _, b in others if (b in moving) == moves]
+            kept |= {(min(n, b), max(n, b)) for b in of_kind[:most]}
     return [pair for pair in every if (pair.a, pair.b) in kept]
 
 

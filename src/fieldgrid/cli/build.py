@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 _SESSION = options.MAP_FILE
 _MOST_OTHERS = 4
-"""Without --align a new drive is compared with so many others: that shows where it lies."""
+"""Without --align a new drive is compared with so many new ones and so many older ones: that shows
+where it lies."""
 
 _MOST_PAIRS = 10
 """Of more pairs of drives than these, only those are listed that do not agree."""
@@ -326,12 +327,14 @@ def _compare(
 
 def _report_lies(lies: Sequence[dict[str, Any]], out: Path) -> None:
     """How new drives lie, a line for each pair; of many pairs only those that do not agree."""
-    agree = [pair for pair in lies if _agrees(pair)] if len(lies) > _MOST_PAIRS else []
+    agree = 0
     for pair in lies:
-        if pair not in agree:
+        if len(lies) > _MOST_PAIRS and _agrees(pair):
+            agree += 1
+        else:
             output.report_line(_said(pair, out))
     if agree:
-        output.report_line(f"pairs of drives that agree within two standard errors: {len(agree)}")
+        output.report_line(f"pairs of drives that agree within two standard errors: {agree}")
 
 
 def _said(pair: dict[str, Any], out: Path) -> str:
