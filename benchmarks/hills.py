@@ -28,7 +28,13 @@ from benchmarks import EXAMPLE
 from benchmarks.timing import paired_ms
 from fieldgrid import ground as local_ground
 from fieldgrid import localgrid
-from fieldgrid.attitude import AntennaTrack, Attitude, AxisTilt, estimate_attitude
+from fieldgrid.attitude import (
+    AntennaTrack,
+    Attitude,
+    AxisTilt,
+    KnownHeadings,
+    estimate_attitude,
+)
 from fieldgrid.build import build_map, visual_odometry
 from fieldgrid.build.poses import estimate_drive
 from fieldgrid.evaluation import TerrainScores, evaluate, read_truth
@@ -370,7 +376,8 @@ def _track(way: Hike, noise_m: float, wander_m: float) -> AntennaTrack:
     heading = np.degrees(way.at(np.arange(0.0, way.drive.time_s[-1], 0.2)).drive.heading_rad)
     n = len(times)
     noise = np.tile(np.array([1.0, 1.0, 2.0]) * noise_m, (n, 1))
-    return AntennaTrack(times, enu, noise, np.full(n, wander_m), heading + 0.2, np.full(n, 0.3))
+    headings = KnownHeadings(times, heading + 0.2, np.full(n, 0.3))
+    return AntennaTrack(times, enu, noise, np.full(n, wander_m), headings)
 
 
 def measured(folder: Path) -> Iterator[str]:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from fieldgrid.attitude import AntennaTrack, Attitude, estimate_attitude
+from fieldgrid.attitude import AntennaTrack, Attitude, KnownHeadings, estimate_attitude
 from fieldgrid.attitude.estimate import STRETCH_S
 from fieldgrid.motion import Inertial
 from fieldgrid.rotations import roll_pitch_deg
@@ -35,7 +35,8 @@ def track_of(way: Hike, period_s: float = 0.2, error_m: tuple[float, float] = RT
     heading = np.degrees(way.at(np.arange(0.0, way.drive.time_s[-1], period_s)).drive.heading_rad)
     sigma = np.tile(np.array([1.0, 1.0, 2.0]) * noise_m, (len(times), 1))
     n = len(times)
-    return AntennaTrack(times, enu, sigma, np.full(n, wander_m), heading + 0.2, np.full(n, 0.3))
+    headings = KnownHeadings(times, heading + 0.2, np.full(n, 0.3))
+    return AntennaTrack(times, enu, sigma, np.full(n, wander_m), headings)
 
 
 class Score(NamedTuple):
@@ -214,7 +215,8 @@ def test_the_same_drive_gives_the_same_bits() -> None:
 def test_two_fixes_are_enough() -> None:
     way = hike(slope(0.0), FIELD)
     track = track_of(way)
-    short = AntennaTrack(*(column[:2] for column in track))
+    headings = KnownHeadings(*(column[:2] for column in track.headings))
+    short = AntennaTrack(*(column[:2] for column in track[:-1]), headings)
     found = estimate_attitude(short, np.array(ANTENNA_M))
     assert np.isfinite(found.roll_deg).all()
     assert np.all(found.roll_sigma_deg > 3.0)
@@ -235,3 +237,27 @@ def test_a_night_between_two_drives_takes_no_nodes() -> None:
     sigma = np.concatenate([found.roll_sigma_deg, found.pitch_sigma_deg])
     assert np.percentile(off, 95) < 0.5
     assert np.mean(off < 3.0 * sigma) > 0.97
+
+
+def test_in_a_long_gap_no_heading_is_known() -> None:
+    times = np.array([0.0, 1.0, 2.0, 12.0, 13.0])
+    known = KnownHeadings(time_ns(times), times * 100.0, np.full(5, 0.5))
+    heading_deg, sigma_deg = known.at(time_ns(np.array([0.5, 2.0, 2.1, 11.9, 12.0, 12.5])))
+    np.testing.assert_allclose(heading_deg, [50.0, 200.0, 210.0, 1190.0, 1200.0, 1250.0])
+    np.testing.assert_array_equal(sigma_deg, [0.5, 0.5, np.inf, np.inf, 0.5, 0.5])
+
+
+@pytest.mark.parametrize("known_s", [(25.0, 45.0), (0.0, 500.0), (500.0, 0.0)])
+def test_where_no_heading_is_known_the_gyro_carries_it_on(known_s: tuple[float, float]) -> None:
+    """In the middle of the drive with its turn, nowhere but at the ends, and at one end only."""
+    way = hike(GROUNDS["hills"], FIELD)
+    track = track_of(way)
+    after_s = (track.time_ns - track.time_ns[0]) / 1e9
+    first_s, last_s = known_s
+    kept = (after_s < first_s) | (after_s > last_s)
+    kept[[0, -1]] = True
+    headings = KnownHeadings(*(column[kept] for column in track.headings))
+    track = track._replace(headings=headings)
+    found = estimate_attitude(track, np.array(ANTENNA_M), wanted_ns=FRAMES, sensed=inertial(way))
+    assert score(way, found, FRAMES).within_3_sigma() > 0.98
+    assert score(way, found, FRAMES).percentile(95) < 0.5

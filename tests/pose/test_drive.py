@@ -11,9 +11,10 @@ from fieldgrid.motion import Motion
 from fieldgrid.pose import estimate_poses
 from fieldgrid.pose.drive import MISPLACED_S, contradicted_gear, lasting
 from fieldgrid.pose.nodes import Nodes
-from fieldgrid.rig import Carrier
+from fieldgrid.rig import Carrier, LeverArm
 from fieldgrid.settings import GearSpan, PoseSettings
-from tests.simulated import DATUM, Command, fixes_of, gyro_of, simulate
+from tests.scenes import paper_rig
+from tests.simulated import DATUM, Command, fixes_of, gyro_of, simulate, steps_of
 
 
 @pytest.mark.parametrize("hz", [1, 5, 20])
@@ -109,6 +110,33 @@ def test_a_gyro_tells_which_way_a_hole_was_turned(turn_rad_s: float, past_deg: f
     truth = drive.at((trajectory.time_ns - fixes.time_ns[0]) / 1e9)
     off_deg = np.abs(wrap_deg(trajectory.heading_deg - np.degrees(truth.heading_rad)))
     assert off_deg[seen].max() < 2.0
+
+
+@pytest.mark.parametrize("turn_rad_s", [0.5, -0.5])
+@pytest.mark.parametrize("hole_s", [(1.0, 1.0), (4.0, 12.0)])
+def test_a_camera_tells_which_way_a_hole_was_turned(
+    turn_rad_s: float, hole_s: tuple[float, float]
+) -> None:
+    """And what the camera sees of it neither tips the vehicle over nor moves its antenna."""
+    half = Command((np.pi + np.radians(7.0)) / 0.5, 1.0, turn_rad_s)
+    drive = simulate([Command(20.0, 1.5), half, Command(25.0, 1.5)], 35.0)
+    fixes = fixes_of(drive, 0.2, 0.01)
+    late_s = (fixes.time_ns - fixes.time_ns[0]) / 1e9
+    before_s, after_s = hole_s
+    some = fixes[(late_s < 20.0 - before_s) | (late_s > 20.0 + half.seconds + after_s)]
+    rig = paper_rig(antenna=LeverArm(0.0, 0.0, 3.0), rear_axle_forward_m=0.0)
+    found = estimate_poses(some, rig, DATUM, motion=Motion(steps=steps_of(drive, noise=1.0)))
+    trajectory = found.trajectory
+    assert found.report.notes == ()
+    assert trajectory.accepted.mean() > 0.98
+    truth = drive.at((trajectory.time_ns - fixes.time_ns[0]) / 1e9)
+    off_deg = np.abs(wrap_deg(trajectory.heading_deg - np.degrees(truth.heading_rad)))
+    assert off_deg.max() < 2.0
+    off_m = np.hypot(trajectory.east_m - truth.east_m, trajectory.north_m - truth.north_m)
+    assert off_m.max() < 0.3
+    assert (off_m < 3.0 * np.sqrt(2.0) * trajectory.position_sigma_m).all()
+    assert found.report.attitude is not None
+    assert found.report.attitude.as_dict()["steepest_roll_deg"] < 3.0
 
 
 def test_a_hole_whose_turns_a_gyro_saw_may_be_crossed_backwards() -> None:

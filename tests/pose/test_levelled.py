@@ -162,6 +162,38 @@ def test_grids_that_were_levelled_stay_so_when_the_imu_is_thrown_out() -> None:
     assert farthest_m(off_m(way, square, -SENSOR_M[2])[0]) < 0.1
 
 
+@pytest.mark.parametrize("camera", ["camera", "camera and IMU"])
+@pytest.mark.parametrize("around_s", [(1.0, 1.0), (5.0, 5.0), (1.0, 10.0)])
+def test_a_turn_in_a_hole_of_the_fixes_tips_nothing_over(
+    around_s: tuple[float, float], camera: str
+) -> None:
+    """Headings at the fixes alone would say that it turned the other way around."""
+    way = hike(GROUNDS["hills"], rows(2, 28.0))
+    turning_s = way.drive.time_s[np.abs(way.drive.curvature_per_m) > 0.1]
+    fixes = fixes_over(way)
+    late_s = (fixes.time_ns - fixes.time_ns[0]) / 1e9
+    before_s, after_s = around_s
+    hole = (late_s > turning_s[0] - before_s) & (late_s < turning_s[-1] + after_s)
+    motion = Motion() if camera == "camera" else gyro_and(inertial(way))
+    motion = motion._replace(steps=camera_steps(way, 0.5))
+    found = estimate_poses(
+        *(fixes[~hole], RIG, DATUM), motion=motion, frame_ns=time_ns(FRAMES_S), level_grids=False
+    )
+    assert found.report.notes == ()
+    off, within = off_m(way, found, -SENSOR_M[2])
+    assert farthest_m(off) < 0.12
+    assert (np.hypot(*off.T) < within).all()
+    assert found.report.attitude is not None
+    seen = found.report.attitude.at(time_ns(FRAMES_S))
+    for told_deg, sigma_deg, true_deg in zip(
+        (seen.roll_deg, seen.pitch_deg),
+        (seen.roll_sigma_deg, seen.pitch_sigma_deg),
+        roll_pitch_deg(way.at(FRAMES_S).R),
+        strict=True,
+    ):
+        assert np.mean(np.abs(told_deg - true_deg) < 3.0 * sigma_deg) > 0.98
+
+
 def test_a_recorded_tilt_levels_the_lever_arm() -> None:
     way = hike(GROUNDS["hills"], rows(2, 28.0))
     found = estimate(way, Motion(tilt=recorded_tilt(way)))

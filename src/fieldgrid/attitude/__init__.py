@@ -2,13 +2,14 @@
 
 from fieldgrid.attitude.axes import ORIENTATION, AxisTilt, axes_of_fixes, axes_of_orientation
 from fieldgrid.attitude.estimate import Attitude, estimate_attitude
-from fieldgrid.attitude.measurements import AntennaTrack
+from fieldgrid.attitude.measurements import AntennaTrack, KnownHeadings
 
 __all__ = [
     "ORIENTATION",
     "AntennaTrack",
     "Attitude",
     "AxisTilt",
+    "KnownHeadings",
     "axes_of_fixes",
     "axes_of_orientation",
     "estimate_attitude",

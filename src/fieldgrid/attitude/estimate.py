@@ -231,9 +231,14 @@ def _lasting_sigma(axes: Sequence[AxisTilt]) -> Float64:
 
 
 def _first_guess(seen: AttitudeMeasurements, antenna_m: Float64, shared: int) -> States:
-    """Level, along the fixes, with the known headings."""
+    """Level, along the fixes, with the known headings; between these it turns as was measured."""
     n = len(seen.time_s)
-    R = R_enu_level(np.degrees(seen.heading_rad))
+    heading_rad, known = seen.heading_rad, np.isfinite(seen.heading_sigma_rad)
+    if known.any():
+        turned_rad = np.append(0.0, np.cumsum(-np.nan_to_num(seen.moved.turn_rad[:, 2])))
+        rest_rad = (heading_rad - turned_rad)[known]
+        heading_rad = turned_rad + np.interp(seen.time_s, seen.time_s[known], rest_rad)
+    R = R_enu_level(np.degrees(heading_rad))
     place, known = np.zeros((n, 3)), np.isfinite(seen.fix_m[:, 0])
     for axis in range(3 if known.any() else 0):
         place[:, axis] = np.interp(seen.time_s, seen.time_s[known], seen.fix_m[known, axis])

@@ -48,17 +48,40 @@ TILT_S = 30.0
 """For how long the error of a recorded roll and pitch stays the same."""
 
 
+HEADING_GAP_NS = 1_500_000_000
+"""Between headings that are farther apart a vehicle may have turned anyhow."""
+
+
+class KnownHeadings(NamedTuple):
+    """The vehicle's headings at two or more instants in order of time, degrees, with their sigmas.
+    They count turns on: 370° follows 350° of a vehicle that turned to the right."""
+
+    time_ns: Int64
+    heading_deg: Float64
+    sigma_deg: Float64
+
+    def at(self, time_ns: Int64) -> tuple[Float64, Float64]:
+        """Headings and sigmas at other instants. Inside a gap nobody knows how the vehicle turned:
+        there the sigma is infinite."""
+        heading_deg = np.interp(time_ns, self.time_ns, self.heading_deg)
+        sigma_deg = np.interp(time_ns, self.time_ns, self.sigma_deg)
+        after = np.clip(np.searchsorted(self.time_ns, time_ns), 1, len(self.time_ns) - 1)
+        before_ns, after_ns = self.time_ns[after - 1], self.time_ns[after]
+        inside = (before_ns < time_ns) & (time_ns < after_ns)
+        sigma_deg[inside & (after_ns - before_ns > HEADING_GAP_NS)] = np.inf
+        return heading_deg, sigma_deg
+
+
 class AntennaTrack(NamedTuple):
     """The antenna by accepted fixes, n in order of time: LTP metres `enu_m` [n, 3], the white part
     `noise_m` [n, 3] of their error along each axis, the stated slow error `wander_m` [n] of a
-    horizontal one; and the vehicle's heading, degrees, with its sigma."""
+    horizontal one; and the vehicle's headings."""
 
     time_ns: Int64
     enu_m: Float64
     noise_m: Float64
     wander_m: Float64
-    heading_deg: Float64
-    heading_sigma_deg: Float64
+    headings: KnownHeadings
 
 
 class NodeMotion(NamedTuple):
@@ -143,14 +166,13 @@ def measure(
     step_s = np.diff(time_s)
     wander_m = np.interp(time_s, at_s, track.wander_m)[:-1, None] * WANDER_SHARE
     moved = _moved(sensed, node_ns, wander_m * np.sqrt(2.0 * step_s / WANDER_S)[:, None])
-    heading_rad = np.interp(time_s, at_s, np.unwrap(np.radians(track.heading_deg)))
-    heading_sigma_deg = np.interp(time_s, at_s, track.heading_sigma_deg)
+    heading_deg, heading_sigma_deg = track.headings.at(node_ns)
     vertical, vertical_sigma = _recorded(tilt, node_ns)
     return node_ns, AttitudeMeasurements(
         time_s,
         fix_m,
         fix_sigma_m,
-        heading_rad,
+        np.radians(heading_deg),
         np.radians(heading_sigma_deg),
         vertical,
         vertical_sigma,

@@ -126,7 +126,7 @@ def smooth_drive(
     node_rest = (rest > 0.99) & ~_driven(at.time_ns, motion.steps)
     measured = measurements(fixes, at, node_rest, motion, _assigned(at, found)[0], axle.vehicle)
     measured = with_headings(measured, fixes, at, recorded)
-    smoothed = smooth(measured, first_guess(fixes, at, found), *axle.frame())
+    smoothed = smooth(measured, first_guess(fixes, at, found, measured), *axle.frame())
     return _drive(fixes, at, measured, found, smoothed, axle)
 
 
@@ -185,7 +185,8 @@ def _drive(
     assigned, doubt = _assigned(at, found)
     resting = measured.standing
     east, north, heading, speed = smoothed.state[:, :4].T
-    denied = contradicted_gear(at, assigned, speed) & (doubt > SETTLED_DOUBT)
+    turns = at._replace(turned_rad=measured.seen_turns_rad())
+    denied = contradicted_gear(turns, assigned, speed) & (doubt > SETTLED_DOUBT)
     doubt = np.where(denied, 1.0, doubt)
     doubt = np.where(_near_recorded(measured), 0.0, doubt)
     against = (speed * assigned < -DRIVING_MPS) & ~resting
@@ -265,7 +266,7 @@ def lasting(against: Bool, time_s: Float64) -> Bool:
 
 def contradicted_gear(at: Nodes, assigned: Int64, speed_mps: Float64) -> Bool:
     """Nodes [n] whose gear the estimate denies: it drives back within a hole of the fixes, in which
-    no gyro tells how the vehicle turned, and whose two sides have the same gear, so that one of
+    nothing tells how the vehicle turned, and whose two sides have the same gear, so that one of
     them is wrong. That is rather the side of which less was seen until the next such hole, and on
     it what lies before the next hole of any kind; the gear of each node is `assigned`."""
     node = np.flatnonzero(at.fix >= 0)
@@ -276,7 +277,7 @@ def contradicted_gear(at: Nodes, assigned: Int64, speed_mps: Float64) -> Bool:
     hole = holes(gap_s)
     against_m = np.maximum(-(speed_mps * assigned)[:-1], 0.0) * np.diff(at.time_ns) / 1e9
     back_m = np.diff(np.concatenate([[0.0], np.cumsum(against_m)])[node])
-    # A gyro that saw how it turned in the hole tells which way it stood on both sides.
+    # What saw how it turned in the hole tells which way it stood on both sides.
     unseen = np.concatenate([[0], np.cumsum(np.isnan(at.turned_rad))])[node]
     hole_unseen = hole & (np.diff(unseen) > 0)
     wrong = np.flatnonzero(hole_unseen & (back_m > BACK_M) & (np.diff(assigned[node]) == 0))

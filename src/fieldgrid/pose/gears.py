@@ -16,7 +16,7 @@ from fieldgrid.pose.leaps import leaps
 from fieldgrid.pose.measured import WHEEL_SIGMA_MPS, turn_back, wheel_speed_at
 from fieldgrid.pose.nodes import Nodes, seconds
 from fieldgrid.settings import PoseSettings
-from fieldgrid.smoother import STATES
+from fieldgrid.smoother import STATES, Measurements
 
 STATION_M, STATION_SIGMAS = 0.05, 2.0
 """A vehicle has moved on when it is this far, and beyond the noise, from where it was."""
@@ -159,8 +159,11 @@ def _forward_nats(
     return nats
 
 
-def first_guess(fixes: AcceptedFixes, at: Nodes, stations_of: StationGears) -> Float64:
-    """States [n, 8] with the right gears: course over a short chord, turned in reverse."""
+def first_guess(
+    fixes: AcceptedFixes, at: Nodes, stations_of: StationGears, measured: Measurements
+) -> Float64:
+    """States [n, 8] with the right gears: course over a short chord, turned in reverse; in a hole
+    turned on as gyro or camera saw it."""
     station, found = stations_of
     points = fixes.points_m()[station]
     reach_m = max(GUESS_REACH_M, GUESS_SIGMAS * float(np.median(fixes.noise.across_m)))
@@ -180,13 +183,24 @@ def first_guess(fixes: AcceptedFixes, at: Nodes, stations_of: StationGears) -> F
         turns = np.asarray(wrap_deg(np.diff(heading[known])))
         # From one course to the next nobody turns by more than half a circle, but in a hole. The
         # gyro's bias, a degree a second, leaves no doubt which way it was.
-        by_gyro = np.nan_to_num(_turned_deg(at, times, times[:0])[1:])
-        by_gyro[np.diff(times) < WINDING_NS] = 0.0
-        turns = by_gyro + wrap_deg(turns - by_gyro)
-        angle = np.radians(heading[known[0]] + np.concatenate([[0.0], np.cumsum(turns)]))
-        guess[:, 2] = np.interp(at.time_ns, times, angle)
+        seen_deg = _turned_in_holes_deg(at.time_ns, times, measured.seen_turns_rad())
+        turns_seen = np.diff(seen_deg[np.searchsorted(at.time_ns, times)])
+        turns = turns_seen + wrap_deg(turns - turns_seen)
+        angle_deg = heading[known[0]] + np.concatenate([[0.0], np.cumsum(turns - turns_seen)])
+        guess[:, 2] = np.radians(np.interp(at.time_ns, times, angle_deg) + seen_deg)
         guess[:, 3] = np.interp(at.time_ns, times, (speed * found.gear)[known])
     return guess
+
+
+def _turned_in_holes_deg(node_ns: Int64, time_ns: Int64, turned_rad: Float64) -> Float64:
+    """By how much the vehicle was seen to turn until each node [n], counted only in long gaps
+    between the instants, and there where all of it was seen (`turned_rad` [n - 1], NaN: not)."""
+    gap = np.searchsorted(time_ns, node_ns[:-1], side="right")
+    unseen = np.bincount(gap[np.isnan(turned_rad)], minlength=len(time_ns) + 1)
+    length_ns = np.diff(time_ns, prepend=time_ns[:1], append=time_ns[-1:])
+    counts = (length_ns >= WINDING_NS) & (unseen == 0)
+    turned = np.append(0.0, np.cumsum(np.where(counts[gap], turned_rad, 0.0)))
+    return np.asarray(np.degrees(turned))
 
 
 def _chords(points: Float64, time_s: Float64, reach_m: float) -> tuple[Float64, Float64]:

@@ -20,6 +20,7 @@ from fieldgrid.attitude import (
     AntennaTrack,
     Attitude,
     AxisTilt,
+    KnownHeadings,
     axes_of_orientation,
     estimate_attitude,
 )
@@ -107,14 +108,15 @@ def find_lean(
     measured = seen or _measures_tilt(motion)
     if not (measured or axes):
         return None, notes
-    at = drive.fix >= 0
     track = AntennaTrack(
         fixes.time_ns,
         np.stack([fixes.east_m, fixes.north_m, fixes.up_m], axis=1),
         np.outer(fixes.noise.across_m, [1.0, 1.0, 2.0]),
         fixes.sigma_m,
-        drive.heading_deg[at],
-        drive.heading_sigma_deg[at],
+        # Those of all nodes: in a hole of the fixes gyro or camera saw how the vehicle turned.
+        KnownHeadings(
+            drive.time_ns, np.degrees(drive.smoothed.state[:, 2]), drive.heading_sigma_deg
+        ),
     )
     antenna, sensor_m = rig.antenna, np.array([0.0, 0.0, rig.mount.height_m])
     antenna_m = np.array([antenna.right_m, antenna.forward_m, antenna.up_m])
