@@ -66,9 +66,42 @@ def test_a_crest_bends_the_way() -> None:
     assert crest.bent_rad_m == pytest.approx(0.006, rel=0.3)
 
 
-def test_a_drive_too_short_to_tell_is_taken_for_level() -> None:
-    drive = simulate([Command(4.0, 1.0)], 0.0)
-    assert seen(on_ground(drive, 0.2, 0.2)) == Slope(0.0, 0.0)
+@pytest.mark.parametrize("seconds", [0.5, 4.0])
+@pytest.mark.parametrize("standing", [False, True])
+def test_a_drive_too_short_to_tell_may_stand_on_any_usual_slope(
+    seconds: float, standing: bool
+) -> None:
+    drive = simulate([Command(seconds, 0.0 if standing else 1.0)], 0.0)
+    found = seen(on_ground(drive, 0.0, 0.0))
+    assert 8.0 < np.degrees(found.lean_rad) < 12.0
+    assert found.unseen_rad > 0.9 * found.lean_rad
+    assert found.bent_rad_m == 0.0
+
+
+@pytest.mark.parametrize("across_deg", [-12.0, 0.0, 12.0])
+@pytest.mark.parametrize("bent_per_m", [0.0, 0.01])
+def test_a_single_row_does_not_show_how_steep_it_is_across(
+    across_deg: float, bent_per_m: float
+) -> None:
+    """Its fixes lie some centimetres beside each other, over which its own hills make no slope."""
+    drive = simulate([Command(40.0, 1.5)], 90.0)
+    fixes = on_ground(drive, 0.0, np.tan(np.radians(across_deg)), bent_per_m, 0.02)
+    found = seen(fixes)
+    assert 7.0 < np.degrees(found.unseen_rad) < 9.0
+    assert 7.0 < np.degrees(found.lean_rad) < 22.0
+    poses = estimate_poses(fixes, paper_rig(antenna=ANTENNA), DATUM)
+    off_m = 3.0 * np.tan(np.radians(abs(across_deg)))
+    assert np.median(poses.trajectory.position_sigma_m) * 3.0 > off_m
+    (note,) = (note for note in poses.report.notes if "leans" in note)
+    if not bent_per_m:
+        assert "does not show how steep the ground is across" in note
+        assert "another row" in note
+
+
+def test_another_row_shows_it() -> None:
+    both = seen(on_ground(simulate(LANES[:3], 30.0), 0.0, 0.0, noise_m=0.02))
+    assert np.degrees(both.unseen_rad) < 1.0
+    assert np.degrees(both.lean_rad) < 1.5
 
 
 def test_positions_on_a_slope_are_as_unsure_as_the_antenna_leans() -> None:

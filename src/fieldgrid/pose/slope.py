@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64
+from fieldgrid.attitude.ground import USUAL_SLOPE
 from fieldgrid.plane_fit import robust_plane
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.table import PoseTable
@@ -32,16 +33,19 @@ NORMAL_MAD = 1.4826
 TOLD_DEG = 3.0
 """A steeper slope, of which nothing tells how the vehicle leans, is worth a word."""
 
-_UNSEEN_SLOPE = 0.15
-"""The prior of a plane's slopes, as a sigma: a single row does not tell how steep it is across."""
+ROW_STEP_M, ALIKE_M = 0.5, 10.0
+"""Heights count every half metre of the path; what the ground does beside its plane, and a
+receiver's slow error, is the same for so long."""
 
 
 class Slope(NamedTuple):
     """How steep the ground of a drive is, `lean_rad`, and how fast that changes along the path,
-    `bent_rad_m`, radians a metre. Both are 1-sigma, in no known direction."""
+    `bent_rad_m`, radians a metre. Both are 1-sigma, in no known direction. `unseen_rad` is the part
+    of the lean that the drive does not show: a single row does not tell how steep it is across."""
 
     lean_rad: float
     bent_rad_m: float
+    unseen_rad: float = 0.0
 
 
 FLAT = Slope(0.0, 0.0)
@@ -51,19 +55,20 @@ def slope_seen(fixes: AcceptedFixes) -> Slope:
     """The slope by the heights of accepted fixes; what their noise makes is taken out."""
     steps_m = np.hypot(np.diff(fixes.east_m), np.diff(fixes.north_m))
     way_m = np.concatenate([[0.0], np.cumsum(steps_m)])
-    if len(way_m) < FEWEST_CHORDS:
-        return FLAT
-    noise_m = NORMAL_MAD * float(np.median(np.abs(np.diff(fixes.up_m, 2)))) / np.sqrt(6.0)
-    noise_m = max(noise_m, 1e-3)
+    noise_m = 1e-3
+    if len(way_m) > 2:
+        second_m = float(np.median(np.abs(np.diff(fixes.up_m, 2))))
+        noise_m = max(NORMAL_MAD * second_m / np.sqrt(6.0), noise_m)
     chord_m = float(np.clip(np.sqrt(2.0) * noise_m / CLIMB_SIGMA_RAD, LEAST_CHORD_M, MOST_CHORD_M))
     climb = np.diff(np.interp(np.arange(0.0, way_m[-1], chord_m), way_m, fixes.up_m)) / chord_m
-    if len(climb) < FEWEST_CHORDS:
-        return FLAT
-    climb_noise = np.sqrt(2.0) * noise_m / chord_m
-    along = _beyond(climb, climb_noise)
-    bent = _beyond(np.diff(climb) / chord_m, np.sqrt(3.0) * climb_noise / chord_m, brief=False)
-    across = _plane_slope(fixes, max(noise_m, 0.05))
-    return Slope(max(along, across), BENT_SHARE * bent)
+    along = bent = 0.0
+    if len(climb) >= FEWEST_CHORDS:
+        climb_noise = np.sqrt(2.0) * noise_m / chord_m
+        along = _beyond(climb, climb_noise)
+        bent = _beyond(np.diff(climb) / chord_m, np.sqrt(3.0) * climb_noise / chord_m, brief=False)
+    plane, unseen = _plane_slope(fixes, way_m, max(noise_m, 0.05))
+    lean = np.hypot(max(along, plane), unseen)
+    return Slope(float(np.arctan(lean)), BENT_SHARE * bent, float(np.arctan(unseen)))
 
 
 def _beyond(values: Float64, noise: float, *, brief: bool = True) -> float:
@@ -78,19 +83,24 @@ def _beyond(values: Float64, noise: float, *, brief: bool = True) -> float:
     return float(np.sqrt(max(spread**2 - noise**2, 0.0)))
 
 
-def _plane_slope(fixes: AcceptedFixes, sigma_m: float) -> float:
-    """How steep the plane through all fixes is, as far as they lie beside each other."""
-    east, north, up = (
-        axis - float(np.median(axis)) for axis in (fixes.east_m, fixes.north_m, fixes.up_m)
-    )
-    prior = (1e3, _UNSEEN_SLOPE, _UNSEEN_SLOPE)
+def _plane_slope(fixes: AcceptedFixes, way_m: Float64, sigma_m: float) -> tuple[float, float]:
+    """How steep the plane through all fixes is, as far as they lie beside each other, and how
+    steep it may be where they do not, 1-sigma."""
     # Of one stretch of the way counts one height, however long the vehicle stood there.
-    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(east), np.diff(north)))])
-    rows = np.unique(np.searchsorted(way_m, np.arange(0.0, way_m[-1], 0.5)))
-    plane, _ = robust_plane(
-        east[rows], north[rows], up[rows], np.full(len(rows), sigma_m), _wide, prior_sigma=prior
+    rows = np.unique(np.searchsorted(way_m, np.arange(0.0, max(way_m[-1], ROW_STEP_M), ROW_STEP_M)))
+    east, north, up = (
+        axis[rows] - np.median(axis) for axis in (fixes.east_m, fixes.north_m, fixes.up_m)
     )
-    return float(np.hypot(plane[1], plane[2]))
+    prior = (1e3, USUAL_SLOPE, USUAL_SLOPE)
+    columns = np.column_stack([np.ones_like(east), east, north])
+    rough_m = sigma_m
+    for _ in range(2):
+        each_m = np.full(len(rows), rough_m * np.sqrt(ALIKE_M / ROW_STEP_M))
+        plane, _ = robust_plane(east, north, up, each_m, _wide, prior_sigma=prior)
+        rough_m = max(NORMAL_MAD * float(np.median(np.abs(up - columns @ plane))), sigma_m)
+    known = columns.T @ columns / each_m[0] ** 2 + np.diag(1.0 / np.square(prior))
+    unseen = float(np.sqrt(np.trace(np.linalg.inv(known)[1:, 1:])))
+    return float(np.hypot(plane[1], plane[2])), unseen
 
 
 def _wide(round_: int, residuals: Float64) -> float:
@@ -121,10 +131,15 @@ def off_m(slope: Slope, rig: VehicleGeometry) -> float:
 
 def slope_notes(slope: Slope, rig: VehicleGeometry | None) -> Iterator[str]:
     """A word on a slope that matters."""
-    slope_deg = float(np.degrees(slope.lean_rad))
-    if rig is not None and rig.antenna.up_m and slope_deg > TOLD_DEG:
-        yield (
-            f"The ground has slopes of about {slope_deg:.0f}°, and nothing tells how the vehicle "
-            f"leans: its positions may be {off_m(slope, rig):.2f} m off. Record an accelerometer "
-            "with the gyro, or map with images."
-        )
+    slope_deg, unseen_deg = np.degrees([slope.lean_rad, slope.unseen_rad]).tolist()
+    if rig is None or not rig.antenna.up_m or slope_deg <= TOLD_DEG:
+        return
+    ground = f"The ground has slopes of about {slope_deg:.0f}°"
+    remedy = "Record an accelerometer with the gyro, or map with images."
+    if unseen_deg > slope_deg / np.sqrt(2.0):
+        ground = "This drive does not show how steep the ground is across its way (8° are usual)"
+        remedy = remedy.replace("or map", "map").replace(".", ", or drive another row beside.")
+    yield (
+        f"{ground}, and nothing tells how the vehicle leans: its positions may be "
+        f"{off_m(slope, rig):.2f} m off. {remedy}"
+    )
