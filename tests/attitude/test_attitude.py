@@ -261,3 +261,28 @@ def test_where_no_heading_is_known_the_gyro_carries_it_on(known_s: tuple[float, 
     found = estimate_attitude(track, np.array(ANTENNA_M), wanted_ns=FRAMES, sensed=inertial(way))
     assert score(way, found, FRAMES).within_3_sigma() > 0.98
     assert score(way, found, FRAMES).percentile(95) < 0.5
+
+
+def test_measurements_that_err_by_more_than_they_state_are_less_sure() -> None:
+    way = hike(GROUNDS["hills"], FIELD)
+    track, antenna_m = track_of(way, error_m=(0.05, 0.01)), np.array(ANTENNA_M)
+    too_sure = track._replace(noise_m=track.noise_m / 4.0)
+    honest, raised = (
+        estimate_attitude(one, antenna_m, wanted_ns=FRAMES, sensed=inertial(way))
+        for one in (track, too_sure)
+    )
+    assert score(way, raised, FRAMES).within_3_sigma() > 0.98
+    assert np.median(raised.roll_sigma_deg) > 0.6 * np.median(honest.roll_sigma_deg)
+
+
+def test_how_late_a_sensor_may_be_counts_as_it_leans_otherwise_then() -> None:
+    way = hike(GROUNDS["hills"], FIELD)
+    found = estimate_attitude(track_of(way), np.array(ANTENNA_M), sensed=inertial(way))
+    late = found.if_late(-0.3)
+    shifted = score(way, late._replace(time_ns=late.time_ns + 300_000_000), FRAMES)
+    assert shifted.within_3_sigma() > 0.97
+    assert (
+        score(way, found._replace(time_ns=late.time_ns + 300_000_000), FRAMES).within_3_sigma()
+        < 0.9
+    )
+    np.testing.assert_array_equal(found.if_late(0.0).roll_sigma_deg, found.roll_sigma_deg)

@@ -501,7 +501,8 @@ def test_an_imu_that_is_mounted_sideways_stops_a_build(drive: Make) -> None:
     change_mounting(folder, imu_axes="lbu")
     found = inspect_recording(folder)
     assert not found.builds
-    assert serious(found) == {"imu-turned"}
+    assert serious(found) == {"imu-turned", "poses"}
+    assert "mounted about 90° to the right" in finding(found, "poses")[0]
     message, remedy = finding(found, "imu-turned")
     assert "farther right about the vertical than declared" in message
     assert "from flu to rfu" in remedy

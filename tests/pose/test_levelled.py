@@ -194,6 +194,93 @@ def test_a_turn_in_a_hole_of_the_fixes_tips_nothing_over(
         assert np.mean(np.abs(told_deg - true_deg) < 3.0 * sigma_deg) > 0.98
 
 
+def mounted(sensed: Inertial, left_deg: float) -> Inertial:
+    """The same of an IMU that is turned to the left against what is declared."""
+    sin, cos = np.sin(np.radians(left_deg)), np.cos(np.radians(left_deg))
+    R_imu_vehicle = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return sensed._replace(
+        rate_rad_s=(sensed.rate_rad_s @ R_imu_vehicle.T).astype(np.float32),
+        force_mps2=(sensed.force_mps2 @ R_imu_vehicle.T).astype(np.float32),
+    )
+
+
+@pytest.mark.parametrize("lanes", [1, 2])
+@pytest.mark.parametrize(
+    ("left_deg", "words"),
+    [
+        (90.0, "90° to the left"),
+        (-80.0, "90° to the right"),
+        (180.0, "180°"),
+        (45.0, "45° to the left"),
+    ],
+)
+def test_an_imu_that_is_mounted_sideways_levels_nothing(
+    left_deg: float, words: str, lanes: int
+) -> None:
+    """Rolling for pitching, poses were 0.2 m off and said 0.03, and grids leant by 15°."""
+    way = hike(GROUNDS["hills"], rows(lanes, 40.0))
+    found = estimate(way, gyro_and(mounted(inertial(way), left_deg)))
+    assert found.report.attitude is None
+    (note,) = (note for note in found.report.notes if "accelerometer contradicts" in note)
+    assert words in note
+    seen = way.at(FRAMES_S)
+    true = seen.sensor_m - seen.R @ np.array([0.0, 0.0, SENSOR_M[2]])
+    for time_s, (east, north, _) in zip(time_ns(FRAMES_S).tolist(), true, strict=True):
+        pose = found.trajectory.at(time_s)
+        off_m = np.hypot(pose.east_m - east, pose.north_m - north)
+        assert pose.status is not Status.OK or off_m < 3.0 * pose.position_sigma_m
+
+
+def test_the_camera_levels_where_an_imu_is_mounted_sideways() -> None:
+    way = hike(GROUNDS["hills"], rows(2, 28.0))
+    motion = gyro_and(mounted(inertial(way), 90.0))._replace(steps=camera_steps(way))
+    found = estimate(way, motion, level_grids=False)
+    assert found.report.attitude is not None
+    seen = found.report.attitude.at(time_ns(FRAMES_S))
+    roll_deg, pitch_deg = roll_pitch_deg(way.at(FRAMES_S).R)
+    assert np.percentile(np.abs(seen.roll_deg - roll_deg), 95) < 1.5
+    assert np.percentile(np.abs(seen.pitch_deg - pitch_deg), 95) < 1.0
+    off, within = off_m(way, found, -SENSOR_M[2])
+    assert np.mean(np.hypot(*off.T) < within) > 0.95
+
+
+@pytest.mark.parametrize("lanes", [1, 3])
+def test_a_good_gyro_on_steep_hills_is_used(lanes: int) -> None:
+    """Antenna and gyro lean with the vehicle; taken for level they contradict each other."""
+    way = hike(hills(15.0, 40.0), rows(lanes, 40.0))
+    found = estimate(way, gyro_and(inertial(way)))
+    assert found.report.notes == ()
+    assert found.report.attitude is not None
+    if lanes > 1:
+        assert farthest_m(off_m(way, found)[0]) < 0.05
+
+
+def test_a_wrong_gyro_on_hills_is_still_denied() -> None:
+    way = hike(hills(15.0, 40.0), rows(3, 40.0))
+    sensed = inertial(way)
+    rate = sensed.rate_rad_s.copy()
+    rate[:, 2] *= 1.2
+    found = estimate(way, gyro_and(sensed._replace(rate_rad_s=rate)))
+    assert any("gyro contradicts the drive" in note for note in found.report.notes)
+
+
+@pytest.mark.parametrize("late_s", [0.1, 0.2, 0.4])
+@pytest.mark.parametrize("ground", ["hills", "level"])
+def test_an_imu_that_is_late_is_less_sure_of_roll_and_pitch(ground: str, late_s: float) -> None:
+    way = hike(GROUNDS.get(ground, slope(0.0)), rows(4, 40.0))
+    sensed = inertial(way)
+    late = sensed._replace(time_ns=sensed.time_ns + round(late_s * 1e9))
+    found = estimate(way, gyro_and(late)).report.attitude
+    assert found is not None
+    times_s = np.arange(1.03, way.drive.time_s[-1] - 2.0, 0.5)
+    seen = found.at(time_ns(times_s))
+    true = roll_pitch_deg(way.at(times_s).R)
+    off = np.abs(np.concatenate([seen.roll_deg - true[0], seen.pitch_deg - true[1]]))
+    sigma = np.concatenate([seen.roll_sigma_deg, seen.pitch_sigma_deg])
+    assert np.mean(off < 3.0 * sigma) > 0.93
+    assert np.median(off / sigma) > 0.2
+
+
 def test_a_recorded_tilt_levels_the_lever_arm() -> None:
     way = hike(GROUNDS["hills"], rows(2, 28.0))
     found = estimate(way, Motion(tilt=recorded_tilt(way)))

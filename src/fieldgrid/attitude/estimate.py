@@ -9,21 +9,22 @@ drive's size allow.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.attitude import model
+from fieldgrid.attitude.attitude import TERRAIN_NOISE_RAD, Attitude
 from fieldgrid.attitude.axes import AxisTilt, agreed
 from fieldgrid.attitude.ground import ExpectedGround, expected_ground
 from fieldgrid.attitude.measurements import AntennaTrack, AttitudeMeasurements, measure
 from fieldgrid.attitude.model import Law, States
 from fieldgrid.attitude.solver import AttitudeEquations, covariances, normal_equations, solved
 from fieldgrid.motion import Inertial, RecordedTilt, Steps
-from fieldgrid.rotations import R_enu_level, R_level_vehicle, Tilt, heading_rad, roll_pitch_deg
+from fieldgrid.rotations import R_enu_level, heading_rad, roll_pitch_deg
 
 STRETCH_S, OVERLAP_S = 240.0, 20.0
 """Longer drives are estimated stretch by stretch: a gyro's bias drifts evenly only so long."""
@@ -55,80 +56,15 @@ SLOPE_S = 10.0
 """A vehicle that nothing watches is for so long on one slope. One whose turns are known is on the
 drive's slope all the time: it says so once."""
 
-TERRAIN_NOISE_RAD = np.radians([2.0, 2.0, 60.0])
-"""How ground and steering turn a vehicle that nothing watches, rad/√s, about its axes."""
-
 LEAST_LASTING_DEG = 1e-3
 """Constant errors that do not exist are unknowns that are known to be nothing."""
 
 LEAST_SIGMA_DEG = 0.08
 """What no measurement shows: axes of sensors that are not quite square."""
 
-
-class Attitude(NamedTuple):
-    """Roll and pitch at n instants in order of time, degrees, with 1-sigma errors.
-
-    Pitch is positive with the nose up, roll with the right side down. `heading_deg` is that of the
-    same estimate, without a jump at 360°, and `up_m` the height of the sensor, LTP metres.
-    `slope_sigma_deg` is what may be expected of a slope of which nothing was measured. `bodies` are
-    those of the recorded axes that were used, and `notes` name what contradicts the rest of the
-    drive and was not.
-    """
-
-    time_ns: Int64
-    roll_deg: Float64
-    pitch_deg: Float64
-    roll_sigma_deg: Float64
-    pitch_sigma_deg: Float64
-    heading_deg: Float64
-    up_m: Float64
-    slope_sigma_deg: float
-    notes: tuple[str, ...] = ()
-    bodies: frozenset[str] = frozenset()
-
-    def as_dict(self) -> dict[str, float]:
-        """What a report says of it, degrees: the steepest and the median sigmas."""
-        return {
-            "steepest_roll_deg": float(np.abs(self.roll_deg).max()),
-            "steepest_pitch_deg": float(np.abs(self.pitch_deg).max()),
-            "roll_sigma_deg": float(np.median(self.roll_sigma_deg)),
-            "pitch_sigma_deg": float(np.median(self.pitch_sigma_deg)),
-        }
-
-    def tilt_at(self, time_ns: int) -> Tilt:
-        """Roll and pitch at one instant."""
-        at = self.at(np.array([time_ns]))
-        sigma_deg = float(max(at.roll_sigma_deg[0], at.pitch_sigma_deg[0]))
-        return Tilt(float(at.roll_deg[0]), float(at.pitch_deg[0]), sigma_deg)
-
-    def at(self, time_ns: Int64) -> Attitude:
-        """At other instants: between nodes linear; beyond them that of the nearest node, and
-        ever less sure."""
-        columns = (np.interp(time_ns, self.time_ns, column) for column in self[1:7])
-        roll, pitch, roll_sigma, pitch_sigma, heading, up = columns
-        late_ns = np.maximum(self.time_ns[0] - time_ns, time_ns - self.time_ns[-1])
-        late = np.degrees(TERRAIN_NOISE_RAD[0]) * np.sqrt(np.maximum(late_ns, 0) / 1e9)
-        most = np.maximum(self.slope_sigma_deg, late_ns * 0.0)
-        return Attitude(
-            time_ns,
-            roll,
-            pitch,
-            np.maximum(roll_sigma, np.minimum(np.hypot(roll_sigma, late), most)),
-            np.maximum(pitch_sigma, np.minimum(np.hypot(pitch_sigma, late), most)),
-            heading,
-            up,
-            self.slope_sigma_deg,
-            self.notes,
-            self.bodies,
-        )
-
-    def rise_at(self, axis: AxisTilt) -> tuple[Float64, Float64]:
-        """How much an axis of the vehicle rises at its own instants, with the sigma, degrees."""
-        at = self.at(axis.time_ns)
-        level = R_level_vehicle(at.roll_deg, at.pitch_deg)[:, 2, :2] @ axis.direction
-        right, forward = np.abs(axis.direction)
-        sigma = np.hypot(right * at.roll_sigma_deg, forward * at.pitch_sigma_deg)
-        return np.degrees(np.arcsin(level)), sigma
+USUAL_MISFIT = 1.5
+"""Where measurements lie farther from the estimate than so many of their sigmas, root mean square,
+it is as much less sure."""
 
 
 def estimate_attitude(
@@ -177,9 +113,14 @@ def _estimate(
         _estimated(seen.part(*outer), lever_m, ground, axes, inner)
         for outer, inner in _stretches(seen.time_s)
     ]
-    roll, pitch, roll_sigma, pitch_sigma, heading, up = np.concatenate(parts, axis=1)
+    columns = np.concatenate([part for part, _ in parts], axis=1)
+    roll, pitch, roll_sigma, pitch_sigma, heading, up = columns
     heading = np.degrees(np.unwrap(heading))
-    return Attitude(node_ns, roll, pitch, roll_sigma, pitch_sigma, heading, up, ground.sigma_deg())
+    pushed = np.concatenate([off for _, off in parts])
+    return Attitude(
+        *(node_ns, roll, pitch, roll_sigma, pitch_sigma, heading, up, ground.sigma_deg()),
+        _rms(pushed) if len(pushed) else math.nan,
+    )
 
 
 def _stretches(time_s: Float64) -> list[tuple[tuple[int, int], slice]]:
@@ -203,9 +144,9 @@ def _estimated(
     ground: ExpectedGround,
     axes: Sequence[AxisTilt],
     own: slice,
-) -> Float64:
+) -> tuple[Float64, Float64]:
     """Roll, pitch and their sigmas, degrees, heading, radians, and height, metres, [6, own nodes]
-    of one stretch."""
+    of one stretch, and how many sigmas each push of the accelerometer is off."""
     lasting = _lasting_sigma(axes)
     x = _first_guess(seen, antenna_m, len(lasting))
     robust = False
@@ -217,8 +158,26 @@ def _estimated(
     blocks, _ = covariances(_system(x, seen, antenna_m, ground, axes, robust))
     roll, pitch = roll_pitch_deg(x.R)
     variance = np.stack([blocks[:, 7, 7], blocks[:, 6, 6]])  # about the forward axis, the right one
-    sigma = np.hypot(np.degrees(np.sqrt(variance)), LEAST_SIGMA_DEG)
-    return np.vstack([roll, pitch, sigma, heading_rad(x.R), x.position_m[:, 2]])[:, own]
+    pushed, misfit = _misfit(x, seen, antenna_m, ground)
+    sigma = np.hypot(np.degrees(np.sqrt(variance)) * misfit, LEAST_SIGMA_DEG)
+    return np.vstack([roll, pitch, sigma, heading_rad(x.R), x.position_m[:, 2]])[:, own], pushed
+
+
+def _misfit(
+    x: States, seen: AttitudeMeasurements, antenna_m: Float64, ground: ExpectedGround
+) -> tuple[Float64, float]:
+    """How many sigmas each push of the accelerometer is off, and how much less sure than by the
+    sigmas of its measurements all of a stretch is: pushes with all their outliers, as those of
+    wrong axes are, fixes without."""
+    push, *_ = _moves(x, seen, robust=False)
+    fix, *_ = _at_nodes(x, seen, antenna_m, ground, robust=False)
+    pushed = (np.sqrt(push.weight) * push.residual)[:, :3]
+    misfit = max(_rms(pushed), _rms(np.sqrt(_student(fix).weight) * fix.residual))
+    return pushed, misfit if misfit > USUAL_MISFIT else 1.0
+
+
+def _rms(values: Float64) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
 def _lasting_sigma(axes: Sequence[AxisTilt]) -> Float64:

@@ -27,7 +27,13 @@ from fieldgrid.pose.gears import GearHints, gear_hints
 from fieldgrid.pose.gyro_check import Trusted, with_trusted_gyro, without_wrong_gyro
 from fieldgrid.pose.gyro_faults import without_faulty_samples
 from fieldgrid.pose.imu_turn import ImuTurn, imu_turn
-from fieldgrid.pose.levelled import Lean, find_lean, levelled_fixes, levelled_motion
+from fieldgrid.pose.levelled import (
+    Lean,
+    find_lean,
+    levelled_fixes,
+    levelled_motion,
+    measures_tilt,
+)
 from fieldgrid.pose.seen_leaps import seen_leaps
 from fieldgrid.pose.stray import MOST_ROUNDS, stray_fixes
 from fieldgrid.pose.table import Conditioned
@@ -102,7 +108,7 @@ def fuse(
         log = conditioned(log.fixes, settings, log.datum, strays)
         drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     # A gyro that contradicts the drive; of one that fits, where an undeclared axle is.
-    trusted = with_trusted_gyro(drive, log.accepted, log.fixes.time_ns, motion, axle, hints)
+    trusted = _with_trusted_gyro(drive, log, motion, axle, hints, frame_ns)
     notes = (faulty_gyro, turned_wheels, wrong_gyro, trusted.note)
     found = Fused(
         *(log, trusted.drive, trusted.motion, axle, hints, gyro, trusted),
@@ -134,6 +140,31 @@ def fuse(
             unsure = levelled_fixes(unsure, lean)
         found = found.again(log=log._replace(accepted=unsure))
     return found
+
+
+def _with_trusted_gyro(
+    drive: DriveEstimate,
+    log: Conditioned,
+    motion: Motion,
+    axle: Axle,
+    hints: GearHints,
+    frame_ns: Int64 | None,
+) -> Trusted:
+    """The drive with a gyro that fits. On hills antenna and gyro lean with the vehicle, so that
+    good ones do not fit each other: what seems wrong counts only if it does on a vehicle that is
+    levelled by this very IMU, too."""
+    at_ns = log.fixes.time_ns
+    trusted = with_trusted_gyro(drive, log.accepted, at_ns, motion, axle, hints)
+    if trusted.note is None or not measures_tilt(motion):
+        return trusted
+    lean, denied = find_lean(log.accepted, drive, motion, axle.vehicle, frame_ns)
+    if lean is None:
+        return trusted._replace(note=" ".join([trusted.note, *denied]))
+    fixes, level = levelled_fixes(log.accepted, lean), levelled_motion(motion, lean)
+    again = smooth_drive(fixes, at_ns, level, axle, hints=hints)
+    if with_trusted_gyro(again, fixes, at_ns, level, axle, hints).note is not None:
+        return trusted
+    return Trusted(again, motion, np.zeros(len(again.time_ns)))
 
 
 def _stated_axes(found: Fused, settings: PoseSettings) -> tuple[AxisTilt, ...]:

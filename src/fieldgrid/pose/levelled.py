@@ -24,24 +24,36 @@ from fieldgrid.attitude import (
     axes_of_orientation,
     estimate_attitude,
 )
-from fieldgrid.motion import Gyro, Motion, Steps
+from fieldgrid.motion import Gyro, Inertial, Motion, RecordedTilt, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import axle_forward_m
 from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.table import PoseTable
 from fieldgrid.rig import Rig, VehicleGeometry
 from fieldgrid.rotations import R_enu_level, R_level_vehicle, heading_rad
+from fieldgrid.smoother import LATE
 from fieldgrid.trajectory import Trajectory
+
+SUSPECT_PUSH_MISFIT, MOST_PUSH_MISFIT = 0.45, 8.0
+"""An accelerometer that is so many sigmas from the motion of the fixes may be mounted sideways,
+where it is at 0.3 to 12; good ones are at 0.1 to 0.4, on real vehicles at up to 1.7, with shocks at
+up to 7. From the second on it contradicts them anyhow."""
+
+TWICE, CLEARLY, FITTING = 0.5, 0.75, 0.6
+"""An IMU is mounted as it fits best, where it fits twice as well there, or fits clearly better and
+is then no more than so many sigmas off."""
 
 
 class Lean(NamedTuple):
     """How a vehicle leans over a drive, and its points, [3] metres right, forward, up of the ground
-    below the sensor: the `antenna_m`, the middle of the `axle_m` on the ground, the `sensor_m`."""
+    below the sensor: the `antenna_m`, the middle of the `axle_m` on the ground, the `sensor_m`.
+    Without an IMU that fits the drive it is not `by_imu`."""
 
     attitude: Attitude
     antenna_m: Float64
     axle_m: Float64
     sensor_m: Float64
+    by_imu: bool = True
 
     def shift_m(
         self, time_ns: Int64, point_m: Float64, heading_deg: Float64 | None = None
@@ -56,7 +68,7 @@ class Lean(NamedTuple):
 def tells_attitude(motion: Motion, fix_ns: Int64) -> bool:
     """Whether a drive says how its vehicle leans, whatever its camera sees: an accelerometer over
     most of what its IMU logged, recorded angles, or an orientation at most of the fixes."""
-    return _measures_tilt(motion) or bool(_known(_axes_of(motion), fix_ns))
+    return measures_tilt(motion) or bool(_known(_axes_of(motion), fix_ns))
 
 
 def levelling_attitude(attitude: Attitude | None, motion: Motion, fix_ns: Int64) -> Attitude | None:
@@ -64,10 +76,12 @@ def levelling_attitude(attitude: Attitude | None, motion: Motion, fix_ns: Int64)
     nothing but the camera or antennas tells it, or the drive denies what does."""
     if attitude is None or not tells_attitude(motion, fix_ns):
         return None
-    return attitude if _measures_tilt(motion) or ORIENTATION in attitude.bodies else None
+    return attitude if measures_tilt(motion) or ORIENTATION in attitude.bodies else None
 
 
-def _measures_tilt(motion: Motion) -> bool:
+def measures_tilt(motion: Motion) -> bool:
+    """Whether an accelerometer, over most of what its IMU logged, or recorded angles tell how the
+    vehicle leans."""
     sensed, tilt = motion.inertial, motion.tilt
     pushed = sensed is not None and bool(
         np.isfinite(sensed.force_mps2).all(axis=1).sum() * 2 > len(sensed.time_ns)
@@ -105,7 +119,7 @@ def find_lean(
         for body in sorted(few)
     )
     seen = motion.steps is not None and bool(np.isfinite(motion.steps.up_m).any())
-    measured = seen or _measures_tilt(motion)
+    measured = seen or measures_tilt(motion)
     if not (measured or axes):
         return None, notes
     track = AntennaTrack(
@@ -120,19 +134,77 @@ def find_lean(
     )
     antenna, sensor_m = rig.antenna, np.array([0.0, 0.0, rig.mount.height_m])
     antenna_m = np.array([antenna.right_m, antenna.forward_m, antenna.up_m])
-    attitude = estimate_attitude(
-        track,
-        antenna_m - sensor_m,
-        wanted_ns=frame_ns,
-        sensed=motion.inertial,
-        steps=motion.steps,
-        tilt=motion.tilt,
-        axes=axes,
-    )
+    said = _Said(track, antenna_m - sensor_m, frame_ns, motion.steps, motion.tilt, axes)
+    attitude, by_imu = said.attitude(motion.inertial), True
+    denial = _imu_denial(said, motion.inertial, attitude.push_misfit)
+    if denial is not None:
+        notes = (*notes, denial)
+        attitude, by_imu = said.attitude(None), False
+        measured = seen or motion.tilt is not None
+    elif drive.smoothed.declared.contradicts:
+        attitude = attitude.if_late(drive.smoothed.declared.alone[LATE])
     notes = (*notes, *attitude.notes)
     if not (measured or attitude.bodies):
         return None, notes
-    return Lean(attitude, antenna_m, np.array([0.0, axle_forward_m(rig), 0.0]), sensor_m), notes
+    axle_m = np.array([0.0, axle_forward_m(rig), 0.0])
+    return Lean(attitude, antenna_m, axle_m, sensor_m, by_imu), notes
+
+
+class _Said(NamedTuple):
+    """What tells the attitude of a drive, but for its IMU."""
+
+    track: AntennaTrack
+    antenna_m: Float64
+    frame_ns: Int64 | None
+    steps: Steps | None
+    tilt: RecordedTilt | None
+    axes: Sequence[AxisTilt]
+
+    def attitude(self, sensed: Inertial | None) -> Attitude:
+        """The attitude with an IMU, or without one."""
+        return estimate_attitude(
+            *(self.track, self.antenna_m),
+            wanted_ns=self.frame_ns,
+            sensed=sensed,
+            steps=self.steps,
+            tilt=self.tilt,
+            axes=self.axes,
+        )
+
+
+def _imu_denial(said: _Said, sensed: Inertial | None, misfit: float) -> str | None:
+    """What is wrong with an IMU that contradicts the fixes, and what to do; None if nothing is."""
+    if sensed is None or not misfit > SUSPECT_PUSH_MISFIT:
+        return None
+    fits = {0.0: misfit}
+    for left_deg in (90.0, 180.0, 270.0):
+        fits[left_deg] = said.attitude(_turned(sensed, left_deg)).push_misfit
+    quarter_deg = min(fits, key=lambda deg: fits[deg])
+    for left_deg in ((quarter_deg - 45.0) % 360.0, quarter_deg + 45.0):
+        fits[left_deg] = said.attitude(_turned(sensed, left_deg)).push_misfit
+    left_deg = min(fits, key=lambda deg: fits[deg])
+    best = fits[left_deg]
+    if best < TWICE * misfit or best < min(CLEARLY * misfit, FITTING):
+        side = "left" if left_deg < 180.0 else "right"
+        turned = f"{min(left_deg, 360.0 - left_deg):.0f}° to the {side}"
+        remedy = f"it fits as one that is mounted about {turned}: correct imu_axes"
+    elif misfit > MOST_PUSH_MISFIT:
+        remedy = "check imu_axes, and the stamps of the IMU"
+    else:
+        return None
+    return (
+        f"The accelerometer contradicts the motion of the fixes by {misfit:.1f} sigmas and was not "
+        f"used for roll and pitch; {remedy}."
+    )
+
+
+def _turned(sensed: Inertial, left_deg: float) -> Inertial:
+    """What an IMU measured, in the vehicle's axes if it is turned to the left in it."""
+    R_vehicle_imu = R_enu_level(-left_deg)
+    return sensed._replace(
+        rate_rad_s=(sensed.rate_rad_s @ R_vehicle_imu.T).astype(sensed.rate_rad_s.dtype),
+        force_mps2=(sensed.force_mps2 @ R_vehicle_imu.T).astype(sensed.force_mps2.dtype),
+    )
 
 
 def levelled_fixes(fixes: AcceptedFixes, lean: Lean) -> AcceptedFixes:
@@ -146,7 +218,7 @@ def levelled_fixes(fixes: AcceptedFixes, lean: Lean) -> AcceptedFixes:
 def levelled_motion(motion: Motion, lean: Lean) -> Motion:
     """Gyro, wheels and camera as on a level vehicle."""
     sensed, gyro, wheels, steps = motion.inertial, motion.gyro, motion.wheels, motion.steps
-    if sensed is not None:
+    if sensed is not None and lean.by_imu:
         at = lean.attitude.at(sensed.time_ns)
         roll, pitch = np.radians(at.roll_deg), np.radians(at.pitch_deg)
         right, _, up = sensed.rate_rad_s.astype(np.float64).T
