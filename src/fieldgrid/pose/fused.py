@@ -28,6 +28,7 @@ from fieldgrid.pose.gyro_check import Trusted, with_trusted_gyro, without_wrong_
 from fieldgrid.pose.gyro_faults import without_faulty_samples
 from fieldgrid.pose.imu_turn import ImuTurn, imu_turn
 from fieldgrid.pose.levelled import (
+    DENIED_IMU,
     Lean,
     find_lean,
     levelled_fixes,
@@ -157,9 +158,13 @@ def _with_trusted_gyro(
     trusted = with_trusted_gyro(drive, log.accepted, at_ns, motion, axle, hints)
     if trusted.note is None or not measures_tilt(motion):
         return trusted
-    lean, denied = find_lean(log.accepted, drive, motion, axle.vehicle, frame_ns)
+    lean, notes = find_lean(log.accepted, drive, motion, axle.vehicle, frame_ns)
+    if lean is None and trusted.motion.inertial is None:
+        # Nothing looks at this IMU again.
+        why = [note for note in notes if note.startswith(DENIED_IMU)]
+        return trusted._replace(note=" ".join([trusted.note, *why]))
     if lean is None:
-        return trusted._replace(note=" ".join([trusted.note, *denied]))
+        return trusted
     fixes, level = levelled_fixes(log.accepted, lean), levelled_motion(motion, lean)
     again = smooth_drive(fixes, at_ns, level, axle, hints=hints)
     if with_trusted_gyro(again, fixes, at_ns, level, axle, hints).note is not None:

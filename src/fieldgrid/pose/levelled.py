@@ -39,9 +39,15 @@ SUSPECT_PUSH_MISFIT, MOST_PUSH_MISFIT = 0.45, 8.0
 where it is at 0.3 to 12; good ones are at 0.1 to 0.4, on real vehicles at up to 1.7, with shocks at
 up to 7. From the second on it contradicts them anyhow."""
 
+LEAST_TRIED_S = 30.0
+"""A shorter drive tells too little of how an IMU is mounted."""
+
 TWICE, CLEARLY, FITTING = 0.5, 0.75, 0.6
 """An IMU is mounted as it fits best, where it fits twice as well there, or fits clearly better and
 is then no more than so many sigmas off."""
+
+DENIED_IMU = "The accelerometer contradicts"
+"""How a note on such an IMU begins."""
 
 
 class Lean(NamedTuple):
@@ -176,14 +182,10 @@ def _imu_denial(said: _Said, sensed: Inertial | None, misfit: float) -> str | No
     """What is wrong with an IMU that contradicts the fixes, and what to do; None if nothing is."""
     if sensed is None or not misfit > SUSPECT_PUSH_MISFIT:
         return None
-    fits = {0.0: misfit}
-    for left_deg in (90.0, 180.0, 270.0):
-        fits[left_deg] = said.attitude(_turned(sensed, left_deg)).push_misfit
-    quarter_deg = min(fits, key=lambda deg: fits[deg])
-    for left_deg in ((quarter_deg - 45.0) % 360.0, quarter_deg + 45.0):
-        fits[left_deg] = said.attitude(_turned(sensed, left_deg)).push_misfit
-    left_deg = min(fits, key=lambda deg: fits[deg])
-    best = fits[left_deg]
+    left_deg, best = 0.0, misfit
+    first_ns, last_ns = said.track.time_ns[[0, -1]].tolist()
+    if last_ns - first_ns > LEAST_TRIED_S * 1e9:
+        left_deg, best = _best_turn(said, sensed, misfit)
     if best < TWICE * misfit or best < min(CLEARLY * misfit, FITTING):
         side = "left" if left_deg < 180.0 else "right"
         turned = f"{min(left_deg, 360.0 - left_deg):.0f}° to the {side}"
@@ -193,9 +195,22 @@ def _imu_denial(said: _Said, sensed: Inertial | None, misfit: float) -> str | No
     else:
         return None
     return (
-        f"The accelerometer contradicts the motion of the fixes by {misfit:.1f} sigmas and was not "
-        f"used for roll and pitch; {remedy}."
+        f"{DENIED_IMU} the motion of the fixes by {misfit:.1f} sigmas and was not used for roll "
+        f"and pitch; {remedy}."
     )
+
+
+def _best_turn(said: _Said, sensed: Inertial, misfit: float) -> tuple[float, float]:
+    """By how much an IMU is turned to the left where it fits the fixes best, to an eighth of a
+    circle, and its misfit there; as declared it is `misfit`."""
+    fits = {0.0: misfit}
+    for left_deg in (90.0, 180.0, 270.0):
+        fits[left_deg] = said.attitude(_turned(sensed, left_deg)).push_misfit
+    quarter_deg = min(fits, key=lambda deg: fits[deg])
+    for left_deg in ((quarter_deg - 45.0) % 360.0, quarter_deg + 45.0):
+        fits[left_deg] = said.attitude(_turned(sensed, left_deg)).push_misfit
+    left_deg = min(fits, key=lambda deg: fits[deg])
+    return left_deg, fits[left_deg]
 
 
 def _turned(sensed: Inertial, left_deg: float) -> Inertial:

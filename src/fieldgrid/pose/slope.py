@@ -138,7 +138,7 @@ def slope_notes(slope: Slope, rig: VehicleGeometry | None) -> Iterator[str]:
     remedy = "Record an accelerometer with the gyro, or map with images."
     if unseen_deg > slope_deg / np.sqrt(2.0):
         ground = "This drive does not show how steep the ground is across its way (8° are usual)"
-        remedy = remedy.replace("or map", "map").replace(".", ", or drive another row beside.")
+        remedy = "Drive another row beside it, record an accelerometer, or map with images."
     yield (
         f"{ground}, and nothing tells how the vehicle leans: its positions may be "
         f"{off_m(slope, rig):.2f} m off. {remedy}"
