@@ -477,3 +477,28 @@ def test_grids_are_level_by_what_the_drive_does_not_deny() -> None:
     assert levelling_attitude(found, backward, fix_ns) is None
     tilted = backward._replace(tilt=recorded_tilt(way))
     assert levelling_attitude(found, tilted, fix_ns) is found
+
+
+@pytest.mark.parametrize("blind", [False, True])
+def test_an_accelerometer_shows_which_way_up_its_gyro_is(blind: bool) -> None:
+    """Where the only turn lies in a hole, no course does."""
+    way = hike(GROUNDS["hills"], rows(2, 28.0))
+    turning_s = way.drive.time_s[np.abs(way.drive.curvature_per_m) > 0.1]
+    fixes = fixes_over(way)
+    late_s = (fixes.time_ns - fixes.time_ns[0]) / 1e9
+    hole = (late_s > turning_s[0] - 1.0) & (late_s < turning_s[-1] + 1.0)
+    motion, frames_ns = gyro_and(inertial(way)), time_ns(FRAMES_S)
+    if blind:
+        assert motion.inertial is not None
+        nothing = np.full_like(motion.inertial.force_mps2, np.nan)
+        motion = motion._replace(inertial=motion.inertial._replace(force_mps2=nothing))
+    found = estimate_poses(fixes[~hole], RIG, DATUM, motion=motion, frame_ns=frames_ns)
+    assert any("too few" in note for note in found.report.notes) is blind
+    assert (found.report.attitude is None) is blind
+    poses = [found.trajectory.at(t) for t in frames_ns.tolist()]
+    used = np.array([pose.status is Status.OK for pose in poses])
+    assert (used.mean() > 0.8) is not blind
+    heading_deg = np.array([pose.heading_deg for pose in poses])
+    sigma_deg = np.array([pose.heading_sigma_deg for pose in poses])
+    off_deg = (heading_deg - np.degrees(heading_rad(way.at(FRAMES_S).R)) + 180.0) % 360.0 - 180.0
+    assert (np.abs(off_deg) < 3.0 * sigma_deg)[used].all()

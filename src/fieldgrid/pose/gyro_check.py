@@ -9,7 +9,7 @@ import numpy as np
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.course import first_beyond
-from fieldgrid.motion import Gyro, Motion
+from fieldgrid.motion import Gyro, Inertial, Motion
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.drive import DriveEstimate, smooth_drive
@@ -30,6 +30,9 @@ LEAST_TURN_RAD = np.radians(3.0)
 
 MOST_PERIODS = 2.5
 """Fixes that are farther apart than so many usual ones have a hole between them."""
+
+LEAST_UP_MPS2 = 5.0
+"""An accelerometer that is the right way up feels twice as much of gravity."""
 
 MOST_TURN_RAD = np.radians(60.0)
 """A path that turns by more within two chords has a cusp."""
@@ -131,7 +134,7 @@ def turn_ratio(fixes: AcceptedFixes, gyro: Gyro) -> Ratio | None:
 
 def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, str | None]:
     """The motion without a gyro that turns otherwise than the path, or of which the drive does not
-    show which way it turns; and what was wrong with it."""
+    show which way it turns, as its accelerometer does not either; and what was wrong with it."""
     gyro = motion.gyro
     if gyro is None or len(gyro.time_ns) < 2:
         return motion, None
@@ -143,7 +146,8 @@ def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, st
         )
     elif sense.is_wrong:
         note = f"The path turns the other way than the gyro: the gyro {CHECK}"
-    elif sense.is_unknown:
+    # Turns that the fixes did show, and which do not tell the sense, are of other moments.
+    elif sense.is_unknown and not (ratio is None and _feels_up(motion.inertial)):
         note = (
             "The fixes are too few or too noisy where the vehicle turned to show which way the "
             "gyro turns, so it was not used. Drive a curve with good reception."
@@ -151,6 +155,15 @@ def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, st
     else:
         return motion, None
     return motion._replace(gyro=None, inertial=None), note
+
+
+def _feels_up(sensed: Inertial | None) -> bool:
+    """Whether the accelerometer of an IMU shows which way up it is, and with it its gyro."""
+    if sensed is None or len(sensed.time_ns) == 0:
+        return False
+    up_mps2 = sensed.force_mps2[:, 2]
+    felt = np.isfinite(up_mps2)
+    return bool(2 * felt.sum() > len(felt)) and float(np.median(up_mps2[felt])) > LEAST_UP_MPS2
 
 
 def with_trusted_gyro(
