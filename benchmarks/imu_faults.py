@@ -16,20 +16,12 @@ from fieldgrid.fixes import FixColumns
 from fieldgrid.motion import Gyro, Inertial, Motion
 from fieldgrid.pose import estimate_poses
 from fieldgrid.quality import Quality
-from fieldgrid.rig import LeverArm, Mount, Rig
 from fieldgrid.rotations import roll_pitch_deg
 from tests.hilly import Hike, antenna_fixes, hike, hills, inertial, rows, slope
-from tests.scenes import paper_rig
+from tests.pose.test_levelled import ANTENNA_M, RIG
 from tests.simulated import DATUM, time_ns
 
 GROUNDS = {"hills": hills(9.0, 45.0), "rough": hills(6.0, 12.0), "level": slope(0.0)}
-SENSOR_M, ANTENNA_M = (0.0, 1.4, 2.5), (-0.12, -0.45, 0.35)
-RIG = Rig(
-    paper_rig().camera,
-    Mount(SENSOR_M[2], 15.0),
-    LeverArm(ANTENNA_M[0], ANTENNA_M[1], SENSOR_M[2] + ANTENNA_M[2]),
-    rear_axle_forward_m=-SENSOR_M[1],
-)
 RECEIVERS = ((0.2, 0.012, 0.01), (1.0, 0.02, 0.02), (0.2, 0.05, 0.3))
 """Seconds from fix to fix, their white and their slow error, metres."""
 
