@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from fieldgrid.motion import Inertial, RecordedTilt, Steps
+from fieldgrid.fixes import FixColumns
+from fieldgrid.motion import Gyro, Inertial, Motion, RecordedTilt, Steps
 from fieldgrid.rotations import (
     R_enu_level,
     R_level_vehicle,
@@ -23,7 +24,7 @@ from fieldgrid.rotations import (
     roll_pitch_deg,
     to_vectors,
 )
-from tests.simulated import Command, Drive, simulate, time_ns
+from tests.simulated import DATUM, Command, Drive, simulate, time_ns
 
 _Float64 = npt.NDArray[np.float64]
 Ground = Callable[[_Float64, _Float64], _Float64]
@@ -136,6 +137,29 @@ def antenna_fixes(
     return time_ns(seen.drive.time_s), seen.sensor_m + seen.R @ np.asarray(antenna_m) + error
 
 
+def fixes_over(
+    way: Hike,
+    antenna_m: npt.ArrayLike,
+    period_s: float = 0.2,
+    noise_m: float = 0.012,
+    wander_m: float = 0.01,
+    **stated: npt.ArrayLike,
+) -> FixColumns:
+    """The fixes of such an antenna, as a log holds them, with what they state besides."""
+    times, enu = antenna_fixes(way, antenna_m, period_s, noise_m, wander_m)
+    lat, lon, height = DATUM.to_geodetic(*enu.T)
+    return FixColumns.of(
+        times,
+        lat_deg=lat,
+        lon_deg=lon,
+        height_m=height,
+        satellites=12,
+        hdop=0.8,
+        age_s=1.0,
+        **{"quality": 4, **stated},
+    )
+
+
 def inertial(
     way: Hike,
     rate_hz: float = 100.0,
@@ -161,6 +185,21 @@ def inertial(
         time_ns(way.drive.time_s[at]),
         rate[at] + np.radians(gyro_bias_dps + random.normal(size=(n, 3)) * gyro_noise_dps),
         force[at] + force_bias_mps2 + random.normal(size=(n, 3)) * force_noise_mps2,
+    )
+
+
+def gyro_and(sensed: Inertial) -> Motion:
+    """What an IMU measured, with its gyro about the vertical axis."""
+    return Motion(gyro=Gyro(sensed.time_ns, -sensed.rate_rad_s[:, 2]), inertial=sensed)
+
+
+def mounted(sensed: Inertial, left_deg: float) -> Inertial:
+    """The same of an IMU that is turned to the left against what is declared."""
+    sin, cos = np.sin(np.radians(left_deg)), np.cos(np.radians(left_deg))
+    R_imu_vehicle = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return sensed._replace(
+        rate_rad_s=(sensed.rate_rad_s @ R_imu_vehicle.T).astype(np.float32),
+        force_mps2=(sensed.force_mps2 @ R_imu_vehicle.T).astype(np.float32),
     )
 
 

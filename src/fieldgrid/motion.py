@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from fieldgrid.array_types import Float32, Float64, Int64
 
 
@@ -29,6 +31,11 @@ class Inertial(NamedTuple):
     time_ns: Int64
     rate_rad_s: Float32
     force_mps2: Float32
+
+    def feels_force(self) -> bool:
+        """Whether an accelerometer measured over most of what was logged."""
+        felt = np.isfinite(self.force_mps2).all(axis=1)
+        return int(felt.sum()) * 2 > len(self.time_ns)
 
 
 class RecordedTilt(NamedTuple):

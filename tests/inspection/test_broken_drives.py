@@ -502,7 +502,7 @@ def test_an_imu_that_is_mounted_sideways_stops_a_build(drive: Make) -> None:
     found = inspect_recording(folder)
     assert not found.builds
     assert serious(found) == {"imu-turned", "poses"}
-    assert "mounted about 90° to the right" in " ".join(finding(found, "poses"))
+    assert "turned by about 90° to the right" in " ".join(finding(found, "poses"))
     message, remedy = finding(found, "imu-turned")
     assert "farther right about the vertical than declared" in message
     assert "from flu to rfu" in remedy

@@ -159,11 +159,9 @@ def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, st
 
 def _feels_up(sensed: Inertial | None) -> bool:
     """Whether the accelerometer of an IMU shows which way up it is, and with it its gyro."""
-    if sensed is None or len(sensed.time_ns) == 0:
+    if sensed is None or not sensed.feels_force():
         return False
-    up_mps2 = sensed.force_mps2[:, 2]
-    felt = np.isfinite(up_mps2)
-    return bool(2 * felt.sum() > len(felt)) and float(np.median(up_mps2[felt])) > LEAST_UP_MPS2
+    return float(np.nanmedian(sensed.force_mps2[:, 2])) > LEAST_UP_MPS2
 
 
 def with_trusted_gyro(

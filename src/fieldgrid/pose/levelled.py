@@ -8,6 +8,7 @@ same attitude the pose's point is carried back.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -82,17 +83,23 @@ def levelling_attitude(attitude: Attitude | None, motion: Motion, fix_ns: Int64)
     nothing but the camera or antennas tells it, or the drive denies what does."""
     if attitude is None or not tells_attitude(motion, fix_ns):
         return None
-    return attitude if measures_tilt(motion) or ORIENTATION in attitude.bodies else None
+    by_imu = _has_force(motion) and not math.isnan(attitude.push_misfit)
+    levels = by_imu or _records_tilt(motion) or ORIENTATION in attitude.bodies
+    return attitude if levels else None
 
 
 def measures_tilt(motion: Motion) -> bool:
     """Whether an accelerometer, over most of what its IMU logged, or recorded angles tell how the
     vehicle leans."""
-    sensed, tilt = motion.inertial, motion.tilt
-    pushed = sensed is not None and bool(
-        np.isfinite(sensed.force_mps2).all(axis=1).sum() * 2 > len(sensed.time_ns)
-    )
-    return pushed or (tilt is not None and len(tilt.time_ns) > 1)
+    return _has_force(motion) or _records_tilt(motion)
+
+
+def _has_force(motion: Motion) -> bool:
+    return motion.inertial is not None and motion.inertial.feels_force()
+
+
+def _records_tilt(motion: Motion) -> bool:
+    return motion.tilt is not None and len(motion.tilt.time_ns) > 1
 
 
 def _axes_of(motion: Motion) -> tuple[AxisTilt, ...]:
@@ -140,13 +147,13 @@ def find_lean(
     )
     antenna, sensor_m = rig.antenna, np.array([0.0, 0.0, rig.mount.height_m])
     antenna_m = np.array([antenna.right_m, antenna.forward_m, antenna.up_m])
-    said = _Said(track, antenna_m - sensor_m, frame_ns, motion.steps, motion.tilt, axes)
-    attitude, by_imu = said.attitude(motion.inertial), True
-    denial = _imu_denial(said, motion.inertial, attitude.push_misfit)
+    evidence = _Evidence(track, antenna_m - sensor_m, frame_ns, motion.steps, motion.tilt, axes)
+    attitude, by_imu = evidence.attitude(motion.inertial), True
+    denial = _imu_denial(evidence, motion.inertial, attitude.push_misfit)
     if denial is not None:
         notes = (*notes, denial)
-        attitude, by_imu = said.attitude(None), False
-        measured = seen or motion.tilt is not None
+        attitude, by_imu = evidence.attitude(None), False
+        measured = seen or _records_tilt(motion)
     elif drive.smoothed.declared.contradicts:
         attitude = attitude.if_late(drive.smoothed.declared.alone[LATE])
     notes = (*notes, *attitude.notes)
@@ -156,7 +163,7 @@ def find_lean(
     return Lean(attitude, antenna_m, axle_m, sensor_m, by_imu), notes
 
 
-class _Said(NamedTuple):
+class _Evidence(NamedTuple):
     """What tells the attitude of a drive, but for its IMU."""
 
     track: AntennaTrack
@@ -178,18 +185,19 @@ class _Said(NamedTuple):
         )
 
 
-def _imu_denial(said: _Said, sensed: Inertial | None, misfit: float) -> str | None:
+def _imu_denial(evidence: _Evidence, sensed: Inertial | None, misfit: float) -> str | None:
     """What is wrong with an IMU that contradicts the fixes, and what to do; None if nothing is."""
     if sensed is None or not misfit > SUSPECT_PUSH_MISFIT:
         return None
     left_deg, best = 0.0, misfit
-    first_ns, last_ns = said.track.time_ns[[0, -1]].tolist()
+    first_ns, last_ns = evidence.track.time_ns[[0, -1]].tolist()
     if last_ns - first_ns > LEAST_TRIED_S * 1e9:
-        left_deg, best = _best_turn(said, sensed, misfit)
+        left_deg, best = _best_turn(evidence, sensed, misfit)
     if best < TWICE * misfit or best < min(CLEARLY * misfit, FITTING):
         side = "left" if left_deg < 180.0 else "right"
-        turned = f"{min(left_deg, 360.0 - left_deg):.0f}° to the {side}"
-        remedy = f"it fits as one that is mounted about {turned}: correct imu_axes"
+        turned = f"it fits turned by about {min(left_deg, 360.0 - left_deg):.0f}° to the {side}"
+        square = left_deg % 90.0 == 0.0
+        remedy = f"{turned}: {'correct imu_axes' if square else 'mount it square to the vehicle'}"
     elif misfit > MOST_PUSH_MISFIT:
         remedy = "check imu_axes, and the stamps of the IMU"
     else:
@@ -200,15 +208,15 @@ def _imu_denial(said: _Said, sensed: Inertial | None, misfit: float) -> str | No
     )
 
 
-def _best_turn(said: _Said, sensed: Inertial, misfit: float) -> tuple[float, float]:
+def _best_turn(evidence: _Evidence, sensed: Inertial, misfit: float) -> tuple[float, float]:
     """By how much an IMU is turned to the left where it fits the fixes best, to an eighth of a
     circle, and its misfit there; as declared it is `misfit`."""
     fits = {0.0: misfit}
     for left_deg in (90.0, 180.0, 270.0):
-        fits[left_deg] = said.attitude(_turned(sensed, left_deg)).push_misfit
+        fits[left_deg] = evidence.attitude(_turned(sensed, left_deg)).push_misfit
     quarter_deg = min(fits, key=lambda deg: fits[deg])
     for left_deg in ((quarter_deg - 45.0) % 360.0, quarter_deg + 45.0):
-        fits[left_deg] = said.attitude(_turned(sensed, left_deg)).push_misfit
+        fits[left_deg] = evidence.attitude(_turned(sensed, left_deg)).push_misfit
     left_deg = min(fits, key=lambda deg: fits[deg])
     return left_deg, fits[left_deg]
 
