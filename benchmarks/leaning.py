@@ -67,9 +67,7 @@ class Outcome(NamedTuple):
 
 def main() -> None:
     """Print a line for each kind of drive."""
-    heading = (
-        f"{'':30}{'drives':>8}{'honest':>8}{'used':>8}  off (95 %): median, most  within 3 s"
-    )
+    heading = f"{'':30}{'drives':>8}{'honest':>8}{'used':>8}  off (95 %): median, most  within 3 s"
     print(f"Roll and pitch by IMUs, degrees\n{heading}")
     for fault, sway_deg in product(FAULTS, SWAYS_DEG):
         _print(f"{fault}, sway {sway_deg}°", list(imu_drives(fault, sway_deg)))

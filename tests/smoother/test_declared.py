@@ -13,7 +13,7 @@ from fieldgrid.pose import estimate_poses
 from fieldgrid.quality import Quality
 from fieldgrid.rig import Carrier
 from fieldgrid.settings import PoseSettings
-from fieldgrid.smoother import declared, model
+from fieldgrid.smoother import Constant, DeclaredCorrection, declared, model
 from fieldgrid.smoother.declared import couplings
 from fieldgrid.smoother.envelope import STATES
 from fieldgrid.smoother.model import GYRO, GYRO_NOISE, KAPPA, PHI, E, N, V
@@ -106,3 +106,22 @@ def test_a_solution_that_converges_tells_less_of_a_gyro(monkeypatch: pytest.Monk
     monkeypatch.setattr(declared, "FLEETING_SHARE", declared.TOLD_SHARE)
     assert float_deg > 1.001 * usual_deg(Quality.RTK_FLOAT)
     assert other_deg == usual_deg(Quality.DIFFERENTIAL)
+
+
+@pytest.mark.parametrize(
+    ("told_s", "misfit", "alone_s", "least_s", "most_s"),
+    [
+        (2.0, 0.0, 0.5, 0.199, 0.201),  # a drive that tells nothing: a usual clock
+        (0.05, 0.0, 0.5, 0.05, 0.08),
+        (0.05, 9.0, -0.3, 0.3, 0.32),
+    ],
+)
+def test_how_late_stamps_may_be(
+    told_s: float, misfit: float, alone_s: float, least_s: float, most_s: float
+) -> None:
+    nothing = Constant(0.0, 5.0)
+    found = DeclaredCorrection(
+        *(nothing, nothing, Constant(0.1, told_s), nothing, misfit),
+        *((0.0, 0.0, alone_s, 0.0), (0.0, 0.0, 0.0, 0.0)),
+    )
+    assert least_s <= found.unsure_late_s <= most_s

@@ -32,7 +32,6 @@ from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.table import PoseTable
 from fieldgrid.rig import Rig, VehicleGeometry
 from fieldgrid.rotations import R_enu_level, R_level_vehicle, heading_rad
-from fieldgrid.smoother import LATE
 from fieldgrid.trajectory import Trajectory
 
 SUSPECT_PUSH_MISFIT, MOST_PUSH_MISFIT = 0.45, 8.0
@@ -154,8 +153,8 @@ def find_lean(
         notes = (*notes, denial)
         attitude, by_imu = evidence.attitude(None), False
         measured = seen or _records_tilt(motion)
-    elif drive.smoothed.declared.contradicts:
-        attitude = attitude.if_late(drive.smoothed.declared.alone[LATE])
+    elif not math.isnan(attitude.push_misfit):
+        attitude = attitude.if_late(drive.smoothed.declared.unsure_late_s)
     notes = (*notes, *attitude.notes)
     if not (measured or attitude.bodies):
         return None, notes

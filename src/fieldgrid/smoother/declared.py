@@ -68,6 +68,15 @@ class DeclaredCorrection(NamedTuple):
         """Whether sensors and declarations do not fit together."""
         return self.misfit > MOST_MISFIT
 
+    @property
+    def unsure_late_s(self) -> float:
+        """How late the stamps of fixes or gyro may be, 1-sigma: as usual clocks are, as far as the
+        drive leaves it open, and as it would explain a contradiction alone."""
+        told = 1.0 / self.late_s.sigma**2 - 1.0 / TESTED_SIGMAS[LATE] ** 2
+        usual = 1.0 / UNVERIFIED_SIGMAS[LATE] ** 2
+        unverified_s = 1.0 / math.sqrt(usual + TOLD_SHARE * max(told, 0.0))
+        return math.hypot(unverified_s, self.alone[LATE] if self.contradicts else 0.0)
+
     def explains(self, k: int) -> bool:
         """Whether most of what does not fit together would with the k-th of them alone."""
         return self.left[k] < self.misfit / 2.0
