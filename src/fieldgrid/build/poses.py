@@ -207,15 +207,14 @@ def doubted_clock(recording: Recording, estimate: Estimate) -> Doubted | None:
     clock, trajectory = estimate.report.clock, estimate.trajectory
     if clock is None or not clock.is_certain:
         return None
-    speed_mps = usual_speed_mps(trajectory)
-    far_m = abs(clock.offset_s) * speed_mps
+    far_m = abs(clock.offset_s) * usual_speed_mps(trajectory)
     if far_m <= MISPLACED_M and abs(clock.offset_s) <= WIDEST_S:
         return None
     why = explanation(clock.offset_s, int(trajectory.time_ns[0]))
     error = GnssError(
         f"The images of {recording.name} are stamped {-clock.offset_s:+.2f} s ± "
         f"{clock.sigma_s:.2f} s against the fixes, as {clock.steps} steps of the camera show"
-        f"{f' ({why})' if why else ''}, and at {speed_mps:.1f} m/s that is {far_m:.2f} m; "
+        f"{f' ({why})' if why else ''}{misplaced(clock.offset_s, trajectory, ', and ')}; "
         f"{clock_remedy(recording, clock)}"
     )
     return Doubted(StopCode.CLOCK_OFFSET, error)
@@ -347,6 +346,15 @@ def usual_speed_mps(trajectory: Trajectory) -> float:
     speed = np.abs(trajectory.speed_mps[trajectory.accepted])
     moving = speed[speed > 0.1]
     return float(np.median(moving)) if moving.size else 0.0
+
+
+def misplaced(offset_s: float, trajectory: Trajectory, before: str) -> str:
+    """How far images of another time are from their places, after the words `before`; nothing
+    where no usable pose tells how fast the drive was."""
+    speed_mps = usual_speed_mps(trajectory)
+    if speed_mps == 0.0:
+        return ""
+    return f"{before}at {speed_mps:.1f} m/s that is {abs(offset_s) * speed_mps:.2f} m"
 
 
 def check_poses(recording: Recording, trajectory: Trajectory) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from fieldgrid.build.poses import MISPLACED_M, clock_remedy, usual_speed_mps
+from fieldgrid.build.poses import MISPLACED_M, clock_remedy, misplaced, usual_speed_mps
 from fieldgrid.build.shifts import explanation
 from fieldgrid.choices import StopCode
 from fieldgrid.inspection.findings import Finding, error, info, warning
@@ -28,8 +28,7 @@ def clock_findings(
     clock: ClockOffset, recording: Recording, trajectory: Trajectory
 ) -> Iterator[Finding]:
     """That the images' clock is certainly off by more than the recording declares."""
-    speed_mps = usual_speed_mps(trajectory)
-    far_m = abs(clock.offset_s) * speed_mps
+    far_m = abs(clock.offset_s) * usual_speed_mps(trajectory)
     why = explanation(clock.offset_s, int(trajectory.time_ns[0]))
     wrong = far_m > MISPLACED_M or abs(clock.offset_s) > WIDEST_S
     tell = error if wrong else warning
@@ -37,7 +36,7 @@ def clock_findings(
     yield tell(
         StopCode.CLOCK_OFFSET.value,
         f"The images are stamped {-clock.offset_s:+.3f} ± {clock.sigma_s:.3f} s against the fixes, "
-        f"by {clock.steps} steps of the camera{f' ({why})' if why else ''}; at {speed_mps:.1f} m/s "
-        f"that is {far_m:.2f} m.",
+        f"by {clock.steps} steps of the camera{f' ({why})' if why else ''}"
+        f"{misplaced(clock.offset_s, trajectory, '; ')}.",
         remedy[0].upper() + remedy[1:],
     )

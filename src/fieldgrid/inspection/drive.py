@@ -113,10 +113,12 @@ def with_frames(
         frames=recording.frame_count,
         declared_offset_s=recording.rig.image_time_offset_ns / 1e9,
     )
+    images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
     fixes_alone: Estimate | None = None
     with noted(findings):
         fixes_alone = estimate_drive(recording, settings)
         found = with_fixes(found, fixes_alone, recording, findings)
+        found = replace(found, reasons=rejections(images_ns, fixes_alone.trajectory))
         with noted(findings, "no-overlap"):
             check_images(recording, fixes_alone.trajectory)
     with noted(findings):
@@ -218,6 +220,7 @@ def _with_poses(
         with_camera = estimate_drive(recording, settings, steps=seen.steps)
         clock = with_camera.report.clock
     off = clock is not None and clock.is_certain
+    apart = any(finding.code == "no-overlap" for finding in findings)
     by_way, mirrored = None, None
     if with_camera is not None:
         mirrored = doubted_mirror(recording, with_camera.trajectory, seen.steps)
@@ -237,7 +240,7 @@ def _with_poses(
         _told_by_camera(recording, with_camera, findings)
     if clock is not None and off:
         findings += clock_findings(clock, recording, fixes_alone.trajectory)
-    elif clock is None and seen.followed and not (by_way is not None and by_way.is_off):
+    elif clock is None and seen.followed and not (apart or (by_way is not None and by_way.is_off)):
         findings.append(clock_unknown(seen.followed))
     # With a wrong clock the camera's motion would be laid beside that of other moments.
     estimate = fixes_alone if with_camera is None or off else with_camera
@@ -251,9 +254,10 @@ def _with_poses(
         sync=synchronisation(images_ns, track.time_ns[at_fixes]),
         clock=clock,
         scale=by_way,
+        reasons=rejections(images_ns, track),
         trajectory=track,
     )
-    if any(finding.code == "no-overlap" for finding in findings):
+    if apart:
         return found
     return _with_map(recording, settings, gridder, found, findings, clocks_agree=not off)
 
@@ -277,7 +281,6 @@ def _with_map(
         check_poses(recording, track)
         found = replace(
             found,
-            reasons=rejections(images_ns, track),
             coverage=coverage(
                 images_ns,
                 track,

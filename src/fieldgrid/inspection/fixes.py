@@ -13,7 +13,7 @@ from fieldgrid.fixes import NOT_SAID, FixColumns
 from fieldgrid.gnss import ConditioningSummary, Gate
 from fieldgrid.inspection.findings import Finding, info, warning
 from fieldgrid.quality import Quality
-from fieldgrid.reasons import grouped_reasons
+from fieldgrid.reasons import commonest_reason, grouped_reasons
 from fieldgrid.trajectory import MAX_GAP_NS, Status, Trajectory
 
 REJECTED_SHARE, UNUSABLE_SHARE = 0.1, 0.1
@@ -186,6 +186,8 @@ def pose_findings(frames: int, reasons: Counter[str]) -> Iterator[Finding]:
 
 def rejections(images_ns: Int64, trajectory: Trajectory) -> Counter[str]:
     """How many frames would be rejected for each reason."""
+    if not trajectory.accepted.any():
+        return Counter({commonest_reason(trajectory.reason): len(images_ns)})
     poses = (trajectory.at(time_ns) for time_ns in images_ns.tolist())
     return Counter(pose.reason for pose in poses if pose.status is not Status.OK)
 
