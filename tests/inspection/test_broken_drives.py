@@ -149,6 +149,7 @@ def test_gps_time_for_utc(drive: Make, moved_s: float, gps: str) -> None:
     assert not found.builds
     assert serious(found) == {"clock-offset"}
     message, remedy = finding(found, "clock-offset")
+    assert re.search(r"; at 1\.\d m/s that is \d+\.\d\d m\.$", message)
     assert f"GPS time is {abs(moved_s):.0f} s ahead of UTC, so the {gps} carry GPS time" in message
     assert f"--time-offset {-moved_s:.3f}" in remedy
 
@@ -190,6 +191,8 @@ def test_other_hours(drive: Make, moved_s: float, why: str) -> None:
     assert "do not overlap in time" in message
     assert why in remedy
     assert f"give --time-offset {-moved_s:g} or image_time_offset_s = {-moved_s:g}" in remedy
+    assert found.as_dict()["frames_usable"] == 0
+    assert "clock-unknown" not in codes(found)
 
 
 def test_another_drive_s_log(drive: Make) -> None:
@@ -254,7 +257,7 @@ def test_a_calibration_of_turned_images(drive: Make) -> None:
     found = inspect_recording(folder)
     assert not found.builds
     assert codes(found, Severity.ERROR) == {"image-size"}
-    assert "the calibration is for 480 x 640 px" in finding(found, "image-size")[0]
+    assert finding(found, "image-size")[0].endswith("the calibration is for 480 x 640 px.")
 
 
 @pytest.mark.parametrize(
@@ -357,6 +360,7 @@ def test_a_drive_that_does_not_say_how_its_camera_is_mounted(drive: Make) -> Non
     assert "fieldgrid mount" in finding(found, "calibration")[1]
     assert {stream.role for stream in found.streams} >= {"left", "right", "fix"}
     assert found.rig is None
+    assert (found.frames, found.frames_usable) == (None, None)
 
 
 def test_a_forgotten_lever_arm(drive: Make) -> None:

@@ -88,7 +88,7 @@ def _drive_rows(found: Inspection) -> Iterator[tuple[str, str]]:
         return
     yield "kind", found.kind
     yield "duration", output.number(found.duration_s, 1, "s")
-    yield "frames", str(found.frames)
+    yield "frames", output.number(found.frames, 0)
     if found.frames:
         yield "frames examined / tracked", f"{found.looked} / {found.followed}"
     yield "GNSS", found.gnss_source or "-"
@@ -163,9 +163,8 @@ def _image_rows(found: Inspection) -> Iterator[tuple[str, str]]:
 
 
 def _map_rows(found: Inspection) -> Iterator[tuple[str, str]]:
-    if found.trajectory is not None and found.frames:
-        lost = found.reasons.total()
-        yield "frames with a usable pose", f"{found.frames - lost} of {found.frames}"
+    if found.frames_usable is not None and found.frames:
+        yield "frames with a usable pose", f"{found.frames_usable} of {found.frames}"
     if found.coverage is not None:
         cover = found.coverage
         yield "expected area", output.number(cover.area_m2, 0, "m²")

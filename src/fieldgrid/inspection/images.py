@@ -41,10 +41,11 @@ def unread_findings(unread: Sequence[Unread], looked: int) -> Iterator[Finding]:
     """Frames that cannot be had, at the first of which a build ends."""
     misfits = [one for one in unread if one.misfit]
     if misfits:
+        what = misfits[0].problem.rsplit("; ", 1)[0].rstrip(".")  # the remedy says the rest
         yield error(
             "image-size",
             f"{len(misfits)} of {looked} examined frames do not fit the "
-            f"calibration. First: {misfits[0].problem}",
+            f"calibration. First: {what}.",
             "Give the calibration of these images, for their size and orientation, uncropped.",
         )
     elif unread:

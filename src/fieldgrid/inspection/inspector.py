@@ -78,6 +78,7 @@ def _inspected(
         findings.append(refusal(problem, "no-images"))
     except RecordingError as problem:
         findings.append(refusal(problem))
+        found = replace(found, frames=None)
     if recording is not None and recording.frame_count == 0:
         message = f"{drive.name} holds no frame, and a map is made of frames."
         findings.append(error("no-images", message, "`fieldgrid track` needs none."))

@@ -24,7 +24,8 @@ from fieldgrid.vertical import Misalignment
 class Inspection:
     """What is in a recording and what would go wrong with it.
 
-    Whatever could not be found out is None or empty. `looked` frames were looked at closely and
+    Whatever could not be found out is None or empty; `frames` are None where images lie there that
+    cannot be opened as frames. `looked` frames were looked at closely and
     `followed` ones for the camera's motion, of `frames`. `reasons` count the frames that would
     have no usable pose; `declared_offset_s` is what image times are moved by already.
     """
@@ -37,7 +38,7 @@ class Inspection:
     streams: tuple[StreamSummary, ...] = ()
     gnss_source: str = ""
     rig: Rig | None = None
-    frames: int = 0
+    frames: int | None = 0
     looked: int = 0
     followed: int = 0
     camera_steps: int = 0
@@ -58,6 +59,13 @@ class Inspection:
     def builds(self) -> bool:
         """Whether `build` would make a map of it, as far as was looked at, and nothing accepted."""
         return self.count(Severity.ERROR) == 0
+
+    @property
+    def frames_usable(self) -> int | None:
+        """How many frames would have a usable pose."""
+        if self.frames is None or self.trajectory is None:
+            return None
+        return self.frames - self.reasons.total()
 
     def count(self, severity: Severity) -> int:
         """How many findings are so bad."""
@@ -84,7 +92,7 @@ class Inspection:
             "fixes": None if self.fixes is None else self.fixes.as_dict(),
             "image_to_fix": None if self.sync is None else self.sync._asdict(),
             "clock_offset": None if self.clock is None else self.clock._asdict(),
-            "frames_usable": self.frames - self.reasons.total() if self.trajectory else None,
+            "frames_usable": self.frames_usable,
             "frames_rejected": dict(self.reasons.most_common()),
             "images": [look.as_dict() for look in self.looks],
             "vertical": None if self.misalignment is None else self.misalignment.as_dict(),
