@@ -183,7 +183,7 @@ def a_day_later(table: str) -> str:
         (
             lambda drive: (drive / "gnss" / "gnss_rtk.nmea").unlink(),
             GnssError,
-            "holds no position at all",
+            "has no GNSS log, without which nothing can be placed",
         ),
         (
             lambda drive: (drive / "left" / "000004.jpg").unlink(),

@@ -345,7 +345,7 @@ FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "no log": (
         lambda drive: (drive / "gnss" / "gnss_rtk.nmea").unlink(),
-        r"The GNSS log holds no position at all; record one, or choose another with --gnss",
+        r"has no GNSS log, .*; put the log of this drive into its folder gnss/, or name it with",
     ),
     "no fix in the log": (without_fixes, "holds no position at all; .*--gnss"),
     "no frame": (

@@ -61,8 +61,13 @@ def estimate_drive(
 
     `steps` are the camera's, if they have been worked out (:func:`visual_odometry`). `carrier` is
     the vehicle of a drive that has no rig. `level_grids` as in `estimate_poses`. Raises DatumError
-    before all else where no fix is within reach of the datum.
+    before all else where no fix is within reach of the datum, GnssError where there is no log.
     """
+    if not drive.gnss_source and not len(drive.fixes()):
+        raise GnssError(
+            f"{drive.name} has no GNSS log, without which nothing can be placed; put the log of this "
+            "drive into its folder gnss/, or name it with --gnss."
+        )
     settings = settings or BuildSettings()
     datum = datum or drive.datum_hint
     if datum is not None:
