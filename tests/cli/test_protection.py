@@ -256,9 +256,11 @@ def test_a_number_that_none_can_be_is_refused_before_the_work(
 def test_what_is_said_of_columns_is_for_tables(
     fieldgrid: Run, make_drive: MakeDrive, tmp_path: Path
 ) -> None:
-    log = next((make_drive() / "gnss").iterdir())
-    asked = ("track", log, "-o", tmp_path / "t.csv", "--columns", "lat=a")
-    assert "is no table; leave --columns out" in fieldgrid(*asked).sentence()
+    drive = make_drive()
+    log = next((drive / "gnss").iterdir())
+    for path in (log, drive):
+        asked = ("track", path, "-o", tmp_path / "t.csv", "--columns", "lat=a")
+        assert f"{log} is no table; leave --columns out" in fieldgrid(*asked).sentence()
 
 
 def test_numbers_below_zero_are_no_options(fieldgrid: Run, two_lanes_map: Path) -> None:

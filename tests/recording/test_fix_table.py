@@ -488,6 +488,7 @@ def test_the_clock_of_gps_for_a_number_is_refused(tmp_path: Path) -> None:
     text = f"time,lat,lon\n{START_S}000,41,-4\n"
     fails(tmp_path, text, "--columns time_units=gps_ms .*leave time_zone out", "time_zone=GPST")
     assert only(tmp_path, text, "time_zone=UTC").time_ns == START_NS
+    fails(tmp_path, text, r"--gnss-offset SECONDS .*leave time_zone out", "time_zone=+02:00")
     gps_s = "time,lat,lon\n1401278418,41,-4\n"
     assert only(tmp_path, gps_s, "time_zone=GPST,time_units=gps_s").time_ns == START_NS
 

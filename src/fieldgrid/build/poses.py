@@ -65,8 +65,8 @@ def estimate_drive(
     """
     if not drive.gnss_source and not len(drive.fixes()):
         raise GnssError(
-            f"{drive.name} has no GNSS log, without which nothing can be placed; put the log of this "
-            "drive into its folder gnss/, or name it with --gnss."
+            f"{drive.name} has no GNSS log, without which nothing can be placed; put the log of "
+            "this drive into its folder gnss/, or name it with --gnss."
         )
     settings = settings or BuildSettings()
     datum = datum or drive.datum_hint

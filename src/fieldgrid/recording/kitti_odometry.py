@@ -24,7 +24,7 @@ from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.format import Format
 from fieldgrid.recording.images import SUFFIXES, ImageFile
 from fieldgrid.recording.kitti_calibration import CAMERA_HEIGHT_M, floats, numbers, read_entries
-from fieldgrid.recording.logs import find_log, log_name, read_fix_log
+from fieldgrid.recording.logs import chosen_log, find_log, log_name
 from fieldgrid.recording.mounting import MOUNTING
 from fieldgrid.recording.options import NO_MOUNTING, DriveOptions
 from fieldgrid.recording.settings_file import SETTINGS, RecordingSettings, Start, read_settings
@@ -64,7 +64,7 @@ def open_sequence(path: Path, options: DriveOptions) -> Drive:
     left, right = next(s for s in _SIDES if all((path / f"image_{n}").is_dir() for n in s))
     offset_ns = options.offset_or(settings.image_time_offset_ns)
     if log_path is not None:
-        log = read_fix_log(log_path, options.columns or settings.columns)
+        log = chosen_log(log_path, settings, options)
         log = options.in_time(log, settings.gnss_offset_ns)
         drive = replace(
             drive,

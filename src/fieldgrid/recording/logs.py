@@ -146,8 +146,7 @@ def with_log(
     """A drive in a folder with the fixes of a log, or a remark that there is none."""
     if log_path is None:
         return replace(drive, notes=(*drive.notes, passed_over(folder)))
-    log = read_fix_log(log_path, options.columns or settings.columns)
-    log = options.in_time(log, settings.gnss_offset_ns)
+    log = options.in_time(chosen_log(log_path, settings, options), settings.gnss_offset_ns)
     return replace(
         drive,
         log=log,
@@ -157,13 +156,24 @@ def with_log(
     )
 
 
+def chosen_log(path: Path, settings: RecordingSettings, options: DriveOptions) -> FixLog:
+    """The fixes of a log of a recording, whose columns are as the user says, else the recording;
+    ConfigError where the user says it of no table."""
+    _refuse_columns(path, options)
+    return read_fix_log(path, options.columns or settings.columns)
+
+
+def _refuse_columns(path: Path, options: DriveOptions) -> None:
+    if options.columns is not None and not _has_columns(path):
+        options.refuse(f"{path} is no table", "columns")
+
+
 def open_log(path: Path, options: DriveOptions) -> Drive:
     """A log as a drive without frames, of whose vehicle nothing is known."""
     options.refuse(f"{path} is a log already, in which none can be picked", "gnss")
     options.refuse_topics(path)
     options.refuse(f"{path} is no recording with images", "mounting", "image_time_offset_ns")
-    if options.columns is not None and not _has_columns(path):
-        options.refuse(f"{path} is no table", "columns")
+    _refuse_columns(path, options)
     log = options.in_time(read_fix_log(path, options.columns))
     return Drive(
         path=path,

@@ -89,15 +89,22 @@ def find_time(table: OpenTable, columns: Columns) -> TimeColumn:
 
 
 def _check_zone(time: TimeColumn, time_zone: str) -> None:
-    """Refuse the clock of GPS for a column of numbers, which has a unit and no zone."""
+    """Refuse a zone or the clock of GPS for a column of numbers, which has a unit and no zone."""
     places = time.scale.places
-    if places is None or time.scale.gps or not time_zone or not zone_scale(time_zone).gps:
+    if places is None or not time_zone:
         return
-    unit = next(unit for unit in UNITS if UNITS[unit] == places)
+    said = zone_scale(time_zone)
+    if said.gps and not time.scale.gps:
+        unit = next(unit for unit in UNITS if UNITS[unit] == places)
+        said_so = how_to_say(time_units=f"gps_{unit}")
+        other = f"if it counts from 1980 as GPS does, say so in its place: {said_so}"
+    elif said.zone_s:
+        other = "if its clock is not that of UTC, move it with --gnss-offset SECONDS in its place"
+    else:
+        return
     raise RecordingError(
         f"{time.table.path}: time_zone is {time_zone}, which is of dates, but "
-        f"{_shown(time.table, time.table.header[time.place])} is a number; if it counts from 1980 "
-        f"as GPS does, say so in its place: {how_to_say(time_units=f'gps_{unit}')}; if it is Unix "
+        f"{_shown(time.table, time.table.header[time.place])} is a number; {other}; if it is Unix "
         "time, leave time_zone out."
     )
 

@@ -32,7 +32,7 @@ from fieldgrid.recording.bag.transforms import Transforms
 from fieldgrid.recording.bag.trees import forward_speeds
 from fieldgrid.recording.drive import Drive
 from fieldgrid.recording.fix_log import FixLog
-from fieldgrid.recording.logs import read_fix_log
+from fieldgrid.recording.logs import chosen_log
 from fieldgrid.recording.motion_files import (
     AXES,
     R_VEHICLE_FLU,
@@ -119,7 +119,7 @@ def read_content(bag: Bag, path: Path, options: DriveOptions, readings: Readings
         options.refuse("The fixes of a bag are no table", "columns")
         fixes = _fixes_of_topics(bag, readings, choice.roles)
     else:
-        log = read_fix_log(log_path, options.columns or settings.columns)
+        log = chosen_log(log_path, settings, options)
         fixes = BagFixes(log, log_path.name, log_path)
     fixes = fixes._replace(log=options.in_time(fixes.log, settings.gnss_offset_ns))
     used = {r: topic for r, topic in choice.roles.items() if r not in FIXES or topic == fixes.topic}
