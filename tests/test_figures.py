@@ -816,6 +816,8 @@ def test_an_earlier_figure_is_replaced_but_not_by_a_wrong_one(tmp_path: Path) ->
     with pytest.raises(ConfigError, match=r"a\.txt names no format .* \.png, \.pdf or \.svg"):
         figures.save(figures.heading([]), notes)
     assert notes.read_bytes() == b"notes"
+    with pytest.raises(ConfigError, match=r"a\.jpg names no format"):  # matplotlib could write it
+        figures.save(figures.heading([]), tmp_path / "a.jpg")
     assert sorted(tmp_path.iterdir()) == [path, notes]
 
 

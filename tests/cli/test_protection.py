@@ -35,7 +35,7 @@ def tree(folder: Path) -> dict[Path, bytes]:
         ("track DRIVE -o DRIVE/frames.csv", "exists already and is no track"),
         ("track DRIVE -o IMAGE", "ends in none of .csv, .gpx"),
         ("track DRIVE -o x.track", "ends in none of .csv, .gpx"),
-        ("show MAP -o IMAGE", "is not a figure that fieldgrid has written"),
+        ("show MAP -o IMAGE", "names no format that a figure can have"),
         ("show MAP -o x.csv", "end it in .png, .pdf or .svg"),
         ("export MAP IMAGE --format png --overwrite", "is not a PNG that fieldgrid"),
         ("export MAP DRIVE/frames.csv --overwrite", "is not a CSV that fieldgrid has written"),
@@ -251,6 +251,22 @@ def test_a_number_that_none_can_be_is_refused_before_the_work(
             assert not list(tmp_path.glob("x.*")), (flag, value)
         tried += 1
     assert tried > 0
+
+
+@pytest.mark.parametrize("name", ["x.txt", "plain"])
+@pytest.mark.parametrize(
+    "words", ["build DRIVE -o", "live --replay DRIVE --rate max -o", "merge MAP -o"]
+)
+def test_a_new_map_is_called_as_maps_are(
+    words: str, name: str, fieldgrid: Run, make_drive: MakeDrive, two_lanes_map: Path,
+    tmp_path: Path,
+) -> None:  # fmt: skip
+    """A farm lists no other; a map that exists may have any name."""
+    places = {"MAP": two_lanes_map, "DRIVE": make_drive()}
+    asked = [places.get(word, word) for word in words.split()]
+    told = fieldgrid(*asked, tmp_path / name).usage()
+    assert f"{name} does not end in .gpkg" in told
+    assert not (tmp_path / name).exists()
 
 
 def test_what_is_said_of_columns_is_for_tables(

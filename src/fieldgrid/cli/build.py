@@ -178,6 +178,7 @@ def command(
         raise typer.BadParameter("it is needed, unless there is --repose", param_hint=missing)
     if name is not None and len(recordings) > 1:
         raise typer.BadParameter("--name is for a single recording", param_hint="--name")
+    options.check_new_map(out)
     options.check_scheduler(scheduler, jobs)
     source = poses.source()
     if source is not None and len(recordings) > 1:

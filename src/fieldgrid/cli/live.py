@@ -163,6 +163,7 @@ def command(
         _report(report, None, out, as_json=as_json)
         return
     _refuse_idle(ctx, sources, replay)
+    options.check_new_map(out)
     with ExitStack() as stack:
         if replay is None:
             driven = of_sources(sources, drive, poses)

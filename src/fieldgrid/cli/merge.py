@@ -67,6 +67,7 @@ def command(
         raise typer.BadParameter(
             f"{transfer!r} is neither centre nor area", param_hint="--transfer"
         )
+    options.check_new_map(out)
     rule = None if transfer is None else Transfer(transfer)
     done = merge_maps(
         maps,

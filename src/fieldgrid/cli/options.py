@@ -215,6 +215,15 @@ def check_figure(path: Path | None) -> None:
         )
 
 
+def check_new_map(path: Path) -> None:
+    """A usage error for a new map whose name does not show that it is one: a farm would not list
+    it. Maps that exist may have any name."""
+    if path.suffix.lower() != ".gpkg" and not path.exists():
+        raise typer.BadParameter(
+            f"{path.name} does not end in .gpkg, as maps do", param_hint="--out"
+        )
+
+
 def refuse_idle(ctx: typer.Context, idle: Collection[str], why: str) -> None:
     """A usage error for the first of the `idle` parameters, by name, that was given; `why` says
     what it is for."""

@@ -21,6 +21,7 @@ from fieldgrid.publish import mentions, replacing
 
 _LONG_SIDE_IN, _SHORT_SIDE_IN = 9.0, 1.5
 """Of the ground drawn on a page of its own."""
+_FORMATS = {"png", "pdf", "svg"}
 _LONGEST_LINE = 60
 """Characters of a text, such as the name of a drive."""
 
@@ -80,7 +81,7 @@ def save(figure: Figure, path: str | Path) -> None:
     """
     path = Path(path)
     suffix = path.suffix.lstrip(".").lower() or "png"
-    if suffix not in figure.canvas.get_supported_filetypes():
+    if suffix not in _FORMATS:
         raise ConfigError(
             f"{path} names no format that a figure can have; end it in .png, .pdf or .svg."
         )
