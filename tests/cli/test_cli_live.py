@@ -127,7 +127,19 @@ def test_another_writer_is_waited_for_as_long_as_is_said(
             assert result.status == 1
             assert "waiting for another program that writes m.gpkg, up to 0.1 s" in result.err
             assert "is in use by another program" in result.err
-    fieldgrid("live", "-o", out, "--finish", "--wait", 0.1).output()
+    with pytest.MonkeyPatch.context() as patch:  # four frames are too few to be compared
+        patch.setattr("fieldgrid.cli.live.compare", lambda out, new, wait_s: [apart(new[0])])
+        text = fieldgrid("live", "-o", out, "--finish", "--wait", 0.1).output()
+    told = (
+        f"\nnew against june: +0.50 m east, +0.00 m north ± 0.10 m; `fieldgrid align {out}` makes"
+    )
+    assert told in text
+
+
+def apart(name: str) -> dict[str, Any]:
+    """That a new drive lies beside an older one."""
+    lies = {"of": name, "against": "june", "lay_apart_m": [0.5, 0.0], "sigma_m": 0.1}
+    return {**lies, "doubt": None, "aligned": False}
 
 
 def test_a_drive_whose_end_is_refused_is_finished_or_discarded_later(

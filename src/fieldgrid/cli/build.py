@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +12,7 @@ import typer
 from fieldgrid.cli import options, output, progress, warming
 from fieldgrid.cli.build_report import report_drives, report_remarks, report_session
 from fieldgrid.cli.drive_options import Drive
+from fieldgrid.cli.new_drives import compare, report_lies
 from fieldgrid.cli.pose_flags import Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
 from fieldgrid.errors import FieldgridError, printable
@@ -23,12 +22,6 @@ if TYPE_CHECKING:
     from fieldgrid.build import PartlyBuiltError
 
 _SESSION = options.MAP_FILE
-_MOST_OTHERS = 4
-"""Without --align a new drive is compared with so many new ones and so many older ones: that shows
-where it lies."""
-
-_MOST_PAIRS = 10
-"""Of more pairs of drives than these, only those are listed that do not agree."""
 
 
 def command(
@@ -232,7 +225,14 @@ def command(
     try:
         # Without --align it is little work, and no cluster is needed for it.
         there = scheduler if align else None
-        lies = _compare(out, [report.session for report in reports], align, wait_s, jobs, there)
+        lies = compare(
+            out,
+            [report.session for report in reports],
+            wait_s,
+            align=align,
+            jobs=jobs,
+            scheduler=there,
+        )
     except FieldgridError as problem:  # the drives are in the map, and are reported first
         lost = problem
     if as_json:
@@ -252,7 +252,7 @@ def command(
         report_session(report)
     if len(recordings) > 1:
         report_drives(reports, partly)
-    _report_lies(lies, out)
+    report_lies(lies, out)
     if align and not lies and lost is None:
         output.report_line("no other drive of the map saw the same ground; nothing was aligned")
     output.report_line(f"map {out}")
@@ -281,78 +281,6 @@ def _bad(text: str | None) -> int | float:
             param_hint="--skip-bad",
         )
     return int(match[1]) if match[1] else float(match[3]) if share is None else share
-
-
-def _compare(
-    out: Path,
-    new: list[str],
-    align: bool,
-    wait_s: float,
-    jobs: int | None,
-    scheduler: str | None,
-) -> list[dict[str, Any]]:
-    """How new drives lie against the map, and, with `align`, their transforms in it."""
-    from fieldgrid.align import FINE_ROUNDS, align_map
-    from fieldgrid.mapfile import Patience, open_map
-
-    patience = Patience(wait_s, progress.waits_for(out, wait_s))
-    with open_map(out, writable=align, patience=patience) as universal:
-        placed = {info.name for info in universal.sessions() if info.active and info.accepted}
-        moving = [name for name in new if name in placed]
-        if not moving or len(placed) < 2:
-            return []
-        with progress.stages() as show:
-            found = align_map(
-                universal,
-                moving,
-                rounds=FINE_ROUNDS if align else 0,
-                most_others=None if align else _MOST_OTHERS,
-                progress=show,
-                jobs=jobs,
-                scheduler=scheduler,
-            )
-        if align and found.transforms:
-            universal.set_transforms(found.transforms)
-    return [
-        {
-            "of": pair.b if pair.b in new else pair.a,
-            "against": pair.a if pair.b in new else pair.b,
-            "lay_apart_m": [float(v) * (1.0 if pair.b in new else -1.0) for v in pair.before_m],
-            "sigma_m": pair.sigma_m if pair.doubt is None else None,
-            "doubt": pair.doubt,
-            "aligned": align and pair.doubt is None,
-        }
-        for pair in found.pairs
-    ]
-
-
-def _report_lies(lies: Sequence[dict[str, Any]], out: Path) -> None:
-    """How new drives lie, a line for each pair; of many pairs only those that do not agree."""
-    agree = 0
-    for pair in lies:
-        if len(lies) > _MOST_PAIRS and _agrees(pair):
-            agree += 1
-        else:
-            output.report_line(_said(pair, out))
-    if agree:
-        output.report_line(f"pairs of drives that agree within two standard errors: {agree}")
-
-
-def _said(pair: dict[str, Any], out: Path) -> str:
-    """What is said of how a new drive lies against an older one."""
-    east_m, north_m = pair["lay_apart_m"]
-    between = f"{pair['of']} against {pair['against']}"
-    if pair["doubt"] is not None:
-        return f"{between}: {pair['doubt']}; not aligned"
-    apart = f"{between}: {east_m:+.2f} m east, {north_m:+.2f} m north ± {pair['sigma_m']:.2f} m"
-    if pair["aligned"]:
-        return f"{apart}, aligned"
-    return apart if _agrees(pair) else f"{apart}; `fieldgrid align {out}` makes them coincide"
-
-
-def _agrees(pair: dict[str, Any]) -> bool:
-    """Whether a new drive lies where an older one does, as far as can be told."""
-    return pair["doubt"] is None and math.hypot(*pair["lay_apart_m"]) <= 2.0 * pair["sigma_m"]
 
 
 def _repose(

@@ -17,8 +17,10 @@ from fieldgrid.cli.drive_options import DriveFlags
 from fieldgrid.cli.groups import FieldsOf
 from fieldgrid.cli.live_signals import ended_by_signals, kept_when_interrupted
 from fieldgrid.cli.live_sources import GNSS, LiveInput, SourceFlags, of_recording, of_sources, speed
+from fieldgrid.cli.new_drives import compare, report_lies
 from fieldgrid.cli.pose_flags import PoseFlags, Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
+from fieldgrid.errors import FieldgridError
 from fieldgrid.settings import Overrides
 
 if TYPE_CHECKING:
@@ -160,7 +162,7 @@ def command(
         why = "the drive is over, and this cannot be changed any more; leave it out"
         options.refuse_given(ctx, _AT_THE_END | flags, why)
         report = _finished(out, finish_from, drive, poses, settings, wait_s)
-        _report(report, None, out, as_json=as_json)
+        _report(report, None, out, wait_s, as_json=as_json)
         return
     _refuse_idle(ctx, sources, replay)
     options.check_new_map(out)
@@ -176,7 +178,7 @@ def command(
         report, counts = _drive(
             *(driven, out, append, name, datum, sources, settings, config, wait_s), as_json=as_json
         )
-    _report(report, counts, out, as_json=as_json)
+    _report(report, counts, out, wait_s, as_json=as_json)
 
 
 def _refuse_idle(ctx: typer.Context, sources: SourceFlags, replay: Path | None) -> None:
@@ -362,11 +364,27 @@ def _finished(
         return finish_from(out, recording, opening, settings, progress=tell.show, patience=patience)
 
 
-def _report(report: SessionReport, counts: Counts | None, out: Path, *, as_json: bool) -> None:
+def _report(
+    report: SessionReport, counts: Counts | None, out: Path, wait_s: float, *, as_json: bool
+) -> None:
+    lies, lost = list[dict[str, Any]](), None
+    try:
+        lies = compare(out, [report.session], wait_s)
+    except FieldgridError as problem:  # the drive is in the map, and is reported first
+        lost = problem
     if as_json:
         pushed = None if counts is None else counts._asdict()
-        output.print_json_line({"map": str(out), "session": report.as_dict(), "pushed": pushed})
-        return
+        about = {"map": str(out), "session": report.as_dict(), "pushed": pushed}
+        output.print_json_line({**about, "alignment": lies})
+    else:
+        _print_report(report, counts)
+        report_lies(lies, out)
+        output.report_line(f"map {out}")
+    if lost is not None:
+        raise lost
+
+
+def _print_report(report: SessionReport, counts: Counts | None) -> None:
     if counts is not None:
         rows = [
             ("frames kept", str(counts.frames)),
@@ -377,4 +395,3 @@ def _report(report: SessionReport, counts: Counts | None, out: Path, *, as_json:
         ]
         output.report_table(("", ""), rows, title=f"live {report.session}")
     report_session(report, rate=False)
-    output.report_line(f"map {out}")

@@ -1,0 +1,90 @@
+"""How new drives lie against those that a map had: compared, aligned if asked for, and told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from fieldgrid.cli import output, progress
+
+_MOST_OTHERS = 4
+"""Without --align a new drive is compared with so many new ones and so many older ones: that shows
+where it lies."""
+
+_MOST_PAIRS = 10
+"""Of more pairs of drives than these, only those are listed that do not agree."""
+
+
+def compare(
+    out: Path,
+    new: list[str],
+    wait_s: float,
+    *,
+    align: bool = False,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+) -> list[dict[str, Any]]:
+    """How new drives lie against the map, and, with `align`, their transforms in it."""
+    from fieldgrid.align import FINE_ROUNDS, align_map
+    from fieldgrid.mapfile import Patience, open_map
+
+    patience = Patience(wait_s, progress.waits_for(out, wait_s))
+    with open_map(out, writable=align, patience=patience) as universal:
+        placed = {info.name for info in universal.sessions() if info.active and info.accepted}
+        moving = [name for name in new if name in placed]
+        if not moving or len(placed) < 2:
+            return []
+        with progress.stages() as show:
+            found = align_map(
+                universal,
+                moving,
+                rounds=FINE_ROUNDS if align else 0,
+                most_others=None if align else _MOST_OTHERS,
+                progress=show,
+                jobs=jobs,
+                scheduler=scheduler,
+            )
+        if align and found.transforms:
+            universal.set_transforms(found.transforms)
+    return [
+        {
+            "of": pair.b if pair.b in new else pair.a,
+            "against": pair.a if pair.b in new else pair.b,
+            "lay_apart_m": [float(v) * (1.0 if pair.b in new else -1.0) for v in pair.before_m],
+            "sigma_m": pair.sigma_m if pair.doubt is None else None,
+            "doubt": pair.doubt,
+            "aligned": align and pair.doubt is None,
+        }
+        for pair in found.pairs
+    ]
+
+
+def report_lies(lies: Sequence[dict[str, Any]], out: Path) -> None:
+    """How new drives lie, a line for each pair; of many pairs only those that do not agree."""
+    agree = 0
+    for pair in lies:
+        if len(lies) > _MOST_PAIRS and _agrees(pair):
+            agree += 1
+        else:
+            output.report_line(_said(pair, out))
+    if agree:
+        output.report_line(f"pairs of drives that agree within two standard errors: {agree}")
+
+
+def _said(pair: dict[str, Any], out: Path) -> str:
+    """What is said of how a new drive lies against an older one."""
+    east_m, north_m = pair["lay_apart_m"]
+    between = f"{pair['of']} against {pair['against']}"
+    if pair["doubt"] is not None:
+        return f"{between}: {pair['doubt']}; not aligned"
+    apart = f"{between}: {east_m:+.2f} m east, {north_m:+.2f} m north ± {pair['sigma_m']:.2f} m"
+    if pair["aligned"]:
+        return f"{apart}, aligned"
+    return apart if _agrees(pair) else f"{apart}; `fieldgrid align {out}` makes them coincide"
+
+
+def _agrees(pair: dict[str, Any]) -> bool:
+    """Whether a new drive lies where an older one does, as far as can be told."""
+    return pair["doubt"] is None and math.hypot(*pair["lay_apart_m"]) <= 2.0 * pair["sigma_m"]
