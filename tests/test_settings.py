@@ -59,7 +59,7 @@ def test_a_flag_that_was_not_given_does_not_beat_the_file(tmp_path: Path) -> Non
 
 
 def test_a_flag_of_zero_was_given() -> None:
-    fails(r"map\.cell_m = 0\.0 \(--cell\) cannot be", None, {"map": {"cell_m": 0.0}})
+    fails(r"map\.cell_m = 0\.0 \(--cell\) is not possible", None, {"map": {"cell_m": 0.0}})
 
 
 def test_what_was_passed_in_is_not_changed(tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_an_unknown_key_beside_flags_is_still_refused(tmp_path: Path) -> None:
     [
         (
             "[grid]\ncell_m = 'fine'",
-            r"grid\.cell_m = 'fine' in .*toml cannot be: input should be a",
+            r"grid\.cell_m = 'fine' in .*toml is not possible: input should be a",
         ),
         ("[grid]\ncell_m = nan", "cell of nan m is outside"),
         ("[grid]\ncell_m = 0", r"cell of 0\.0 m is outside"),
@@ -104,7 +104,14 @@ def test_an_unknown_key_beside_flags_is_still_refused(tmp_path: Path) -> None:
         ("[grid]\nwidth_m = 0.0", r"width of 0\.0 m is outside"),
         ("[grid]\nlength_m = 15.03", r"length of 15\.03 m is not a whole number of cells of 0\.05"),
         ("[grid]\ncell_m = 0.01\nwidth_m = 150.0\nlength_m = 150.0", "over 4 million cells"),
-        ("[stereo]\nmatcher = 'orb'", "'orb' in .* cannot be: input should be 'sgbm3way', 'sgbm'"),
+        (
+            "[stereo]\nmatcher = 'orb'",
+            "'orb' in .* is not possible: input should be 'sgbm3way', 'sgbm'",
+        ),
+        (
+            "[stereo]\nmatcher = 'bm'\nrow_step = 2",
+            r"Setting stereo\.matcher = 'bm', stereo\.row_step = 2 in .* is not possible: row_step",
+        ),
         ("[stereo]\nspeckle_px = 1.5", r"stereo\.speckle_px = 1\.5 in"),
         ("[stereo]\nmin_range_m = 0", r"stereo\.min_range_m = 0 in"),
         ("[density]\nslice_bottom_m = 2.0\nslice_top_m = 1.0", r"slice from 2\.0 to 1\.0 m has no"),

@@ -85,6 +85,12 @@ class TruthError(FieldgridError, ValueError):
     """A truth folder that a map cannot be evaluated against."""
 
 
+def counted(number: int, noun: str) -> str:
+    """The number and the noun, in the plural where that is right."""
+    ending = "" if number == 1 else "es" if noun.endswith("x") else "s"
+    return f"{number} {noun}{ending}"
+
+
 def printable(text: str) -> str:
     """A text with escapes for what is not to be printed, and what XML cannot hold, as in names of
     files."""

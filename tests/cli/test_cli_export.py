@@ -198,9 +198,12 @@ def test_a_full_disk_leaves_the_older_file_or_a_whole_new_one(
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        ("x.tif --mode raw", "value for --mode: the format geotiff takes --epsg"),
-        ("x.kmz --epsg 4326", "value for --epsg: the format kmz takes no option of this kind"),
-        ("x.yaml --min-area 3", "the format nav2 takes --free-up-to, --obstacle-above"),
+        ("x.tif --mode raw", "value for --mode: the format geotiff does not take it, but --epsg"),
+        ("x.kmz --epsg 4326", "value for --epsg: the format kmz does not take it"),
+        (
+            "x.yaml --min-area 3",
+            "the format nav2 does not take it, but --free-up-to, ",
+        ),
     ],
 )
 def test_options_of_other_formats(
@@ -291,7 +294,7 @@ def test_a_format_of_another_module(f_map: Path, tmp_path: Path, fieldgrid: Run)
         assert int((tmp_path / "c.count").read_text()) > int((tmp_path / "a.count").read_text())
         assert re.search(r"^format +count$", told, re.MULTILINE)
         refused = fieldgrid("export", f_map, tmp_path / "d.count", "--epsg", "25830")
-        assert "the format count takes --above" in refused.usage()
+        assert "the format count does not take it, but --above" in refused.usage()
         for name, ending in (("count", ".other"), ("other", ".COUNT".lower()), ("tiff", ".tif")):
             with pytest.raises(ConfigError, match="registered already"):
                 register(ExportFormat(name, (ending,), "again", write_count))

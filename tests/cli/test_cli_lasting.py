@@ -135,7 +135,7 @@ def test_sessions_as_json_say_what_made_them(fieldgrid: Run, two_lanes_map: Path
 
 def test_verify_and_repair(fieldgrid: Run, path: Path) -> None:
     text = fieldgrid("verify", path).output()
-    assert re.search(r"vineyard\.gpkg: sound; 1 sessions \(0 removed\), 4 frames, \d+ tiles", text)
+    assert re.search(r"vineyard\.gpkg: sound; 1 session \(0 removed\), 4 frames, \d+ tiles", text)
     expected = content(path)
     database = sqlite3.connect(path, isolation_level=None)
     database.execute(
@@ -147,7 +147,7 @@ def test_verify_and_repair(fieldgrid: Run, path: Path) -> None:
     result = fieldgrid("verify", path)
     assert (result.status, result.err) == (1, "")
     assert "is not what follows from the frames." in result.out
-    assert "1 problems; 1 sessions" in result.out
+    assert "1 problem; 1 session" in result.out
     result = fieldgrid("verify", path, "--json")
     assert result.status == 1
     assert json.loads(result.out)["sound"] is False

@@ -224,7 +224,7 @@ def test_a_part_outside_of_what_was_seen_is_unknown(universal: MapFile, tmp_path
             "f.yaml",
             {},
             {"mode": "ternary"},
-            "mode = 'ternary' of the format nav2 cannot be",
+            "mode = 'ternary' of the format nav2 is not possible",
         ),
         ("f.yaml", {}, {"mode": "scale", "image": "pgm"}, "give png"),
         ("f.yaml", {}, {"image": "jpg"}, "input should be 'pgm' or 'png'"),

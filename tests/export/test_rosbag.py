@@ -648,7 +648,7 @@ def test_a_bag_may_be_stored_as_mcap(universal: MapFile, tmp_path: Path) -> None
     assert names == {"metadata.yaml", "part.mcap"}
     (grid,) = messages_of_bag(tmp_path / "part")["/map"]
     assert occupancy_at(grid, np.array([-2.5]), np.array([1.5])).tolist() == [100]
-    with pytest.raises(ConfigError, match="storage = 'db4' of the format rosbag2 cannot be"):
+    with pytest.raises(ConfigError, match="storage = 'db4' of the format rosbag2 is not possible"):
         export_rosbag2(universal, tmp_path / "other", part, storage="db4")
 
 

@@ -280,7 +280,7 @@ def test_spring_alone(universal: MapFile, tmp_path: Path) -> None:
             {"obstacle_above": 255},
             "obstacle_above = 255 of the format .* equal to 254",
         ),
-        ({"min_area_m2": -1.0}, "min_area_m2 = -1.0 of the format .* cannot be"),
+        ({"min_area_m2": -1.0}, "min_area_m2 = -1.0 of the format .* is not possible"),
         ({"simplify_m": 11.0}, "simplify_m = 11.0 of the format .* equal to 10"),
         ({"epsg": 4326}, "has no option 'epsg'"),
     ],

@@ -276,7 +276,7 @@ def test_an_nmea_log_is_read_and_its_damage_noted(drive: Path) -> None:
     )
     recording = open_recording(drive)
     assert recording.fixes()[0].time_ns == 1_308_133_811_000_000_000
-    assert recording.notes == ("a.NMEA: 1 damaged sentences skipped.",)
+    assert recording.notes == ("a.NMEA: 1 damaged sentence skipped.",)
 
 
 def test_the_log_is_picked_by_name_or_path(drive: Path, tmp_path: Path) -> None:

@@ -63,9 +63,7 @@ def test_messages_without_a_position_are_said(path: Path) -> None:
     path.write_bytes(message((10, 9), bytes(60)))
     log = read_fix_log(path)
     assert len(log.fixes) == 0
-    assert log.notes == (
-        "drive.dat: 1 UBX messages, but no NAV-PVT with a position; switch it on.",
-    )
+    assert log.notes == ("drive.dat: 1 UBX message, but no NAV-PVT with a position; switch it on.",)
 
 
 @pytest.mark.parametrize("data", [b"", b"\r\n", b"\0" * 1000])

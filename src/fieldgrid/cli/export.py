@@ -157,7 +157,7 @@ def _refuse_others(chosen: ExportFormat, given: Given) -> None:
         if flag not in taken:
             names = ", ".join(one.name for one in taken)
             raise typer.BadParameter(
-                f"the format {chosen.name} takes {names or 'no option of this kind'}",
+                f"the format {chosen.name} does not take it{f', but {names}' if names else ''}",
                 param_hint=flag.name,
             )
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from fieldgrid.cli import options, output
+from fieldgrid.errors import counted
 
 
 def command(
@@ -44,10 +45,10 @@ def command(
     else:
         for line in (*health.problems, *health.notes):
             output.print_line(line)
-        state = "sound" if health.sound else f"{len(health.problems)} problems"
+        state = "sound" if health.sound else counted(len(health.problems), "problem")
         output.print_line(
-            f"{map_}: {state}; {health.sessions} sessions ({health.removed} removed), "
-            f"{health.frames} frames, {health.tiles} tiles"
+            f"{map_}: {state}; {counted(health.sessions, 'session')} ({health.removed} removed), "
+            f"{counted(health.frames, 'frame')}, {counted(health.tiles, 'tile')}"
         )
     if not health.sound:
         raise typer.Exit(1)

@@ -229,8 +229,7 @@ def _checked(chosen: ExportFormat, options: Mapping[str, Any]) -> Settings:
             f"The format {chosen.name} has no option {problem.name!r}; it takes {takes}."
         )
     raise ConfigError(
-        f"The option {problem.name} = {problem.value!r} of the format {chosen.name} cannot be: "
-        f"{problem.why}."
+        f"The option {problem.setting} of the format {chosen.name} is not possible: {problem.why}."
     )
 
 

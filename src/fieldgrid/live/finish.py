@@ -299,6 +299,4 @@ def with_overrides(settings: BuildSettings, overrides: Overrides) -> BuildSettin
         return BuildSettings.model_validate(tables)
     except ValidationError as error:
         problem = first_problem(error)
-        raise ConfigError(
-            f"Setting {problem.name} = {problem.value!r} cannot be: {problem.why}."
-        ) from error
+        raise ConfigError(f"Setting {problem.setting} is not possible: {problem.why}.") from error

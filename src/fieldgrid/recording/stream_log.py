@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from fieldgrid.errors import GnssError
+from fieldgrid.errors import GnssError, counted
 from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.gnss import NmeaLog, NmeaStream
 from fieldgrid.gnss.ubx import UbxLog, UbxParser
@@ -48,8 +48,8 @@ def read_stream(path: Path) -> FixLog:
     by_ubx = bool(ubx.messages) and len(from_ubx) >= len(from_nmea)
     notes = _ubx_notes(ubx, len(from_ubx)) if by_ubx else nmea_notes(nmea)
     if len(from_nmea) and len(from_ubx):
-        counted = f"{len(from_ubx)} positions in UBX and {len(from_nmea)} in NMEA"
-        notes = [f"{counted}; {'UBX' if by_ubx else 'NMEA'} is taken", *notes]
+        both = f"{counted(len(from_ubx), 'position')} in UBX and {len(from_nmea)} in NMEA"
+        notes = [f"{both}; {'UBX' if by_ubx else 'NMEA'} is taken", *notes]
     fixes = from_ubx if by_ubx else from_nmea
     return FixLog(fixes.joined(), tuple(f"{path.name}: {note}." for note in notes))
 
@@ -99,28 +99,30 @@ def _parse(path: Path) -> tuple[tuple[NmeaLog, _Fixes], tuple[UbxLog, _Fixes]]:
 
 def nmea_notes(log: NmeaLog) -> list[str]:
     """What was skipped and assumed in a log, a few words each."""
-    counted = (
-        (log.bad_checksum + log.broken, "damaged sentences skipped"),
-        (log.no_position, "sentences without a position"),
-        (log.repeated, "repeated positions of one epoch skipped"),
-        (log.no_geoid, "fixes without geoid separation: their height is above mean sea level"),
-        (log.no_height, "fixes without a height: taken as 0 m"),
-        (log.undated, "positions without a date skipped"),
+    told = (
+        (log.bad_checksum + log.broken, "damaged sentence", " skipped"),
+        (log.no_position, "sentence", " without a position"),
+        (log.repeated, "repeated position", " of one epoch skipped"),
+        (log.no_geoid, "fix", " without geoid separation: height above mean sea level"),
+        (log.no_height, "fix", " without a height: taken as 0 m"),
+        (log.undated, "position", " without a date skipped"),
     )
-    return [f"{count} {what}" for count, what in counted if count]
+    return [counted(count, what) + rest for count, what, rest in told if count]
 
 
 def _ubx_notes(log: UbxLog, fixes: int) -> list[str]:
-    counted = (
-        (log.bad_checksum + log.broken, "damaged UBX messages skipped"),
-        (log.no_position, "UBX solutions without a position or a time"),
-        (log.repeated, "repeated positions of one epoch skipped"),
+    told = (
+        (log.bad_checksum + log.broken, "damaged UBX message", " skipped"),
+        (log.no_position, "UBX solution", " without a position or a time"),
+        (log.repeated, "repeated position", " of one epoch skipped"),
         (
             log.unfixed_headings,
-            "relative positions give no heading: not fixed, or the base does not move along",
+            "relative position",
+            " without a heading: not fixed, or the base does not move along",
         ),
     )
-    notes = [f"{count} {what}" for count, what in counted if count]
+    notes = [counted(count, what) + rest for count, what, rest in told if count]
     if not fixes:
-        notes.append(f"{log.messages} UBX messages, but no NAV-PVT with a position; switch it on")
+        sent = counted(log.messages, "UBX message")
+        notes.append(f"{sent}, but no NAV-PVT with a position; switch it on")
     return notes

@@ -14,14 +14,14 @@ import numpy as np
 
 from fieldgrid.array_types import Int64
 from fieldgrid.closing import Closing
-from fieldgrid.errors import LimitError, RecordingError
+from fieldgrid.errors import LimitError, RecordingError, counted
 from fieldgrid.limits import UnfoldBudget, limits
 from fieldgrid.ros.db3 import Db3File, is_db3
 from fieldgrid.ros.definitions import has_header
 from fieldgrid.ros.folder import BagFiles, find_files, is_bag_folder, unpacked
 from fieldgrid.ros.mcap_file import MAGIC as MCAP_MAGIC
 from fieldgrid.ros.mcap_file import McapFile
-from fieldgrid.ros.model import BagPart, Connection, Message, Record, Topic, counted
+from fieldgrid.ros.model import BagPart, Connection, Message, Record, Topic
 from fieldgrid.ros.rosbag1 import MAGIC as ROSBAG1_MAGIC
 from fieldgrid.ros.rosbag1 import Rosbag1File
 from fieldgrid.ros.source import ZSTD_MAGIC, inflate

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+from fieldgrid.errors import counted
+
 
 class Topic(NamedTuple):
     """A topic of a bag: its name, its type in ROS 2 spelling and how many messages are readable."""
@@ -126,11 +128,6 @@ class Damage:
         if self.messages:
             found.append(f"holds {counted(self.messages, 'unreadable message')}")
         return [f"{name} {clause}" for clause in found + self.notes]
-
-
-def counted(number: int, noun: str) -> str:
-    """The number and the noun, in the plural where that is right."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def size(count: int) -> str:

@@ -6,7 +6,7 @@ the declarations.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from annotated_types import Ge, Gt, Le, Lt
@@ -60,6 +60,20 @@ class SettingsProblem(NamedTuple):
     def name(self) -> str:
         """The place as a settings file has it."""
         return ".".join(self.place) or "settings"
+
+    @property
+    def setting(self) -> str:
+        """What was set, as a settings file has it; settings that do not go together, all of
+        them."""
+        return ", ".join(_assigned(self.place, self.value)) or f"{self.name} = {self.value!r}"
+
+
+def _assigned(place: tuple[str, ...], value: object) -> Iterator[str]:
+    if not isinstance(value, Mapping):
+        yield f"{'.'.join(place)} = {value!r}"
+        return
+    for name, inner in value.items():
+        yield from _assigned((*place, str(name)), inner)
 
 
 def first_problem(error: ValidationError) -> SettingsProblem:

@@ -68,4 +68,4 @@ def _sentence(problem: SettingsProblem, path: Path | None, flagged: set[tuple[st
         where = f" ({flag.name.partition('/')[0]})"
     if problem.unknown:
         return f"There is no setting {problem.name}{where}; `docs/settings.md` lists all."
-    return f"Setting {problem.name} = {problem.value!r}{where} cannot be: {problem.why}."
+    return f"Setting {problem.setting}{where} is not possible: {problem.why}."
