@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from fieldgrid.live.propagation import CARRIED_S, PropagatedPose
+from fieldgrid.live.propagation import CARRIED_S, PropagatedPose, pose_now
 from fieldgrid.odometry import CameraStep
 from fieldgrid.pose import ErrorBudget
 from fieldgrid.settings import PoseSettings
 from fieldgrid.trajectory import Pose
+from tests.test_trajectory import at, trajectory
 
 START = PropagatedPose(Pose(10**18, 5.0, 7.0, 0.5, 90.0, 0.03, 0.4, 1.0), 1)
 AHEAD = CameraStep(1.0, 0.2, -10.0, 0.02, 0.1, 0.0, 0.0, 0.0, 0.1, 50)
@@ -49,3 +50,25 @@ def test_it_is_carried_no_further_than_is_good_enough() -> None:
     assert not unsure.is_good(settings, BUDGET)
     lost = replace(START.pose, position_sigma_m=settings.max_position_sigma_m + 0.1)
     assert not PropagatedPose(lost, 1).on(lost.time_ns + step_ns, AHEAD).is_good(settings, BUDGET)
+
+
+@pytest.mark.parametrize(
+    ("newest_s", "told_s", "told"),
+    [
+        (3.4, 3.4, ""),
+        (4.2, 4.1, "no pose that can be used for 2.2 s: the estimate is behind what has arrived"),
+        (4.2, 2.0, "no pose that can be used for 2.2 s: nothing arrived that tells where "),
+        (4.2, None, "no pose that can be used for 2.2 s: nothing arrived that tells where "),
+    ],
+)
+def test_a_pose_is_missing_since_nothing_arrived_or_the_estimate_is_behind(
+    newest_s: float, told_s: float | None, told: str
+) -> None:
+    track = trajectory([0.0, 1.0, 2.0])
+    told_ns = None if told_s is None else at(told_s)
+    _, _, doubt = pose_now(track, None, at(newest_s), told_ns)
+    assert doubt.startswith(told)
+    assert bool(doubt) is bool(told)
+    refused = trajectory([0.0, 1.0, 2.0, 4.0], reasons={3: "hdop 9 > 4"})
+    _, _, doubt = pose_now(refused, None, at(newest_s), told_ns)
+    assert doubt.endswith(": hdop 9 > 4") is bool(told)

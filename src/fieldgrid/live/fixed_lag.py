@@ -188,18 +188,25 @@ class FixedLagSmoother:
         """Whether nothing but fixes tells where the vehicle is."""
         return self._body is None or self._settings.pose.frame_origin is None
 
+    @property
+    def told_ns(self) -> int | None:
+        """Until when something that was pushed tells where the vehicle is; None where nothing
+        does."""
+        if self._needs_fixes:
+            return self._last_fix_ns
+        given = self._parts.get(GIVEN_ROWS, ())
+        return max((int(rows.time_ns.max()) for rows in given), default=None)
+
     def _known_ns(self) -> int:
-        """Until when something tells where the vehicle is. GnssError where that is too little."""
-        if not self._needs_fixes:
-            chunks = self._parts.get(GIVEN_ROWS)
-            if not chunks:
-                raise GnssError("There is no pose yet; wait for the program that makes them.")
-            return max(int(rows.time_ns.max()) for rows in chunks)
-        if self._last_fix_ns is None:
+        """The same. GnssError where that is too little."""
+        told_ns = self.told_ns
+        if told_ns is None and not self._needs_fixes:
+            raise GnssError("There is no pose yet; wait for the program that makes them.")
+        if told_ns is None:
             raise GnssError("There is no fix yet; wait for the receiver.")
-        if len(self._fixes) < FEWEST_FIXES:
+        if self._needs_fixes and len(self._fixes) < FEWEST_FIXES:
             raise GnssError(f"There are {len(self._fixes)} fixes yet; wait for the receiver.")
-        return self._last_fix_ns
+        return told_ns
 
     def _motion(self, since_ns: int) -> Motion:
         parts = {

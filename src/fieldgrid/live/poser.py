@@ -40,7 +40,7 @@ from fieldgrid.pose import Estimate
 from fieldgrid.recording.pose_source import PoseBody
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings
-from fieldgrid.trajectory import Pose, Status
+from fieldgrid.trajectory import Pose, Status, Trajectory
 from fieldgrid.transfer import Transfer
 
 EVERY_S = 0.2
@@ -253,7 +253,7 @@ class Poser:
         """Place all frames anew by an estimate, so that the next one finds that done."""
         placed = self._placed(self._why)
         if self._estimate is not None:
-            pose, *_ = pose_now(self._estimate.trajectory, self._latest, self._trailing.newest_ns)
+            pose, *_ = self._pose_now(self._estimate.trajectory)
             self._window.follow(pose, MOVES_M / 2.0)
         self._window.settle(placed.settled)
         self._window.place(placed.moving)
@@ -263,8 +263,7 @@ class Poser:
         doubt, code = self._why, WindowDoubt.NO_FIXES
         placed = self._placed(doubt)
         if self._estimate is not None:
-            track, newest_ns = self._estimate.trajectory, self._trailing.newest_ns
-            self._pose, self._gear, doubt = pose_now(track, self._latest, newest_ns)
+            self._pose, self._gear, doubt = self._pose_now(self._estimate.trajectory)
             code = WindowDoubt.POSE if doubt else WindowDoubt.NONE
             self._window.follow(self._pose)
         if self._newest is not None and not doubt:
@@ -282,6 +281,9 @@ class Poser:
             how = f"is not to be trusted: {doubt}" if doubt else "can be trusted."
             self._say(What.POSE, f"The window around the vehicle {how}")
         self._doubt = doubt
+
+    def _pose_now(self, track: Trajectory) -> tuple[Pose, int, str]:
+        return pose_now(track, self._latest, self._trailing.newest_ns, self._trailing.told_ns)
 
     def _placed(self, doubt: str) -> _Frames:
         """Tell the poses of the frames that wait, and what becomes of their grids."""

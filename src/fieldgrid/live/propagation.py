@@ -79,10 +79,11 @@ class PropagatedPose(NamedTuple):
 
 
 def pose_now(
-    trajectory: Trajectory, latest: PropagatedPose | None, newest_ns: int
+    trajectory: Trajectory, latest: PropagatedPose | None, newest_ns: int, told_ns: int | None
 ) -> tuple[Pose, int, str]:
     """The latest pose at the time of the newest data, with what may have happened since, its gear,
-    and why it is not to be trusted. `latest` is the pose of the last frame."""
+    and why it is not to be trusted. `latest` is the pose of the last frame, `told_ns` the time of
+    the newest fix, or pose of another program."""
     known = trajectory.time_ns[trajectory.accepted]
     if not len(known):
         pose, gear = pose_at(trajectory, newest_ns)
@@ -103,6 +104,11 @@ def pose_now(
         )
     if since_s > POSELESS_S:
         after = trajectory.time_ns > known[-1]
-        why = trajectory.reason[-1] if after.any() else "the receiver wrote none"
+        if after.any():
+            why = trajectory.reason[-1]
+        elif told_ns is None or (newest_ns - told_ns) / 1e9 > POSELESS_S:
+            why = "nothing arrived that tells where the vehicle is"
+        else:
+            why = "the estimate is behind what has arrived"
         return pose, gear, f"no pose that can be used for {since_s:.1f} s: {why}"
     return pose, gear, pose.reason if pose.status is Status.REJECTED else ""
