@@ -73,7 +73,13 @@ def test_covering_says_what_is_left_out(fieldgrid: Run, field: Path, tmp_path: P
     out = tmp_path / "work.csv"
     done = fieldgrid("route", field, "--cover", "-o", out)
     assert done.status == 1
-    for words in ("lanes covered", "2 of 3", "not covered", "stopped by an obstacle", str(out)):
+    for words in (
+        "lanes covered",
+        "2 of 3",
+        "not covered: B1-L2, at ",
+        "stopped by an obstacle",
+        str(out),
+    ):
         assert words in done.out
     assert "1 of 3 lanes are not covered; of B1-L2: There is no path along the lane" in done.err
     assert "--lanes B1-L1,B1-L3 asks for the others alone" in done.err

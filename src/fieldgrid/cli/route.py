@@ -366,14 +366,9 @@ def _print(route: Route, coverage: Coverage | None) -> None:
             for lane in coverage.lanes
         ],
     )
-    if coverage.left_out:
-        output.print_table(
-            ("not covered", "east,north", "reason"),
-            [
-                (lane.lane, f"{lane.east_m:.2f},{lane.north_m:.2f}", lane.reason)
-                for lane in coverage.left_out
-            ],
-        )
+    for lane in coverage.left_out:  # sentences, which are too long for the column of a table
+        place = f"{lane.east_m:.2f},{lane.north_m:.2f}"
+        output.print_line(f"not covered: {lane.lane}, at {place}: {lane.reason}")
 
 
 def _as_dict(route: Route, coverage: Coverage | None, out: Path | None) -> dict[str, Any]:

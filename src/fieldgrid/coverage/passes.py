@@ -14,7 +14,7 @@ from fieldgrid.errors import NoRouteError
 from fieldgrid.polyline import extended, lengths, normals, part, project, resampled
 from fieldgrid.route.footprint import BULGE_M
 from fieldgrid.route.path import Path
-from fieldgrid.route.plan import REMEDY, find_way
+from fieldgrid.route.plan import find_way, remedy
 from fieldgrid.route.search import Searcher, SearchPose
 from fieldgrid.route.verify import find_fault
 from fieldgrid.rows import Lane
@@ -75,7 +75,7 @@ def drive_lane(searcher: Searcher, lane: Lane, *, backwards: bool) -> Pass:
         samples = followed(searcher, along + aside * normals(along))
         if len(samples):
             return Pass(samples, *at)
-    for name, at_m, found in (("first", 0.0, starts), ("last", lengths(inner)[-1], stops)):
+    for name, at_m, found in (("near", 0.0, starts), ("far", lengths(inner)[-1], stops)):
         if not found:
             raise _standing_fault(searcher, name, _poses(inner, np.array([at_m]), 0.0))
     return _around(searcher, lane, inner, next(iter(starts.items())), next(iter(stops.items())))
@@ -194,5 +194,7 @@ def _standing_fault(searcher: Searcher, name: str, pose: Float64) -> NoRouteErro
     if fault is not None:
         why, place = fault.reason, (fault.east_m, fault.north_m)
     return NoRouteError(
-        f"At the {name} end of the lane the vehicle has no room: {why}", *place, REMEDY
+        f"At the {name} end of the lane the vehicle has no room: {why}",
+        *place,
+        remedy(searcher, [place]),
     )

@@ -27,12 +27,12 @@ from fieldgrid.route import Route, Vehicle
 from fieldgrid.route.ground import OUTSIDE
 from fieldgrid.route.path import joined
 from fieldgrid.route.plan import (
-    REMEDY,
     check_place,
     checked_route,
     find_way,
     free_poses,
     planning_view,
+    remedy,
     searcher_of,
 )
 from fieldgrid.route.search import Searcher, SearchPose
@@ -209,7 +209,8 @@ def coverage_in_view(
         first = left_out[0]
         raise NoRouteError(
             f"None of {len(asked)} lanes can be covered; of {first.lane}: {first.reason}",
-            first.east_m, first.north_m, REMEDY,
+            first.east_m, first.north_m,
+            remedy(searcher, [(lane.east_m, lane.north_m) for lane in left_out]),
         )  # fmt: skip
     samples = _assembled(network, nodes)
     names = np.array(["", *(lane.id for lane, _ in driven)])

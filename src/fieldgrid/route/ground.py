@@ -23,6 +23,9 @@ MAX_SIDE = 40_000
 """Cells along a side, for whose squares the distance transform has room."""
 
 _BLOCK_ROWS = 256
+_FEW_CELLS = 4
+"""Obstacle cells that touch each other and are no more than these stand alone."""
+
 KEEPOUT_MARK = "a keep-out mark"
 """What blocks a cell, in words."""
 
@@ -41,7 +44,8 @@ class Ground:
     south-west corner and side in metres.
 
     `blocked` is 1 where a vehicle must not be. `to_blocked_m` is at most the distance from any
-    point of a cell to the nearest blocked cell.
+    point of a cell to the nearest blocked cell. `density` is the highest of the map's own cells in
+    each, 255 where a mark says that there is an obstacle; above `obstacle_above` it is one.
     """
 
     west_m: float
@@ -50,6 +54,8 @@ class Ground:
     cells: UInt8
     blocked: UInt8
     to_blocked_m: Float32
+    density: UInt8
+    obstacle_above: int
 
     @classmethod
     def of(cls, view: MapView, curve: CostCurve, *, allow_unknown: bool, margin_m: float) -> Ground:
@@ -61,16 +67,20 @@ class Ground:
         height, width = view.density.shape
         _check_size(width + 2 * margin, height + 2 * margin, cell_m)
         cells = np.full((height + 2 * margin, width + 2 * margin), UNSEEN, dtype=np.uint8)
-        inner = cells[margin : margin + height, margin : margin + width]
+        density = np.zeros_like(cells)
+        inside = np.s_[margin : margin + height, margin : margin + width]
+        inner = cells[inside]
         classes = np.full(256, FREE, dtype=np.uint8)
         classes[LETHAL], classes[UNKNOWN_COST] = OBSTACLE, UNSEEN
         worst, share, keepout = view.decision(least_drop_m=curve.least_drop_m)
         for first in range(0, height, _BLOCK_ROWS):
             rows = slice(first, first + _BLOCK_ROWS)
             inner[rows] = classes[curve.cost(worst[rows], share[rows])]
+        density[inside] = worst
         if view.marks:
             said = decision.marked_cells(view.marks, view.lattice, view.window.grown(margin))
-            cells[(said & decision.OBSTACLE) > 0] = OBSTACLE
+            marked = (said & decision.OBSTACLE) > 0
+            cells[marked], density[marked] = OBSTACLE, 255
             cells[(said & decision.KEEPOUT) > 0] = KEEPOUT
         if keepout is not None:
             inner[keepout] = KEEPOUT
@@ -81,6 +91,7 @@ class Ground:
         return cls(
             bounds.west_m - margin * cell_m, bounds.south_m - margin * cell_m, cell_m, cells,
             blocked.view(np.uint8), _to_blocked_m(blocked.view(np.uint8), cell_m),
+            density, curve.obstacle_above,
         )  # fmt: skip
 
     def confined(self, area: shapely.Geometry, beyond: int = BEYOND) -> Ground:
@@ -102,7 +113,10 @@ class Ground:
         cells[~inside & (self.blocked[part] == 0)] = beyond
         blocked = (~inside).view(np.uint8) | self.blocked[part]
         to_blocked = _to_blocked_m(blocked, self.cell_m)
-        return Ground(corner_e, corner_n, self.cell_m, cells, blocked, to_blocked)
+        return Ground(
+            corner_e, corner_n, self.cell_m, cells, blocked, to_blocked,
+            self.density[part], self.obstacle_above,
+        )  # fmt: skip
 
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:
@@ -133,6 +147,27 @@ class Ground:
         x, y = self.west_m + (i + 0.5) * self.cell_m, self.south_m + (j + 0.5) * self.cell_m
         k = int(np.argmin((x - east_m) ** 2 + (y - north_m) ** 2))
         return float(x[k]), float(y[k])
+
+    def weak_near(self, east_m: float, north_m: float, within_m: float) -> int:
+        """The highest density of the weak obstacle cells so near to a point that stand alone, few
+        together; 0 where there is none."""
+        (j0, i0), (j1, i1) = (
+            self._cell(east_m + side * within_m, north_m + side * within_m) for side in (-1, 1)
+        )
+        part = np.s_[max(j0, 0) : max(j1 + 1, 0), max(i0, 0) : max(i1 + 1, 0)]
+        obstacle = (self.cells[part] == OBSTACLE).view(np.uint8)
+        if not obstacle.any():
+            return 0
+        _, label, found, _ = cv2.connectedComponentsWithStats(obstacle, connectivity=8)
+        alone = found[:, cv2.CC_STAT_AREA] <= _FEW_CELLS
+        alone[0] = False  # what is no obstacle
+        weak = self.density[part] <= (self.obstacle_above + 255) // 2
+        return int(np.where(alone[label] & weak, self.density[part], 0).max())
+
+    @property
+    def is_unseen_blocked(self) -> bool:
+        """Whether ground that was not seen is in the way."""
+        return bool(((self.cells == UNSEEN) & (self.blocked > 0)).any())
 
     def what_is_at(self, east_m: float, north_m: float) -> str:
         """What blocks the blocked cell that encloses a point, in words."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING
@@ -34,11 +35,6 @@ NEAR_M = 1.0
 """Clearances are exact up to here, and at least this beyond."""
 
 _HEADINGS = 24
-
-REMEDY = (
-    "give another start or goal, a smaller vehicle, or, if the unseen ground is known to be free, "
-    "--allow-unknown"
-)
 
 
 _MARK_REMEDY = "give another start or goal, or remove the mark with `fieldgrid mark --remove`"
@@ -200,20 +196,45 @@ def find_way(
         raise NoRouteError(
             f"There is no path {what} for a vehicle {vehicle.width_m:g} m wide, "
             f"which is stopped by {stopped_by}",
-            east, north, REMEDY if stopped_by != KEEPOUT_MARK else _MARK_REMEDY,
+            east, north,
+            remedy(searcher, [(east, north)], _OTHER_PLACES)
+            if stopped_by != KEEPOUT_MARK
+            else _MARK_REMEDY,
         )  # fmt: skip
     found = searcher.search(starts, goals, left_m, max_poses)
     if not len(found.samples):
         searched = "no path exists" if found.exhausted else "no path was found in time"
+        east, north = found.nearest.x + ground.west_m, found.nearest.y + ground.south_m
         raise NoRouteError(
             f"A disc inside the vehicle could pass {what}, but {searched} that the whole vehicle "
             f"of {vehicle.front_m + vehicle.rear_m:g} m by {vehicle.width_m:g} m can drive, with a "
             f"clearance of {vehicle.clearance_m:g} m and a turning radius of "
             f"{vehicle.turning_radius_m:g} m{'' if vehicle.reverse else ', and no reverse'}; the "
             "search came nearest",
-            found.nearest.x + ground.west_m, found.nearest.y + ground.south_m, REMEDY,
+            east, north, remedy(searcher, [(east, north)], _OTHER_PLACES),
         )  # fmt: skip
     return found.samples
+
+
+def remedy(searcher: Searcher, places_m: Sequence[tuple[float, float]], first: str = "") -> str:
+    """What may help against what blocks a vehicle near some places, metres east and north; `first`
+    is what else does."""
+    ground, vehicle = searcher.ground, searcher.vehicle
+    within_m = NEAR_M + vehicle.clearance_m + vehicle.reach_m
+    weak = max(ground.weak_near(*place, within_m) for place in places_m)
+    helps = [first] if first else []
+    if weak:
+        helps.append(
+            f"--obstacle-above {weak} if the isolated obstacle cells there are false (`fieldgrid "
+            "query` shows the frames that they are from)"
+        )
+    helps.append("a smaller vehicle")
+    if ground.is_unseen_blocked:
+        helps.append("--allow-unknown if the unseen ground is known to be free")
+    return f"give {' or '.join([', '.join(helps[:-1]), helps[-1]] if helps[:-1] else helps)}"
+
+
+_OTHER_PLACES = "another start or goal"
 
 
 def checked_route(
