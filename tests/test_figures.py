@@ -39,6 +39,7 @@ from fieldgrid.lattice import Bounds, Lattice, Window
 from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile import FrameRecord, MapView, Mark, MarkKind, open_map
 from fieldgrid.trajectory import Pose, Status, Trajectory
+from fieldgrid.vectors import Feature
 
 DATUM = Datum(41.65, -4.72, 787.4)
 START_NS = 1_308_133_815_000_000_000
@@ -285,6 +286,39 @@ def test_long_and_thin_maps_make_pictures_of_bearable_size(
     picture = pixels(figures.universal_grid(strip), tmp_path / "m.png")
     assert 300 < max(picture.shape[:2]) < 1500
     assert min(picture.shape[:2]) > 300
+
+
+def test_no_label_is_cut_off_at_the_edge(tmp_path: Path) -> None:
+    shape = (76, 74)
+    far = MapView(
+        Lattice(0.2), Window(26_108, 11_868, shape[1], shape[0]),
+        np.zeros(shape, np.uint8), np.ones(shape, np.bool_), DATUM,
+    )  # fmt: skip
+    for k, figure in enumerate([figures.universal_grid(far), figures.sheet(far, [])]):
+        figures.save(figure, tmp_path / f"{k}.png")
+        box = figure.axes[0].get_tightbbox()
+        assert box is not None
+        assert min(box.x0, box.y0, figure.bbox.x1 - box.x1, figure.bbox.y1 - box.y1) > 1.0
+
+
+def test_what_was_found_has_a_legend_and_no_colour_of_cells(tmp_path: Path) -> None:
+    line, area = shapely.LineString([(1, 1), (1, 5)]), shapely.box(4, 1, 7, 4)
+    found = [
+        Feature("row", line, {"id": "R1"}),
+        Feature("lane", line, {"id": "L1", "driven": True}),
+        Feature("lane", line, {"id": "L2", "driven": False}),
+        Feature("lane", line, {"id": "L3", "driven": True}),
+        Feature("headland", area, {"id": "H1"}),
+    ]
+    for figure in (
+        figures.universal_grid(view(), found=found),
+        figures.sheet(view(), [], found=found),
+    ):
+        (legend,) = figure.legends
+        named = sorted(text.get_text() for text in legend.get_texts())
+        assert named == ["headland", "lane", "lane, not driven", "row"]
+        (patch,) = (one for one in figure.axes[0].patches if isinstance(one, PathPatch))
+        assert not patch.get_fill()
 
 
 def test_sessions_have_their_colours_and_names() -> None:

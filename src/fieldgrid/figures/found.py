@@ -23,26 +23,35 @@ _NAMED = {"lane": 0.4, "row": 0.0}
 
 def draw_found(axes: Axes, features: Sequence[Feature], bounds: Bounds) -> None:
     """Draw the rows, lanes, gaps, headlands and obstacles of a map, rows and lanes with their
-    names; a lane that was not driven is dotted."""
+    names; a lane that was not driven is dotted. The first of each kind has a label for a legend.
+    """
+    told = set[str]()
     for kind in _ORDER:
         for one in (feature for feature in features if feature.kind == kind):
+            name = "lane, not driven" if _is_dotted(one) else kind
+            label = None if name in told else name
+            told.add(name)
             if kind in _WIDTHS:
-                _draw_line(axes, one)
+                _draw_line(axes, one, label)
             else:
-                _draw_area(axes, one)
+                _draw_area(axes, one, label)
     # What leaves the part that is drawn does not widen it.
     axes.set_xlim(bounds.west_m, bounds.east_m)
     axes.set_ylim(bounds.south_m, bounds.north_m)
 
 
-def _draw_line(axes: Axes, one: Feature) -> None:
+def _is_dotted(one: Feature) -> bool:
+    return one.kind == "lane" and not one.properties["driven"]
+
+
+def _draw_line(axes: Axes, one: Feature, label: str | None) -> None:
     colour = FOUND[one.kind]
-    is_dotted = one.kind == "lane" and not one.properties["driven"]
     axes.plot(
         *one.geometry.xy,
         color=colour,
         linewidth=_WIDTHS[one.kind],
-        linestyle=":" if is_dotted else "-",
+        linestyle=":" if _is_dotted(one) else "-",
+        label=label,
     )
     if one.kind in _NAMED:
         place = one.geometry.interpolate(_NAMED[one.kind], normalized=True).coords[0]
@@ -56,17 +65,18 @@ def _draw_line(axes: Axes, one: Feature) -> None:
         )
 
 
-def _draw_area(axes: Axes, one: Feature) -> None:
+def _draw_area(axes: Axes, one: Feature, label: str | None) -> None:
     # Holes run the other way round, or they would be filled, too.
     area = orient(one.geometry)
     rings = (Path(ring.coords, closed=True) for ring in (area.exterior, *area.interiors))
-    is_ground = one.kind == "headland"
     axes.add_patch(
         PathPatch(
             Path.make_compound_path(*rings),
-            fill=is_ground,
-            color=FOUND[one.kind],
+            fill=False,
+            edgecolor=FOUND[one.kind],
+            # A tint would look like a value of the cells below it.
+            hatch="//" if one.kind == "headland" else None,
             linewidth=1.2,
-            alpha=0.3 if is_ground else 1.0,
+            label=label,
         )
     )

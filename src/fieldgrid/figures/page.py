@@ -21,6 +21,7 @@ from fieldgrid.publish import mentions, replacing
 
 _LONG_SIDE_IN, _SHORT_SIDE_IN = 9.0, 1.5
 """Of the ground drawn on a page of its own."""
+_LAYOUTS = 3
 _FORMATS = {"png", "pdf", "svg"}
 _LONGEST_LINE = 60
 """Characters of a text, such as the name of a drive."""
@@ -90,10 +91,20 @@ def save(figure: Figure, path: str | Path) -> None:
     with warnings.catch_warnings():
         # A letter that the font lacks is drawn as a box, which says as much.
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from")
+        _lay_out(figure)
         figure.savefig(written, format=suffix)
     # Every kind of figure names the library in its metadata; a photograph does not.
     with replacing(path, ours=partial(mentions, mark=b"atplotlib"), what="a figure") as draft:
         draft.write_bytes(written.getvalue())
+
+
+def _lay_out(figure: Figure) -> None:
+    """Make room for labels until there is enough: where ground keeps its shape, room on one side
+    takes some on another, and after the single time of a drawing they are cut off at the edge."""
+    layout = figure.get_layout_engine()
+    if layout is not None:
+        for _ in range(_LAYOUTS):
+            layout.execute(figure)
 
 
 def _take_literally(figure: Figure) -> None:

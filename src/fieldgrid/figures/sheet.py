@@ -43,6 +43,9 @@ def sheet(
         place, rest = columns[0], columns[1].subgridspec(2, 1, height_ratios=(1.35, 1.0))
     axes = figure.add_subplot(place)
     draw_grid(axes, view, drives, title, layer=layer, route=route, found=found)
+    if found:
+        handles, names = axes.get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside lower center", ncols=8, frameon=False)
     draw_trajectory(figure.add_subplot(rest[0]), drives)
     headings = rest[1].subgridspec(len(shown), 1)
     for number, drive in enumerate(shown):

@@ -285,6 +285,7 @@ def _draw_sigma(axes: Axes, drawn: _Drawn, max_sigma_deg: float | None) -> None:
             textcoords="offset points",
             ha="right",
             fontsize="small",
+            bbox={"facecolor": "white", "alpha": 0.8, "pad": 0.8, "linewidth": 0.0},
         )
     axes.set_ylabel("heading sigma (°)")
     axes.grid(linewidth=0.3)
