@@ -66,7 +66,7 @@ export interface MapAbout {
   bounds: Bounds | null;
   layers: Layer[];
   changes: { name: string; says: string; colour: string }[];
-  colours: { unseen: string; gears: Record<string, string>; rejected: string; marks: Record<MarkKind, string> };
+  colours: { unseen: string; gears: Record<string, string>; rejected: string; marks: Record<MarkKind, string>; found: Record<string, string>; route: string };
   marks: Mark[];
   sessions: Session[];
   order: number[];

@@ -302,15 +302,17 @@ export class Drawn {
   private drawFeatures(tables: FeatureTable[]): void {
     const source = this.source("features");
     source.clear();
+    const { found, route } = this.store.state.map.colours;
     for (const table of tables) {
+      const color = found[table.table] ?? route; // none of them that of a session
       for (const one of table.features) {
         for (const geometry of shapes(one.geometry)) {
           const feature = new Feature(geometry);
           const label = one.attributes.name ?? one.attributes.label ?? one.attributes.row;
           feature.setStyle(
             new Style({
-              image: new Circle({ radius: 4, fill: new Fill({ color: "#009e73" }), stroke: new Stroke({ color: "#ffffff", width: 1.5 }) }),
-              stroke: new Stroke({ color: "#009e73", width: 2 }),
+              image: new Circle({ radius: 4, fill: new Fill({ color }), stroke: new Stroke({ color: "#ffffff", width: 1.5 }) }),
+              stroke: new Stroke({ color, width: 2 }),
               text: label === undefined ? undefined : new Text({ text: String(label), offsetY: -12, fill: new Fill({ color: "#10332a" }), stroke: new Stroke({ color: "#ffffff", width: 3 }) }),
             }),
           );

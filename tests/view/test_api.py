@@ -12,6 +12,7 @@ import subprocess
 import sys
 import zipfile
 from contextlib import closing
+from importlib.resources import files
 from pathlib import Path
 from urllib.request import urlopen
 
@@ -26,6 +27,7 @@ from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds, TileIndex
 from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile import open_map
+from fieldgrid.palette import FOUND, SESSIONS
 from fieldgrid.view import view_maps, write_report
 from fieldgrid.view.maps import version_of
 from tests.mapfile.maps import drive, track, write_map, write_session
@@ -134,6 +136,16 @@ def test_objects_that_changed_are_those_of_diff(with_crate: Server) -> None:
     ):
         answer = with_crate.get(f"/api/maps/0/changes?{query}")
         assert (answer.status, words in answer.json()["error"]) == (400, True), answer.body
+
+
+def test_what_was_found_has_colours_that_no_session_has(server: Server) -> None:
+    """Those of figures, by the tables that `rows --keep` makes."""
+    (about,) = server.json("/api/maps")["maps"]
+    colours = about["colours"]
+    assert colours["found"]["found_headland"] == FOUND["headland"]
+    assert not {*colours["found"].values(), colours["route"]} & set(SESSIONS)
+    built = files("fieldgrid.view").joinpath("static", "viewer.js").read_text()
+    assert SESSIONS[2] not in built  # in which they were drawn
 
 
 def test_a_route_is_a_feature_of_each_map(vineyard: Path, tmp_path: Path) -> None:

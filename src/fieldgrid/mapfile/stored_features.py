@@ -21,7 +21,9 @@ from fieldgrid.vectors import Feature
 FOUND_KEY = "found_sha256"
 """In fieldgrid_meta: the digest of the layers that are stored, absent where there are none."""
 
-_PREFIX = "found_"
+FOUND_PREFIX = "found_"
+"""Before the kind of features, in the name of their layer."""
+
 _SAYS = "Found by fieldgrid in the map of SHA-256 "
 _TYPES = {bool: "BOOLEAN", int: "INTEGER", float: "REAL"}
 
@@ -88,7 +90,7 @@ def read_stored_features(connection: sqlite3.Connection) -> StoredFeatures | Non
             names = [column[0] for column in rows.description][2:]
             found += [
                 Feature(
-                    table.removeprefix(_PREFIX),
+                    table.removeprefix(FOUND_PREFIX),
                     shape_of(geom),
                     dict(zip(names, values, strict=True)),
                 )
@@ -112,7 +114,7 @@ def _announced(connection: sqlite3.Connection) -> list[tuple[str, str, str | Non
         "FROM sqlite_schema WHERE name = table_name COLLATE NOCASE AND type IN ('table', 'view')) "
         "FROM gpkg_contents WHERE substr(description, 1, ?) = ? AND substr(table_name, 1, ?) = ? "
         "ORDER BY rowid",
-        (len(_SAYS), _SAYS, len(_PREFIX), _PREFIX),
+        (len(_SAYS), _SAYS, len(FOUND_PREFIX), FOUND_PREFIX),
     ).fetchall()
 
 
@@ -135,7 +137,7 @@ def _digest(connection: sqlite3.Connection) -> str:
 def _keep(
     connection: sqlite3.Connection, kind: str, features: Sequence[Feature], root_sha256: str
 ) -> None:
-    table = f"{_PREFIX}{kind}"
+    table = f"{FOUND_PREFIX}{kind}"
     names = list(dict.fromkeys(name for one in features for name in one.properties))
     values = [[_plain(one.properties.get(name)) for name in names] for one in features]
     types = (

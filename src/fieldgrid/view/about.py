@@ -8,6 +8,7 @@ from fieldgrid import palette
 from fieldgrid.farm import Farm
 from fieldgrid.layers import LAYERS
 from fieldgrid.mapfile import DrivenMap, SessionInfo, in_drive_order
+from fieldgrid.mapfile.stored_features import FOUND_PREFIX
 from fieldgrid.view import layers
 from fieldgrid.view.maps import Shown
 
@@ -37,6 +38,8 @@ def describe_map(number: int, shown: Shown) -> dict[str, Any]:
                 "gears": {str(gear): colour for gear, colour in palette.GEARS.items()},
                 "rejected": palette.REJECTED,
                 "marks": palette.MARKS,
+                "found": {FOUND_PREFIX + kind: colour for kind, colour in palette.FOUND.items()},
+                "route": palette.ROUTE,
             },
             "marks": [mark._asdict() for mark in shown.marks()],
             "sessions": [_session(k, info) for k, info in enumerate(infos)],
