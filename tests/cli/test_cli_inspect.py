@@ -110,7 +110,7 @@ def test_a_figure(fieldgrid: Run, few: Path, tmp_path: Path) -> None:
 def test_options_that_are_wrong(
     fieldgrid: Run, tmp_path: Path, command: str, options: tuple[str, ...], told: str
 ) -> None:
-    out = () if command == "inspect" else ("-o", tmp_path / "out.x")
+    out = () if command == "inspect" else ("-o", tmp_path / "out.gpkg")
     assert told in " ".join(fieldgrid(command, TWO_LANES, *LOG, *out, *options).usage().split())
 
 
