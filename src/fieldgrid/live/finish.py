@@ -269,9 +269,9 @@ def _done(kept: SessionFolder) -> int | None:
         placed = {frame.frame_id: frame.images_sha256 for frame in universal.frames(name)}
     if not placed:
         return None
-    missing = 0
-    for frame in kept.read().frames:
-        staged = kept.stage[frame.number]
+    missing, frames = 0, kept.staged().frames
+    for number, frame in enumerate(kept.read().frames):
+        staged = frames[number]
         if staged.frame_id not in placed:
             # What an end leaves out was not level and cannot be made so.
             is_lost = kept.points.is_levelling and not kept.points.has(frame.points)

@@ -14,7 +14,6 @@ from fieldgrid.build import BadFrame, Progress
 from fieldgrid.build.perception import carried, side_by_side
 from fieldgrid.build.staging import Found, Staged
 from fieldgrid.depth import CodedDepth
-from fieldgrid.live.kept_drive import KeptFrame
 from fieldgrid.live.points_file import Seen
 from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.localgrid import LocalGridder
@@ -60,8 +59,8 @@ def gridded_again(
     settings = drive.about.settings
     gridder = LocalGridder(drive.about.rig, settings.grid.spec(), settings.stereo, settings.density)
 
-    def make(frame: KeptFrame) -> _Made:
-        was = kept.stage[frame.number]
+    def make(number: int) -> _Made:
+        frame, was = drive.frames[number], staged.frames[number]
         tilt = None if attitude is None else attitude.tilt_at(was.time_ns)
         seen = kept.points.read(frame.points, gridder)
         if seen is not None:
@@ -70,7 +69,7 @@ def gridded_again(
 
     found: list[Found] = []
     bad, as_driven, notes = list(staged.bad), set[str](), tuple[str, ...]()
-    with closing(side_by_side(make, drive.frames, os.cpu_count() or 1)) as all_made:
+    with closing(side_by_side(make, range(len(drive.frames)), os.cpu_count() or 1)) as all_made:
         lost = False
         frames = zip(all_made, staged.entries, staged.found, strict=True)
         for done, (made, entry, step) in enumerate(frames, start=1):

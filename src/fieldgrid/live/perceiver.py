@@ -103,12 +103,10 @@ class Perceiver:
         self._closed = False
         self._taken = self._done = 0
         self._last: Features | None = None
-        frames = kept.drive.frames
-        last_ns = kept.stage.entries[frames[-1].number].time_ns if frames else None
-        self._newest_ns = last_ns
+        self._newest_ns = kept.newest_frame_ns
         # The last frame before the restart, pushed again, is looked at for the step from it.
-        self._again_ns = last_ns if odometry else None
-        self.frames = len(frames)
+        self._again_ns = kept.newest_frame_ns if odometry else None
+        self.frames = len(kept.drive.frames)
         self.dropped = kept.drive.dropped
         self.late = 0
         self._disk_full = False

@@ -11,7 +11,7 @@ import re
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -24,6 +24,7 @@ from fieldgrid.build.staging import Staged
 from fieldgrid.closing import Closing
 from fieldgrid.errors import ConfigError, MapError, MapWriteError
 from fieldgrid.fixes import Fix, FixColumns
+from fieldgrid.live.frame_names import told_apart
 from fieldgrid.live.given import GIVEN_ROWS, NO_POSES, body_poses
 from fieldgrid.live.journal import Journal, read_journal
 from fieldgrid.live.kept_drive import (
@@ -253,14 +254,16 @@ class SessionFolder(Closing):
         """The frames, as a build has them of its drive."""
         drive = self.read()
         numbers = [frame.number for frame in drive.frames]
+        entries = [self.stage.entries[number] for number in numbers]
+        names = told_apart([entry.frame_id for entry in entries])
         found = [frame.found for frame in drive.frames]
         # No step leads to a frame before which the program was started again.
         found = [one or Refusal.NOT_COMPARED if k else one for k, one in enumerate(found)]
         if not isinstance(drive.about.rig.sensor, StereoCamera):
             found = [None] * len(numbers)
         return Staged(
-            _Numbered(self.stage, numbers),
-            [self.stage.entries[number] for number in numbers],
+            _Numbered(self.stage, numbers, names),
+            [e._replace(frame_id=name) for e, name in zip(entries, names, strict=True)],
             found,
             [bad for _, bad in drive.bad],
             drive.times,
@@ -298,6 +301,12 @@ class SessionFolder(Closing):
             return recording
         given = body_poses(about.poses, drive.parts.get(GIVEN_ROWS) or [NO_POSES])
         return with_body_poses(recording, given, about.poses).recording()
+
+    @property
+    def newest_frame_ns(self) -> int | None:
+        """The time of the last frame that is there already, None without, until `forget`."""
+        frames = self.drive.frames
+        return self.stage.entries[frames[-1].number].time_ns if frames else None
 
     def forget(self) -> None:
         """Hold no more in memory than what the session was begun with, however long it lasts."""
@@ -340,10 +349,12 @@ def _remove(folder: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Numbered:
-    """Some of the frames of a stage file, in their order."""
+    """Some of the frames of a stage file, in their order, and what they are called."""
 
     stage: StageFile
     numbers: list[int]
+    names: list[str]
 
     def __getitem__(self, index: int) -> StagedFrame:
-        return self.stage[self.numbers[index]]
+        frame, name = self.stage[self.numbers[index]], self.names[index]
+        return frame if frame.frame_id == name else replace(frame, frame_id=name)
