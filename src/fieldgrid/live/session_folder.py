@@ -7,6 +7,7 @@ frame counts when all files have it, so a kill between two of them loses that fr
 
 from __future__ import annotations
 
+import errno
 import re
 import threading
 from collections.abc import Callable
@@ -91,10 +92,7 @@ class SessionFolder(Closing):
             self._open.close()
             if isinstance(error, MapWriteError):
                 raise
-            raise MapWriteError(
-                f"{self.folder} could not be written ({error.strerror}); check the folder and its "
-                "permissions."
-            ) from error
+            raise _unwritable(self.folder, error) from error
         except BaseException:
             self._open.close()
             raise
@@ -148,10 +146,7 @@ class SessionFolder(Closing):
         try:
             points = KeptPoints(self.folder / POINTS, reach_m, most_bytes, first_ns, drive.frames)
         except OSError as error:
-            raise MapWriteError(
-                f"{self.folder / POINTS} could not be written ({error.strerror}); check the "
-                "folder and its permissions."
-            ) from error
+            raise _unwritable(self.folder / POINTS, error) from error
         for part, chunks in drive.parts.items():
             for rows in chunks:
                 points.note_rows(part, rows)
@@ -334,6 +329,13 @@ def remove_unread(out: Path) -> bool:
             next(read_journal(journal), None)
             _remove(journal.parent)
     return is_ours
+
+
+def _unwritable(path: Path, error: OSError) -> MapWriteError:
+    advice = "check the folder and its permissions"
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        advice = "free some space there and try again"
+    return MapWriteError(f"{path} could not be written ({error.strerror}); {advice}.")
 
 
 def _remove(folder: Path) -> None:
