@@ -334,12 +334,14 @@ class Poser:
         if seen.time_ns <= self._estimated_ns:
             return found
         carried = []
+        known_ns = last_known_ns(track)
+        known = None if known_ns is None else PropagatedPose(*pose_at(track, known_ns))
         if seen.step is not None and before is not None and _is_good(before):
-            carried.append(before.on(seen.time_ns, seen.step))
-        elif not _is_good(found) and (known_ns := last_known_ns(track)):
-            rolled = self.going.step(known_ns, seen.time_ns)
+            carried = [one for one in (before.on(seen.time_ns, seen.step),) if one.fits(known)]
+        if not carried and known is not None and not _is_good(found):
+            rolled = self.going.step(known.pose.time_ns, seen.time_ns)
             if rolled is not None:
-                carried.append(PropagatedPose(*pose_at(track, known_ns)).on(seen.time_ns, rolled))
+                carried.append(known.on(seen.time_ns, rolled))
         good = (one for one in carried if one.is_good(self._settings, self._budget))
         return next(good, found)
 
