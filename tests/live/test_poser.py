@@ -62,7 +62,7 @@ def frame(seconds: float, period_s: float | None) -> PerceivedFrame:
     step = None
     if period_s is not None:
         step = CameraStep(SPEED_MPS * period_s, 0.0, 0.0, 0.01, 0.05, 0.0, 0.0, 0.0, 0.1, 200)
-    return PerceivedFrame(f"{seconds:.1f}", at_ns(seconds), GRID, True, step, True, 0.0)
+    return PerceivedFrame(f"{seconds:.1f}", at_ns(seconds), GRID, True, step, 0.0)
 
 
 def watched() -> tuple[Heard, Poser]:

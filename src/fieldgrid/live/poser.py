@@ -217,8 +217,7 @@ class Poser:
             self._trailing.forget(said.lost, said.back_ns)
         elif isinstance(said, PerceivedFrame):
             seen = self._newest = self._repeats.taken(said)
-            if seen.is_kept:
-                self._trailing.add_frame(seen.time_ns, seen.step)
+            self._trailing.add_frame(seen.time_ns, seen.step)
             self._waiting.append(seen)
         elif isinstance(said, Estimated):
             self._take_estimate(said)
@@ -295,9 +294,7 @@ class Poser:
             is_settled = (self._known_ns - seen.time_ns) / 1e9 >= self._options.lag_s
             is_settled = is_settled and seen.time_ns <= self._estimated_ns
             is_settled = is_settled or (answered_ns - seen.time_ns) / 1e9 >= GIVEN_UP_S
-            at = self._pose_of(seen, before, doubt)
-            if seen.is_kept:
-                before = at
+            at = before = self._pose_of(seen, before, doubt)
             pose, gear = at.pose, at.gear
             if pose.status is not Status.REJECTED and not seen.ground_found:
                 pose = replace(pose, status=Status.REJECTED, reason=no_ground(self._rig))
