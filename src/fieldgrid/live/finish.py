@@ -59,6 +59,21 @@ def check_target(out: Path, about: SessionStart) -> None:
         check_cell_sizes(universal.cell_m, about.settings.grid.cell_m)
 
 
+def check_begin(out: Path, about: SessionStart) -> None:
+    """The same where a session begins, also again. The error tells of one whose end was killed when
+    the drive was in the map already, or before."""
+    try:
+        check_target(out, about)
+    except FieldgridError as error:
+        folder = live_folder(out)
+        if not (folder / JOURNAL).exists():
+            raise
+        raise type(error)(
+            f"{error} {folder} holds a session whose end was interrupted: fieldgrid live -o {out} "
+            "--finish completes it."
+        ) from error
+
+
 def finish_session(
     out: str | Path,
     overrides: Overrides | None = None,

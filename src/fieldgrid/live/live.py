@@ -19,7 +19,7 @@ from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import NmeaStream
 from fieldgrid.live.disk_state import DiskState
-from fieldgrid.live.finish import check_target, finish
+from fieldgrid.live.finish import check_begin, finish
 from fieldgrid.live.fixed_lag import GIVEN_KEPT_S
 from fieldgrid.live.frame_names import highest_number
 from fieldgrid.live.given import GIVEN_ROWS, check_body, check_order, pose_rows
@@ -82,7 +82,7 @@ class Live(Closing):
             None if poses is None else check_body(poses),
         )
         gridder = LocalGridder(rig, settings.grid.spec(), settings.stereo, settings.density)
-        check_target(Path(map_path), about)
+        check_begin(Path(map_path), about)
         odometry = follows_camera(rig, settings) and poses is None
         warm_up(gridder, odometry=odometry)
         warm_up_poses(rig, settings)
