@@ -14,6 +14,7 @@ from fieldgrid.build import BadFrame, Progress
 from fieldgrid.build.perception import carried, side_by_side
 from fieldgrid.build.staging import Found, Staged
 from fieldgrid.depth import CodedDepth
+from fieldgrid.live.kept_drive import PushedDrive
 from fieldgrid.live.points_file import Seen
 from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.localgrid import LocalGridder
@@ -44,15 +45,16 @@ class _Made(NamedTuple):
 
 def gridded_again(
     kept: SessionFolder,
+    drive: PushedDrive,
     file: StageFile,
     attitude: Attitude | None,
     way: OriginTrack,
     progress: Callable[[Progress], None] | None = None,
 ) -> GriddedAgain:
-    """The frames of a session with grids that are level by the `attitude`, perpendicular to the
-    ground ahead where that is None, of sweeps carried by the vehicle's `way`; those that had to be
-    made again are in the `file`. `progress` is called after each of them."""
-    staged, drive = kept.staged(), kept.read()
+    """The frames of a session, of what was read of it, with grids that are level by the `attitude`,
+    perpendicular to the ground ahead where that is None, of sweeps carried by the vehicle's `way`;
+    those that had to be made again are in the `file`. `progress` is called after each of them."""
+    staged = kept.staged(drive)
     is_swept = any(frame.is_timed for frame in drive.frames)
     if attitude is None and not is_swept and not any(frame.is_level for frame in drive.frames):
         return GriddedAgain(staged, ())

@@ -139,8 +139,9 @@ class Live(Closing):
                 self._poser.put(fix)
         for part, chunks in drive.parts.items():
             for rows in chunks:
-                if len(rows.time_ns) and rows.time_ns[-1] >= since_ns:
-                    self._poser.put((part, rows))
+                new = rows.where(rows.time_ns >= since_ns)
+                if len(new.time_ns):
+                    self._poser.put((part, new))
         self._poser.stamps.forget()  # nobody knows how long nobody listened
 
     @property

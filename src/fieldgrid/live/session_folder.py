@@ -245,9 +245,9 @@ class SessionFolder(Closing):
         self.unreadable = len(drive.unreadable)
         return drive
 
-    def staged(self) -> Staged:
-        """The frames, as a build has them of its drive."""
-        drive = self.read()
+    def staged(self, read: PushedDrive | None = None) -> Staged:
+        """The frames, as a build has them of its drive; of what was `read`, if that was done."""
+        drive = read or self.read()
         numbers = [frame.number for frame in drive.frames]
         entries = [self.stage.entries[number] for number in numbers]
         names = told_apart([entry.frame_id for entry in entries])
@@ -264,10 +264,9 @@ class SessionFolder(Closing):
             drive.times,
         )
 
-    def recording(self) -> Recording:
-        """The drive as a recording, with the pairs that were kept for its frames. RecordingError
-        where poses were to be pushed that cannot be used."""
-        drive = self.read()
+    def recording(self, drive: PushedDrive) -> Recording:
+        """What was read as a recording, with the pairs that were kept for its frames.
+        RecordingError where poses were to be pushed that cannot be used."""
         about, rig = drive.about, drive.about.rig
         offset_ns = rig.image_time_offset_ns
         staged_ns = [self.stage.entries[number].time_ns - offset_ns for number, *_ in drive.frames]
