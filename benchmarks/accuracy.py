@@ -40,6 +40,7 @@ def variants() -> Iterator[Variant]:
         "RTK, all 128 disparities searched", rtk, resolve(None, {"stereo": {"min_range_m": 1.3}})
     )
     yield Variant("RTK, matcher sgbm", rtk, resolve(None, {"stereo": {"matcher": "sgbm"}}))
+    yield Variant("RTK, means of two rows matched", rtk, resolve(None, {"stereo": {"row_step": 2}}))
     yield Variant("RTK, matcher bm", rtk, resolve(None, {"stereo": {"matcher": "bm"}}))
     yield Variant("RTK, area transfer", rtk, resolve(None, {"map": {"transfer": "area"}}))
     yield Variant(

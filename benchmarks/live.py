@@ -42,7 +42,7 @@ from fieldgrid.odometry import CameraStep
 from fieldgrid.pose import Estimate
 from fieldgrid.recording import DriveOptions, Recording, StereoFrame, open_recording
 from fieldgrid.rotations import Tilt
-from fieldgrid.settings import BuildSettings
+from fieldgrid.settings import BuildSettings, resolve
 from fieldgrid.trajectory import Pose, Status
 
 SHARED = EXAMPLE.parents[2] / "shared" / "data"
@@ -323,17 +323,19 @@ def sessions() -> None:
         f"{'processor':>16}{'memory':>9}{'of it for a grid':>23}"
     )
     drives = [
-        ("example, its own pace", EXAMPLE, "gnss_rtk.nmea", 1.0),
-        ("example, 10 pairs a second", EXAMPLE, "gnss_rtk.nmea", TEN_HZ),
-        ("example, no frame dropped", EXAMPLE, "gnss_rtk.nmea", None),
+        ("example, its own pace", EXAMPLE, "gnss_rtk.nmea", 1.0, 1),
+        ("example, 10 pairs a second", EXAMPLE, "gnss_rtk.nmea", TEN_HZ, 1),
+        ("the same, --row-step 2", EXAMPLE, "gnss_rtk.nmea", TEN_HZ, 2),
+        ("example, no frame dropped", EXAMPLE, "gnss_rtk.nmea", None, 1),
     ]
     if KITTI.exists():
-        drives.append(("KITTI 0020, its own pace", KITTI, None, 1.0))
-        drives.append((CROPPED, KITTI, None, 1.0))
+        drives.append(("KITTI 0020, its own pace", KITTI, None, 1.0, 1))
+        drives.append(("the same, --row-step 2", KITTI, None, 1.0, 2))
+        drives.append((CROPPED, KITTI, None, 1.0, 1))
     with tempfile.TemporaryDirectory() as place:
         bag = Path(place) / "example.mcap"
         convert_recording(EXAMPLE, bag, DriveOptions(gnss="gnss_rtk.nmea"))
-        drives.append(("a bag of the example", bag, None, 1.0))
+        drives.append(("a bag of the example", bag, None, 1.0, 1))
         spawn = multiprocessing.get_context("spawn")
         for drive in drives:  # a process each, so that memory is its own
             process = spawn.Process(target=measure, args=drive)
@@ -341,7 +343,7 @@ def sessions() -> None:
             process.join()
 
 
-def measure(name: str, folder: Path, log: str | None, rate: float | None) -> None:
+def measure(name: str, folder: Path, log: str | None, rate: float | None, row_step: int) -> None:
     """Replay a drive and print what it took; medians and 99 %."""
     to_grid: list[float] = []
     to_map: dict[str, float] = {}
@@ -365,6 +367,7 @@ def measure(name: str, folder: Path, log: str | None, rate: float | None) -> Non
         live = Live(
             Path(place) / "map.gpkg",
             recording.rig,
+            resolve(None, {"stereo": {"row_step": row_step}}),
             name=recording.name,
             datum_hint=recording.datum_hint,
             on_result=take,

@@ -17,7 +17,14 @@ from fieldgrid.choices import MatcherKind
 from fieldgrid.errors import CalibrationError, ConfigError
 from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
 from fieldgrid.settings import StereoSettings
-from fieldgrid.stereo import INVALID, SearchRegion, StereoMatcher, search_region, whole_image
+from fieldgrid.stereo import (
+    INVALID,
+    SearchRegion,
+    StereoMatcher,
+    between_row_pairs,
+    search_region,
+    whole_image,
+)
 from tests.scenes import paper_rig
 
 SMALL = StereoCamera(240, 120, 200.0, 120.0, 60.0, 0.2)
@@ -40,18 +47,26 @@ def pair(disparity_px: float, seed: int = 0) -> tuple[Image, Image]:
     return left, right
 
 
-def matcher(kind: MatcherKind, region: SearchRegion | None = None) -> StereoMatcher:
-    return StereoMatcher(SMALL, StereoSettings(matcher=kind), region or whole_image(SMALL, 48))
+def matcher(
+    kind: MatcherKind, region: SearchRegion | None = None, row_step: int = 1
+) -> StereoMatcher:
+    chosen = StereoSettings(matcher=kind, row_step=row_step)
+    return StereoMatcher(SMALL, chosen, region or whole_image(SMALL, 48))
 
 
-@pytest.mark.parametrize("kind", list(MatcherKind))
+MATCHERS = [(kind, 1) for kind in MatcherKind] + [(MatcherKind.SGBM, 2), (MatcherKind.SGBM_3WAY, 2)]
+
+
+@pytest.mark.parametrize(("kind", "row_step"), MATCHERS)
 @pytest.mark.parametrize("disparity_px", [3, 11, 30])
-def test_a_known_shift_is_found_to_a_sixteenth(kind: MatcherKind, disparity_px: int) -> None:
-    values, row_start = matcher(kind).disparity(*pair(disparity_px))
+def test_a_known_shift_is_found_to_a_sixteenth(
+    kind: MatcherKind, disparity_px: int, row_step: int
+) -> None:
+    values, row_start = matcher(kind, row_step=row_step).disparity(*pair(disparity_px))
     assert row_start == 0
     assert values.shape == (120, 240)
     assert values.dtype == np.int16
-    inner = values[12:-12, 60:-12]
+    inner = values[12 * row_step : -12 * row_step, 60:-12]
     assert (inner >= 0).mean() > 0.97
     off = np.abs(inner[inner >= 0] - 16 * disparity_px)
     assert np.mean(off <= 1) > 0.98  # bm is off by two at a few pixels
@@ -116,6 +131,61 @@ def test_only_the_rows_of_the_region_are_matched() -> None:
     assert np.array_equal(values, again)
 
 
+def test_pairs_of_rows_keep_the_ground_where_it_is() -> None:
+    """Ground that is nearer from row to row: no row is shifted by half a pair (0.08 px here)."""
+    left, _ = pair(0.0)
+    u, v = np.meshgrid(np.arange(240.0), np.arange(120.0))
+    true_px = 8.0 + 0.15 * v
+    right = cv2.remap(left, (u + true_px).astype(np.float32), v.astype(np.float32), cv2.INTER_CUBIC)
+    errors_px = []
+    for row_step in (1, 2):
+        values, _ = matcher(MatcherKind.SGBM_3WAY, row_step=row_step).disparity(left, right)
+        found = np.where(values >= 0, values / 16.0, np.nan)[20:-20, 80:-20]
+        errors_px.append(np.nanmean(found - true_px[20:-20, 80:-20], axis=1))
+    all_rows, pairs = errors_px
+    assert abs(pairs.mean() - all_rows.mean()) < 0.05
+    assert abs(pairs[::2].mean() - pairs[1::2].mean()) < 0.03
+
+
+@given(st.integers(1, 9), st.integers(-40, 40), st.integers(0, 1))
+def test_rows_of_a_pair_lie_a_quarter_to_either_side(pairs: int, slope: int, odd: int) -> None:
+    """A ramp of `slope` sixteenths a pair of rows, whose rows follow it to a sixteenth."""
+    slope = max(-32, min(32, slope))  # two pixels, from which on it would be another surface
+    values = (500 + slope * np.arange(pairs, dtype=np.int16))[:, None] + np.zeros(4, np.int16)
+    rows = between_row_pairs(values, 2, 2 * pairs + odd)
+    assert rows.dtype == np.int16
+    assert rows.shape == (2 * pairs + odd, 4)
+    line = 500 + slope * (np.arange(2 * pairs) - 0.5) / 2.0
+    assert np.abs(rows[1 : 2 * pairs - 1, 0] - line[1:-1]).max(initial=0.0) <= 0.5
+    assert np.array_equal(rows[[0, 2 * pairs - 1]], values[[0, -1]])
+    if odd:
+        assert np.array_equal(rows[-1], rows[-2])
+
+
+def test_pairs_of_rows_do_not_mix_surfaces_or_fill_holes() -> None:
+    values = np.array([[100, INVALID], [133, 160], [100, INVALID]], dtype=np.int16)
+    rows = between_row_pairs(values, 2, 6)
+    assert np.array_equal(rows, np.repeat(values, 2, axis=0))
+    near = between_row_pairs(np.array([[100], [132]], dtype=np.int16), 2, 4)
+    assert near[:, 0].tolist() == [100, 108, 124, 132]
+
+
+def test_blobs_have_their_size_in_pixels_with_pairs_of_rows() -> None:
+    """A blob of 40 x 12 px of another depth is kept or dropped as of all rows."""
+    left, right = pair(6.0)
+    near_left, near_right = pair(20.0, seed=3)
+    left[54:66, 100:140], right[54:66, 80:120] = (
+        near_left[54:66, 100:140],
+        near_right[54:66, 80:120],
+    )
+    for step in (1, 2):
+        for speckle_px, kept in ((200, True), (1200, False)):
+            chosen = StereoSettings(row_step=step, block_px=5, speckle_px=speckle_px)
+            found = StereoMatcher(SMALL, chosen, whole_image(SMALL, 48)).disparity(left, right)
+            inside = found.values[56:64, 106:134]
+            assert bool((np.abs(inside - 320) < 16).mean() > 0.5) is kept, (step, speckle_px)
+
+
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_images_of_another_size_are_refused(side: str) -> None:
     images = dict(zip(("left", "right"), pair(5.0), strict=True))
@@ -139,17 +209,21 @@ def test_threads_do_not_disturb_each_other(kind: MatcherKind) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "block_px", "expected"),
+    ("kind", "row_step", "block_px", "expected"),
     [
-        (MatcherKind.SGBM, None, 9),
-        (MatcherKind.SGBM_3WAY, None, 9),
-        (MatcherKind.BM, None, 15),
-        (MatcherKind.BM, 5, 5),
-        (MatcherKind.SGBM, 3, 3),
+        (MatcherKind.SGBM, 1, None, 9),
+        (MatcherKind.SGBM_3WAY, 1, None, 9),
+        (MatcherKind.SGBM_3WAY, 2, None, 5),
+        (MatcherKind.SGBM_3WAY, 2, 9, 9),
+        (MatcherKind.BM, 1, None, 15),
+        (MatcherKind.BM, 1, 5, 5),
+        (MatcherKind.SGBM, 1, 3, 3),
     ],
 )
-def test_blocks_that_fit(kind: MatcherKind, block_px: int | None, expected: int) -> None:
-    chosen = StereoSettings(matcher=kind, block_px=block_px)
+def test_blocks_that_fit(
+    kind: MatcherKind, row_step: int, block_px: int | None, expected: int
+) -> None:
+    chosen = StereoSettings(matcher=kind, row_step=row_step, block_px=block_px)
     assert chosen.block() == expected
     StereoMatcher(SMALL, chosen, whole_image(SMALL, 16)).disparity(*pair(5.0))
 
@@ -162,7 +236,16 @@ def test_blocks_that_do_not_fit_are_refused(kind: MatcherKind, block_px: int) ->
         StereoSettings(matcher=kind, block_px=block_px).block()
 
 
-@pytest.mark.parametrize("change", [{"block_px": 2}, {"matcher": "wls"}, {"min_range": 3.0}])
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"block_px": 2},
+        {"matcher": "wls"},
+        {"min_range": 3.0},
+        {"row_step": 3},
+        {"row_step": 2, "matcher": "bm"},
+    ],
+)
 def test_settings_that_cannot_be_are_refused(change: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
         StereoSettings(**change)  # type: ignore[arg-type]

@@ -112,8 +112,36 @@ class StereoMatcher:
         if not hasattr(self._local, "matcher"):
             self._local.matcher = make_matcher(self.settings, self.region.num_disparities)
         rows = slice(self.region.row_start, self.region.row_stop)
-        values = self._local.matcher.compute(left[rows], right[rows])
+        left, right = left[rows], right[rows]
+        if self.settings.row_step == 1:
+            values = self._local.matcher.compute(left, right)
+        else:
+            values = self._local.matcher.compute(row_pair_means(left), row_pair_means(right))
+            values = between_row_pairs(values, self.settings.speckle_step_px, len(left))
         return Disparity(values, self.region.row_start)
+
+
+def row_pair_means(image: UInt8) -> UInt8:
+    """The mean of each two rows of an image [height, width]: uint8 [height // 2, width]."""
+    even = len(image) // 2 * 2
+    return np.asarray(cv2.addWeighted(image[:even:2], 0.5, image[1:even:2], 0.5, 0.0))
+
+
+def between_row_pairs(values: Int16, step_px: int, height: int) -> Int16:
+    """Disparities of `height` rows from those of the means of each two [height // 2, width], in
+    sixteenths of a pixel.
+
+    A row lies a quarter of the way to the next pair of rows, and so does its disparity where
+    both have one and they are of the same surface, no more than `step_px` apart. An odd last
+    row has that of the row above.
+    """
+    upper, lower = values[:-1], values[1:]
+    same = (upper >= 0) & (lower >= 0) & (np.abs(lower - upper) <= SUBPIXELS * step_px)
+    quarter = np.where(same, lower - upper, np.int16(0)) + np.int16(2) >> 2
+    rows = np.repeat(values, 2, axis=0)
+    rows[1:-1:2] += quarter
+    rows[2::2] -= quarter
+    return rows if height == len(rows) else np.concatenate([rows, rows[-1:]])
 
 
 def make_matcher(settings: StereoSettings, num_disparities: int) -> _Matcher:
@@ -121,11 +149,12 @@ def make_matcher(settings: StereoSettings, num_disparities: int) -> _Matcher:
     block = settings.block()
     # OpenCV's SGBM takes 0 and -1 for 1; only a large difference switches its check off.
     left_right_px = settings.left_right_px or num_disparities
+    speckle_px = settings.speckle_px // settings.row_step  # counted in the rows that are matched
     if settings.matcher is MatcherKind.BM:
         bm = cv2.StereoBM_create(num_disparities, block)
         bm.setUniquenessRatio(settings.uniqueness_percent)
         bm.setDisp12MaxDiff(left_right_px)
-        bm.setSpeckleWindowSize(settings.speckle_px)
+        bm.setSpeckleWindowSize(speckle_px)
         bm.setSpeckleRange(settings.speckle_step_px)
         return bm  # type: ignore[no-any-return]
     mode = (
@@ -141,7 +170,7 @@ def make_matcher(settings: StereoSettings, num_disparities: int) -> _Matcher:
         P2=32 * block * block,
         disp12MaxDiff=left_right_px,
         uniquenessRatio=settings.uniqueness_percent,
-        speckleWindowSize=settings.speckle_px,
+        speckleWindowSize=speckle_px,
         speckleRange=settings.speckle_step_px,
         mode=mode,
     )

@@ -25,6 +25,7 @@ from fieldgrid.export.georeference import extent
 from fieldgrid.export.registry import Exported, ExportFormat, register
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.tables import datum_values
+from fieldgrid.export.zarr_folder import zarr_folder
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Window
 from fieldgrid.mapfile import LAYERS, MapBlocks, MapView, Readable, cf_dataset, masked
@@ -129,10 +130,11 @@ def export_zarr(
     zarr = _libraries("Zarr", "zarr")
     with (
         replacing_folder(path, overwrite=overwrite, ours=_is_zarr, what="a Zarr store") as draft,
+        zarr_folder(draft) as store,
         selection.blocks(universal, ("count",)) as blocks,
     ):
         # Format 2 is read by every version of zarr and by GDAL; 3 is not yet.
-        group = zarr.open_group(draft, mode="w", zarr_format=2)
+        group = zarr.open_group(store, mode="w", zarr_format=2)
 
         def create(name: str, one: _Variable) -> Any:
             said = {key: _json(value) for key, value in one.attributes.items()}
@@ -148,7 +150,7 @@ def export_zarr(
         group.attrs.update(
             {k: _json(v) for k, v in _written(blocks, universal.datum, selection, create).items()}
         )
-        zarr.consolidate_metadata(draft)
+        zarr.consolidate_metadata(store)
         return _exported(path, blocks, universal)
 
 

@@ -1,0 +1,61 @@
+"""A Zarr store whose writing fails: nothing is written once the error is out."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import shutil
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import zarr
+from zarr.storage import LocalStore
+
+from fieldgrid.export.zarr_folder import zarr_folder
+
+
+def write_cells(folder: Path, values: npt.NDArray[np.uint16]) -> None:
+    with zarr_folder(folder) as store:
+        group = zarr.open_group(store, mode="w", zarr_format=2)
+        made = group.create_array("cells", shape=values.shape, chunks=(10, 10), dtype="u2")
+        made[...] = values
+        zarr.consolidate_metadata(store)
+
+
+def test_nothing_is_written_after_the_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 16 chunks that are written side by side one finds the disk full at once; the others are
+    slow, and would bring the folder back after it was removed."""
+    begun, written = threading.Event(), LocalStore.set
+
+    async def full(self: LocalStore, key: str, value: Any) -> None:
+        if key == "cells/0.0":
+            while not begun.is_set():
+                await asyncio.sleep(0.01)
+            raise OSError(errno.ENOSPC, "No space left on device")
+        if key.startswith("cells/") and key[-1].isdigit():
+            begun.set()
+            await asyncio.sleep(0.3)
+        await written(self, key, value)
+
+    monkeypatch.setattr(LocalStore, "set", full)
+    draft = tmp_path / "draft"
+    draft.mkdir()
+    with pytest.raises(OSError, match="No space left"):
+        write_cells(draft, np.ones((40, 40), np.uint16))
+    assert begun.is_set()
+    shutil.rmtree(draft)
+    time.sleep(0.6)
+    assert not draft.exists()
+
+
+def test_what_was_written_is_whole(tmp_path: Path) -> None:
+    values = np.arange(1600, dtype=np.uint16).reshape(40, 40)
+    write_cells(tmp_path, values)
+    assert np.array_equal(zarr.open_group(tmp_path, mode="r")["cells"][...], values)
