@@ -45,7 +45,7 @@ def test_cells_are_those_of_the_csv_module(
     expected = list(csv.reader(io.StringIO(TABLES[what].replace("\0", ""), newline="")))
     with open_table(path) as table:
         blocks = list(table.blocks())
-    rows = [block.row(k) for block in blocks for k in range(block.count)]
+    rows = [block.row(k) for block in blocks for k in range(block.row_count)]
     for row, other in zip(rows, expected, strict=True):
         assert row[: len(other)] == other
         assert not any(row[len(other) :])
@@ -62,5 +62,5 @@ def test_even_lines_are_not_read_by_the_csv_module(
     path.write_text("a,b,c\n" + EVEN)
     with open_table(path) as table:
         monkeypatch.setattr(csv, "reader", lambda lines, **_: read.extend(lines) or [])
-        assert sum(block.count for block in table.blocks()) == 20
+        assert sum(block.row_count for block in table.blocks()) == 20
     assert not read

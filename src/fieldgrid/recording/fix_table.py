@@ -210,7 +210,7 @@ class _Plan:
     def _heights(self, block: TableRows) -> Float64:
         """Metres, NaN where a row has none."""
         if "height" not in self.places:
-            return np.zeros(block.count)
+            return np.zeros(block.row_count)
         said = self.columns.height_units
         unit_m = length_factor(said) if said else self._length("height")
 

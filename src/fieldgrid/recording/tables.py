@@ -45,7 +45,7 @@ class TableRows(NamedTuple):
     texts: list[str]
 
     @property
-    def count(self) -> int:
+    def row_count(self) -> int:
         """How many rows they are."""
         return len(self.texts) // self.width
 
@@ -98,8 +98,8 @@ class OpenTable:
     def blocks(self) -> Iterator[TableRows]:
         """All rows from the first; empty lines are rows without cells."""
         block, first = self.sample, self.sample.line
-        while block.count:
-            line = block.line + block.count
+        while block.row_count:
+            line = block.line + block.row_count
             check_rows(line - first, self.path)
             yield block
             block = self._block(line)
