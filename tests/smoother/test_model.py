@@ -26,10 +26,12 @@ def dense(system: model.NormalEquations) -> Float64:
     shape, n = system.shape, len(system.right)
     lower = np.zeros((n + CONSTANTS, n + CONSTANTS))
     for node, first in enumerate(shape.first.tolist()):
-        width = STATES * (node - first + 1)
-        rows = system.values[shape.start[node] : shape.start[node + 1]].reshape(STATES, width)
-        lower[STATES * node : STATES * (node + 1), STATES * first : STATES * (node + 1)] = rows
-    lower = np.tril(lower)
+        at = shape.start[node]
+        for row in range(STATES * node, STATES * (node + 1)):
+            length = row + 1 - STATES * first
+            lower[row, STATES * first : row + 1] = system.values[at : at + length]
+            at += length
+        assert at == shape.start[node + 1]
     full = lower + np.tril(lower, -1).T
     full[:n, n:], full[n:, :n] = system.border, system.border.T
     full[n:, n:] = system.corner

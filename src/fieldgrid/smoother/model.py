@@ -121,7 +121,8 @@ def _add_residual(system, index, slope, residual, weight):  # type: ignore[no-un
             continue
         right[i] -= scaled * residual
         node, row = i // STATES, i % STATES
-        at = start[node] + row * STATES * (node - first[node] + 1) - STATES * first[node]
+        before = STATES * (node - first[node])
+        at = start[node] + row * before + row * (row + 1) // 2 - STATES * first[node]
         for b in range(len(index)):
             j = index[b]
             if j <= i:
@@ -191,22 +192,22 @@ def _put_node(system, pair, side, k):  # type: ignore[no-untyped-def]
     """Add the equations of node k, which are complete, and make the next node the first of the
     pair; what couples the two waits in the next node's rows."""
     shape, values, right = system[0], system[1], system[2]
-    width = STATES * (k - shape[0][k] + 1)
-    at = shape[1][k] + width - STATES
+    before = STATES * (k - shape[0][k])
     for a in range(STATES):
+        own = shape[1][k] + (a + 1) * before + a * (a + 1) // 2
         right[STATES * k + a] += side[a]
         side[a] = side[STATES + a]
         side[STATES + a] = 0.0
         for b in range(a + 1):
-            values[at + a * width + b] += pair[a, b]
+            values[own + b] += pair[a, b]
             pair[a, b] = pair[STATES + a, STATES + b]
             pair[STATES + a, STATES + b] = 0.0
     if k + 1 < len(shape[0]):
-        width = STATES * (k + 1 - shape[0][k + 1] + 1)
-        at = shape[1][k + 1] + width - 2 * STATES
+        before = STATES * (k + 1 - shape[0][k + 1])
         for a in range(STATES):
+            own = shape[1][k + 1] + (a + 1) * before + a * (a + 1) // 2
             for b in range(STATES):
-                values[at + a * width + b] += pair[STATES + a, b]
+                values[own - STATES + b] += pair[STATES + a, b]
                 pair[STATES + a, b] = 0.0
 
 
@@ -309,13 +310,13 @@ def add_still(system, x, standing, held_place, held_heading):  # type: ignore[no
     where it was in the last round."""
     shape, values, right, total = system[0], system[1], system[2], system[6]
     for k in range(len(x)):
-        width = STATES * (k - shape[0][k] + 1)
-        at = shape[1][k] + width - STATES
+        before = STATES * (k - shape[0][k])
+        at = shape[1][k] + before
         for state in (E, N):
-            values[at + state * width + state] += 1.0 / LOST_M**2 + held_place
-        values[at + PHI * width + PHI] += held_heading
+            values[at + state * before + state * (state + 3) // 2] += 1.0 / LOST_M**2 + held_place
+        values[at + PHI * before + PHI * (PHI + 3) // 2] += held_heading
         if standing[k]:
-            values[at + V * width + V] += 1.0 / STANDING_MPS**2
+            values[at + V * before + V * (V + 3) // 2] += 1.0 / STANDING_MPS**2
             right[STATES * k + V] -= x[k, V] / STANDING_MPS**2
             total[0] += (x[k, V] / STANDING_MPS) ** 2
 
