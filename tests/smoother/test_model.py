@@ -205,8 +205,10 @@ class Way:
         self.turned = np.where(told, random.normal(size=n - 1), np.nan)
         self.seen, self.standing = np.ones(n - 1, np.bool_), random.random(n) < 0.4
 
-    def system(self, x: Float64) -> model.NormalEquations:
-        system = empty(len(x))
+    def system(
+        self, x: Float64, system: model.NormalEquations | None = None
+    ) -> model.NormalEquations:
+        system = system or empty(len(x))
         model.add_motion(
             system,
             x,
@@ -259,6 +261,15 @@ class Way:
         fade = np.exp(-h / model.CURVATURE_S)
         found.append((b[KAPPA] - fade * a[KAPPA], 1.0 / self.steering[k]))
         return found
+
+
+def test_motion_replaces_what_the_memory_of_the_matrix_held() -> None:
+    n, shape = 8, envelope(8, np.array([[0, 5], [2, 6]]))
+    way, x = Way(1, n, gyro=True), np.random.default_rng(1).normal(size=(n, STATES))
+    spoilt = model.empty_system(shape, np.full(shape.size, np.nan))
+    found, clean = way.system(x, spoilt), way.system(x, model.empty_system(shape))
+    assert found.values.tobytes() == clean.values.tobytes()
+    assert dense(found) == pytest.approx(dense(way.system(x)))
 
 
 def with_start(matrix: Float64, nodes: list[int]) -> Float64:

@@ -85,15 +85,13 @@ class NormalEquations(NamedTuple):
 def empty_system(
     shape: Envelope, values: Float64 | None = None, *, coupled: bool = True
 ) -> NormalEquations:
-    """Normal equations that nothing has been added to, in the memory of `values` if given. Where
-    nothing measures a constant, none is `coupled` with the states and the border has no rows."""
+    """Normal equations that nothing has been added to. They take the memory of `values` if given,
+    whose content :func:`add_motion` replaces, which then has to come first. Where nothing measures
+    a constant, none is `coupled` with the states and the border has no rows."""
     n = STATES * shape.nodes
-    if values is None:
-        values = np.empty(shape.size)
-    values.fill(0.0)
     return NormalEquations(
         shape,
-        values,
+        np.zeros(shape.size) if values is None else values,
         np.zeros(n),
         np.zeros((n if coupled else 0, CONSTANTS)),
         np.zeros((CONSTANTS, CONSTANTS)),
@@ -133,7 +131,8 @@ def _add_residual(system, index, slope, residual, weight):  # type: ignore[no-un
 
 @kernel
 def add_motion(system, x, step_s, steering, bias_m, bias_s, turned, seen, standing):  # type: ignore[no-untyped-def]
-    """The vehicle's own laws between neighbouring nodes, and its gyro [n - 1] (NaN: none).
+    """The vehicle's own laws between neighbouring nodes, and its gyro [n - 1] (NaN: none), in place
+    of whatever the matrix held: to clear a large one takes as long as this.
 
     `steering` [n - 1] is the variance of the curvature's change over each step. Over a hole
     (`seen` is False) only the gyro and the drifts go on. Of the weights only those of the steering
@@ -189,8 +188,8 @@ def add_motion(system, x, step_s, steering, bias_m, bias_s, turned, seen, standi
 
 @part_of_kernel
 def _put_node(system, pair, side, k):  # type: ignore[no-untyped-def]
-    """Add the equations of node k, which are complete, and make the next node the first of the
-    pair; what couples the two waits in the next node's rows."""
+    """Write the equations of node k, which are complete, and what couples it with the next node,
+    which becomes the first of the pair; nothing couples that with earlier ones yet."""
     shape, values, right = system[0], system[1], system[2]
     before = STATES * (k - shape[0][k])
     for a in range(STATES):
@@ -199,15 +198,17 @@ def _put_node(system, pair, side, k):  # type: ignore[no-untyped-def]
         side[a] = side[STATES + a]
         side[STATES + a] = 0.0
         for b in range(a + 1):
-            values[own + b] += pair[a, b]
+            values[own + b] = pair[a, b]
             pair[a, b] = pair[STATES + a, STATES + b]
             pair[STATES + a, STATES + b] = 0.0
     if k + 1 < len(shape[0]):
         before = STATES * (k + 1 - shape[0][k + 1])
         for a in range(STATES):
             own = shape[1][k + 1] + (a + 1) * before + a * (a + 1) // 2
+            for b in range(STATES, before):
+                values[own - 1 - b] = 0.0
             for b in range(STATES):
-                values[own - STATES + b] += pair[STATES + a, b]
+                values[own - STATES + b] = pair[STATES + a, b]
                 pair[STATES + a, b] = 0.0
 
 
