@@ -109,9 +109,9 @@ def add_looks(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Add what a frame [n_y, n_x] says of the cells of a place in the window.
 
-    `stands` and `hits` [n_y, n_x], `before` and `others` [n_y, n_x + 1] are room, all 0: what stands
-    by a local cell and those around, as far as a cell of the window reaches; how many cells of a
-    row before each were seen, and how many of them are not free.
+    `stands` and `hits` [n_y, n_x], `before` and `others` [n_y, n_x + 1] are room, all 0: for what
+    stands by a local cell and those around, as far as a cell of the window reaches; and for how
+    many cells of a row before each were seen, and how many of them are not free.
 
     `looks` [cells, 2] counts obstacles since the cell was last clear, and clear looks since these;
     `near_m` is the least distance of the obstacles; `when_ns` [cells, 3] is when anything was last
