@@ -53,15 +53,17 @@ def test_what_is_compiled_is_what_frames_and_the_map_need(tmp_path: Path) -> Non
     from fieldgrid.ground import collect_heights, follow_ground
     from fieldgrid.layers.ground import add_terrain
     from fieldgrid.layers.moved import add_looks
-    from fieldgrid.layers.robust import enter, settle
-    from fieldgrid.mapfile.packing import differences, split
+    from fieldgrid.layers.robust import enter, read_bins, settle
+    from fieldgrid.layers.window import gather
+    from fieldgrid.mapfile.packing import differences, join, split
     from fieldgrid.odometry.matching import _compare
     from fieldgrid.odometry.rigid import _refine, _search
     from fieldgrid.transfer import locate
 
     warming.compile_ahead(str(tmp_path))
     frame = bin_pixels, collect_heights, follow_ground, raise_to_steps, _compare, _search, _refine
-    for one in (*frame, locate, add_terrain, add_looks, enter, settle, differences, split):
+    layers = locate, add_terrain, add_looks, enter, settle, read_bins, gather
+    for one in (*frame, *layers, differences, split, join):
         assert one.compiled().signatures, one
     assert list(tmp_path.iterdir()) == [tmp_path / "map.gpkg"]
 

@@ -24,19 +24,25 @@ def solve(lower: Float64, right: Float64) -> Float64:
     return result
 
 
-@kernel
-def inverse_blocks(lower, size):  # type: ignore[no-untyped-def]
-    """The diagonal blocks [n/size, size, size] of the inverse, from the factor of the matrix.
-
-    Takahashi's recursion from the last column to the first: an element of the inverse inside
-    the band needs only later ones inside the band, so the others are never made.
-    """
+def inverse_blocks(lower: Float64, size: int) -> Float64:
+    """The diagonal blocks [n/size, size, size] of the inverse, from the factor of the matrix."""
     width, n = lower.shape
-    columns = lower.T.copy()  # an element's neighbours in its column lie side by side
-    # Row j holds its elements from column j - width + 1 to j + width - 1, so that the sums run
-    # along rows.
-    inverse = np.zeros((n + width, 2 * width - 1))
-    middle = width - 1
+    columns = np.ascontiguousarray(lower.T)  # neighbours in a column lie side by side
+    inverse, blocks = np.zeros((n + width, 2 * width - 1)), np.empty((n // size, size, size))
+    _fill_inverse(columns, inverse, blocks)
+    return blocks
+
+
+@kernel
+def _fill_inverse(columns, inverse, blocks):  # type: ignore[no-untyped-def]
+    """Takahashi's recursion from the last column to the first: an element of the inverse inside
+    the band needs only later ones inside the band, so the others are never made.
+
+    Row j of the `inverse` holds its elements from column j - width + 1 to j + width - 1, so that
+    the sums run along rows.
+    """
+    n, width = columns.shape
+    middle, size = width - 1, blocks.shape[1]
     for j in range(n - 1, -1, -1):
         top = min(width, n - j)
         pivot = columns[j, 0]
@@ -49,11 +55,9 @@ def inverse_blocks(lower, size):  # type: ignore[no-untyped-def]
         for k in range(1, top):
             total += columns[j, k] * inverse[j, middle + k]
         inverse[j, middle] = (1.0 / pivot - total) / pivot
-    blocks = np.empty((n // size, size, size))
-    for block in range(n // size):
+    for block in range(len(blocks)):
         for a in range(size):
             for b in range(a + 1):
                 value = inverse[block * size + b, middle + a - b]
                 blocks[block, a, b] = value
                 blocks[block, b, a] = value
-    return blocks

@@ -8,6 +8,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -88,12 +89,13 @@ def compile_ahead(folder: str) -> None:
     staged = warm_up(LocalGridder(rig), odometry=False, tilt=Tilt(0.0, 0.0))
     corners = _scattered(camera)
     step(corners, corners, rig)
-    pose = Pose(staged.time_ns, 0.0, 0.0, 0.0, 0.0, 0.1, 0.5, 1.0)
     with (
         create_map(Path(folder, "map.gpkg"), Datum(45.0, 5.0, 200.0)) as made,
         made.add_session("drive") as session,
     ):
-        session.add_staged(staged, pose)
+        for k in range(2):  # so far apart that the map has levels above its tiles
+            pose = Pose(k, 0.0, 50.0 * k, 0.0, 0.0, 0.1, 0.5, 1.0)
+            session.add_staged(replace(staged, frame_id=str(k), time_ns=k), pose)
 
 
 def _scattered(camera: StereoCamera) -> Features:

@@ -140,7 +140,11 @@ def add_motion(system, x, step_s, steering, bias_m, bias_s, turned, seen, standi
     learnt.
     """
     # The equations of one node (0 to 7) and the next (8 to 15), lower triangle.
-    pair, side = np.zeros((2 * STATES, 2 * STATES)), np.zeros(2 * STATES)
+    pair, side = np.empty((2 * STATES, 2 * STATES)), np.empty(2 * STATES)
+    for a in range(2 * STATES):
+        side[a] = 0.0
+        for b in range(2 * STATES):
+            pair[a, b] = 0.0
     # Of literals Numba would compile a function anew for each.
     gyro_bias, speed, curvature = np.int64(GYRO), np.int64(V), np.int64(KAPPA)
     _add_start(pair, side, x, np.int64(0), np.int64(0))
@@ -285,10 +289,11 @@ def add_fixes(system, x, fix_en, weight, lever):  # type: ignore[no-untyped-def]
     `weight` [n, 2] is that along the heading and across it; rows without a fix have weight 0.
     Returns how far each fix lies ahead and to the right of where it should be [n, 2].
     """
-    off = np.zeros((len(weight), 2))
+    off = np.empty((len(weight), 2))
     index, slope = np.empty(5, np.int64), np.empty(5)
     for k in range(len(weight)):
         if not weight[k, 0] > 0.0:
+            off[k, 0] = off[k, 1] = 0.0
             continue
         sin, cos = np.sin(x[k, PHI]), np.cos(x[k, PHI])
         east = x[k, E] + lever[0] * cos + lever[1] * sin + x[k, BIAS_E] - fix_en[k, 0]
@@ -322,34 +327,46 @@ def add_still(system, x, standing, held_place, held_heading):  # type: ignore[no
             total[0] += (x[k, V] / STANDING_MPS) ** 2
 
 
-@kernel
-def add_headings(system, x, offset, heading, weight):  # type: ignore[no-untyped-def]
+def add_headings(
+    system: NormalEquations, x: Float64, offset: float, heading: Float64, weight: Float64
+) -> Float64:
     """Recorded headings [n], which are off by one constant. Returns the residuals."""
-    off = np.zeros(len(weight))
-    index, slope = np.zeros(2, np.int64), np.ones(2)
-    index[1] = STATES * len(x) + HEADING_OFFSET
-    for k in range(len(weight)):
-        if weight[k] > 0.0:
-            off[k] = x[k, PHI] + offset - heading[k]
-            off[k] -= 2.0 * np.pi * np.round(off[k] / (2.0 * np.pi))
-            index[0] = STATES * k + PHI
-            _add_residual(system, index, slope, off[k], weight[k])
+    off = np.where(weight > 0.0, x[:, PHI] + offset - heading, 0.0)
+    off -= 2.0 * np.pi * np.rint(off / (2.0 * np.pi))
+    return _added(system, (PHI, HEADING_OFFSET), off, (1.0, np.ones(len(off))), weight)
+
+
+def add_speeds(
+    system: NormalEquations, x: Float64, scale: float, speed: Float64, weight: Float64
+) -> Float64:
+    """Signed speeds [n] by wheels, whose size is off by one share. Returns the residuals."""
+    own = np.ascontiguousarray(x[:, V])
+    off = np.where(weight > 0.0, (1.0 + scale) * own - speed, 0.0)
+    return _added(system, (V, WHEEL_SCALE), off, (1.0 + scale, own), weight)
+
+
+def _added(
+    system: NormalEquations,
+    of: tuple[int, int],
+    off: Float64,
+    slopes: tuple[float, Float64],
+    weight: Float64,
+) -> Float64:
+    """Residuals [n] `of` one state of each node and a constant. Most drives have none, and need no
+    kernel then."""
+    if (weight > 0.0).any():
+        _add_to_nodes(system, *of, off, *slopes, weight)
     return off
 
 
 @kernel
-def add_speeds(system, x, scale, speed, weight):  # type: ignore[no-untyped-def]
-    """Signed speeds [n] by wheels, whose size is off by one share. Returns the residuals."""
-    off = np.zeros(len(weight))
-    index, slope = np.zeros(2, np.int64), np.ones(2)
-    index[1] = STATES * len(x) + WHEEL_SCALE
+def _add_to_nodes(system, state, constant, off, slope, constant_slope, weight):  # type: ignore[no-untyped-def]
+    index, slopes = np.empty(2, np.int64), np.empty(2)
+    index[1], slopes[0] = len(system[2]) + constant, slope
     for k in range(len(weight)):
         if weight[k] > 0.0:
-            off[k] = (1.0 + scale) * x[k, V] - speed[k]
-            index[0] = STATES * k + V
-            slope[0], slope[1] = 1.0 + scale, x[k, V]
-            _add_residual(system, index, slope, off[k], weight[k])
-    return off
+            index[0], slopes[1] = STATES * k + state, constant_slope[k]
+            _add_residual(system, index, slopes, off[k], weight[k])
 
 
 @kernel
@@ -358,10 +375,10 @@ def add_steps(system, x, scale, ends, moved, weight, ahead_m):  # type: ignore[n
     between the nodes `ends` [s, 2], `weight` [s, 2] of distance and turn; all distances are too
     long by one share. Returns residuals [s, 3].
     """
-    off = np.zeros((len(ends), 3))
+    off = np.empty((len(ends), 3))
     index, slope = np.empty(7, np.int64), np.empty(7)
-    turns, turn_slope = np.empty(2, np.int64), np.ones(2)
-    turn_slope[0] = -1.0
+    turns, turn_slope = np.empty(2, np.int64), np.empty(2)
+    turn_slope[0], turn_slope[1] = -1.0, 1.0
     index[6] = STATES * len(x) + CAMERA_SCALE
     size = 1.0 + scale
     for s in range(len(ends)):
@@ -373,7 +390,7 @@ def add_steps(system, x, scale, ends, moved, weight, ahead_m):  # type: ignore[n
         forward, right = east * sin + north * cos, east * cos - north * sin
         off[s, 0], off[s, 1] = size * forward - moved[s, 0], size * right - moved[s, 1]
         off[s, 2] = x[b, PHI] - x[a, PHI] - moved[s, 2]
-        off[s, 2] -= 2.0 * np.pi * np.round(off[s, 2] / (2.0 * np.pi))
+        off[s, 2] -= 2.0 * np.pi * np.rint(off[s, 2] / (2.0 * np.pi))
         index[0], index[1], index[2] = STATES * a + E, STATES * a + N, STATES * a + PHI
         index[3], index[4], index[5] = STATES * b + E, STATES * b + N, STATES * b + PHI
         # The start's own lever turns with it and cancels, but for its place in the frame.
