@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.smoother import model
 from fieldgrid.smoother.envelope import STATES, envelope
-from fieldgrid.smoother.model import CONSTANTS, GYRO, KAPPA, PHI, E, N, V
+from fieldgrid.smoother.equations import CONSTANTS, NormalEquations, empty_system
+from fieldgrid.smoother.model import GYRO, KAPPA, PHI, E, N, V
 
 Residuals = Callable[[Float64, Float64], list[tuple[float, float]]]
 """Of states [n, 8] and constants: pairs of a residual and its weight."""
@@ -21,7 +22,7 @@ SEEDS = st.integers(0, 10**6)
 NO_STEPS = np.zeros((0, 2), np.int64)
 
 
-def dense(system: model.NormalEquations) -> Float64:
+def dense(system: NormalEquations) -> Float64:
     """The symmetric matrix of the states and, behind them, the constants."""
     shape, n = system.shape, len(system.right)
     lower = np.zeros((n + CONSTANTS, n + CONSTANTS))
@@ -38,12 +39,12 @@ def dense(system: model.NormalEquations) -> Float64:
     return full
 
 
-def right_side(system: model.NormalEquations) -> Float64:
+def right_side(system: NormalEquations) -> Float64:
     return np.concatenate([system.right, system.right_constants])
 
 
-def empty(n: int, far: Int64 = NO_STEPS) -> model.NormalEquations:
-    return model.empty_system(envelope(n, far))
+def empty(n: int, far: Int64 = NO_STEPS) -> NormalEquations:
+    return empty_system(envelope(n, far))
 
 
 def slopes(residuals: Residuals, x: Float64, constants: Float64) -> Float64:
@@ -65,7 +66,7 @@ UNKNOWN = np.zeros(CONSTANTS)
 
 
 def assert_normal_equations(
-    system: model.NormalEquations,
+    system: NormalEquations,
     residuals: Residuals,
     x: Float64,
     constants: Float64 = UNKNOWN,
@@ -205,9 +206,7 @@ class Way:
         self.turned = np.where(told, random.normal(size=n - 1), np.nan)
         self.seen, self.standing = np.ones(n - 1, np.bool_), random.random(n) < 0.4
 
-    def system(
-        self, x: Float64, system: model.NormalEquations | None = None
-    ) -> model.NormalEquations:
+    def system(self, x: Float64, system: NormalEquations | None = None) -> NormalEquations:
         system = system or empty(len(x))
         model.add_motion(
             system,
@@ -266,8 +265,8 @@ class Way:
 def test_motion_replaces_what_the_memory_of_the_matrix_held() -> None:
     n, shape = 8, envelope(8, np.array([[0, 5], [2, 6]]))
     way, x = Way(1, n, gyro=True), np.random.default_rng(1).normal(size=(n, STATES))
-    spoilt = model.empty_system(shape, np.full(shape.size, np.nan))
-    found, clean = way.system(x, spoilt), way.system(x, model.empty_system(shape))
+    spoilt = empty_system(shape, np.full(shape.size, np.nan))
+    found, clean = way.system(x, spoilt), way.system(x, empty_system(shape))
     assert found.values.tobytes() == clean.values.tobytes()
     assert dense(found) == pytest.approx(dense(way.system(x)))
 

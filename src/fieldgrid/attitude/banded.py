@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.linalg
 
 from fieldgrid.array_types import Float64
 from fieldgrid.kernel import kernel
@@ -14,13 +13,17 @@ def factor(band: Float64) -> Float64:
 
     `band[i - j, j]` is element (i, j), i >= j; the factor has the same form.
     """
-    result: Float64 = scipy.linalg.cholesky_banded(band, lower=True, check_finite=False)
+    from scipy.linalg import cholesky_banded  # late: most drives have no IMU
+
+    result: Float64 = cholesky_banded(band, lower=True, check_finite=False)
     return result
 
 
 def solve(lower: Float64, right: Float64) -> Float64:
     """Solution of the system whose factor is `lower`."""
-    result: Float64 = scipy.linalg.cho_solve_banded((lower, True), right, check_finite=False)
+    from scipy.linalg import cho_solve_banded
+
+    result: Float64 = cho_solve_banded((lower, True), right, check_finite=False)
     return result
 
 
