@@ -56,12 +56,11 @@ def test_what_is_compiled_is_what_frames_and_the_map_need(tmp_path: Path) -> Non
     from fieldgrid.layers.robust import enter, read_bins, settle
     from fieldgrid.layers.window import gather
     from fieldgrid.mapfile.packing import differences, join, split
-    from fieldgrid.odometry.matching import _compare
     from fieldgrid.odometry.rigid import _refine, _search
     from fieldgrid.transfer import locate
 
     warming.compile_ahead(str(tmp_path))
-    frame = bin_pixels, collect_heights, follow_ground, raise_to_steps, _compare, _search, _refine
+    frame = bin_pixels, collect_heights, follow_ground, raise_to_steps, _search, _refine
     layers = locate, add_terrain, add_looks, enter, settle, read_bins, gather
     for one in (*frame, *layers, differences, split, join):
         assert one.compiled().signatures, one

@@ -16,7 +16,6 @@ from fieldgrid.cli import output
 from fieldgrid.kernel import when_compiling
 
 if TYPE_CHECKING:
-    from fieldgrid.odometry import Features
     from fieldgrid.rig import StereoCamera
 
 _AHEAD = "import sys; from fieldgrid.cli.warming import compile_ahead; compile_ahead(sys.argv[1])"
@@ -70,16 +69,15 @@ def half_ahead(*, here: bool = True) -> Iterator[None]:
 
 def compile_ahead(folder: str) -> None:
     """Compile one half of what a build needs, and keep the code: what a frame of a stereo camera
-    goes through, but for its corners, and the map, of which one is made in a folder.
+    goes through, the motion between two of them, and the map, of which one is made in a folder.
 
-    The other half are poses and corners. What both halves need last in a build comes last here, so
-    that the command, which gets there when this is nearly done, seldom compiles the same.
+    The other half are poses, and finding and comparing corners. What a build needs last comes last
+    here, too: the command gets there when this is nearly done, and compiles little of the same.
     """
     from fieldgrid.geodesy import Datum
     from fieldgrid.live.pushed import warm_up
     from fieldgrid.localgrid import LocalGridder
     from fieldgrid.mapfile import create_map
-    from fieldgrid.odometry import step
     from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
     from fieldgrid.rotations import Tilt
     from fieldgrid.trajectory import Pose
@@ -87,8 +85,7 @@ def compile_ahead(folder: str) -> None:
     camera = StereoCamera(640, 480, 500.0, 319.5, 239.5, 0.12)
     rig = Rig(camera, Mount(height_m=1.2, tilt_deg=15.0), LeverArm(0.0, 0.0, 2.0))
     staged = warm_up(LocalGridder(rig), odometry=False, tilt=Tilt(0.0, 0.0))
-    corners = _scattered(camera)
-    step(corners, corners, rig)
+    _follow_points(camera)
     with (
         create_map(Path(folder, "map.gpkg"), Datum(45.0, 5.0, 200.0)) as made,
         made.add_session("drive") as session,
@@ -98,17 +95,18 @@ def compile_ahead(folder: str) -> None:
             session.add_staged(replace(staged, frame_id=str(k), time_ns=k), pose)
 
 
-def _scattered(camera: StereoCamera) -> Features:
-    """Corners anywhere in the view of a camera."""
+def _follow_points(camera: StereoCamera) -> None:
+    """Find the motion of points that do not move."""
     import numpy as np
 
-    from fieldgrid.odometry import Features
+    from fieldgrid.odometry.rigid import Lens, refine, search
 
-    random, n = np.random.default_rng(0), 200
     low, high = (0.0, 0.0, 5.0), (camera.width_px, camera.height_px, 50.0)
-    px = random.uniform(low, high, (n, 3))
-    depth_m = camera.focal_baseline_px_m / px[:, 2]
-    right, down = (px[:, :2] - (camera.cx_px, camera.cy_px)).T / camera.focal_px
+    px = np.random.default_rng(0).uniform(low, high, (200, 3))
+    lens = Lens(camera.focal_px, camera.cx_px, camera.cy_px, camera.focal_baseline_px_m)
+    depth_m = lens.focal_baseline_px_m / px[:, 2]
+    right, down = (px[:, :2] - (lens.cx_px, lens.cy_px)).T / lens.focal_px
     points_m = np.stack([right * depth_m, down * depth_m, depth_m], axis=1)
-    patterns = random.integers(0, 1 << 63, (n, 4), dtype=np.uint64)
-    return Features(px, points_m, np.ones(n), patterns)
+    found = search(points_m, points_m, px, lens)
+    assert found is not None
+    refine(found, points_m, px, px, np.ones((len(px), 2)), lens)
