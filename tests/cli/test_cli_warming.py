@@ -47,6 +47,19 @@ def test_none_is_started_where_it_would_not_help(
         pass
 
 
+def test_a_build_goes_on_where_there_is_no_place_for_temporary_files(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise FileNotFoundError("No usable temporary directory found")
+
+    monkeypatch.setattr("tempfile.TemporaryDirectory", refuse)
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("a process was started"))
+    _given(monkeypatch, kept=False, cores=2)
+    with warming.half_ahead():
+        pass
+
+
 def test_what_is_compiled_is_what_frames_and_the_map_need(tmp_path: Path) -> None:
     from fieldgrid.binning import bin_pixels
     from fieldgrid.edges import raise_to_steps

@@ -40,8 +40,8 @@ def half_ahead(*, here: bool = True) -> Iterator[None]:
     need, where frames are staged `here`, on this machine.
 
     Numba compiles one function at a time in a process. Where there is a single core, the code is
-    kept already, or there is no place to keep it, nothing is started; what is not ready at the end
-    is given up.
+    kept already, or there is no place to keep it or for temporary files, nothing is started; what
+    is not ready at the end is given up.
     """
     from fieldgrid.binning import bin_pixels
     from fieldgrid.workers.order import cores
@@ -49,7 +49,12 @@ def half_ahead(*, here: bool = True) -> Iterator[None]:
     if not here or cores() < 2 or bin_pixels.cache_folder() is None or bin_pixels.is_kept():
         yield
         return
-    with tempfile.TemporaryDirectory(prefix="fieldgrid-", ignore_cleanup_errors=True) as folder:
+    try:
+        place = tempfile.TemporaryDirectory(prefix="fieldgrid-", ignore_cleanup_errors=True)
+    except OSError:  # a build can do without, the other process cannot
+        yield
+        return
+    with place as folder:
         process = subprocess.Popen(
             [sys.executable, "-c", _AHEAD, folder],
             stdin=subprocess.DEVNULL,
