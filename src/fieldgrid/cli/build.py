@@ -191,7 +191,7 @@ def command(
     paths = [progress.fetched_or_url(recording) for recording in recordings]
     try:
         with (
-            warming.frames_ahead(here=scheduler is None),
+            warming.half_ahead(here=scheduler is None),
             progress.building(out, wait_s) as tell,
         ):
             reports = build_map(
@@ -291,7 +291,6 @@ def _compare(
     scheduler: str | None,
 ) -> list[dict[str, Any]]:
     """How new drives lie against the map, and, with `align`, their transforms in it."""
-    from fieldgrid.align import FINE_ROUNDS, align_map
     from fieldgrid.mapfile import Patience, open_map
 
     patience = Patience(wait_s, progress.waits_for(out, wait_s))
@@ -300,6 +299,8 @@ def _compare(
         moving = [name for name in new if name in placed]
         if not moving or len(placed) < 2:
             return []
+        from fieldgrid.align import FINE_ROUNDS, align_map  # not for a map of one drive
+
         with progress.stages() as show:
             found = align_map(
                 universal,

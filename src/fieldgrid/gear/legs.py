@@ -169,9 +169,10 @@ def turning_deg(points, part, reach_m):  # type: ignore[no-untyped-def]
     """Clockwise turn of the path [n, 2] at each point between the nearest places `reach_m`
     away on both sides, degrees; 0 where the part ends within that."""
     n = points.shape[0]
-    turning = np.zeros(n)
+    turning = np.empty(n)
     one = np.int64(1)  # of a literal Numba would compile the function anew
     for k in range(n):
+        turning[k] = 0.0
         before = _beyond(points, part, k, -one, reach_m)
         after = _beyond(points, part, k, one, reach_m)
         if before >= 0 and after >= 0:
