@@ -44,13 +44,14 @@ class Denied(NamedTuple):
     `off_m` [n] is how far the positions of its nodes are off if that is so, or if images are
     stamped as the camera's motion has it. Where sensors and declarations do not fit together and
     none of them is clearly wrong, it is the most that one of those would make that explain it
-    alone.
+    alone. With `either`, the place ahead and the stamps each explain all, and only one is wrong.
     """
 
     right_m: Constant | None
     ahead_m: Constant | None
     late_s: Constant | None
     off_m: Float64
+    either: bool = False
 
     @property
     def clear(self) -> bool:
@@ -149,6 +150,17 @@ def unsure_declared(table: PoseTable, drive: DriveEstimate, denied: Denied) -> P
 
 def denied_notes(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
     """A sentence on each thing that is denied, or one on what does not fit together."""
+    if denied.either and denied.ahead_m is not None and denied.late_s is not None:
+        (ahead_m, _), (late_s, _) = denied.ahead_m, denied.late_s
+        yield (
+            f"By the drive the antenna sits {abs(ahead_m):.2f} m farther "
+            f"{'ahead' if ahead_m > 0.0 else 'back'} than mounting.json says, or the fixes are "
+            f"stamped {abs(late_s):.2f} s {'late' if late_s > 0.0 else 'early'} against the gyro: "
+            "each would explain it. Measure the place, and look at how the fixes were logged "
+            f"(--gnss-offset {-late_s:.2f} corrects them). Until then positions count as that "
+            "unsure."
+        )
+        return
     for one, more, less in (
         (denied.ahead_m, "farther ahead", "farther back"),
         (denied.right_m, "farther right", "farther left"),
@@ -162,10 +174,12 @@ def denied_notes(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
             )
     if (delay := denied.late_s) is not None:
         late = "late" if delay.value > 0.0 else "early"
+        seen = (drive.at.has_gyro(), "the gyro"), (sees_way(drive), "the camera")
         yield (
             f"By the drive the fixes are stamped {abs(delay.value):.2f} s ± {delay.sigma:.2f} s "
-            f"{late} against gyro and camera; look at how they were logged. Until then positions "
-            "count as unsure by what is driven in that time."
+            f"{late} against {' and '.join(name for has, name in seen if has) or 'its turns'}; "
+            f"look at how they were logged, or give --gnss-offset {-delay.value:.2f}. Until then "
+            "positions count as unsure by what is driven in that time."
         )
     if drive.smoothed.declared.contradicts and not denied.clear and sees_turns(drive):
         yield from _unfit_note(drive, denied)
