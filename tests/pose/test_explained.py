@@ -9,8 +9,14 @@ import pytest
 
 from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Gyro, Motion
-from fieldgrid.pose import Estimate, estimate_poses
-from fieldgrid.rig import LeverArm
+from fieldgrid.pose import Estimate, conditioned, estimate_poses
+from fieldgrid.pose.axle import Axle
+from fieldgrid.pose.clock import ClockFindings
+from fieldgrid.pose.denied import denied_by
+from fieldgrid.pose.drive import smooth_drive
+from fieldgrid.rig import Carrier, LeverArm
+from fieldgrid.settings import PoseSettings
+from fieldgrid.smoother import Constant, DeclaredCorrection
 from tests.scenes import paper_rig
 from tests.simulated import SLALOM, Command, Drive, fixes_of, gyro_of, simulate
 
@@ -86,3 +92,18 @@ def test_in_one_bend_at_an_even_speed_either_may_be_wrong() -> None:
     assert told is not None
     assert [float(one) for one in told.groups()] == pytest.approx([0.8, 0.8, -0.8], abs=0.1)
     assert np.median(found.trajectory.position_sigma_m) > 0.5
+
+
+def test_with_an_axle_that_nobody_names_a_delay_cancels_a_place() -> None:
+    """A path of 15 s with little turning, and a smooth error of decimetres: one step of the
+    estimate has an antenna metres farther back and a second of delay, which cancel each other."""
+    correction = DeclaredCorrection(
+        *(Constant(0.9, 2.4), Constant(-3.6, 0.77), Constant(-0.84, 0.17), Constant(0.0, 0.01)),
+        *(5.8, (0.1, 0.1, -0.05, 0.0), (5.8, 5.7, 5.5, 5.0)),
+    )
+    drive = simulate(ROWS, 35.0)
+    log = conditioned(fixes_of(drive, 0.2, 0.01), PoseSettings(), DATUM)
+    found = smooth_drive(log.accepted, log.fixes.time_ns, Motion(gyro=gyro_of(drive)), Axle(None))
+    found = found._replace(smoothed=found.smoothed._replace(declared=correction))
+    assert denied_by(found, None, ClockFindings()).late_s is None
+    assert denied_by(found, Carrier(0.0), ClockFindings()).late_s is not None

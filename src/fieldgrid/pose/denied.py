@@ -18,7 +18,7 @@ from fieldgrid.pose.clock import ClockFindings
 from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.table import PoseTable
 from fieldgrid.rig import Rig, VehicleGeometry
-from fieldgrid.smoother import AHEAD, Constant
+from fieldgrid.smoother import AHEAD, LATE, Constant, DeclaredCorrection
 
 CLEAR_SIGMAS = 4.0
 """A drive denies what was declared only by so many sigmas."""
@@ -69,25 +69,46 @@ def denied_by(
     if not sees_turns(drive) and not by_heading:
         return Denied(None, None, None, by_clock_m)
     found = drive.smoothed.declared
+    places = moving_places(drive, vehicle)
+    right_m = _clear(found.right_m, LEAST_LEVER_M) if places[0] else None
+    ahead_m = _clear(found.ahead_m, LEAST_LEVER_M) if places[1] else None
+    # Recorded headings have the stamps of the fixes. With an axle that nobody names, a delay and
+    # the antenna's place ahead of it cancel each other.
+    tells_delay = sees_turns(drive) and (names_axle(vehicle) or found.explains(LATE))
+    late_s = _clear(found.late_s, LEAST_DELAY_S) if tells_delay else None
+    off_m = np.hypot(math.hypot(_value(right_m), _value(ahead_m)), _value(late_s) * speed_mps)
+    denied = Denied(right_m, ahead_m, late_s, off_m)
+    if not denied.clear:
+        off_m = off_if_alone_m(found, vehicle, speed_mps, places)
+    return denied._replace(off_m=np.maximum(off_m, by_clock_m))
+
+
+def off_if_alone_m(
+    found: DeclaredCorrection,
+    vehicle: VehicleGeometry | None,
+    speed_mps: Float64,
+    places: tuple[bool, bool],
+) -> Float64:
+    """How far positions [n] are off at most by one mistake that explains alone what does not fit
+    together; of the antenna's `places` aside and ahead only those that move positions."""
+    off_m = np.zeros(len(speed_mps))
+    # An axle that nobody names explains what an antenna ahead of it explains.
+    if not found.contradicts or (not names_axle(vehicle) and found.explains(AHEAD)):
+        return off_m
+    per_unit = places[0] * np.ones_like(speed_mps), places[1] * np.ones_like(speed_mps)
+    for k, moved in enumerate((*per_unit, speed_mps)):
+        if found.explains(k):
+            off_m = np.maximum(off_m, np.abs(found.alone[k]) * moved)
+    return off_m
+
+
+def moving_places(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tuple[bool, bool]:
+    """Whether the antenna's place aside and ahead moves positions, and the drive can deny it."""
     # Of a log alone positions are those of the antenna; and where nobody says where the axle is,
     # its place is no contradiction, and moves no position.
     placed = isinstance(vehicle, Rig)
     # An antenna aside is the faster one in a turn, which only those see who see the speed.
-    places = placed and sees_speed(drive), placed and names_axle(vehicle)
-    right_m = _clear(found.right_m, LEAST_LEVER_M) if places[0] else None
-    ahead_m = _clear(found.ahead_m, LEAST_LEVER_M) if places[1] else None
-    # Recorded headings have the stamps of the fixes.
-    late_s = _clear(found.late_s, LEAST_DELAY_S) if sees_turns(drive) else None
-    off_m = np.hypot(math.hypot(_value(right_m), _value(ahead_m)), _value(late_s) * speed_mps)
-    denied = Denied(right_m, ahead_m, late_s, off_m)
-    # An axle that nobody names explains what an antenna ahead of it explains.
-    by_axle = not names_axle(vehicle) and found.explains(AHEAD)
-    if found.contradicts and not denied.clear and not by_axle:
-        per_unit = places[0] * np.ones_like(speed_mps), places[1] * np.ones_like(speed_mps)
-        for k, moved in enumerate((*per_unit, speed_mps)):
-            if found.explains(k):
-                off_m = np.maximum(off_m, np.abs(found.alone[k]) * moved)
-    return denied._replace(off_m=np.maximum(off_m, by_clock_m))
+    return placed and sees_speed(drive), placed and names_axle(vehicle)
 
 
 def with_whole_place(denied: Denied, placed: Callable[[float], DriveEstimate]) -> Denied:

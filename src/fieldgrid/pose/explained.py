@@ -15,7 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.pose.axle import names_axle, with_antenna_moved
-from fieldgrid.pose.denied import LEAST_DELAY_S, LEAST_LEVER_M, Denied
+from fieldgrid.pose.denied import (
+    LEAST_DELAY_S,
+    LEAST_LEVER_M,
+    Denied,
+    moving_places,
+    off_if_alone_m,
+)
 from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.fused import Fused
 from fieldgrid.rig import Rig, VehicleGeometry
@@ -50,15 +56,23 @@ def explained(
     of a log alone are the antenna's, wherever on the `vehicle` that sits."""
     declared = drive.smoothed.declared
     camera = found.motion.steps is not None and len(found.motion.steps.start_ns) > 0
-    if camera or drive.headings_recorded or not names_axle(found.axle.vehicle):
+    if camera or drive.headings_recorded or not drive.at.has_gyro():
         return denied
-    if not (drive.at.has_gyro() and declared.contradicts) or declared.blames_gyro:
+    if not declared.contradicts or declared.blames_gyro:
         return denied
     speed_mps = np.abs(drive.speed_mps)
     usual_mps = float(np.median(speed_mps[drive.gear != 0])) if drive.gear.any() else 0.0
     if usual_mps < LEAST_MPS:
         return denied
-    place, delay = _place(found, declared), _delay(found, declared, usual_mps)
+    delay = _delay(found, declared, usual_mps)
+    if not names_axle(vehicle):
+        # Nobody knows how far ahead of it the antenna sits, and a delay looks like that.
+        late_s = delay.value if delay.left < MOST_LEFT else None
+        off_m = off_if_alone_m(declared, vehicle, speed_mps, moving_places(drive, vehicle))
+        if late_s is not None:
+            off_m = np.maximum(off_m, abs(late_s.value) * speed_mps)
+        return Denied(denied.right_m, None, late_s, off_m)
+    place = _place(found, declared)
     if min(place.left, delay.left) > MOST_LEFT:
         return denied._replace(ahead_m=None, late_s=None)
     ahead_m = place.value if place.left < RULED_OUT else None
