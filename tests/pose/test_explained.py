@@ -14,7 +14,7 @@ from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.clock import ClockFindings
 from fieldgrid.pose.denied import denied_by
 from fieldgrid.pose.drive import smooth_drive
-from fieldgrid.rig import Carrier, LeverArm
+from fieldgrid.rig import Carrier, LeverArm, VehicleGeometry
 from fieldgrid.settings import PoseSettings
 from fieldgrid.smoother import Constant, DeclaredCorrection
 from tests.scenes import paper_rig
@@ -25,17 +25,23 @@ ROWS = [
     *(Command(20.0, 1.5), Command(6.3, 1.0, 0.5), Command(20.0, 1.2), Command(6.3, 0.8, -0.5)),
     *(Command(20.0, 1.6), Command(3.0, 0.0), Command(6.3, 1.0, 0.5), Command(20.0, 1.5)),
 ]
+RIG = paper_rig(antenna=LeverArm(0.0, 0.0, 3.0), rear_axle_forward_m=0.0)
 STAMPED = re.compile(r"stamped (\S+) s ± (\S+) s (late|early) against the gyro")
 PLACED = re.compile(r"sits (\S+) m ± (\S+) m farther (ahead|back) than")
 
 
-def estimate(drive: Drive, *, late_s: float = 0.0, ahead_m: float = 0.0) -> Estimate:
+def estimate(
+    drive: Drive,
+    *,
+    late_s: float = 0.0,
+    ahead_m: float = 0.0,
+    vehicle: VehicleGeometry = RIG,
+) -> Estimate:
     """The antenna is declared above the axle, and sits `ahead_m` of it."""
     fixes = fixes_of(drive, 0.2, 0.01, antenna=LeverArm(0.0, ahead_m, 3.0))
     gyro = gyro_of(drive, bias_dps=0.4, noise_dps=0.05)
     late = Gyro(gyro.time_ns - round(late_s * 1e9), gyro.rate_rad_s)
-    rig = paper_rig(antenna=LeverArm(0.0, 0.0, 3.0), rear_axle_forward_m=0.0)
-    return estimate_poses(fixes, rig, DATUM, motion=Motion(gyro=late))
+    return estimate_poses(fixes, vehicle, DATUM, motion=Motion(gyro=late))
 
 
 def told(found: Estimate, kind: re.Pattern[str]) -> list[float]:
@@ -85,13 +91,19 @@ def test_in_one_bend_at_an_even_speed_either_may_be_wrong() -> None:
     drive = simulate([Command(10.0, 1.0), Command(10.0, 1.0, 0.15), Command(10.0, 1.0)], 10.0)
     gyro = gyro_of(drive, noise_dps=0.05)
     late = Gyro(gyro.time_ns - round(0.8e9), gyro.rate_rad_s)
-    rig = paper_rig(antenna=LeverArm(0.0, 0.0, 3.0), rear_axle_forward_m=0.0)
-    found = estimate_poses(fixes_of(drive, 0.2, 0.03), rig, DATUM, motion=Motion(gyro=late))
+    found = estimate_poses(fixes_of(drive, 0.2, 0.03), RIG, DATUM, motion=Motion(gyro=late))
     (note,) = (one for one in found.report.notes if "each would explain it" in one)
     told = re.search(r"(\S+) m farther back .* stamped (\S+) s late .*--gnss-offset (\S+) ", note)
     assert told is not None
     assert [float(one) for one in told.groups()] == pytest.approx([0.8, 0.8, -0.8], abs=0.1)
     assert np.median(found.trajectory.position_sigma_m) > 0.5
+
+
+def test_what_does_not_fit_is_named_and_nothing_else() -> None:
+    """Without a camera none is named."""
+    found = estimate(simulate(ROWS, 35.0), late_s=-1.0, ahead_m=1.0, vehicle=Carrier(0.0))
+    (note,) = (one for one in found.report.notes if "not fit together" in one)
+    assert note.startswith("Fixes, antenna and gyro do not fit together by")
 
 
 def test_with_an_axle_that_nobody_names_a_delay_cancels_a_place() -> None:

@@ -195,15 +195,20 @@ def denied_notes(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
             )
     if (delay := denied.late_s) is not None:
         late = "late" if delay.value > 0.0 else "early"
-        seen = (drive.at.has_gyro(), "the gyro"), (sees_way(drive), "the camera")
         yield (
             f"By the drive the fixes are stamped {abs(delay.value):.2f} s ± {delay.sigma:.2f} s "
-            f"{late} against {' and '.join(name for has, name in seen if has) or 'its turns'}; "
+            f"{late} against {' and '.join(f'the {one}' for one in _turn_sensors(drive))}; "
             f"look at how they were logged, or give --gnss-offset {-delay.value:.2f}. Until then "
             "positions count as unsure by what is driven in that time."
         )
     if drive.smoothed.declared.contradicts and not denied.clear and sees_turns(drive):
         yield from _unfit_note(drive, denied)
+
+
+def _turn_sensors(drive: DriveEstimate) -> list[str]:
+    """What saw how the vehicle turned."""
+    seen = (drive.at.has_gyro(), "gyro"), (len(drive.measured.step) > 0, "camera")
+    return [name for has, name in seen if has]
 
 
 def _unfit_note(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
@@ -223,8 +228,9 @@ def _unfit_note(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
     )
     check = " or ".join(what for k, what in enumerate(alone) if found.explains(k))
     positions = f", and positions {most_m:.2f} m" if most_m > LEAST_OFF_M else ""
+    *first, last = ("Fixes", "antenna", *_turn_sensors(drive))
     yield (
-        f"Fixes, antenna, gyro and camera do not fit together by {found.misfit:.0f} sigmas, so "
+        f"{', '.join(first)} and {last} do not fit together by {found.misfit:.0f} sigmas, so "
         f"headings may be up to {most_deg:.1f}° off{positions}. Check "
         f"{check or 'the place of the antenna, the stamps and the scale of the gyro'}."
     )

@@ -138,7 +138,8 @@ def estimate_poses(
             *drift_notes(checks.drifts),
             *drive_notes(
                 *(drive, log.accepted, rig, axle, checks.denied),
-                *(source, settings, clocks.offset, checks.yaw, trajectory),
+                *(source, settings, clocks.offset, checks.yaw),
+                *(trajectory, fix_row),
             ),
         ),
     )

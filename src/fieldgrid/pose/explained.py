@@ -41,7 +41,7 @@ LEAST_MPS = 0.1
 """A slower vehicle tells no clock from a place."""
 
 
-class Settled(NamedTuple):
+class PutRight(NamedTuple):
     """One of the two put right: by how much, and how many sigmas are left."""
 
     value: Constant
@@ -90,7 +90,7 @@ def explained(
     )
 
 
-def _place(found: Fused, declared: DeclaredCorrection) -> Settled:
+def _place(found: Fused, declared: DeclaredCorrection) -> PutRight:
     """How much farther ahead the antenna sits, if that explains all."""
 
     def moved(ahead_m: float) -> DeclaredCorrection:
@@ -100,7 +100,7 @@ def _place(found: Fused, declared: DeclaredCorrection) -> Settled:
     return _settled(declared, moved, lambda one: one.ahead_m, (SETTLED_M, FARTHEST_M))
 
 
-def _delay(found: Fused, declared: DeclaredCorrection, usual_mps: float) -> Settled:
+def _delay(found: Fused, declared: DeclaredCorrection, usual_mps: float) -> PutRight:
     """How late the fixes are stamped, if that explains all."""
     log = found.log
 
@@ -124,7 +124,7 @@ def _settled(
     put_right: Callable[[float], DeclaredCorrection],
     left: Callable[[DeclaredCorrection], Constant],
     limits: tuple[float, float],
-) -> Settled:
+) -> PutRight:
     """Put one of them right until there is nothing `left` to add; infinitely many sigmas are left
     where that leads nowhere."""
     least, most = limits
@@ -132,8 +132,8 @@ def _settled(
     for _ in range(MOST_STEPS):
         total += left(declared).value
         if abs(total) > most:
-            return Settled(Constant(total, np.inf), np.inf)
+            return PutRight(Constant(total, np.inf), np.inf)
         declared = put_right(total)
         if abs(left(declared).value) < least:
             break
-    return Settled(Constant(total, left(declared).sigma), declared.misfit)
+    return PutRight(Constant(total, left(declared).sigma), declared.misfit)
