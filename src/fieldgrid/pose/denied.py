@@ -178,7 +178,7 @@ def denied_notes(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
             f"{'ahead' if ahead_m > 0.0 else 'back'} than mounting.json says, or the fixes are "
             f"stamped {abs(late_s):.2f} s {'late' if late_s > 0.0 else 'early'} against the gyro: "
             "each would explain it. Measure the place, and look at how the fixes were logged "
-            f"(--gnss-offset {-late_s:.2f} corrects them). Until then positions count as that "
+            f"({-late_s:.2f} more of --gnss-offset corrects them). Until then positions count as that "
             "unsure."
         )
         return
@@ -198,7 +198,7 @@ def denied_notes(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
         yield (
             f"By the drive the fixes are stamped {abs(delay.value):.2f} s ± {delay.sigma:.2f} s "
             f"{late} against {' and '.join(f'the {one}' for one in _turn_sensors(drive))}; "
-            f"look at how they were logged, or give --gnss-offset {-delay.value:.2f}. Until then "
+            f"look at how they were logged, or add {-delay.value:.2f} to --gnss-offset. Until then "
             "positions count as unsure by what is driven in that time."
         )
     if drive.smoothed.declared.contradicts and not denied.clear and sees_turns(drive):
