@@ -22,11 +22,11 @@ import cv2
 import numpy as np
 
 from benchmarks import EXAMPLE
+from benchmarks.sentences import checksum
 from fieldgrid.build import build_map
 from fieldgrid.errors import FieldgridError, TruthError
 from fieldgrid.evaluation import Truth, evaluate, read_truth
 from fieldgrid.evaluation.truth import TruthPose
-from fieldgrid.gnss.fields import checksum
 from fieldgrid.mapfile import open_map
 from fieldgrid.recording import DriveOptions
 from fieldgrid.settings import BuildSettings

@@ -9,9 +9,9 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
+from benchmarks.sentences import checksum
 from benchmarks.timing import paired_ms
 from fieldgrid.gnss import parse_nmea
-from fieldgrid.gnss.fields import checksum
 
 _EPOCHS = 10_000
 _CHUNK = 1 << 16

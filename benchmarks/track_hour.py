@@ -20,9 +20,9 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.sentences import checksum
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import condition
-from fieldgrid.gnss.fields import checksum
 from fieldgrid.pose import estimate_poses
 from fieldgrid.recording import open_drive
 from fieldgrid.recording.logs import read_fix_log

@@ -8,7 +8,7 @@ import re
 from fieldgrid.errors import GnssError
 from fieldgrid.fixes import Fix
 from fieldgrid.gnss import NmeaStream, parse_nmea
-from fieldgrid.gnss.fields import checksum
+from fieldgrid.gnss.fields import checksums
 from fieldgrid.gnss.nmea_framing import unicore_crc
 from fuzz.target import Target, real_starts
 
@@ -36,7 +36,7 @@ _LOG = re.compile(rb"#([^$#*]{1,1200})\*([0-9A-Fa-f]{8})")
 
 def mend(data: bytes) -> bytes:
     """The data with the right checksum at every sentence."""
-    data = _NMEA.sub(lambda m: b"$%b*%02X" % (m[1], checksum(m[1])), data)
+    data = _NMEA.sub(lambda m: b"$%b*%02X" % (m[1], *checksums([m[1]])), data)
     return _LOG.sub(lambda m: b"#%b*%08x" % (m[1], unicore_crc(m[1])), data)
 
 
@@ -51,7 +51,7 @@ def check(data: bytes) -> None:
     whole = _fixes([data])
     for fix in whole:
         _check_fix(fix)
-    step = 1 + checksum(data[:256]) % 97
+    step = 1 + checksums([data[:256]])[0] % 97
     pieces = [data[k : k + step] for k in range(0, len(data), step)]
     assert _fixes(pieces) == whole, f"fixes differ when they arrive {step} bytes at a time"
     try:

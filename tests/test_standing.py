@@ -47,11 +47,12 @@ def test_the_kernels_count_what_the_slow_way_counts(seed: int) -> None:
     ground_m[random.random(ground_m.shape) < 0.1] = np.nan
     mount = Mount(1.5, random.uniform(0.0, 20.0), random.uniform(-5.0, 5.0))
     rig = paper_rig(focal_px=120.0, size_px=(48, 40), height_m=1.5)
-    above = ground_m, 0.2, np.float32(0.2), np.float32(2.2), 22
+    above = ground_m, 0.2, np.float32(0.2), np.float32(2.2)
+    found, found_of_points = np.zeros((2, 30, 20, 22), np.int32)
     table = depth_table(rig, 16, SUBPIXELS)
     disparity = random.integers(-16, 16 * SUBPIXELS, (30, 48)).astype(np.int16)
     ray, du, dv, offset = rays(rig, mount.rotation(), 1.5)
-    found = stack_pixels(disparity, 10, table, ray, du, dv, offset, *above)
+    stack_pixels(disparity, 10, table, ray, du, dv, offset, *above, found)
     v, u = np.mgrid[0:30:STEP_PX, 0:48:STEP_PX].reshape(2, -1)
     d = disparity[v, u]
     v, u, d = v[d > 0, None], u[d > 0, None], d[d > 0]
@@ -60,7 +61,8 @@ def test_the_kernels_count_what_the_slow_way_counts(seed: int) -> None:
     cloud = random.normal((0.0, 0.0, 4.0), (2.0, 0.8, 2.0), (800, 3)).astype(np.float32)
     R = mount.rotation().astype(np.float32)
     level = cloud @ R.T + np.float32([0.0, 0.0, 1.5])
-    close(stack_points(cloud, R, 1.5, *above), stacked(level, ground_m, 0.2, 22))
+    stack_points(cloud, R, 1.5, *above, found_of_points)
+    close(found_of_points, stacked(level, ground_m, 0.2, 22))
 
 
 def close(found: npt.NDArray[np.int32], expected: npt.NDArray[np.int32]) -> None:

@@ -144,7 +144,7 @@ def test_a_rejected_fix_lends_its_reason_and_not_its_position() -> None:
 
 
 def test_a_drive_without_an_accepted_fix_places_nothing() -> None:
-    with pytest.raises(GnssError, match="no accepted fix"):
+    with pytest.raises(GnssError, match="no usable pose"):
         trajectory([0.0, 0.2], reasons={0: "a", 1: "b"}).at(at(0.1))
 
 

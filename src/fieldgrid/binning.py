@@ -32,7 +32,9 @@ def bin_pixels(  # type: ignore[no-untyped-def]
     n_y, n_x = ground_m.shape
     width = disparity.shape[1]
     cells = n_y * n_x
-    counts, flat_ground = np.zeros(2 * cells, dtype=np.int32), ground_m.reshape(-1)
+    counts, flat_ground = np.empty(2 * cells, dtype=np.int32), ground_m.reshape(-1)
+    for k in range(2 * cells):
+        counts[k] = 0
     per_cell = np.float32(1.0 / cell_m)
     dx, dy, dz = du[0] * per_cell, du[1] * per_cell, du[2]
     x0, y0, z0 = offset_m[0] * per_cell + np.float32(0.5 * n_x), offset_m[1] * per_cell, offset_m[2]
@@ -68,7 +70,9 @@ def bin_points(points, R_level_sensor, height_m, ground_m, cell_m, bottom_m, top
     """
     n_y, n_x = ground_m.shape
     n, cells = points.shape[0], n_y * n_x
-    counts, spare = np.zeros(2 * cells + 1, dtype=np.int32), 2 * cells
+    counts, spare = np.empty(2 * cells + 1, dtype=np.int32), 2 * cells
+    for k in range(spare):
+        counts[k] = 0
     flat_points, flat_ground = points.reshape(-1), ground_m.reshape(-1)
     per_cell, x0, up = np.float32(1.0 / cell_m), np.float32(0.5 * n_x), np.float32(height_m)
     R = R_level_sensor

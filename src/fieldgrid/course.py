@@ -169,9 +169,9 @@ def first_beyond(points, reach_m, step):  # type: ignore[no-untyped-def]
     By distance and not by length of path: a vehicle that stands still draws a long path.
     """
     n = points.shape[0]
-    found = np.full(n, -1, dtype=np.int64)
+    found = np.empty(n, dtype=np.int64)
     for k in range(n):
-        i = k + step
+        found[k], i = -1, k + step
         while 0 <= i < n:
             d_east, d_north = points[i, 0] - points[k, 0], points[i, 1] - points[k, 1]
             if d_east * d_east + d_north * d_north >= reach_m * reach_m:

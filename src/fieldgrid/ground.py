@@ -103,13 +103,13 @@ def estimate_ground(
     nx, ny = math.ceil(2.0 * half_width_m / PATCH_M), math.ceil(length_m / PATCH_M)
 
     def heights_above(A_grid_sensor: Float64, height_m: float) -> Int32:
-        counts: Int32
+        counts: Int32 = np.zeros((ny, nx, BINS + 1), dtype=np.int32)
         if isinstance(seen, CodedDepth):
             geometry = rays(rig, A_grid_sensor, height_m)
-            counts = collect_heights(*seen, *geometry, half_width_m, nx, ny)
+            collect_heights(*seen, *geometry, half_width_m, counts)
         else:
             A_grid = A_grid_sensor.astype(np.float32)
-            counts = collect_point_heights(seen, A_grid, height_m, half_width_m, nx, ny)
+            collect_point_heights(seen, A_grid, height_m, half_width_m, counts)
         return counts
 
     plane = _of_mount(rig.mount, tilt)
@@ -202,10 +202,10 @@ def _levelled(mount: Mount, c: Float64) -> GroundPlane:
 
 
 @kernel
-def collect_heights(disparity, row_start, depth_m, ray, du, dv, offset_m, half_width_m, nx, ny):  # type: ignore[no-untyped-def]
-    """Histogram of heights per patch, int32 [ny, nx, BINS + 1], of every fourth pixel; the last bin
-    has those below all others, down to `DEEP_M`."""
-    counts = np.zeros((ny, nx, BINS + 1), dtype=np.int32)
+def collect_heights(disparity, row_start, depth_m, ray, du, dv, offset_m, half_width_m, counts):  # type: ignore[no-untyped-def]
+    """Add to a histogram of heights per patch, int32 [ny, nx, BINS + 1], those of every fourth
+    pixel; the last bin has those below all others, down to `DEEP_M`."""
+    ny, nx, _ = counts.shape
     per_patch, per_bin = np.float32(1.0 / PATCH_M), np.float32(1.0 / BIN_M)
     deepest = np.float32(BINS / 2 - DEEP_M / BIN_M)
     x0, middle = offset_m[0] + np.float32(half_width_m), np.float32(BINS / 2)
@@ -221,13 +221,12 @@ def collect_heights(disparity, row_start, depth_m, ray, du, dv, offset_m, half_w
                 z = (depth * (rz + uf * du[2]) + offset_m[2]) * per_bin + middle
                 if x >= 0.0 and y >= 0.0 and z > deepest and x < nx and y < ny and z < BINS:
                     counts[int(y), int(x), int(z) if z >= 0.0 else BINS] += 1
-    return counts
 
 
 @kernel
-def collect_point_heights(points, R_level_sensor, height_m, half_width_m, nx, ny):  # type: ignore[no-untyped-def]
+def collect_point_heights(points, R_level_sensor, height_m, half_width_m, counts):  # type: ignore[no-untyped-def]
     """The same of points float32 [n, 3] of the sensor's frame, all of them."""
-    counts = np.zeros((ny, nx, BINS + 1), dtype=np.int32)
+    ny, nx, _ = counts.shape
     per_patch, per_bin = np.float32(1.0 / PATCH_M), np.float32(1.0 / BIN_M)
     deepest = np.float32(BINS / 2 - DEEP_M / BIN_M)
     x0, middle, up = np.float32(half_width_m), np.float32(BINS / 2), np.float32(height_m)
@@ -239,7 +238,6 @@ def collect_point_heights(points, R_level_sensor, height_m, half_width_m, nx, ny
         z = (R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + up) * per_bin + middle
         if x >= 0.0 and y >= 0.0 and z > deepest and x < nx and y < ny and z < BINS:
             counts[int(y), int(x), int(z) if z >= 0.0 else BINS] += 1
-    return counts
 
 
 def low_heights(counts: Int32) -> Float64:
@@ -270,8 +268,11 @@ def follow_ground(low, start):  # type: ignore[no-untyped-def]
     car, nothing seen) the prediction stands. Then one light smoothing.
     """
     ny, nx = low.shape
-    ground, trust = np.zeros((ny, nx)), np.zeros((ny, nx))
-    rim, age = np.full((ny, nx), np.nan), np.zeros((ny, nx))
+    ground, trust, smooth = np.empty((ny, nx)), np.empty((ny, nx)), np.empty((ny, nx))
+    rim, age = np.empty((ny, nx)), np.empty((ny, nx))
+    for j in range(ny):
+        for i in range(nx):
+            ground[j, i], trust[j, i], rim[j, i], age[j, i] = 0.0, 0.0, np.nan, 0.0
     for j in range(ny):
         for k in range(nx):
             # Middle, then alternately one further left and right.
@@ -300,7 +301,6 @@ def follow_ground(low, start):  # type: ignore[no-untyped-def]
                 ground[j, i], trust[j, i], rim[j, i] = low[j, i], 1.0, np.nan
             else:
                 ground[j, i], trust[j, i] = predicted, 0.3 * min(total / 3.0, 1.0)
-    smooth = np.zeros((ny, nx))
     for j in range(ny):
         for i in range(nx):
             total, value = 0.0, 0.0

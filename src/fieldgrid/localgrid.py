@@ -210,14 +210,15 @@ class LocalGridder:
         """How high what stands at cells reaches, and how low it begins: see `reach_dm`."""
         bottom_m = np.float32(self.settings.slice_bottom_m)
         top_m = np.float32(self.settings.slice_top_m)
-        above = (self._blocks.middle(ground_m), self._blocks.side_m, bottom_m, top_m)
         bins = math.ceil(BINS_PER_M * self.settings.slice_top_m - 1e-6)
+        stacks: Int32 = np.zeros((*self._blocks.shape, bins), dtype=np.int32)
+        above = (self._blocks.middle(ground_m), self._blocks.side_m, bottom_m, top_m, stacks)
         if isinstance(seen, CodedDepth):
             geometry = rays(self.rig, plane.A_grid_sensor, plane.height_m)
-            stacks = stack_pixels(*seen, *geometry, *above, bins)
+            stack_pixels(*seen, *geometry, *above)
         else:
             A_grid_sensor = plane.A_grid_sensor.astype(np.float32)
-            stacks = stack_points(seen, A_grid_sensor, plane.height_m, *above, bins)
+            stack_points(seen, A_grid_sensor, plane.height_m, *above)
         top, foot = reach_dm(stacks, np.stack([self._blocks.middle(one) for one in self._needed]))
         return self._blocks.at_cells(top), self._blocks.at_cells(foot)
 

@@ -7,13 +7,13 @@ and in a project.
 
 from __future__ import annotations
 
+import html
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import chain, zip_longest
 from typing import NamedTuple
 from xml.etree import ElementTree as ET
 from xml.etree.ElementTree import Element
-from xml.sax.saxutils import escape
 
 from fieldgrid import palette
 
@@ -71,7 +71,7 @@ def style(layer: str, sessions: Sequence[tuple[str, str]]) -> str:
     """The QML document of a layer; `sessions` are their names and colours (`#rrggbb`)."""
     named = _by_colour(sessions) if layer in _LOOKS else {}
     texts = [
-        escape(text, {'"': "&quot;"})
+        html.escape(text, quote=False).replace('"', "&quot;")
         for names in named.values()
         for text in (_label(names), ", ".join(map(_quoted, names)))
     ]

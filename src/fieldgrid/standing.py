@@ -26,15 +26,15 @@ STEP_PX = 2
 
 @kernel
 def stack_pixels(  # type: ignore[no-untyped-def]
-    disparity, row_start, depth_m, ray, du, dv, offset_m, ground_m, block_m, bottom_m, top_m, bins
+    disparity, row_start, depth_m, ray, du, dv, offset_m, ground_m, block_m, bottom_m, top_m, counts
 ):
-    """Points of blocks by their height above `ground_m` [n_y, n_x], int32 [n_y, n_x, bins].
+    """Count the points of blocks by their height above `ground_m` [n_y, n_x], in `counts`, int32
+    [n_y, n_x, bins].
 
     Bin k holds those of the slice from k to k + 1 decimetres, and bin 1 lower ones, too; bin 0 has
     the ground.
     """
     n_y, n_x = ground_m.shape
-    counts = np.zeros((n_y, n_x, bins), dtype=np.int32)
     per_block, per_m = np.float32(1.0 / block_m), np.float32(BINS_PER_M)
     x0 = offset_m[0] * per_block + np.float32(0.5 * n_x)
     for row in range(0, disparity.shape[0], STEP_PX):
@@ -51,15 +51,13 @@ def stack_pixels(  # type: ignore[no-untyped-def]
                     above = depth * (rz + uf * du[2]) + offset_m[2] - ground_m[j, i]
                     if above > LOWEST_M and above < top_m:  # never, where no ground is known
                         counts[j, i, max(int(above * per_m), 1) if above > bottom_m else 0] += 1
-    return counts
 
 
 @kernel
-def stack_points(points, R_level_sensor, height_m, ground_m, block_m, bottom_m, top_m, bins):  # type: ignore[no-untyped-def]
+def stack_points(points, R_level_sensor, height_m, ground_m, block_m, bottom_m, top_m, counts):  # type: ignore[no-untyped-def]
     """The same of points float32 [n, 3] in the sensor's frame, `height_m` above the ground's plane;
     all of them."""
     n_y, n_x = ground_m.shape
-    counts = np.zeros((n_y, n_x, bins), dtype=np.int32)
     per_block, per_m = np.float32(1.0 / block_m), np.float32(BINS_PER_M)
     x0, up, R = np.float32(0.5 * n_x), np.float32(height_m), R_level_sensor
     for k in range(points.shape[0]):
@@ -71,7 +69,6 @@ def stack_points(points, R_level_sensor, height_m, ground_m, block_m, bottom_m, 
             above = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + up - ground_m[j, i]
             if above > LOWEST_M and above < top_m:
                 counts[j, i, max(int(above * per_m), 1) if above > bottom_m else 0] += 1
-    return counts
 
 
 def reach_dm(counts: Int32, needed: Int32) -> tuple[UInt8, UInt8]:

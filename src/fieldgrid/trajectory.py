@@ -150,8 +150,8 @@ class Trajectory:
         ok = self._ok
         if ok.size == 0:
             raise GnssError(
-                "The trajectory has no accepted fix, so no image can be placed; "
-                "look at the reasons for which its fixes were rejected."
+                "The trajectory has no usable pose, so no image can be placed; "
+                "look at the reasons for which they were rejected."
             )
         after = int(np.searchsorted(self._ok_time_ns, time_ns))
         if after < ok.size and self.time_ns[ok[after]] == time_ns:
@@ -161,7 +161,7 @@ class Trajectory:
             side = "before the first" if after == 0 else "after the last"
             gap_s = abs(int(self.time_ns[nearest]) - time_ns) / 1e9
             return self._row(
-                nearest, time_ns, f"{gap_s:.2f} s {side} accepted fix: {self._why(time_ns)}"
+                nearest, time_ns, f"{gap_s:.2f} s {side} usable pose: {self._why(time_ns)}"
             )
         return self._between(int(ok[after - 1]), int(ok[after]), time_ns)
 
@@ -169,7 +169,7 @@ class Trajectory:
         span_ns = int(self.time_ns[b] - self.time_ns[a])
         share = (time_ns - int(self.time_ns[a])) / span_ns
         if span_ns > MAX_GAP_NS:
-            reason = f"no accepted fix for {span_ns / 1e9:.2f} s around it: {self._why(time_ns)}"
+            reason = f"no usable pose for {span_ns / 1e9:.2f} s around it: {self._why(time_ns)}"
             return self._row(a if share < 0.5 else b, time_ns, reason)
 
         def mix(column: Float64) -> float:
@@ -203,7 +203,7 @@ class Trajectory:
         )
 
     def _why(self, time_ns: int) -> str:
-        """Why there is no accepted fix at an instant: the reason of the nearest rejected one
+        """Why there is no usable pose at an instant: the reason of the nearest rejected one
         between the accepted ones around it, or that there was none."""
         after = int(np.searchsorted(self._ok_time_ns, time_ns))
         start = int(self._ok[after - 1]) + 1 if after > 0 else 0

@@ -207,9 +207,7 @@ def test_rejected_frames_are_told_by_reason(
     flags = ["--gnss", "gnss_sf1.nmea", "--heading", "course"]
     text = fieldgrid("build", drive, "-o", out, *flags).output()
     assert re.search(r"^frames used +3 of 5$", text, re.MULTILINE)
-    assert re.search(
-        r"^rejected 2: no accepted fix for \d+\.\d\d s around it: ", text, re.MULTILINE
-    )
+    assert re.search(r"^rejected 2: no usable pose for \d+\.\d\d s around it: ", text, re.MULTILINE)
     assert re.search(r"^note: gnss_sf1.nmea: 6 damaged sentences skipped\.$", text, re.MULTILINE)
 
 

@@ -132,6 +132,7 @@ def test_a_drive_of_which_no_pose_can_be_used_exits_with_1(
     result = fieldgrid("track", log, "-o", out)
     assert result.status == 1
     assert "No pose can be used, mostly because: heading unknown" in result.out
+    assert "log while the vehicle drives, or record its heading" in result.out
     assert {row["status"] for row in rows(out)} == {"rejected"}
 
 

@@ -140,7 +140,7 @@ def test_the_last_records_of_a_drive_are_not_lost_without_a_word(out: Path) -> N
     damage(journal, last)
     for _ in range(2):
         with SessionFolder(out, None) as kept:
-            assert f"{size - last[0]} bytes" in kept.recording().notes[-1]
+            assert f"{size - last[0]} bytes" in kept.recording(kept.read()).notes[-1]
 
 
 @pytest.mark.parametrize("length", [20, 6 * 500, 1 << 30])

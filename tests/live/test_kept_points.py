@@ -16,7 +16,7 @@ from fieldgrid.errors import MapError, MapExistsError, MapWriteError
 from fieldgrid.live import discard_session, finish_from, finish_session, live_folder, replay
 from fieldgrid.live.finish import NOT_LEVELLED
 from fieldgrid.live.kept_drive import POINTS
-from fieldgrid.live.kept_points import LOST, RESERVE_BYTES, KeptPoints
+from fieldgrid.live.kept_points import AGAIN_BYTES, LOST, RESERVE_BYTES, KeptPoints
 from fieldgrid.live.points_file import _MARK, _RECORD, MAGIC, PointsFile, packed
 from fieldgrid.live.running_tilt import RunningTilt
 from fieldgrid.live.sensor_rows import rows_of
@@ -61,14 +61,15 @@ def test_a_disk_that_is_full_for_points_costs_no_frame(
         assert live.counts.frames == 6
         assert live.counts.dropped == 0
         live.stop()
-    assert count[0] == 3  # no more are kept
-    (text,) = told.texts("disk")
+    assert count[0] == 6
+    text, again = told.texts("disk")
     assert "No space left" in text
-    assert "points of later frames are not kept" in text
+    assert "until there is room the points of frames are not kept" in text
+    assert again == "The points of frames are kept again."
     report = finish_session(out)
     assert report.frames == 6
     assert not report.bad
-    assert sum("of 4 of 6" in note or "4 of 6 frames" in note for note in report.notes) == 1
+    assert sum("The points of 1 of 6 frames" in note for note in report.notes) == 1
 
 
 def test_a_record_that_did_not_fit_gives_its_room_back(
@@ -101,9 +102,17 @@ def test_no_points_are_kept_below_the_reserve(
         free[0] -= 1
         assert kept.add(RECORD, 2) is None
         assert "less than 1 GB free" in kept.take_warning()
-        free[0] += 1
+        free[0] += 1  # files come and go
         assert kept.record(Sweep(np.ones((50, 3), np.float32))) is None
         assert kept.add(RECORD, 3) is None
+        assert not kept.take_warning()
+        free[0] = AGAIN_BYTES
+        record = kept.record(Sweep(np.ones((50, 3), np.float32)))
+        assert kept.add(record, 4) is not None
+        assert kept.take_warning() == "The points of frames are kept again."
+        free[0] = RESERVE_BYTES
+        assert kept.add(RECORD, 5) is not None
+        assert not kept.take_warning()
 
 
 @pytest.mark.parametrize("dtype", ["int16", "int32", "float64", ">f4", ">f8", ">i2", "f2"])

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.build import build_map
+from fieldgrid.build.perception import Perceived
 from fieldgrid.errors import (
     CalibrationError,
     ConfigError,
@@ -37,9 +38,13 @@ from fieldgrid.live import (
     replay,
 )
 from fieldgrid.live.journal import Journal, read_journal
-from fieldgrid.live.perceiver import stage_frame
+from fieldgrid.live.perceiver import PerceivedFrame, encoded, perceive_frame
+from fieldgrid.live.poser import Poser
+from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.mapfile import StagedFrame, StageFile, open_map
+from fieldgrid.odometry import CameraStep
 from fieldgrid.recording import Frame, Recording, open_recording
+from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings
 from tests.build.making import content
 from tests.conftest import make_small_drive
@@ -154,9 +159,9 @@ def test_of_frames_that_wait_the_oldest_is_dropped(
     def slow(*arguments: Any, **options: Any) -> Any:
         begun.release()
         assert free.wait(60)
-        return stage_frame(*arguments, **options)
+        return perceive_frame(*arguments, **options)
 
-    monkeypatch.setattr(perceiver, "stage_frame", slow)
+    monkeypatch.setattr(perceiver, "perceive_frame", slow)
     out = tmp_path / "m.gpkg"
     with open_recording(short_drive) as recording:
         frames = list(recording.frames())
@@ -192,14 +197,71 @@ def test_frames_that_are_perceived_beside_each_other_are_kept_in_order(
                 later.set()
             tell(*made)
 
-        return stage_frame(frame, *arguments, gridded=gridded, **options)
+        return perceive_frame(frame, *arguments, gridded=gridded, **options)
 
-    monkeypatch.setattr(perceiver, "stage_frame", uneven)
+    monkeypatch.setattr(perceiver, "perceive_frame", uneven)
     out = tmp_path / "m.gpkg"
     with open_recording(short_drive) as recording, begin(recording, out, on_result=told) as live:
         replay(live, recording, rate=None)
     assert [grid.frame_id for grid in told.of(LiveGrid)] == [f"{k:06d}" for k in range(20, 26)]
     assert content(out) == content(built)
+
+
+def passed_on(monkeypatch: pytest.MonkeyPatch) -> dict[str, PerceivedFrame]:
+    """The frames that go on to poses and the window from now on, by name."""
+    passed: dict[str, PerceivedFrame] = {}
+    put = Poser.put
+
+    def putting(self: Poser, said: Any) -> None:
+        if isinstance(said, PerceivedFrame):
+            passed[said.frame_id] = said
+        put(self, said)
+
+    monkeypatch.setattr(Poser, "put", putting)
+    return passed
+
+
+def test_no_window_waits_until_a_frame_is_encoded(
+    short_drive: Path, built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    passed, before = passed_on(monkeypatch), list[bool]()
+
+    def encoding(seen: Perceived, rig: Rig) -> StagedFrame:
+        before.append(seen.frame.frame_id in passed)
+        return encoded(seen, rig)
+
+    monkeypatch.setattr(perceiver, "encoded", encoding)
+    drive_live(short_drive, tmp_path / "m.gpkg")
+    assert before == [True] * 6
+    assert content(tmp_path / "m.gpkg") == content(built)
+
+
+def test_the_camera_is_followed_over_a_frame_that_a_full_disk_refused(
+    short_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The pose goes on from frame to frame; the map has the step between those that it has."""
+    passed, append, out = passed_on(monkeypatch), StageFile.append, tmp_path / "m.gpkg"
+    drive_live(short_drive, tmp_path / "whole.gpkg")
+    whole = {name: frame.step for name, frame in passed.items()}
+
+    def appending(self: StageFile, frame: StagedFrame) -> int:
+        if frame.frame_id == "000022":
+            raise MapWriteError(errno.ENOSPC, "The disk is full.")
+        return append(self, frame)
+
+    monkeypatch.setattr(StageFile, "append", appending)
+    passed.clear()
+    with open_recording(short_drive) as recording:
+        live = begin(recording, out)
+        replay(live, recording, rate=None)
+        live.stop()
+    assert {name: frame.step for name, frame in passed.items()} == whole
+    with SessionFolder(out, None) as kept:
+        found = kept.staged().found
+    assert isinstance(whole["000023"], CameraStep)
+    assert found[1] == whole["000021"]
+    assert found[2] != whole["000023"]  # over 3 m the images have too little in common
+    assert found[3] == whole["000024"]
 
 
 @pytest.mark.parametrize("kind", ["raises", "blocks"])

@@ -22,14 +22,17 @@ from fieldgrid.convert import convert_recording
 from fieldgrid.errors import ConfigError
 from fieldgrid.live import LiveOptions, McapStream, Sources, live_folder
 from fieldgrid.live.mcap_stream import PoseTopic
+from fieldgrid.live.sensor_rows import PARTS
 from fieldgrid.mapfile import open_map
-from fieldgrid.recording import CloudFrame, DriveOptions, PoseBody, open_recording
+from fieldgrid.motion import Orientation, RecordedTilt
+from fieldgrid.recording import CloudFrame, DriveOptions, PoseBody, open_drive, open_recording
 from fieldgrid.recording.cloud_files import CloudKind
 from fieldgrid.recording.depth_files import DepthFormat, DepthKind
 from fieldgrid.recording.growing import open_growing
 from fieldgrid.recording.pose_files import read_pose_file
 from fieldgrid.recording.pose_source import PoseSource
 from fieldgrid.recording.stored import PairKind
+from fieldgrid.ros.gnss import ORIENTATION, TILT, tilt_messages
 from fieldgrid.rotations import R_enu_level, R_level_vehicle
 from fieldgrid.settings import BuildSettings
 from tests.build.making import content
@@ -268,6 +271,89 @@ def test_orientations_out_of_a_pipe_make_the_map_of_a_build(
         live.finish()
     with open_map(out) as universal:
         assert universal.sessions()[0].config["level_grids"] is (off == 0.0)
+    ours, theirs = content(out), content(tmp_path / "built.gpkg")
+    for kind in theirs:
+        if kind != "fieldgrid_session":
+            assert ours[kind] == theirs[kind], kind
+
+
+def with_stated_lean(bag: Path, out: Path, source: str, attitude: Attitude) -> Path:
+    """The same drive without its IMU, in which poses on a topic, or texts of a converted drive,
+    state how it leans."""
+    ros = Maker("mcap")
+    text, pose = "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped"
+    definitions = {
+        type_: ros.store.generate_msgdef(type_, ros_version=2)[0] for type_ in (text, pose)
+    }
+
+    def stated(time_ns: int) -> Iterator[Written]:
+        at = attitude.at(np.array([time_ns], dtype=np.int64))
+        if source == "pose":
+            R = R_enu_level(at.heading_deg) @ R_level_vehicle(at.roll_deg, at.pitch_deg)
+            turned = Rotation.from_matrix(R[0] @ R_FLU_VEHICLE.T).as_quat().tolist()
+            place = ros.of("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0)
+            kind, quaternion = "geometry_msgs/msg/Pose", ros.quaternion(*turned)
+            held = ros.of(kind, position=place, orientation=quaternion)
+            message = ros.of(pose, header=ros.header(time_ns, "map"), pose=held)
+            data = bytes(ros.store.serialize_cdr(message, pose))
+            yield time_ns, "/slam/pose", "cdr", pose, definitions[pose].encode(), data
+            return
+        columns = np.array([time_ns]), at.roll_deg, at.pitch_deg, np.array([0.3])
+        tilt = RecordedTilt(*columns)
+        topic = TILT
+        if source == "orientation":
+            tilt, topic = Orientation(*columns, np.array([1.0])), ORIENTATION
+        for _, said in tilt_messages(tilt):
+            message = ros.of(text, data=said.data)
+            data = bytes(ros.store.serialize_cdr(message, text))
+            yield time_ns, topic, "cdr", text, definitions[text].encode(), data
+
+    def said() -> Iterator[Written]:
+        for one in messages_of(bag):
+            if one[1] != "/imu/data":
+                yield one
+                continue
+            # What an IMU says of its orientation does not count beside it.
+            message = ros.store.deserialize_cdr(one[-1], one[3])
+            message.linear_acceleration_covariance = np.array([-1.0, *[0.0] * 8])
+            message.orientation_covariance = np.full(9, 1e-4)
+            x, y, z, w = Rotation.from_euler("x", 5.0 * np.sin(one[0] / 1e9), True).as_quat()
+            message.orientation = ros.quaternion(x, y, z, w)
+            yield (*one[:-1], bytes(ros.store.serialize_cdr(message, one[3])))
+            if one[0] // 10_000_000 % 5 == 0:  # each 50 ms
+                yield from stated(one[0])
+
+    return write_as_it_comes(out, said())
+
+
+@pytest.mark.parametrize("source", ["tilt", "orientation", "pose"])
+def test_stated_roll_and_pitch_out_of_a_pipe_make_the_map_of_a_build(
+    source: str, short_drive: Path, recorded_leaning: Path, pipe: Path, tmp_path: Path
+) -> None:
+    """On the topics of converted drives, and on one that is given for them."""
+    out, heard = tmp_path / "m.gpkg", Heard()
+    with open_recording(recorded_leaning) as recording:
+        attitude = estimate_drive(recording).report.attitude
+    assert attitude is not None
+    bag = with_stated_lean(recorded_leaning, tmp_path / "bag.mcap", source, attitude)
+    topics = {"attitude": "/slam/pose"} if source == "pose" else {}
+    options = DriveOptions(topics=topics)
+    build_map([bag], tmp_path / "built.gpkg", BuildSettings(), options)
+    with open_drive(bag, options) as opened:
+        recording = opened.recording()
+        motion, fixes = recording.motion(), len(recording.fixes())
+        parts = {part: getattr(motion, part) for part in PARTS}
+        rows = {part: len(one.time_ns) for part, one in parts.items() if one is not None}
+        assert rows["tilt" if source == "tilt" else "orientation"] > 100
+        live = begin(recording, out, on_result=heard, options=LiveOptions(queue_frames=6))
+        with Sources(live, (stream(short_drive, pipe, **topics),), QUICK):
+            write(pipe, bag.read_bytes())
+            heard.wait(lambda: live.counts.frames == 6 and live.counts.fixes == fixes)
+            heard.wait(lambda: sum(live.counts.rows.values()) >= sum(rows.values()))
+        assert live.counts.rows == rows
+        live.finish()
+    with open_map(out) as universal:
+        assert universal.sessions()[0].config["level_grids"] is True
     ours, theirs = content(out), content(tmp_path / "built.gpkg")
     for kind in theirs:
         if kind != "fieldgrid_session":

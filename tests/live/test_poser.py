@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -15,7 +16,7 @@ from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.live.estimator import Estimator
-from fieldgrid.live.fixed_lag import Asked, FixedLagSmoother
+from fieldgrid.live.fixed_lag import KEPT_S, Asked, FixedLagSmoother
 from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiver import PerceivedFrame
 from fieldgrid.live.poser import Poser
@@ -61,7 +62,7 @@ def frame(seconds: float, period_s: float | None) -> PerceivedFrame:
     step = None
     if period_s is not None:
         step = CameraStep(SPEED_MPS * period_s, 0.0, 0.0, 0.01, 0.05, 0.0, 0.0, 0.0, 0.1, 200)
-    return PerceivedFrame(f"{seconds:.1f}", at_ns(seconds), GRID, True, step, True, 0.0)
+    return PerceivedFrame(f"{seconds:.1f}", at_ns(seconds), GRID, True, step, 0.0)
 
 
 def watched() -> tuple[Heard, Poser]:
@@ -240,6 +241,45 @@ def test_a_camera_that_was_unplugged_comes_back() -> None:
     assert told.of(LiveWindow)[-1].is_trusted
     settled = [float(one.frame_id) for one in told.of(LivePose) if one.is_settled]
     assert sorted(settled) == [k / 5.0 for k in range(5 * 28 + 1) if not 50 < k < 100]
+
+
+def test_a_camera_that_comes_back_after_an_hour_is_where_the_vehicle_is_now() -> None:
+    """The session goes on and holds no more than before; the camera's step over the hour, between
+    rows that look alike, is not believed."""
+    told, poser = watched()
+    for k in range(5 * 20 + 1):
+        poser.put(fix(k / 5.0))
+        poser.put(("gyro", rows_of("gyro", at_ns(k / 5.0), 0.0)))
+        poser.put(frame(k / 5.0, 0.2))
+    told.wait(lambda: bool(told.of(LiveWindow)) and told.of(LiveWindow)[-1].is_trusted)
+    back_s = 3620.0
+    for seconds in [*range(21, 3600), *(back_s - 20.0 + k / 5.0 for k in range(101))]:
+        poser.put(fix(seconds))
+        poser.put(("gyro", rows_of("gyro", at_ns(seconds), 0.0)))
+    told.wait(lambda: is_without_frames(told) and told.of(LiveWindow)[-1].time_ns == at_ns(back_s))
+    until_s = time.monotonic() + 60.0
+    while poser._inbox or not poser._is_asked or not poser._estimator.is_free:
+        assert time.monotonic() < until_s
+        time.sleep(0.01)
+    trailing = poser._trailing
+    assert len(trailing._fixes) <= 5 * KEPT_S + 1
+    assert not trailing._frames
+    assert not poser._waiting
+    before = len(told.results)
+    poser.put(frame(back_s + 0.1, 0.2))
+    told.wait(lambda: any(w.frame_id for w in told.of(LiveWindow)[-1:]))
+    for k in range(1, 31):
+        seconds = back_s + 0.1 + k / 5.0
+        poser.put(fix(seconds))
+        poser.put(frame(seconds, 0.2))
+    poser.close()
+    windows = [one for one in told.results[before:] if isinstance(one, LiveWindow)]
+    off_m = [
+        abs(w.pose.north_m - SPEED_MPS * (w.time_ns - START_NS) / 1e9) for w in windows if w.pose
+    ]
+    assert max(off_m) < 1.0
+    assert windows[-1].is_trusted
+    assert windows[-1].view.observed.any()
 
 
 @pytest.mark.parametrize("jump_s", [3600.0, 300.0, 6.0, -6.0, -300.0])

@@ -19,6 +19,7 @@ from fieldgrid.errors import ConfigError, MapError
 from fieldgrid.fixes import Fix
 from fieldgrid.live import Live, finish_session, live_folder, replay
 from fieldgrid.live.journal import DAMAGED, MAGIC, Journal, read_journal
+from fieldgrid.live.kept_drive import PushedDrive
 from fieldgrid.live.sensor_rows import fix_from_json, fix_to_json
 from fieldgrid.live.session_folder import MOST_PAIRS, SessionFolder
 from fieldgrid.mapfile import StageFile, open_map
@@ -269,6 +270,36 @@ def test_an_end_that_was_killed_after_the_commit_is_not_done_twice(
     assert note == "The drive was in the map already."
     assert content(out) == content(built)
     assert not folder.exists()
+
+
+def test_rows_of_a_long_drive_are_joined_and_read_once_at_its_end(
+    leaning_drive: Path, built_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each piece takes fifty times what is in it."""
+    monkeypatch.setattr("fieldgrid.live.kept_drive.PIECES", 50)
+    out, reads = tmp_path / "m.gpkg", list[PushedDrive]()
+    with open_recording(leaning_drive) as recording:
+        live = begin(recording, out)
+        replay(live, recording, rate=None)
+        rows = live.counts.rows
+        live.stop()
+    read = SessionFolder.read
+
+    def reading(kept: SessionFolder) -> PushedDrive:
+        assert not kept.drive.fixes
+        assert not kept.drive.parts
+        reads.append(read(kept))
+        for part, pieces in reads[-1].parts.items():
+            count = sum(len(piece.time_ns) for piece in pieces)
+            assert count == rows[part]
+            assert len(pieces) <= count / 50 + 50
+        return reads[-1]
+
+    monkeypatch.setattr(SessionFolder, "read", reading)
+    finish_session(out)
+    assert len(reads) == 1
+    assert content(out) == content(built_level)
+    assert rows["inertial"] > 1000
 
 
 def test_some_pairs_over_all_of_the_drive_are_kept(short_drive: Path, tmp_path: Path) -> None:

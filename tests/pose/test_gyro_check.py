@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -37,6 +38,18 @@ def gyro(drive: Drive, size: float = 1.0, late_s: float = 0.0) -> Gyro:
 
 def estimate(drive: Drive, motion: Motion) -> Estimate:
     return estimate_poses(fixes_of(drive, 0.2, 0.01), Carrier(0.0), DATUM, motion=motion)
+
+
+@pytest.mark.parametrize(("late_s", "told"), [(7200.0, "begins"), (-7200.0, "ends")])
+def test_a_gyro_of_another_time_is_told(late_s: float, told: str) -> None:
+    """A log in another time zone, say: the poses are those without a gyro."""
+    drive = simulate(ROWS, 35.0)
+    found = estimate(drive, Motion(gyro=gyro(drive, late_s=late_s)))
+    (note,) = (one for one in found.report.notes if "gyro" in one)
+    assert re.match(rf"The gyro {told} 7\d\d\d\.\d s (after|before) the fixes, so it was not", note)
+    assert "--gnss-offset" in note
+    alone = estimate(drive, Motion())
+    assert np.array_equal(found.trajectory.heading_deg, alone.trajectory.heading_deg)
 
 
 def off_deg(found: Estimate, drive: Drive) -> Float64:

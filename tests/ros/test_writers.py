@@ -13,7 +13,8 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from fieldgrid.errors import MapExistsError, MapWriteError
-from fieldgrid.ros import BagFolderWriter, McapWriter, decode, open_bag, types
+from fieldgrid.ros import decode, open_bag, types
+from fieldgrid.ros.writers import BagFolderWriter, McapWriter
 from tests.ros.samples import FIX, ROS2, TYPES, Sample, expected, read, samples
 
 

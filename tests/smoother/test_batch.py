@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.smoother import STATES, DeclaredCorrection, Measurements, Smoothed, smooth, steering
-from fieldgrid.smoother.model import CONSTANTS, GYRO
+from fieldgrid.smoother.equations import CONSTANTS
+from fieldgrid.smoother.model import GYRO
 from fieldgrid.smoother.rounds import SmoothingProblem, Solution, Weights
 from tests.simulated import CIRCLE, K_TURN, SLALOM, STOP, Command, Drive, simulate
 

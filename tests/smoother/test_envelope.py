@@ -15,10 +15,10 @@ def positions(shape: Envelope) -> tuple[Int64, Int64]:
     """Row and column of each value."""
     rows, columns = [], []
     for node, first in enumerate(shape.first.tolist()):
-        width = STATES * (node - first + 1)
         for a in range(STATES):
-            rows += [STATES * node + a] * width
-            columns += range(STATES * first, STATES * (node + 1))
+            reach = range(STATES * first, STATES * node + a + 1)
+            rows += [STATES * node + a] * len(reach)
+            columns += reach
     return np.array(rows, np.int64), np.array(columns, np.int64)
 
 
@@ -26,8 +26,7 @@ def dense(shape: Envelope, values: Float64) -> Float64:
     """The symmetric matrix whose lower triangle lies in the values."""
     full = np.zeros((STATES * shape.nodes, STATES * shape.nodes))
     full[positions(shape)] = values
-    lower = np.tril(full)
-    return lower + np.tril(lower, -1).T
+    return full + np.tril(full, -1).T
 
 
 def random_system(nodes: int, far: Int64, seed: int) -> tuple[Envelope, Float64, Float64]:
@@ -37,8 +36,7 @@ def random_system(nodes: int, far: Int64, seed: int) -> tuple[Envelope, Float64,
     values = 0.3 * random.normal(size=int(shape.start[-1]))
     rows, columns = positions(shape)
     lower = np.zeros((STATES * nodes, STATES * nodes))
-    inside = rows >= columns
-    lower[rows[inside], columns[inside]] = values[inside]
+    lower[rows, columns] = values
     lower[np.diag_indices(STATES * nodes)] = random.uniform(0.8, 2.0, STATES * nodes)
     full = lower @ lower.T
     # A factor with this envelope has a product with the same.

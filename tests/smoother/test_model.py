@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.smoother import model
 from fieldgrid.smoother.envelope import STATES, envelope
-from fieldgrid.smoother.model import CONSTANTS, GYRO, KAPPA, PHI, E, N, V
+from fieldgrid.smoother.equations import CONSTANTS, NormalEquations, empty_system
+from fieldgrid.smoother.model import GYRO, KAPPA, PHI, E, N, V
 
 Residuals = Callable[[Float64, Float64], list[tuple[float, float]]]
 """Of states [n, 8] and constants: pairs of a residual and its weight."""
@@ -21,27 +22,29 @@ SEEDS = st.integers(0, 10**6)
 NO_STEPS = np.zeros((0, 2), np.int64)
 
 
-def dense(system: model.NormalEquations) -> Float64:
+def dense(system: NormalEquations) -> Float64:
     """The symmetric matrix of the states and, behind them, the constants."""
     shape, n = system.shape, len(system.right)
     lower = np.zeros((n + CONSTANTS, n + CONSTANTS))
     for node, first in enumerate(shape.first.tolist()):
-        width = STATES * (node - first + 1)
-        rows = system.values[shape.start[node] : shape.start[node + 1]].reshape(STATES, width)
-        lower[STATES * node : STATES * (node + 1), STATES * first : STATES * (node + 1)] = rows
-    lower = np.tril(lower)
+        at = shape.start[node]
+        for row in range(STATES * node, STATES * (node + 1)):
+            length = row + 1 - STATES * first
+            lower[row, STATES * first : row + 1] = system.values[at : at + length]
+            at += length
+        assert at == shape.start[node + 1]
     full = lower + np.tril(lower, -1).T
     full[:n, n:], full[n:, :n] = system.border, system.border.T
     full[n:, n:] = system.corner
     return full
 
 
-def right_side(system: model.NormalEquations) -> Float64:
+def right_side(system: NormalEquations) -> Float64:
     return np.concatenate([system.right, system.right_constants])
 
 
-def empty(n: int, far: Int64 = NO_STEPS) -> model.NormalEquations:
-    return model.empty_system(envelope(n, far))
+def empty(n: int, far: Int64 = NO_STEPS) -> NormalEquations:
+    return empty_system(envelope(n, far))
 
 
 def slopes(residuals: Residuals, x: Float64, constants: Float64) -> Float64:
@@ -63,7 +66,7 @@ UNKNOWN = np.zeros(CONSTANTS)
 
 
 def assert_normal_equations(
-    system: model.NormalEquations,
+    system: NormalEquations,
     residuals: Residuals,
     x: Float64,
     constants: Float64 = UNKNOWN,
@@ -203,8 +206,8 @@ class Way:
         self.turned = np.where(told, random.normal(size=n - 1), np.nan)
         self.seen, self.standing = np.ones(n - 1, np.bool_), random.random(n) < 0.4
 
-    def system(self, x: Float64) -> model.NormalEquations:
-        system = empty(len(x))
+    def system(self, x: Float64, system: NormalEquations | None = None) -> NormalEquations:
+        system = system or empty(len(x))
         model.add_motion(
             system,
             x,
@@ -257,6 +260,15 @@ class Way:
         fade = np.exp(-h / model.CURVATURE_S)
         found.append((b[KAPPA] - fade * a[KAPPA], 1.0 / self.steering[k]))
         return found
+
+
+def test_motion_replaces_what_the_memory_of_the_matrix_held() -> None:
+    n, shape = 8, envelope(8, np.array([[0, 5], [2, 6]]))
+    way, x = Way(1, n, gyro=True), np.random.default_rng(1).normal(size=(n, STATES))
+    spoilt = empty_system(shape, np.full(shape.size, np.nan))
+    found, clean = way.system(x, spoilt), way.system(x, empty_system(shape))
+    assert found.values.tobytes() == clean.values.tobytes()
+    assert dense(found) == pytest.approx(dense(way.system(x)))
 
 
 def with_start(matrix: Float64, nodes: list[int]) -> Float64:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.linalg
 
 from fieldgrid.array_types import Float64
 from fieldgrid.kernel import kernel
@@ -14,29 +13,39 @@ def factor(band: Float64) -> Float64:
 
     `band[i - j, j]` is element (i, j), i >= j; the factor has the same form.
     """
-    result: Float64 = scipy.linalg.cholesky_banded(band, lower=True, check_finite=False)
+    from scipy.linalg import cholesky_banded  # late: most drives have no IMU
+
+    result: Float64 = cholesky_banded(band, lower=True, check_finite=False)
     return result
 
 
 def solve(lower: Float64, right: Float64) -> Float64:
     """Solution of the system whose factor is `lower`."""
-    result: Float64 = scipy.linalg.cho_solve_banded((lower, True), right, check_finite=False)
+    from scipy.linalg import cho_solve_banded
+
+    result: Float64 = cho_solve_banded((lower, True), right, check_finite=False)
     return result
 
 
-@kernel
-def inverse_blocks(lower, size):  # type: ignore[no-untyped-def]
-    """The diagonal blocks [n/size, size, size] of the inverse, from the factor of the matrix.
-
-    Takahashi's recursion from the last column to the first: an element of the inverse inside
-    the band needs only later ones inside the band, so the others are never made.
-    """
+def inverse_blocks(lower: Float64, size: int) -> Float64:
+    """The diagonal blocks [n/size, size, size] of the inverse, from the factor of the matrix."""
     width, n = lower.shape
-    columns = lower.T.copy()  # an element's neighbours in its column lie side by side
-    # Row j holds its elements from column j - width + 1 to j + width - 1, so that the sums run
-    # along rows.
-    inverse = np.zeros((n + width, 2 * width - 1))
-    middle = width - 1
+    columns = np.ascontiguousarray(lower.T)  # neighbours in a column lie side by side
+    inverse, blocks = np.zeros((n + width, 2 * width - 1)), np.empty((n // size, size, size))
+    _fill_inverse(columns, inverse, blocks)
+    return blocks
+
+
+@kernel
+def _fill_inverse(columns, inverse, blocks):  # type: ignore[no-untyped-def]
+    """Takahashi's recursion from the last column to the first: an element of the inverse inside
+    the band needs only later ones inside the band, so the others are never made.
+
+    Row j of the `inverse` holds its elements from column j - width + 1 to j + width - 1, so that
+    the sums run along rows.
+    """
+    n, width = columns.shape
+    middle, size = width - 1, blocks.shape[1]
     for j in range(n - 1, -1, -1):
         top = min(width, n - j)
         pivot = columns[j, 0]
@@ -49,11 +58,9 @@ def inverse_blocks(lower, size):  # type: ignore[no-untyped-def]
         for k in range(1, top):
             total += columns[j, k] * inverse[j, middle + k]
         inverse[j, middle] = (1.0 / pivot - total) / pivot
-    blocks = np.empty((n // size, size, size))
-    for block in range(n // size):
+    for block in range(len(blocks)):
         for a in range(size):
             for b in range(a + 1):
                 value = inverse[block * size + b, middle + a - b]
                 blocks[block, a, b] = value
                 blocks[block, b, a] = value
-    return blocks

@@ -16,7 +16,6 @@ from typing import NamedTuple, Protocol
 from fieldgrid.attitude import Attitude
 from fieldgrid.build.perception import (
     CameraMotion,
-    Gridded,
     Perceived,
     perceive_frame,
     side_by_side,
@@ -29,6 +28,7 @@ from fieldgrid.mapfile import StagedFrame, StagedFrames, StageEntry, StageFile, 
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import CameraStep, Refusal, features, steps_of
 from fieldgrid.recording import Frame
+from fieldgrid.rig import Rig
 from fieldgrid.rotations import Tilt
 from fieldgrid.sweep import OriginTrack
 
@@ -186,14 +186,19 @@ def stage_frame(
     odometry: bool,
     tilt: Tilt | None = None,
     way: OriginTrack | None = None,
-    gridded: Gridded | None = None,
 ) -> tuple[Perceived, StagedFrame]:
     """One frame, read, perceived and encoded here; RecordingError where it cannot be read."""
-    seen = perceive_frame(frame, gridder, odometry=odometry, tilt=tilt, way=way, gridded=gridded)
-    return seen, stage(
+    seen = perceive_frame(frame, gridder, odometry=odometry, tilt=tilt, way=way)
+    return seen, encoded(seen, gridder.rig)
+
+
+def encoded(seen: Perceived, rig: Rig) -> StagedFrame:
+    """What a frame saw, as a map keeps it."""
+    frame = seen.frame
+    return stage(
         seen.grid,
         frame.frame_id,
-        taken_ns(frame, gridder.rig),
+        taken_ns(frame, rig),
         images=tuple(source.name for source in frame.sources),
         images_sha256=seen.sources_sha256,
         ground_found=seen.ground.refined,

@@ -185,7 +185,7 @@ def command(
     paths = [progress.fetched_or_url(recording) for recording in recordings]
     try:
         with (
-            warming.frames_ahead(here=scheduler is None),
+            warming.half_ahead(here=scheduler is None),
             progress.building(out, wait_s) as tell,
         ):
             reports = build_map(

@@ -27,7 +27,6 @@ def compare(
     scheduler: str | None = None,
 ) -> list[dict[str, Any]]:
     """How new drives lie against the map, and, with `align`, their transforms in it."""
-    from fieldgrid.align import FINE_ROUNDS, align_map
     from fieldgrid.mapfile import Patience, open_map
 
     patience = Patience(wait_s, progress.waits_for(out, wait_s))
@@ -36,6 +35,8 @@ def compare(
         moving = [name for name in new if name in placed]
         if not moving or len(placed) < 2:
             return []
+        from fieldgrid.align import FINE_ROUNDS, align_map  # not for a map of one drive
+
         with progress.stages() as show:
             found = align_map(
                 universal,

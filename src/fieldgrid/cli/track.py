@@ -161,7 +161,8 @@ def _report(out: Path, figure: Path | None, drive: TrackedDrive, summary: TrackS
     more = summary.reasons[_MOST_REASONS:]
     if more:
         count = sum(count for count, _ in more)
-        output.report_line(f"rejected {count}: for {len(more)} other reasons")
+        reasons = "another reason" if len(more) == 1 else f"{len(more)} other reasons"
+        output.report_line(f"rejected {count}: for {reasons}")
     for note in (*drive.notes, *summary.report.notes):
         output.report_line(f"note: {note}")
     if summary.report.unseen:
@@ -179,7 +180,7 @@ def _fix_rows(summary: TrackSummary) -> Iterator[tuple[str, str]]:
     yield "rate", output.number(log.rate_hz, 1, "Hz")
     longest_s = max((gap.seconds for gap in log.gaps), default=0.0)
     longest = f", the longest {longest_s:.1f} s" if log.gaps else ""
-    yield "gaps without an accepted fix", f"{len(log.gaps)}{longest}"
+    yield "gaps without a usable fix", f"{len(log.gaps)}{longest}"
     yield "seams (shifts of the solution)", str(len(log.seams))
 
 

@@ -20,7 +20,7 @@ from fieldgrid.convert.frames import Images, frame_messages
 from fieldgrid.errors import ConfigError, GnssError, NoFramesError, RecordingError
 from fieldgrid.publish import refuse_input
 from fieldgrid.recording import Drive, DriveOptions, Recording, open_drive
-from fieldgrid.ros import McapWriter
+from fieldgrid.ros.writers import McapWriter
 from fieldgrid.trajectory import Trajectory
 
 

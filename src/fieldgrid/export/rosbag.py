@@ -14,7 +14,7 @@ from fieldgrid.export.selection import Selection
 from fieldgrid.export.tiles import MESSAGE_CELLS
 from fieldgrid.export.vector import FeatureOptions, geojson_text
 from fieldgrid.mapfile import MapFile
-from fieldgrid.ros import BagFolderWriter, McapWriter, Ros1BagWriter
+from fieldgrid.ros.writers import BagFolderWriter, McapWriter, Ros1BagWriter
 from fieldgrid.settings import Flag, setting
 
 

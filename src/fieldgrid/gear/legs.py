@@ -58,6 +58,9 @@ TURNED_TWICE_COST = 1.5
 SWITCH_COST, GAP_SWITCH_COST, TURN_COST_CAP = 2.0, 4.0, 12.0
 """In nats: for a change of gear, for one that nobody saw, and the most that a turn can cost."""
 
+ROLLED_COST = 15.0
+"""The same for one while the wheels never stopped."""
+
 REVERSE_M_PER_NAT = 5.0
 """Metres of reverse that are as unlikely, to start with, as one nat."""
 
@@ -92,6 +95,7 @@ class GearEvidence(NamedTuple):
     before a point: 0 nearly everywhere, infinite at the first one. `turned_deg` is what a gyro saw
     the vehicle turn on the way to each point, NaN where none did. `forward_nats` is the log odds,
     of forward over reverse, that wheels or camera saw on the way to each point; 0 without them.
+    `rolled` is whether wheels turned all the way to a point, so that the gear was not changed.
     """
 
     points_m: Float64
@@ -100,6 +104,7 @@ class GearEvidence(NamedTuple):
     sigma_m: Float64
     turned_deg: Float64
     forward_nats: Float64
+    rolled: Bool
 
 
 class _Join(NamedTuple):
@@ -169,9 +174,10 @@ def turning_deg(points, part, reach_m):  # type: ignore[no-untyped-def]
     """Clockwise turn of the path [n, 2] at each point between the nearest places `reach_m`
     away on both sides, degrees; 0 where the part ends within that."""
     n = points.shape[0]
-    turning = np.zeros(n)
+    turning = np.empty(n)
     one = np.int64(1)  # of a literal Numba would compile the function anew
     for k in range(n):
+        turning[k] = 0.0
         before = _beyond(points, part, k, -one, reach_m)
         after = _beyond(points, part, k, one, reach_m)
         if before >= 0 and after >= 0:
@@ -220,9 +226,10 @@ def _joins(track: GearEvidence, legs: list[tuple[int, int]]) -> list[_Join]:
     for i in range(len(legs) - 1):
         skipped = 0.0
         for j in range(i + 1, min(i + 2 + MAX_SKIPPED, len(legs))):
-            joins.append(
-                _Join(i, j, *(skipped + c for c in _turn_costs(track, legs[i], legs[j], seen)))
-            )
+            stay, change = _turn_costs(track, legs[i], legs[j], seen)
+            if track.rolled[legs[i][1] : legs[j][0] + 1].all():
+                change += ROLLED_COST
+            joins.append(_Join(i, j, skipped + stay, skipped + change))
             skipped += skipping[j]
             if skipped > SKIP_CAP_NATS or track.gap_s[legs[j][0]]:
                 break

@@ -10,6 +10,8 @@ import re
 from datetime import date
 from functools import lru_cache
 
+import numpy as np
+
 _NUMBER = re.compile(rb"[+-]?(?:\d{1,12}(?:\.\d{0,30})?|\.\d{1,30})")
 _TIME = re.compile(rb"(\d\d)(\d\d)(\d\d)(?:\.(\d*))?")
 _ANGLE = re.compile(rb"(\d{1,3})(\d\d(?:\.\d*)?)")
@@ -20,17 +22,15 @@ FIRST_YEAR, LAST_YEAR = 1980, 2100
 _REMEMBERED = 2048
 
 
-def checksum(text: bytes) -> int:
-    """XOR of at most 256 bytes: the number folded upon itself, faster than a loop."""
-    value = int.from_bytes(text, "big")
-    value ^= value >> 1024
-    value ^= value >> 512
-    value = (value ^ value >> 256) & (1 << 256) - 1
-    value ^= value >> 128
-    value ^= value >> 64
-    value ^= value >> 32
-    value ^= value >> 16
-    return (value ^ value >> 8) & 0xFF
+def checksums(texts: list[bytes]) -> list[int]:
+    """The XOR of the bytes of each text: of many at once much faster than one by one."""
+    if not texts:
+        return []
+    # A zero behind each changes no sum, and there is something to be summed of each.
+    joined = np.frombuffer(b"\0".join(texts) + b"\0", np.uint8)
+    ends = np.cumsum(np.fromiter(map(len, texts), np.intp, len(texts)) + 1)
+    sums: list[int] = np.bitwise_xor.reduceat(joined, np.concatenate([[0], ends[:-1]])).tolist()
+    return sums
 
 
 def number(field: bytes) -> float | None:

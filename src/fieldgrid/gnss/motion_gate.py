@@ -121,7 +121,8 @@ def follow(envelope: MotionEnvelope) -> Followed:
     n = len(envelope.time_ns)
     kept, seam = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
     if n:
-        score, before, moved = _follow(*envelope, _LOOK_BACK)
+        score, before, moved = envelope.worth.copy(), np.full(n, -1), seam.copy()
+        _follow(*envelope, _LOOK_BACK, score, score.copy(), before, moved)
         row = int(np.argmax(score))
         while row >= 0:
             kept[row], seam[row] = True, moved[row]
@@ -200,10 +201,10 @@ def _around(moved_m: Float64, step_s: Float64, gap_s: float, half: int, top_mps:
     A jump that lasts is one wrong step among many, so it does not show in it.
     """
     n = len(moved_m) + 1
-    found = np.zeros(n)
+    found = np.empty(n)
     some = np.empty(2 * half)
     for k in range(n):
-        count = 0
+        found[k], count = 0.0, 0
         for direction in (-1, 1):
             at = k - 1 if direction < 0 else k
             for _ in range(half):
@@ -262,17 +263,20 @@ def _follow(
     worth: Float64,
     seam_price: float,
     look_back: int,
-) -> tuple[Float64, Int64, Bool]:
-    """Score of the best sequence that ends in each row, the row before it, and if it is a seam.
+    score: Float64,
+    peak: Float64,
+    before: Int64,
+    seam: Bool,
+) -> None:
+    """Fill in the score of the best sequence that ends in each row, the row before it, and if it is
+    a seam. At first `score` and `peak`, which is room, are the worth of each, `before` is -1 and
+    nothing a seam.
 
     A row counts its worth less the square of the strain that leads to it, so one that is barely
     possible counts nothing; a bad fix before a good one does not make that a bad one, so the
     strain counts by the lesser of the two. After a seam it counts its worth less the price.
     """
-    n = len(time_ns)
-    score, peak = worth.copy(), worth.copy()
-    before, seam = np.full(n, -1), np.zeros(n, dtype=np.bool_)
-    for k in range(n):
+    for k in range(len(time_ns)):
         for j in range(k - 1, max(-1, k - 1 - look_back), -1):
             if score[k] >= peak[j] + worth[k] and before[k] >= 0:
                 break  # nothing earlier can lead to more
@@ -288,4 +292,3 @@ def _follow(
             if total > score[k] or (total == score[k] and before[k] < 0):
                 score[k], before[k], seam[k] = total, j, not joined
         peak[k] = max(score[k], peak[k - 1]) if k else score[k]
-    return score, before, seam

@@ -12,13 +12,13 @@ import re
 import zlib
 from collections.abc import Iterator
 
-from fieldgrid.gnss.fields import checksum
+from fieldgrid.gnss.fields import checksums
 
 _BLOCK = 1 << 16  # bytes searched at once
 _LONGEST = 1200  # bytes of any sentence, with room to spare
 
-# The standard's 82 bytes are exceeded by many receivers; checksum() ends at 256. What may stand
-# in a sentence is printable, and none of $ # *.
+# The standard's 82 bytes are exceeded by many receivers. What may stand in a sentence is printable,
+# and none of $ # *.
 _SENTENCE = re.compile(
     rb"\$((?:(P[A-Z0-9]{3,9}|KSXT)|[A-Z][A-Z0-9]([A-Z0-9]{2,8})),)"
     rb"(?:([ -\"%-)+-~]{0,240})\*([0-9A-Fa-f]{2})([0-9A-Fa-f]{6})?)?"
@@ -57,12 +57,13 @@ class Framer:
         return self._intact(rest)
 
     def _intact(self, data: bytes) -> Iterator[tuple[bytes, bytes]]:
-        for address, own, formatter, body, xor, crc, log, log_body, log_crc in _SENTENCE.findall(
-            data
-        ):
+        found = _SENTENCE.findall(data)
+        texts = [address + body for address, _, _, body, *_ in found]
+        for one, text, total in zip(found, texts, checksums(texts), strict=True):
+            _, own, formatter, _, xor, crc, log, log_body, log_crc = one
             if xor:
-                kind, text = formatter or own, address + body
-                intact = checksum(text) == int(xor, 16)
+                kind = formatter or own
+                intact = total == int(xor, 16)
                 if own == _WITH_CRC and crc and not intact:
                     intact = unicore_crc(text) == int(xor + crc, 16)
             elif log_crc:

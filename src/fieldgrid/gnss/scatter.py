@@ -182,8 +182,12 @@ def _differences(
     rows = first[:, None] + stride * np.arange(order + 1)
     # In units of the window's own length, or products of small steps underflow.
     at = (time_s[rows] - time_s[rows[:, :1]]) / (time_s[rows[:, -1:]] - time_s[rows[:, :1]])
-    apart = at[:, :, None] - at[:, None, :] + np.eye(order + 1)
-    weights = 1.0 / np.prod(apart, axis=2)
+    apart = np.ones_like(at)
+    for k in range(order + 1):
+        step = at - at[:, k, None]
+        step[:, k] = 1.0
+        apart *= step
+    weights = 1.0 / apart
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
     # From the first position of each, so that large coordinates do not cost digits.
     local = values[:, rows] - values[:, rows[:, :1]]

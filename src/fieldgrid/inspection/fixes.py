@@ -134,7 +134,7 @@ def fix_findings(summary: FixSummary) -> Iterator[Finding]:
         longest = max(log.gaps, key=lambda gap: gap.seconds)
         yield warning(
             "fix-gaps",
-            f"There are {len(log.gaps)} gaps without an accepted fix, the longest of "
+            f"There are {len(log.gaps)} gaps without a usable fix, the longest of "
             f"{longest.seconds:.1f} s.",
             "Frames in them have no pose, unless gyro, wheels and camera bridge the gap.",
         )

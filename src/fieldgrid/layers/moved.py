@@ -82,8 +82,11 @@ class _Moved:
         if place is None:
             return
         phi = math.radians(pose.heading_deg)
+        n_y, n_x = grid.spec.shape
+        # Each kind of array that a kernel makes costs it three more functions to compile.
+        room = *np.zeros((2, n_y, n_x), np.uint8), *np.zeros((2, n_y, n_x + 1), np.int32)
         add_looks(
-            *(grid.density, grid.observed, grid.spec.cell_m, self._per_m),
+            *(grid.density, grid.observed, *room, grid.spec.cell_m, self._per_m),
             *(pose.east_m, pose.north_m, math.cos(phi), math.sin(phi), pose.time_ns),
             *(*place, frame.window.i0, frame.window.j0, frame.window.width),
             *(self._looks, self._near_m, self._when_ns),
@@ -100,10 +103,15 @@ class _Moved:
 
 @kernel
 def add_looks(  # type: ignore[no-untyped-def]
-    density, observed, local_m, per_m, east_m, north_m, cos, sin, time_ns,
+    density, observed, stands, hits, before, others,
+    local_m, per_m, east_m, north_m, cos, sin, time_ns,
     i0, j0, width, height, window_i0, window_j0, window_width, looks, near_m, when_ns,
 ):  # fmt: skip
     """Add what a frame [n_y, n_x] says of the cells of a place in the window.
+
+    `stands` and `hits` [n_y, n_x], `before` and `others` [n_y, n_x + 1] are room, all 0: for what
+    stands by a local cell and those around, as far as a cell of the window reaches; and for how
+    many cells of a row before each were seen, and how many of them are not free.
 
     `looks` [cells, 2] counts obstacles since the cell was last clear, and clear looks since these;
     `near_m` is the least distance of the obstacles; `when_ns` [cells, 3] is when anything was last
@@ -111,10 +119,6 @@ def add_looks(  # type: ignore[no-untyped-def]
     """
     n_y, n_x = density.shape
     half, around = 0.5 * n_x, int(0.71 / (per_m * local_m) + 0.5)
-    # What stands by its local cell and those around, as far as a cell of the window reaches.
-    stands, hits = np.zeros((n_y, n_x), dtype=np.bool_), np.zeros((n_y, n_x), dtype=np.uint8)
-    # How many cells of a row before each were seen, and how many of them are not free.
-    before, others = np.zeros((n_y, n_x + 1), np.int32), np.zeros((n_y, n_x + 1), np.int32)
     for r in range(n_y):
         start, end = seen_span(observed[r])
         for c in range(start, end):
@@ -125,10 +129,11 @@ def add_looks(  # type: ignore[no-untyped-def]
                 continue
             for j in range(max(r - around, 0), min(r + around + 1, n_y)):
                 for i in range(max(c - around, 0), min(c + around + 1, n_x)):
-                    stands[j, i] = True
+                    stands[j, i] = 1
                     if value > OBSTACLE_ABOVE:
                         hits[j, i] = min(hits[j, i] + 1, 255)
-        before[r, end + 1 :], others[r, end + 1 :] = before[r, end], others[r, end]
+        for c in range(end, n_x):
+            before[r, c + 1], others[r, c + 1] = before[r, c], others[r, c]
     # Where the middles of the cells of a row lie in the grid, in local cells.
     across, along = np.empty(width), np.empty(width)
     lines, columns = np.empty(width, np.int32), np.empty(width, np.int32)

@@ -137,20 +137,21 @@ def settle(weight, weighted_cm, count, frames, seen, said_weight, said_cm):  # t
     for b in range(count.size):
         if count[b] == 0:
             continue
-        total = 0.0
-        for k in range(count[b]):
+        # Of another type of number Numba would compile `spread` and `middle` anew.
+        total, own = 0.0, np.int64(count[b])
+        for k in range(own):
             value, place = weighted_cm[k, b] / weight[k, b], k
             while place > 0 and values[place - 1] > value:
                 values[place], weights[place] = values[place - 1], weights[place - 1]
                 place -= 1
             values[place], weights[place] = value, weight[k, b]
             total += weight[k, b]
-        apart_m = spread(values, weights, count[b]) / 100.0
+        apart_m = spread(values, weights, own) / 100.0
         sigma_m = max(WIDEST_SIGMA_M / np.sqrt(total / frames[b]), apart_m)
         twice = np.floor(2.0 * np.log2(WIDEST_SIGMA_M / sigma_m) + 0.5)
         seen[b] = 1
         said_weight[b] = 1 << np.int64(min(max(twice, 0.0), MOST_HALVINGS))
-        said_cm[b] = np.int64(np.floor(middle(values, weights, count[b]) + 0.5))
+        said_cm[b] = np.int64(np.floor(middle(values, weights, own) + 0.5))
 
 
 @kernel
@@ -161,7 +162,7 @@ def read_bins(number, weight, weighted_cm, squares, sessions, height_cm, sigma_c
     values, weights = np.empty(number.size), np.empty(number.size)  # of those that are believed
     means, variances = np.empty(number.size), np.empty(number.size)
     for at in range(height_cm.size):
-        count, every, believed, moment = 0, 0.0, 0.0, 0.0
+        count, every, believed, moment = np.int64(0), 0.0, 0.0, 0.0
         for k in range(number.size):
             own = weight[k, at]
             if own == 0:

@@ -23,7 +23,7 @@ from fieldgrid.build.poses import attitude_of_grids, check_images
 from fieldgrid.build.session import NewSession, check_names
 from fieldgrid.errors import ConfigError, FieldgridError, MapExistsError, MapWriteError
 from fieldgrid.live.gridding_again import gridded_again
-from fieldgrid.live.kept_drive import JOURNAL, SessionStart, live_folder
+from fieldgrid.live.kept_drive import JOURNAL, PushedDrive, SessionStart, live_folder
 from fieldgrid.live.kept_points import LOST
 from fieldgrid.live.session_folder import SessionFolder, remove_unread
 from fieldgrid.mapfile import Patience, StageFile, create_map, open_map
@@ -57,6 +57,21 @@ def check_target(out: Path, about: SessionStart) -> None:
     with open_map(out, cell_m=chosen.cell_m, transfer=chosen.transfer) as universal:
         check_names([about.name], [info.name for info in universal.sessions()])
         check_cell_sizes(universal.cell_m, about.settings.grid.cell_m)
+
+
+def check_begin(out: Path, about: SessionStart) -> None:
+    """The same where a session begins, also again. The error tells of one whose end was killed when
+    the drive was in the map already, or before."""
+    try:
+        check_target(out, about)
+    except FieldgridError as error:
+        folder = live_folder(out)
+        if not (folder / JOURNAL).exists():
+            raise
+        raise type(error)(
+            f"{error} {folder} holds a session whose end was interrupted: fieldgrid live -o {out} "
+            "--finish completes it."
+        ) from error
 
 
 def finish_session(
@@ -151,11 +166,15 @@ def finish(
     settings = with_overrides(about.settings, overrides)
     with _telling_where(kept, "--finish"):
         try:
-            if not kept.staged().entries:
+            kept.drive.let_go()  # what was read when the folder was opened is read again
+            drive = kept.read()
+            if not drive.frames:
                 raise ConfigError(
                     f"The session {about.name!r} has no frame, so there is no map of it."
                 )
-            placed = _placed(kept, kept.recording(), settings, progress, patience or Patience())
+            recording = kept.recording(drive)
+            drive.let_go()
+            placed = _placed(kept, drive, recording, settings, progress, patience or Patience())
         except FieldgridError as error:
             sentence = str(error).removesuffix(".")
             where = kept.what_is_kept(
@@ -210,17 +229,18 @@ def _still_kept(kept: SessionFolder, left_out: int, why: str) -> str:
 
 def _placed(
     kept: SessionFolder,
+    drive: PushedDrive,
     recording: Recording,
     settings: BuildSettings,
     progress: Callable[[Progress], None] | None,
     patience: Patience,
 ) -> _Placed:
     about, out = kept.drive.about, kept.out
-    left_out = _done(kept) if out.exists() else None
+    left_out = _done(kept, drive) if out.exists() else None
     if left_out is not None:
         session = NewSession(recording, settings, None, None, about.name, 1)
         session.report.notes += ("The drive was in the map already.",)
-        session.report.frames = len(kept.staged().entries) - left_out
+        session.report.frames = len(drive.frames) - left_out
         return _Placed(session.report, left_out)
     check_target(out, about)
     datum = about.datum
@@ -240,7 +260,7 @@ def _placed(
     datum = datum or trajectory.datum
     chosen = settings.map
     with StageFile.temporary(out) as file:
-        final = gridded_again(kept, file, attitude, OriginTrack.of(trajectory), progress)
+        final = gridded_again(kept, drive, file, attitude, OriginTrack.of(trajectory), progress)
         session.report.notes += final.notes
         if kept.points.is_lost and not final.notes:
             session.report.notes += (LOST,)
@@ -258,7 +278,7 @@ def _placed(
     return _Placed(session.report, final.left_out)
 
 
-def _done(kept: SessionFolder) -> int | None:
+def _done(kept: SessionFolder, drive: PushedDrive) -> int | None:
     """How many frames an end left out that has put the drive into the map already, and was killed
     or left frames out; None where none has. It is told by its frames, whose grids may be others by
     now."""
@@ -269,9 +289,9 @@ def _done(kept: SessionFolder) -> int | None:
         placed = {frame.frame_id: frame.images_sha256 for frame in universal.frames(name)}
     if not placed:
         return None
-    missing = 0
-    for frame in kept.read().frames:
-        staged = kept.stage[frame.number]
+    missing, frames = 0, kept.staged(drive).frames
+    for number, frame in enumerate(drive.frames):
+        staged = frames[number]
         if staged.frame_id not in placed:
             # What an end leaves out was not level and cannot be made so.
             is_lost = kept.points.is_levelling and not kept.points.has(frame.points)

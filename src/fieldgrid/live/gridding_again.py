@@ -14,7 +14,7 @@ from fieldgrid.build import BadFrame, Progress
 from fieldgrid.build.perception import carried, side_by_side
 from fieldgrid.build.staging import Found, Staged
 from fieldgrid.depth import CodedDepth
-from fieldgrid.live.kept_drive import KeptFrame
+from fieldgrid.live.kept_drive import PushedDrive
 from fieldgrid.live.points_file import Seen
 from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.localgrid import LocalGridder
@@ -45,23 +45,24 @@ class _Made(NamedTuple):
 
 def gridded_again(
     kept: SessionFolder,
+    drive: PushedDrive,
     file: StageFile,
     attitude: Attitude | None,
     way: OriginTrack,
     progress: Callable[[Progress], None] | None = None,
 ) -> GriddedAgain:
-    """The frames of a session with grids that are level by the `attitude`, perpendicular to the
-    ground ahead where that is None, of sweeps carried by the vehicle's `way`; those that had to be
-    made again are in the `file`. `progress` is called after each of them."""
-    staged, drive = kept.staged(), kept.read()
+    """The frames of a session, of what was read of it, with grids that are level by the `attitude`,
+    perpendicular to the ground ahead where that is None, of sweeps carried by the vehicle's `way`;
+    those that had to be made again are in the `file`. `progress` is called after each of them."""
+    staged = kept.staged(drive)
     is_swept = any(frame.is_timed for frame in drive.frames)
     if attitude is None and not is_swept and not any(frame.is_level for frame in drive.frames):
         return GriddedAgain(staged, ())
     settings = drive.about.settings
     gridder = LocalGridder(drive.about.rig, settings.grid.spec(), settings.stereo, settings.density)
 
-    def make(frame: KeptFrame) -> _Made:
-        was = kept.stage[frame.number]
+    def make(number: int) -> _Made:
+        frame, was = drive.frames[number], staged.frames[number]
         tilt = None if attitude is None else attitude.tilt_at(was.time_ns)
         seen = kept.points.read(frame.points, gridder)
         if seen is not None:
@@ -70,7 +71,7 @@ def gridded_again(
 
     found: list[Found] = []
     bad, as_driven, notes = list(staged.bad), set[str](), tuple[str, ...]()
-    with closing(side_by_side(make, drive.frames, os.cpu_count() or 1)) as all_made:
+    with closing(side_by_side(make, range(len(drive.frames)), os.cpu_count() or 1)) as all_made:
         lost = False
         frames = zip(all_made, staged.entries, staged.found, strict=True)
         for done, (made, entry, step) in enumerate(frames, start=1):

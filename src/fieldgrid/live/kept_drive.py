@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, field
 from itertools import chain
@@ -18,7 +19,7 @@ from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.live.journal import DAMAGED, Record, read_journal
 from fieldgrid.live.points_file import RecordSpan, points_end
-from fieldgrid.live.sensor_rows import Rows, fix_from_json, rows_from_json
+from fieldgrid.live.sensor_rows import Rows, fix_from_json, joined, rows_from_json
 from fieldgrid.mapfile import StageEntry
 from fieldgrid.odometry import Refusal
 from fieldgrid.recording.pose_source import PoseBody
@@ -27,6 +28,9 @@ from fieldgrid.settings import BuildSettings
 
 JOURNAL, GRIDS, POINTS = "journal", "frames.grids", "frames.points"
 """The files in a session's folder."""
+
+PIECES = 1000
+"""So many pieces of rows are joined to one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +136,22 @@ class PushedDrive:
     cut_at: int | None = None
     """The number of the first frame whose points were lost with the power: it does not count."""
     times: StageTimes = field(default_factory=StageTimes)
+    _apart: Counter[str] = field(default_factory=Counter)
+    """How many of the last rows of each part were not joined."""
+
+    def add_rows(self, part: str, rows: Rows) -> None:
+        """Rows behind the others. Those of a long drive are pushed in millions of pieces, which
+        take fifty times what is in them: many are joined to one."""
+        pieces = self.parts.setdefault(part, [])
+        pieces.append(rows)
+        self._apart[part] += 1
+        if self._apart[part] == PIECES:
+            pieces[-PIECES:] = [joined(pieces[-PIECES:])]
+            self._apart[part] = 0
+
+    def let_go(self) -> None:
+        """Forget fixes and rows, of which a recording was made."""
+        self.fixes, self.parts = [], {}
 
 
 def live_folder(out: Path) -> Path:
@@ -177,8 +197,7 @@ def _take(drive: PushedDrive, kind: str, value: Any, entries: Sequence[StageEntr
     if kind == "fix":
         drive.fixes.append(fix_from_json(value))
     elif kind == "rows":
-        part, rows = rows_from_json(value)
-        drive.parts.setdefault(part, []).append(rows)
+        drive.add_rows(*rows_from_json(value))
     elif kind == "frame":
         number, frame_id, found, times, *rest = value
         # A frame that was lost with the power is written anew under the same number.

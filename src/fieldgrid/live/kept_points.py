@@ -28,10 +28,16 @@ of a drive that does not tell how its vehicle leans: what tells it may come late
 RESERVE_BYTES = 1_000_000_000
 """With less free on their disk no points are kept: grids, journal and the map need the room."""
 
-_NO_ROOM = (
-    "so the points of later frames are not kept: their grids stay as they were made while driving, "
-    "level by the roll and pitch known then."
+AGAIN_BYTES = 1_100_000_000
+"""With so much free again they are, where that was the reason."""
+
+_AS_DRIVEN = (
+    "are not kept: their grids stay as they were made while driving, level by the roll and pitch "
+    "known then."
 )
+_NO_MORE = f"so the points of later frames {_AS_DRIVEN}"
+_NOT_NOW = f"so until there is room the points of frames {_AS_DRIVEN}"
+_AGAIN = "The points of frames are kept again."
 
 LOST = (
     f"The points of the frames ({POINTS}) are missing or damaged, so grids cannot be made again at "
@@ -81,6 +87,7 @@ class KeptPoints(Closing):
         if self.is_lost:
             self._warning = LOST
         self._is_full = self._file is not None and self._file.size >= most_bytes
+        self._is_refused, self._least_free = False, RESERVE_BYTES
 
     @property
     def is_levelling(self) -> bool:
@@ -103,7 +110,7 @@ class KeptPoints(Closing):
         with self._lock:
             if isinstance(seen, Sweep) and seen.after_s is not None:
                 self._is_needed = True
-            if self._file is None or self._is_full:
+            if self._file is None or self._is_full or self._lacks_room():
                 return None
         try:
             return packed(seen, self._reach_m)
@@ -113,8 +120,9 @@ class KeptPoints(Closing):
             return None
 
     def add(self, record: bytes | None, time_ns: int) -> RecordSpan | None:
-        """Keep the points of the next frame; where they are, None where they are not kept. When
-        there is no more room for them, those of all later frames are not."""
+        """Keep the points of the next frame; where they are, None where they are not kept. Beyond
+        their bound, those of all later frames are not; while the disk has no room, those of then.
+        """
         with self._lock:
             if self._first_ns is None:
                 self._first_ns, self._since_ns = time_ns, time.monotonic_ns()
@@ -126,14 +134,19 @@ class KeptPoints(Closing):
             if record is None or self._file is None or self._is_full:
                 return None
             if self._file.size + len(record) > self._most:
-                return self._filled(f"The points of the frames take {self._most / 1e9:g} GB")
+                self._is_full = True
+                self._warning = f"The points of the frames take {self._most / 1e9:g} GB, {_NO_MORE}"
+                return None
+            if self._lacks_room():
+                return None
             try:
-                if shutil.disk_usage(self._path.parent).free < RESERVE_BYTES:
-                    least = f"less than {RESERVE_BYTES / 1e9:g} GB free"
-                    return self._filled(f"The disk of {self._path} has {least}")
-                return self._file.append(record)
+                place = self._file.append(record)
             except OSError as error:
-                return self._filled(f"{self._path} could not be written ({error.strerror})")
+                self._refuse(f"{self._path} could not be written ({error.strerror})")
+                return None
+            if self._is_refused:
+                self._is_refused, self._least_free, self._warning = False, RESERVE_BYTES, _AGAIN
+            return place
 
     def take_back(self, at: RecordSpan | None) -> None:
         """Give the room of the points added last back: their frame is not kept."""
@@ -141,10 +154,21 @@ class KeptPoints(Closing):
             if at is not None and self._file is not None:
                 self._file.take_back(at)
 
-    def _filled(self, why: str) -> RecordSpan | None:
-        """Keep no more points: there is no place for them."""
-        self._is_full, self._warning = True, f"{why}, {_NO_ROOM}"
-        return None
+    def _lacks_room(self) -> bool:
+        """Whether grids, journal and map need what is free on the disk."""
+        is_short = False
+        with suppress(OSError):  # a disk that does not tell may refuse them, too
+            is_short = shutil.disk_usage(self._path.parent).free < self._least_free
+        if is_short:
+            self._least_free = AGAIN_BYTES  # it is not told at each file that comes and goes
+            least = f"less than {RESERVE_BYTES / 1e9:g} GB free"
+            self._refuse(f"The disk of {self._path} has {least}")
+        return is_short
+
+    def _refuse(self, why: str) -> None:
+        """The disk takes no points for now, which is told once."""
+        if not self._is_refused:
+            self._is_refused, self._warning = True, f"{why}, {_NOT_NOW}"
 
     def _give_up(self) -> None:
         """Remove what was kept for nothing."""

@@ -19,8 +19,9 @@ from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import NmeaStream
 from fieldgrid.live.disk_state import DiskState
-from fieldgrid.live.finish import check_target, finish
+from fieldgrid.live.finish import check_begin, finish
 from fieldgrid.live.fixed_lag import GIVEN_KEPT_S
+from fieldgrid.live.frame_names import highest_number
 from fieldgrid.live.given import GIVEN_ROWS, check_body, check_order, pose_rows
 from fieldgrid.live.kept_drive import SessionStart
 from fieldgrid.live.options import LiveOptions
@@ -81,7 +82,7 @@ class Live(Closing):
             None if poses is None else check_body(poses),
         )
         gridder = LocalGridder(rig, settings.grid.spec(), settings.stereo, settings.density)
-        check_target(Path(map_path), about)
+        check_begin(Path(map_path), about)
         odometry = follows_camera(rig, settings) and poses is None
         warm_up(gridder, odometry=odometry)
         warm_up_poses(rig, settings)
@@ -92,13 +93,12 @@ class Live(Closing):
         self._nmea = NmeaStream(late_epochs=1)
         self._fixes, self._bad = len(drive.fixes), len(drive.bad)
         self._rows = {part: sum(len(r.time_ns) for r in all_) for part, all_ in drive.parts.items()}
-        self._pushed = self._heard_ns = 0
+        self._heard_ns = 0
         self._disk = DiskState(self._kept.folder)
         self.is_resumed = self._kept.is_resumed
-        self.newest_frame_ns: int | None = None
+        self.newest_frame_ns = self._kept.newest_frame_ns
         """The time of the last frame that is kept, by the receiver's clock; None without."""
-        if drive.frames:
-            self.newest_frame_ns = self._kept.stage.entries[drive.frames[-1].number].time_ns
+        self._last_number = highest_number(one.frame_id for one in self._kept.stage.entries)
         self._outbox = Outbox()
         self._deliverer = None if on_result is None else Deliverer(self._outbox, on_result)
         given_ns = (int(rows.time_ns.max()) for rows in drive.parts.get(GIVEN_ROWS, ()))
@@ -139,8 +139,9 @@ class Live(Closing):
                 self._poser.put(fix)
         for part, chunks in drive.parts.items():
             for rows in chunks:
-                if len(rows.time_ns) and rows.time_ns[-1] >= since_ns:
-                    self._poser.put((part, rows))
+                new = rows.where(rows.time_ns >= since_ns)
+                if len(new.time_ns):
+                    self._poser.put((part, new))
         self._poser.stamps.forget()  # nobody knows how long nobody listened
 
     @property
@@ -391,9 +392,8 @@ class Live(Closing):
 
     def _frame_id(self, given: str | None) -> str:
         with self._lock:
-            self._pushed += 1
-            number = self._perceiver.frames + self._pushed
-        return given if given is not None else f"{number:06d}"
+            self._last_number += given is None
+            return f"{self._last_number:06d}" if given is None else given
 
     def _check_open(self) -> None:
         if not self._is_open:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,8 +17,9 @@ from fieldgrid.errors import ConfigError, RecordingError
 from fieldgrid.fixes import Fix
 from fieldgrid.live.imu_stream import ImuStream
 from fieldgrid.live.intake import Intake, SourceEndedError
-from fieldgrid.live.links import Link, LinkEndedError, open_link, parse_address
-from fieldgrid.live.orientation_stream import OrientationStream
+from fieldgrid.live.links import open_link, parse_address
+from fieldgrid.live.mcap_link import LinkBytes, LinkDoneError, connection_of
+from fieldgrid.live.orientation_stream import ATTITUDE, RECORDED, OrientationStream
 from fieldgrid.live.receiver import ReceiverStream
 from fieldgrid.live.sensor_rows import Rows, rows_of
 from fieldgrid.recording.bag.frames import CloudMaker, PairMaker, Taken
@@ -32,16 +33,15 @@ from fieldgrid.recording.motion_files import AXES
 from fieldgrid.recording.stored import FrameKind, PairKind
 from fieldgrid.ros import Message, decode
 from fieldgrid.ros.gnss import DATUM
-from fieldgrid.ros.model import Connection, Definition, ros2_name
+from fieldgrid.ros.model import Connection
 from fieldgrid.ros.stamps import stamp_ns
 
-POLL_S = 0.25
 MOST_RECORD_BYTES = 1 << 28
 MOST_WAITING = 16
 """Images of one side that wait for their partner; the oldest of more is left out."""
 
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-_CLOUD = "sensor_msgs/msg/PointCloud2"
+_CLOUD, _TEXT = "sensor_msgs/msg/PointCloud2", "std_msgs/msg/String"
 _BY_TYPE = {
     "sensor_msgs/msg/NavSatFix": "fix",
     "nmea_msgs/msg/Sentence": "nmea",
@@ -49,39 +49,8 @@ _BY_TYPE = {
     ODOMETRY: "odometry",
 }
 _POSES = (ODOMETRY, "geometry_msgs/msg/PoseStamped")
-ROLES = ("left", "right", "cloud", *_BY_TYPE.values())
+ROLES = ("left", "right", "cloud", ATTITUDE, *_BY_TYPE.values())
 FIXES = ("fix", "nmea")
-_SYNTAX = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl"}
-
-
-class _Ended(Exception):  # noqa: N818 - a way of ending
-    """The session ends, or the stream does."""
-
-
-class _Bytes:
-    """The bytes of a link, as many as are asked for."""
-
-    def __init__(self, link: Link, intake: Intake) -> None:
-        self._link, self._intake = link, intake
-        self._held = bytearray()
-        self.has_ended = False
-
-    def read(self, count: int) -> bytes:
-        """The next bytes, so many; _Ended where there are no more."""
-        while len(self._held) < count:
-            if self._intake.stop.is_set():
-                raise _Ended
-            try:
-                data = self._link.read(POLL_S)
-            except LinkEndedError:
-                self.has_ended = True
-                raise _Ended from None
-            if data:
-                self._intake.arrived()
-            self._held += data
-        taken = bytes(self._held[:count])
-        del self._held[:count]
-        return taken
 
 
 class PoseTopic(NamedTuple):
@@ -92,11 +61,12 @@ class PoseTopic(NamedTuple):
 
 
 class _Channel(NamedTuple):
-    """A topic and what it is for; an Odometry may be wheels and `is_pose`, too."""
+    """A topic and what it is for; an Odometry may be wheels and `is_pose`, an Imu `is_attitude`."""
 
     connection: Connection
     role: str
     is_pose: bool
+    is_attitude: bool
 
 
 class McapStream:
@@ -136,7 +106,8 @@ class McapStream:
                 )
         self._transforms = Transforms()
         self._kind, self._imu = kind, ImuStream(imu_axes, self._transforms)
-        self._leans = OrientationStream(imu_axes, self._imu, self._transforms)
+        is_given = ATTITUDE in self._given
+        self._leans = OrientationStream(imu_axes, self._imu, self._transforms, is_given=is_given)
         self._takes_fixes, self._poses = takes_fixes, poses
         self._roles: dict[str, str] = {}
         self._told: set[str] = set()
@@ -157,7 +128,7 @@ class McapStream:
         from mcap.stream_reader import StreamReader
 
         with closing(open_link(self._address)) as link:
-            stream = _Bytes(link, intake)
+            stream = LinkBytes(link, intake)
             try:
                 while True:  # a FIFO may carry one after the other
                     reader = StreamReader(
@@ -165,7 +136,7 @@ class McapStream:
                         record_size_limit=MOST_RECORD_BYTES,
                     )
                     self._read(reader.records, intake)
-            except _Ended:
+            except LinkDoneError:
                 if stream.has_ended:
                     raise SourceEndedError("has ended.") from None
             except (McapError, ValueError, RuntimeError) as error:
@@ -188,9 +159,14 @@ class McapStream:
             if isinstance(record, Schema):
                 schemas[record.id] = record
             elif isinstance(record, Channel) and record.id not in channels:
-                connection = _connection(record, schemas.get(record.schema_id))
-                role = self._role(connection, intake)
-                channels[record.id] = _Channel(connection, role, self._is_pose(connection, intake))
+                connection = connection_of(record, schemas.get(record.schema_id))
+                channels[record.id] = _Channel(
+                    connection,
+                    self._role(connection, intake),
+                    self._is_pose(connection, intake),
+                    self._given.get(ATTITUDE) == connection.topic
+                    and self._is_of(ATTITUDE, connection, intake),
+                )
             elif isinstance(record, Record) and record.channel_id in channels:
                 channel = channels[record.channel_id]
                 message = Message(channel.connection, record.log_time, record.data)
@@ -200,21 +176,17 @@ class McapStream:
                     self._take(channel.role, message, intake)
                 if channel.is_pose:
                     self._take("pose", message, intake)
+                if channel.is_attitude:
+                    self._take(ATTITUDE, message, intake)
+                if channel.connection.type == _TEXT and message.topic in RECORDED:
+                    self._recorded(message, intake)
 
     def _role(self, connection: Connection, intake: Intake) -> str:
         """What the messages of a topic are for; empty for nothing."""
         topic = connection.topic
         for role, name in self._given.items():
-            if name == topic:
-                if connection.type in TYPES_OF_ROLES[role]:
-                    return role
-                wanted = " or ".join(short(kind) for kind in TYPES_OF_ROLES[role])
-                self._say(
-                    intake,
-                    f"has {topic} of the type {short(connection.type)}, not {wanted}, which is not "
-                    f"used; give another with --topic {role}=NAME.",
-                )
-                return ""
+            if name == topic and role != ATTITUDE:
+                return role if self._is_of(role, connection, intake) else ""
         role = "" if topic == DATUM else _BY_TYPE.get(connection.type, "")
         if isinstance(self._kind, CloudKind):
             role = "cloud" if connection.type == _CLOUD else role
@@ -231,6 +203,18 @@ class McapStream:
             return ""
         return role
 
+    def _is_of(self, role: str, connection: Connection, intake: Intake) -> bool:
+        """Whether a topic that was given for a role is of a type that it can have."""
+        types = TYPES_OF_ROLES[role]
+        if connection.type not in types:
+            self._say(
+                intake,
+                f"has {connection.topic} of the type {short(connection.type)}, not "
+                f"{' or '.join(map(short, types))}, which is not used; give another with --topic "
+                f"{role}=NAME.",
+            )
+        return connection.type in types
+
     def _take(self, role: str, message: Message, intake: Intake) -> None:
         takers: dict[str, Callable[[Message, int, Intake], None]] = {
             "cloud": self._cloud,
@@ -239,6 +223,7 @@ class McapStream:
             "imu": self._turn,
             "odometry": self._speed,
             "pose": self._pose,
+            ATTITUDE: self._attitude,
         }
         stamped = stamp_ns(message.connection.encoding, message.data)
         time_ns = stamped if is_utc(np.array([stamped]))[0] else message.receive_ns
@@ -347,6 +332,16 @@ class McapStream:
             intake.push_rows("wheels", rows_of("wheels", time_ns, speed_mps))
         self._push_motion(self._leans.take("odometry", said, time_ns, said.child_frame_id), intake)
 
+    def _attitude(self, message: Message, time_ns: int, intake: Intake) -> None:
+        imu, kind = self._given.get("imu", self._roles.get("imu")), message.connection.type
+        said, is_of_imu = decode(message), imu == message.topic
+        self._push_motion(self._leans.take_given(said, time_ns, kind, is_of_imu=is_of_imu), intake)
+
+    def _recorded(self, message: Message, intake: Intake) -> None:
+        """Take roll and pitch as a converted drive keeps them, whose texts have their own times."""
+        with suppress(RecordingError):
+            self._push_motion(self._leans.recorded(message.topic, decode(message).data), intake)
+
     def _is_pose(self, connection: Connection, intake: Intake) -> bool:
         """Whether a topic is that of the poses."""
         if self._poses is None or connection.topic != self._poses.name:
@@ -376,15 +371,3 @@ class McapStream:
 def _is_static(connection: Connection) -> bool:
     """Whether a topic has the places of frames that do not move on the vehicle."""
     return connection.type in TF and connection.topic.endswith(TF_STATIC)
-
-
-def _connection(channel: Any, schema: Any) -> Connection:
-    """What the messages of a channel are, as readers of bags have it."""
-    definition = None
-    if schema is not None and schema.encoding in _SYNTAX and schema.data.strip():
-        text = schema.data.decode("utf-8", "replace")
-        definition = Definition(_SYNTAX[schema.encoding], text)
-    name, encoding = "" if schema is None else schema.name, channel.message_encoding
-    if encoding in ("cdr", "ros1"):
-        name = ros2_name(name)
-    return Connection(channel.topic, name, encoding, definition)

@@ -1,4 +1,5 @@
-"""Roll and pitch by the orientations of a stream's IMU or odometry, by the rules of a bag."""
+"""Roll and pitch that a stream states, by the rules of a bag: recorded ones, those of a topic that
+was given for them, and the orientations of its IMU or odometry."""
 
 from __future__ import annotations
 
@@ -9,8 +10,8 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import CalibrationError
 from fieldgrid.live.imu_stream import ImuStream
-from fieldgrid.live.sensor_rows import Rows
-from fieldgrid.motion import Orientation
+from fieldgrid.live.sensor_rows import Rows, rows_of
+from fieldgrid.motion import Orientation, RecordedTilt
 from fieldgrid.recording.bag.content import TAKEN, axes_of
 from fieldgrid.recording.bag.leaning import (
     LEAST_STEP_NS,
@@ -20,8 +21,10 @@ from fieldgrid.recording.bag.leaning import (
     orientation_of,
     stated_orientation,
 )
+from fieldgrid.recording.bag.topics import IMU
 from fieldgrid.recording.bag.transforms import Transforms
 from fieldgrid.recording.motion_files import AXES, R_VEHICLE_FLU
+from fieldgrid.ros.gnss import ORIENTATION, TILT, Tilts
 
 SETTLED_NS = 5_000_000_000
 """Orientations are held for so long before one source is chosen: the other may begin later."""
@@ -32,7 +35,14 @@ IMU_FIRST_NS = 30_000_000_000
 MOST_HELD = 100_000
 """So many orientations of a source are held; one that never leans until then is not used."""
 
-_FRAME_SIGMA_DEG = {"imu": 0.0, "odometry": ODOMETRY_FRAME_SIGMA_DEG}
+ATTITUDE = "attitude"
+"""The role of a topic that was given for roll and pitch."""
+
+RECORDED: dict[str, tuple[str, type[RecordedTilt | Orientation]]] = {
+    TILT: ("tilt", RecordedTilt),
+    ORIENTATION: ("orientation", Orientation),
+}
+"""Topics of converted drives: the part of the motion that they hold, and its rows."""
 
 
 class _Chosen(NamedTuple):
@@ -45,13 +55,19 @@ class _Chosen(NamedTuple):
 class OrientationStream:
     """Takes messages of an `imu` and of `odometry`, and gives rows of orientation.
 
-    As in a bag, an accelerometer goes first, then the IMU's orientation, then that of odometry.
+    As in a bag, an accelerometer or recorded roll and pitch go first, then the IMU's orientation,
+    then that of odometry. Where a topic was given for them (`is_given`), it alone counts.
     Of `transforms` those count that are known when the source is chosen.
     """
 
-    def __init__(self, imu_axes: str, imu: ImuStream, transforms: Transforms) -> None:
-        self._imu, self._transforms = imu, transforms
+    def __init__(
+        self, imu_axes: str, imu: ImuStream, transforms: Transforms, *, is_given: bool = False
+    ) -> None:
+        self._imu, self._transforms, self._is_given = imu, transforms, is_given
+        self._roles = (ATTITUDE,) if is_given else ("imu", "odometry")
         self._axes = {"imu": imu_axes, "odometry": AXES}
+        self._frame_sigma_deg = {"imu": 0.0, "odometry": ODOMETRY_FRAME_SIGMA_DEG}
+        self._is_of_imu = {"imu"}
         self._held: dict[str, Leans] = {}
         self._bodies: dict[str, str] = {}
         self._chosen: _Chosen | None = None
@@ -63,9 +79,35 @@ class OrientationStream:
         self.notes: list[str] = []
         """What is reported of it."""
 
+    def recorded(self, topic: str, said: str) -> list[tuple[str, Rows]]:
+        """The rows of a text on a topic of `RECORDED`."""
+        part, kind = RECORDED[topic]
+        tilts = Tilts(kind)
+        tilts.add(said)
+        found = tilts.found()
+        if found is None or (part == "orientation" and (self._is_given or self._chosen)):
+            return []
+        if not self._is_given and self._chosen is None:
+            self._is_unused = True
+            self._held.clear()
+        return [(part, rows_of(part, *found))]
+
+    def take_given(
+        self, message: Any, time_ns: int, kind: str, *, is_of_imu: bool
+    ) -> list[tuple[str, Rows]]:
+        """The same as `take` of the topic that was given, whose messages are of a `kind`;
+        `is_of_imu` where it is that of the IMU, too."""
+        like = "imu" if kind == IMU else "odometry"
+        self._axes[ATTITUDE] = self._axes[like]
+        self._frame_sigma_deg[ATTITUDE] = self._frame_sigma_deg[like]
+        self._is_of_imu = {ATTITUDE} if is_of_imu else set()
+        # A pose names the frame that it is in, and not whose it is.
+        body = message.header.frame_id if kind == IMU else getattr(message, "child_frame_id", "")
+        return self.take(ATTITUDE, message, time_ns, str(body))
+
     def take(self, role: str, message: Any, time_ns: int, body: str) -> list[tuple[str, Rows]]:
         """Rows that are known with the next message of a role, whose frame is `body`."""
-        if self._is_unused:
+        if self._is_unused or role not in self._roles:
             return []
         if self._chosen is not None:
             return self._next(message, time_ns) if role == self._chosen.role else []
@@ -77,7 +119,9 @@ class OrientationStream:
         waited_ns = time_ns - self._since_ns
         count = sum(len(leans.places) for leans in self._held.values())
         # Twice as many each time: what does not lean is not looked at with each message.
-        if waited_ns < SETTLED_NS or count < self._next_try or self._imu.feels is None:
+        if waited_ns < SETTLED_NS or count < self._next_try:
+            return []
+        if self._imu.feels is None and not self._is_given:
             return []
         self._next_try = 2 * count
         return self._choose(waits_for_imu=waited_ns < IMU_FIRST_NS)
@@ -89,11 +133,11 @@ class OrientationStream:
         return self._choose(waits_for_imu=False)
 
     def _choose(self, *, waits_for_imu: bool) -> list[tuple[str, Rows]]:
-        if self._imu.feels:
+        if self._imu.feels and not self._is_given:
             self._is_unused = True
             self._held.clear()
             return []
-        for role in _FRAME_SIGMA_DEG:
+        for role in self._roles:
             held = self._held.get(role)
             if held is None or not held.places:
                 continue
@@ -103,11 +147,13 @@ class OrientationStream:
                 self._last_ns = int(found.time_ns[-1])
                 return [("orientation", Rows(found.time_ns, found[1:]))]
             if found.by_axes:
+                by_imu = " or imu_axes in mounting.json" if self._is_imu(role) else ""
                 self._note(
                     f"has orientations of its {role} that tell no roll and pitch: {found.why}; say "
-                    "how it sits by a static transform at the start of the stream"
-                    f"{' or imu_axes in mounting.json' if role == 'imu' else ''}."
+                    f"how it sits by a static transform at the start of the stream{by_imu}."
                 )
+            elif self._is_given and not waits_for_imu:
+                self._note(f"has a topic for the attitude that tells none: {found.why}.")
             elif waits_for_imu and role == "imu":
                 break
         return []
@@ -117,10 +163,10 @@ class OrientationStream:
             R_flu_body, how = axes_of(self._transforms, self._axes[role], self._bodies[role])
         except CalibrationError as problem:
             return Untold(str(problem).removesuffix("."), by_axes=True)
-        if role == "imu" and how == TAKEN and not self._imu.is_whole:
+        if role in self._is_of_imu and how == TAKEN and not self._imu.is_whole:
             return Untold("it does not feel gravity along its z axis", by_axes=True)
         values, times_ns = held.values(), np.array(held.places, dtype=np.int64)
-        frame_sigma_deg = _FRAME_SIGMA_DEG[role]
+        frame_sigma_deg = self._frame_sigma_deg[role]
         found = orientation_of(
             times_ns, values, R_flu_body, frame_sigma_deg, axes_known=how != TAKEN
         )
@@ -144,9 +190,12 @@ class OrientationStream:
             np.array([time_ns], dtype=np.int64),
             values[:, :3] @ self._chosen.R_vehicle_body.T,
             values[:, 3],
-            _FRAME_SIGMA_DEG[self._chosen.role],
+            self._frame_sigma_deg[self._chosen.role],
         )
         return [("orientation", Rows(found.time_ns, found[1:]))]
+
+    def _is_imu(self, role: str) -> bool:
+        return self._frame_sigma_deg[role] == self._frame_sigma_deg["imu"]
 
     def _note(self, text: str) -> None:
         if text not in self.notes:

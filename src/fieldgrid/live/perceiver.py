@@ -11,9 +11,9 @@ from functools import partial
 from typing import NamedTuple
 
 from fieldgrid.build import BadFrame
-from fieldgrid.build.perception import Perceived
+from fieldgrid.build.perception import Perceived, perceive_frame
 from fieldgrid.build.report import StageTimes
-from fieldgrid.build.staging import Found, stage_frame
+from fieldgrid.build.staging import Found, encoded
 from fieldgrid.choices import MatcherKind
 from fieldgrid.errors import FieldgridError, MapWriteError
 from fieldgrid.frame_ground import FrameGround
@@ -25,7 +25,6 @@ from fieldgrid.live.sensor_rows import check_time
 from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.live.stamps import OFF_S, Stamps
 from fieldgrid.localgrid import LocalGridder
-from fieldgrid.mapfile import StagedFrame
 from fieldgrid.odometry import CameraStep, Features, step
 from fieldgrid.recording import CloudFrame, Frame, StereoFrame
 from fieldgrid.rig import StereoCamera
@@ -41,14 +40,13 @@ MOST_HELD = 20
 
 class PerceivedFrame(NamedTuple):
     """A frame that was perceived, its grid guarded against drops. `step` is the camera's to it from
-    the last one that `is_kept`; `is_level` is whether the grid's columns are vertical."""
+    the one before; `is_level` is whether the grid's columns are vertical."""
 
     frame_id: str
     time_ns: int
     grid: LocalGrid
     ground_found: bool
     step: CameraStep | None
-    is_kept: bool
     pushed_s: float
     images_sha256: tuple[str, ...] = ()
     is_level: bool = False
@@ -63,13 +61,10 @@ class _Waiting(NamedTuple):
 
 
 class _Looked(NamedTuple):
-    """What became of a frame: `points` are the record of those that its grid is made of."""
+    """What became of a frame."""
 
     seen: Perceived
-    staged: StagedFrame
-    points: bytes | None
     is_level: bool
-    is_timed: bool
 
 
 class Perceiver:
@@ -104,13 +99,13 @@ class Perceiver:
         self._changed = threading.Condition()
         self._closed = False
         self._taken = self._done = 0
+        # Of the frame before, and of the last one that is kept: a full disk refuses frames.
         self._last: Features | None = None
-        frames = kept.drive.frames
-        last_ns = kept.stage.entries[frames[-1].number].time_ns if frames else None
-        self._newest_ns = last_ns
+        self._last_kept: Features | None = None
+        self._newest_ns = kept.newest_frame_ns
         # The last frame before the restart, pushed again, is looked at for the step from it.
-        self._again_ns = last_ns if odometry else None
-        self.frames = len(frames)
+        self._again_ns = kept.newest_frame_ns if odometry else None
+        self.frames = len(kept.drive.frames)
         self.dropped = kept.drive.dropped
         self.late = 0
         self._disk_full = False
@@ -238,7 +233,7 @@ class Perceiver:
             self._await(turn)
             try:
                 if looked is not None:
-                    pair = self._keep(waiting, looked)
+                    pair = self._finish(waiting, looked)
             except Exception as error:  # noqa: BLE001 - as above
                 problem = error
             if problem is not None:
@@ -255,7 +250,7 @@ class Perceiver:
         frame, kept = waiting.frame, self._kept
         time_ns = self._time_ns(frame)
         tilt = self._tilt(time_ns) if kept.points.is_levelling else None
-        seen, staged = stage_frame(
+        seen = perceive_frame(
             frame,
             self._gridder,
             odometry=self._odometry,
@@ -263,9 +258,7 @@ class Perceiver:
             way=self._way(time_ns) if isinstance(frame, CloudFrame) else None,
             gridded=partial(self._gridded, waiting, turn),
         )
-        points = None if waiting.is_again else kept.points.record(seen.seen)
-        is_timed = isinstance(seen.seen, Sweep) and seen.seen.after_s is not None
-        return _Looked(seen, staged, points, tilt is not None, is_timed)
+        return _Looked(seen, tilt is not None)
 
     def _await(self, turn: int) -> None:
         """Wait until all frames before are kept."""
@@ -288,53 +281,69 @@ class Perceiver:
         text = f"Frame {frame.frame_id} cannot be used: {reason}"
         self._tell(LiveEvent(What.FRAME_BAD, text, time_ns))
 
-    def _keep(self, waiting: _Waiting, looked: _Looked) -> int | None:
-        """Keep a frame and pass it on; its number where its images are to be kept, too."""
-        seen, staged, points, is_level, is_timed = looked
-        frame, kept, rig = waiting.frame, self._kept, self._gridder.rig
-        time_ns = frame.time_ns + rig.image_time_offset_ns
+    def _finish(self, waiting: _Waiting, looked: _Looked) -> int | None:
+        """Pass a frame on, and then keep it: no window waits until it is encoded and written. Its
+        number where its images are to be kept, too."""
+        seen, is_level = looked
         # Behind it the stage file may have frames of which the journal does not know.
         if waiting.is_again:
-            self._last = seen.features
+            self._last = self._last_kept = seen.features
             return None
         start = time.thread_time()
-        found: Found = None
-        if self._last is not None and seen.features is not None:
-            found = step(self._last, seen.features, rig)
+        found = live = self._step(self._last_kept, seen)
+        if self._last is not self._last_kept:
+            live = self._step(self._last, seen)
+        self._last = seen.features
         odometry_s = seen.odometry_s + time.thread_time() - start
-        is_kept = True
-        points_at = kept.points.add(points, time_ns)
+        self._pass_on(
+            PerceivedFrame(
+                waiting.frame.frame_id,
+                self._time_ns(waiting.frame),
+                seen.grid.guarded(seen.ground.drops_cm),
+                seen.ground.refined,
+                live if isinstance(live, CameraStep) else None,
+                waiting.pushed_s,
+                seen.sources_sha256,
+                is_level,
+            )
+        )
+        times = StageTimes(seen.decode_s, seen.match_s, seen.grid_s, odometry_s)
+        return self._keep(looked, found, times)
+
+    def _step(self, last: Features | None, seen: Perceived) -> Found:
+        if last is None or seen.features is None:
+            return None
+        return step(last, seen.features, self._gridder.rig)
+
+    def _keep(self, looked: _Looked, found: Found, times: StageTimes) -> int | None:
+        """Keep a frame, to which the camera's step from the last one that is kept was `found`."""
+        kept, seen, frame = self._kept, looked.seen, looked.seen.frame
+        time_ns = self._time_ns(frame)
+        number = None
+        points_at = kept.points.add(kept.points.record(seen.seen), time_ns)
         try:
-            number = kept.stage.append(staged)
+            number = kept.stage.append(encoded(seen, self._gridder.rig))
         except MapWriteError as error:
-            is_kept = False
             kept.points.take_back(points_at)
             if not self._disk_full:
                 text = f"{error} Frames are not kept until there is room; the mapping goes on."
                 self._tell(LiveEvent(What.DISK, text, time_ns))
-            self._kept.add_dropped(frame.frame_id, frame.time_ns)
+            kept.add_dropped(frame.frame_id, frame.time_ns)
             self.dropped += 1
         else:
             if self._disk_full:
                 text = "The disk takes frames again."
                 self._tell(LiveEvent(What.DISK, text, time_ns))
-            self._last = seen.features
+            self._last_kept = seen.features
             self.frames += 1
-            times = StageTimes(seen.decode_s, seen.match_s, seen.grid_s, odometry_s)
-            kept_frame = KeptFrame(number, found, points_at, is_level, is_timed)
+            is_timed = isinstance(seen.seen, Sweep) and seen.seen.after_s is not None
+            kept_frame = KeptFrame(number, found, points_at, looked.is_level, is_timed)
             kept.add_frame(kept_frame, frame.frame_id, times)
-        self._disk_full = not is_kept
+        self._disk_full = number is None
         if warning := kept.points.take_warning():
             self._tell(LiveEvent(What.DISK, warning, time_ns))
-        one_step = found if isinstance(found, CameraStep) else None
-        guarded = seen.grid.guarded(seen.ground.drops_cm)
-        self._pass_on(
-            PerceivedFrame(
-                *(frame.frame_id, time_ns, guarded, seen.ground.refined, one_step, is_kept),
-                *(waiting.pushed_s, seen.sources_sha256, is_level),
-            )
-        )
-        return number if is_kept and kept.claim_pair(number, time_ns) else None
+        is_due = number is not None and kept.claim_pair(number, time_ns)
+        return number if is_due else None
 
     def _keep_pair(self, number: int, frame: Frame) -> None:
         """Keep the images of a frame; no other frame waits for that."""

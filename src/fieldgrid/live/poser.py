@@ -217,8 +217,7 @@ class Poser:
             self._trailing.forget(said.lost, said.back_ns)
         elif isinstance(said, PerceivedFrame):
             seen = self._newest = self._repeats.taken(said)
-            if seen.is_kept:
-                self._trailing.add_frame(seen.time_ns, seen.step)
+            self._trailing.add_frame(seen.time_ns, seen.step)
             self._waiting.append(seen)
         elif isinstance(said, Estimated):
             self._take_estimate(said)
@@ -297,9 +296,7 @@ class Poser:
             is_settled = (self._known_ns - seen.time_ns) / 1e9 >= self._options.lag_s
             is_settled = is_settled and seen.time_ns <= self._estimated_ns
             is_settled = is_settled or (answered_ns - seen.time_ns) / 1e9 >= GIVEN_UP_S
-            at = self._pose_of(seen, before, doubt)
-            if seen.is_kept:
-                before = at
+            at = before = self._pose_of(seen, before, doubt)
             pose, gear = at.pose, at.gear
             if pose.status is not Status.REJECTED and not seen.ground_found:
                 pose = replace(pose, status=Status.REJECTED, reason=no_ground(self._rig))
@@ -336,12 +333,14 @@ class Poser:
         if seen.time_ns <= self._estimated_ns:
             return found
         carried = []
+        known_ns = last_known_ns(track)
+        known = None if known_ns is None else PropagatedPose(*pose_at(track, known_ns))
         if seen.step is not None and before is not None and _is_good(before):
-            carried.append(before.on(seen.time_ns, seen.step))
-        elif not _is_good(found) and (known_ns := last_known_ns(track)):
-            rolled = self.going.step(known_ns, seen.time_ns)
+            carried = [one for one in (before.on(seen.time_ns, seen.step),) if one.fits(known)]
+        if not carried and known is not None and not _is_good(found):
+            rolled = self.going.step(known.pose.time_ns, seen.time_ns)
             if rolled is not None:
-                carried.append(PropagatedPose(*pose_at(track, known_ns)).on(seen.time_ns, rolled))
+                carried.append(known.on(seen.time_ns, rolled))
         good = (one for one in carried if one.is_good(self._settings, self._budget))
         return next(good, found)
 

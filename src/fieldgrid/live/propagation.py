@@ -22,6 +22,9 @@ MOST_SHARE = 0.5
 
 STILL_MPS = 0.05
 
+MOST_CHANGE_MPS2 = 3.0
+"""So much a vehicle's speed may change in a second, in any direction."""
+
 POSELESS_S = 1.5
 """Without a pose for longer, the window is not to be trusted."""
 
@@ -66,6 +69,18 @@ class PropagatedPose(NamedTuple):
             math.hypot(self.added_m, off_m),
             math.hypot(self.added_deg, step.sigma_deg),
         )
+
+    def fits(self, known: PropagatedPose | None) -> bool:
+        """Whether a vehicle can be there that was just now where it is `known` to have been. A step
+        of the camera may begin much earlier, and rows of plants look alike."""
+        if known is None:
+            return True
+        was, now = known.pose, self.pose
+        since_s = abs(now.time_ns - was.time_ns) / 1e9
+        apart_m = math.hypot(now.east_m - was.east_m, now.north_m - was.north_m)
+        sigma_m = math.hypot(was.position_sigma_m, now.position_sigma_m)
+        driven_m = since_s * (abs(was.speed_mps) + MOST_CHANGE_MPS2 * since_s)
+        return apart_m <= 3.0 * sigma_m + driven_m
 
     def is_good(self, settings: PoseSettings, budget: ErrorBudget) -> bool:
         """Whether it is still good enough for the window, as the pose was that it began with."""

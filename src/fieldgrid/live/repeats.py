@@ -39,8 +39,7 @@ class Repeats:
         no camera that shows an image again tells how it went, nor how far it came since."""
         is_again = self._taken.camera.repeats(seen.images_sha256)
         tells = not is_again and not self._taken.is_again
-        if seen.is_kept:
-            self._taken = _After(StuckCamera(seen.images_sha256), is_again)
+        self._taken = _After(StuckCamera(seen.images_sha256), is_again)
         return seen if tells else seen._replace(step=None)
 
     def begin(self) -> None:
@@ -67,8 +66,7 @@ class Repeats:
             self._say("The camera shows something new again.")
         if not is_again or (pose.status is Status.OK and not is_stuck):
             self.new_ns = max(self.new_ns, time_ns)
-        if seen.is_kept:
-            self._now = _After(camera, is_again, is_stuck)
+        self._now = _After(camera, is_again, is_stuck)
         if is_settled:
             self._settled = self._now
         return pose

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.array_types import AnyArray, Int64
+from fieldgrid.array_types import AnyArray, Bool, Int64
 from fieldgrid.errors import ConfigError
 from fieldgrid.fixes import Fix
 from fieldgrid.motion import Gyro, Inertial, Motion, Orientation, RecordedTilt, WheelSpeed
@@ -43,6 +43,10 @@ class Rows(NamedTuple):
     time_ns: Int64
     columns: tuple[AnyArray, ...]
 
+    def where(self, taken: Bool) -> Rows:
+        """Those that are taken [n]."""
+        return Rows(self.time_ns[taken], tuple(column[taken] for column in self.columns))
+
 
 def check_time(what: str, time_ns: int) -> None:
     """Raise ConfigError for what no time of a drive can be: no map could have it."""
@@ -75,17 +79,21 @@ def rows_of(part: str, time_ns: npt.ArrayLike, *columns: npt.ArrayLike) -> Rows:
     return Rows(times, tuple(made))
 
 
+def joined(pieces: Sequence[Rows]) -> Rows:
+    """The rows of some pieces, one piece behind the other."""
+    columns = zip(*(rows.columns for rows in pieces), strict=True)
+    time_ns = np.concatenate([rows.time_ns for rows in pieces])
+    return Rows(time_ns, tuple(np.concatenate(values) for values in columns))
+
+
 def motion_of(parts: Mapping[str, Sequence[Rows]]) -> Motion:
     """Motion of all rows but those of poses, in order of time, of equal times the first."""
     made: dict[str, Any] = {}
     for part, chunks in parts.items():
         if not chunks or part not in PARTS:
             continue
-        time_ns = np.concatenate([rows.time_ns for rows in chunks])
-        columns = [
-            np.concatenate(values) for values in zip(*(r.columns for r in chunks), strict=True)
-        ]
-        time_ns, first = np.unique(time_ns, return_index=True)
+        whole_ns, columns = joined(chunks)
+        time_ns, first = np.unique(whole_ns, return_index=True)
         made[part] = PARTS[part](time_ns, *(column[first] for column in columns))
     return Motion(**made)
 

@@ -7,11 +7,12 @@ frame counts when all files have it, so a kill between two of them loses that fr
 
 from __future__ import annotations
 
+import errno
 import re
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -24,6 +25,7 @@ from fieldgrid.build.staging import Staged
 from fieldgrid.closing import Closing
 from fieldgrid.errors import ConfigError, MapError, MapWriteError
 from fieldgrid.fixes import Fix, FixColumns
+from fieldgrid.live.frame_names import told_apart
 from fieldgrid.live.given import GIVEN_ROWS, NO_POSES, body_poses
 from fieldgrid.live.journal import Journal, read_journal
 from fieldgrid.live.kept_drive import (
@@ -90,10 +92,7 @@ class SessionFolder(Closing):
             self._open.close()
             if isinstance(error, MapWriteError):
                 raise
-            raise MapWriteError(
-                f"{self.folder} could not be written ({error.strerror}); check the folder and its "
-                "permissions."
-            ) from error
+            raise _unwritable(self.folder, error) from error
         except BaseException:
             self._open.close()
             raise
@@ -147,10 +146,7 @@ class SessionFolder(Closing):
         try:
             points = KeptPoints(self.folder / POINTS, reach_m, most_bytes, first_ns, drive.frames)
         except OSError as error:
-            raise MapWriteError(
-                f"{self.folder / POINTS} could not be written ({error.strerror}); check the "
-                "folder and its permissions."
-            ) from error
+            raise _unwritable(self.folder / POINTS, error) from error
         for part, chunks in drive.parts.items():
             for rows in chunks:
                 points.note_rows(part, rows)
@@ -249,27 +245,28 @@ class SessionFolder(Closing):
         self.unreadable = len(drive.unreadable)
         return drive
 
-    def staged(self) -> Staged:
-        """The frames, as a build has them of its drive."""
-        drive = self.read()
+    def staged(self, read: PushedDrive | None = None) -> Staged:
+        """The frames, as a build has them of its drive; of what was `read`, if that was done."""
+        drive = read or self.read()
         numbers = [frame.number for frame in drive.frames]
+        entries = [self.stage.entries[number] for number in numbers]
+        names = told_apart([entry.frame_id for entry in entries])
         found = [frame.found for frame in drive.frames]
         # No step leads to a frame before which the program was started again.
         found = [one or Refusal.NOT_COMPARED if k else one for k, one in enumerate(found)]
         if not isinstance(drive.about.rig.sensor, StereoCamera):
             found = [None] * len(numbers)
         return Staged(
-            _Numbered(self.stage, numbers),
-            [self.stage.entries[number] for number in numbers],
+            _Numbered(self.stage, numbers, names),
+            [e._replace(frame_id=name) for e, name in zip(entries, names, strict=True)],
             found,
             [bad for _, bad in drive.bad],
             drive.times,
         )
 
-    def recording(self) -> Recording:
-        """The drive as a recording, with the pairs that were kept for its frames. RecordingError
-        where poses were to be pushed that cannot be used."""
-        drive = self.read()
+    def recording(self, drive: PushedDrive) -> Recording:
+        """What was read as a recording, with the pairs that were kept for its frames.
+        RecordingError where poses were to be pushed that cannot be used."""
         about, rig = drive.about, drive.about.rig
         offset_ns = rig.image_time_offset_ns
         staged_ns = [self.stage.entries[number].time_ns - offset_ns for number, *_ in drive.frames]
@@ -299,6 +296,12 @@ class SessionFolder(Closing):
         given = body_poses(about.poses, drive.parts.get(GIVEN_ROWS) or [NO_POSES])
         return with_body_poses(recording, given, about.poses).recording()
 
+    @property
+    def newest_frame_ns(self) -> int | None:
+        """The time of the last frame that is there already, None without, until `forget`."""
+        frames = self.drive.frames
+        return self.stage.entries[frames[-1].number].time_ns if frames else None
+
     def forget(self) -> None:
         """Hold no more in memory than what the session was begun with, however long it lasts."""
         self.drive = PushedDrive(self.drive.about)
@@ -327,6 +330,13 @@ def remove_unread(out: Path) -> bool:
     return is_ours
 
 
+def _unwritable(path: Path, error: OSError) -> MapWriteError:
+    advice = "check the folder and its permissions"
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        advice = "free some space there and try again"
+    return MapWriteError(f"{path} could not be written ({error.strerror}); {advice}.")
+
+
 def _remove(folder: Path) -> None:
     """Remove the files of a session. Files of others stay."""
     pairs = [path for path in folder.glob("*") if _OF_PAIRS.fullmatch(path.name)]
@@ -340,10 +350,12 @@ def _remove(folder: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Numbered:
-    """Some of the frames of a stage file, in their order."""
+    """Some of the frames of a stage file, in their order, and what they are called."""
 
     stage: StageFile
     numbers: list[int]
+    names: list[str]
 
     def __getitem__(self, index: int) -> StagedFrame:
-        return self.stage[self.numbers[index]]
+        frame, name = self.stage[self.numbers[index]], self.names[index]
+        return frame if frame.frame_id == name else replace(frame, frame_id=name)

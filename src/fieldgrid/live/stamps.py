@@ -120,7 +120,7 @@ class Stamps:
         taken = rows.time_ns < since_ns
         if not taken.any():
             return None, judged
-        return Rows(rows.time_ns[taken], tuple(column[taken] for column in rows.columns)), judged
+        return rows.where(taken), judged
 
     def _astray(self, time_ns: int) -> frozenset[str]:
         """Sources that were followed to a time that fixes, which go on as they did, are not of."""

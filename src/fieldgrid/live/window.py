@@ -10,12 +10,16 @@ import numpy as np
 from fieldgrid.array_types import Float32, Int64, UInt64
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import LocalGrid
+from fieldgrid.kernel import kernel
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.mapfile import MapView
 from fieldgrid.trajectory import Pose, Status
-from fieldgrid.transfer import MeanFold, Transfer, footprint, mean_density
+from fieldgrid.transfer import Transfer, land, mean_density
 
 UNSEEN_NS = -(1 << 62)
+
+Place = tuple[slice, slice]
+ALL = slice(None), slice(None)
 
 MOVES_M = 1.0
 """The window moves when the vehicle is farther than this from its middle."""
@@ -39,15 +43,25 @@ class _Cells(NamedTuple):
     sigma_m: Float32
 
     @classmethod
-    def empty(cls, window: Window) -> Self:
-        return cls(
-            np.zeros((2, *window.shape), dtype=np.uint64),
-            np.full(window.shape, UNSEEN_NS, dtype=np.int64),
-            np.full(window.shape, np.nan, dtype=np.float32),
+    def empty(cls, shape: tuple[int, int]) -> Self:
+        made = cls(
+            np.empty((2, *shape), dtype=np.uint64),
+            np.empty(shape, dtype=np.int64),
+            np.empty(shape, dtype=np.float32),
         )
+        made.clear()
+        return made
 
-    def copy(self) -> Self:
-        return type(self)(self.sums.copy(), self.seen_ns.copy(), self.sigma_m.copy())
+    def clear(self) -> None:
+        """Know nothing."""
+        self.sums.fill(0)
+        self.seen_ns.fill(UNSEEN_NS)
+        self.sigma_m.fill(np.nan)
+
+    def take(self, other: Self, to: Place = ALL, from_: Place = ALL) -> None:
+        """Know what another one knows, of a part."""
+        self.sums[(..., *to)] = other.sums[(..., *from_)]
+        self.seen_ns[to], self.sigma_m[to] = other.seen_ns[from_], other.sigma_m[from_]
 
 
 class RollingWindow:
@@ -58,8 +72,10 @@ class RollingWindow:
         self.lattice, self._transfer = Lattice(cell_m), transfer
         self._side = round(max(side_m, 2.0 * (reach_m + 2.0 * MOVES_M)) / cell_m)
         self._window = Window(-self._side // 2, -self._side // 2, self._side, self._side)
-        self._cells = _Cells.empty(self._window)
-        self._moving: tuple[list[PlacedGrid], _Cells] = [], self._cells
+        shape = self._window.shape
+        # What is there for good; and that with the frames that may still move, if there are any.
+        self._cells, self._shown = _Cells.empty(shape), _Cells.empty(shape)
+        self._moving: list[PlacedGrid] = []
         self.frames = 0
         """Frames that were placed for good."""
 
@@ -74,14 +90,11 @@ class RollingWindow:
         if away <= within_m * self.lattice.cells_per_m:
             return
         self._window = Window(i - half, j - half, self._side, self._side)
-        kept, self._cells = self._cells, _Cells.empty(self._window)
+        self._cells, self._shown, self._moving = self._shown, self._cells, []
+        self._cells.clear()
         common = old.intersect(self._window)
         if common is not None:
-            to, from_ = self._window.slices_of(common), old.slices_of(common)
-            self._cells.sums[(..., *to)] = kept.sums[(..., *from_)]
-            self._cells.seen_ns[to] = kept.seen_ns[from_]
-            self._cells.sigma_m[to] = kept.sigma_m[from_]
-        self._moving = [], self._cells
+            self._cells.take(self._shown, self._window.slices_of(common), old.slices_of(common))
 
     def settle(self, frames: Iterable[PlacedGrid]) -> None:
         """Place frames for good."""
@@ -90,20 +103,19 @@ class RollingWindow:
             self._add(self._cells, frame)
             self.frames += 1
         if self.frames != before:
-            self._moving = [], self._cells
+            self._moving = []
 
     def place(self, frames: Sequence[PlacedGrid]) -> None:
         """Place frames that are not settled yet, in place of those of before. Those that are where
         they were cost nothing, if others only follow them."""
-        placed, cells = self._moving
-        count = len(placed)
-        if len(frames) < count or any(map(_differs, placed, frames)):
-            count, cells = 0, self._cells
-        if cells is self._cells or len(frames) > count:
-            cells = cells.copy()  # what was given out of them stays
+        count = len(self._moving)
+        if len(frames) < count or any(map(_differs, self._moving, frames)):
+            count = 0
+        if not count and frames:
+            self._shown.take(self._cells)
         for frame in frames[count:]:
-            self._add(cells, frame)
-        self._moving = list(frames), cells
+            self._add(self._shown, frame)
+        self._moving = list(frames)
 
     def view(
         self, frames: Sequence[PlacedGrid], datum: Datum, now_ns: int
@@ -111,24 +123,36 @@ class RollingWindow:
         """What is known with further frames that are not settled yet; the age of each cell in
         seconds at `now_ns`, and its sigma in metres, NaN where nothing was seen."""
         self.place(frames)
-        cells = self._moving[1]
+        cells = self._shown if self._moving else self._cells
         density, observed = mean_density(*cells.sums)
         age_s = np.full(self._window.shape, np.nan, dtype=np.float32)
         age_s[observed] = (now_ns - cells.seen_ns[observed]) / 1e9
         view = MapView(self.lattice, self._window, density, observed, datum, is_base=True)
-        return view, age_s, cells.sigma_m
+        return view, age_s, cells.sigma_m.copy()
 
     def _add(self, cells: _Cells, frame: PlacedGrid) -> None:
-        reached = footprint(frame.grid.spec, frame.pose, self.lattice).intersect(self._window)
-        if reached is None:
-            return
-        fold = MeanFold(self.lattice, reached, self._transfer)
-        fold.add(frame.grid, frame.pose)
-        sums, place = fold.sums, self._window.slices_of(reached)
-        cells.sums[(..., *place)] += sums
-        newer = (sums[0] > 0) & (cells.seen_ns[place] <= frame.time_ns)
-        cells.seen_ns[place][newer] = frame.time_ns
-        cells.sigma_m[place][newer] = frame.sigma_m
+        landing = land(frame.grid, frame.pose, self.lattice, self._window, self._transfer)
+        lay(
+            *(frame.grid.density, *landing, np.uint64(landing.unit), frame.time_ns),
+            *(np.float32(frame.sigma_m), *cells.sums.reshape(2, -1)),
+            *(cells.seen_ns.reshape(-1), cells.sigma_m.reshape(-1)),
+        )
+
+
+@kernel
+def lay(  # type: ignore[no-untyped-def]
+    values, cell, shift, spans, unit, time_ns, sigma_m, weights, totals, seen_ns, sigmas_m
+):
+    """Add to each cell of a `Landing` the `unit` of weight and that of the value of the local cell,
+    and note the time and the sigma, unless a later frame has seen it."""
+    for r in range(cell.shape[0]):
+        for c in range(spans[r, 0], spans[r, 1]):
+            if cell[r, c] >= 0:
+                k = np.uint32(cell[r, c])
+                weights[k] += unit
+                totals[k] += unit * np.uint64(values[r >> shift, c >> shift])
+                if seen_ns[k] <= time_ns:
+                    seen_ns[k], sigmas_m[k] = time_ns, sigma_m
 
 
 def _differs(one: PlacedGrid, other: PlacedGrid) -> bool:

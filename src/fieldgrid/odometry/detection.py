@@ -67,11 +67,15 @@ def _fill_strength(image, strength):  # type: ignore[no-untyped-def]
     Only five rows of products are kept, and their sums by column. 0 within 3 px of the edge.
     """
     height, width = image.shape
-    across, down = np.zeros(width, dtype=np.int32), np.zeros(width, dtype=np.int32)
-    last_xx, last_xy = np.zeros(5 * width, dtype=np.int32), np.zeros(5 * width, dtype=np.int32)
-    last_yy = np.zeros(5 * width, dtype=np.int32)
-    sum_xx, sum_xy = np.zeros(width, dtype=np.int32), np.zeros(width, dtype=np.int32)
-    sum_yy = np.zeros(width, dtype=np.int32)
+    across, down = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.int32)
+    last_xx, last_xy = np.empty(5 * width, dtype=np.int32), np.empty(5 * width, dtype=np.int32)
+    last_yy = np.empty(5 * width, dtype=np.int32)
+    sum_xx, sum_xy = np.empty(width, dtype=np.int32), np.empty(width, dtype=np.int32)
+    sum_yy = np.empty(width, dtype=np.int32)
+    for x in range(5 * width):
+        last_xx[x] = last_xy[x] = last_yy[x] = 0
+    for x in range(width):
+        sum_xx[x] = sum_xy[x] = sum_yy[x] = 0
     for row in range(1, height - 1):
         for x in range(1, width - 1):
             a, b = np.int32(image[row - 1, x - 1]), np.int32(image[row - 1, x])

@@ -128,7 +128,7 @@ def _search(start, stop, pixels, lens, sigma, R_best, t_best):  # type: ignore[n
     R, t, r, J = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((3, 6))
     H, g = np.empty((6, 6)), np.empty(6)
     axes = np.empty((6, 3))
-    state, drawn = np.uint64(1), np.zeros(3, dtype=np.int64)
+    state, drawn = np.uint64(1), np.empty(3, dtype=np.int64)
     least_cost, enough = SEARCH_CUTOFF * n, float(MOST_TRIES)
     found, tries, draws = False, 0, 0
     while tries < enough and draws < MOST_TRIES * DRAWS_A_TRY:

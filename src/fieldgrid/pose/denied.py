@@ -18,7 +18,7 @@ from fieldgrid.pose.clock import ClockFindings
 from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.table import PoseTable
 from fieldgrid.rig import Rig, VehicleGeometry
-from fieldgrid.smoother import AHEAD, Constant
+from fieldgrid.smoother import AHEAD, LATE, Constant, DeclaredCorrection
 
 CLEAR_SIGMAS = 4.0
 """A drive denies what was declared only by so many sigmas."""
@@ -44,13 +44,14 @@ class Denied(NamedTuple):
     `off_m` [n] is how far the positions of its nodes are off if that is so, or if images are
     stamped as the camera's motion has it. Where sensors and declarations do not fit together and
     none of them is clearly wrong, it is the most that one of those would make that explain it
-    alone.
+    alone. With `either`, the place ahead and the stamps each explain all, and only one is wrong.
     """
 
     right_m: Constant | None
     ahead_m: Constant | None
     late_s: Constant | None
     off_m: Float64
+    either: bool = False
 
     @property
     def clear(self) -> bool:
@@ -68,25 +69,46 @@ def denied_by(
     if not sees_turns(drive) and not by_heading:
         return Denied(None, None, None, by_clock_m)
     found = drive.smoothed.declared
+    places = moving_places(drive, vehicle)
+    right_m = _clear(found.right_m, LEAST_LEVER_M) if places[0] else None
+    ahead_m = _clear(found.ahead_m, LEAST_LEVER_M) if places[1] else None
+    # Recorded headings have the stamps of the fixes. With an axle that nobody names, a delay and
+    # the antenna's place ahead of it cancel each other.
+    tells_delay = sees_turns(drive) and (names_axle(vehicle) or found.explains(LATE))
+    late_s = _clear(found.late_s, LEAST_DELAY_S) if tells_delay else None
+    off_m = np.hypot(math.hypot(_value(right_m), _value(ahead_m)), _value(late_s) * speed_mps)
+    denied = Denied(right_m, ahead_m, late_s, off_m)
+    if not denied.clear:
+        off_m = off_if_alone_m(found, vehicle, speed_mps, places)
+    return denied._replace(off_m=np.maximum(off_m, by_clock_m))
+
+
+def off_if_alone_m(
+    found: DeclaredCorrection,
+    vehicle: VehicleGeometry | None,
+    speed_mps: Float64,
+    places: tuple[bool, bool],
+) -> Float64:
+    """How far positions [n] are off at most by one mistake that explains alone what does not fit
+    together; of the antenna's `places` aside and ahead only those that move positions."""
+    off_m = np.zeros(len(speed_mps))
+    # An axle that nobody names explains what an antenna ahead of it explains.
+    if not found.contradicts or (not names_axle(vehicle) and found.explains(AHEAD)):
+        return off_m
+    per_unit = places[0] * np.ones_like(speed_mps), places[1] * np.ones_like(speed_mps)
+    for k, moved in enumerate((*per_unit, speed_mps)):
+        if found.explains(k):
+            off_m = np.maximum(off_m, np.abs(found.alone[k]) * moved)
+    return off_m
+
+
+def moving_places(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tuple[bool, bool]:
+    """Whether the antenna's place aside and ahead moves positions, and the drive can deny it."""
     # Of a log alone positions are those of the antenna; and where nobody says where the axle is,
     # its place is no contradiction, and moves no position.
     placed = isinstance(vehicle, Rig)
     # An antenna aside is the faster one in a turn, which only those see who see the speed.
-    places = placed and sees_speed(drive), placed and names_axle(vehicle)
-    right_m = _clear(found.right_m, LEAST_LEVER_M) if places[0] else None
-    ahead_m = _clear(found.ahead_m, LEAST_LEVER_M) if places[1] else None
-    # Recorded headings have the stamps of the fixes.
-    late_s = _clear(found.late_s, LEAST_DELAY_S) if sees_turns(drive) else None
-    off_m = np.hypot(math.hypot(_value(right_m), _value(ahead_m)), _value(late_s) * speed_mps)
-    denied = Denied(right_m, ahead_m, late_s, off_m)
-    # An axle that nobody names explains what an antenna ahead of it explains.
-    by_axle = not names_axle(vehicle) and found.explains(AHEAD)
-    if found.contradicts and not denied.clear and not by_axle:
-        per_unit = places[0] * np.ones_like(speed_mps), places[1] * np.ones_like(speed_mps)
-        for k, moved in enumerate((*per_unit, speed_mps)):
-            if found.explains(k):
-                off_m = np.maximum(off_m, np.abs(found.alone[k]) * moved)
-    return denied._replace(off_m=np.maximum(off_m, by_clock_m))
+    return placed and sees_speed(drive), placed and names_axle(vehicle)
 
 
 def with_whole_place(denied: Denied, placed: Callable[[float], DriveEstimate]) -> Denied:
@@ -149,6 +171,17 @@ def unsure_declared(table: PoseTable, drive: DriveEstimate, denied: Denied) -> P
 
 def denied_notes(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
     """A sentence on each thing that is denied, or one on what does not fit together."""
+    if denied.either and denied.ahead_m is not None and denied.late_s is not None:
+        (ahead_m, _), (late_s, _) = denied.ahead_m, denied.late_s
+        yield (
+            f"By the drive the antenna sits {abs(ahead_m):.2f} m farther "
+            f"{'ahead' if ahead_m > 0.0 else 'back'} than mounting.json says, or the fixes are "
+            f"stamped {abs(late_s):.2f} s {'late' if late_s > 0.0 else 'early'} against the gyro: "
+            "each would explain it. Measure the place, and look at how the fixes were logged "
+            f"({-late_s:.2f} more of --gnss-offset corrects them). Until then positions count as "
+            "that unsure."
+        )
+        return
     for one, more, less in (
         (denied.ahead_m, "farther ahead", "farther back"),
         (denied.right_m, "farther right", "farther left"),
@@ -164,11 +197,18 @@ def denied_notes(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
         late = "late" if delay.value > 0.0 else "early"
         yield (
             f"By the drive the fixes are stamped {abs(delay.value):.2f} s ± {delay.sigma:.2f} s "
-            f"{late} against gyro and camera; look at how they were logged. Until then positions "
-            "count as unsure by what is driven in that time."
+            f"{late} against {' and '.join(f'the {one}' for one in _turn_sensors(drive))}; "
+            f"look at how they were logged, or add {-delay.value:.2f} to --gnss-offset. Until then "
+            "positions count as unsure by what is driven in that time."
         )
     if drive.smoothed.declared.contradicts and not denied.clear and sees_turns(drive):
         yield from _unfit_note(drive, denied)
+
+
+def _turn_sensors(drive: DriveEstimate) -> list[str]:
+    """What saw how the vehicle turned."""
+    seen = (drive.at.has_gyro(), "gyro"), (len(drive.measured.step) > 0, "camera")
+    return [name for has, name in seen if has]
 
 
 def _unfit_note(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
@@ -188,8 +228,9 @@ def _unfit_note(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
     )
     check = " or ".join(what for k, what in enumerate(alone) if found.explains(k))
     positions = f", and positions {most_m:.2f} m" if most_m > LEAST_OFF_M else ""
+    *first, last = ("Fixes", "antenna", *_turn_sensors(drive))
     yield (
-        f"Fixes, antenna, gyro and camera do not fit together by {found.misfit:.0f} sigmas, so "
+        f"{', '.join(first)} and {last} do not fit together by {found.misfit:.0f} sigmas, so "
         f"headings may be up to {most_deg:.1f}° off{positions}. Check "
         f"{check or 'the place of the antenna, the stamps and the scale of the gyro'}."
     )

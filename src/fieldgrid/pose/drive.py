@@ -126,7 +126,9 @@ def smooth_drive(
     node_rest = (rest > 0.99) & ~_driven(at.time_ns, motion.steps)
     measured = measurements(fixes, at, node_rest, motion, _assigned(at, found)[0], axle.vehicle)
     measured = with_headings(measured, fixes, at, recorded)
-    smoothed = smooth(measured, first_guess(fixes, at, found, measured), *axle.frame())
+    lever_m, step_ahead_m = axle.frame()
+    # Not a name here, nor `*axle.frame()`: either would keep the guess, which `smooth` lets go.
+    smoothed = smooth(measured, first_guess(fixes, at, found, measured), lever_m, step_ahead_m)
     return _drive(fixes, at, measured, found, smoothed, axle)
 
 

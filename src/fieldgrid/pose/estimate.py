@@ -22,6 +22,7 @@ from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.denied import Denied, denied_by, unsure_declared, with_whole_place
 from fieldgrid.pose.drifting import drift, drift_notes, unsure_drift
 from fieldgrid.pose.drive import DriveEstimate, with_recorded
+from fieldgrid.pose.explained import explained
 from fieldgrid.pose.fused import Fused, conditioned, fuse
 from fieldgrid.pose.given import CLEAR_OFFSET_DEG, place_poses
 from fieldgrid.pose.levelled import leaning, tells_attitude, unsure_lean
@@ -137,7 +138,8 @@ def estimate_poses(
             *drift_notes(checks.drifts),
             *drive_notes(
                 *(drive, log.accepted, rig, axle, checks.denied),
-                *(source, settings, clocks.offset, checks.yaw, trajectory),
+                *(source, settings, clocks.offset, checks.yaw),
+                *(trajectory, fix_row),
             ),
         ),
     )
@@ -170,6 +172,8 @@ def _checked(
     denied = denied_by(drive, declared, clocks)
     if smooth and not drive.turns_seen:
         denied = with_whole_place(denied, partial(_with_recorded, found, recorded))
+    elif smooth:
+        denied = explained(denied, found, drive, declared)
     drifts = drift(drive, found.axle, denied, clocks, found.imu_turn) if smooth else None
     return _Checks(clocks, yaw, denied, drifts)
 

@@ -138,6 +138,16 @@ def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, st
     gyro = motion.gyro
     if gyro is None or len(gyro.time_ns) < 2:
         return motion, None
+    before_s, after_s = (fixes.time_ns[[0, -1]] - gyro.time_ns[[-1, 0]]) / 1e9
+    if max(before_s, -after_s) > 0.0:
+        apart_s, side = (
+            (before_s, "ends {} before") if before_s > 0.0 else (-after_s, "begins {} after")
+        )
+        note = (
+            f"The gyro {side.format(f'{apart_s:.1f} s')} the fixes, so it was not used. If their "
+            "clocks differ, give --gnss-offset, or time_zone where the log has local time."
+        )
+        return motion._replace(gyro=None, inertial=None), note
     ratio, sense = turn_ratio(fixes, gyro), gyro_sense(fixes, motion.steps, gyro)
     if ratio is not None and ratio.is_wrong:
         note = (

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldgrid.angles import wrap_deg
-from fieldgrid.array_types import Float64
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.attitude import Attitude
 from fieldgrid.gnss import ConditioningSummary
 from fieldgrid.pose.accepted import AcceptedFixes, fix_offsets
@@ -31,6 +31,9 @@ from fieldgrid.rig import Rig, VehicleGeometry
 from fieldgrid.settings import PoseSettings
 from fieldgrid.smoother import Constant
 from fieldgrid.trajectory import Trajectory
+
+GOOD_FIX_M = 0.05
+"""Fixes that count as so good are not refused for their sigma."""
 
 NO_AXLE = "Nothing says how far the antenna sits ahead of the axle that does not steer"
 
@@ -141,6 +144,7 @@ def drive_notes(
     clock: ClockOffset | None,
     yaw: CameraYaw | None,
     trajectory: Trajectory,
+    fix_row: Int64,
 ) -> Iterator[str]:
     """Remarks on a drive, a sentence each; `rig` as it was declared."""
     yield from _constant_note(source, drive, settings)
@@ -152,7 +156,7 @@ def drive_notes(
         yield _no_axle(rig, axle)
     yield from denied_notes(drive, denied)
     if not trajectory.accepted.any():
-        yield _remedy(trajectory, fixes, settings)
+        yield _remedy(trajectory, fix_row, fixes, settings)
 
 
 def _constant_note(
@@ -216,9 +220,12 @@ def _no_axle(rig: VehicleGeometry | None, axle: Axle) -> str:
     return f"{NO_AXLE}; {taken}: {turns}. {remedy}"
 
 
-def _remedy(trajectory: Trajectory, fixes: AcceptedFixes, settings: PoseSettings) -> str:
-    """What to declare for poses of a refused drive to be used."""
-    commonest = commonest_reason(trajectory.reason)
+def _remedy(
+    trajectory: Trajectory, fix_row: Int64, fixes: AcceptedFixes, settings: PoseSettings
+) -> str:
+    """What to declare for poses of a refused drive to be used. The reasons are those of the poses
+    at fixes, as everywhere; there may be more between them."""
+    commonest = commonest_reason([trajectory.reason[row] for row in fix_row])
     advice = "choose another log with --gnss"
     if commonest.startswith("position sigma"):
         advice = (
@@ -232,11 +239,17 @@ def _remedy(trajectory: Trajectory, fixes: AcceptedFixes, settings: PoseSettings
         )
     elif commonest.startswith("forward or reverse"):
         advice = "say --starts forward or --starts reverse, or give --gear FILE with spans"
+    elif commonest.startswith("heading unknown"):
+        advice = "log while the vehicle drives, or record its heading"
     elif commonest.startswith(("heading sigma", "a cell")):
         sigma_m = float(np.median(fixes.sigma_m))
-        advice = (
+        better = (
             f"the fixes count as good to {sigma_m:.2f} m; if they are better, say so with "
-            "--accuracy METRES or --quality NAME, record a gyro, or allow less with "
-            f"max_heading_sigma_deg (now {settings.max_heading_sigma_deg:g}) in --config"
+            "--accuracy METRES or --quality NAME, "
+        )
+        advice = (
+            f"{better if sigma_m > GOOD_FIX_M else ''}record a gyro or more fixes a second, or "
+            f"allow less with max_heading_sigma_deg (now {settings.max_heading_sigma_deg:g}) in "
+            "--config"
         )
     return f"No pose can be used, mostly because: {commonest}; {advice}."

@@ -136,7 +136,7 @@ class _Plan:
         times_ns = self.time.utc_ns(block)
         lat, lon = self.where.lat_lon(block)
         placed, timed = np.isfinite(lat) & np.isfinite(lon), times_ns > 0
-        unplaced = (block.rows[k] for k in np.flatnonzero(~placed))
+        unplaced = (block.row(k) for k in np.flatnonzero(~placed).tolist())
         self.counts["rows without a position skipped"] += sum(
             any(cell.strip() for cell in row) for row in unplaced
         )
@@ -210,7 +210,7 @@ class _Plan:
     def _heights(self, block: TableRows) -> Float64:
         """Metres, NaN where a row has none."""
         if "height" not in self.places:
-            return np.zeros(len(block.rows))
+            return np.zeros(block.row_count)
         said = self.columns.height_units
         unit_m = length_factor(said) if said else self._length("height")
 

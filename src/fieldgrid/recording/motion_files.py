@@ -110,8 +110,9 @@ def gravity_unit_mps2(usual: Float64) -> float | None:
 def inertial_of(sensed: MotionSeries, notes: list[str]) -> Inertial | None:
     """An IMU of samples [n, 6], rates and forces, whose accelerometer is believed if it sees
     gravity, in m/s² or in g, and sees it above it. None without a sample."""
-    sane = ~(np.abs(sensed.values) > _MOST_SENSED).any(axis=1)
-    if not sane.all():
+    beyond = np.abs(sensed.values) > _MOST_SENSED
+    if beyond.any():
+        sane = ~beyond.any(axis=1)
         sensed = MotionSeries(sensed.time_ns[sane], sensed.values[sane])
     complete = np.isfinite(sensed.values).all(axis=1)
     count, felt = len(sensed.time_ns), int(complete.sum())
@@ -256,8 +257,8 @@ def _joined(parts: Sequence[tuple[Path, MotionSeries]]) -> MotionSeries | None:
             raise RecordingError(
                 f"{path} and {other} overlap in time, so they are two sensors; keep one of them."
             )
-    if not filled:
-        return None
+    if len(filled) < 2:
+        return filled[0][1] if filled else None
     return MotionSeries(
         np.concatenate([series.time_ns for _, series in filled]),
         np.concatenate([series.values for _, series in filled]),

@@ -145,7 +145,7 @@ def _open_lines(path: Path) -> Iterator[Iterator[str]]:
     with open_log_bytes(path) as stream:
         text = io.TextIOWrapper(stream, encoding="latin-1")
         try:
-            yield (line.replace("\0", "") for line in bounded_lines(text, path))
+            yield bounded_lines(text, path, without="\0")
         finally:
             text.detach()
 

@@ -14,9 +14,9 @@ import shapely
 from fieldgrid.angles import wrap_deg, yaw_from_heading_rad
 from fieldgrid.errors import ConfigError
 from fieldgrid.publish import mentions, replacing
-from fieldgrid.ros import McapWriter
 from fieldgrid.ros.gnss import datum_message
 from fieldgrid.ros.messages import MAP, path_message
+from fieldgrid.ros.writers import McapWriter
 from fieldgrid.route.missions import mission, route_graph, stretches
 from fieldgrid.route.plan import Route
 from fieldgrid.track_formats import gpx_track

@@ -1,13 +1,14 @@
 """The batch estimate of a drive: position, heading, signed speed and slow errors, with sigmas."""
 
 from fieldgrid.smoother.batch import Smoothed, refine, smooth
-from fieldgrid.smoother.declared import AHEAD, MOST_MISFIT, Constant, DeclaredCorrection
+from fieldgrid.smoother.declared import AHEAD, LATE, MOST_MISFIT, Constant, DeclaredCorrection
 from fieldgrid.smoother.envelope import STATES
 from fieldgrid.smoother.measurements import Measurements
 from fieldgrid.smoother.wander import WanderTest, unstated_wander, wander
 
 __all__ = [
     "AHEAD",
+    "LATE",
     "MOST_MISFIT",
     "STATES",
     "Constant",

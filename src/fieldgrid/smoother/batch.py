@@ -9,6 +9,7 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.smoother import model
 from fieldgrid.smoother.declared import Constant, DeclaredCorrection, HeadingResponse, tested
+from fieldgrid.smoother.equations import CONSTANTS
 from fieldgrid.smoother.measurements import Measurements
 from fieldgrid.smoother.rounds import (
     Covariances,
@@ -79,7 +80,7 @@ def smooth(
     # A gyro sees the steering; without one the drive has to tell what to expect of it.
     gyro = np.isfinite(measured.turned_rad)
     learns = bool(gyro.size) and float(gyro.mean()) < GYRO_SHARE
-    constants, steers = np.zeros(model.CONSTANTS), Steering(USUAL_STEERING_NOISE, 1.0)
+    constants, steers = np.zeros(CONSTANTS), Steering(USUAL_STEERING_NOISE, 1.0)
     if not learns:
         found = converged(
             problem,
@@ -101,7 +102,7 @@ def refine(
     """The same drive by other measurements at its nodes, with the steering that was learnt."""
     problem = SmoothingProblem.of(measured, lever_m, step_ahead_m)
     weights = stated_weights(measured, known.steering)
-    found = converged(problem, known.state, np.zeros(model.CONSTANTS), weights)
+    found = converged(problem, known.state, np.zeros(CONSTANTS), weights)
     return _with_sigmas(problem, found, known.steers)
 
 
@@ -138,7 +139,7 @@ def _with_sigmas(problem: SmoothingProblem, found: Solution, steers: Steering) -
 
 
 def _constants(found: Solution, linear: Linear) -> list[Constant | None]:
-    constants: list[Constant | None] = [None] * model.CONSTANTS
+    constants: list[Constant | None] = [None] * CONSTANTS
     if len(linear.active):
         variances = np.diagonal(inverse(linear.schur))
         # Of fixes that contradict each other wildly, rounding leaves nothing known.

@@ -194,15 +194,22 @@ def _most_near(values: Float64, time_s: Float64) -> Float64:
     return np.asarray(np.max(values[np.clip(at, 0, len(values) - 1)], axis=0))
 
 
-@kernel
-def couplings(x, fix_en, weight, lever, turned, step_s):  # type: ignore[no-untyped-def]
+def couplings(
+    x: Float64, fix_en: Float64, weight: Float64, lever: Float64, turned: Float64, step_s: Float64
+) -> tuple[Float64, Float64, Float64]:
     """How the residuals of fixes and gyro depend on what is tested.
 
     Returns the coupling with the states [states, 4], the corner [4, 4], the right side [4].
     """
-    border, corner, right_side = np.zeros((x.size, 4)), np.zeros((4, 4)), np.zeros(4)
-    state, constant = np.empty((2, 5)), np.empty((2, 3))
+    found = np.zeros((x.size, 4)), np.zeros((4, 4)), np.zeros(4)
     columns = np.array([E, N, PHI, BIAS_E, BIAS_N])
+    _couple(x, fix_en, weight, lever, turned, step_s, columns, *found)
+    return found
+
+
+@kernel
+def _couple(x, fix_en, weight, lever, turned, step_s, columns, border, corner, right_side):  # type: ignore[no-untyped-def]
+    state, constant = np.empty((2, 5)), np.empty((2, 3))
     for k in range(len(weight)):
         if not weight[k, 0] > 0.0:
             continue
@@ -237,4 +244,3 @@ def couplings(x, fix_en, weight, lever, turned, step_s):  # type: ignore[no-unty
         border[STATES * k + PHI, 3] -= scaled
         border[STATES * (k + 1) + PHI, 3] += scaled
         border[STATES * k + GYRO, 3] += scaled * step_s[k]
-    return border, corner, right_side

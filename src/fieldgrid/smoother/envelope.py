@@ -1,9 +1,10 @@
 """Sparse symmetric systems of nodes: their factor, solution, and the variances of their unknowns.
 
 The unknowns of a node stand together, as a block. A node is coupled with itself, with the one
-before it, and with few others farther back. Each node's rows are stored from the first node that
-it is coupled with to the diagonal (an envelope, or skyline), so a far coupling costs where it is
-and not all along the drive. No BLAS is called: its threads cost more than these small blocks.
+before it, and with few others farther back. Each row is stored from the first node that its node
+is coupled with to the diagonal (an envelope, or skyline), so a far coupling costs where it is
+and not all along the drive: row a of a node has `before` values of earlier nodes, and a + 1 of its
+own. No BLAS is called: its threads cost more than these small blocks.
 """
 
 from __future__ import annotations
@@ -45,18 +46,17 @@ class Envelope(NamedTuple):
     def own(self, values: Float64, a: int, b: int) -> Float64:
         """The element [n] of states a and b of each node, of a matrix in this shape."""
         high, low = max(a, b), min(a, b)
-        return np.asarray(values[self._row(high) + self._width() - STATES + low])
+        return np.asarray(values[self._own(high) + low])
 
     def with_before(self, values: Float64, a: int, b: int) -> Float64:
         """The element [n - 1] of state a of each node but the first and state b of the one before
         it."""
-        return np.asarray(values[(self._row(a) + self._width() - 2 * STATES + b)[1:]])
+        return np.asarray(values[(self._own(a) - STATES + b)[1:]])
 
-    def _row(self, state: int) -> Int64:
-        return self.start[:-1] + state * self._width()
-
-    def _width(self) -> Int64:
-        return np.asarray(STATES * (np.arange(self.nodes) - self.first + 1))
+    def _own(self, state: int) -> Int64:
+        """Where each node's own values of a row begin."""
+        before = STATES * (np.arange(self.nodes) - self.first)
+        return np.asarray(self.start[:-1] + (state + 1) * before + state * (state + 1) // 2)
 
 
 def envelope(nodes: int, far: Int64) -> Envelope:
@@ -64,9 +64,9 @@ def envelope(nodes: int, far: Int64) -> Envelope:
     first = np.maximum(np.arange(nodes) - 1, 0)
     if len(far):
         np.minimum.at(first, far.max(axis=1), far.min(axis=1))
-    width = np.arange(nodes) - first + 1
-    start = np.concatenate([[0], np.cumsum(STATES * STATES * width)])
-    reach = width - 1
+    reach = np.arange(nodes) - first
+    own = STATES * (STATES + 1) // 2
+    start = np.concatenate([[0], np.cumsum(STATES * STATES * reach + own)])
     row = np.repeat(np.arange(nodes), reach)
     column = (
         np.repeat(first, reach)
@@ -94,18 +94,23 @@ def factor(shape, values):  # type: ignore[no-untyped-def]
     rows = np.empty((most * STATES, STATES))
     for node in range(len(first)):
         f, at = first[node], start[node]
-        width = STATES * (node - f + 1)
+        before = STATES * (node - f)
+        for k in range(before):
+            for a in range(STATES):
+                rows[k, a] = values[at + a * before + a * (a + 1) // 2 + k]
         for a in range(STATES):
-            for k in range(width):
-                rows[k, a] = values[at + a * width + k]
+            own = at + (a + 1) * before + a * (a + 1) // 2
+            for b in range(STATES):
+                rows[before + b, a] = values[own + b] if b <= a else 0.0
         for column in range(f, node + 1):
             fc, atc = first[column], start[column]
-            widthc = STATES * (column - fc + 1)
+            beforec = STATES * (column - fc)
             shared = max(f, fc)  # before that one of the two rows is zero
             mine, theirs = STATES * (shared - f), STATES * (shared - fc)
             length = STATES * (column - shared)
             for b in range(STATES):
-                other, j = atc + b * widthc + theirs, STATES * (column - f) + b
+                other = atc + b * beforec + b * (b + 1) // 2 + theirs
+                j = STATES * (column - f) + b
                 # Eight sums in registers: an array of them would be stored at each step.
                 t0, t1, t2, t3 = rows[j, 0], rows[j, 1], rows[j, 2], rows[j, 3]
                 t4, t5, t6, t7 = rows[j, 4], rows[j, 5], rows[j, 6], rows[j, 7]
@@ -134,9 +139,13 @@ def factor(shape, values):  # type: ignore[no-untyped-def]
                     rows[j, a] /= pivot
                 if column == node:
                     rows[j, b] = pivot
+        for k in range(before):
+            for a in range(STATES):
+                values[at + a * before + a * (a + 1) // 2 + k] = rows[k, a]
         for a in range(STATES):
-            for k in range(width - STATES + a + 1):
-                values[at + a * width + k] = rows[k, a]
+            own = at + (a + 1) * before + a * (a + 1) // 2
+            for b in range(a + 1):
+                values[own + b] = rows[before + b, a]
     return log_determinant
 
 
@@ -144,25 +153,41 @@ def factor(shape, values):  # type: ignore[no-untyped-def]
 def solve(shape, values, x):  # type: ignore[no-untyped-def]
     """Replace right sides [n, m] by the solutions of the systems whose factor is in `values`."""
     first, start = shape[0], shape[1]
+    # A node's own unknowns side by side, so that the processor works on several of them at once.
+    own = np.empty(STATES)
     for node in range(len(first)):
-        f, at = first[node], start[node]
-        width = STATES * (node - f + 1)
-        for a in range(STATES):
-            i, own = STATES * node + a, at + a * width
-            for m in range(x.shape[1]):
-                total = x[i, m]
-                for k in range(width - STATES + a):
-                    total -= values[own + k] * x[STATES * f + k, m]
-                x[i, m] = total / values[own + width - STATES + a]
+        at, f, i = start[node], STATES * first[node], STATES * node
+        before = i - f
+        for m in range(x.shape[1]):
+            for a in range(STATES):
+                own[a] = x[i + a, m]
+            for k in range(before):
+                known = x[f + k, m]
+                for a in range(STATES):
+                    own[a] -= values[at + a * before + a * (a + 1) // 2 + k] * known
+            for b in range(STATES):
+                row = at + (b + 1) * before + b * (b + 1) // 2
+                for k in range(b):
+                    own[b] -= values[row + k] * own[k]
+                own[b] /= values[row + b]
+                x[i + b, m] = own[b]
     for node in range(len(first) - 1, -1, -1):
-        f, at = first[node], start[node]
-        width = STATES * (node - f + 1)
-        for a in range(STATES - 1, -1, -1):
-            i, own = STATES * node + a, at + a * width
-            for m in range(x.shape[1]):
-                x[i, m] /= values[own + width - STATES + a]
-                for k in range(width - STATES + a):
-                    x[STATES * f + k, m] -= values[own + k] * x[i, m]
+        at, f, i = start[node], STATES * first[node], STATES * node
+        before = i - f
+        for m in range(x.shape[1]):
+            for a in range(STATES):
+                own[a] = x[i + a, m]
+            for b in range(STATES - 1, -1, -1):
+                row = at + (b + 1) * before + b * (b + 1) // 2
+                own[b] /= values[row + b]
+                for k in range(b):
+                    own[k] -= values[row + k] * own[b]
+                x[i + b, m] = own[b]
+            for k in range(before):
+                rest = x[f + k, m]
+                for a in range(STATES - 1, -1, -1):
+                    rest -= values[at + a * before + a * (a + 1) // 2 + k] * own[a]
+                x[f + k, m] = rest
 
 
 @kernel
@@ -182,10 +207,11 @@ def invert(shape, values):  # type: ignore[no-untyped-def]
     inverse = np.empty((STATES, STATES))
     scaled, product = np.empty((most * STATES, STATES)), np.empty((most * STATES, STATES))
     for node in range(n - 1, -1, -1):
-        width = STATES * (node - first[node] + 1)
+        before = STATES * (node - first[node])
         for a in range(STATES):
+            line = start[node] + (a + 1) * before + a * (a + 1) // 2
             for b in range(a + 1):
-                own[a, b] = values[start[node] + a * width + width - STATES + b]
+                own[a, b] = values[line + b]
         # The inverse of the node's own triangular block.
         for b in range(STATES):
             for a in range(b, STATES):
@@ -196,13 +222,14 @@ def invert(shape, values):  # type: ignore[no-untyped-def]
         low, high = below_start[node], below_start[node + 1]
         for r in range(high - low):
             row = below[low + r]
-            w = STATES * (row - first[row] + 1)
+            w = STATES * (row - first[row])
             at = start[row] + STATES * (node - first[row])
             for a in range(STATES):
+                line = at + a * w + a * (a + 1) // 2
                 for b in range(STATES):
                     total = 0.0
                     for k in range(b, STATES):
-                        total += values[at + a * w + k] * inverse[k, b]
+                        total += values[line + k] * inverse[k, b]
                     scaled[r * STATES + a, b] = total
         # Z[rows, node] = -Z[rows, rows] · scaled; the rows' inverse is in place already.
         for r in range(high - low):
@@ -211,15 +238,14 @@ def invert(shape, values):  # type: ignore[no-untyped-def]
                     product[r * STATES + a, b] = 0.0
         for r in range(high - low):
             row = below[low + r]
-            w = STATES * (row - first[row] + 1)
+            w = STATES * (row - first[row])
             for s in range(r + 1):
                 column = below[low + s]
                 at = start[row] + STATES * (column - first[row])
                 for a in range(STATES):
-                    for k in range(STATES):
-                        if s == r and k > a:
-                            continue
-                        z = values[at + a * w + k]
+                    line = at + a * w + a * (a + 1) // 2
+                    for k in range(STATES if s < r else a + 1):
+                        z = values[line + k]
                         for b in range(STATES):
                             product[r * STATES + a, b] -= z * scaled[s * STATES + k, b]
                         if s != r or k != a:
@@ -227,16 +253,18 @@ def invert(shape, values):  # type: ignore[no-untyped-def]
                                 product[s * STATES + k, b] -= z * scaled[r * STATES + a, b]
         for r in range(high - low):
             row = below[low + r]
-            w = STATES * (row - first[row] + 1)
+            w = STATES * (row - first[row])
             at = start[row] + STATES * (node - first[row])
             for a in range(STATES):
+                line = at + a * w + a * (a + 1) // 2
                 for b in range(STATES):
-                    values[at + a * w + b] = product[r * STATES + a, b]
+                    values[line + b] = product[r * STATES + a, b]
         for a in range(STATES):
+            line = start[node] + (a + 1) * before + a * (a + 1) // 2
             for b in range(a + 1):
                 total = 0.0
                 for k in range(a, STATES):
                     total += inverse[k, a] * inverse[k, b]
                 for k in range((high - low) * STATES):
                     total -= scaled[k, a] * product[k, b]
-                values[start[node] + a * width + width - STATES + b] = total
+                values[line + b] = total

@@ -10,17 +10,15 @@ camera's scale.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.kernel import kernel, part_of_kernel
-from fieldgrid.smoother.envelope import STATES, Envelope
+from fieldgrid.smoother.envelope import STATES
+from fieldgrid.smoother.equations import CONSTANTS, NormalEquations
 
 E, N, PHI, V, KAPPA, GYRO, BIAS_E, BIAS_N = range(STATES)
 
-CONSTANTS = 3
 HEADING_OFFSET, WHEEL_SCALE, CAMERA_SCALE = range(CONSTANTS)
 
 SCALE_SIGMAS = 0.1, 0.03
@@ -67,41 +65,6 @@ NO_BIAS_M = 1e-4
 """The least sigma of a slow error, so that a receiver without one can be solved."""
 
 
-class NormalEquations(NamedTuple):
-    """Normal equations: `values` is the matrix of the nodes' states in the shape of an envelope,
-    `border` [states, constants] couples them with the constants, `corner` is that of the constants
-    alone. `total` is the sum of the squared residuals in units of their sigmas, and that of the
-    logarithms of the weights."""
-
-    shape: Envelope
-    values: Float64
-    right: Float64
-    border: Float64
-    corner: Float64
-    right_constants: Float64
-    total: Float64
-
-
-def empty_system(
-    shape: Envelope, values: Float64 | None = None, *, coupled: bool = True
-) -> NormalEquations:
-    """Normal equations that nothing has been added to, in the memory of `values` if given. Where
-    nothing measures a constant, none is `coupled` with the states and the border has no rows."""
-    n = STATES * shape.nodes
-    if values is None:
-        values = np.empty(shape.size)
-    values.fill(0.0)
-    return NormalEquations(
-        shape,
-        values,
-        np.zeros(n),
-        np.zeros((n if coupled else 0, CONSTANTS)),
-        np.zeros((CONSTANTS, CONSTANTS)),
-        np.zeros(CONSTANTS),
-        np.zeros(2),
-    )
-
-
 @part_of_kernel
 def _add_residual(system, index, slope, residual, weight):  # type: ignore[no-untyped-def]
     """One weighted residual with its slopes into the normal equations. An index beyond the
@@ -121,7 +84,8 @@ def _add_residual(system, index, slope, residual, weight):  # type: ignore[no-un
             continue
         right[i] -= scaled * residual
         node, row = i // STATES, i % STATES
-        at = start[node] + row * STATES * (node - first[node] + 1) - STATES * first[node]
+        before = STATES * (node - first[node])
+        at = start[node] + row * before + row * (row + 1) // 2 - STATES * first[node]
         for b in range(len(index)):
             j = index[b]
             if j <= i:
@@ -132,7 +96,8 @@ def _add_residual(system, index, slope, residual, weight):  # type: ignore[no-un
 
 @kernel
 def add_motion(system, x, step_s, steering, bias_m, bias_s, turned, seen, standing):  # type: ignore[no-untyped-def]
-    """The vehicle's own laws between neighbouring nodes, and its gyro [n - 1] (NaN: none).
+    """The vehicle's own laws between neighbouring nodes, and its gyro [n - 1] (NaN: none), in place
+    of whatever the matrix held: to clear a large one takes as long as this.
 
     `steering` [n - 1] is the variance of the curvature's change over each step. Over a hole
     (`seen` is False) only the gyro and the drifts go on. Of the weights only those of the steering
@@ -140,7 +105,11 @@ def add_motion(system, x, step_s, steering, bias_m, bias_s, turned, seen, standi
     learnt.
     """
     # The equations of one node (0 to 7) and the next (8 to 15), lower triangle.
-    pair, side = np.zeros((2 * STATES, 2 * STATES)), np.zeros(2 * STATES)
+    pair, side = np.empty((2 * STATES, 2 * STATES)), np.empty(2 * STATES)
+    for a in range(2 * STATES):
+        side[a] = 0.0
+        for b in range(2 * STATES):
+            pair[a, b] = 0.0
     # Of literals Numba would compile a function anew for each.
     gyro_bias, speed, curvature = np.int64(GYRO), np.int64(V), np.int64(KAPPA)
     _add_start(pair, side, x, np.int64(0), np.int64(0))
@@ -188,25 +157,27 @@ def add_motion(system, x, step_s, steering, bias_m, bias_s, turned, seen, standi
 
 @part_of_kernel
 def _put_node(system, pair, side, k):  # type: ignore[no-untyped-def]
-    """Add the equations of node k, which are complete, and make the next node the first of the
-    pair; what couples the two waits in the next node's rows."""
+    """Write the equations of node k, which are complete, and what couples it with the next node,
+    which becomes the first of the pair; nothing couples that with earlier ones yet."""
     shape, values, right = system[0], system[1], system[2]
-    width = STATES * (k - shape[0][k] + 1)
-    at = shape[1][k] + width - STATES
+    before = STATES * (k - shape[0][k])
     for a in range(STATES):
+        own = shape[1][k] + (a + 1) * before + a * (a + 1) // 2
         right[STATES * k + a] += side[a]
         side[a] = side[STATES + a]
         side[STATES + a] = 0.0
         for b in range(a + 1):
-            values[at + a * width + b] += pair[a, b]
+            values[own + b] = pair[a, b]
             pair[a, b] = pair[STATES + a, STATES + b]
             pair[STATES + a, STATES + b] = 0.0
     if k + 1 < len(shape[0]):
-        width = STATES * (k + 1 - shape[0][k + 1] + 1)
-        at = shape[1][k + 1] + width - 2 * STATES
+        before = STATES * (k + 1 - shape[0][k + 1])
         for a in range(STATES):
+            own = shape[1][k + 1] + (a + 1) * before + a * (a + 1) // 2
+            for b in range(STATES, before):
+                values[own - 1 - b] = 0.0
             for b in range(STATES):
-                values[at + a * width + b] += pair[STATES + a, b]
+                values[own - STATES + b] = pair[STATES + a, b]
                 pair[STATES + a, b] = 0.0
 
 
@@ -283,10 +254,11 @@ def add_fixes(system, x, fix_en, weight, lever):  # type: ignore[no-untyped-def]
     `weight` [n, 2] is that along the heading and across it; rows without a fix have weight 0.
     Returns how far each fix lies ahead and to the right of where it should be [n, 2].
     """
-    off = np.zeros((len(weight), 2))
+    off = np.empty((len(weight), 2))
     index, slope = np.empty(5, np.int64), np.empty(5)
     for k in range(len(weight)):
         if not weight[k, 0] > 0.0:
+            off[k, 0] = off[k, 1] = 0.0
             continue
         sin, cos = np.sin(x[k, PHI]), np.cos(x[k, PHI])
         east = x[k, E] + lever[0] * cos + lever[1] * sin + x[k, BIAS_E] - fix_en[k, 0]
@@ -309,45 +281,57 @@ def add_still(system, x, standing, held_place, held_heading):  # type: ignore[no
     where it was in the last round."""
     shape, values, right, total = system[0], system[1], system[2], system[6]
     for k in range(len(x)):
-        width = STATES * (k - shape[0][k] + 1)
-        at = shape[1][k] + width - STATES
+        before = STATES * (k - shape[0][k])
+        at = shape[1][k] + before
         for state in (E, N):
-            values[at + state * width + state] += 1.0 / LOST_M**2 + held_place
-        values[at + PHI * width + PHI] += held_heading
+            values[at + state * before + state * (state + 3) // 2] += 1.0 / LOST_M**2 + held_place
+        values[at + PHI * before + PHI * (PHI + 3) // 2] += held_heading
         if standing[k]:
-            values[at + V * width + V] += 1.0 / STANDING_MPS**2
+            values[at + V * before + V * (V + 3) // 2] += 1.0 / STANDING_MPS**2
             right[STATES * k + V] -= x[k, V] / STANDING_MPS**2
             total[0] += (x[k, V] / STANDING_MPS) ** 2
 
 
-@kernel
-def add_headings(system, x, offset, heading, weight):  # type: ignore[no-untyped-def]
+def add_headings(
+    system: NormalEquations, x: Float64, offset: float, heading: Float64, weight: Float64
+) -> Float64:
     """Recorded headings [n], which are off by one constant. Returns the residuals."""
-    off = np.zeros(len(weight))
-    index, slope = np.zeros(2, np.int64), np.ones(2)
-    index[1] = STATES * len(x) + HEADING_OFFSET
-    for k in range(len(weight)):
-        if weight[k] > 0.0:
-            off[k] = x[k, PHI] + offset - heading[k]
-            off[k] -= 2.0 * np.pi * np.round(off[k] / (2.0 * np.pi))
-            index[0] = STATES * k + PHI
-            _add_residual(system, index, slope, off[k], weight[k])
+    off = np.where(weight > 0.0, x[:, PHI] + offset - heading, 0.0)
+    off -= 2.0 * np.pi * np.rint(off / (2.0 * np.pi))
+    return _added(system, (PHI, HEADING_OFFSET), off, (1.0, np.ones(len(off))), weight)
+
+
+def add_speeds(
+    system: NormalEquations, x: Float64, scale: float, speed: Float64, weight: Float64
+) -> Float64:
+    """Signed speeds [n] by wheels, whose size is off by one share. Returns the residuals."""
+    own = np.ascontiguousarray(x[:, V])
+    off = np.where(weight > 0.0, (1.0 + scale) * own - speed, 0.0)
+    return _added(system, (V, WHEEL_SCALE), off, (1.0 + scale, own), weight)
+
+
+def _added(
+    system: NormalEquations,
+    of: tuple[int, int],
+    off: Float64,
+    slopes: tuple[float, Float64],
+    weight: Float64,
+) -> Float64:
+    """Residuals [n] `of` one state of each node and a constant. Most drives have none, and need no
+    kernel then."""
+    if (weight > 0.0).any():
+        _add_to_nodes(system, *of, off, *slopes, weight)
     return off
 
 
 @kernel
-def add_speeds(system, x, scale, speed, weight):  # type: ignore[no-untyped-def]
-    """Signed speeds [n] by wheels, whose size is off by one share. Returns the residuals."""
-    off = np.zeros(len(weight))
-    index, slope = np.zeros(2, np.int64), np.ones(2)
-    index[1] = STATES * len(x) + WHEEL_SCALE
+def _add_to_nodes(system, state, constant, off, slope, constant_slope, weight):  # type: ignore[no-untyped-def]
+    index, slopes = np.empty(2, np.int64), np.empty(2)
+    index[1], slopes[0] = len(system[2]) + constant, slope
     for k in range(len(weight)):
         if weight[k] > 0.0:
-            off[k] = (1.0 + scale) * x[k, V] - speed[k]
-            index[0] = STATES * k + V
-            slope[0], slope[1] = 1.0 + scale, x[k, V]
-            _add_residual(system, index, slope, off[k], weight[k])
-    return off
+            index[0], slopes[1] = STATES * k + state, constant_slope[k]
+            _add_residual(system, index, slopes, off[k], weight[k])
 
 
 @kernel
@@ -356,10 +340,10 @@ def add_steps(system, x, scale, ends, moved, weight, ahead_m):  # type: ignore[n
     between the nodes `ends` [s, 2], `weight` [s, 2] of distance and turn; all distances are too
     long by one share. Returns residuals [s, 3].
     """
-    off = np.zeros((len(ends), 3))
+    off = np.empty((len(ends), 3))
     index, slope = np.empty(7, np.int64), np.empty(7)
-    turns, turn_slope = np.empty(2, np.int64), np.ones(2)
-    turn_slope[0] = -1.0
+    turns, turn_slope = np.empty(2, np.int64), np.empty(2)
+    turn_slope[0], turn_slope[1] = -1.0, 1.0
     index[6] = STATES * len(x) + CAMERA_SCALE
     size = 1.0 + scale
     for s in range(len(ends)):
@@ -371,7 +355,7 @@ def add_steps(system, x, scale, ends, moved, weight, ahead_m):  # type: ignore[n
         forward, right = east * sin + north * cos, east * cos - north * sin
         off[s, 0], off[s, 1] = size * forward - moved[s, 0], size * right - moved[s, 1]
         off[s, 2] = x[b, PHI] - x[a, PHI] - moved[s, 2]
-        off[s, 2] -= 2.0 * np.pi * np.round(off[s, 2] / (2.0 * np.pi))
+        off[s, 2] -= 2.0 * np.pi * np.rint(off[s, 2] / (2.0 * np.pi))
         index[0], index[1], index[2] = STATES * a + E, STATES * a + N, STATES * a + PHI
         index[3], index[4], index[5] = STATES * b + E, STATES * b + N, STATES * b + PHI
         # The start's own lever turns with it and cancels, but for its place in the frame.

@@ -9,6 +9,7 @@ import numpy as np
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.smoother import model
 from fieldgrid.smoother.envelope import STATES, Envelope, envelope, factor, invert, solve
+from fieldgrid.smoother.equations import CONSTANTS, NormalEquations, empty_system
 from fieldgrid.smoother.measurements import Measurements
 
 MOST_ROUNDS = 25
@@ -84,7 +85,7 @@ class Linear(NamedTuple):
     """The normal equations of a solution, factored: what is known of the states beside the
     constants, and the constants that have measurements."""
 
-    system: model.NormalEquations
+    system: NormalEquations
     log_determinant: float
     active: Int64
     coupling: Float64
@@ -142,7 +143,7 @@ def improved(
     system, active = linear.system, linear.active
     step = system.right
     solve(system.shape, system.values, step[:, None])
-    turn = np.zeros(model.CONSTANTS)
+    turn = np.zeros(CONSTANTS)
     if len(active):
         aside = system.right_constants - system.border.T @ step
         turn[active] = inverse(linear.schur) @ aside[active]
@@ -174,7 +175,7 @@ def linearized(
     measured = problem.measured
     given = (weights.heading > 0.0).any(), (weights.speed > 0.0).any(), len(measured.step) > 0
     active = np.flatnonzero(np.array(given, dtype=np.bool_))
-    system = model.empty_system(problem.shape, problem.values, coupled=active.size > 0)
+    system = empty_system(problem.shape, problem.values, coupled=active.size > 0)
     model.add_motion(
         system,
         x,
@@ -203,7 +204,7 @@ def linearized(
         ),
     )
     prior = 1.0 / np.array([measured.heading_offset_sigma_rad, *model.SCALE_SIGMAS]) ** 2
-    system.corner[np.diag_indices(model.CONSTANTS)] += prior
+    system.corner[np.diag_indices(CONSTANTS)] += prior
     system.right_constants[:] -= prior * constants
     log_determinant = float(factor(system.shape, system.values))
     if not np.isfinite(log_determinant):

@@ -10,6 +10,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.smoother import model
 from fieldgrid.smoother.batch import Smoothed
 from fieldgrid.smoother.declared import unverified_nats
+from fieldgrid.smoother.equations import CONSTANTS
 from fieldgrid.smoother.measurements import Measurements
 from fieldgrid.smoother.rounds import (
     SmoothingProblem,
@@ -73,7 +74,7 @@ def wander(
             )
         problem = SmoothingProblem.of(wandering, lever_m, step_ahead_m)
         weights = stated_weights(wandering, known.steering)
-        return problem, converged(problem, known.state, np.zeros(model.CONSTANTS), weights)
+        return problem, converged(problem, known.state, np.zeros(CONSTANTS), weights)
 
     def likelihoods(rate_m: float) -> tuple[float, float]:
         problem, solution = found(rate_m)

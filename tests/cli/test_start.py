@@ -1,0 +1,43 @@
+"""What a command does not need is not imported: it would be a fifth of the time of a short one."""
+
+import json
+import subprocess
+import sys
+
+LATE = (
+    "apsw",
+    "fieldgrid.align",
+    "fieldgrid.export",
+    "fieldgrid.figures",
+    "fieldgrid.ros.writers",
+    "fieldgrid.view",
+    "matplotlib",
+    "numba",
+    "rosbags.convert",
+    "rosbags.rosbag2",
+    "scipy.linalg",
+    "scipy.sparse",
+    "scipy.spatial",
+    "scipy.stats",
+    "xml.sax",
+)
+"""Packages and modules that neither a build of one drive nor a track has to have imported before
+it begins."""
+
+PROGRAM = """
+import json, sys
+import fieldgrid.cli.build, fieldgrid.cli.track
+import fieldgrid.build, fieldgrid.build.tracking, fieldgrid.mapfile, fieldgrid.track
+print(json.dumps(sorted(sys.modules)))
+"""
+
+
+def test_what_comes_later_is_not_imported_at_the_start() -> None:
+    done = subprocess.run([sys.executable, "-c", PROGRAM], check=True, capture_output=True)
+    imported = json.loads(done.stdout)
+    found = [
+        late
+        for late in LATE
+        if any(name == late or name.startswith(f"{late}.") for name in imported)
+    ]
+    assert found == []
