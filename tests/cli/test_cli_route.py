@@ -107,7 +107,7 @@ def test_no_lane_at_all(fieldgrid: Run, field: Path) -> None:
     told = json.loads(failed.out)
     assert told["found"] is False
     assert told["reason"] in failed.err
-    assert "None of 1 lanes can be covered; of B1-L2" in failed.err
+    assert "No lane can be covered; of B1-L2" in failed.err
 
 
 def test_lanes_are_for_covering_only(fieldgrid: Run, field: Path) -> None:

@@ -108,7 +108,7 @@ def test_a_lane_that_is_blocked_is_left_out_with_the_place() -> None:
     assert left_out.lane == "B1-L2"
     assert "stopped by an obstacle" in left_out.reason
     assert (left_out.east_m, left_out.north_m) == pytest.approx(at(8.9, 11.2), abs=1.1)
-    with pytest.raises(NoRouteError, match="None of 1 lanes can be covered; of B1-L2") as refused:
+    with pytest.raises(NoRouteError, match="No lane can be covered; of B1-L2") as refused:
         coverage_in_view(view, planting, SMALL, lanes=["B1-L2"])
     assert "; give a smaller vehicle or --allow-unknown if " in str(refused.value)
 

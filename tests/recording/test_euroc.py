@@ -277,7 +277,7 @@ def test_images_of_one_camera_alone_are_skipped(euroc: Path) -> None:
     path.write_text("\n".join(lines[:-1]))
     recording = open_recording(euroc)
     assert recording.frame_count == 2
-    assert recording.notes == ("1 images without a partner of the same time skipped.",)
+    assert recording.notes == ("1 image without a partner of the same time skipped.",)
 
 
 def edit(path: Path, old: str, new: str) -> None:

@@ -181,7 +181,7 @@ def test_without_a_table_the_names_give_pairs_and_times(drive: Path) -> None:
         START_S * 10**9 + 7,
         (START_S + 2) * 10**9 + 7,
     ]
-    assert "1 images without a partner skipped." in recording.notes
+    assert "1 image without a partner skipped." in recording.notes
 
 
 def test_images_are_not_read_before_they_are_asked_for(drive: Path) -> None:

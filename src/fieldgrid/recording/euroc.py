@@ -10,7 +10,7 @@ from pathlib import Path, PurePath
 import numpy as np
 
 from fieldgrid.array_types import Float64
-from fieldgrid.errors import CalibrationError, RecordingError
+from fieldgrid.errors import CalibrationError, RecordingError, counted
 from fieldgrid.lens import RawCamera
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.recording.calibration_kalibr import pinhole
@@ -132,7 +132,9 @@ def _shots(folder: Path, mav: Path, incomplete: bool) -> tuple[tuple[Shot, ...],
         for time_ns in common
     ]
     alone = len(left) + len(right) - 2 * len(common)
-    notes = (f"{alone} images without a partner of the same time skipped.",) if alone else ()
+    notes = (
+        (f"{counted(alone, 'image')} without a partner of the same time skipped.",) if alone else ()
+    )
     return checked_shots(shots, folder, incomplete=incomplete), notes
 
 

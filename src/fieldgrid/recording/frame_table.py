@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
-from fieldgrid.errors import RecordingError
+from fieldgrid.errors import RecordingError, counted
 from fieldgrid.recording.files import is_inside, parse_time_ns, read_table
 from fieldgrid.recording.images import SUFFIXES
 from fieldgrid.recording.in_folder import InFolder
@@ -155,7 +155,10 @@ def _from_names(folder: Path, layout: FrameLayout) -> tuple[list[Shot], tuple[st
         shots.append(Shot(file_time_ns(folder, files[0], layout), stem, files))
     told = _times_told(shots)
     alone = sum(len(listing) for listing in listings) - len(listings) * len(common)
-    return shots, (*told, f"{alone} images without a partner skipped.") if alone else told
+    return shots, (
+        *told,
+        f"{counted(alone, 'image')} without a partner skipped.",
+    ) if alone else told
 
 
 def _times_told(shots: Sequence[Shot]) -> tuple[str, ...]:
