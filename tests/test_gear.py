@@ -51,7 +51,6 @@ def track(
         if gyro
         else np.full(n, np.nan),
         nats * drive.gear(),
-        np.zeros(n, dtype=np.bool_),
     )
 
 
@@ -59,8 +58,7 @@ def plain(points: _Float64, gap_s: _Float64, sigma_m: float) -> GearEvidence:
     """Ten positions a second, of which nothing else tells."""
     n = len(points)
     return GearEvidence(
-        *(points, 0.1 * np.arange(n), gap_s, np.full(n, sigma_m)),
-        *(np.full(n, np.nan), np.zeros(n), np.zeros(n, dtype=np.bool_)),
+        points, 0.1 * np.arange(n), gap_s, np.full(n, sigma_m), np.full(n, np.nan), np.zeros(n)
     )
 
 
@@ -237,7 +235,11 @@ def test_doubt_is_high_where_the_track_says_nothing() -> None:
     found = gears(plain(points, gap_s, 0.005))
     assert found.doubt.max() > SURE
     straight = np.stack([np.zeros(n), np.arange(n) * 0.15], axis=1)
-    sure = gears(plain(straight, gap_s, 0.005))
+    sure = gears(
+        GearEvidence(
+            straight, 0.1 * np.arange(n), gap_s, np.full(n, 0.005), np.full(n, np.nan), np.zeros(n)
+        )
+    )
     assert len(set(sure.leg.tolist())) == 1
     assert sure.doubt.max() < found.doubt.max()
 
@@ -256,24 +258,6 @@ def test_a_leg_that_may_have_been_driven_is_in_doubt() -> None:
     assert (found.gear[: ahead.size - 4] == 1).all()
     assert (found.gear[-180:] == 1).all()
     assert found.doubt[[0, -1]].max() < SURE
-
-
-def test_wheels_that_never_stop_change_no_gear() -> None:
-    """A leap of the positions back by 3 m, and forth again: not while the wheels turn."""
-    north = np.arange(0.0, 60.0, 0.15)
-    north[200:260] -= np.minimum(np.arange(60), 59 - np.arange(60)) * 0.3
-    points = np.stack([np.zeros_like(north), north], axis=1)
-    n = len(points)
-    gap_s = np.zeros(n)
-    gap_s[0] = np.inf
-    one = plain(points, gap_s, 0.005)
-    assert (gears(one).gear < 0).sum() > 20
-    assert (gears(one._replace(rolled=np.ones(n, dtype=np.bool_))).gear == 1).all()
-    # Where they stopped, nothing forbids it.
-    stopped = np.ones(n, dtype=np.bool_)
-    for cusp in np.flatnonzero(np.diff(gears(one).gear)):
-        stopped[cusp - 1 : cusp + 3] = False
-    assert np.array_equal(gears(one._replace(rolled=stopped)).gear, gears(one).gear)
 
 
 # --- holes

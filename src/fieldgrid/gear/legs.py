@@ -58,9 +58,6 @@ TURNED_TWICE_COST = 1.5
 SWITCH_COST, GAP_SWITCH_COST, TURN_COST_CAP = 2.0, 4.0, 12.0
 """In nats: for a change of gear, for one that nobody saw, and the most that a turn can cost."""
 
-ROLLED_COST = 15.0
-"""The same for one while the wheels never stopped."""
-
 REVERSE_M_PER_NAT = 5.0
 """Metres of reverse that are as unlikely, to start with, as one nat."""
 
@@ -95,7 +92,6 @@ class GearEvidence(NamedTuple):
     before a point: 0 nearly everywhere, infinite at the first one. `turned_deg` is what a gyro saw
     the vehicle turn on the way to each point, NaN where none did. `forward_nats` is the log odds,
     of forward over reverse, that wheels or camera saw on the way to each point; 0 without them.
-    `rolled` is whether wheels turned all the way to a point, so that the gear was not changed.
     """
 
     points_m: Float64
@@ -104,7 +100,6 @@ class GearEvidence(NamedTuple):
     sigma_m: Float64
     turned_deg: Float64
     forward_nats: Float64
-    rolled: Bool
 
 
 class _Join(NamedTuple):
@@ -226,10 +221,9 @@ def _joins(track: GearEvidence, legs: list[tuple[int, int]]) -> list[_Join]:
     for i in range(len(legs) - 1):
         skipped = 0.0
         for j in range(i + 1, min(i + 2 + MAX_SKIPPED, len(legs))):
-            stay, change = _turn_costs(track, legs[i], legs[j], seen)
-            if track.rolled[legs[i][1] : legs[j][0] + 1].all():
-                change += ROLLED_COST
-            joins.append(_Join(i, j, skipped + stay, skipped + change))
+            joins.append(
+                _Join(i, j, *(skipped + c for c in _turn_costs(track, legs[i], legs[j], seen)))
+            )
             skipped += skipping[j]
             if skipped > SKIP_CAP_NATS or track.gap_s[legs[j][0]]:
                 break

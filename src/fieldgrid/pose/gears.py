@@ -10,7 +10,7 @@ from fieldgrid.angles import heading_deg, wrap_deg
 from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.course import first_beyond, stations
 from fieldgrid.gear import GearEvidence, Gears, gears
-from fieldgrid.motion import Motion, WheelSpeed
+from fieldgrid.motion import Motion
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.leaps import leaps
 from fieldgrid.pose.measured import WHEEL_SIGMA_MPS, turn_back, wheel_speed_at
@@ -35,13 +35,6 @@ STEP_NATS, WHEEL_NATS, RECORDED_NATS = 8.0, 2.0, 4.0
 
 UNSIGNED_NATS = 0.3
 """The same of wheels that never turn back: they may not know how."""
-
-ROLLING_MPS, ROLLING_SHARE = 0.3, 0.5
-"""Wheels this fast, and faster than such a share of their usual speed, keep turning: whoever
-changes gear brakes below that, also where a filter makes the dip shallow."""
-
-ROLLING_NEAR_NS, MOST_BETWEEN_NS = 1_000_000_000, 300_000_000
-"""Of wheels that are asked less often a stop may not be seen."""
 
 HINT_NATS = 200.0
 """A hint of the user outweighs everything."""
@@ -103,7 +96,6 @@ def station_gears(
         noise_m[station],
         _turned_deg(at, at_ns, time_ns[resting]),
         _forward_nats(points[station], at_ns, motion, recorded_deg[station], hints),
-        rolled(at_ns, motion.wheels),
     )
     return StationGears(station, gears(track))
 
@@ -165,29 +157,6 @@ def _forward_nats(
     for start_ns, stop_ns, gear in hints.spans:
         nats[(time_ns > start_ns) & (time_ns <= stop_ns)] += HINT_NATS * gear
     return nats
-
-
-def rolled(time_ns: Int64, wheels: WheelSpeed | None) -> Bool:
-    """Whether wheels turned all the way to each instant [n] from the one before, and for
-    :data:`ROLLING_NEAR_NS` around: their clock may be another, and a change of gear takes time."""
-    n = len(time_ns)
-    if wheels is None or len(wheels.time_ns) < 2 or n < 2:
-        return np.zeros(n, dtype=np.bool_)
-    told = np.isfinite(wheels.speed_mps)
-    at_ns, speed_mps = wheels.time_ns[told], wheels.speed_mps[told]
-    late = np.diff(at_ns, prepend=at_ns[:1]) > MOST_BETWEEN_NS
-    turned = np.diff(np.sign(speed_mps), prepend=np.sign(speed_mps[:1])) != 0.0
-    fast_mps = np.abs(speed_mps)
-    moving = fast_mps >= ROLLING_MPS
-    usual_mps = float(np.median(fast_mps[moving])) if moving.any() else 0.0
-    slow = fast_mps < max(ROLLING_MPS, ROLLING_SHARE * usual_mps)
-    against = np.concatenate([[0], np.cumsum(slow | late | turned)])
-    start = np.searchsorted(at_ns, np.concatenate([time_ns[:1], time_ns[:-1]]) - ROLLING_NEAR_NS)
-    # The first sample behind counts, too: up to it nothing is told otherwise.
-    stop = np.searchsorted(at_ns, time_ns + ROLLING_NEAR_NS) + 1
-    covered = (start > 0) & (stop <= len(at_ns))
-    stop = np.minimum(stop, len(at_ns))
-    return np.asarray(covered & (against[stop] == against[start]))
 
 
 def first_guess(
