@@ -207,9 +207,9 @@ def coverage_in_view(
         left_out += [_unreached(network, nodes, k, driven[k][0]) for k in missed]
     if not nodes:
         first = left_out[0]
-        none = f"None of {len(asked)} lanes" if len(asked) > 1 else "No lane"
+        no_lane = f"None of {len(asked)} lanes" if len(asked) > 1 else "No lane"
         raise NoRouteError(
-            f"{none} can be covered; of {first.lane}: {first.reason}",
+            f"{no_lane} can be covered; of {first.lane}: {first.reason}",
             first.east_m, first.north_m,
             remedy(searcher, [(lane.east_m, lane.north_m) for lane in left_out]),
         )  # fmt: skip
