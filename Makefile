@@ -77,9 +77,11 @@ heading: .venv/installed ## Measure heading and gear on real logs, where they ar
 	$(PY) -m benchmarks.variations
 	$(PY) -m benchmarks.stretches
 	$(PY) -m benchmarks.damages
+	$(PY) -m benchmarks.late_fixes
 
 accuracy: .venv/installed ## Measure the accuracy of maps, mounts, clocks, alignment and changes
 	$(PY) -m benchmarks.accuracy
+	$(PY) -m benchmarks.row_step
 	$(PY) -m benchmarks.rectified
 	$(PY) -m benchmarks.mounting
 	$(PY) -m benchmarks.clock

@@ -115,6 +115,7 @@ def _noise(random: np.random.Generator) -> tuple[UInt64, UInt64]:
 
 
 def _timed(what: str, source: Path, out: Path) -> tuple[float, float]:
+    out.unlink(missing_ok=True)  # what another program has written is not replaced
     command = [sys.executable, "-m", "benchmarks.exports", what, str(source), str(out)]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     seconds, peak_mb = (float(value) for value in done.stdout.split()[-2:])

@@ -209,6 +209,6 @@ class Trajectory:
         start = int(self._ok[after - 1]) + 1 if after > 0 else 0
         stop = int(self._ok[after]) if after < self._ok.size else len(self)
         if start >= stop:
-            return "the receiver wrote none"
+            return "nothing tells where the vehicle was"
         gaps_ns = np.abs(self.time_ns[start:stop] - time_ns)
         return self.reason[start + int(np.argmin(gaps_ns))]

@@ -93,7 +93,7 @@ def test_in_one_bend_at_an_even_speed_either_may_be_wrong() -> None:
     late = Gyro(gyro.time_ns - round(0.8e9), gyro.rate_rad_s)
     found = estimate_poses(fixes_of(drive, 0.2, 0.03), RIG, DATUM, motion=Motion(gyro=late))
     (note,) = (one for one in found.report.notes if "each would explain it" in one)
-    told = re.search(r"(\S+) m farther back .* stamped (\S+) s late .*\((\S+) more of", note)
+    told = re.search(r"(\S+) m farther back .* stamped (\S+) s late .* add (\S+) to --gnss", note)
     assert told is not None
     assert [float(one) for one in told.groups()] == pytest.approx([0.8, 0.8, -0.8], abs=0.1)
     assert np.median(found.trajectory.position_sigma_m) > 0.5

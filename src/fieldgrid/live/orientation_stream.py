@@ -65,9 +65,9 @@ class OrientationStream:
     ) -> None:
         self._imu, self._transforms, self._is_given = imu, transforms, is_given
         self._roles = (ATTITUDE,) if is_given else ("imu", "odometry")
-        self._axes = {"imu": imu_axes, "odometry": AXES}
-        self._frame_sigma_deg = {"imu": 0.0, "odometry": ODOMETRY_FRAME_SIGMA_DEG}
-        self._is_of_imu = {"imu"}
+        self._imu_axes = imu_axes
+        # The roles whose messages are those of an Imu, and of the IMU that the stream is read for.
+        self._imus, self._is_of_imu = {"imu"}, {"imu"}
         self._held: dict[str, Leans] = {}
         self._bodies: dict[str, str] = {}
         self._chosen: _Chosen | None = None
@@ -75,7 +75,7 @@ class OrientationStream:
         self._last_ns = 0
         self._next_try = 2
         self._is_unused = False
-        """Whether an accelerometer tells roll and pitch."""
+        """Whether an accelerometer, or what was recorded, tells roll and pitch."""
         self.notes: list[str] = []
         """What is reported of it."""
 
@@ -97,9 +97,8 @@ class OrientationStream:
     ) -> list[tuple[str, Rows]]:
         """The same as `take` of the topic that was given, whose messages are of a `kind`;
         `is_of_imu` where it is that of the IMU, too."""
-        like = "imu" if kind == IMU else "odometry"
-        self._axes[ATTITUDE] = self._axes[like]
-        self._frame_sigma_deg[ATTITUDE] = self._frame_sigma_deg[like]
+        if kind == IMU:
+            self._imus.add(ATTITUDE)
         self._is_of_imu = {ATTITUDE} if is_of_imu else set()
         # A pose names the frame that it is in, and not whose it is.
         body = message.header.frame_id if kind == IMU else getattr(message, "child_frame_id", "")
@@ -147,7 +146,7 @@ class OrientationStream:
                 self._last_ns = int(found.time_ns[-1])
                 return [("orientation", Rows(found.time_ns, found[1:]))]
             if found.by_axes:
-                by_imu = " or imu_axes in mounting.json" if self._is_imu(role) else ""
+                by_imu = " or imu_axes in mounting.json" if role in self._imus else ""
                 self._note(
                     f"has orientations of its {role} that tell no roll and pitch: {found.why}; say "
                     f"how it sits by a static transform at the start of the stream{by_imu}."
@@ -159,16 +158,16 @@ class OrientationStream:
         return []
 
     def _found(self, role: str, held: Leans) -> Orientation | Untold:
+        axes = self._imu_axes if role in self._imus else AXES
         try:
-            R_flu_body, how = axes_of(self._transforms, self._axes[role], self._bodies[role])
+            R_flu_body, how = axes_of(self._transforms, axes, self._bodies[role])
         except CalibrationError as problem:
             return Untold(str(problem).removesuffix("."), by_axes=True)
         if role in self._is_of_imu and how == TAKEN and not self._imu.is_whole:
             return Untold("it does not feel gravity along its z axis", by_axes=True)
         values, times_ns = held.values(), np.array(held.places, dtype=np.int64)
-        frame_sigma_deg = self._frame_sigma_deg[role]
         found = orientation_of(
-            times_ns, values, R_flu_body, frame_sigma_deg, axes_known=how != TAKEN
+            *(times_ns, values, R_flu_body, self._frame_sigma_deg(role)), axes_known=how != TAKEN
         )
         if isinstance(found, Orientation):
             R_vehicle_body = R_VEHICLE_FLU @ R_flu_body
@@ -190,12 +189,12 @@ class OrientationStream:
             np.array([time_ns], dtype=np.int64),
             values[:, :3] @ self._chosen.R_vehicle_body.T,
             values[:, 3],
-            self._frame_sigma_deg[self._chosen.role],
+            self._frame_sigma_deg(self._chosen.role),
         )
         return [("orientation", Rows(found.time_ns, found[1:]))]
 
-    def _is_imu(self, role: str) -> bool:
-        return self._frame_sigma_deg[role] == self._frame_sigma_deg["imu"]
+    def _frame_sigma_deg(self, role: str) -> float:
+        return 0.0 if role in self._imus else ODOMETRY_FRAME_SIGMA_DEG
 
     def _note(self, text: str) -> None:
         if text not in self.notes:

@@ -177,9 +177,8 @@ def denied_notes(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
             f"By the drive the antenna sits {abs(ahead_m):.2f} m farther "
             f"{'ahead' if ahead_m > 0.0 else 'back'} than mounting.json says, or the fixes are "
             f"stamped {abs(late_s):.2f} s {'late' if late_s > 0.0 else 'early'} against the gyro: "
-            "each would explain it. Measure the place, and look at how the fixes were logged "
-            f"({-late_s:.2f} more of --gnss-offset corrects them). Until then positions count as "
-            "that unsure."
+            f"each would explain it. Measure the place, or add {-late_s:.2f} to --gnss-offset if "
+            "the stamps are wrong. Until then positions count as that unsure."
         )
         return
     for one, more, less in (

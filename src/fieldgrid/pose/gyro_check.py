@@ -56,7 +56,10 @@ STEADY_M = 0.1
 NEAR_S = 2.0
 """Two headings that cross agree for a moment; how far they are apart is the most around it."""
 
-CHECK = "was not used: check imu_axes (it may be upside down), its unit (rad/s) and its stamps."
+CHECK = (
+    "was not used: check imu_axes (it may be upside down), its unit (rad/s), its stamps and how "
+    "far the antenna sits ahead of the axle."
+)
 
 
 class Trusted(NamedTuple):

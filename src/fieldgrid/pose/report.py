@@ -33,7 +33,7 @@ from fieldgrid.smoother import Constant
 from fieldgrid.trajectory import Trajectory
 
 GOOD_FIX_M = 0.05
-"""Fixes that count as so good are not refused for their sigma."""
+"""To say that fixes are better than this admits no more headings."""
 
 NO_AXLE = "Nothing says how far the antenna sits ahead of the axle that does not steer"
 

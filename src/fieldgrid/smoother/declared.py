@@ -13,9 +13,9 @@ from fieldgrid.smoother.envelope import STATES, solve
 from fieldgrid.smoother.model import BIAS_E, BIAS_N, GYRO, GYRO_NOISE, KAPPA, PHI, E, N, V
 from fieldgrid.smoother.rounds import Linear, SmoothingProblem, Solution, inverse
 
-AHEAD, LATE = 1, 2
-"""Which of the constants that are tested are the antenna's place ahead and the delay of the fixes.
-"""
+AHEAD, LATE, SCALE = 1, 2, 3
+"""Which of the constants that are tested are the antenna's place ahead, the delay of the fixes and
+the gyro's scale."""
 
 TESTED_SIGMAS = np.array([5.0, 5.0, 5.0, 2.0])
 """What each could be off by, before the drive."""
@@ -67,6 +67,13 @@ class DeclaredCorrection(NamedTuple):
     def contradicts(self) -> bool:
         """Whether sensors and declarations do not fit together."""
         return self.misfit > MOST_MISFIT
+
+    @property
+    def misfit_but_scale(self) -> float:
+        """How many sigmas are left with the gyro's scale as the drive has it, and as far as that is
+        from the usual: no scale is quite right."""
+        unusual = self.alone[SCALE] / float(UNVERIFIED_SIGMAS[SCALE])
+        return min(math.hypot(self.left[SCALE], unusual), self.misfit)
 
     @property
     def unsure_late_s(self) -> float:
