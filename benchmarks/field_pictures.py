@@ -1,5 +1,5 @@
-"""docs/rows.png, docs/routes.png and docs/coverage.png: rows, routes and coverage of the example;
-docs/tracks.png: tracks over a field of the benchmark.
+"""docs/routes.png and docs/coverage.png: routes and coverage of the example; docs/tracks.png:
+tracks over a field of the benchmark.
 
 python -m benchmarks.field_pictures vineyard.gpkg docs
 """
@@ -19,7 +19,6 @@ from benchmarks.planting import DATUM
 from fieldgrid.array_types import UInt8
 from fieldgrid.cost import LETHAL, UNKNOWN_COST, CostCurve
 from fieldgrid.coverage import Tracks, coverage_in_view, plan_coverage
-from fieldgrid.evidence import OBSTACLE, UNSEEN, Evidence
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.mapfile import DECISION_LAYERS, MapFile, MapView, open_map
 from fieldgrid.palette import SESSIONS
@@ -51,31 +50,6 @@ def draw_tracks(out: Path) -> None:
         axes.annotate(lane.id, lane.line.coords[0], fontsize=7, color="#0b4a22")
     route = coverage.route
     axes.plot(route.east_m, route.north_m, color="#c0392b", lw=1.0)
-    figure.savefig(out)
-
-
-def draw_rows(universal: MapFile, out: Path) -> None:
-    """Draw the rows of a map over its obstacles."""
-    view, found = universal.read(), find_rows(universal)
-    cells = Evidence.of(view).cells
-    figure = _figure(1)
-    axes = _over(figure, 111, view, cells == OBSTACLE, cells == UNSEEN)
-    for headland in found.headlands:
-        axes.fill(*headland.area.exterior.xy, color="#e8a33d", alpha=0.25, lw=0)
-    for lane in found.lanes:
-        axes.fill(*lane.area.exterior.xy, color="#3a9d5d", alpha=0.25 * lane.known + 0.05, lw=0)
-        axes.plot(*lane.line.xy, color="#1d7a3f", lw=1.2, ls="-" if lane.driven else ":")
-        place = lane.line.interpolate(0.4, normalized=True).coords[0]
-        is_known = np.isfinite(lane.free_width_m)
-        name = f"{lane.id} {lane.free_width_m:.2f} m" if is_known else f"{lane.id} unknown"
-        axes.annotate(name, place, fontsize=7, ha="center", color="#0b4a22")
-    for row in found.rows:
-        axes.plot(*row.line.xy, color="#c0392b", lw=1.4)
-        axes.annotate(row.id, row.line.coords[0], fontsize=7, color="#7d1d12")
-    for gap in found.gaps:
-        axes.plot(*gap.line.xy, color="#2b7bd6", lw=4.0)
-    for thing in found.obstacles:
-        axes.plot(*thing.area.exterior.xy, color="#a01fa0", lw=1.4)
     figure.savefig(out)
 
 
@@ -149,7 +123,6 @@ def _over(figure, place, view, blocked, unseen) -> Axes:  # type: ignore[no-unty
 if __name__ == "__main__":
     folder = Path(sys.argv[2])
     with open_map(sys.argv[1]) as opened:
-        draw_rows(opened, folder / "rows.png")
         draw_routes(opened, folder / "routes.png")
         draw_coverage(opened, folder / "coverage.png")
     draw_tracks(folder / "tracks.png")
