@@ -273,6 +273,7 @@ def test_a_large_map_is_drawn_with_larger_cells(
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
+        ("-o OUT/x", r"x names no format .*; end it in \.png, \.pdf or \.svg"),
         ("-o OUT/x.foo", r"x\.foo names no format .*; end it in \.png, \.pdf or \.svg"),
         (
             "-o OUT/not/x.png",

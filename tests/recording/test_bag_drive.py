@@ -153,8 +153,8 @@ def test_fixes_without_position_or_height(opened: Opened) -> None:
         assert [fix.height_m for fix in recording.fixes()] == [HEIGHT, 0.0]
         assert recording.fixes()[1].time_ns == UTC + 2 * STEP
         notes = " ".join(recording.notes)
-    assert "1 messages without a position" in notes
-    assert "1 messages without a height" in notes
+    assert "1 message without a position" in notes
+    assert "1 message without a height" in notes
 
 
 # Motion
@@ -266,8 +266,8 @@ def test_an_imu_without_gyro_and_times_that_repeat(opened: Opened) -> None:
         assert wheels.time_ns.tolist() == [UTC, UTC + 1, UTC + 2]
         assert wheels.speed_mps.tolist() == [1.0, -1.5, 2.0]
         notes = " ".join(recording.notes)
-    assert "5 messages say that they have no gyro" in notes
-    assert "/wheels/odom: 1 messages without a time or value, or repeated" in notes
+    assert "5 messages whose covariance says that there is no gyro" in notes
+    assert "/wheels/odom: 1 message without a time or value, or repeated" in notes
 
 
 # Mount by transforms

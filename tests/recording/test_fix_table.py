@@ -138,7 +138,7 @@ def test_rows_without_a_time_are_counted(cell: str, tmp_path: Path) -> None:
     row = "2024-06-01T12:00:00" if "-" in cell else START_S
     log = read(tmp_path, f"time,lat,lon\n{row},41,-4\n{cell},41,-4\n")
     assert len(log.fixes) == 1
-    assert log.notes[-1] == "log.csv: 1 rows without a time after 1980 skipped."
+    assert log.notes[-1] == "log.csv: 1 row without a time after 1980 skipped."
 
 
 def test_a_time_that_is_none_names_its_line(tmp_path: Path) -> None:

@@ -98,9 +98,9 @@ def test_values_that_are_not_available_are_none(folder: Path) -> None:
     log = read_fix_log(folder)
     (fix,) = log.fixes
     assert (fix.hdop, fix.time_ns) == (None, START_NS + 7200 * 10**9)
-    assert log.notes == ("TLG00001.bin: 1 records without a position skipped.",)
+    assert log.notes == ("TLG00001.bin: 1 record without a position skipped.",)
     write(folder, PLAIN.format(""), before + values())
-    assert read_fix_log(folder).notes[-1] == "TLG00001.bin: 1 records without a time skipped."
+    assert read_fix_log(folder).notes[-1] == "TLG00001.bin: 1 record without a time skipped."
 
 
 def test_a_proprietary_speed_is_known_by_its_unit(folder: Path) -> None:

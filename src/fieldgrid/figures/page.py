@@ -81,7 +81,7 @@ def save(figure: Figure, path: str | Path) -> None:
     written.
     """
     path = Path(path)
-    suffix = path.suffix.lstrip(".").lower() or "png"
+    suffix = path.suffix.lstrip(".").lower()
     if suffix not in _FORMATS:
         raise ConfigError(
             f"{path} names no format that a figure can have; end it in .png, .pdf or .svg."

@@ -22,7 +22,7 @@ from fieldgrid.recording.format import Format
 from fieldgrid.recording.frame_table import MAX_FRAMES
 from fieldgrid.recording.image_format import image_format
 from fieldgrid.recording.logs import find_log, with_log
-from fieldgrid.recording.motion_files import MotionSeries, in_order, inertial_of
+from fieldgrid.recording.motion_files import MotionSeries, in_order, inertial_of, skipped
 from fieldgrid.recording.mounting import MOUNTING, Mounting
 from fieldgrid.recording.options import NO_MOUNTING, DriveOptions
 from fieldgrid.recording.settings_file import SETTINGS, read_settings
@@ -215,8 +215,7 @@ def _turning(
             times.append(time.utc_ns(block))
             rows.append(np.stack([table.numbers(block, column) for column in columns], axis=1))
     series, lost = in_order(np.concatenate(times), np.concatenate(rows), 3)
-    notes = [f"{_IMU}/{_DATA}: {lost} rows without a time or value, or repeated, skipped."]
-    notes = notes if lost else []
+    notes = skipped(f"{_IMU}/{_DATA}", lost, "row")
     if not len(series.time_ns):
         return Motion(), tuple(notes)
     upward = R_vehicle_imu[2]

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from fieldgrid.angles import heading_from_yaw_rad, wrap_deg
 from fieldgrid.array_types import Float64, Index
-from fieldgrid.errors import RecordingError
+from fieldgrid.errors import RecordingError, counted
 from fieldgrid.fixes import NOT_SAID, FixColumns, quality_by_sigma
 from fieldgrid.quality import Quality
 from fieldgrid.recording.columns import (
@@ -137,10 +137,10 @@ class _Plan:
         lat, lon = self.where.lat_lon(block)
         placed, timed = np.isfinite(lat) & np.isfinite(lon), times_ns > 0
         unplaced = (block.row(k) for k in np.flatnonzero(~placed).tolist())
-        self.counts["rows without a position skipped"] += sum(
+        self.counts["without a position skipped"] += sum(
             any(cell.strip() for cell in row) for row in unplaced
         )
-        self.counts["rows without a time after 1980 skipped"] += int((placed & ~timed).sum())
+        self.counts["without a time after 1980 skipped"] += int((placed & ~timed).sum())
         keep = np.flatnonzero(placed & timed)
         heights_m = self._heights(block)[keep]
         missing = np.isnan(heights_m)
@@ -219,7 +219,7 @@ class _Plan:
             return None if length_m is None else length_m / unit_m
 
         heights = self.table.numbers(block, self.places["height"], in_units) * unit_m
-        self.counts["rows without a height: taken as 0 m"] += int(np.isnan(heights).sum())
+        self.counts["without a height: taken as 0 m"] += int(np.isnan(heights).sum())
         return heights
 
     def _degrees(self, role: str, value: dict[str, Float64]) -> Float64 | None:
@@ -293,7 +293,9 @@ class _Plan:
             words = ", ".join(repr(word[:30]) for word in sorted(self.unknown)[:5])
             notes.append(f"{name}: quality {words} is not known; taken as unknown.")
         notes += self.told
-        return tuple(notes + [f"{name}: {n} {what}." for what, n in self.counts.items() if n])
+        return tuple(
+            notes + [f"{name}: {counted(n, 'row')} {what}." for what, n in self.counts.items() if n]
+        )
 
 
 def _fewest(cell: str) -> int:

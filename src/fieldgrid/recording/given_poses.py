@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.errors import ConfigError, RecordingError
+from fieldgrid.errors import ConfigError, RecordingError, counted
 from fieldgrid.motion import GivenPoses, Motion, RecordedTilt
 from fieldgrid.recording.bag.trajectories import read_pose_topic
 from fieldgrid.recording.drive import Drive, Recording, with_motion
@@ -107,7 +107,9 @@ def motion_of_body(
         motion = motion._replace(tilt=tilt)
     notes = [f"The poses are {len(time_ns)} of {body.name}, body axes {axes}, frame {frame}."]
     if lost:
-        notes.append(f"{body.name}: {lost} poses without a time, or of the same time, skipped.")
+        notes.append(
+            f"{body.name}: {counted(lost, 'pose')} without a time, or of the same time, skipped."
+        )
     return motion, notes
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.parsers import expat
 
-from fieldgrid.errors import RecordingError
+from fieldgrid.errors import RecordingError, counted
 from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.recording.files import MIN_TIME_NS, check_regular, read_bytes
 from fieldgrid.recording.fix_log import FixLog
@@ -281,8 +281,11 @@ class _Records:
                 lambda: "no position status: the quality is unknown",
             ),
             (self._speed is not None, self._speed_note),
-            (self._unplaced, lambda: f"{self._unplaced} records without a position skipped"),
-            (self._untimed, lambda: f"{self._untimed} records without a time skipped"),
+            (
+                self._unplaced,
+                lambda: counted(self._unplaced, "record") + " without a position skipped",
+            ),
+            (self._untimed, lambda: counted(self._untimed, "record") + " without a time skipped"),
             (left_bytes, lambda: f"the last {left_bytes} bytes are no whole record, and skipped"),
         )
         return (f"{name}: {what()}." for holds, what in says if holds)

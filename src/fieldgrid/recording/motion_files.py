@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.errors import RecordingError
+from fieldgrid.errors import RecordingError, counted
 from fieldgrid.motion import Gyro, Inertial, Motion, WheelSpeed
 from fieldgrid.recording.columns import Columns, speed_factor, take_apart
 from fieldgrid.recording.table_time import find_time
@@ -230,10 +230,7 @@ def _read(
         times.append(time.utc_ns(block))
         rows.append(np.stack([table.numbers(block, place) for place in places], axis=1))
     series, lost = in_order(np.concatenate(times), np.concatenate(rows) * factors, needed)
-    if lost:
-        notes.append(
-            f"{table.path.name}: {lost} rows without a time or value, or repeated, skipped."
-        )
+    notes += skipped(table.path.name, lost, "row")
     notes += time.notes
     return series
 
@@ -247,6 +244,12 @@ def in_order(times_ns: Int64, values: Float64, needed: int = 1) -> tuple[MotionS
         kept_ns, first = np.unique(kept_ns, return_index=True)
         kept = kept[first]
     return MotionSeries(kept_ns, kept), len(times_ns) - len(kept_ns)
+
+
+def skipped(source: str, lost: int, noun: str) -> list[str]:
+    """What is said of rows or messages that :func:`in_order` leaves out."""
+    said = f"{source}: {counted(lost, noun)} without a time or value, or repeated, skipped."
+    return [said] if lost else []
 
 
 def _joined(parts: Sequence[tuple[Path, MotionSeries]]) -> MotionSeries | None:

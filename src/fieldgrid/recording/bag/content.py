@@ -40,6 +40,7 @@ from fieldgrid.recording.motion_files import (
     gravity_unit_mps2,
     in_order,
     inertial_of,
+    skipped,
 )
 from fieldgrid.recording.options import DriveOptions
 from fieldgrid.recording.settings_file import SETTINGS, RecordingSettings, read_settings
@@ -231,7 +232,7 @@ def find_motion(content: BagIndex, imu_axes: str = AXES) -> tuple[Motion, tuple[
         rates = -rate_about(sensed[:, :3], upward)
         series, lost = in_order(times_ns, rates)
         gyro = Gyro(*series) if len(series.time_ns) else None
-        notes += [*_lost(topic, lost), f"{topic}: {told}."]
+        notes += [*skipped(topic, lost, "message"), f"{topic}: {told}."]
         # With one axis, an IMU says 0 or NaN of the others.
         if gyro is not None and is_whole and turns_across(sensed, upward):
             R_vehicle_imu = R_VEHICLE_FLU @ R_flu_imu
@@ -244,7 +245,7 @@ def find_motion(content: BagIndex, imu_axes: str = AXES) -> tuple[Motion, tuple[
         told_mps = readings.series(bag, topic, speeds.places, speeds.speeds_mps())
         series, lost = in_order(*told_mps)
         wheels = WheelSpeed(*series) if len(series.time_ns) else None
-        notes += _lost(topic, lost)
+        notes += skipped(topic, lost, "message")
     elif speeds is None and topic and (moving := readings.moving(bag)) is not None:
         way = moving[1]
         told_ns, told_speeds = forward_speeds(way)
@@ -345,12 +346,6 @@ def rate_about(rates: Float64, row: Float64) -> Float64:
         return np.asarray(rates[:, own] * row[own], dtype=np.float64)
     with np.errstate(over="ignore", invalid="ignore"):  # such a rate is none, and left out
         return np.asarray(rates @ row, dtype=np.float64)
-
-
-def _lost(topic: str, lost: int) -> list[str]:
-    if not lost:
-        return []
-    return [f"{topic}: {lost} messages without a time or value, or repeated, skipped."]
 
 
 def as_drive(content: BagIndex) -> Drive:

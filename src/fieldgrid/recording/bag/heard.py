@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.errors import RecordingError
+from fieldgrid.errors import RecordingError, counted
 from fieldgrid.fixes import FixColumns
 from fieldgrid.gnss import NmeaLog, NmeaStream
 from fieldgrid.motion import Orientation, RecordedTilt
@@ -69,9 +69,9 @@ class Heard:
     def notes(self) -> Iterator[str]:
         """Remarks, without the topic and the full stop."""
         if self.damaged:
-            yield f"{self.damaged} messages do not fit their type; skipped"
+            yield f"{counted(self.damaged, 'message')} of another type than declared skipped"
         for what, count in self.counts.items():
-            yield f"{count} {what}"
+            yield f"{counted(count, 'message')} {what}"
 
 
 class Sentences(Heard):
@@ -109,10 +109,10 @@ class Fixes(Heard):
     def _add(self, message: Any, place: int) -> None:
         lat_deg, lon_deg, height_m = message.latitude, message.longitude, message.altitude
         if not (math.isfinite(lat_deg) and math.isfinite(lon_deg)):
-            self.counts["messages without a position skipped"] += 1
+            self.counts["without a position skipped"] += 1
             return
         if not math.isfinite(height_m):
-            self.counts["messages without a height: taken as 0 m"] += 1
+            self.counts["without a height: taken as 0 m"] += 1
             height_m = 0.0
         quality, sigma_m = quality_of(message)
         self.places.append(place)
@@ -125,7 +125,7 @@ class Fixes(Heard):
         time_ns = times_ns[np.array(self.places, dtype=np.int64)]
         known = time_ns > 0
         if not known.all():
-            self.counts["messages without a time skipped"] = int(np.count_nonzero(~known))
+            self.counts["without a time skipped"] = int(np.count_nonzero(~known))
         lat, lon, height, quality, sigma = np.array(self._values).reshape(-1, 5)[known].T
         return FixColumns.of(
             time_ns[known],
@@ -149,7 +149,7 @@ class Turns(Heard):
     def _add(self, message: Any, place: int) -> None:
         self.leans.add(message, place)
         if message.angular_velocity_covariance[:1].tolist() == [-1.0]:  # by its definition
-            self.counts["messages say that they have no gyro"] += 1
+            self.counts["whose covariance says that there is no gyro"] += 1
             return
         rates, forces = message.angular_velocity, message.linear_acceleration
         felt = (forces.x, forces.y, forces.z)
