@@ -508,6 +508,14 @@ def test_weeks_of_gps_by_their_names(week: str, tow: str, tmp_path: Path) -> Non
     assert only(tmp_path, f"{week},{tow},lat,lon\n2316,{of_week},41,-4\n").time_ns == START_NS
 
 
+def test_a_zone_is_not_of_weeks(tmp_path: Path) -> None:
+    text = "week,tow,lat,lon\n2316,561618.0,41,-4\n"
+    for zone in ("+02:00", "UTC"):
+        message = "time_zone is .*, but 'week' and 'tow' .*leave time_zone out"
+        fails(tmp_path, text, message, f"time_zone={zone}")
+    assert only(tmp_path, text, "time_zone=GPST").time_ns == START_NS
+
+
 def test_weeks_that_begin_anew_are_refused(tmp_path: Path) -> None:
     fails(tmp_path, "week,tow,lat,lon\n268,561618,41,-4\n", "week 268 is before 1999.*add 2048")
 

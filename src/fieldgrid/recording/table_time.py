@@ -163,6 +163,12 @@ def _by_week(table: OpenTable, columns: Columns) -> TimeColumn | None:
             "anew after 1024 weeks, add 2048 to its weeks (1024 to those before April 2019)"
             f"{other}."
         )
+    if columns.time_zone and not zone_scale(columns.time_zone).gps:
+        raise RecordingError(
+            f"{table.path}: time_zone is {columns.time_zone}, but '{week}' and '{tow}' are of "
+            "GPS's clock; leave time_zone out (if theirs is another, move it with --gnss-offset "
+            f"SECONDS), or name the column of dates that it is of: {how_to_say(time='COLUMN')}."
+        )
     place = table.header.index(tow)
     seconds = table.numbers(table.sample, place)
     # A week has 604,800 s; the time of week of a log that is longer than ten minutes tells.
