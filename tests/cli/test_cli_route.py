@@ -76,12 +76,12 @@ def test_covering_says_what_is_left_out(fieldgrid: Run, field: Path, tmp_path: P
     for words in (
         "lanes covered",
         "2 of 3",
-        "not covered: B1-L2, at ",
+        "not covered: B1-L2: There is no path along the lane",
         "stopped by an obstacle",
         str(out),
     ):
         assert words in done.out
-    assert "1 of 3 lanes are not covered; of B1-L2: There is no path along the lane" in done.err
+    assert "1 of 3 lanes is not covered; of B1-L2: There is no path along the lane" in done.err
     assert "--lanes B1-L1,B1-L3 asks for the others alone" in done.err
     with out.open(newline="") as file:
         named = [row["lane"] for row in csv.DictReader(file)]

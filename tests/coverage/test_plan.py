@@ -78,6 +78,7 @@ def test_all_lanes_once(vehicle: Vehicle) -> None:
     coverage = coverage_in_view(view, planting, vehicle)
     assert_covers(coverage, view, planting)
     assert not coverage.left_out
+    assert not coverage.remedy
     assert len(coverage.lanes) == 3
     assert coverage.worked_m == pytest.approx(33.0, abs=0.1)
     # Half circles lead from lane to lane, whose distance is two radii.
@@ -111,6 +112,7 @@ def test_a_lane_that_is_blocked_is_left_out_with_the_place() -> None:
     with pytest.raises(NoRouteError, match="No lane can be covered; of B1-L2") as refused:
         coverage_in_view(view, planting, SMALL, lanes=["B1-L2"])
     assert "; give a smaller vehicle or --allow-unknown if " in str(refused.value)
+    assert coverage.remedy.startswith("give a smaller vehicle or --allow-unknown if ")
 
 
 def test_a_lane_with_a_keep_out_across_it_is_left_out_and_none_is_entered() -> None:
@@ -122,6 +124,7 @@ def test_a_lane_with_a_keep_out_across_it_is_left_out_and_none_is_entered() -> N
     (left,) = coverage.left_out
     assert left.lane == "B1-L2"
     assert "a keep-out mark" in left.reason
+    assert coverage.remedy == "remove the mark with `fieldgrid mark --remove`"
     assert not shapely.intersects(footprints(coverage.route), pond.geometry).any()
 
 

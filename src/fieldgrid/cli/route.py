@@ -286,14 +286,15 @@ def command(
             output.print_line(f"{file}")
     if coverage is not None and coverage.left_out:
         first, covered = coverage.left_out[0], sorted(lane.lane for lane in coverage.lanes)
+        is_one = len(coverage.left_out) == 1
         raise NoRouteError(
-            f"{len(coverage.left_out)} of {len(coverage.left_out) + len(covered)} lanes are "
-            f"not covered; of {first.lane}: {first.reason}",
+            f"{len(coverage.left_out)} of {len(coverage.left_out) + len(covered)} lanes "
+            f"{'is' if is_one else 'are'} not covered; of {first.lane}: {first.reason}",
             first.east_m,
             first.north_m,
-            f"--lanes {','.join(covered)} asks for the others alone"
+            f"{coverage.remedy}; --lanes {','.join(covered)} asks for the others alone"
             if coverage.swaths is None
-            else "the others are driven; a smaller vehicle or fewer --headland-passes may do more",
+            else f"the others are driven; {coverage.remedy}, or fewer --headland-passes",
         )
 
 
@@ -368,7 +369,7 @@ def _print(route: Route, coverage: Coverage | None) -> None:
     )
     for lane in coverage.left_out:  # sentences, which are too long for the column of a table
         place = f"{lane.east_m:.2f},{lane.north_m:.2f}"
-        output.print_line(f"not covered: {lane.lane}, at {place}: {lane.reason}")
+        output.print_line(f"not covered: {lane.lane}: {lane.reason} at {place}.")
 
 
 def _as_dict(route: Route, coverage: Coverage | None, out: Path | None) -> dict[str, Any]:
@@ -387,4 +388,5 @@ def _as_dict(route: Route, coverage: Coverage | None, out: Path | None) -> dict[
         if coverage.swaths is not None:
             found["swaths"] = coverage.swaths._asdict()
         found["left_out"] = [lane._asdict() for lane in coverage.left_out]
+        found["remedy"] = coverage.remedy
     return found

@@ -79,15 +79,16 @@ class Swaths(NamedTuple):
 class Coverage:
     """A route along lanes: the lanes in the order of driving, and those that are left out.
 
-    `planting` has the lanes; those of parallel tracks are tracks and passes around them, and
-    `swaths` says what they work. `cost_m` is what the order was chosen by: metres of way, those in
-    reverse and changes of gear counted for more; `planned` is how many ways between lanes were
-    planned for that.
+    `remedy` is what may help those, '' where there are none. `planting` has the lanes; those of
+    parallel tracks are tracks and passes around them, and `swaths` says what they work. `cost_m` is
+    what the order was chosen by: metres of way, those in reverse and changes of gear counted for
+    more; `planned` is how many ways between lanes were planned for that.
     """
 
     route: Route
     lanes: tuple[Worked, ...]
     left_out: tuple[LeftOut, ...]
+    remedy: str
     planting: Planting
     cost_m: float
     planned: int
@@ -205,13 +206,14 @@ def coverage_in_view(
         missed = order.left_out(len(driven))
         nodes, cost_m = order.nodes, order.cost - sum(float(worth[k]) for k in missed)
         left_out += [_unreached(network, nodes, k, driven[k][0]) for k in missed]
+    left_out.sort(key=lambda entry: [lane.id for lane in asked].index(entry.lane))
+    helps = remedy(searcher, [(lane.east_m, lane.north_m) for lane in left_out]) if left_out else ""
     if not nodes:
         first = left_out[0]
         no_lane = f"None of {len(asked)} lanes" if len(asked) > 1 else "No lane"
         raise NoRouteError(
             f"{no_lane} can be covered; of {first.lane}: {first.reason}",
-            first.east_m, first.north_m,
-            remedy(searcher, [(lane.east_m, lane.north_m) for lane in left_out]),
+            first.east_m, first.north_m, helps,
         )  # fmt: skip
     samples = _assembled(network, nodes)
     names = np.array(["", *(lane.id for lane, _ in driven)])
@@ -226,10 +228,9 @@ def coverage_in_view(
         ends = way.from_m, way.to_m
         from_m, to_m = (lane.length_m - end for end in ends[::-1]) if node % 2 else ends
         worked.append(Worked(lane.id, bool(node % 2), max(from_m, 0.0), to_m))
-    left_out.sort(key=lambda entry: [lane.id for lane in asked].index(entry.lane))
     swaths = None if laid is None else _swaths(laid, route)
     return Coverage(
-        route, tuple(worked), tuple(left_out), planting, cost_m, len(network.ways), swaths
+        route, tuple(worked), tuple(left_out), helps, planting, cost_m, len(network.ways), swaths
     )
 
 

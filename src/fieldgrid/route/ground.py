@@ -26,14 +26,13 @@ _BLOCK_ROWS = 256
 _FEW_CELLS = 4
 """Obstacle cells that touch each other and are no more than these stand alone."""
 
-KEEPOUT_MARK = "a keep-out mark"
 """What blocks a cell, in words."""
 
 _NAMES = {
     OBSTACLE: "an obstacle",
     UNSEEN: "ground that was not seen",
     BEYOND: "the side of the lane",
-    KEEPOUT: KEEPOUT_MARK,
+    KEEPOUT: "a keep-out mark",
     OUTSIDE: "the boundary",
 }
 
@@ -172,6 +171,10 @@ class Ground:
     def what_is_at(self, east_m: float, north_m: float) -> str:
         """What blocks the blocked cell that encloses a point, in words."""
         return _NAMES[int(self.cells[self._cell(east_m, north_m)])]
+
+    def is_marked(self, east_m: float, north_m: float) -> bool:
+        """Whether a keep-out mark blocks the cell that encloses a point."""
+        return bool(self.cells[self._cell(east_m, north_m)] == KEEPOUT)
 
     def _cell(self, east_m: float, north_m: float) -> tuple[int, int]:
         return (

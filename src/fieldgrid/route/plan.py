@@ -18,7 +18,7 @@ from fieldgrid.errors import ConfigError, NoRouteError
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, MapView, open_map
-from fieldgrid.route.ground import KEEPOUT_MARK, Ground
+from fieldgrid.route.ground import Ground
 from fieldgrid.route.path import Path
 from fieldgrid.route.search import MAX_STATES, Searcher, SearchPose
 from fieldgrid.route.vehicle import Vehicle
@@ -37,7 +37,7 @@ NEAR_M = 1.0
 _HEADINGS = 24
 
 
-_MARK_REMEDY = "give another start or goal, or remove the mark with `fieldgrid mark --remove`"
+_MARK_REMEDY = "remove the mark with `fieldgrid mark --remove`"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,14 +192,10 @@ def find_way(
     if not math.isfinite(left_m[searcher.coarse_place(starts[0])]):
         x, y = searcher.bottleneck(starts[0], goals[0])
         east, north = ground.nearest_blocked(x + ground.west_m, y + ground.south_m)
-        stopped_by = ground.what_is_at(east, north)
         raise NoRouteError(
             f"There is no path {what} for a vehicle {vehicle.width_m:g} m wide, "
-            f"which is stopped by {stopped_by}",
-            east, north,
-            remedy(searcher, [(east, north)], _OTHER_PLACES)
-            if stopped_by != KEEPOUT_MARK
-            else _MARK_REMEDY,
+            f"which is stopped by {ground.what_is_at(east, north)}",
+            east, north, remedy(searcher, [(east, north)], _OTHER_PLACES),
         )  # fmt: skip
     found = searcher.search(starts, goals, left_m, max_poses)
     if not len(found.samples):
@@ -220,8 +216,11 @@ def remedy(searcher: Searcher, places_m: Sequence[tuple[float, float]], first: s
     """What may help against what blocks a vehicle near some places, metres east and north; `first`
     is what else does."""
     ground, vehicle = searcher.ground, searcher.vehicle
+    unmarked = [place for place in places_m if not ground.is_marked(*place)]
+    if not unmarked:
+        return f"give {first}, or {_MARK_REMEDY}" if first else _MARK_REMEDY
     within_m = NEAR_M + vehicle.clearance_m + vehicle.reach_m
-    weak = max(ground.weak_near(*place, within_m) for place in places_m)
+    weak = max(ground.weak_near(*place, within_m) for place in unmarked)
     helps = [first] if first else []
     if weak:
         helps.append(
