@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +21,13 @@ from fieldgrid.build import (
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import attitude_of_grids, check_images
 from fieldgrid.build.session import NewSession, check_names
-from fieldgrid.errors import ConfigError, FieldgridError, MapExistsError, MapWriteError
+from fieldgrid.errors import (
+    ConfigError,
+    FieldgridError,
+    MapError,
+    MapExistsError,
+    MapWriteError,
+)
 from fieldgrid.live.gridding_again import gridded_again
 from fieldgrid.live.kept_drive import JOURNAL, PushedDrive, SessionStart, live_folder
 from fieldgrid.live.kept_points import LOST
@@ -238,6 +244,10 @@ def _placed(
     about, out = kept.drive.about, kept.out
     left_out = _done(kept, drive) if out.exists() else None
     if left_out is not None:
+        # A map opened to be changed is given at its close what a killed end left for later. Where
+        # that is not possible, readers do without.
+        with suppress(MapError):
+            open_map(out, writable=True, patience=patience).close()
         session = NewSession(recording, settings, None, None, about.name, 1)
         session.report.notes += ("The drive was in the map already.",)
         session.report.frames = len(drive.frames) - left_out
