@@ -13,6 +13,8 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
 from fieldgrid.errors import ConfigError, MapError
@@ -315,6 +317,21 @@ def test_some_pairs_over_all_of_the_drive_are_kept(short_drive: Path, tmp_path: 
     assert len(numbers) <= MOST_PAIRS
     assert numbers == list(range(0, 100, numbers[1]))
     assert numbers[-1] >= 80
+
+
+def test_a_pair_that_is_kept_takes_little_time(short_drive: Path, tmp_path: Path) -> None:
+    """OpenCV's own setting is two to three times as fast as any that it is given, and loses nothing
+    either."""
+    with open_recording(short_drive) as recording:
+        live = begin(recording, tmp_path / "m.gpkg")
+        pair = next(iter(recording.frames())).images()
+        live._kept.add_pair(0, *pair)
+        for side, image in zip(("left", "right"), pair, strict=True):
+            data = (live.folder / f"00000000-{side}.png").read_bytes()
+            assert data == cv2.imencode(".png", image)[1].tobytes()
+            kept = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+            np.testing.assert_array_equal(kept, image)
+        live.stop()
 
 
 def test_of_frames_that_follow_fast_few_pairs_are_kept(short_drive: Path, tmp_path: Path) -> None:
