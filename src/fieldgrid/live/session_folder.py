@@ -193,8 +193,8 @@ class SessionFolder(Closing):
         """Keep a pair, and fewer of the others; one that the disk refuses is not kept. It may wait
         for the disk, and may be called from any thread."""
         with self._pairing, suppress(OSError):
-            # Each whole or not there, and the left one last: it tells that there is a pair. OpenCV's
-            # own setting takes a third of the time of any that is given to it.
+            # Each whole or not there, and the left one last: it tells that there is a pair.
+            # OpenCV's own setting takes a third of the time of any that is given to it.
             for side, image in (("right", right), ("left", left)):
                 with replacing(self.folder / f"{number:08d}-{side}.png") as draft:
                     draft.write_bytes(cv2.imencode(".png", image)[1].tobytes())
