@@ -110,6 +110,31 @@ def test_when_fixes_stop_sigma_grows_until_the_window_is_not_trusted(follows: bo
         assert off_m < 3.0 * pose.position_sigma_m + 0.05
 
 
+@pytest.mark.parametrize("antenna_up_m", [1.0, 3.0])
+@pytest.mark.parametrize("has_tilt", [True, False])
+def test_who_has_no_accelerometer_is_told_what_the_lean_costs(
+    has_tilt: bool, antenna_up_m: float
+) -> None:
+    """On a straight row nothing tells how the vehicle leans, by which an antenna far up is off."""
+    told = Told()
+    rig = replace(RIG, antenna=LeverArm(0.0, 0.0, antenna_up_m))
+    poser = Poser(rig, SETTINGS, DATUM, LiveOptions(), told)
+    for k in range(101):
+        seconds = 0.2 * k
+        poser.put(fix(seconds))
+        if has_tilt:
+            poser.put(("tilt", rows_of("tilt", at_ns(seconds), 0.0, 0.0, 0.5)))
+        poser.put(frame(seconds, 0.2))
+    poser.close()
+    advice = [event for event in told.of(LiveEvent) if "an accelerometer" in event.text]
+    is_unsure = antenna_up_m > 2.0 and not has_tilt
+    assert len(advice) == is_unsure
+    assert told.of(LiveWindow)[-1].is_trusted is not is_unsure
+    if advice:
+        assert advice[0].what is What.POSE
+        assert "the antenna, 3.0 m up, may be 0." in advice[0].text
+
+
 def test_poses_are_told_when_they_are_good_and_again_when_they_are_settled() -> None:
     told = driven(20.0, 20.0, follows=True)
     by_frame: dict[str, list[LivePose]] = {}
