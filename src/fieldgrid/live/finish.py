@@ -170,11 +170,17 @@ def finish(
     started = time.perf_counter()
     about = kept.drive.about
     settings = with_overrides(about.settings, overrides)
+    again = f"fieldgrid live -o {kept.out} --finish"
+    ways = f"{again} tries again, with pose options or --accept, and --discard gives it up"
     with _telling_where(kept, "--finish"):
         try:
             kept.drive.let_go()  # what was read when the folder was opened is read again
             drive = kept.read()
             if not drive.frames:
+                ways = (
+                    f"the command that began it goes on with it, {again}-from RECORDING builds it "
+                    "from a recording, and --discard gives it up"
+                )
                 raise ConfigError(
                     f"The session {about.name!r} has no frame, so there is no map of it."
                 )
@@ -183,11 +189,7 @@ def finish(
             placed = _placed(kept, drive, recording, settings, progress, patience or Patience())
         except FieldgridError as error:
             sentence = str(error).removesuffix(".")
-            where = kept.what_is_kept(
-                f"fieldgrid live -o {kept.out} --finish tries again, with pose options or "
-                "--accept, and --discard gives it up"
-            )
-            raise type(error)(f"{sentence}. {where}") from error
+            raise type(error)(f"{sentence}. {kept.what_is_kept(ways)}") from error
         report = placed.report
         if placed.left_out:
             report.notes += (_still_kept(kept, placed.left_out, _NO_POINTS),)
