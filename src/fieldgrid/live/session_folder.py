@@ -128,11 +128,12 @@ class SessionFolder(Closing):
             self.journal.sync()
             waiting = self.journal.waiting()  # a full disk takes no beginning
             drive = read_drive(self.folder, self.stage.entries, waiting) or PushedDrive(about)
-        if about is not None and not about.goes_on(drive.about):
+        if about is not None and (other := about.differs_in(drive.about)):
             raise ConfigError(
                 f"{self.folder} holds the session {drive.about.name!r}, which was ended before it "
-                "was in the map, of another rig or other settings; finish it with fieldgrid live "
-                f"-o {self.out} --finish, or remove it with --discard."
+                f"was in the map and is not this one again: it has another {', '.join(other)}. "
+                f"Finish it with fieldgrid live -o {self.out} --finish, or remove it with "
+                "--discard."
             )
         if drive.cut_at is not None:
             self.journal.append("cut", drive.cut_at)
