@@ -21,9 +21,10 @@ import typer
 
 from fieldgrid.cli.live_signals import kept_when_interrupted
 from fieldgrid.mapfile import open_map
+from fieldgrid.recording import open_recording
 from tests.cli.conftest import Run, in_a_process
 from tests.conftest import make_small_drive
-from tests.live.making import cut_log, slam
+from tests.live.making import begin, cut_log, slam
 from tests.live.sources import drop, empty_copy, rows_of
 
 
@@ -271,6 +272,33 @@ def test_a_drive_through_a_pipe_and_a_folder_ends_cleanly(
         (session,) = ours.sessions()
         assert (session.name, session.accepted) == ("row", 4)
         assert ours.verify(deep=True).sound
+
+
+def test_a_session_to_which_no_frame_came_leaves_nothing(drive: Path, tmp_path: Path) -> None:
+    """It would be in the way of the next one, whose receiver is at another address."""
+    out = tmp_path / "m.gpkg"
+    ended = subprocess.run(
+        in_a_process("live", "-o", out, "--mcap", "-", "--rig", drive),
+        stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=240,
+    )  # fmt: skip
+    assert ended.returncode == 1, ended.stderr
+    assert ended.stderr.endswith("kept; check where the images come from.\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_session_without_a_frame_that_was_killed_is_not_finished(
+    drive: Path, tmp_path: Path, fieldgrid: Run
+) -> None:
+    out = tmp_path / "m.gpkg"
+    with open_recording(drive) as recording:
+        live = begin(recording, out)
+        live.push_fix(next(iter(recording.fixes())))
+        live.stop()
+    said = fieldgrid("live", "-o", out, "--finish").sentence()
+    assert "has no frame" in said
+    assert "--finish-from RECORDING builds it" in said
+    assert "tries again" not in said
+    assert fieldgrid("live", "-o", out, "--discard").status == 0
 
 
 def test_wrong_uses_of_sources(drive: Path, tmp_path: Path, fieldgrid: Run) -> None:

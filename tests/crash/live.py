@@ -26,7 +26,7 @@ import numpy as np
 from fieldgrid.build import build_map
 from fieldgrid.errors import ConfigError
 from fieldgrid.fixes import Fix
-from fieldgrid.live import LiveGrid, LiveResult, live_folder, replay
+from fieldgrid.live import LiveGrid, LiveResult, finish_session, live_folder, replay
 from fieldgrid.live.kept_drive import read_drive
 from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.mapfile import open_map
@@ -75,7 +75,11 @@ def run_kills(count: int, seed: int, folder: Path) -> Counter[str]:
         left = len(FRAMES) - len(had.frames)
         grids = int(random.integers(-1, left + 1)) if left else -1
         longest_s = whole_s / (20.0 if 0 < grids < left else 2.0)
-        doing, said = _one(drive, out, grids, float(random.uniform(0.0, longest_s)))
+        after = "grid", grids
+        if not left and random.random() < 0.7:
+            # One that has all of its frames; often it is let to end, for the next to drive.
+            after, longest_s = ("driven", 1), 2.0 * whole_s
+        doing, said = _one(drive, out, after, float(random.uniform(0.0, longest_s)))
         hit[doing] += 1
         if live_folder(out).exists():
             now = _kept(out)
@@ -115,9 +119,10 @@ def _kept(out: Path) -> Had:
         return NOTHING  # it was killed before it had written what it is
 
 
-def _one(drive: Path, out: Path, grids: int, then_s: float) -> tuple[str, list[str]]:
-    """One session's life: it is killed some time after it was begun (-1), or has told so many
-    grids. What it was doing then, and what it had said."""
+def _one(drive: Path, out: Path, after: tuple[str, int], then_s: float) -> tuple[str, list[str]]:
+    """One session's life: it is killed some time after so many of its lines began so, at once for
+    none. What it was doing then, and what it had said."""
+    begins, count = after
     reader, writer = os.pipe()
     child = os.fork()
     if child == 0:
@@ -126,7 +131,7 @@ def _one(drive: Path, out: Path, grids: int, then_s: float) -> tuple[str, list[s
     os.close(writer)
     said: list[str] = []
     with os.fdopen(reader) as pipe:
-        while sum(line.startswith("grid") for line in said) < grids and (line := pipe.readline()):
+        while sum(line.startswith(begins) for line in said) < count and (line := pipe.readline()):
             said.append(line.strip())
         time.sleep(then_s)
         os.kill(child, signal.SIGKILL)
@@ -152,6 +157,10 @@ def _drive(drive: Path, out: Path, pipe: int) -> None:
             say(f"grid {result.frame_id}")
 
     try:
+        if out.exists():  # the end before was killed when the drive was in the map
+            say("driven")
+            finish_session(out)
+            os._exit(0)
         with open_recording(drive) as recording:
             live = begin(recording, out, on_result=take)
             say("begun")

@@ -19,6 +19,7 @@ from fieldgrid.build import build_map
 from fieldgrid.errors import MapWriteError
 from fieldgrid.live import LiveGrid, finish_session, live_folder, replay
 from fieldgrid.live.kept_drive import POINTS
+from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.mapfile import open_map, staging
 from fieldgrid.recording import Frame, open_recording
 from fieldgrid.settings import BuildSettings
@@ -66,9 +67,11 @@ def disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SmallDisk]
 
 
 def test_a_disk_that_is_full_while_driving_costs_the_frames_of_that_while(
-    disk: SmallDisk, leaning_drive: Path, tmp_path: Path
+    disk: SmallDisk, leaning_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of those before and after, also the points are kept: the map is that of a build of them."""
+    # A pair whose writing is refused gives its room back, and for a moment the disk is not full.
+    monkeypatch.setattr(SessionFolder, "claim_pair", lambda *_: False)
     drive, out, told = tmp_path / "drive", disk.place / "m.gpkg", Told()
     shutil.copytree(leaning_drive, drive, symlinks=True)
     with open_recording(drive) as recording:

@@ -129,10 +129,7 @@ def test_an_end_that_is_killed_adds_its_drive_once(
             with pytest.raises(ConfigError, match="--finish completes it"):
                 begin(recording, out, append=True)
     finish_session(out)
-    ours, theirs = content(out), content(both)
-    if step == "after the commit":  # what readers make of the tiles below was left for later
-        ours["fieldgrid_tile"] = theirs["fieldgrid_tile"]
-    assert ours == theirs
+    assert content(out) == content(both)  # also the coarser tiles, which a commit leaves for later
     assert not live_folder(out).exists()
     with open_map(out) as universal:
         assert [one.name for one in universal.sessions()] == ["other", "drive"]

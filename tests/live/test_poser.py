@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fieldgrid.attitude import Attitude
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import GridSpec, LocalGrid
@@ -21,6 +22,7 @@ from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiver import PerceivedFrame
 from fieldgrid.live.poser import Poser
 from fieldgrid.live.results import LiveEvent, LivePose, LiveWindow, Outbox, What, WindowDoubt
+from fieldgrid.live.running_tilt import lean_advice
 from fieldgrid.live.sensor_rows import rows_of
 from fieldgrid.live.window import PlacedGrid, RollingWindow
 from fieldgrid.odometry import CameraStep
@@ -108,6 +110,44 @@ def test_when_fixes_stop_sigma_grows_until_the_window_is_not_trusted(follows: bo
         assert pose is not None
         off_m = math.hypot(pose.east_m, pose.north_m - SPEED_MPS * (pose.time_ns - START_NS) / 1e9)
         assert off_m < 3.0 * pose.position_sigma_m + 0.05
+
+
+@pytest.mark.parametrize("has_tilt", [True, False])
+def test_who_has_no_accelerometer_is_told_once_what_the_lean_costs(has_tilt: bool) -> None:
+    """On a straight row nothing tells how the vehicle leans, by which an antenna far up is off."""
+    told = Told()
+    rig = replace(RIG, antenna=LeverArm(0.0, 0.0, 3.0))
+    poser = Poser(rig, SETTINGS, DATUM, LiveOptions(), told)
+
+    def advice() -> list[LiveEvent]:
+        return [event for event in told.of(LiveEvent) if "an accelerometer" in event.text]
+
+    for k in range(101):
+        seconds = 0.2 * k
+        poser.put(fix(seconds))
+        if has_tilt:
+            poser.put(("tilt", rows_of("tilt", at_ns(seconds), 0.0, 0.0, 0.5)))
+        poser.put(frame(seconds, 0.2))
+        while k == 50 and not has_tilt and not advice():
+            time.sleep(0.05)
+    poser.close()
+    assert told.of(LiveWindow)[-1].is_trusted is has_tilt
+    assert len(advice()) == (not has_tilt)
+    if not has_tilt:
+        assert advice()[0].what is What.POSE
+        assert "the antenna, 3.0 m up, may be 0." in advice()[0].text
+
+
+def test_advice_on_the_lean_is_given_where_that_is_most_of_the_doubt() -> None:
+    time_ns, one = np.array([0, 10**9]), np.ones(2)
+    attitude = Attitude(time_ns, 0.0 * one, 0.0 * one, 5.0 * one, one, 0.0 * one, one, 8.0)
+    text = lean_advice(attitude, 10**9, -3.0, 0.25)
+    assert text.startswith(
+        "Roll or pitch is known to 5° only, by which the antenna, 3.0 m up, may be 0.26 m off."
+    )
+    assert lean_advice(attitude, 10**9, 1.0, 0.25) == ""
+    assert lean_advice(attitude, 10**9, 3.0, 0.4) == ""
+    assert lean_advice(None, 10**9, 3.0, 0.25) == ""
 
 
 def test_poses_are_told_when_they_are_good_and_again_when_they_are_settled() -> None:

@@ -126,6 +126,17 @@ def test_stamps_of_clocks_that_differ_are_told_and_moved_by_nobody(apart_s: floa
     ]
 
 
+def test_nothing_is_told_of_clocks_while_a_recording_comes_as_fast_as_it_is_read() -> None:
+    """A frame each 1.6 s and eight fixes between: the last ten of each are of other times."""
+    clocks, told = _Clocks(0.0), []
+    for k in range(200):
+        now_ns = 1_750_000_000_000_000_000 + 200_000_000 * k
+        told.append(clocks.fix(now_ns))
+        if k % 8 == 0:
+            told.append(clocks.frame(now_ns))
+    assert not any(told)
+
+
 def test_frames_are_compared_by_the_receivers_clock(short_drive: Path) -> None:
     """An offset that is given counts: with it the clocks agree."""
     with open_recording(short_drive) as recording:

@@ -12,9 +12,10 @@ import pytest
 from PIL import Image
 
 from fieldgrid.lattice import TILE_CELLS, Lattice, Window
-from fieldgrid.mapfile import open_map, placing
+from fieldgrid.mapfile import LAYERS, open_map, placing
 from fieldgrid.mapfile.tiling import TileMatrixSet
 from fieldgrid.transfer import MeanFold, mean_density
+from tests.mapfile.content import content
 from tests.mapfile.maps import CELL_M, DATUM, Frame, drive, write_map, write_session
 
 LATTICE = Lattice(CELL_M)
@@ -121,3 +122,30 @@ def test_rows_that_a_change_leaves_as_they_are_are_not_written(tmp_path: Path) -
         written = {name for (name,) in own.execute("SELECT channels FROM written")}
     assert {"density", "count"} <= written
     assert not written & {"terrain", "surface", "standing"}
+
+
+def test_what_a_killed_writer_left_for_later_is_read_all_the_same_and_filled_in_by_the_next(
+    tmp_path: Path,
+) -> None:
+    sessions = [drive(4), drive(30, start=3)]
+    whole = write_map(tmp_path / "whole.gpkg", sessions)
+    left = write_map(tmp_path / "left.gpkg", sessions[:1])
+    universal = open_map(left, datum=DATUM)
+    write_session(universal, "1", sessions[1])
+    universal.discard()  # it gives up after its commit, as a kill does
+    assert len(content(left, "tiles")["tiles"]) < len(content(whole, "tiles")["tiles"])
+    with open_map(whole) as one, open_map(left) as other:
+        for cell_m in (CELL_M, 2.0 * CELL_M, 4.0 * CELL_M, 8.0 * CELL_M):
+            views = [
+                universal.read(cell_m=cell_m, layers=tuple(LAYERS)) for universal in (one, other)
+            ]
+            for name in LAYERS:
+                np.testing.assert_array_equal(views[0].layer(name), views[1].layer(name), name)
+    assert content(left) != content(whole)  # a reader changes nothing
+    open_map(left, writable=True).close()
+    assert content(left) == content(whole)
+    with open_map(left) as universal:
+        assert universal.verify(deep=True).problems == ()
+    before = left.read_bytes()
+    open_map(left, writable=True).close()
+    assert left.read_bytes() == before

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import time
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -17,20 +15,19 @@ from fieldgrid.cli.drive_options import DriveFlags
 from fieldgrid.cli.groups import FieldsOf
 from fieldgrid.cli.live_signals import ended_by_signals, kept_when_interrupted
 from fieldgrid.cli.live_sources import GNSS, LiveInput, SourceFlags, of_recording, of_sources, speed
+from fieldgrid.cli.live_watch import Watch, open_feed_at, open_foxglove, open_page
 from fieldgrid.cli.new_drives import compare, report_lies
 from fieldgrid.cli.pose_flags import PoseFlags, Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
-from fieldgrid.errors import FieldgridError
+from fieldgrid.errors import ConfigError, FieldgridError
 from fieldgrid.settings import Overrides
 
 if TYPE_CHECKING:
-    from fieldgrid.build import Progress, SessionReport
-    from fieldgrid.live import Counts, DatagramFeed, Feed, Live, LiveResult, LiveWindow
-    from fieldgrid.live_servers import FoxgloveServer, LivePage
+    from fieldgrid.build import SessionReport
+    from fieldgrid.live import Counts, Live
 
 _SESSION = options.MAP_FILE
 _AT_THE_END = {"out", "finish", "finish_from", "wait_s", "as_json", "quiet", "verbose"}
-_DROPS_S = 5.0
 
 
 def command(
@@ -212,15 +209,15 @@ def _drive(
     resolved, limit_gb = resolve(config, settings), sources.points_gb
     with ExitStack() as stack:
         line = stack.enter_context(progress.living())
-        watch = _Watch(line, as_json=as_json)
+        watch = Watch(line, as_json=as_json)
         if sources.feed is not None:
-            watch.feed = _feed(sources.feed, watch)
+            watch.feed = open_feed_at(sources.feed, watch)
             stack.enter_context(watch.feed)
         if sources.view is not None:
-            page = _page(sources.view, name or driven.name)
+            page = open_page(sources.view, name or driven.name)
             watch.servers.append(stack.enter_context(page))
         if sources.foxglove is not None:
-            server = _foxglove(sources.foxglove, name or driven.name, watch)
+            server = open_foxglove(sources.foxglove, name or driven.name, watch)
             watch.servers.append(stack.enter_context(server))
         live = Live(
             out,
@@ -249,98 +246,22 @@ def _drive(
         watch.making_the_map()
         patience = Patience(wait_s, progress.waits_for(out, wait_s))
         with kept_when_interrupted(live.folder, out):
+            _refuse_frameless(live)
             report = live.finish(progress=watch.making_the_map, patience=patience)
             return report, live.counts  # with the frames that still waited
 
 
-def _feed(text: str, watch: _Watch) -> Feed | DatagramFeed:
-    """The feed at an address, which tells what it has to say through the session."""
-    from fieldgrid.live import Feed, open_feed
-
-    feed = open_feed(text, watch.tell)
-    host, port = feed.address
-    to = "every client of tcp" if isinstance(feed, Feed) else "udp"
-    output.message(f"the costmap is sent to {to}://{host}:{port}")
-    return feed
-
-
-def _page(text: str, session: str) -> LivePage:
-    """The page at an address."""
-    from fieldgrid.live_servers import LivePage, parse_address
-
-    page = LivePage(*parse_address(text, "--view"), session=session)
-    output.message(f"the page that follows the vehicle is {page.link}")
-    return page
-
-
-def _foxglove(text: str, session: str, watch: _Watch) -> FoxgloveServer:
-    """The server for Foxglove at an address."""
-    from fieldgrid.live_servers import FoxgloveServer, parse_address
-
-    server = FoxgloveServer(*parse_address(text, "--foxglove"), session=session, tell=watch.tell)
-    host, port = server.address
-    output.message(f"Foxglove can connect to ws://{host}:{port}")
-    return server
-
-
-class _Watch:
-    """Prints what a session tells."""
-
-    def __init__(self, line: Any, *, as_json: bool) -> None:
-        self.live: Live | None = None
-        self.feed: Feed | DatagramFeed | None = None
-        self.servers: list[LivePage | FoxgloveServer] = []
-        self._line, self._as_json = line, as_json
-        self._said_s = -math.inf
-        self._window: LiveWindow | None = None
-
-    def tell(self, text: str) -> None:
-        """Let the session tell of a client."""
-        from fieldgrid.live import What
-
-        if self.live is not None:
-            self.live.tell(What.CLIENT, text)
-
-    def take(self, result: LiveResult) -> None:
-        """Print a result, or let the status line say it."""
-        from fieldgrid.live import LiveEvent, LiveWindow, What
-
-        if self.feed is not None and isinstance(result, LiveWindow):
-            self.feed.put(result)
-        for server in self.servers:
-            server.take(result)
-        if self._as_json:
-            output.print_json_line(result.as_dict())
-            return
-        if isinstance(result, LiveEvent):
-            drops = result.what is What.FRAME_DROPPED
-            if not drops or time.monotonic() - self._said_s > _DROPS_S:
-                output.message(result.text)
-            if drops:
-                self._said_s = time.monotonic()
-        elif self._line is not None and self.live is not None:
-            self._window = result if isinstance(result, LiveWindow) else self._window
-            self._line(_status(self._window, self.live.counts))
-
-    def making_the_map(self, now: Progress | None = None) -> None:
-        """Let the status line say how far the end of the session is."""
-        if self._line is not None:
-            grids = f": {now.frames_done} of {now.frames_total} grids made again" if now else ""
-            self._line(f"making the map{grids}")
-
-
-def _status(window: LiveWindow | None, counts: Counts) -> str:
-    if window is None:
-        return f"{counts.frames} frames, {counts.fixes} fixes, no pose yet"
-    pose = window.pose
-    where = ""
-    if pose is not None and math.isfinite(pose.heading_sigma_deg):
-        where = (
-            f", {pose.east_m:.1f} E {pose.north_m:.1f} N ± {pose.position_sigma_m:.2f} m, "
-            f"{pose.heading_deg:.0f} ± {pose.heading_sigma_deg:.1f}°"
+def _refuse_frameless(live: Live) -> None:
+    """End a session to which no frame ever came, as where a camera's address is wrong: what it
+    began would only be in the way of the next one."""
+    live.drain()
+    counts = live.counts
+    if not live.is_resumed and not (counts.frames + counts.dropped + counts.late + counts.bad):
+        live.close()
+        raise ConfigError(
+            f"No frame came, so there is no map of the session {live.name!r}, and nothing of it is "
+            "kept; check where the images come from."
         )
-    doubt = f", NOT TO BE TRUSTED: {window.doubt}" if window.doubt else ""
-    return f"{counts.frames} frames, {counts.dropped} dropped{where}{doubt}"
 
 
 def _finished(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +21,13 @@ from fieldgrid.build import (
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import attitude_of_grids, check_images
 from fieldgrid.build.session import NewSession, check_names
-from fieldgrid.errors import ConfigError, FieldgridError, MapExistsError, MapWriteError
+from fieldgrid.errors import (
+    ConfigError,
+    FieldgridError,
+    MapError,
+    MapExistsError,
+    MapWriteError,
+)
 from fieldgrid.live.gridding_again import gridded_again
 from fieldgrid.live.kept_drive import JOURNAL, PushedDrive, SessionStart, live_folder
 from fieldgrid.live.kept_points import LOST
@@ -164,11 +170,17 @@ def finish(
     started = time.perf_counter()
     about = kept.drive.about
     settings = with_overrides(about.settings, overrides)
+    again = f"fieldgrid live -o {kept.out} --finish"
+    ways = f"{again} tries again, with pose options or --accept, and --discard gives it up"
     with _telling_where(kept, "--finish"):
         try:
             kept.drive.let_go()  # what was read when the folder was opened is read again
             drive = kept.read()
             if not drive.frames:
+                ways = (
+                    f"the command that began it goes on with it, {again}-from RECORDING builds it "
+                    "from a recording, and --discard gives it up"
+                )
                 raise ConfigError(
                     f"The session {about.name!r} has no frame, so there is no map of it."
                 )
@@ -177,11 +189,7 @@ def finish(
             placed = _placed(kept, drive, recording, settings, progress, patience or Patience())
         except FieldgridError as error:
             sentence = str(error).removesuffix(".")
-            where = kept.what_is_kept(
-                f"fieldgrid live -o {kept.out} --finish tries again, with pose options or "
-                "--accept, and --discard gives it up"
-            )
-            raise type(error)(f"{sentence}. {where}") from error
+            raise type(error)(f"{sentence}. {kept.what_is_kept(ways)}") from error
         report = placed.report
         if placed.left_out:
             report.notes += (_still_kept(kept, placed.left_out, _NO_POINTS),)
@@ -238,6 +246,10 @@ def _placed(
     about, out = kept.drive.about, kept.out
     left_out = _done(kept, drive) if out.exists() else None
     if left_out is not None:
+        # A map opened to be changed is given at its close what a killed end left for later. Where
+        # that is not possible, readers do without.
+        with suppress(MapError):
+            open_map(out, writable=True, patience=patience).close()
         session = NewSession(recording, settings, None, None, about.name, 1)
         session.report.notes += ("The drive was in the map already.",)
         session.report.frames = len(drive.frames) - left_out

@@ -179,7 +179,8 @@ class _Clocks:
     """Compares the stamps of images and fixes that come at the same time.
 
     What comes late is stamped before it comes, so of a stamp less its time of arrival a part is the
-    clock of whoever made it, and a part the way here. The time of arrival serves for this alone.
+    clock of whoever made it, and a part the way here. The time of arrival serves for this alone. It
+    tells nothing of a recording that comes as fast as it is read.
     """
 
     def __init__(self, offset_s: float) -> None:
@@ -201,6 +202,9 @@ class _Clocks:
         with self._lock:
             stamps.append(time_ns / 1e9 - time.monotonic())
             if min(len(self._fixes), len(self._frames)) < CLOCK_SAMPLES:
+                return ""
+            both = self._fixes, self._frames
+            if any(max(offsets) - min(offsets) > CLOCKS_APART_S for offsets in both):
                 return ""
             apart_s = median_low(self._frames) - median_low(self._fixes)
             known_s = self._told_s or 0.0

@@ -33,6 +33,21 @@ PIECES = 1000
 """So many pieces of rows are joined to one."""
 
 
+_IN_WORDS = {
+    "name": "name",
+    "rig": "rig",
+    "settings": "settings",
+    "datum": "datum",
+    "datum_hint": "datum",
+    "append": "use of --append",
+    "source": "log of fixes",
+    "source_sha256": "log of fixes",
+    "notes": "source of data",
+    "poses": "poses of another program",
+}
+"""The parts of what a session is begun with, as errors call them."""
+
+
 @dataclass(frozen=True, slots=True)
 class SessionStart:
     """What a session was begun with."""
@@ -65,12 +80,17 @@ class SessionStart:
             "poses": None if self.poses is None else list(astuple(self.poses)),
         }
 
-    def goes_on(self, earlier: SessionStart) -> bool:
-        """Whether this is the same session again; what is checked at its end may differ."""
+    def differs_in(self, earlier: SessionStart) -> tuple[str, ...]:
+        """What is other than where an earlier session was begun, in words; nothing where this is
+        that session again. What is checked at its end may differ, and so may the address of a
+        receiver, which a plug may change; logs that are replayed are told apart."""
         ours, theirs = self.to_json(), earlier.to_json()
         for one in (ours, theirs):
             del one["settings"]["checks"]
-        return ours == theirs
+            if not (self.source_sha256 or earlier.source_sha256):
+                del one["source"]
+        other = {_IN_WORDS[part] for part, value in ours.items() if value != theirs[part]}
+        return tuple(words for words in dict.fromkeys(_IN_WORDS.values()) if words in other)
 
     @classmethod
     def from_json(cls, value: dict[str, Any]) -> SessionStart:

@@ -32,7 +32,7 @@ from fieldgrid.live.perceiver import PerceivedFrame
 from fieldgrid.live.propagation import PropagatedPose, pose_now
 from fieldgrid.live.repeats import Repeats
 from fieldgrid.live.results import LiveEvent, LivePose, LiveResult, LiveWindow, What, WindowDoubt
-from fieldgrid.live.running_tilt import RunningTilt, square_to_ground
+from fieldgrid.live.running_tilt import RunningTilt, lean_advice, square_to_ground
 from fieldgrid.live.sensor_rows import Rows
 from fieldgrid.live.stamps import Judged, Stamps
 from fieldgrid.live.window import MOVES_M, PlacedGrid, RollingWindow
@@ -114,6 +114,7 @@ class Poser:
         self._refused_ns: dict[Gate, int] = {}
         self._newest: PerceivedFrame | None = None
         self._doubt: str | None = None
+        self._is_advised = False
         self._pose: Pose | None = None
         self._gear = 0
         self._used = np.zeros(0, dtype=np.bool_)
@@ -265,6 +266,12 @@ class Poser:
             self._pose, self._gear, doubt = self._pose_now(self._estimate.trajectory)
             code = WindowDoubt.POSE if doubt else WindowDoubt.NONE
             self._window.follow(self._pose)
+            if doubt and self._attitude is None and not self._is_advised:
+                known = self._estimate.report.attitude, self._pose.time_ns
+                advice = lean_advice(*known, self._rig.antenna.up_m, self._budget.cell_m)
+                if advice:
+                    self._is_advised = True
+                    self._say(What.POSE, advice)
         if self._newest is not None and not doubt:
             new_ns = min(self._newest.time_ns, self._repeats.new_ns)
             silent_s = (self._trailing.newest_ns - new_ns) / 1e9

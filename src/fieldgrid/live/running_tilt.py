@@ -179,5 +179,20 @@ def square_to_ground(pose: Pose, tilt: Tilt, sensor_m: float) -> Pose:
     return replace(pose, east_m=pose.east_m + float(east), north_m=pose.north_m + float(north))
 
 
+def lean_advice(attitude: Attitude | None, time_ns: int, antenna_m: float, most_m: float) -> str:
+    """What helps where poses are in doubt most of all since nothing but the camera tells the lean
+    (`attitude`), by which an antenna so high may be off, of `most_m` that a cell may be; else
+    empty."""
+    sigma_deg = 0.0 if attitude is None else attitude.tilt_at(time_ns).sigma_deg
+    off_m = abs(antenna_m) * math.radians(sigma_deg)
+    if off_m <= most_m / math.sqrt(2.0):
+        return ""
+    return (
+        f"Roll or pitch is known to {sigma_deg:.0f}° only, by which the antenna, "
+        f"{abs(antenna_m):.1f} m up, may be {off_m:.2f} m off. Turns make it surer; an "
+        "accelerometer (all axes of an IMU) or recorded roll and pitch tell it at once."
+    )
+
+
 TellTilt = Callable[[int], Tilt | None]
 """Gives the tilt of the vehicle at an instant, None where nothing tells it."""

@@ -74,6 +74,11 @@ def hide(
     touch(connection)
 
 
+def is_settled(connection: sqlite3.Connection, header: MapHeader, path: Path) -> bool:
+    """Whether no commit has left tiles for later."""
+    return not tables_of(connection, header, path).unsettled()
+
+
 def settle(connection: sqlite3.Connection, header: MapHeader, path: Path) -> None:
     """Fill in the tiles that commits have left for later, within the caller's transaction."""
     Pyramid(connection, tables_of(connection, header, path)).settle()

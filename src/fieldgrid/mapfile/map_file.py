@@ -23,7 +23,7 @@ from fieldgrid.mapfile.database import (
     reading,
     writing,
 )
-from fieldgrid.mapfile.derived import settle
+from fieldgrid.mapfile.derived import is_settled, settle
 from fieldgrid.mapfile.header import MapHeader, reread
 from fieldgrid.mapfile.map_reader import MapReader
 from fieldgrid.mapfile.marks import Mark, insert_marks, set_removed
@@ -77,7 +77,6 @@ class MapFile(MapReader):
         self._writable = writable
         self._session: Session | None = None
         self._has_new_session = False
-        self._unsettled = False
         self._counter = RowCounter(connection)
         # Also a map that is forgotten gives up its file, and its draft.
         self._release = weakref.finalize(self, _release, connection, draft)
@@ -304,7 +303,6 @@ class MapFile(MapReader):
         self._require_writable()
         with self._transaction(**how):
             yield
-        self._unsettled = True
 
     @contextmanager
     def _transaction(
@@ -351,11 +349,15 @@ class MapFile(MapReader):
             raise
 
     def _settle(self) -> None:
-        """Fill in what commits have left for later, unless another program is writing."""
-        if not self._unsettled or not self._release.alive:
+        """Fill in what commits have left for later, also those of a writer that was killed before
+        it closed the map, unless another program is writing."""
+        if not self._writable or not self._release.alive:
             return
-        self._unsettled = False
         try:
+            with reading(self._connection, self.path):
+                header = reread(self._connection, self.path, self._header)
+                if header.is_old or is_settled(self._connection, header, self.path):
+                    return
             with (
                 writing(self._connection, self.path, Patience(0.0)),
                 self._counter.counting(),
@@ -382,7 +384,6 @@ class MapFile(MapReader):
     def _session_ended(self, committed: bool) -> None:
         self._session = None
         self._has_new_session |= committed
-        self._unsettled |= committed
 
     def _abandon_session(self) -> None:
         if self._session is not None:
