@@ -207,7 +207,7 @@ def with_trusted_gyro(
                 "Calibrate its scale."
             )
             unusual = float(wanders) * min(abs(scale.value) / UNUSUAL_SCALE, 1.0) ** 2
-            return Trusted(again, scaled, _apart_deg(again, rest) * unusual, note)
+            return Trusted(again, scaled, apart_deg(again, rest) * unusual, note)
     # What the camera confirms without the gyro was spoilt by it.
     if not found.blames_gyro and not (rest.turns_seen and not rest.smoothed.declared.contradicts):
         return fits
@@ -216,10 +216,10 @@ def with_trusted_gyro(
     ratio = None if gyro is None else turn_ratio(fixes, gyro)
     either = wanders and ratio is not None and abs(ratio.value - 1.0) < PLAUSIBLE_RATIO
     note = f"The gyro contradicts the drive by {found.misfit:.0f} sigmas and {CHECK}"
-    return Trusted(rest, without, _apart_deg(rest, drive) * float(either), note)
+    return Trusted(rest, without, apart_deg(rest, drive) * float(either), note)
 
 
-def _apart_deg(one: DriveEstimate, other: DriveEstimate) -> Float64:
+def apart_deg(one: DriveEstimate, other: DriveEstimate) -> Float64:
     """How far two estimates of a drive are apart in heading at the nodes of the first."""
     heading_rad = np.unwrap(np.radians(other.heading_deg))
     beside_deg = np.degrees(np.interp(one.time_ns, other.time_ns, heading_rad))
