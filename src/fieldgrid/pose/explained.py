@@ -70,9 +70,9 @@ class Explanation(NamedTuple):
     delay: PutRight
 
     @property
-    def fits(self) -> bool:
-        """Whether one of them explains the drive."""
-        return min(self.place.left, self.delay.left) <= MOST_LEFT
+    def left(self) -> float:
+        """How many sigmas are left by the one that explains more."""
+        return min(self.place.left, self.delay.left)
 
     @property
     def is_place(self) -> bool:
@@ -108,28 +108,29 @@ def explained(
     declared = drive.smoothed.declared
     if found.has_camera() or drive.headings_recorded or not drive.at.has_gyro():
         return denied
+    if declared.misfit_but_scale < MOST_MISFIT:
+        return denied
     tried = explanation(found._replace(drive=drive), vehicle)
     if tried is None:
         return denied
-    if not tried.fits:
+    if tried.left > MOST_LEFT:
         return _neither(denied, declared, drive, vehicle)
     return tried.denies(drive, vehicle)
 
 
-def explanation(found: Fused, vehicle: VehicleGeometry | None) -> Explanation | None:
-    """What is left of a contradiction by a gyro once either is put right; None where there is
-    none, or a vehicle that hardly moves."""
+def explanation(
+    found: Fused, vehicle: VehicleGeometry | None, start: float = 0.0
+) -> Explanation | None:
+    """What is left of a contradiction by a gyro once either is put right, beginning at `start`
+    (metres or seconds); None of a vehicle that hardly moves."""
     drive = found.drive
-    declared = drive.smoothed.declared
-    if declared.misfit_but_scale < MOST_MISFIT:
-        return None
     speed_mps = np.abs(drive.speed_mps)
     usual_mps = float(np.median(speed_mps[drive.gear != 0])) if drive.gear.any() else 0.0
     if usual_mps < LEAST_MPS:
         return None
-    delay = _delay(found, usual_mps)
+    delay = _delay(found, usual_mps, start)
     # Where nobody says how far ahead of the axle the antenna sits, its place is free already.
-    place = _place(found) if names_axle(vehicle) else UNTOLD
+    place = _place(found, start) if names_axle(vehicle) else UNTOLD
     return Explanation(place, delay)
 
 
@@ -150,26 +151,27 @@ def _neither(
 
 
 def _driven_m(drive: DriveEstimate, late_s: float) -> Float64:
-    """How far the vehicle is at each node [n] from where it was so much earlier: if it has stopped
-    since, farther than its speed tells."""
-    earlier_ns = drive.time_ns - round(late_s * 1e9)
-    was = (np.interp(earlier_ns, drive.time_ns, one) for one in (drive.east_m, drive.north_m))
+    """How far the vehicle is at each node [n] from where it is by the gyro's clock: there its fixes
+    are stamped so much later. If it starts in between, that is farther than its speed tells."""
+    later_ns = drive.time_ns + round(late_s * 1e9)
+    of = (np.interp(later_ns, drive.time_ns, one) for one in (drive.east_m, drive.north_m))
     apart_m = np.hypot(
-        *(one - of for one, of in zip((drive.east_m, drive.north_m), was, strict=True))
+        *(one - was for one, was in zip(of, (drive.east_m, drive.north_m), strict=True))
     )
     return np.maximum(apart_m, np.abs(late_s * drive.speed_mps))
 
 
-def _place(found: Fused) -> PutRight:
+def _place(found: Fused, start_m: float) -> PutRight:
     """How much farther ahead the antenna sits, if that explains all."""
 
     def moved(ahead_m: float) -> DriveEstimate:
         return found.again(axle=with_antenna_moved(found.axle, ahead_m)).drive
 
-    return _settled(found.drive, moved, lambda one: one.ahead_m, (SETTLED_M, FARTHEST_M))
+    first = moved(start_m) if start_m else found.drive
+    return _settled(first, start_m, moved, lambda one: one.ahead_m, (SETTLED_M, FARTHEST_M))
 
 
-def _delay(found: Fused, usual_mps: float) -> PutRight:
+def _delay(found: Fused, usual_mps: float, start_s: float) -> PutRight:
     """How late the fixes are stamped, if that explains all."""
     log = found.log
 
@@ -185,19 +187,20 @@ def _delay(found: Fused, usual_mps: float) -> PutRight:
         # The step takes most of a delay for a place.
         return Constant(one.late_s.value - one.ahead_m.value / usual_mps, one.late_s.sigma)
 
-    return _settled(found.drive, stamped, left_s, (SETTLED_S, LATEST_S))
+    first = stamped(start_s) if start_s else found.drive
+    return _settled(first, start_s, stamped, left_s, (SETTLED_S, LATEST_S))
 
 
 def _settled(
     drive: DriveEstimate,
+    total: float,
     put_right: Callable[[float], DriveEstimate],
     left: Callable[[DeclaredCorrection], Constant],
     limits: tuple[float, float],
 ) -> PutRight:
-    """Put one of them right until there is nothing `left` to add; infinitely many sigmas are left
-    where that leads nowhere."""
+    """Put one of them right until there is nothing `left` to add, beginning with a drive that has a
+    `total`; infinitely many sigmas are left where that leads nowhere."""
     least, most = limits
-    total = 0.0
     for _ in range(MOST_STEPS):
         total += left(drive.smoothed.declared).value
         if abs(total) > most:
