@@ -24,6 +24,9 @@ from fieldgrid.rig import VehicleGeometry
 STARTS = (0.0, 1.5, -1.5)
 """Metres and seconds. What is twice as far off may bend the first estimate out of all reach."""
 
+MOST_NODES = 30_000
+"""Two hours at most: beginning elsewhere, too, would take minutes of a longer drive."""
+
 FAR_OFF, MORE_FAR_OFF = 5.0, 0.01
 """A fix that lies beside the drive by so many times its noise does not fit it. With a gyro that is
 right no larger share of them does than without it, and with one that is wrong 0.03 to 0.9 more: it
@@ -74,7 +77,8 @@ def _tried(beside: Fused, without: Fused, vehicle: VehicleGeometry | None) -> It
     def fits(one: PutRight) -> bool:
         return one.drive is not None and _far_off(one.drive, noise_m) <= most
 
-    for start in STARTS:
+    few = len(beside.drive.time_ns) <= MOST_NODES
+    for start in STARTS if few else STARTS[:1]:
         tried = explanation(beside, vehicle, start)
         if tried is not None:
             yield Explanation(*(one if fits(one) else UNTOLD for one in tried))

@@ -16,7 +16,7 @@ from fieldgrid.pose.drive import DriveEstimate, smooth_drive
 from fieldgrid.pose.gears import GearHints
 from fieldgrid.pose.gyro_sense import gyro_sense
 from fieldgrid.pose.leaps import usual_period_s
-from fieldgrid.smoother import MOST_MISFIT
+from fieldgrid.smoother import DeclaredCorrection
 
 MOST_SCALE = 0.25
 """No gyro's scale is off by a larger share; what is has wrong axes or units."""
@@ -199,7 +199,7 @@ def with_trusted_gyro(
     if found.blames_gyro and abs(scale.value) < MOST_SCALE:
         scaled = _scaled(motion, 1.0 + scale.value)
         again = smooth_drive(fixes, all_ns, scaled, axle, hints=hints)
-        if again.smoothed.declared.misfit < MOST_MISFIT / 2.0:
+        if _is_better(again.smoothed.declared, found):
             size = "small" if scale.value > 0.0 else "large"
             note = (
                 f"The turns of the gyro are {100.0 * abs(scale.value):.1f} % ± "
@@ -217,6 +217,14 @@ def with_trusted_gyro(
     either = wanders and ratio is not None and abs(ratio.value - 1.0) < PLAUSIBLE_RATIO
     note = f"The gyro contradicts the drive by {found.misfit:.0f} sigmas and {CHECK}"
     return Trusted(rest, without, apart_deg(rest, drive) * float(either), note)
+
+
+def _is_better(scaled: DeclaredCorrection, found: DeclaredCorrection) -> bool:
+    """Whether the scale of a gyro was wrong, as far as it was: with the scale that a drive gave it,
+    nothing contradicts, or the most of it was a scale that is not unusual. What is left then counts
+    in the headings, and a drive without the gyro would have it, too, unseen."""
+    usual = abs(found.gyro_scale.value) < UNUSUAL_SCALE and not scaled.blames_gyro
+    return not scaled.contradicts or (usual and scaled.misfit < found.misfit / 2.0)
 
 
 def apart_deg(one: DriveEstimate, other: DriveEstimate) -> Float64:
