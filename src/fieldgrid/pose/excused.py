@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.pose.denied import Denied, sees_turns
+from fieldgrid.pose.denied import CLEAR_SIGMAS, Denied, sees_turns
 from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.explained import MOST_LEFT, UNTOLD, Explanation, PutRight, explanation
 from fieldgrid.pose.fused import Fused
@@ -75,7 +75,8 @@ def _tried(beside: Fused, without: Fused, vehicle: VehicleGeometry | None) -> It
     most = _far_off(without.drive, noise_m) + MORE_FAR_OFF
 
     def fits(one: PutRight) -> bool:
-        return one.drive is not None and _far_off(one.drive, noise_m) <= most
+        is_clear = abs(one.value.value) > CLEAR_SIGMAS * one.value.sigma
+        return one.drive is not None and is_clear and _far_off(one.drive, noise_m) <= most
 
     few = len(beside.drive.time_ns) <= MOST_NODES
     for start in STARTS if few else STARTS[:1]:

@@ -199,7 +199,7 @@ def with_trusted_gyro(
     if found.blames_gyro and abs(scale.value) < MOST_SCALE:
         scaled = _scaled(motion, 1.0 + scale.value)
         again = smooth_drive(fixes, all_ns, scaled, axle, hints=hints)
-        if _is_better(again.smoothed.declared, found):
+        if is_better(again.smoothed.declared, found):
             size = "small" if scale.value > 0.0 else "large"
             note = (
                 f"The turns of the gyro are {100.0 * abs(scale.value):.1f} % ± "
@@ -219,7 +219,7 @@ def with_trusted_gyro(
     return Trusted(rest, without, apart_deg(rest, drive) * float(either), note)
 
 
-def _is_better(scaled: DeclaredCorrection, found: DeclaredCorrection) -> bool:
+def is_better(scaled: DeclaredCorrection, found: DeclaredCorrection) -> bool:
     """Whether the scale of a gyro was wrong, as far as it was: with the scale that a drive gave it,
     nothing contradicts, or the most of it was a scale that is not unusual. What is left then counts
     in the headings, and a drive without the gyro would have it, too, unseen."""
