@@ -32,7 +32,7 @@ FAR_OFF, MORE_FAR_OFF = 5.0, 0.01
 right no larger share of them does than without it, and with one that is wrong 0.03 to 0.9 more: it
 fits a drive that leaves the fixes."""
 
-LEFT_SHARE = 0.2
+LEFT_SHARE = 0.25
 """At most so much is left of what the gyro contradicted."""
 
 
