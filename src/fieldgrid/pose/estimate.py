@@ -279,6 +279,17 @@ def _recorded(
         if source.kind == "recorded":
             raise GnssError(note.replace(", and was not used", "; use --heading smooth"))
         return np.full_like(recorded, np.nan), found, [note]
+    if found.changes:
+        note = (
+            f"The recorded heading is {found.offset_deg:.0f}° off the nose where that is known "
+            f"best ({found.compared} fixes), and the other way round at "
+            f"{100.0 * found.elsewhere:.0f} % of all: it turns around during the drive, and was "
+            "not used."
+        )
+        if source.kind == "recorded":
+            cut = "; cut the log where it does, or use --heading smooth"
+            raise GnssError(note.replace(", and was not used", cut))
+        return np.full_like(recorded, np.nan), found, [note]
     if found.is_denied(settings.max_heading_offset_deg):
         sentence = (
             f"The recorded heading {found.diagnosis()} (seen at {found.compared} fixes, "

@@ -183,7 +183,12 @@ def _stated_axes(found: Fused, settings: PoseSettings) -> tuple[AxisTilt, ...]:
     """The axes whose rise the receiver states beside its heading. Where they point is what the
     heading shows: none, where it is none of the vehicle or was not compared with the drive."""
     heading = found.compared()
-    if heading is None or heading.course or heading.is_denied(settings.max_heading_offset_deg):
+    if (
+        heading is None
+        or heading.course
+        or heading.changes
+        or heading.is_denied(settings.max_heading_offset_deg)
+    ):
         return ()
     rig = found.axle.vehicle
     declared_deg = (rig and rig.heading_offset_deg) or 0.0
