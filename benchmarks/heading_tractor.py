@@ -128,6 +128,58 @@ def report() -> Iterator[str]:
         yield _line(name, one)
     yield _line("pooled", pool([one for _, one in found]))
     yield from _reference_lines()
+    yield from _hindsight_lines()
+
+
+HINDSIGHT_M, HINDSIGHT_S = (0.4, 0.8, 1.2, 1.6, 2.4), 10.0
+"""Lines are fitted to positions so far before and behind, at most for so long."""
+
+
+def _hindsight_lines() -> Iterator[str]:
+    """The bound: headings by a line through the positions around, however long it is."""
+    found: dict[float, list[_Float64]] = {reach_m: [] for reach_m in HINDSIGHT_M}
+    for log in logs():
+        fixes = make_fixes(log.time_ns, log.lat_deg, log.lon_deg, log.quality)
+        rows = np.flatnonzero(np.isfinite(log.truth_deg) & (log.speed_mps > MOVING_MPS))
+        poses = poses_at(estimate_poses(fixes).trajectory, log.time_ns[rows])
+        rows, reverse = rows[poses.accepted], poses.gear[poses.accepted] < 0
+        for reach_m, off in found.items():
+            course_deg = _courses_deg(log, log.time_ns[rows], reach_m) + 180.0 * reverse
+            away = np.asarray(wrap_deg(course_deg - log.truth_deg[rows]))
+            known = np.isfinite(away)
+            if known.sum() >= FEWEST_MOVING:
+                off.append(np.abs(wrap_deg(away[known] - circular_median_deg(away[known]))))
+    for reach_m, off in found.items():
+        size = np.concatenate(off)
+        yield (
+            f"course of a line through the positions within {reach_m:.1f} m, gears as estimated: "
+            f"{np.median(size):.2f}°, 95 % {np.percentile(size, 95):.2f}°"
+        )
+
+
+def _courses_deg(log: Log, at_ns: _Int64, reach_m: float) -> _Float64:
+    """The direction of travel at some instants; NaN where there are too few positions."""
+    moved = (np.diff(log.lat_deg) != 0.0) | (np.diff(log.lon_deg) != 0.0)
+    new = np.concatenate([[True], moved]) & (log.quality == 4) & np.isfinite(log.lat_deg)
+    time_s, north_m = log.time_ns[new] / 1e9, log.lat_deg[new] * _M_A_DEGREE
+    east_m = log.lon_deg[new] * _M_A_DEGREE * np.cos(np.radians(np.median(log.lat_deg[new])))
+    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(east_m), np.diff(north_m)))])
+    found = np.full(len(at_ns), np.nan)
+    for k, at_s in enumerate(at_ns / 1e9):
+        off_m = way_m - np.interp(at_s, time_s, way_m)
+        near = (np.abs(off_m) < reach_m) & (np.abs(time_s - at_s) < HINDSIGHT_S)
+        if near.sum() >= 3:
+            since_s = time_s[near] - time_s[near].mean()
+            weight = (1.0 - np.abs(off_m[near] / reach_m) ** 3) ** 6
+            found[k] = np.degrees(
+                np.arctan2(
+                    *(
+                        np.polyfit(since_s, one[near], 1, w=np.sqrt(weight))[0]
+                        for one in (east_m - east_m[0], north_m - north_m[0])
+                    )
+                )
+            )
+    return found
 
 
 def _reference_lines() -> Iterator[str]:

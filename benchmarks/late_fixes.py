@@ -4,7 +4,7 @@ gyro, antennas that sit elsewhere than declared, and drives with neither.
 Vehicle, receiver, rate, holes, wheels and the size of the mistake are random, by seed. What the
 report says is *named* where it is the mistake alone, to three of its sigmas or a tenth; *either*
 where both are named; *other* where only the wrong one is; *doubt* where a note says something else,
-and *silent* without any. Positions are those of the gyro's clock.
+and *silent* without any. Positions and headings are compared by the gyro's clock.
 """
 
 from __future__ import annotations
@@ -86,9 +86,9 @@ def told(seed: int) -> Told:
     notes = [note for note in found.report.notes if not note.startswith(SAID_ANYWAY)]
     track = found.trajectory
     used = found.fix_row[track.accepted[found.fix_row]]
-    true_s = (track.time_ns[used] - time_ns(np.zeros(1))[0]) / 1e9 - late_s
-    used, true_s = used[true_s >= 0.0], true_s[true_s >= 0.0]
-    truth = drive.at(true_s)
+    true_s = (track.time_ns[used] - time_ns(np.zeros(1))[0]) / 1e9
+    inside = (true_s >= 0.0) & (true_s <= drive.time_s[-1])
+    used, truth = used[inside], drive.at(true_s[inside])
     off_m = np.hypot(track.east_m[used] - truth.east_m, track.north_m[used] - truth.north_m)
     inside = off_m < THREE_SIGMA_2D * track.position_sigma_m[used]
     share = float(inside.mean()) if len(used) else np.nan

@@ -123,6 +123,26 @@ def test_the_course_is_no_heading() -> None:
     assert not few.course
 
 
+def test_a_heading_that_turns_around_means_nothing_throughout() -> None:
+    """As of a receiver that finds its attitude on the way: only the road, a tenth of the drive, is
+    known best, and there it points backwards."""
+    heading, _, gear = drive()
+    road = np.arange(N) < N // 10
+    recorded = np.asarray(wrap_deg(np.where(road, heading + 180.0, heading)))
+    found = compare(recorded, heading, np.where(road, 3.0, 12.0), gear)
+    assert found is not None
+    assert abs(found.offset_deg) == pytest.approx(180.0, abs=0.1)
+    assert (found.changes, found.elsewhere) == (True, 0.9)
+    # What is known no better does not tell which way round it is, and a tenth is no change.
+    vague = compare(recorded, heading, np.where(road, 3.0, 40.0), gear)
+    kept = compare(recorded, heading, np.where(road, 12.0, 3.0), gear)
+    assert vague is not None
+    assert kept is not None
+    assert not vague.changes
+    assert not kept.changes
+    assert abs(kept.offset_deg) < 0.1
+
+
 def test_who_only_backs_up_is_compared_too() -> None:
     heading, sigma, gear = drive()
     gear[:] = -1

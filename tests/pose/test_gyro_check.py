@@ -16,11 +16,12 @@ from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose import Estimate, conditioned, estimate_poses
-from fieldgrid.pose.gyro_check import turn_ratio
+from fieldgrid.pose.gyro_check import is_better, turn_ratio
 from fieldgrid.quality import Quality
 from fieldgrid.recording import open_recording
 from fieldgrid.rig import Carrier, LeverArm
 from fieldgrid.settings import PoseSettings
+from fieldgrid.smoother import Constant, DeclaredCorrection
 from tests.scenes import paper_rig
 from tests.simulated import K_TURN, SLALOM, Command, Drive, fixes_of, gyro_of, simulate, steps_of
 
@@ -84,6 +85,35 @@ def test_a_scale_is_taken_out(commands: list[Command], size: float) -> None:
     told = float(note.split("are ")[1].split(" %")[0]) / 100.0
     assert told == pytest.approx(abs(1.0 / size - 1.0), abs=0.015)
     assert ("too small" in note) == (size < 1.0)
+
+
+def correction(misfit: float, scale: float, left: float) -> DeclaredCorrection:
+    """Of a drive that denies the scale of its gyro; `left` is what that leaves."""
+    nothing = Constant(0.0, 0.1)
+    return DeclaredCorrection(
+        *(nothing, nothing, nothing, Constant(scale, 0.001)),
+        *(misfit, (0.0, 0.0, 0.0, scale), (misfit, misfit, misfit, left)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("scale", "left", "blamed", "better"),
+    [
+        (0.01, 3.6, False, True),  # nothing contradicts any more
+        (0.2, 4.9, False, True),
+        (0.01, 9.0, False, True),  # most of it was a usual scale
+        (0.01, 12.0, False, False),
+        (0.01, 9.0, True, False),
+        (0.2, 9.0, False, False),
+    ],
+)
+def test_a_scale_that_explains_most_is_taken_out(
+    scale: float, left: float, blamed: bool, better: bool
+) -> None:
+    """A right gyro was left out where 1 % of scale left more than 2.5 sigmas: of cars that turn at
+    once, say."""
+    again = correction(left, 0.0, 0.1 if blamed else left)
+    assert is_better(again, correction(21.0, scale, left)) == better
 
 
 @pytest.mark.parametrize("with_steps", [False, True])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+import sys
 import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,8 +16,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fieldgrid.errors import CalibrationError, RecordingError
-from fieldgrid.recording import CloudFrame, DepthFrame, Recording, open_recording
+from fieldgrid.errors import CalibrationError, ConfigError, RecordingError
+from fieldgrid.recording import (
+    CloudFrame,
+    DepthFrame,
+    DriveOptions,
+    Recording,
+    open_drive,
+    open_recording,
+)
 from fieldgrid.recording.bag.clouds import MessageCloud
 from fieldgrid.recording.bag.transforms import Transforms
 from fieldgrid.rig import DepthCamera, LeverArm, Lidar, Mount, StereoCamera
@@ -732,3 +740,41 @@ def test_how_many_bits_a_camera_fills_is_found_out_once(opened: Opened) -> None:
         assert left[0, 0] == 0
         brightest = [frame.images()[0][0, 0] for frame in recording.frames()]
         assert brightest == [0, 1064 >> 4, 128 >> 4, 192 >> 4]
+
+
+EPOCH = 1_600_000_000_000_000_000
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
+def test_a_simulations_clock_has_its_epoch_from_the_user(
+    container: Container, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fixes, images, gyro and moving transforms count from the start of the simulation."""
+    monkeypatch.setattr(sys.modules[__name__], "UTC", 5_000_000_000)
+    maker = Maker(container)
+    said = [*stereo_said(maker), *fixes_said(maker), *imu_said(maker)]
+    path = bags.write_bag(tmp_path / "bag", container, maker, said)
+    with pytest.raises(RecordingError, match=r"are no UTC: .* say with --epoch 2026"):
+        open_drive(path)
+    options = DriveOptions(unmounted=True, epoch_ns=EPOCH)
+    with open_drive(path, options).recording() as drive:
+        wanted = EPOCH + UTC + STEP * np.arange(4)
+        assert drive.fixes().time_ns.tolist() == wanted.tolist()
+        assert [frame.time_ns for frame in drive.frames()] == wanted.tolist()
+        gyro = drive.motion().gyro
+        assert gyro is not None
+        assert gyro.time_ns[0] == wanted[0]
+        assert {int(ns) // EPOCH for one in drive.topics for ns in one.stamp_ns} == {1}
+
+
+def test_what_is_stamped_in_utc_has_no_other_epoch(tmp_path: Path) -> None:
+    maker = Maker("mcap")
+    path = bags.write_bag(tmp_path / "bag", "mcap", maker, [*fixes_said(maker)])
+    with open_drive(path, DriveOptions(epoch_ns=EPOCH)) as drive:
+        assert drive.fixes().time_ns[0] == UTC
+
+
+def test_only_a_bag_has_an_epoch(tmp_path: Path) -> None:
+    (tmp_path / "fixes.csv").write_text("t,lat,lon\n0.0,41.65,-4.72\n")
+    with pytest.raises(ConfigError, match=r"is no bag; of a table .* time_epoch.*; leave --epoch"):
+        open_drive(tmp_path / "fixes.csv", DriveOptions(epoch_ns=EPOCH))

@@ -70,10 +70,21 @@ class DriveFlags(NamedTuple):
         ),
     ] = None
 
+    epoch: Annotated[
+        str | None,
+        typer.Option(
+            "--epoch",
+            metavar="TIME",
+            help="UTC at which the clock of a bag began that counts from its own start, of a "
+            "simulation, like 2026-05-14T07:30:00Z.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+
     def options(self, columns: str | None = None) -> DriveOptions:
         """The same as `open_drive` takes it, with what `--columns` says; a usage error for what
         is none."""
-        from fieldgrid.recording import DriveOptions, columns_from_text
+        from fieldgrid.recording import DriveOptions, columns_from_text, epoch_s
 
         topics: dict[str, str] = {}
         for text in self.topic or []:
@@ -93,6 +104,7 @@ class DriveFlags(NamedTuple):
             self.mounting,
             _nanoseconds(self.time_offset, "--time-offset"),
             _nanoseconds(self.gnss_offset, "--gnss-offset"),
+            epoch_ns=None if self.epoch is None else epoch_s(self.epoch, "--epoch") * 10**9,
         )
 
 

@@ -24,6 +24,9 @@ FEWEST_BACK = 3
 SURE_DEG = 5.0
 """Only where the heading is this sure is another compared with it."""
 
+COARSE_DEG = 25.0
+"""Where it is this sure, it tells at least which way round another is."""
+
 TELLING_TURN_DEG = 10.0
 """A mirrored sign shows only in a drive that has turned by as much."""
 
@@ -32,7 +35,8 @@ class Comparison(NamedTuple):
     """What a heading has more than the nose: `offset_deg` ± `offset_sigma_deg`, and its scatter
     about that; `mirrored` when it turns the other way; `course` when it turns around in reverse,
     so that it is the direction of travel and no heading. `compared` instants were compared, all of
-    them in reverse where `backing`."""
+    them in reverse where `backing`. `elsewhere` is the share of the instants of a coarsely known
+    heading at which it is on the other side of that offset."""
 
     offset_deg: float
     offset_sigma_deg: float
@@ -41,6 +45,12 @@ class Comparison(NamedTuple):
     course: bool
     compared: int
     backing: bool = False
+    elsewhere: float = 0.0
+
+    @property
+    def changes(self) -> bool:
+        """Whether it is another way round in most of the drive than where it was compared."""
+        return self.elsewhere > 0.5
 
     def is_denied(self, most_offset_deg: float) -> bool:
         """Whether the drive denies what is declared of the heading."""
@@ -101,7 +111,11 @@ def compare(
     sign = -1.0 if mirrored else 1.0
     behind = np.abs(wrap_deg(recorded_deg[back] - sign * heading_deg[back] - offset))
     course = bool(back.sum() >= FEWEST_BACK and np.median(behind) > 90.0)
-    return Comparison(offset, float(sigma), scatter, mirrored, course, int(use.sum()), backing)
+    coarse = np.isfinite(recorded_deg) & (sigma_deg < COARSE_DEG) & (gear == (-1 if backing else 1))
+    away = np.abs(wrap_deg(recorded_deg[coarse] - sign * heading_deg[coarse] - offset))
+    elsewhere = float(np.mean(away > 90.0))
+    found = int(use.sum()), backing, elsewhere
+    return Comparison(offset, float(sigma), scatter, mirrored, course, *found)
 
 
 def _circular(angles_deg: Float64) -> tuple[float, float]:

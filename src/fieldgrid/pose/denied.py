@@ -45,6 +45,7 @@ class Denied(NamedTuple):
     stamped as the camera's motion has it. Where sensors and declarations do not fit together and
     none of them is clearly wrong, it is the most that one of those would make that explain it
     alone. With `either`, the place ahead and the stamps each explain all, and only one is wrong.
+    With `gyro_unused` a gyro denies it that was not used.
     """
 
     right_m: Constant | None
@@ -52,6 +53,7 @@ class Denied(NamedTuple):
     late_s: Constant | None
     off_m: Float64
     either: bool = False
+    gyro_unused: bool = False
 
     @property
     def clear(self) -> bool:
@@ -171,6 +173,15 @@ def unsure_declared(table: PoseTable, drive: DriveEstimate, denied: Denied) -> P
 
 def denied_notes(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
     """A sentence on each thing that is denied, or one on what does not fit together."""
+    yield from _denied_notes(drive, denied)
+    if denied.gyro_unused and denied.clear:
+        yield (
+            "The gyro fits the drive only once that is corrected, so it was not used; headings "
+            "count as unsure by what it would change."
+        )
+
+
+def _denied_notes(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
     if denied.either and denied.ahead_m is not None and denied.late_s is not None:
         (ahead_m, _), (late_s, _) = denied.ahead_m, denied.late_s
         yield (
@@ -194,9 +205,10 @@ def denied_notes(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
             )
     if (delay := denied.late_s) is not None:
         late = "late" if delay.value > 0.0 else "early"
+        by = ["gyro"] if denied.gyro_unused else _turn_sensors(drive)
         yield (
             f"By the drive the fixes are stamped {abs(delay.value):.2f} s ± {delay.sigma:.2f} s "
-            f"{late} against {' and '.join(f'the {one}' for one in _turn_sensors(drive))}; "
+            f"{late} against {' and '.join(f'the {one}' for one in by)}; "
             f"look at how they were logged, or add {-delay.value:.2f} to --gnss-offset. Until then "
             "positions count as unsure by what is driven in that time."
         )

@@ -22,6 +22,7 @@ from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.denied import Denied, denied_by, unsure_declared, with_whole_place
 from fieldgrid.pose.drifting import drift, drift_notes, unsure_drift
 from fieldgrid.pose.drive import DriveEstimate, with_recorded
+from fieldgrid.pose.excused import Excused, excused
 from fieldgrid.pose.explained import explained
 from fieldgrid.pose.fused import Fused, conditioned, fuse
 from fieldgrid.pose.given import CLEAR_OFFSET_DEG, place_poses
@@ -102,6 +103,8 @@ def estimate_poses(
         table = unsure_receiver(table, log.accepted)
     if source.kind == "smooth":
         unsure_deg = found.trusted.unsure_at(table.time_ns)
+        if checks.excused is not None:
+            unsure_deg = np.hypot(unsure_deg, checks.excused.unsure_at(table.time_ns))
         table = table._replace(heading_sigma_deg=np.hypot(table.heading_sigma_deg, unsure_deg))
     slope = FLAT
     if lean is not None:
@@ -132,6 +135,7 @@ def estimate_poses(
         wheel_scale=drive.smoothed.wheel_scale,
         unseen=unseen_faults(drive, rig, source),
         notes=(
+            *checks.gyro_notes(found),
             *(*found.notes, *notes),
             *(unsure_notes(log.accepted) if settings.accuracy_m is None else ()),
             *slope_notes(slope, axle.vehicle),
@@ -151,6 +155,12 @@ class _Checks(NamedTuple):
     yaw: CameraYaw | None
     denied: Denied
     drifts: WanderTest | None
+    excused: Excused | None
+
+    def gyro_notes(self, found: Fused) -> tuple[str, ...]:
+        """Why the gyro was changed or left out; of one that is excused, what it denies says so."""
+        excuses = self.excused is not None and self.denied.clear
+        return () if found.gyro_note is None or excuses else (found.gyro_note,)
 
 
 def _checked(
@@ -174,8 +184,13 @@ def _checked(
         denied = with_whole_place(denied, partial(_with_recorded, found, recorded))
     elif smooth:
         denied = explained(denied, found, drive, declared)
+    excuse = None
+    if smooth and not drive.turns_seen and not drive.headings_recorded:
+        excuse = excused(found, declared)
+    if excuse is not None:
+        denied = excuse.denied
     drifts = drift(drive, found.axle, denied, clocks, found.imu_turn) if smooth else None
-    return _Checks(clocks, yaw, denied, drifts)
+    return _Checks(clocks, yaw, denied, drifts, excuse)
 
 
 def _with_recorded(found: Fused, recorded: RecordedHeadings, ahead_m: float = 0.0) -> DriveEstimate:
@@ -263,6 +278,17 @@ def _recorded(
         )
         if source.kind == "recorded":
             raise GnssError(note.replace(", and was not used", "; use --heading smooth"))
+        return np.full_like(recorded, np.nan), found, [note]
+    if found.changes:
+        note = (
+            f"The recorded heading is {found.offset_deg:.0f}° off the nose where that is known "
+            f"best ({found.compared} fixes), and the other way round at "
+            f"{100.0 * found.elsewhere:.0f} % of all: it turns around during the drive, and was "
+            "not used."
+        )
+        if source.kind == "recorded":
+            cut = "; cut the log where it does, or use --heading smooth"
+            raise GnssError(note.replace(", and was not used", cut))
         return np.full_like(recorded, np.nan), found, [note]
     if found.is_denied(settings.max_heading_offset_deg):
         sentence = (

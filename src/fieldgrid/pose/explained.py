@@ -45,12 +45,13 @@ LEAST_MPS = 0.1
 
 
 class PutRight(NamedTuple):
-    """One of the two put right: by how much, and how many sigmas are left, in all and beside a
-    gyro's scale that is wrong, too."""
+    """One of the two put right: by how much, how many sigmas are left, in all and beside a gyro's
+    scale that is wrong, too, and the drive then."""
 
     value: Constant
     misfit: float
     left: float
+    drive: DriveEstimate | None
 
     def rules_out(self, other: PutRight) -> bool:
         """Whether the drive fits this, and not the other, whatever the scale, or clearly better as
@@ -59,7 +60,43 @@ class PutRight(NamedTuple):
         return self.left < MOST_LEFT and (other.left > RULED_OUT or worse)
 
 
-UNTOLD = PutRight(Constant(0.0, np.inf), np.inf, np.inf)
+UNTOLD = PutRight(Constant(0.0, np.inf), np.inf, np.inf, None)
+
+
+class Explanation(NamedTuple):
+    """The antenna's place ahead of the axle put right, and instead of it the stamps."""
+
+    place: PutRight
+    delay: PutRight
+
+    @property
+    def left(self) -> float:
+        """How many sigmas are left by the one that explains more."""
+        return min(self.place.left, self.delay.left)
+
+    @property
+    def is_place(self) -> bool:
+        """Whether the place may be it."""
+        return not self.delay.rules_out(self.place)
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the stamps may be it."""
+        return not self.place.rules_out(self.delay)
+
+    def denies(self, drive: DriveEstimate, vehicle: VehicleGeometry | None) -> Denied:
+        """What that says of a vehicle and of stamps as they were declared, where one of them
+        explains all; how far positions are off at the nodes of a drive."""
+        moves = isinstance(vehicle, Rig)
+        by_place_m = abs(self.place.value.value) if moves and self.is_place else 0.0
+        by_stamps_s = self.delay.value.value if self.is_late else 0.0
+        ahead_m = self.place.value if by_place_m > LEAST_LEVER_M else None
+        late_s = self.delay.value if abs(by_stamps_s) > LEAST_DELAY_S else None
+        if not moves and self.is_place:
+            late_s = None  # it may as well be the place, which is not to be told here
+        off_m = np.maximum(by_place_m, _driven_m(drive, by_stamps_s))
+        either = ahead_m is not None and late_s is not None
+        return Denied(None, ahead_m, late_s, off_m, either)
 
 
 def explained(
@@ -69,31 +106,32 @@ def explained(
     either. Where neither does, nothing is clearly denied, and positions stay as unsure. Positions
     of a log alone are the antenna's, wherever on the `vehicle` that sits."""
     declared = drive.smoothed.declared
-    camera = found.motion.steps is not None and len(found.motion.steps.start_ns) > 0
-    if camera or drive.headings_recorded or not drive.at.has_gyro():
+    if found.has_camera() or drive.headings_recorded or not drive.at.has_gyro():
         return denied
     if declared.misfit_but_scale < MOST_MISFIT:
         return denied
+    tried = explanation(found._replace(drive=drive), vehicle)
+    if tried is None:
+        return denied
+    if tried.left > MOST_LEFT:
+        return _neither(denied, declared, drive, vehicle)
+    return tried.denies(drive, vehicle)
+
+
+def explanation(
+    found: Fused, vehicle: VehicleGeometry | None, start: float = 0.0
+) -> Explanation | None:
+    """What is left of a contradiction by a gyro once either is put right, beginning at `start`
+    (metres or seconds); None of a vehicle that hardly moves."""
+    drive = found.drive
     speed_mps = np.abs(drive.speed_mps)
     usual_mps = float(np.median(speed_mps[drive.gear != 0])) if drive.gear.any() else 0.0
     if usual_mps < LEAST_MPS:
-        return denied
-    delay = _delay(found, declared, usual_mps)
+        return None
+    delay = _delay(found, usual_mps, start)
     # Where nobody says how far ahead of the axle the antenna sits, its place is free already.
-    place = _place(found, declared) if names_axle(vehicle) else UNTOLD
-    if min(place.left, delay.left) > MOST_LEFT:
-        return _neither(denied, declared, drive, vehicle)
-    moves = isinstance(vehicle, Rig)
-    is_place, is_late = not delay.rules_out(place), not place.rules_out(delay)
-    by_place_m = abs(place.value.value) if moves and is_place else 0.0
-    by_stamps_s = delay.value.value if is_late else 0.0
-    ahead_m = place.value if by_place_m > LEAST_LEVER_M else None
-    late_s = delay.value if abs(by_stamps_s) > LEAST_DELAY_S else None
-    if not moves and is_place:
-        late_s = None  # it may as well be the place, which is not to be told here
-    off_m = np.maximum(by_place_m, _driven_m(drive, by_stamps_s))
-    either = ahead_m is not None and late_s is not None
-    return Denied(None, ahead_m, late_s, off_m, either)
+    place = _place(found, start) if names_axle(vehicle) else UNTOLD
+    return Explanation(place, delay)
 
 
 def _neither(
@@ -113,61 +151,63 @@ def _neither(
 
 
 def _driven_m(drive: DriveEstimate, late_s: float) -> Float64:
-    """How far the vehicle is at each node [n] from where it was so much earlier: if it has stopped
-    since, farther than its speed tells."""
-    earlier_ns = drive.time_ns - round(late_s * 1e9)
-    was = (np.interp(earlier_ns, drive.time_ns, one) for one in (drive.east_m, drive.north_m))
+    """How far the vehicle is at each node [n] from where it is by the gyro's clock: there its fixes
+    are stamped so much later. If it starts in between, that is farther than its speed tells."""
+    later_ns = drive.time_ns + round(late_s * 1e9)
+    of = (np.interp(later_ns, drive.time_ns, one) for one in (drive.east_m, drive.north_m))
     apart_m = np.hypot(
-        *(one - of for one, of in zip((drive.east_m, drive.north_m), was, strict=True))
+        *(one - was for one, was in zip(of, (drive.east_m, drive.north_m), strict=True))
     )
     return np.maximum(apart_m, np.abs(late_s * drive.speed_mps))
 
 
-def _place(found: Fused, declared: DeclaredCorrection) -> PutRight:
+def _place(found: Fused, start_m: float) -> PutRight:
     """How much farther ahead the antenna sits, if that explains all."""
 
-    def moved(ahead_m: float) -> DeclaredCorrection:
-        axle = with_antenna_moved(found.axle, ahead_m)
-        return found.again(axle=axle).drive.smoothed.declared
+    def moved(ahead_m: float) -> DriveEstimate:
+        return found.again(axle=with_antenna_moved(found.axle, ahead_m)).drive
 
-    return _settled(declared, moved, lambda one: one.ahead_m, (SETTLED_M, FARTHEST_M))
+    first = moved(start_m) if start_m else found.drive
+    return _settled(first, start_m, moved, lambda one: one.ahead_m, (SETTLED_M, FARTHEST_M))
 
 
-def _delay(found: Fused, declared: DeclaredCorrection, usual_mps: float) -> PutRight:
+def _delay(found: Fused, usual_mps: float, start_s: float) -> PutRight:
     """How late the fixes are stamped, if that explains all."""
     log = found.log
 
-    def stamped(late_s: float) -> DeclaredCorrection:
+    def stamped(late_s: float) -> DriveEstimate:
         late_ns = round(late_s * 1e9)
         earlier = log._replace(
             fixes=log.fixes.replace(time_ns=log.fixes.time_ns - late_ns),
             accepted=log.accepted._replace(time_ns=log.accepted.time_ns - late_ns),
         )
-        return found.again(log=earlier).drive.smoothed.declared
+        return found.again(log=earlier).drive
 
     def left_s(one: DeclaredCorrection) -> Constant:
         # The step takes most of a delay for a place.
         return Constant(one.late_s.value - one.ahead_m.value / usual_mps, one.late_s.sigma)
 
-    return _settled(declared, stamped, left_s, (SETTLED_S, LATEST_S))
+    first = stamped(start_s) if start_s else found.drive
+    return _settled(first, start_s, stamped, left_s, (SETTLED_S, LATEST_S))
 
 
 def _settled(
-    declared: DeclaredCorrection,
-    put_right: Callable[[float], DeclaredCorrection],
+    drive: DriveEstimate,
+    total: float,
+    put_right: Callable[[float], DriveEstimate],
     left: Callable[[DeclaredCorrection], Constant],
     limits: tuple[float, float],
 ) -> PutRight:
-    """Put one of them right until there is nothing `left` to add; infinitely many sigmas are left
-    where that leads nowhere."""
+    """Put one of them right until there is nothing `left` to add, beginning with a drive that has a
+    `total`; infinitely many sigmas are left where that leads nowhere."""
     least, most = limits
-    total = 0.0
     for _ in range(MOST_STEPS):
-        total += left(declared).value
+        total += left(drive.smoothed.declared).value
         if abs(total) > most:
             return UNTOLD
-        declared = put_right(total)
-        if abs(left(declared).value) < least:
+        drive = put_right(total)
+        if abs(left(drive.smoothed.declared).value) < least:
             break
+    declared = drive.smoothed.declared
     value = Constant(total, left(declared).sigma)
-    return PutRight(value, declared.misfit, declared.misfit_but_scale)
+    return PutRight(value, declared.misfit, declared.misfit_but_scale, drive)

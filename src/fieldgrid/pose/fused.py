@@ -46,8 +46,9 @@ from fieldgrid.settings import PoseSettings
 class Fused(NamedTuple):
     """A drive, and what it was estimated from: fixes and motion, of a vehicle that stands level
     where `lean` tells its attitude; its axle, and the gears that are known. `gyro` is the one that
-    was recorded, used or not, `trusted` what became of it. `imu_turn` is how an IMU is turned about
-    the vertical against what was declared. `notes` say which sensors were changed or left out."""
+    was recorded, used or not, `trusted` what became of it, and `gyro_note` says why it was changed
+    or left out. `imu_turn` is how an IMU is turned about the vertical against what was declared.
+    `notes` say which other sensors were changed or left out."""
 
     log: Conditioned
     drive: DriveEstimate
@@ -58,6 +59,7 @@ class Fused(NamedTuple):
     trusted: Trusted
     lean: Lean | None = None
     imu_turn: ImuTurn | None = None
+    gyro_note: str | None = None
     notes: tuple[str, ...] = ()
 
     def again(self, **changes: Any) -> Fused:
@@ -65,6 +67,10 @@ class Fused(NamedTuple):
         new = self._replace(**changes)
         fixes, at_ns = new.log.accepted, new.log.fixes.time_ns
         return new._replace(drive=smooth_drive(fixes, at_ns, new.motion, new.axle, hints=new.hints))
+
+    def has_camera(self) -> bool:
+        """Whether a camera saw the vehicle move."""
+        return self.motion.steps is not None and len(self.motion.steps.start_ns) > 0
 
     def recorded_deg(self) -> Float64:
         """Headings of the nose that were recorded with the accepted fixes, by what is declared,
@@ -110,10 +116,11 @@ def fuse(
         drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     # A gyro that contradicts the drive; of one that fits, where an undeclared axle is.
     trusted = _with_trusted_gyro(drive, log, motion, axle, hints, frame_ns)
-    notes = (faulty_gyro, turned_wheels, wrong_gyro, trusted.note)
+    notes = (faulty_gyro, turned_wheels)
     found = Fused(
         *(log, trusted.drive, trusted.motion, axle, hints, gyro, trusted),
         imu_turn=imu_turn(trusted.motion.steps, trusted.motion.inertial),
+        gyro_note=wrong_gyro or trusted.note,
         notes=tuple(note for note in notes if note is not None),
     )
     if found.drive.at.has_gyro():
@@ -176,7 +183,12 @@ def _stated_axes(found: Fused, settings: PoseSettings) -> tuple[AxisTilt, ...]:
     """The axes whose rise the receiver states beside its heading. Where they point is what the
     heading shows: none, where it is none of the vehicle or was not compared with the drive."""
     heading = found.compared()
-    if heading is None or heading.course or heading.is_denied(settings.max_heading_offset_deg):
+    if (
+        heading is None
+        or heading.course
+        or heading.changes
+        or heading.is_denied(settings.max_heading_offset_deg)
+    ):
         return ()
     rig = found.axle.vehicle
     declared_deg = (rig and rig.heading_offset_deg) or 0.0

@@ -16,7 +16,7 @@ from fieldgrid.pose.drive import DriveEstimate, smooth_drive
 from fieldgrid.pose.gears import GearHints
 from fieldgrid.pose.gyro_sense import gyro_sense
 from fieldgrid.pose.leaps import usual_period_s
-from fieldgrid.smoother import MOST_MISFIT
+from fieldgrid.smoother import DeclaredCorrection
 
 MOST_SCALE = 0.25
 """No gyro's scale is off by a larger share; what is has wrong axes or units."""
@@ -199,7 +199,7 @@ def with_trusted_gyro(
     if found.blames_gyro and abs(scale.value) < MOST_SCALE:
         scaled = _scaled(motion, 1.0 + scale.value)
         again = smooth_drive(fixes, all_ns, scaled, axle, hints=hints)
-        if again.smoothed.declared.misfit < MOST_MISFIT / 2.0:
+        if is_better(again.smoothed.declared, found):
             size = "small" if scale.value > 0.0 else "large"
             note = (
                 f"The turns of the gyro are {100.0 * abs(scale.value):.1f} % ± "
@@ -207,7 +207,7 @@ def with_trusted_gyro(
                 "Calibrate its scale."
             )
             unusual = float(wanders) * min(abs(scale.value) / UNUSUAL_SCALE, 1.0) ** 2
-            return Trusted(again, scaled, _apart_deg(again, rest) * unusual, note)
+            return Trusted(again, scaled, apart_deg(again, rest) * unusual, note)
     # What the camera confirms without the gyro was spoilt by it.
     if not found.blames_gyro and not (rest.turns_seen and not rest.smoothed.declared.contradicts):
         return fits
@@ -216,10 +216,18 @@ def with_trusted_gyro(
     ratio = None if gyro is None else turn_ratio(fixes, gyro)
     either = wanders and ratio is not None and abs(ratio.value - 1.0) < PLAUSIBLE_RATIO
     note = f"The gyro contradicts the drive by {found.misfit:.0f} sigmas and {CHECK}"
-    return Trusted(rest, without, _apart_deg(rest, drive) * float(either), note)
+    return Trusted(rest, without, apart_deg(rest, drive) * float(either), note)
 
 
-def _apart_deg(one: DriveEstimate, other: DriveEstimate) -> Float64:
+def is_better(scaled: DeclaredCorrection, found: DeclaredCorrection) -> bool:
+    """Whether the scale of a gyro was wrong, as far as it was: with the scale that a drive gave it,
+    nothing contradicts, or the most of it was a scale that is not unusual. What is left then counts
+    in the headings, and a drive without the gyro would have it, too, unseen."""
+    usual = abs(found.gyro_scale.value) < UNUSUAL_SCALE and not scaled.blames_gyro
+    return not scaled.contradicts or (usual and scaled.misfit < found.misfit / 2.0)
+
+
+def apart_deg(one: DriveEstimate, other: DriveEstimate) -> Float64:
     """How far two estimates of a drive are apart in heading at the nodes of the first."""
     heading_rad = np.unwrap(np.radians(other.heading_deg))
     beside_deg = np.degrees(np.interp(one.time_ns, other.time_ns, heading_rad))

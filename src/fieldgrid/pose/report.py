@@ -175,9 +175,14 @@ def _constant_note(
         )
 
 
+def _leaps(fixes: AcceptedFixes) -> Int64:
+    """The fixes after which the solution goes on elsewhere."""
+    return np.flatnonzero(fixes.lasting_s <= LEAP_S)
+
+
 def _leap_note(fixes: AcceptedFixes) -> Iterator[str]:
     """That the receiver's solution leaps, and what its positions count as."""
-    leaps = np.flatnonzero(fixes.lasting_s <= LEAP_S)
+    leaps = _leaps(fixes)
     if len(leaps):
         first_s = (fixes.time_ns[leaps[0]] - fixes.time_ns[0]) / 1e9
         often = "once" if len(leaps) == 1 else f"{len(leaps)} times"
@@ -226,8 +231,15 @@ def _remedy(
     """What to declare for poses of a refused drive to be used. The reasons are those of the poses
     at fixes, as everywhere; there may be more between them."""
     commonest = commonest_reason([trajectory.reason[row] for row in fix_row])
-    advice = "choose another log with --gnss"
-    if commonest.startswith("position sigma"):
+    advice, leaps = "choose another log with --gnss", _leaps(fixes)
+    if len(leaps) and commonest.startswith(("position sigma", "heading sigma", "a cell")):
+        # What is declared of the fixes does not tell which solution was right.
+        first_s = (fixes.time_ns[leaps[0]] - fixes.time_ns[0]) / 1e9
+        advice = (
+            f"cut the log where the solution leaps (first {first_s:.0f} s after the start), and "
+            "use the parts one by one"
+        )
+    elif commonest.startswith("position sigma"):
         advice = (
             "if the receiver is better than that, say so with --accuracy METRES or --quality NAME "
             "(rtk-fixed, rtk-float, differential, ...)"

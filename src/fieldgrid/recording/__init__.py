@@ -1,6 +1,6 @@
 """Recordings: what was on the vehicle's disk after a drive, whatever its format."""
 
-from fieldgrid.recording.columns import Columns, columns_from_text
+from fieldgrid.recording.columns import Columns, columns_from_text, epoch_s
 from fieldgrid.recording.copies import cache_folder, is_url
 from fieldgrid.recording.drive import Drive, Recording, Stream, as_recording, with_frames
 from fieldgrid.recording.fetched import fetch
@@ -57,6 +57,7 @@ __all__ = [
     "as_recording",
     "cache_folder",
     "columns_from_text",
+    "epoch_s",
     "fetch",
     "formats",
     "is_url",

@@ -175,7 +175,7 @@ class Columns:
                 )
 
 
-def epoch_s(text: str) -> int:
+def epoch_s(text: str, what: str = "Columns: time_epoch") -> int:
     """Unix seconds of a moment that is written like 2026-05-14T07:30:00Z."""
     try:
         moment = datetime.fromisoformat(text)
@@ -183,8 +183,7 @@ def epoch_s(text: str) -> int:
         moment = None
     if moment is None or not 1980 <= moment.year <= 2200 or moment.microsecond:
         raise ConfigError(
-            f"Columns: time_epoch is {text!r}; give a moment of UTC in whole seconds, like "
-            "2026-05-14T07:30:00Z."
+            f"{what} is {text!r}; give a moment of UTC in whole seconds, like 2026-05-14T07:30:00Z."
         )
     return int((moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp())
 

@@ -216,6 +216,7 @@ def open_growing(path: str | Path, options: DriveOptions | None = None) -> Growi
     settings = read_settings(path / SETTINGS)
     live = "Fixes that arrive live are moved to the clock of the images by their source alone"
     options.refuse(live, "gnss_offset_ns")
+    options.refuse(f"{path} is no bag", "epoch_ns")
     if settings.gnss_offset_ns:
         raise RecordingError(f"{live}; leave gnss_time_offset_s out of {path / SETTINGS}.")
     mounting = options.find_mounting(mounting_path(path), path)

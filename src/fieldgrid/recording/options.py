@@ -37,6 +37,7 @@ _FLAGS = {
     "mounting": "--mounting",
     "image_time_offset_ns": "--time-offset",
     "gnss_offset_ns": "--gnss-offset",
+    "epoch_ns": "--epoch",
 }
 
 
@@ -50,7 +51,8 @@ class DriveOptions:
     `mounting` is another `mounting.json`, or what stands for it; `image_time_offset_ns` is added
     to image times to give GNSS time and outranks the recording's own, `gnss_offset_ns` to the
     times of the GNSS log to give the time of images, gyro and wheels; `poses` are those that
-    another program estimated, and outrank what the recording says of them. With `unmounted`, a
+    another program estimated, and outrank what the recording says of them; `epoch_ns` is the UTC at
+    which the clock of a bag began that counts from its own start. With `unmounted`, a
     sensor of which nothing tells how it sits gets `NO_MOUNTING`. With `incomplete`, files of frames
     may be missing: it is the frame that then cannot be read.
     """
@@ -64,6 +66,7 @@ class DriveOptions:
     poses: PoseSource | None = None
     unmounted: bool = False
     incomplete: bool = False
+    epoch_ns: int | None = None
 
     def __post_init__(self) -> None:
         for role in self.topics:

@@ -41,6 +41,10 @@ _MOST_MESSAGES = 1_000_000  # and one more for each 8 bytes of the files
 _SPAN = 1 << 44  # places in a bag: those of one file after those of the one before
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
+LEAST_UTC_NS = 315_964_800_000_000_000
+"""1980-01-06, when GPS time began: what is stamped earlier is of a clock that counts from its own
+start."""
+
 Take = Callable[[Message, int], None]
 """Takes a message and its place among those of its topic."""
 
@@ -65,13 +69,16 @@ def is_bag(path: Path) -> bool:
     return start.startswith(tuple(_PARTS))
 
 
-def open_bag(path: Path, listen: Listen = lambda _name, _type: None) -> Bag:
+def open_bag(
+    path: Path, listen: Listen = lambda _name, _type: None, epoch_ns: int | None = None
+) -> Bag:
     """Open a bag and read it once; it is to be closed. Raises RecordingError, in one sentence,
     for what cannot be used at all; what is damaged is used as far as it can be.
 
-    What `listen` gives for a topic takes its messages in this one run.
+    What `listen` gives for a topic takes its messages in this one run. `epoch_ns` is the UTC at
+    which a clock began that counts from its own start, that of a simulation.
     """
-    return Bag(path, listen)
+    return Bag(path, listen, epoch_ns)
 
 
 class Bag(Closing):
@@ -82,8 +89,9 @@ class Bag(Closing):
     pickled; the copy reads as long as the original is open.
     """
 
-    def __init__(self, path: Path, listen: Listen) -> None:
+    def __init__(self, path: Path, listen: Listen, epoch_ns: int | None = None) -> None:
         self.path = path
+        self._epoch_ns = epoch_ns
         self._topics: dict[str, _Topic] = {}
         self._others: dict[str, int] = {}
         self._notes: list[str] = []
@@ -128,7 +136,17 @@ class Bag(Closing):
         """The stamps in the headers of a topic's messages, 0 where the type has no header, and
         the times at which they were received: nanoseconds, in the order of `messages`."""
         found = self._topic(topic)
-        return np.array(found.stamped, dtype=np.int64), np.array(found.received, dtype=np.int64)
+        stamped, received = (
+            self.dated(np.array(one, dtype=np.int64)) for one in (found.stamped, found.received)
+        )
+        return stamped, received
+
+    def dated(self, time_ns: Int64) -> Int64:
+        """Times of a clock that counts from its own start as UTC, if its epoch is known; 0 stays
+        what stands for none."""
+        if self._epoch_ns is None:
+            return time_ns
+        return np.where((time_ns > 0) & (time_ns < LEAST_UTC_NS), time_ns + self._epoch_ns, time_ns)
 
     def places(self, topic: str) -> Int64:
         """Where in the bag each message of a topic is; never decreasing. Messages that lie

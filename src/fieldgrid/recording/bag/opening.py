@@ -31,7 +31,7 @@ def open_bag_drive(path: Path, options: DriveOptions) -> Drive:
     with ExitStack() as stack:
         gnss = None if options.gnss is None else str(options.gnss)
         readings = Readings(options.topics, gnss)
-        bag = stack.enter_context(open_bag(path, readings.listen))
+        bag = stack.enter_context(open_bag(path, readings.listen, options.epoch_ns))
         content = read_content(bag, path, options, readings)
         drive = with_frames(as_drive(content), lambda drive: _recording(drive, content, options))
         if drive.refusal is not None:

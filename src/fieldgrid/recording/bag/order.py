@@ -70,7 +70,8 @@ def clock(topic: str, stamp_ns: Int64, receive_ns: Int64, *, received: bool = Fa
         raise RecordingError(
             f"The times of {topic} are no UTC: its header stamps are like "
             f"{_example(stamp_ns)} ns and the recorder's like {_example(receive_ns)} ns, so its "
-            "messages cannot be brought together with fixes; record with the clock set."
+            "messages cannot be brought together with fixes; record with the clock set, or say "
+            "with --epoch 2026-05-14T07:30:00Z when the clock of a simulation began."
         )
     return Clock(np.where(known, receive_ns, 0), True)
 

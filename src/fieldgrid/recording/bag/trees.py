@@ -96,7 +96,7 @@ class MovingTrees(Trees):
             return None
         times, values = self._ways[found[0]]
         place, stamp_ns = np.array(times, dtype=np.int64).reshape(-1, 2).T
-        time_ns = clock(topic, stamp_ns, bag.stamps(topic)[1][place]).time_ns
+        time_ns = clock(topic, bag.dated(stamp_ns), bag.stamps(topic)[1][place]).time_ns
         columns = np.array(values, dtype=np.float64).reshape(-1, 6)[time_ns > 0]
         return FrameTrack(*found[0], time_ns[time_ns > 0], columns[:, :3], columns[:, 3:])
 
