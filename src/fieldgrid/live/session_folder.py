@@ -23,7 +23,7 @@ from fieldgrid.build.parts import found_to_json
 from fieldgrid.build.report import StageTimes
 from fieldgrid.build.staging import Staged
 from fieldgrid.closing import Closing
-from fieldgrid.errors import ConfigError, MapError, MapWriteError
+from fieldgrid.errors import ConfigError, MapError, MapWriteError, counted
 from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.live.frame_names import told_apart
 from fieldgrid.live.given import GIVEN_ROWS, NO_POSES, body_poses
@@ -274,7 +274,8 @@ class SessionFolder(Closing):
         times_ns = np.array(sorted(staged_ns + [t for t, _ in drive.bad]), dtype=np.int64)
         notes = about.notes
         if drive.dropped:
-            notes += (f"{drive.dropped} frames were dropped while it was driven.",)
+            many = counted(drive.dropped, "frame")
+            notes += (f"{many} dropped while it was driven.",)
         if drive.damaged_bytes:
             notes += (
                 f"{drive.damaged_bytes} bytes of the session's journal were damaged; what they "
