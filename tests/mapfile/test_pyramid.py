@@ -99,6 +99,7 @@ def test_a_drive_longer_than_the_memory_gives_the_same_map(
     there = drive(20)
     frames = [*there, *drive(20, heading_deg=37.3)[::-1], *drive(10, heading_deg=140.0)]
     monkeypatch.setattr(placing, "BLOCK_TILES", 1)
+    monkeypatch.setattr(placing, "ALONE_TILES", 1)
     monkeypatch.setattr(placing, "RECENT_FRAMES", 1)
     monkeypatch.setattr(placing, "RECENT_TILES", 0)
     path = write_map(tmp_path / "map.gpkg", [frames])
