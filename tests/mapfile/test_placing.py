@@ -28,8 +28,8 @@ TILE_M = TILE_CELLS * CELL_M
 GROUPS_OF_ALL = tuple(GROUPS.values())
 
 
-def squares_along(heading_deg: float, tiles: int, *, from_m: float = 3.0) -> TileSquares:
-    """The squares of a row of frames through so many tiles, from the datum north or east."""
+def frames_along(heading_deg: float, tiles: int, *, from_m: float = 3.0) -> list[PlacedFrame]:
+    """A row of frames through so many tiles, from the datum north or east."""
     grid = grid_of(0, GridSpec(2.0, 4.0, CELL_M))
     poses = [
         pose_at(from_m, from_m + k * TILE_M, heading_deg)
@@ -37,7 +37,12 @@ def squares_along(heading_deg: float, tiles: int, *, from_m: float = 3.0) -> Til
         else pose_at(from_m + k * TILE_M, from_m, heading_deg)
         for k in range(tiles)
     ]
-    frames = [PlacedFrame(pose, grid.spec, lambda: FrameCells(grid, {})) for pose in poses]
+    return [PlacedFrame(pose, grid.spec, lambda: FrameCells(grid, {})) for pose in poses]
+
+
+def squares_along(heading_deg: float, tiles: int, *, from_m: float = 3.0) -> TileSquares:
+    """The squares of such a row."""
+    frames = frames_along(heading_deg, tiles, from_m=from_m)
     return TileSquares(frames, Lattice(CELL_M), Transfer.CENTRE, GROUPS_OF_ALL)
 
 
@@ -71,8 +76,8 @@ def test_a_session_has_the_same_tiles_however_it_is_divided(
 
 
 def test_threads_share_the_tiles_of_one_square(monkeypatch: pytest.MonkeyPatch) -> None:
-    squares, threads = squares_along(90.0, 9), set[int]()
-    meeting = threading.Barrier(2)
+    how = frames_along(90.0, 9), Lattice(CELL_M), Transfer.CENTRE, GROUPS_OF_ALL
+    threads, meeting = set[int](), threading.Barrier(2)
 
     def work(tile: TileIndex, cells: Cells) -> tuple[TileIndex, bytes]:
         threads.add(threading.get_ident())
@@ -80,10 +85,10 @@ def test_threads_share_the_tiles_of_one_square(monkeypatch: pytest.MonkeyPatch) 
             meeting.wait(30.0)
         return tile, b"".join(cells[name].tobytes() for name in cells)
 
-    shared = squares.fold(squares.places()[0], work, 2)
+    shared = list(fold_tiles(*how, work, 2))
     monkeypatch.setattr(meeting, "wait", lambda _: 0)
     assert len(threads) == 2
-    assert shared == squares.fold(squares.places()[0], work)
+    assert shared == list(fold_tiles(*how, work, 1))
 
 
 def test_few_tiles_stay_decoded_until_the_commit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,10 +100,7 @@ def test_few_tiles_stay_decoded_until_the_commit(monkeypatch: pytest.MonkeyPatch
             yield tile, cells, blobs
 
     monkeypatch.setattr(placing, "fold_tiles", noted)
-    grid = grid_of(0, GridSpec(2.0, 4.0, CELL_M))
-    poses = [pose_at(3.0 + k * TILE_M, 3.0, 90.0) for k in range(15)]
-    frames = [PlacedFrame(pose, grid.spec, lambda: FrameCells(grid, {})) for pose in poses]
-    lattice = Lattice(CELL_M)
+    frames, lattice = frames_along(90.0, 15), Lattice(CELL_M)
     with SessionTiles.folded(frames, lattice, Transfer.CENTRE, GROUPS_OF_ALL) as tiles:
         assert len(tiles.tiles) == len(found) == 15
     assert len([cells for cells in found if cells is not None]) == RECENT_TILES
