@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import io
 import sqlite3
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 from PIL import Image
 
-from fieldgrid.lattice import TILE_CELLS, Lattice, Window
+from fieldgrid.lattice import TILE_CELLS, Lattice, TileIndex, Window
 from fieldgrid.mapfile import open_map, placing
+from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import TileMatrixSet
 from fieldgrid.transfer import MeanFold, mean_density
+from tests.mapfile.content import content
 from tests.mapfile.maps import CELL_M, DATUM, Frame, drive, write_map, write_session
 
 LATTICE = Lattice(CELL_M)
@@ -122,3 +126,46 @@ def test_rows_that_a_change_leaves_as_they_are_are_not_written(tmp_path: Path) -
         written = {name for (name,) in own.execute("SELECT channels FROM written")}
     assert {"density", "count"} <= written
     assert not written & {"terrain", "surface", "standing"}
+
+
+def lacking(path: Path, zooms: str) -> int:
+    """Take counts from tiles of some levels above the base, as a commit does; returns how many."""
+    with open_map(path, writable=True) as universal:
+        own = universal._connection
+        taken = own.execute(
+            "DELETE FROM fieldgrid_tile WHERE channels = 'count' AND zoom < (SELECT max(zoom) "
+            f"FROM fieldgrid_tile) AND (SELECT max(zoom) FROM fieldgrid_tile) - zoom IN ({zooms})"
+        ).rowcount
+        universal._unsettled = True
+    return taken
+
+
+@pytest.mark.parametrize("zooms", ["1", "2", "3", "1, 2", "1, 3", "1, 2, 3"])
+def test_what_a_commit_left_for_later_is_filled_in_at_every_level(
+    tmp_path: Path, zooms: str
+) -> None:
+    path = write_map(tmp_path / "map.gpkg", [drive(24, step_m=12.0, heading_deg=37.3)])
+    whole = content(path, "tiles")
+    assert lacking(path, zooms) > 0
+    assert content(path, "tiles") == whole
+
+
+def test_a_tile_that_was_just_settled_is_not_decoded_for_the_one_above(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_map(tmp_path / "map.gpkg", [drive(24, step_m=12.0, heading_deg=37.3)])
+    read = Counter[tuple[int, TileIndex]]()
+
+    def counted(own: TileTables, zoom: int, tile: TileIndex, *how: Any, **more: Any) -> Any:
+        read[zoom, tile] += 1
+        return cells(own, zoom, tile, *how, **more)
+
+    cells = TileTables.cells
+    with open_map(path, datum=DATUM, cell_m=CELL_M) as universal:
+        write_session(universal, "more", drive(1))
+        monkeypatch.setattr(TileTables, "cells", counted)
+    base = max(zoom for zoom, _ in read)
+    settled = Counter(zoom for zoom, _ in read if zoom < base)
+    assert len(settled) >= 3
+    for zoom in sorted(settled)[:-1]:
+        assert max(times for (level, _), times in read.items() if level == zoom) == 1
