@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fieldgrid.grids import GridSpec
 
 _GRID = Flag("--grid", "WxL", "x", "local grid in metres: across and ahead")
-_SLICE = Flag("--slice", "BOTTOM:TOP", ":", "heights above the local ground that count as obstacles, metres")
+_SLICE = Flag("--slice", "BOTTOM:TOP", ":", "heights above the local ground that count, metres")
 
 
 class GridSettings(Settings):
