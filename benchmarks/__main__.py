@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from functools import reduce
 from pathlib import Path
 
 import cv2
@@ -23,13 +24,14 @@ from benchmarks import EXAMPLE
 from benchmarks.exports import measure_exports
 from benchmarks.lasting import Line, measure_map
 from benchmarks.long_drive import write_long_drive
+from benchmarks.synthetic import rows
 from benchmarks.timing import paired_ms, timed_s
 from fieldgrid import depth
 from fieldgrid.binning import bin_pixels, bin_points
 from fieldgrid.build import SessionReport, build_map
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.ground import estimate_ground
-from fieldgrid.lattice import Lattice
+from fieldgrid.lattice import Lattice, Window
 from fieldgrid.localgrid import (
     LocalGridder,
     local_ground,
@@ -44,6 +46,7 @@ from tests.counting import bin_pixels_reference, bin_points_reference
 FULL_DISPARITIES = 128
 CHAIN_RUNS = 7
 CLOUD_POINTS = 200_000
+FIELD_GRIDS, GRIDS_A_TURN = 2000, 100
 STAGES_BEFORE_MS = {
     "decode": 3.0,
     "match": 34.0,
@@ -181,7 +184,10 @@ def measure_kernels() -> Iterator[Line]:
     yield from _transfer(grid, "one real frame")
     paper = GridSpec(6.65, 14.0)
     full = np.arange(paper.n_x * paper.n_y, dtype=np.uint8).reshape(paper.shape)
-    yield from _transfer(LocalGrid(paper, full, full >= 0), "133 x 280, every cell")
+    grid = LocalGrid(paper, full, full >= 0)
+    yield from _transfer(grid, "133 x 280, every cell")
+    for cell_m, asked in ((0.05, "was 7.1, asked >= 9"), (0.25, "was 11.5, asked >= 15")):
+        yield from _transfer_many(grid, cell_m, asked)
 
 
 def _fused_kernel(gridder: LocalGridder, values: np.ndarray, row_start: int) -> Iterator[Line]:
@@ -225,34 +231,67 @@ def _beside_numpy(
     yield Line(f"  ratio (counts identical: {same})", f"{theirs_ms / ours_ms:.1f} x", asked)
 
 
+def _transfer_many(grid: LocalGrid, cell_m: float, asked: str) -> Iterator[Line]:
+    """A field's local grids into one window, by turns of some with NumPy's."""
+    lattice = Lattice(cell_m)
+    poses = list(rows(FIELD_GRIDS, 100.0, 1.5, 3.0, 0.0, 0.0))
+    parts = [footprint(grid.spec, pose, lattice) for pose in poses]
+    whole = reduce(Window.union, parts)
+    fold, totals = MeanFold(lattice, whole), np.zeros((2, *whole.shape))
+    fold.add(grid, poses[0])  # compiled
+    fold = MeanFold(lattice, whole)
+    ours_s, bincount_s = [], []
+    for first in range(0, FIELD_GRIDS, GRIDS_A_TURN):
+        turn = slice(first, first + GRIDS_A_TURN)
+        start = time.process_time()
+        for pose in poses[turn]:
+            fold.add(grid, pose)
+        middle = time.process_time()
+        for pose, part in zip(poses[turn], parts[turn], strict=True):
+            _bincount(grid, pose, lattice, part, totals[(slice(None), *whole.slices_of(part))])
+        ours_s.append(middle - start)
+        bincount_s.append(time.process_time() - middle)
+    same = bool((16 * totals == fold.sums).all())
+    what = f"{FIELD_GRIDS} grids 133 x 280 into one window, cells of {100 * cell_m:.0f} cm"
+    yield Line(what, f"{1e3 * sum(ours_s) / FIELD_GRIDS:.3f} ms", "each")
+    ratio = np.median(np.divide(bincount_s, ours_s))
+    yield Line(f"  beside NumPy with bincount (identical: {same})", f"{ratio:.1f} x", asked)
+
+
+def _bincount(
+    grid: LocalGrid, pose: Pose, lattice: Lattice, window: Window, totals: np.ndarray
+) -> None:
+    """Add the counts and densities of a grid to `totals`, [2, rows, columns] of a window."""
+    column_i, column_j, row_i, row_j = universal_axes(grid.spec, pose, lattice)
+    seen_rows, columns = np.nonzero(grid.observed)
+    i = np.floor(column_i[columns] + row_i[seen_rows]).astype(np.int64) - window.i0
+    j = np.floor(column_j[columns] + row_j[seen_rows]).astype(np.int64) - window.j0
+    cells, size = j * window.width + i, window.width * window.height
+    values = grid.density[seen_rows, columns]
+    totals[0] += np.bincount(cells, minlength=size).reshape(window.shape)
+    totals[1] += np.bincount(cells, weights=values, minlength=size).reshape(window.shape)
+
+
 def _transfer(grid: LocalGrid, label: str) -> Iterator[Line]:
     """One local grid into a window: our kernel, and NumPy with bincount, both from the pose."""
     lattice = Lattice(grid.spec.cell_m)
     pose = Pose(0, 12.34, -45.67, 0.0, 37.0, 0.02, 0.3, 1.0)
     window = footprint(grid.spec, pose, lattice)
     fold = MeanFold(lattice, window)
-    totals = np.zeros((2, window.width * window.height))
+    totals = np.zeros((2, *window.shape))
 
     def ours() -> None:
         fold.add(grid, pose)
 
     def bincount() -> None:
-        column_i, column_j, row_i, row_j = universal_axes(grid.spec, pose, lattice)
-        rows, columns = np.nonzero(grid.observed)
-        i = np.floor(column_i[columns] + row_i[rows]).astype(np.int64) - window.i0
-        j = np.floor(column_j[columns] + row_j[rows]).astype(np.int64) - window.j0
-        cells = j * window.width + i
-        values = grid.density[rows, columns]
-        size = window.width * window.height
-        totals[0] += np.bincount(cells, minlength=size)
-        totals[1] += np.bincount(cells, weights=values, minlength=size)
+        _bincount(grid, pose, lattice, window, totals)
 
     ours_ms, bincount_ms = paired_ms(ours, bincount, runs=100)
     fold = MeanFold(lattice, window)
     totals[:] = 0
     ours()
     bincount()
-    same = bool((16 * totals == fold.sums.reshape(2, -1)).all())
+    same = bool((16 * totals == fold.sums).all())
     yield Line(f"transfer, {label}", f"{ours_ms:.3f} ms")
     yield Line("  NumPy with bincount", f"{bincount_ms:.3f} ms")
     yield Line(

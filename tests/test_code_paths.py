@@ -24,6 +24,9 @@ SOURCE = os.path.join(os.path.dirname(fieldgrid.__file__), "")
 STEPS = {"build": 18, "track": 20, "export": 8}
 """So many functions the page names for each command."""
 
+FILES = {"build": 17, "track": 20, "export": 8}
+"""So many files these are in, as the page says."""
+
 
 def described(command: str) -> list[str]:
     """The functions that the page names for a command, in its order."""
@@ -80,3 +83,13 @@ def test_values_take_the_path_of_the_page(command: str, called: dict[str, list[s
     page = described(command)
     assert [one for one in called[command] if one in page] == page
     assert len(page) == STEPS[command]
+
+
+def test_the_page_says_how_many_files_that_are() -> None:
+    files = {
+        command: len({re.sub(r"(\.[A-Z_]\w*)?\.\w+$", "", one) for one in described(command)})
+        for command in STEPS
+    }
+    assert files == FILES
+    said = "The functions are in {build}, {track} and {export} files.".format(**FILES)
+    assert said in PAGE.read_text(encoding="utf-8")

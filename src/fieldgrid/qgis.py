@@ -69,14 +69,20 @@ _MARK_RULES = {
 
 def style(layer: str, sessions: Sequence[tuple[str, str]]) -> str:
     """The QML document of a layer; `sessions` are their names and colours (`#rrggbb`)."""
-    named = _by_colour(sessions) if layer in _LOOKS else {}
-    texts = [
-        html.escape(text, quote=False).replace('"', "&quot;")
-        for names in named.values()
-        for text in (_label(names), ", ".join(map(_quoted, names)))
-    ]
-    pieces = _pieces(layer, tuple(named))
+    colours, texts = _texts(tuple(sessions)) if layer in _LOOKS else ((), ())
+    pieces = _pieces(layer, colours)
     return "".join(chain.from_iterable(zip_longest(pieces, texts, fillvalue="")))
+
+
+@lru_cache(maxsize=1)
+def _texts(sessions: tuple[tuple[str, str], ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The colours of sessions, and what stands for the names of each in a document: the same in
+    all layers."""
+    named = _by_colour(sessions)
+    texts = (text for names in named.values() for text in (_label(names), _listed(names)))
+    return tuple(named), tuple(
+        html.escape(text, quote=False).replace('"', "&quot;") for text in texts
+    )
 
 
 @lru_cache(maxsize=64)
@@ -103,6 +109,10 @@ def _label(names: Sequence[str]) -> str:
     return label if len(label) <= _LONGEST_LABEL else f"{label[:_LONGEST_LABEL]}..."
 
 
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(map(_quoted, names))
+
+
 def fill_style(root: Element, layer: str, sessions: Sequence[tuple[str, str]]) -> None:
     """Put the parts of a layer's style into an element: a document's root, or a project's layer."""
     if layer == "density":
@@ -124,10 +134,9 @@ def fill_style(root: Element, layer: str, sessions: Sequence[tuple[str, str]]) -
     symbols = ET.SubElement(renderer, "symbols")
     for colour, names in _by_colour(sessions).items():
         key = str(len(symbols))
-        quoted = ", ".join(map(_quoted, names))
         ET.SubElement(
             rules, "rule", key=f"{{{key}}}", symbol=key, label=_label(names),
-            filter=f"\"session\" IN ({quoted}) AND \"status\" <> 'rejected'",
+            filter=f"\"session\" IN ({_listed(names)}) AND \"status\" <> 'rejected'",
         )  # fmt: skip
         symbols.append(_symbol(key, look.symbol, layer, colour))
     for label, condition, colour in (

@@ -17,8 +17,8 @@ from fieldgrid.export import (
     Selection,
     export_map,
     formats,
-    register,
-    unregister,
+    register_export_format,
+    unregister_export_format,
 )
 from fieldgrid.mapfile import LAYERS, MapFile, open_map
 from fieldgrid.publish import replacing
@@ -280,7 +280,9 @@ def test_a_format_of_another_module(f_map: Path, tmp_path: Path, fieldgrid: Run)
 
     before = dict(formats())
     try:
-        register(ExportFormat("count", (".count",), "how many cells", write_count, CountOptions))
+        register_export_format(
+            ExportFormat("count", (".count",), "how many cells", write_count, CountOptions)
+        )
         assert list(formats()) == [*before, "count"]
         with open_map(f_map) as universal:
             export_map(universal, tmp_path / "a.count", options={"above": 254})
@@ -297,7 +299,7 @@ def test_a_format_of_another_module(f_map: Path, tmp_path: Path, fieldgrid: Run)
         assert "the format count does not take it, but --above" in refused.usage()
         for name, ending in (("count", ".other"), ("other", ".COUNT".lower()), ("tiff", ".tif")):
             with pytest.raises(ConfigError, match="registered already"):
-                register(ExportFormat(name, (ending,), "again", write_count))
+                register_export_format(ExportFormat(name, (ending,), "again", write_count))
     finally:
-        unregister("count")
+        unregister_export_format("count")
     assert dict(formats()) == before

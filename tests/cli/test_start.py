@@ -15,10 +15,7 @@ LATE = (
     "numba",
     "rosbags.convert",
     "rosbags.rosbag2",
-    "scipy.linalg",
-    "scipy.sparse",
-    "scipy.spatial",
-    "scipy.stats",
+    "scipy",
     "xml.sax",
 )
 """Packages and modules that neither a build of one drive nor a track has to have imported before

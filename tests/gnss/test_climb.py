@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from fieldgrid.fixes import Fix
-from fieldgrid.gnss import Gate
-from fieldgrid.gnss.climb import climb_mps, spoilt
+from fieldgrid.gnss import Gate, climb
+from fieldgrid.gnss.climb import climb_mps, running_median, spoilt
 from fieldgrid.settings import GateLimits
 from tests.gnss.judged import judge
 
@@ -27,6 +28,17 @@ def test_the_rate_is_that_of_the_slope(hz: int) -> None:
     k = np.arange(20 * hz)
     rate = climb_mps(k * SECOND // hz, -1.5 * k / hz)
     np.testing.assert_allclose(rate[3 * hz : -3 * hz], -1.5, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [3, 5, 21, 101])
+@pytest.mark.parametrize("count", [3, 50, 1000])
+def test_the_running_median_is_that_of_scipy(
+    size: int, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(climb, "VALUES_AT_ONCE", 700)
+    values = np.round(np.random.default_rng(size).normal(0.0, 1.0, count), 1)
+    expected = ndimage.median_filter(values, size, mode="nearest")
+    np.testing.assert_array_equal(running_median(values, size), expected)
 
 
 def test_steep_ground_and_noise_are_driven_over() -> None:

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fieldgrid import figures
+from fieldgrid.cli import app
 from fieldgrid.errors import ConfigError
 from fieldgrid.export import Selection, export_map
 from fieldgrid.lattice import Lattice
@@ -25,6 +27,7 @@ from fieldgrid.layers import (
     unregister,
 )
 from fieldgrid.mapfile import MapView, open_map
+from fieldgrid.view import layers as tiles
 from tests.mapfile.content import content
 from tests.mapfile.maps import CELL_M, DATUM, drive, write_map, write_session
 
@@ -163,6 +166,24 @@ def test_it_is_exported(tmp_path: Path) -> None:
                 found = opened.read(1)[::-1]
             seen = expected.observed
             np.testing.assert_array_equal(found[seen], expected.layer(name)[seen])
+
+
+@pytest.mark.usefixtures("registered")
+def test_it_is_shown(tmp_path: Path) -> None:
+    path = write_map(tmp_path / "map.gpkg", FIELD)
+    with open_map(path) as universal:
+        view = universal.read(layers=NAMES)
+        tile = tiles.draw_layer(view, "lowest", tiles.scale_of(universal, "lowest"))
+    assert tile is not None
+    for name in NAMES:
+        (image,) = figures.universal_grid(view, layer=name).axes[0].images
+        shown = image.get_array()
+        assert isinstance(shown, np.ma.MaskedArray)
+        np.testing.assert_array_equal(~np.ma.getmaskarray(shown), view.observed)
+        np.testing.assert_array_equal(shown.compressed(), view.layer(name)[view.observed])
+        words = ["show", str(path), "-o", str(tmp_path / f"{name}.png"), "--layer", name]
+        app(words, standalone_mode=False)
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 
 
 def test_a_map_of_before_is_read_and_repair_adds_it(tmp_path: Path) -> None:

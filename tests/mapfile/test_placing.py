@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from fieldgrid.grids import GridSpec
-from fieldgrid.lattice import TILE_CELLS, Lattice
-from fieldgrid.layers import GROUPS, FrameCells
+from fieldgrid.lattice import TILE_CELLS, Lattice, TileIndex
+from fieldgrid.layers import GROUPS, Cells, FrameCells
 from fieldgrid.mapfile import placing
-from fieldgrid.mapfile.placing import PlacedFrame, TileSquares
+from fieldgrid.mapfile.placing import (
+    RECENT_TILES,
+    PlacedFrame,
+    SessionTiles,
+    TileSquares,
+    fold_tiles,
+)
 from fieldgrid.transfer import Transfer
 from tests.mapfile.content import content
 from tests.mapfile.maps import CELL_M, drive, grid_of, pose_at, write_map
@@ -19,8 +28,8 @@ TILE_M = TILE_CELLS * CELL_M
 GROUPS_OF_ALL = tuple(GROUPS.values())
 
 
-def squares_along(heading_deg: float, tiles: int, *, from_m: float = 3.0) -> TileSquares:
-    """The squares of a row of frames through so many tiles, from the datum north or east."""
+def frames_along(heading_deg: float, tiles: int, *, from_m: float = 3.0) -> list[PlacedFrame]:
+    """A row of frames through so many tiles, from the datum north or east."""
     grid = grid_of(0, GridSpec(2.0, 4.0, CELL_M))
     poses = [
         pose_at(from_m, from_m + k * TILE_M, heading_deg)
@@ -28,14 +37,19 @@ def squares_along(heading_deg: float, tiles: int, *, from_m: float = 3.0) -> Til
         else pose_at(from_m + k * TILE_M, from_m, heading_deg)
         for k in range(tiles)
     ]
-    frames = [PlacedFrame(pose, grid.spec, lambda: FrameCells(grid, {})) for pose in poses]
+    return [PlacedFrame(pose, grid.spec, lambda: FrameCells(grid, {})) for pose in poses]
+
+
+def squares_along(heading_deg: float, tiles: int, *, from_m: float = 3.0) -> TileSquares:
+    """The squares of such a row."""
+    frames = frames_along(heading_deg, tiles, from_m=from_m)
     return TileSquares(frames, Lattice(CELL_M), Transfer.CENTRE, GROUPS_OF_ALL)
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0])
-def test_a_narrow_session_is_folded_in_one_piece(heading_deg: float) -> None:
+def test_a_small_session_is_folded_in_one_piece(heading_deg: float) -> None:
     assert len(squares_along(heading_deg, 9).places()) == 1
-    assert len(squares_along(heading_deg, 10).places()) == 2
+    assert len(squares_along(heading_deg, 10).places()) == 3  # of four tiles
 
 
 def test_squares_begin_where_the_session_does() -> None:
@@ -56,8 +70,40 @@ def test_a_session_has_the_same_tiles_however_it_is_divided(
     frames = drive(12, step_m=9.0, heading_deg=heading_deg)
     whole = write_map(tmp_path / "whole.gpkg", [frames])
     monkeypatch.setattr(placing, "BLOCK_TILES", 1)
+    monkeypatch.setattr(placing, "ALONE_TILES", 1)
     divided = write_map(tmp_path / "divided.gpkg", [frames])
     assert content(divided) == content(whole)
+
+
+def test_threads_share_the_tiles_of_one_square(monkeypatch: pytest.MonkeyPatch) -> None:
+    how = frames_along(90.0, 9), Lattice(CELL_M), Transfer.CENTRE, GROUPS_OF_ALL
+    threads, meeting = set[int](), threading.Barrier(2)
+
+    def work(tile: TileIndex, cells: Cells) -> tuple[TileIndex, bytes]:
+        threads.add(threading.get_ident())
+        if tile.tx < 2:
+            meeting.wait(30.0)
+        return tile, b"".join(cells[name].tobytes() for name in cells)
+
+    shared = list(fold_tiles(*how, work, 2))
+    monkeypatch.setattr(meeting, "wait", lambda _: 0)
+    assert len(threads) == 2
+    assert shared == list(fold_tiles(*how, work, 1))
+
+
+def test_few_tiles_stay_decoded_until_the_commit(monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[object] = []
+
+    def noted(*arguments: Any) -> Iterator[Any]:
+        for tile, cells, blobs in fold_tiles(*arguments):
+            found.append(cells)
+            yield tile, cells, blobs
+
+    monkeypatch.setattr(placing, "fold_tiles", noted)
+    frames, lattice = frames_along(90.0, 15), Lattice(CELL_M)
+    with SessionTiles.folded(frames, lattice, Transfer.CENTRE, GROUPS_OF_ALL) as tiles:
+        assert len(tiles.tiles) == len(found) == 15
+    assert len([cells for cells in found if cells is not None]) == RECENT_TILES
 
 
 def test_frames_far_apart_cost_no_squares_in_between() -> None:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import io
 import sqlite3
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 from PIL import Image
 
-from fieldgrid.lattice import TILE_CELLS, Lattice, Window
+from fieldgrid.lattice import TILE_CELLS, Lattice, TileIndex, Window
 from fieldgrid.mapfile import LAYERS, open_map, placing
+from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import TileMatrixSet
 from fieldgrid.transfer import MeanFold, mean_density
 from tests.mapfile.content import content
@@ -100,6 +103,7 @@ def test_a_drive_longer_than_the_memory_gives_the_same_map(
     there = drive(20)
     frames = [*there, *drive(20, heading_deg=37.3)[::-1], *drive(10, heading_deg=140.0)]
     monkeypatch.setattr(placing, "BLOCK_TILES", 1)
+    monkeypatch.setattr(placing, "ALONE_TILES", 1)
     monkeypatch.setattr(placing, "RECENT_FRAMES", 1)
     monkeypatch.setattr(placing, "RECENT_TILES", 0)
     path = write_map(tmp_path / "map.gpkg", [frames])
@@ -149,3 +153,45 @@ def test_what_a_killed_writer_left_for_later_is_read_all_the_same_and_filled_in_
     before = left.read_bytes()
     open_map(left, writable=True).close()
     assert left.read_bytes() == before
+
+
+def lacking(path: Path, zooms: str) -> int:
+    """Take counts from tiles of some levels above the base, as a commit does; returns how many."""
+    with open_map(path, writable=True) as universal:
+        own = universal._connection
+        taken = own.execute(
+            "DELETE FROM fieldgrid_tile WHERE channels = 'count' AND zoom < (SELECT max(zoom) "
+            f"FROM fieldgrid_tile) AND (SELECT max(zoom) FROM fieldgrid_tile) - zoom IN ({zooms})"
+        ).rowcount
+    return taken
+
+
+@pytest.mark.parametrize("zooms", ["1", "2", "3", "1, 2", "1, 3", "1, 2, 3"])
+def test_what_a_commit_left_for_later_is_filled_in_at_every_level(
+    tmp_path: Path, zooms: str
+) -> None:
+    path = write_map(tmp_path / "map.gpkg", [drive(24, step_m=12.0, heading_deg=37.3)])
+    whole = content(path, "tiles")
+    assert lacking(path, zooms) > 0
+    assert content(path, "tiles") == whole
+
+
+def test_a_tile_that_was_just_settled_is_not_decoded_for_the_one_above(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_map(tmp_path / "map.gpkg", [drive(24, step_m=12.0, heading_deg=37.3)])
+    read = Counter[tuple[int, TileIndex]]()
+
+    def counted(own: TileTables, zoom: int, tile: TileIndex, *how: Any, **more: Any) -> Any:
+        read[zoom, tile] += 1
+        return cells(own, zoom, tile, *how, **more)
+
+    cells = TileTables.cells
+    with open_map(path, datum=DATUM, cell_m=CELL_M) as universal:
+        write_session(universal, "more", drive(1))
+        monkeypatch.setattr(TileTables, "cells", counted)
+    base = max(zoom for zoom, _ in read)
+    settled = Counter(zoom for zoom, _ in read if zoom < base)
+    assert len(settled) >= 3
+    for zoom in sorted(settled)[:-1]:
+        assert max(times for (level, _), times in read.items() if level == zoom) == 1

@@ -21,9 +21,11 @@ from fieldgrid.build import build_map
 from fieldgrid.build.tracking import track_drive
 from fieldgrid.convert import convert_recording
 from fieldgrid.errors import ConfigError, NoFramesError, RecordingError
+from fieldgrid.export import export_map
 from fieldgrid.fixes import FixColumns
 from fieldgrid.inspection import inspect_recording
 from fieldgrid.localgrid import LocalGridder
+from fieldgrid.mapfile import open_map
 from fieldgrid.mounting import estimate_mount, write_estimate
 from fieldgrid.recording import (
     Drive,
@@ -45,6 +47,7 @@ from fieldgrid.recording import (
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings
 from tests.conftest import TWO_LANES
+from tests.mapfile.content import content
 from tests.recording import bags
 from tests.recording.bags import Maker
 from tests.recording.test_bag import said_of, settle
@@ -132,8 +135,19 @@ def test_a_format_is_added_in_one_file(listed: tuple[Path, Path], tmp_path: Path
     assert (
         tracked.estimate.trajectory.east_m.tobytes() == wanted.estimate.trajectory.east_m.tobytes()
     )
-    (report,) = build_map([path], tmp_path / "map.gpkg", BuildSettings())
+    datum = wanted.estimate.trajectory.datum
+    (report,) = build_map([path], tmp_path / "map.gpkg", BuildSettings(), datum=datum)
     assert (report.session, report.used) == ("june", 5)
+    build_map([folder], tmp_path / "same.gpkg", BuildSettings(), datum=datum)
+    assert content(tmp_path / "map.gpkg", "tiles") == content(tmp_path / "same.gpkg", "tiles")
+    with open_map(tmp_path / "map.gpkg", writable=True) as universal:
+        assert universal.verify(deep=True).problems == ()
+        export_map(universal, tmp_path / "map.tif")
+        whole = content(tmp_path / "map.gpkg")
+        universal.remove_session("june")
+        assert content(tmp_path / "map.gpkg", "tiles")["tiles"] == []
+        universal.restore_session("june")
+    assert content(tmp_path / "map.gpkg") == whole
     found = inspect_recording(path)
     assert (found.kind, found.frames, found.builds) == ("listed", 5, True)
     assert convert_recording(path, tmp_path / "june.mcap").topics["/gnss/fix"] == len(drive.fixes())

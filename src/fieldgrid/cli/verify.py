@@ -20,9 +20,9 @@ def command(
     scheduler: options.Scheduler = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Check that a map is undamaged, by the sums that it stores of its rows.
+    """Check that a map is undamaged, by the checksums that it stores.
 
-    With --deep, or if a sum does not match, the evidence is checked against its hashes, and
+    With --deep, or if a checksum does not match, the evidence is checked against its hashes, and
     everything else is rebuilt from it and compared. Exit status 1 if something is wrong.
 
     Examples:

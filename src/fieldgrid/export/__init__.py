@@ -12,8 +12,8 @@ from fieldgrid.export.registry import (
     export_map,
     format_of,
     formats,
-    register,
-    unregister,
+    register_export_format,
+    unregister_export_format,
 )
 from fieldgrid.export.selection import Selection
 
@@ -27,6 +27,6 @@ __all__ = [
     "export_map",
     "format_of",
     "formats",
-    "register",
-    "unregister",
+    "register_export_format",
+    "unregister_export_format",
 ]

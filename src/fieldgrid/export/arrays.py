@@ -22,7 +22,7 @@ import numpy.typing as npt
 from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.georeference import extent
-from fieldgrid.export.registry import Exported, ExportFormat, register
+from fieldgrid.export.registry import Exported, ExportFormat, register_export_format
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.tables import datum_values
 from fieldgrid.export.zarr_folder import zarr_folder
@@ -338,7 +338,7 @@ def _is_zarr(folder: Path) -> bool:
     )
 
 
-register(
+register_export_format(
     ExportFormat(
         "npz",
         (".npz",),

@@ -22,7 +22,7 @@ from fieldgrid.export.raster import (
     painted,
     plane_of,
 )
-from fieldgrid.export.registry import Exported, ExportFormat, register
+from fieldgrid.export.registry import Exported, ExportFormat, register_export_format
 from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import MEANING, Change, ChangeView, Readable
 from fieldgrid.publish import replacing
@@ -127,7 +127,7 @@ def _with_overviews(raster: Raster, levels: Sequence[Path]) -> Path:
     return virtual
 
 
-register(
+register_export_format(
     ExportFormat(
         "geotiff",
         (".tif", ".tiff"),

@@ -21,7 +21,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.clipping import at, stretches_inside
 from fieldgrid.export.georeference import extent
-from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
@@ -259,7 +259,7 @@ def _kml(name: str) -> str:
     return f"{{{_KML}}}{name}"
 
 
-register(
+register_export_format(
     ExportFormat(
         "kmz",
         (".kmz",),

@@ -22,7 +22,7 @@ from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.overviews import write_overviews
 from fieldgrid.export.plane import PixelPlane, warped
 from fieldgrid.export.raster import Raster, painted
-from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import LAYERS, Readable
 from fieldgrid.publish import mentions, replacing
@@ -243,7 +243,7 @@ def _metadata(
     ]
 
 
-register(
+register_export_format(
     ExportFormat(
         "mbtiles",
         (".mbtiles",),

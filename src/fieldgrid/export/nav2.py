@@ -20,7 +20,7 @@ from fieldgrid.array_types import Int64, UInt8
 from fieldgrid.cost import OCCUPIED, UNKNOWN_OCCUPANCY
 from fieldgrid.errors import ConfigError, MapExistsError
 from fieldgrid.export.georeference import extent, georeference
-from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.speed import SpeedCells, SpeedOptions, filter_parameters, speed_mask
 from fieldgrid.export.tiles import Whole, cut, whole_of
@@ -357,7 +357,7 @@ def _counted(counts: Int64) -> dict[str, Any]:
     return dict(zip(kinds, counts.tolist(), strict=True))
 
 
-register(
+register_export_format(
     ExportFormat(
         "nav2",
         _ENDINGS,

@@ -9,7 +9,7 @@ from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.options import PlaneOptions
 from fieldgrid.export.plane import PixelPlane
 from fieldgrid.export.raster import Raster, is_ours, painted
-from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.together import write_together
 from fieldgrid.mapfile import Readable
@@ -107,7 +107,7 @@ def _check_size(plane: PixelPlane) -> None:
         )
 
 
-register(
+register_export_format(
     ExportFormat(
         "png",
         (".png",),

@@ -16,7 +16,7 @@ from fieldgrid.array_types import Bool, Float32, Float64, UInt8, UInt32
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.georeference import extent
 from fieldgrid.export.options import ObstacleOptions
-from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import MapFile, MapView
 from fieldgrid.publish import mentions, replacing
@@ -223,7 +223,7 @@ def _ply_header(universal: MapFile, count: int) -> bytes:
     return "".join(f"{line}\n" for line in lines).encode("ascii")
 
 
-register(
+register_export_format(
     ExportFormat(
         "las",
         (".las", ".laz"),

@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Element
 
 from fieldgrid import palette, qgis
 from fieldgrid.errors import ConfigError, quoted
-from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
 from fieldgrid.lattice import Bounds, check_inside
 from fieldgrid.mapfile import MapFile
@@ -215,7 +215,7 @@ def _relative(map_path: Path, folder: Path) -> str:
     return text if text.startswith("../") else f"./{text}"
 
 
-register(
+register_export_format(
     ExportFormat(
         "qgz",
         (".qgz",),

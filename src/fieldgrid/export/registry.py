@@ -2,13 +2,13 @@
 
 A module of another package can add one::
 
-    from fieldgrid.export import Exported, Format, register
+    from fieldgrid.export import Exported, ExportFormat, register_export_format
 
     def write(universal, path, selection, options, *, overwrite):
         ...
         return Exported((path,))
 
-    register(Format("mine", (".mine",), "what it is", write))
+    register_export_format(ExportFormat("mine", (".mine",), "what it is", write))
 
 and is found when its distribution has an entry point of the group `fieldgrid.formats`. The flags
 of `fieldgrid export`, its help, its errors and `docs/exports.md` follow from the declarations.
@@ -116,7 +116,7 @@ class ExportFormat(NamedTuple):
 _formats: dict[str, ExportFormat] = {}
 
 
-def register(*formats: ExportFormat) -> None:
+def register_export_format(*formats: ExportFormat) -> None:
     """Add formats. ConfigError for a name or an ending that is taken."""
     for one in formats:
         others = [known for known in _formats.values() if set(known.endings) & set(one.endings)]
@@ -128,7 +128,7 @@ def register(*formats: ExportFormat) -> None:
         _formats[one.name] = one
 
 
-def unregister(name: str) -> None:
+def unregister_export_format(name: str) -> None:
     """Take a format out again."""
     del _formats[name]
 

@@ -9,7 +9,7 @@ from fieldgrid.errors import ConfigError
 from fieldgrid.export import foxglove_messages
 from fieldgrid.export.bag_content import BagContent, messages
 from fieldgrid.export.options import CurveOptions
-from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.tiles import MESSAGE_CELLS
 from fieldgrid.export.vector import FeatureOptions, geojson_text
@@ -141,7 +141,7 @@ def _write(writer: McapWriter | BagFolderWriter | Ros1BagWriter, content: BagCon
     return count
 
 
-register(
+register_export_format(
     ExportFormat(
         "mcap",
         (".mcap",),

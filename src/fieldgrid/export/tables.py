@@ -18,7 +18,7 @@ import numpy as np
 
 from fieldgrid.array_types import AnyArray, Float64
 from fieldgrid.errors import ConfigError
-from fieldgrid.export.registry import Exported, ExportFormat, register
+from fieldgrid.export.registry import Exported, ExportFormat, register_export_format
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.together import write_together
 from fieldgrid.geodesy import Datum
@@ -236,7 +236,7 @@ def _csvw(path: Path, universal: MapFile, selection: Selection) -> dict[str, Any
     }
 
 
-register(
+register_export_format(
     ExportFormat(
         "csv",
         (".csv",),

@@ -21,7 +21,7 @@ from fieldgrid.cost import LEAST_SEEN
 from fieldgrid.errors import ConfigError, printable
 from fieldgrid.export.features import feature_layers
 from fieldgrid.export.guidance import NAME, Points, TaskdataOptions, drive_groups, lane_groups
-from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
@@ -379,7 +379,7 @@ def _write(folder: Path, field: Any, grid: ZoneGrid) -> None:
     isoxml_to_dir(folder, document, {"GRD00001": content})
 
 
-register(
+register_export_format(
     ExportFormat(
         "isoxml",
         ("taskdata", "taskdata.zip"),

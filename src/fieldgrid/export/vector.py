@@ -19,7 +19,7 @@ from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.features import LAYERS, feature_layers
 from fieldgrid.export.options import QuadtreeOptions, ShapeOptions
-from fieldgrid.export.registry import Exported, ExportFormat, Holds, register
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import MapFile
@@ -325,7 +325,7 @@ _SHARED: Any = {
     "limits": "5·10^7 obstacle cells",
 }
 
-register(
+register_export_format(
     ExportFormat(
         "geojson",
         (".geojson", ".json"),

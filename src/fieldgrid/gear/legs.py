@@ -8,10 +8,10 @@ turn at each cut, by what gyro and wheels saw, and by the habit of driving forwa
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-import scipy.special
 
 from fieldgrid.angles import heading_deg, wrap_deg
 from fieldgrid.array_types import Bool, Float64, Int64
@@ -57,6 +57,9 @@ TURNED_TWICE_COST = 1.5
 
 SWITCH_COST, GAP_SWITCH_COST, TURN_COST_CAP = 2.0, 4.0, 12.0
 """In nats: for a change of gear, for one that nobody saw, and the most that a turn can cost."""
+
+_SURE = 700.0
+"""Nats beyond which nothing is in doubt, and whose exponential is a number still."""
 
 REVERSE_M_PER_NAT = 5.0
 """Metres of reverse that are as unlikely, to start with, as one nat."""
@@ -348,6 +351,6 @@ def _likeliest(forward: Float64, joins: list[_Join]) -> tuple[Int64, Float64, Bo
     driven = np.logaddexp(total[:, 0], total[:, 1]) >= every + np.log(0.5)
     at = np.maximum.accumulate(np.where(driven, np.arange(n), 0))
     gear = np.where(odds >= 0.0, 1, -1).astype(np.int64)[at]
-    doubt = scipy.special.expit(-np.abs(odds[at]))
+    doubt = np.array([1.0 / (1.0 + math.exp(min(abs(one), _SURE))) for one in odds[at].tolist()])
     other = np.exp(np.where(gear > 0, total[:, 1], total[:, 0]) - every)
     return gear, np.where(driven, doubt, np.maximum(doubt, other)), driven

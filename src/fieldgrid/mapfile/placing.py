@@ -11,6 +11,7 @@ import threading
 from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from functools import reduce
+from itertools import chain, count
 from typing import NamedTuple, TypeVar
 
 from fieldgrid.array_types import UInt64
@@ -33,12 +34,13 @@ from fieldgrid.workers.order import in_order
 
 _Result = TypeVar("_Result")
 
-BLOCK_TILES = 3
-"""Side of the square of tiles that is folded at a time. It takes up to 90 MB with cells of 5 cm,
+BLOCK_TILES, ALONE_TILES = 2, 9
+"""Side of the square of tiles that is folded at a time. It takes up to 40 MB with cells of 5 cm,
 however many frames there are. Heights of the terrain take up to half a kilobyte of that for each
-block, so that it is up to 400 MB where a block is a single cell, which then is 0.13 m or more.
+block, so that it is up to 180 MB where a block is a single cell, which then is 0.13 m or more.
 A session that is narrower is folded in longer rectangles of no more tiles: a frame that falls into
-two of them is carried over twice."""
+two of them is carried over twice. One that has no more than `ALONE_TILES` is folded at once, and
+then no other square is under way beside it."""
 
 RECENT_FRAMES, RECENT_TILES = 32, 8
 """What is kept decoded, because the next block or the commit is likely to want it."""
@@ -65,7 +67,11 @@ def fold_tiles(
     The tiles come square by square, so that the memory taken does not depend on the session.
     """
     squares = TileSquares(frames, lattice, transfer, groups)
-    for results in in_order(lambda place: squares.fold(place, work), squares.places(), jobs):
+    places = squares.places()
+    if len(places) == 1:
+        yield from squares.fold(places[0], work, jobs)
+        return
+    for results in in_order(lambda place: squares.fold(place, work), places, jobs):
         yield from results
 
 
@@ -100,7 +106,10 @@ class TileSquares:
         )
 
     def fold(
-        self, place: tuple[int, int], work: Callable[[TileIndex, Cells], _Result]
+        self,
+        place: tuple[int, int],
+        work: Callable[[TileIndex, Cells], _Result],
+        jobs: int | None = 1,
     ) -> list[_Result]:
         """What `work` makes of each tile of a square that the frames observed; from any thread."""
         y, x = place
@@ -117,10 +126,13 @@ class TileSquares:
         fold = WindowFold(lattice, window, transfer, groups)
         for k in inside:
             fold.add(self._recent.cells(k), self._frames[k].pose)
-        found = (
-            (tile, fold.cells(tile_window(tile), whole_blocks=True)) for tile in window.tiles()
-        )
-        return [work(tile, cells) for tile, cells in found if cells["weight"].any()]
+        fold.finish()
+
+        def made(tile: TileIndex) -> list[_Result]:
+            cells = fold.cells(tile_window(tile), whole_blocks=True)
+            return [work(tile, cells)] if cells["weight"].any() else []
+
+        return list(chain.from_iterable(in_order(made, window.tiles(), jobs)))
 
 
 def _tiles_under(windows: Sequence[Window]) -> Window:
@@ -134,10 +146,13 @@ def _tiles_under(windows: Sequence[Window]) -> Window:
 
 
 def _square_of(whole: Window) -> tuple[int, int]:
-    """Width and height in cells of what is folded at a time, of a session's whole tiles: as many
-    tiles as a square of `BLOCK_TILES` has, in the shape of the session where that is narrower."""
+    """Width and height in cells of what is folded at a time, of a session's whole tiles: all of
+    few, else as many as a square of `BLOCK_TILES` has, in the shape of the session where that is
+    narrower."""
     most = BLOCK_TILES**2
     across, along = whole.width // TILE_CELLS, whole.height // TILE_CELLS
+    if 0 < across * along <= ALONE_TILES:
+        return whole.width, whole.height
     width = min(max(across, 1), max(BLOCK_TILES, most // max(along, 1)))
     return width * TILE_CELLS, most // width * TILE_CELLS
 
@@ -174,7 +189,7 @@ class SessionTiles(Closing):
     def __init__(self, groups: Sequence[ChannelGroup], lattice: Lattice) -> None:
         self._groups, self._block = groups, block_side(lattice)
         self._lock = threading.Lock()
-        self._recent: OrderedDict[TileIndex, Cells] = OrderedDict()
+        self._recent: dict[TileIndex, Cells] = {}
         self._database = sqlite3.connect("", isolation_level=None, check_same_thread=False)
         # Nothing here outlives an error, so nothing needs to be undone or synced.
         self._database.execute("PRAGMA journal_mode = OFF")
@@ -193,10 +208,14 @@ class SessionTiles(Closing):
         jobs: int | None = None,
     ) -> SessionTiles:
         """Place the accepted frames of a session."""
-        made = cls(groups, lattice)
+        made, numbers = cls(groups, lattice), count()
 
-        def encode(tile: TileIndex, cells: Cells) -> tuple[TileIndex, Cells, dict[str, bytes]]:
-            return tile, cells, encoded_of_session(groups, cells)
+        def encode(
+            tile: TileIndex, cells: Cells
+        ) -> tuple[TileIndex, Cells | None, dict[str, bytes]]:
+            # Decoded, the tiles of the squares under way would take most of the memory of a build.
+            kept = cells if next(numbers) < RECENT_TILES else None
+            return tile, kept, encoded_of_session(groups, cells)
 
         try:
             for tile, cells, blobs in fold_tiles(frames, lattice, transfer, groups, encode, jobs):
@@ -213,7 +232,7 @@ class SessionTiles(Closing):
             [(*tile, name, blob) for name, blob in blobs.items()],
         )
         self.tiles.add(tile)
-        if cells is not None and len(self._recent) < RECENT_TILES:
+        if cells is not None:
             self._recent[tile] = cells
 
     def blobs(self, tile: TileIndex) -> dict[str, bytes]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import NamedTuple
@@ -33,6 +34,10 @@ from fieldgrid.workers.order import in_order
 
 _NO_BLOBS: Mapping[str, bytes] = {}
 _SHAPE = (TILE_CELLS, TILE_CELLS)
+
+_SETTLED_TILES = 2
+"""Of each level what the level above it need not decode again: as many as a small session touches.
+With all channels they take up to 20 MB each."""
 
 
 class _Encoded(NamedTuple):
@@ -126,21 +131,24 @@ class Pyramid:
 
     def settle(self) -> None:
         """Add to the tiles above the base what a commit has left for later."""
+        settled: dict[int, dict[TileIndex, Cells]] = defaultdict(dict)
         for zoom, rows in groupby(self._tables.unsettled(), key=lambda row: row[0]):
+            below = settled.pop(zoom + 1, {})
 
             def complete(
-                row: tuple[int, TileIndex, set[str]],
-            ) -> tuple[int, TileIndex, dict[str, bytes]]:
+                row: tuple[int, TileIndex, set[str]], below: Mapping[TileIndex, Cells] = below
+            ) -> tuple[TileIndex, Cells, dict[str, bytes]]:
                 level, tile, has = row
-                cells = self._tables.cells(level, tile)
+                cells = self._tables.cells(level, tile, known=below)
                 assert cells is not None
                 kept = self._tables.kept(self._base - level)
                 lacking = [group for group in kept if group.name not in has]
-                return level, tile, encode_groups(lacking, cells, base=False)
+                return tile, cells, encode_groups(lacking, cells, base=False)
 
-            for level, tile, blobs in in_order(complete, list(rows), self._jobs):
-                assert level == zoom
-                self._tables.add_groups(level, tile, blobs)
+            for tile, cells, blobs in in_order(complete, list(rows), self._jobs):
+                self._tables.add_groups(zoom, tile, blobs)
+                if len(settled[zoom]) < _SETTLED_TILES:
+                    settled[zoom][tile] = cells
 
     def _changed(
         self, session_id: int, tile: TileIndex, leaving: Cells | None, joining: Cells | None

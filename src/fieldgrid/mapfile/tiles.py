@@ -6,6 +6,7 @@ import json
 import sqlite3
 import threading
 from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ from fieldgrid.mapfile.tiling import TileMatrixSet, children
 
 _FARTHEST = 1 << 31
 """Beyond the places of all tiles."""
+
+_NONE_KNOWN: Mapping[TileIndex, Cells] = MappingProxyType({})
 
 
 class TileTables:
@@ -89,9 +92,14 @@ class TileTables:
         return [(_index(ty, tx), session_id) for ty, tx, session_id in rows]
 
     def cells(
-        self, zoom: int, tile: TileIndex, groups: Sequence[ChannelGroup] | None = None
+        self,
+        zoom: int,
+        tile: TileIndex,
+        groups: Sequence[ChannelGroup] | None = None,
+        known: Mapping[TileIndex, Cells] = _NONE_KNOWN,
     ) -> Cells | None:
-        """The channels of a tile over all sessions; None when nothing was observed there."""
+        """The channels of a tile over all sessions; None when nothing was observed there. `known`
+        has tiles of the level below, which are not read again."""
         rows = self.rows(
             "SELECT channels, data FROM fieldgrid_tile WHERE zoom = ? AND ty = ? AND tx = ?",
             (zoom, *tile),
@@ -106,7 +114,7 @@ class TileTables:
         found = dict(decode_groups(stored, blobs, what, base=levels == 0, block=block))
         if len(stored) < len(wanted):
             later = [group for group in wanted if group not in stored]
-            found.update(self.above(zoom, tile, later))
+            found.update(self.above(zoom, tile, later, known=known))
         return Cells(found, 1 << 2 * levels, block)
 
     def observed(self, tile: TileIndex) -> Box:
@@ -136,11 +144,12 @@ class TileTables:
         groups: Sequence[ChannelGroup],
         before: Cells | None = None,
         below: Mapping[TileIndex, Cells | None] | None = None,
+        known: Mapping[TileIndex, Cells] = _NONE_KNOWN,
     ) -> Cells:
         """A tile of a level above the base, whose quadrants follow from the tiles below it.
 
         `below` has those that changed since `before`, None for one that is gone; without it all
-        four are read.
+        four are read, but for those `known`.
         """
         if below is None:
             # Derived groups follow from others of the base.
@@ -148,7 +157,10 @@ class TileTables:
             sources = {name for group in groups for name in group.follows_from if first}
             others = (group for group in self.groups if group.name in sources)
             wanted = tuple(dict.fromkeys((self.groups[0], *others, *groups)))
-            below = {child: self.cells(zoom + 1, child, wanted) for child in children(tile)}
+            below = {
+                child: known[child] if child in known else self.cells(zoom + 1, child, wanted)
+                for child in children(tile)
+            }
         levels = self.matrices.base_zoom - zoom
         block = self.block(levels)
         arrays = dict[str, UInt64]()

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fieldgrid.grids import GridSpec
 
 _GRID = Flag("--grid", "WxL", "x", "local grid in metres: across and ahead")
-_SLICE = Flag("--slice", "BOTTOM:TOP", ":", "metres above the local ground that are looked at")
+_SLICE = Flag("--slice", "BOTTOM:TOP", ":", "heights above the local ground that count, metres")
 
 
 class GridSettings(Settings):
@@ -63,7 +63,7 @@ class StereoSettings(Settings):
     )
     row_step: int = setting(
         1,
-        "2 matches the means of each two image rows, in half the time, for a little precision",
+        "2 matches the means of pairs of image rows: in half the time, slightly less precise",
         flag=Flag("--row-step", "1|2"),
         ge=1,
         le=2,
