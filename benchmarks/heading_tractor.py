@@ -12,8 +12,10 @@ reverse. Next to neutral it tells nothing, and neither does it while the vehicle
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -353,3 +355,24 @@ def report_harmed() -> Iterator[str]:
                 yield f"{harm.name:<34} {log.name}: {problem}"
         if many:
             yield _line(harm.name, pool(many))
+        if harm.hole_s and harm.every_s <= OFTEN_S:
+            yield _beside_holes_line(originals, harm)
+
+
+OFTEN_S = 10.0
+"""Holes that come so often leave little between them."""
+
+
+def _beside_holes_line(originals: Sequence[Log], harm: Harm) -> str:
+    """What is accepted between the holes while moving, in all and by the time since a hole."""
+    accepted, since_s = [], []
+    for log in originals:
+        one = harmed(log, harm)
+        with suppress(GnssError):
+            found = measure(one)
+            accepted.append(found.moving.accepted)
+            since_s.append((found.time_ns - log.time_ns[0]) / 1e9 % harm.every_s - harm.hole_s)
+    used, at_s = np.concatenate(accepted), np.concatenate(since_s)
+    edges = np.linspace(0.0, harm.every_s - harm.hole_s, 5)
+    shares = [percent(used[(at_s >= low) & (at_s < high)].mean()) for low, high in pairwise(edges)]
+    return f"{'':<34}between the holes {percent(used.mean())}; by its quarters {', '.join(shares)}"

@@ -14,7 +14,7 @@ from fieldgrid.pose.nodes import Nodes
 from fieldgrid.rig import Carrier, LeverArm
 from fieldgrid.settings import GearSpan, PoseSettings
 from tests.scenes import paper_rig
-from tests.simulated import DATUM, Command, fixes_of, gyro_of, simulate, steps_of
+from tests.simulated import DATUM, SLALOM, Command, fixes_of, gyro_of, simulate, steps_of
 
 
 @pytest.mark.parametrize("hz", [1, 5, 20])
@@ -69,6 +69,20 @@ def test_gears_that_the_user_names_are_not_denied() -> None:
         for spans in ((), (span,))
     ]
     assert accepted[0].sum() < accepted[1].sum()
+
+
+@pytest.mark.parametrize(("shift_s", "noted"), [(0.0, False), (60.0, True), (-90.0, True)])
+def test_known_gears_of_another_time_are_told(shift_s: float, noted: bool) -> None:
+    """A file of local times, say."""
+    drive = simulate(SLALOM, 35.0)
+    fixes = fixes_of(drive, 1.0, 0.01)
+    first, shift_ns = int(fixes.time_ns[0]), round(shift_s * 1e9)
+    span = GearSpan(
+        start_ns=first + shift_ns, stop_ns=first + shift_ns + 10**10, gear=GearName.FORWARD
+    )
+    settings = PoseSettings(quality=4, accuracy_m=0.02, gear_spans=(span,))
+    notes = estimate_poses(fixes, Carrier(0.0), DATUM, settings).report.notes
+    assert any("known gears are all of a time before or after" in note for note in notes) == noted
 
 
 def test_the_shorter_stretch_beside_such_a_hole_is_in_doubt() -> None:

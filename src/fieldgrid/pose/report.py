@@ -31,6 +31,7 @@ from fieldgrid.rig import Rig, VehicleGeometry
 from fieldgrid.settings import PoseSettings
 from fieldgrid.smoother import Constant
 from fieldgrid.trajectory import Trajectory
+from fieldgrid.utc import utc_text
 
 GOOD_FIX_M = 0.05
 """To say that fixes are better than this admits no more headings."""
@@ -148,6 +149,7 @@ def drive_notes(
 ) -> Iterator[str]:
     """Remarks on a drive, a sentence each; `rig` as it was declared."""
     yield from _constant_note(source, drive, settings)
+    yield from _gear_note(settings, fixes)
     yield from _leap_note(fixes)
     yield from clock_notes(clock)
     if yaw is not None:
@@ -172,6 +174,17 @@ def _constant_note(
         yield (
             f"The constant heading {source.constant_deg:g}° is more than 10° off the drive's own "
             f"in {100.0 * share:.0f} % of it (median {np.median(off):.0f}°)."
+        )
+
+
+def _gear_note(settings: PoseSettings, fixes: AcceptedFixes) -> Iterator[str]:
+    """That the gears that the user knows are those of another time."""
+    first_ns, last_ns = (int(ns) for ns in fixes.time_ns[[0, -1]])
+    spans = settings.gear_spans
+    if spans and all(one.stop_ns < first_ns or one.start_ns > last_ns for one in spans):
+        yield (
+            "The known gears are all of a time before or after this drive, and were not used; "
+            f"their times are UTC, and it lasts from {utc_text(first_ns)} to {utc_text(last_ns)}."
         )
 
 
