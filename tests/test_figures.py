@@ -855,11 +855,13 @@ def test_an_earlier_figure_is_replaced_but_not_by_a_wrong_one(tmp_path: Path) ->
     assert sorted(tmp_path.iterdir()) == [path, notes]
 
 
-@pytest.mark.parametrize("place", ["", "not/x.png"])
+@pytest.mark.parametrize("place", ["folder.png", "not/x.png"])
 def test_a_figure_that_cannot_be_written(place: str, tmp_path: Path) -> None:
+    folder = tmp_path / "folder.png"
+    folder.mkdir()
     with pytest.raises(MapError, match=r"is a folder; give the name|its folder does not exist"):
         figures.save(figures.heading([]), tmp_path / place)
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.rglob("*")) == [folder]
 
 
 def test_no_window_system_is_touched() -> None:

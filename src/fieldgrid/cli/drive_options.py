@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from fieldgrid.cli.groups import FieldsOf
+from fieldgrid.errors import ConfigError
 
 if TYPE_CHECKING:
     from fieldgrid.recording import DriveOptions
@@ -84,7 +85,7 @@ class DriveFlags(NamedTuple):
     def options(self, columns: str | None = None) -> DriveOptions:
         """The same as `open_drive` takes it, with what `--columns` says; a usage error for what
         is none."""
-        from fieldgrid.recording import DriveOptions, columns_from_text, epoch_s
+        from fieldgrid.recording import DriveOptions, columns_from_text
 
         topics: dict[str, str] = {}
         for text in self.topic or []:
@@ -104,8 +105,17 @@ class DriveFlags(NamedTuple):
             self.mounting,
             _nanoseconds(self.time_offset, "--time-offset"),
             _nanoseconds(self.gnss_offset, "--gnss-offset"),
-            epoch_ns=None if self.epoch is None else epoch_s(self.epoch, "--epoch") * 10**9,
+            epoch_ns=None if self.epoch is None else _moment_ns(self.epoch, "--epoch"),
         )
+
+
+def _moment_ns(text: str, flag: str) -> int:
+    from fieldgrid.recording import epoch_s
+
+    try:
+        return epoch_s(text, "the moment") * 10**9
+    except ConfigError as error:
+        raise typer.BadParameter(str(error), param_hint=flag) from error
 
 
 def _nanoseconds(offset_s: float | None, flag: str) -> int | None:
