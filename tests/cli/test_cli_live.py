@@ -20,6 +20,7 @@ import pytest
 import typer
 
 from fieldgrid.cli.live_signals import kept_when_interrupted
+from fieldgrid.live import live_folder
 from fieldgrid.mapfile import open_map
 from fieldgrid.recording import open_recording
 from tests.cli.conftest import Run, in_a_process
@@ -284,6 +285,33 @@ def test_a_session_to_which_no_frame_came_leaves_nothing(drive: Path, tmp_path: 
     assert ended.returncode == 1, ended.stderr
     assert ended.stderr.endswith("kept; check where the images come from.\n")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_fixes_to_which_no_frame_came_are_kept(drive: Path, tmp_path: Path) -> None:
+    """A recording may have the frames."""
+    folder, out = empty_copy(drive, tmp_path / "row"), tmp_path / "m.gpkg"
+    with subprocess.Popen(
+        in_a_process("live", "-o", out, "--images", folder, "--gnss", "-", "--json"),
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as process:  # fmt: skip
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdin.write((drive / "gnss" / "gnss_rtk.nmea").read_bytes())
+        process.stdin.close()
+        assert any(b"The receiver at - has come to its end." in line for line in process.stdout)
+        os.kill(process.pid, signal.SIGTERM)
+        said = process.stderr.read().decode()
+    assert process.returncode == 1
+    assert "has no frame" in said
+    assert "--finish-from RECORDING builds it" in said
+    assert live_folder(out).exists()
+    done = subprocess.run(
+        in_a_process("live", "-o", out, "--finish-from", drive), check=False, timeout=240
+    )
+    assert done.returncode == 0
+    with open_map(out) as universal:
+        assert universal.read().observed.any()
 
 
 def test_a_session_without_a_frame_that_was_killed_is_not_finished(

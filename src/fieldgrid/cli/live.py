@@ -252,11 +252,13 @@ def _drive(
 
 
 def _refuse_frameless(live: Live) -> None:
-    """End a session to which no frame ever came, as where a camera's address is wrong: what it
-    began would only be in the way of the next one."""
+    """End a session to which neither a frame nor a fix ever came, as where an address is wrong:
+    what it began would only be in the way of the next one. Fixes are kept, since a recording may
+    have the frames."""
     live.drain()
     counts = live.counts
-    if not live.is_resumed and not (counts.frames + counts.dropped + counts.late + counts.bad):
+    came = counts.frames + counts.dropped + counts.late + counts.bad + counts.fixes
+    if not live.is_resumed and not came:
         live.close()
         raise ConfigError(
             f"No frame came, so there is no map of the session {live.name!r}, and nothing of it is "
