@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import resource
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -23,6 +22,7 @@ from unittest.mock import patch
 import numpy as np
 
 from benchmarks import EXAMPLE
+from benchmarks.peak import peak_mb
 from fieldgrid.align import MapAlignment, align_map, pairs, score
 from fieldgrid.align.submaps import cut, draw
 from fieldgrid.build import build_map
@@ -406,7 +406,7 @@ def many(folder: Path, sessions: int, frames: int) -> None:
         print(
             f"\n{sessions} sessions of {frames} frames: {time.perf_counter() - wall:.0f} s, "
             f"{time.process_time() - start:.0f} s of processor time, peak "
-            f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB; "
+            f"{peak_mb():.0f} MB; "
             f"{sum(pair.doubt is None for pair in found.pairs)} of {len(found.pairs)} pairs agree"
         )
     universal.close()

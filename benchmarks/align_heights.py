@@ -8,11 +8,11 @@ What the drives saw is made: the ground of each submap of 8 m, with the error of
 from __future__ import annotations
 
 import argparse
-import resource
 import time
 
 import numpy as np
 
+from benchmarks.peak import peak_mb
 from fieldgrid.align import heights
 from fieldgrid.align.drives import Role, SubmapDrive
 from fieldgrid.align.submaps import SUBMAP_M
@@ -84,7 +84,7 @@ def main() -> None:
         f"{count} submaps of {given.drives} drives, {count * SUBMAP_M / 1000:.0f} km, "
         f"{len(submap) / 1e6:.1f} M heights, {shared / 1e6:.1f} M times two submaps share ground "
         f"(at most {heights.MOST_SHARED / 1e6:.0f}): {spent_s:.1f} s of processor time, peak "
-        f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB; "
+        f"{peak_mb():.0f} MB; "
         f"{1000.0 * left_m.std():.1f} mm left between them"
     )
 

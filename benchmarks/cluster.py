@@ -12,7 +12,6 @@ machine is printed beside it. The first round compiles.
 from __future__ import annotations
 
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -23,6 +22,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from benchmarks.peak import peak_mb
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -115,8 +116,7 @@ def main(path: Path, rounds: int, what: str) -> None:
             f"workers of Dask {one / dask:.2f} x; these beside two threads "
             f"{100 * (dask / two - 1):+.0f} % (asked +10 %)"
         )
-    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    print(f"peak memory of this program {peak_mb:.0f} MB")
+    print(f"peak memory of this program {peak_mb():.0f} MB")
 
 
 if __name__ == "__main__":

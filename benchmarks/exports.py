@@ -8,7 +8,6 @@ does one of it and prints the seconds and the peak memory in MB.
 from __future__ import annotations
 
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -21,6 +20,7 @@ import numpy as np
 import rasterio
 
 from benchmarks.lasting import Line
+from benchmarks.peak import peak_mb
 from benchmarks.synthetic import DATUM, full_grid, pose_at
 from fieldgrid.array_types import UInt64
 from fieldgrid.export import Selection, export_geotiff
@@ -160,4 +160,4 @@ if __name__ == "__main__":
         seconds = _export(source, out)
     else:
         seconds = _write(source, out, "COG" if wanted == "plain" else "GTiff")
-    print(seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
+    print(seconds, peak_mb())

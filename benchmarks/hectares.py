@@ -9,11 +9,11 @@ the frames of the example see two fifths of the ground. A build says after each 
 
 from __future__ import annotations
 
-import resource
 import sys
 import time
 from pathlib import Path
 
+from benchmarks.peak import peak_mb
 from benchmarks.synthetic import DATUM, real_grids, rows
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import create_map, open_map
@@ -62,7 +62,7 @@ def verify(path: Path) -> str:
 
 
 def _peak_mb() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return peak_mb()
 
 
 if __name__ == "__main__":

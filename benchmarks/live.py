@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import math
 import multiprocessing
-import resource
 import tempfile
 import time
 from collections.abc import Callable
@@ -22,6 +21,7 @@ import numpy as np
 
 from benchmarks import EXAMPLE
 from benchmarks.live_cropped import cropped
+from benchmarks.peak import peak_mb
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64
 from fieldgrid.attitude import Attitude
@@ -380,11 +380,10 @@ def measure(name: str, folder: Path, log: str | None, rate: float | None, row_st
         with SessionFolder(Path(place) / "map.gpkg", None) as kept:
             times = kept.staged().times
     frame_ms = 1e3 * (times.decode_s + times.match_s + times.grid_s + times.odometry_s)
-    memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     print(
         f"{name:<30}{counts.frames:>6}{counts.dropped:>9}{shown(to_grid):>18}"
         f"{shown(list(to_map.values())):>20}{len(waited):>8}{spent_s / took_s:>9.2f} cores"
-        f"{memory_mb:>6.0f} MB{frame_ms / max(counts.frames, 1):>20.0f} ms"
+        f"{peak_mb():>6.0f} MB{frame_ms / max(counts.frames, 1):>20.0f} ms"
     )
 
 

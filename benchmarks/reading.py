@@ -23,6 +23,7 @@ import numpy as np
 
 from benchmarks import EXAMPLE
 from benchmarks.long_drive import write_long_drive
+from benchmarks.peak import peak_mb
 from benchmarks.rectified import VINEYARD, raw_drive
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.recording import Recording, open_recording
@@ -165,10 +166,7 @@ def peak_of_reading_mb(path: Path) -> float:
     with _opened(path) as drive:
         for frame in drive.frames():
             frame.images()
-    # Not ru_maxrss: that of a new process begins with the peak of the one that started it.
-    status = Path("/proc/self/status").read_text()
-    (peak,) = (line.split()[1] for line in status.splitlines() if line.startswith("VmHWM"))
-    return int(peak) / 1024.0
+    return peak_mb()
 
 
 def _opened(path: Path) -> Recording:

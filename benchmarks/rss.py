@@ -6,11 +6,11 @@ line: that they do not match the fixes is accepted.
 
 from __future__ import annotations
 
-import resource
 import sys
 import time
 from pathlib import Path
 
+from benchmarks.peak import peak_mb
 from fieldgrid.build import build_map
 from fieldgrid.settings import resolve
 
@@ -19,4 +19,4 @@ if __name__ == "__main__":
     settings = resolve(None, {"checks": {"accept": ["frames-misplaced"]}})
     build_map([Path(sys.argv[1])], Path(sys.argv[2]), settings)
     seconds = time.perf_counter() - start
-    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, seconds)
+    print(peak_mb(), seconds)

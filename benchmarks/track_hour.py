@@ -8,9 +8,6 @@ command itself over four hours without a gyro and GST, 144,000 fixes: its proces
 from __future__ import annotations
 
 import datetime
-import resource
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -20,6 +17,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.peak import used_by
 from benchmarks.sentences import checksum
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import condition
@@ -73,22 +71,9 @@ def measure_fixes(hours: float = 4.0) -> tuple[float, float]:
         log = folder / "drive.nmea"
         lines = (folder / "gnss" / "rtk.nmea").read_bytes().splitlines(keepends=True)
         log.write_bytes(b"".join(line for line in lines if b"GST" not in line))
-        command = [
-            sys.executable,
-            "-m",
-            "fieldgrid",
-            "track",
-            log,
-            "-o",
-            folder / "track.csv",
-            "-q",
-        ]
-        for _ in range(2):  # the first compiles
-            before = resource.getrusage(resource.RUSAGE_CHILDREN)
-            subprocess.run(command, check=True)
-            after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    used_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return used_s, after.ru_maxrss / 1024.0
+        track = ["-m", "fieldgrid", "track", str(log), "-o", str(folder / "track.csv"), "-q"]
+        used_by(track)  # the first compiles
+        return used_by(track)
 
 
 def _stages(folder: Path) -> tuple[Stage, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,8 +9,8 @@ from typing import Any
 import pytest
 
 from fieldgrid.grids import GridSpec
-from fieldgrid.lattice import TILE_CELLS, Lattice, TileIndex
-from fieldgrid.layers import GROUPS, Cells, FrameCells
+from fieldgrid.lattice import TILE_CELLS, Lattice
+from fieldgrid.layers import GROUPS, FrameCells
 from fieldgrid.mapfile import placing
 from fieldgrid.mapfile.placing import (
     RECENT_TILES,
@@ -73,22 +72,6 @@ def test_a_session_has_the_same_tiles_however_it_is_divided(
     monkeypatch.setattr(placing, "ALONE_TILES", 1)
     divided = write_map(tmp_path / "divided.gpkg", [frames])
     assert content(divided) == content(whole)
-
-
-def test_threads_share_the_tiles_of_one_square(monkeypatch: pytest.MonkeyPatch) -> None:
-    how = frames_along(90.0, 9), Lattice(CELL_M), Transfer.CENTRE, GROUPS_OF_ALL
-    threads, meeting = set[int](), threading.Barrier(2)
-
-    def work(tile: TileIndex, cells: Cells) -> tuple[TileIndex, bytes]:
-        threads.add(threading.get_ident())
-        if tile.tx < 2:
-            meeting.wait(30.0)
-        return tile, b"".join(cells[name].tobytes() for name in cells)
-
-    shared = list(fold_tiles(*how, work, 2))
-    monkeypatch.setattr(meeting, "wait", lambda _: 0)
-    assert len(threads) == 2
-    assert shared == list(fold_tiles(*how, work, 1))
 
 
 def test_few_tiles_stay_decoded_until_the_commit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -82,7 +82,8 @@ class WindowFold:
 
         Where the part has `whole_blocks`, groups with blocks give one value for each.
         """
-        self.finish()
+        if self._folds:
+            self._finish()
         if part is not None and self._window.union(part) != self._window:
             common = self._window.intersect(part)
             assert common is not None
@@ -120,12 +121,9 @@ class WindowFold:
                     arrays[name][inside] = cells[name]
         return Cells(arrays, block=cells.block)
 
-    def finish(self) -> None:
-        """Take the channels from the folds, once, after which any thread may ask for cells: nothing
-        of blocks in which no cell was observed."""
+    def _finish(self) -> None:
+        """Take the channels from the folds: nothing of blocks in which no cell was observed."""
         folds, self._folds = self._folds, {}
-        if not folds:
-            return
         seen = np.empty(0, np.bool_)
         for group in self._groups:
             if group.name not in folds:

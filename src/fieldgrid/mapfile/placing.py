@@ -11,7 +11,7 @@ import threading
 from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from functools import reduce
-from itertools import chain, count
+from itertools import count
 from typing import NamedTuple, TypeVar
 
 from fieldgrid.array_types import UInt64
@@ -67,11 +67,7 @@ def fold_tiles(
     The tiles come square by square, so that the memory taken does not depend on the session.
     """
     squares = TileSquares(frames, lattice, transfer, groups)
-    places = squares.places()
-    if len(places) == 1:
-        yield from squares.fold(places[0], work, jobs)
-        return
-    for results in in_order(lambda place: squares.fold(place, work), places, jobs):
+    for results in in_order(lambda place: squares.fold(place, work), squares.places(), jobs):
         yield from results
 
 
@@ -106,10 +102,7 @@ class TileSquares:
         )
 
     def fold(
-        self,
-        place: tuple[int, int],
-        work: Callable[[TileIndex, Cells], _Result],
-        jobs: int | None = 1,
+        self, place: tuple[int, int], work: Callable[[TileIndex, Cells], _Result]
     ) -> list[_Result]:
         """What `work` makes of each tile of a square that the frames observed; from any thread."""
         y, x = place
@@ -126,13 +119,10 @@ class TileSquares:
         fold = WindowFold(lattice, window, transfer, groups)
         for k in inside:
             fold.add(self._recent.cells(k), self._frames[k].pose)
-        fold.finish()
-
-        def made(tile: TileIndex) -> list[_Result]:
-            cells = fold.cells(tile_window(tile), whole_blocks=True)
-            return [work(tile, cells)] if cells["weight"].any() else []
-
-        return list(chain.from_iterable(in_order(made, window.tiles(), jobs)))
+        found = (
+            (tile, fold.cells(tile_window(tile), whole_blocks=True)) for tile in window.tiles()
+        )
+        return [work(tile, cells) for tile, cells in found if cells["weight"].any()]
 
 
 def _tiles_under(windows: Sequence[Window]) -> Window:
