@@ -525,6 +525,41 @@ def test_what_is_no_mcap_is_told_and_what_follows_is_read(
         notes.wait(lambda: len(notes.frames) == 6)
 
 
+def test_a_simulations_clock_has_its_epoch_from_the_user(
+    short_drive: Path, recorded: Path, pipe: Path, tmp_path: Path
+) -> None:
+    """Stamps and the recorder's times count from the start of the simulation."""
+    ros, messages = Maker("mcap"), list(messages_of(recorded))
+    epoch_ns = messages[0][0] // 10**9 * 10**9 - 5 * 10**9
+    said = []
+    for time_ns, *about, data in messages:
+        if about[2] != "std_msgs/msg/String":
+            message = ros.store.deserialize_cdr(data, about[2])
+            for one in (message, *getattr(message, "transforms", ())):
+                if hasattr(one, "header") and one.header.stamp.sec:
+                    one.header.stamp.sec -= epoch_ns // 10**9
+            data = bytes(ros.store.serialize_cdr(message, about[2]))
+        said.append((time_ns - epoch_ns, *about, data))
+    simulated = write_as_it_comes(tmp_path / "simulated.mcap", said)
+    kind = stream(short_drive, pipe)._kind
+    with running(McapStream(str(pipe), kind)) as notes:
+        writing = write(pipe, recorded.read_bytes())
+        notes.wait(lambda: len(notes.frames) == 6 and len(notes.fixes) > 20)
+        writing.join()
+    frames_ns, fixes_ns = ([one.time_ns for one in them] for them in (notes.frames, notes.fixes))
+    with running(McapStream(str(pipe), kind, epoch_ns=epoch_ns)) as notes:
+        writing = write(pipe, simulated.read_bytes())
+        notes.wait(lambda: len(notes.frames) == 6 and len(notes.fixes) > 20)
+        writing.join()
+    assert [frame.time_ns for frame in notes.frames] == frames_ns
+    assert [fix.time_ns for fix in notes.fixes] == fixes_ns
+    with running(McapStream(str(pipe), kind)) as notes:
+        write(pipe, simulated.read_bytes())
+        notes.wait(lambda: any("say with --epoch" in text for text in notes.told))
+    assert not notes.frames
+    assert not notes.fixes
+
+
 def test_topics_of_other_names(short_drive: Path, recorded: Path, pipe: Path) -> None:
     with running(stream(short_drive, pipe, left="/nothing")) as notes:
         writing = write(pipe, recorded.read_bytes())

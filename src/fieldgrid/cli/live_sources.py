@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from fieldgrid.cli.pose_flags import PoseFlags
     from fieldgrid.geodesy import Datum
     from fieldgrid.live import Live
-    from fieldgrid.recording import PoseBody, Recording
+    from fieldgrid.recording import DriveOptions, PoseBody, Recording
     from fieldgrid.recording.growing import GrowingFolder
     from fieldgrid.recording.stored import PairKind
     from fieldgrid.rig import Rig
@@ -192,7 +193,7 @@ def of_sources(flags: SourceFlags, drive: DriveFlags, poses: PoseFlags) -> LiveI
     images: InputSource
     body, pose_topic = None, None
     if flags.mcap is not None:
-        folder = _rig(flags, drive)
+        folder = _rig(flags, replace(drive.options(), epoch_ns=None))  # it is of the stream
         mounting = drive.options().find_mounting(mounting_path(folder.path), folder.path)
         said = poses.source()
         if said is not None:
@@ -213,6 +214,7 @@ def of_sources(flags: SourceFlags, drive: DriveFlags, poses: PoseFlags) -> LiveI
             imu_axes=mounting.imu_axes,
             takes_fixes=receiver is None,
             poses=pose_topic,
+            epoch_ns=drive.options().epoch_ns,
         )
     elif flags.camera is None:
         assert flags.images is not None
@@ -240,13 +242,13 @@ def _camera_rig(flags: SourceFlags, drive: DriveFlags) -> tuple[GrowingFolder, P
     from fieldgrid.errors import ConfigError
     from fieldgrid.recording.stored import PairKind
 
-    folder = _rig(flags, drive)
+    folder = _rig(flags, drive.options())
     if not isinstance(folder.kind, PairKind):
         raise ConfigError(f"{flags.rig} is of no stereo pair; give the rig of the camera.")
     return folder, folder.kind
 
 
-def _rig(flags: SourceFlags, drive: DriveFlags) -> GrowingFolder:
+def _rig(flags: SourceFlags, options: DriveOptions) -> GrowingFolder:
     """The folder of --rig."""
     from fieldgrid.recording.growing import open_growing
 
@@ -254,7 +256,7 @@ def _rig(flags: SourceFlags, drive: DriveFlags) -> GrowingFolder:
         raise typer.BadParameter(
             "say which folder has the calibration/ of the camera or the lidar", param_hint="--rig"
         )
-    return open_growing(flags.rig, drive.options())
+    return open_growing(flags.rig, options)
 
 
 _LOOK_S = 0.2

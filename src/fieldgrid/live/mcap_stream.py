@@ -31,7 +31,7 @@ from fieldgrid.recording.bag.transforms import Transforms
 from fieldgrid.recording.cloud_files import CloudKind
 from fieldgrid.recording.motion_files import AXES
 from fieldgrid.recording.stored import FrameKind, PairKind
-from fieldgrid.ros import Message, decode
+from fieldgrid.ros import Message, as_utc, decode
 from fieldgrid.ros.gnss import DATUM
 from fieldgrid.ros.model import Connection
 from fieldgrid.ros.stamps import stamp_ns
@@ -75,7 +75,8 @@ class McapStream:
 
     `topics` are those of roles (`ROLES`) that are not to be told by type and name, `imu_axes` how
     an IMU sits. Without `takes_fixes` they are left to a receiver. `poses` is the topic of those of
-    another program. ConfigError for another address or role.
+    another program, `epoch_ns` the UTC at which a clock began that counts from its own start, that
+    of a simulation. ConfigError for another address or role.
     """
 
     def __init__(
@@ -87,6 +88,7 @@ class McapStream:
         imu_axes: str = AXES,
         takes_fixes: bool = True,
         poses: PoseTopic | None = None,
+        epoch_ns: int | None = None,
     ) -> None:
         self._address = parse_address(address)
         if self._address.kind not in ("stdin", "fifo", "tcp"):
@@ -108,7 +110,7 @@ class McapStream:
         self._kind, self._imu = kind, ImuStream(imu_axes, self._transforms)
         is_given = ATTITUDE in self._given
         self._leans = OrientationStream(imu_axes, self._imu, self._transforms, is_given=is_given)
-        self._takes_fixes, self._poses = takes_fixes, poses
+        self._takes_fixes, self._poses, self._epoch_ns = takes_fixes, poses, epoch_ns
         self._roles: dict[str, str] = {}
         self._told: set[str] = set()
         self._nmea = ReceiverStream()
@@ -225,9 +227,19 @@ class McapStream:
             "pose": self._pose,
             ATTITUDE: self._attitude,
         }
-        stamped = stamp_ns(message.connection.encoding, message.data)
-        time_ns = stamped if is_utc(np.array([stamped]))[0] else message.receive_ns
-        if time_ns != stamped:
+        stamped_ns = stamp_ns(message.connection.encoding, message.data)
+        times_ns = as_utc(np.array([stamped_ns, message.receive_ns]), self._epoch_ns)
+        known = is_utc(times_ns)
+        if not known.any():
+            self._say(
+                intake,
+                f"has no UTC in the stamps of {message.topic} and of the recorder, so that what it "
+                "says is left out; set the clock, or say with --epoch 2026-05-14T07:30:00Z when "
+                "that of a simulation began.",
+            )
+            return
+        time_ns = int(times_ns[0 if known[0] else 1])
+        if not known[0]:
             self._say(
                 intake,
                 f"has no UTC in the stamps of {message.topic}; the recorder's times are taken.",

@@ -7,7 +7,7 @@ that reads. What the messages mean is for others.
 
 from __future__ import annotations
 
-from fieldgrid.ros.bag import Bag, Listen, Take, is_bag, open_bag
+from fieldgrid.ros.bag import Bag, Listen, Take, as_utc, is_bag, open_bag
 from fieldgrid.ros.definitions import decode, types
 from fieldgrid.ros.model import Connection, Message, Topic
 
@@ -18,6 +18,7 @@ __all__ = [
     "Message",
     "Take",
     "Topic",
+    "as_utc",
     "decode",
     "is_bag",
     "open_bag",

@@ -52,6 +52,14 @@ Listen = Callable[[str, str], Take | None]
 """Asked at the first message of a topic, by name and type: what takes its messages, if anything."""
 
 
+def as_utc(time_ns: Int64, epoch_ns: int | None) -> Int64:
+    """Times of which those of a clock that counts from its own start, if it is known when that was,
+    become UTC; 0 stays what stands for none."""
+    if epoch_ns is None:
+        return time_ns
+    return np.where((time_ns > 0) & (time_ns < LEAST_UTC_NS), time_ns + epoch_ns, time_ns)
+
+
 def is_bag(path: Path) -> bool:
     """Whether this is, by its content or else by its name, a ROS bag or the folder of one."""
     try:
@@ -144,9 +152,7 @@ class Bag(Closing):
     def dated(self, time_ns: Int64) -> Int64:
         """Times of a clock that counts from its own start as UTC, if its epoch is known; 0 stays
         what stands for none."""
-        if self._epoch_ns is None:
-            return time_ns
-        return np.where((time_ns > 0) & (time_ns < LEAST_UTC_NS), time_ns + self._epoch_ns, time_ns)
+        return as_utc(time_ns, self._epoch_ns)
 
     def places(self, topic: str) -> Int64:
         """Where in the bag each message of a topic is; never decreasing. Messages that lie
