@@ -132,14 +132,14 @@ def test_a_heading_that_turns_around_means_nothing_throughout() -> None:
     found = compare(recorded, heading, np.where(road, 3.0, 12.0), gear)
     assert found is not None
     assert abs(found.offset_deg) == pytest.approx(180.0, abs=0.1)
-    assert (found.changes, found.elsewhere) == (True, 0.9)
+    assert (found.flips, found.flipped) == (True, 0.9)
     # What is known no better does not tell which way round it is, and a tenth is no change.
     vague = compare(recorded, heading, np.where(road, 3.0, 40.0), gear)
     kept = compare(recorded, heading, np.where(road, 12.0, 3.0), gear)
     assert vague is not None
     assert kept is not None
-    assert not vague.changes
-    assert not kept.changes
+    assert not vague.flips
+    assert not kept.flips
     assert abs(kept.offset_deg) < 0.1
 
 

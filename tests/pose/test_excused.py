@@ -4,6 +4,7 @@ declared."""
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ import pytest
 from fieldgrid.angles import wrap_deg
 from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Gyro, Motion
-from fieldgrid.pose import Estimate, conditioned, estimate_poses
+from fieldgrid.pose import Estimate, conditioned, estimate_poses, excused
+from fieldgrid.pose.explained import Explanation, explanation
+from fieldgrid.pose.fused import Fused
 from fieldgrid.pose.gyro_check import without_wrong_gyro
 from fieldgrid.rig import Carrier, LeverArm, VehicleGeometry
 from fieldgrid.settings import PoseSettings
@@ -105,6 +108,42 @@ def test_nothing_excuses_a_gyro_that_is_wrong(size: float, gyro_s: float) -> Non
     assert WRONG in note
     assert within(found, drive) == (1.0, 1.0)
     assert found.trajectory.accepted.mean() > 0.95
+
+
+@pytest.mark.parametrize(("late_s", "ahead_m"), [(0.0, -1.5), (1.0, 0.0)])
+def test_of_a_long_drive_a_part_tells_whether_to_go_on(
+    late_s: float, ahead_m: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Up to 50 estimates of all of it would take most of a minute for 42 minutes of driving."""
+    drive = simulate(TIGHT * 6, 35.0)
+    sizes: list[int] = []
+
+    def sized(found: Fused, *how: Any) -> Explanation | None:
+        sizes.append(len(found.drive.time_ns))
+        return explanation(found, *how)
+
+    monkeypatch.setattr(excused, "MOST_NODES", 500)
+    monkeypatch.setattr(excused, "explanation", sized)
+    found = estimate(drive, late_s=late_s, ahead_m=ahead_m)
+    kind, size = (STAMPED, late_s) if late_s else (PLACED, ahead_m)
+    assert told(found, kind) == [pytest.approx(size, abs=0.1)]
+    assert min(within(found, drive)) > 0.98
+    assert len(found.trajectory) > 1500
+    assert max(sizes[:-1]) <= 510
+    assert sizes[-1] > 1500
+    sizes.clear()
+    estimate(drive, gyro_s=20.0)
+    assert max(sizes) <= 510
+
+
+def test_a_gyro_that_fits_by_another_size_needs_no_excuse(monkeypatch: pytest.MonkeyPatch) -> None:
+    def not_tried(*_: object) -> None:
+        raise AssertionError("antenna and stamps were put right")
+
+    monkeypatch.setattr(excused, "explanation", not_tried)
+    for size in (-1.0, 0.4):
+        (note,) = estimate(simulate(TIGHT, 35.0), size=size).report.notes
+        assert WRONG in note
 
 
 def test_of_a_log_alone_headings_are_as_unsure_and_the_gyro_stays_named() -> None:

@@ -16,7 +16,7 @@ from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose import Estimate, conditioned, estimate_poses
-from fieldgrid.pose.gyro_check import is_better, turn_ratio
+from fieldgrid.pose.gyro_check import scale_explains, turn_ratio
 from fieldgrid.quality import Quality
 from fieldgrid.recording import open_recording
 from fieldgrid.rig import Carrier, LeverArm
@@ -113,7 +113,7 @@ def test_a_scale_that_explains_most_is_taken_out(
     """A right gyro was left out where 1 % of scale left more than 2.5 sigmas: of cars that turn at
     once, say."""
     again = correction(left, 0.0, 0.1 if blamed else left)
-    assert is_better(again, correction(21.0, scale, left)) == better
+    assert scale_explains(again, correction(21.0, scale, left)) == better
 
 
 @pytest.mark.parametrize("with_steps", [False, True])

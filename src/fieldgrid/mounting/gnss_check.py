@@ -63,7 +63,7 @@ def check_against_gnss(recording: Recording, time_ns: Int64, steps: Ways) -> Gns
 
 def _course_off(estimate: Estimate) -> Measured | None:
     recorded = estimate.report.recorded
-    if recorded is None or recorded.mirrored or recorded.course or recorded.changes:
+    if recorded is None or recorded.mirrored or recorded.course or recorded.flips:
         return None
     return Measured(-recorded.offset_deg, max(recorded.offset_sigma_deg, 0.02))
 

@@ -35,7 +35,7 @@ class Comparison(NamedTuple):
     """What a heading has more than the nose: `offset_deg` ± `offset_sigma_deg`, and its scatter
     about that; `mirrored` when it turns the other way; `course` when it turns around in reverse,
     so that it is the direction of travel and no heading. `compared` instants were compared, all of
-    them in reverse where `backing`. `elsewhere` is the share of the instants of a coarsely known
+    them in reverse where `backing`. `flipped` is the share of the instants of a coarsely known
     heading at which it is on the other side of that offset."""
 
     offset_deg: float
@@ -45,12 +45,12 @@ class Comparison(NamedTuple):
     course: bool
     compared: int
     backing: bool = False
-    elsewhere: float = 0.0
+    flipped: float = 0.0
 
     @property
-    def changes(self) -> bool:
-        """Whether it is another way round in most of the drive than where it was compared."""
-        return self.elsewhere > 0.5
+    def flips(self) -> bool:
+        """Whether it is the other way round in most of the drive than where it was compared."""
+        return self.flipped > 0.5
 
     def is_denied(self, most_offset_deg: float) -> bool:
         """Whether the drive denies what is declared of the heading."""
@@ -113,8 +113,8 @@ def compare(
     course = bool(back.sum() >= FEWEST_BACK and np.median(behind) > 90.0)
     coarse = np.isfinite(recorded_deg) & (sigma_deg < COARSE_DEG) & (gear == (-1 if backing else 1))
     away = np.abs(wrap_deg(recorded_deg[coarse] - sign * heading_deg[coarse] - offset))
-    elsewhere = float(np.mean(away > 90.0))
-    found = int(use.sum()), backing, elsewhere
+    flipped = float(np.mean(away > 90.0))
+    found = int(use.sum()), backing, flipped
     return Comparison(offset, float(sigma), scatter, mirrored, course, *found)
 
 

@@ -279,12 +279,11 @@ def _recorded(
         if source.kind == "recorded":
             raise GnssError(note.replace(", and was not used", "; use --heading smooth"))
         return np.full_like(recorded, np.nan), found, [note]
-    if found.changes:
+    if found.flips:
         note = (
-            f"The recorded heading is {found.offset_deg:.0f}° off the nose where that is known "
-            f"best ({found.compared} fixes), and the other way round at "
-            f"{100.0 * found.elsewhere:.0f} % of all: it turns around during the drive, and was "
-            "not used."
+            "The recorded heading turns around during the drive, and was not used: it is "
+            f"{found.offset_deg:.0f}° off the nose at the {found.compared} fixes where that is "
+            f"known best, and the other way round at {100.0 * found.flipped:.0f} % of all."
         )
         if source.kind == "recorded":
             cut = "; cut the log where it does, or use --heading smooth"

@@ -8,24 +8,27 @@ gyro whose axes or unit are wrong fits nothing that is put right.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64, Int64
+from fieldgrid.motion import Gyro
 from fieldgrid.pose.denied import CLEAR_SIGMAS, Denied, sees_turns
 from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.explained import MOST_LEFT, UNTOLD, Explanation, PutRight, explanation
 from fieldgrid.pose.fused import Fused
-from fieldgrid.pose.gyro_check import apart_deg
+from fieldgrid.pose.gyro_check import apart_deg, scaled, turn_ratio
 from fieldgrid.rig import VehicleGeometry
 
 STARTS = (0.0, 1.5, -1.5)
-"""Metres and seconds. What is twice as far off may bend the first estimate out of all reach."""
+"""Where putting right begins, metres or seconds: a mistake of 2 or 3 bends the first estimate so
+much that no step leads there from 0."""
 
-MOST_NODES = 30_000
-"""Two hours at most: beginning elsewhere, too, would take minutes of a longer drive."""
+MOST_NODES = 3_000
+"""Of a longer drive the part that turns most is tried first, since there are up to 50 estimates."""
 
 FAR_OFF, MORE_FAR_OFF = 5.0, 0.01
 """A fix that lies beside the drive by so many times its noise does not fit it. With a gyro that is
@@ -55,11 +58,13 @@ def excused(found: Fused, vehicle: VehicleGeometry | None) -> Excused | None:
     drive, gyro = found.drive, found.gyro
     if gyro is None or drive.at.has_gyro() or found.has_camera():
         return None
-    beside = found.again(motion=found.motion._replace(gyro=gyro))
-    if not sees_turns(beside.drive):
+    part = _most_turning(found)
+    if _is_of_other_size(part, gyro):
         return None
-    most = max(MOST_LEFT, LEFT_SHARE * beside.drive.smoothed.declared.misfit)
-    tried = next((one for one in _tried(beside, found, vehicle) if one.left <= most), None)
+    tried = next(_fitting(part, gyro, vehicle, [(one, one) for one in STARTS]), None)
+    if tried is not None and part is not found:
+        begun = [one.value.value if one.drive is not None else None for one in tried]
+        tried = next(_fitting(found, gyro, vehicle, [(begun[0], begun[1])]), None)
     if tried is None:
         return None
     either = ((tried.is_place, tried.place), (tried.is_late, tried.delay))
@@ -69,20 +74,58 @@ def excused(found: Fused, vehicle: VehicleGeometry | None) -> Excused | None:
     return Excused(denied, drive.time_ns, unsure_deg)
 
 
-def _tried(beside: Fused, without: Fused, vehicle: VehicleGeometry | None) -> Iterator[Explanation]:
-    """What is left with the gyro by what its fixes fit as well as those of the drive without."""
+def _most_turning(found: Fused) -> Fused:
+    """The part of a drive in which it turns most, or all of a short one."""
+    drive, log = found.drive, found.log
+    at_fix = np.flatnonzero(drive.fix >= 0)
+    count = max(len(at_fix) * MOST_NODES // len(drive.time_ns), 2)
+    if count >= len(at_fix):
+        return found
+    turned_deg = np.abs(wrap_deg(np.diff(drive.heading_deg[at_fix])))
+    in_all = np.concatenate([[0.0], np.cumsum(turned_deg)])
+    first = int(np.argmax(in_all[count - 1 :] - in_all[: len(in_all) - count + 1]))
+    accepted = log.accepted.part(np.arange(first, first + count))
+    within = (log.fixes.time_ns >= accepted.time_ns[0]) & (
+        log.fixes.time_ns <= accepted.time_ns[-1]
+    )
+    return found.again(log=log._replace(fixes=log.fixes[within], accepted=accepted))
+
+
+def _is_of_other_size(without: Fused, gyro: Gyro) -> bool:
+    """Whether a gyro fits once it turns by as much as the path does: then its axes or its unit are
+    wrong, and nothing else."""
+    ratio = turn_ratio(without.log.accepted, gyro)
+    if ratio is None:
+        return False
+    motion = scaled(without.motion._replace(gyro=gyro), ratio.value)
+    return without.again(motion=motion).drive.smoothed.declared.misfit_but_scale < MOST_LEFT
+
+
+def _fitting(
+    without: Fused,
+    gyro: Gyro,
+    vehicle: VehicleGeometry | None,
+    starts: Sequence[tuple[float | None, float | None]],
+) -> Iterator[Explanation]:
+    """What explains the gyro, of place and stamps that the fixes fit as well as the drive without
+    it; each from its start on."""
+    beside = without.again(motion=without.motion._replace(gyro=gyro))
+    if not sees_turns(beside.drive):
+        return
+    most_left = max(MOST_LEFT, LEFT_SHARE * beside.drive.smoothed.declared.misfit)
     noise_m = without.log.accepted.noise.across_m
-    most = _far_off(without.drive, noise_m) + MORE_FAR_OFF
+    most_far_off = _far_off(without.drive, noise_m) + MORE_FAR_OFF
 
     def fits(one: PutRight) -> bool:
         is_clear = abs(one.value.value) > CLEAR_SIGMAS * one.value.sigma
-        return one.drive is not None and is_clear and _far_off(one.drive, noise_m) <= most
+        return one.drive is not None and is_clear and _far_off(one.drive, noise_m) <= most_far_off
 
-    few = len(beside.drive.time_ns) <= MOST_NODES
-    for start in STARTS if few else STARTS[:1]:
-        tried = explanation(beside, vehicle, start)
+    for start in starts:
+        tried = explanation(beside, vehicle, *start)
         if tried is not None:
-            yield Explanation(*(one if fits(one) else UNTOLD for one in tried))
+            told = Explanation(*(one if fits(one) else UNTOLD for one in tried))
+            if told.left <= most_left:
+                yield told
 
 
 def _far_off(drive: DriveEstimate, noise_m: Float64) -> float:

@@ -119,18 +119,24 @@ def explained(
 
 
 def explanation(
-    found: Fused, vehicle: VehicleGeometry | None, start: float = 0.0
+    found: Fused,
+    vehicle: VehicleGeometry | None,
+    ahead_m: float | None = 0.0,
+    late_s: float | None = 0.0,
 ) -> Explanation | None:
-    """What is left of a contradiction by a gyro once either is put right, beginning at `start`
-    (metres or seconds); None of a vehicle that hardly moves."""
+    """What is left of a contradiction by a gyro once either is put right, the place beginning
+    `ahead_m`, the stamps `late_s`; what begins with None is not tried. None of a vehicle that
+    hardly moves."""
     drive = found.drive
     speed_mps = np.abs(drive.speed_mps)
     usual_mps = float(np.median(speed_mps[drive.gear != 0])) if drive.gear.any() else 0.0
     if usual_mps < LEAST_MPS:
         return None
-    delay = _delay(found, usual_mps, start)
+    delay = UNTOLD if late_s is None else _delay(found, usual_mps, late_s)
+    place = UNTOLD
     # Where nobody says how far ahead of the axle the antenna sits, its place is free already.
-    place = _place(found, start) if names_axle(vehicle) else UNTOLD
+    if ahead_m is not None and names_axle(vehicle):
+        place = _place(found, ahead_m)
     return Explanation(place, delay)
 
 

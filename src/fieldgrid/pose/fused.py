@@ -186,7 +186,7 @@ def _stated_axes(found: Fused, settings: PoseSettings) -> tuple[AxisTilt, ...]:
     if (
         heading is None
         or heading.course
-        or heading.changes
+        or heading.flips
         or heading.is_denied(settings.max_heading_offset_deg)
     ):
         return ()

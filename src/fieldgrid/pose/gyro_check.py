@@ -197,9 +197,9 @@ def with_trusted_gyro(
     rest = smooth_drive(fixes, all_ns, without, axle, hints=hints)
     scale = found.gyro_scale
     if found.blames_gyro and abs(scale.value) < MOST_SCALE:
-        scaled = _scaled(motion, 1.0 + scale.value)
-        again = smooth_drive(fixes, all_ns, scaled, axle, hints=hints)
-        if is_better(again.smoothed.declared, found):
+        corrected = scaled(motion, 1.0 + scale.value)
+        again = smooth_drive(fixes, all_ns, corrected, axle, hints=hints)
+        if scale_explains(again.smoothed.declared, found):
             size = "small" if scale.value > 0.0 else "large"
             note = (
                 f"The turns of the gyro are {100.0 * abs(scale.value):.1f} % ± "
@@ -207,7 +207,7 @@ def with_trusted_gyro(
                 "Calibrate its scale."
             )
             unusual = float(wanders) * min(abs(scale.value) / UNUSUAL_SCALE, 1.0) ** 2
-            return Trusted(again, scaled, apart_deg(again, rest) * unusual, note)
+            return Trusted(again, corrected, apart_deg(again, rest) * unusual, note)
     # What the camera confirms without the gyro was spoilt by it.
     if not found.blames_gyro and not (rest.turns_seen and not rest.smoothed.declared.contradicts):
         return fits
@@ -219,12 +219,12 @@ def with_trusted_gyro(
     return Trusted(rest, without, apart_deg(rest, drive) * float(either), note)
 
 
-def is_better(scaled: DeclaredCorrection, found: DeclaredCorrection) -> bool:
-    """Whether the scale of a gyro was wrong, as far as it was: with the scale that a drive gave it,
-    nothing contradicts, or the most of it was a scale that is not unusual. What is left then counts
-    in the headings, and a drive without the gyro would have it, too, unseen."""
-    usual = abs(found.gyro_scale.value) < UNUSUAL_SCALE and not scaled.blames_gyro
-    return not scaled.contradicts or (usual and scaled.misfit < found.misfit / 2.0)
+def scale_explains(corrected: DeclaredCorrection, found: DeclaredCorrection) -> bool:
+    """Whether a wrong scale explains what a gyro contradicts: with the corrected one nothing
+    contradicts, or it was no unusual error of a scale and less than half of the contradiction is
+    left. That then counts in the headings; a drive without the gyro would have it unseen."""
+    usual = abs(found.gyro_scale.value) < UNUSUAL_SCALE and not corrected.blames_gyro
+    return not corrected.contradicts or (usual and corrected.misfit < found.misfit / 2.0)
 
 
 def apart_deg(one: DriveEstimate, other: DriveEstimate) -> Float64:
@@ -237,7 +237,7 @@ def apart_deg(one: DriveEstimate, other: DriveEstimate) -> Float64:
     return np.asarray(np.max(around, axis=0))
 
 
-def _scaled(motion: Motion, size: float) -> Motion:
+def scaled(motion: Motion, size: float) -> Motion:
     """The same with the rates of the IMU times `size`."""
     gyro, sensed = motion.gyro, motion.inertial
     if gyro is not None:
