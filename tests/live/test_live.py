@@ -477,6 +477,22 @@ def test_a_frame_that_cannot_be_read_is_told_and_left_out(
         assert universal.sessions()[0].config["bad_frames"] == 1
 
 
+def test_a_session_without_a_frame_is_removed_but_for_fixes(
+    short_drive: Path, tmp_path: Path
+) -> None:
+    """A recording may have their frames."""
+    out = tmp_path / "m.gpkg"
+    with open_recording(short_drive) as recording:
+        begin(recording, out).close()
+        assert not live_folder(out).exists()
+        with begin(recording, out) as live:
+            live.push_fix(next(iter(recording.fixes())))
+        assert live_folder(out).exists()
+        with begin(recording, out) as again:
+            assert again.counts.fixes == 1
+        assert live_folder(out).exists()
+
+
 def test_an_end_that_is_refused_keeps_the_drive_and_says_how_to_finish_it(
     short_drive: Path, built: Path, tmp_path: Path
 ) -> None:

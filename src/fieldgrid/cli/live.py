@@ -253,8 +253,7 @@ def _drive(
 
 def _refuse_frameless(live: Live) -> None:
     """End a session to which neither a frame nor a fix ever came, as where an address is wrong:
-    what it began would only be in the way of the next one. Fixes are kept, since a recording may
-    have the frames."""
+    what it began would only be in the way of the next one."""
     live.drain()
     counts = live.counts
     came = counts.frames + counts.dropped + counts.late + counts.bad + counts.fixes

@@ -323,15 +323,18 @@ class Live(Closing):
                 self._end()
 
     def close(self) -> None:
-        """`finish`, unless the session has ended or has no frame: then what it began is removed."""
+        """`finish`, unless the session has ended or has no frame: then what it began is removed,
+        or kept if it has fixes, since a recording may have their frames (:func:`finish_from`)."""
         if not self._is_open:
             return
         self.drain()
         if self.counts.frames:
             self.finish()
+        elif self.is_resumed or self.counts.fixes:
+            self.stop()
         else:
             self._end()
-            (self._kept.close if self.is_resumed else self._kept.remove)()
+            self._kept.remove()
 
     def __exit__(self, *error: object) -> None:
         if len(error) > 1 and isinstance(error[1], Exception):
