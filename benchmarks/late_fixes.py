@@ -142,6 +142,6 @@ def _line(name: str, some: Sequence[Told]) -> str:
 
 
 if __name__ == "__main__":
-    count, first = ([int(one) for one in sys.argv[1:]] + [200, 0])[:2] if sys.argv[1:] else (200, 0)
+    count, first = [*map(int, sys.argv[1:]), *(200, 0)[len(sys.argv) - 1 :]]
     for line in report([told(seed) for seed in range(first, first + count)]):
         print(line)

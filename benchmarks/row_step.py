@@ -98,9 +98,10 @@ def street() -> Iterator[str]:
         ("--row-step 2", {"row_step": 2}),
         ("--matcher sgbm", {"matcher": "sgbm"}),
     ):
-        shares = _near(every, _obstacles(stereo)), _near(_obstacles(stereo), every)
+        other = _obstacles(stereo)
+        shares = _near(every, other), _near(other, every)
         yield f"{name:<26}" + "".join(
-            f"{f'{one:.0%}, {other:.0%}':>20}" for one, other in zip(*shares, strict=True)
+            f"{f'{there:.0%}, {back:.0%}':>20}" for there, back in zip(*shares, strict=True)
         )
 
 

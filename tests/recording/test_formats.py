@@ -78,7 +78,7 @@ class ListedFrames:
 
 
 def open_listed(path: Path, options: DriveOptions) -> Drive:
-    options.refuse_topics(path)
+    options.refuse_of_bags(path)
     document = json.loads(path.read_text())
     columns = dict(document["fixes"])
     drive = Drive(

@@ -272,6 +272,19 @@ def test_no_route_leads_through_a_keep_out() -> None:
     assert not shapely.intersects(footprints(around), high.marks[0].geometry).any()
 
 
+def test_what_helps_against_marks_and_obstacles_and_off_the_map() -> None:
+    pond = Mark(MarkKind.KEEPOUT, tuple(at(*one) for one in ((9, 2), (10, 2), (10, 3), (9, 3))))
+    view = replace(field(obstacles=[(14.0, 0.0, 14.2, 4.0)]), marks=(pond,))
+    searcher = searcher_of(view, SMALL, allow_unknown=True, curve=None)
+    remove = "remove the mark with `fieldgrid mark --remove`"
+    assert remedy(searcher, [at(9.5, 2.5)]) == remove
+    assert remedy(searcher, [at(14.1, 2.0)]) == "give a smaller vehicle"
+    both = [at(9.5, 2.5), at(14.1, 2.0)]
+    assert remedy(searcher, both) == f"give a smaller vehicle, or {remove}"
+    for beyond in (at(-50, 5), at(5, -50), at(900, 5), at(5, 900)):
+        assert remedy(searcher, [beyond]) == "give a smaller vehicle"
+
+
 @pytest.mark.parametrize(
     ("start", "goal", "words"),
     [

@@ -76,8 +76,8 @@ class DriveFlags(NamedTuple):
         typer.Option(
             "--epoch",
             metavar="TIME",
-            help="UTC at which the clock of a bag began that counts from its own start, of a "
-            "simulation, like 2026-05-14T07:30:00Z.",
+            help="When the clock of a simulation began, in UTC: for a bag or --mcap whose stamps "
+            "count from 0, like 2026-05-14T07:30:00Z.",
             rich_help_panel=_PANEL,
         ),
     ] = None

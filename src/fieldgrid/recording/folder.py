@@ -31,7 +31,7 @@ def recognises(path: Path) -> bool:
 def open_folder(path: Path, options: DriveOptions) -> Drive:
     """The drive in a plain folder, with frames or without. What the options say outranks the
     settings file."""
-    options.refuse_topics(path)
+    options.refuse_of_bags(path)
     settings = read_settings(path / SETTINGS)
     log_path = find_log(path, options.gnss)
     drive = with_log(

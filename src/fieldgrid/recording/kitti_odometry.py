@@ -46,7 +46,7 @@ def recognises(path: Path) -> bool:
 
 def open_sequence(path: Path, options: DriveOptions) -> Drive:
     """The sequence at a path: fixes of a log that is given, else of its own poses."""
-    options.refuse_topics(path)
+    options.refuse_of_bags(path)
     settings = read_settings(path / SETTINGS)
     if settings.start is None:
         raise RecordingError(

@@ -171,7 +171,7 @@ def _refuse_columns(path: Path, options: DriveOptions) -> None:
 def open_log(path: Path, options: DriveOptions) -> Drive:
     """A log as a drive without frames, of whose vehicle nothing is known."""
     options.refuse(f"{path} is a log already, in which none can be picked", "gnss")
-    options.refuse_topics(path)
+    options.refuse_of_bags(path)
     options.refuse(f"{path} is no recording with images", "mounting", "image_time_offset_ns")
     _refuse_columns(path, options)
     log = options.in_time(read_fix_log(path, options.columns))

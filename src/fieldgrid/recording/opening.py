@@ -57,11 +57,6 @@ def open_drive(path: str | Path, options: DriveOptions | None = None) -> Drive:
                 f"{about_folder(path)}"
             )
         options = options or DriveOptions()
-        if found is not bag.FORMAT:
-            options.refuse(
-                f"{path} is no bag; of a table of fixes, --columns time_epoch=MOMENT says it",
-                "epoch_ns",
-            )
         drive = replace(found.open(path, options), kind=found.name)
         given = drive.pose_source
         if options.poses is not None:

@@ -93,9 +93,14 @@ class DriveOptions:
                 what = f"{_FLAGS[name]} {next(iter(value))}" if name == "topics" else _FLAGS[name]
                 raise ConfigError(f"{why}; leave {what} out.")
 
-    def refuse_topics(self, path: Path) -> None:
-        """Raise ConfigError for topics of a drive that has none."""
+    def refuse_of_bags(self, path: Path) -> None:
+        """Raise ConfigError for what is said of the topics and the clock of a bag, of a drive that
+        is none."""
         self.refuse(f"{path} is no bag and has no topics", "topics")
+        self.refuse(
+            f"{path} is no bag; of a table of fixes, --columns time_epoch=MOMENT says it",
+            "epoch_ns",
+        )
 
     def find_mounting(self, usual: Path, recording: Path) -> Mounting:
         """The mounting that was given, else the one at its usual place.

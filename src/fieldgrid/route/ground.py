@@ -26,8 +26,6 @@ _BLOCK_ROWS = 256
 _FEW_CELLS = 4
 """Obstacle cells that touch each other and are no more than these stand alone."""
 
-"""What blocks a cell, in words."""
-
 _NAMES = {
     OBSTACLE: "an obstacle",
     UNSEEN: "ground that was not seen",
@@ -35,6 +33,7 @@ _NAMES = {
     KEEPOUT: "a keep-out mark",
     OUTSIDE: "the boundary",
 }
+"""What blocks a cell, in words."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,8 +172,10 @@ class Ground:
         return _NAMES[int(self.cells[self._cell(east_m, north_m)])]
 
     def is_marked(self, east_m: float, north_m: float) -> bool:
-        """Whether a keep-out mark blocks the cell that encloses a point."""
-        return bool(self.cells[self._cell(east_m, north_m)] == KEEPOUT)
+        """Whether a keep-out mark blocks the cell that encloses a point, which may be anywhere."""
+        row, column = self._cell(east_m, north_m)
+        inside = 0 <= row < self.cells.shape[0] and 0 <= column < self.cells.shape[1]
+        return inside and bool(self.cells[row, column] == KEEPOUT)
 
     def _cell(self, east_m: float, north_m: float) -> tuple[int, int]:
         return (

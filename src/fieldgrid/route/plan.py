@@ -217,20 +217,21 @@ def remedy(searcher: Searcher, places_m: Sequence[tuple[float, float]], first: s
     is what else does."""
     ground, vehicle = searcher.ground, searcher.vehicle
     unmarked = [place for place in places_m if not ground.is_marked(*place)]
-    if not unmarked:
-        return f"give {first}, or {_MARK_REMEDY}" if first else _MARK_REMEDY
-    within_m = NEAR_M + vehicle.clearance_m + vehicle.reach_m
-    weak = max(ground.weak_near(*place, within_m) for place in unmarked)
     helps = [first] if first else []
-    if weak:
-        helps.append(
-            f"--obstacle-above {weak} if the isolated obstacle cells there are false (`fieldgrid "
-            "query` shows the frames that they are from)"
-        )
-    helps.append("a smaller vehicle")
-    if ground.is_unseen_blocked:
-        helps.append("--allow-unknown if the unseen ground is known to be free")
-    return f"give {' or '.join([', '.join(helps[:-1]), helps[-1]] if helps[:-1] else helps)}"
+    if unmarked:
+        within_m = NEAR_M + vehicle.clearance_m + vehicle.reach_m
+        weak = max(ground.weak_near(*place, within_m) for place in unmarked)
+        if weak:
+            helps.append(
+                f"--obstacle-above {weak} if the isolated obstacle cells there are false "
+                "(`fieldgrid query` shows the frames that they are from)"
+            )
+        helps.append("a smaller vehicle")
+        if ground.is_unseen_blocked:
+            helps.append("--allow-unknown if the unseen ground is known to be free")
+    listed = " or ".join([", ".join(helps[:-1]), helps[-1]] if helps[:-1] else helps)
+    ways = [f"give {listed}"] if helps else []
+    return ", or ".join(ways if len(unmarked) == len(places_m) else [*ways, _MARK_REMEDY])
 
 
 _OTHER_PLACES = "another start or goal"

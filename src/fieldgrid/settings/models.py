@@ -63,7 +63,7 @@ class StereoSettings(Settings):
     )
     row_step: int = setting(
         1,
-        "2 matches the means of pairs of image rows: in half the time, slightly less precise",
+        "2 matches the means of two rows each: in half the time, less precise with noisy images",
         flag=Flag("--row-step", "1|2"),
         ge=1,
         le=2,

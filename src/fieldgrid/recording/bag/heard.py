@@ -69,7 +69,7 @@ class Heard:
     def notes(self) -> Iterator[str]:
         """Remarks, without the topic and the full stop."""
         if self.damaged:
-            yield f"{counted(self.damaged, 'message')} of another type than declared skipped"
+            yield f"{counted(self.damaged, 'message')} that cannot be decoded skipped"
         for what, count in self.counts.items():
             yield f"{counted(count, 'message')} {what}"
 
