@@ -1,5 +1,6 @@
 """`python -m benchmarks.late_fixes [COUNT [FIRST]]`: fixes that are stamped late or early against a
-gyro, antennas that sit elsewhere than declared, and drives with neither.
+gyro, antennas that sit elsewhere than declared, and drives with neither; these also with gyros that
+are wrong, to which neither must be put down.
 
 Vehicle, receiver, rate, holes, wheels and the size of the mistake are random, by seed. What the
 report says is *named* where it is the mistake alone, to three of its sigmas or a tenth; *either*
@@ -30,6 +31,7 @@ from benchmarks.random_drives import (
 )
 from benchmarks.variations import THREE_SIGMA_2D
 from fieldgrid.errors import GnssError
+from fieldgrid.motion import Gyro
 from fieldgrid.pose import estimate_poses
 from fieldgrid.quality import Quality
 from tests.simulated import time_ns
@@ -60,8 +62,12 @@ class Told(NamedTuple):
     used: float
 
 
-def told(seed: int) -> Told:
-    """The report on the drive of a seed."""
+GYROS = {"upside down": (-1.0, 0.0), "half the rate": (0.5, 0.0), "40 s later": (1.0, 40.0)}
+"""Wrong gyros: how many times too fast, and seconds."""
+
+
+def told(seed: int, gyro: tuple[float, float] = (1.0, 0.0)) -> Told:
+    """The report on the drive of a seed, with a gyro so many times too fast and seconds late."""
     random = np.random.default_rng([531, seed])
     kind = str(random.choice(list(SIZES)))
     size = float(random.uniform(*SIZES[kind]) * random.choice([-1.0, 1.0]))
@@ -79,8 +85,12 @@ def told(seed: int) -> Told:
         hole_s = random.uniform(3.0, 9.0)
         fixes = fixes[np.flatnonzero(since_s % (2.5 * hole_s) < 1.5 * hole_s)]
     fixes = fixes.replace(time_ns=fixes.time_ns + round(late_s * 1e9))
+    motion = moved(case, drive, random)
+    assert motion.gyro is not None
+    time, rate = motion.gyro.time_ns + round(gyro[1] * 1e9), gyro[0] * motion.gyro.rate_rad_s
+    motion = motion._replace(gyro=Gyro(time, rate))
     try:
-        found = estimate_poses(fixes, rig(), DATUM, motion=moved(case, drive, random))
+        found = estimate_poses(fixes, rig(), DATUM, motion=motion)
     except GnssError:
         return Told(mistake, "doubt", np.nan, 0.0)
     notes = [note for note in found.report.notes if not note.startswith(SAID_ANYWAY)]
@@ -143,5 +153,10 @@ def _line(name: str, some: Sequence[Told]) -> str:
 
 if __name__ == "__main__":
     count, first = [*map(int, sys.argv[1:]), *(200, 0)[len(sys.argv) - 1 :]]
-    for line in report([told(seed) for seed in range(first, first + count)]):
+    seeds = range(first, first + count)
+    right = [told(seed) for seed in seeds]
+    for line in report(right):
         print(line)
+    unmistaken = [s for s, one in zip(seeds, right, strict=True) if one.mistake.kind == "none"]
+    for name, wrong in GYROS.items():
+        print(_line(f"none, gyro {name}", [told(seed, wrong) for seed in unmistaken]), flush=True)

@@ -323,18 +323,15 @@ class Live(Closing):
                 self._end()
 
     def close(self) -> None:
-        """`finish`, unless the session has ended or has no frame: then what it began is removed,
-        or kept if it has fixes, since a recording may have their frames (:func:`finish_from`)."""
+        """`finish`; a session without a frame is removed instead, or kept where it has fixes."""
         if not self._is_open:
             return
         self.drain()
         if self.counts.frames:
             self.finish()
-        elif self.is_resumed or self.counts.fixes:
-            self.stop()
         else:
             self._end()
-            self._kept.remove()
+            (self._kept.close if self.is_resumed or self.counts.fixes else self._kept.remove)()
 
     def __exit__(self, *error: object) -> None:
         if len(error) > 1 and isinstance(error[1], Exception):
