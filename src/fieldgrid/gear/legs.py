@@ -137,7 +137,7 @@ def _cut(track: GearEvidence) -> list[int]:
     """Where legs begin: after each gap, and at each point where the path turns sharply."""
     points = track.points_m
     reach_m = max(REACH_M, REACH_SIGMAS * float(np.median(track.sigma_m)))
-    turning = np.abs(turning_deg(points, np.cumsum(track.gap_s > 0.0), reach_m))
+    turning = np.abs(turning_deg(points, np.cumsum(track.gap_s > 0.0, dtype=np.int64), reach_m))
     sharp = turning > CUT_DEG
     starts = {0, *np.flatnonzero(track.gap_s).tolist()}
     runs = np.flatnonzero(np.diff(np.concatenate([[False], sharp, [False]]).astype(np.int8)))
@@ -282,7 +282,7 @@ class TurningSeen(NamedTuple):
 
 def turning_seen(track: GearEvidence) -> TurningSeen:
     """The fastest and the tightest of the turns of a path, but for the few that noise makes."""
-    points, part = track.points_m, np.cumsum(track.gap_s > 0.0)
+    points, part = track.points_m, np.cumsum(track.gap_s > 0.0, dtype=np.int64)
     turn = turning_deg(points, part, TANGENT_REACH_M)
     away = [first_beyond(points, TANGENT_REACH_M, step, part) for step in (-1, 1)]
     known = (away[0] >= 0) & (away[1] >= 0) & (np.abs(turn) < CUT_DEG)
