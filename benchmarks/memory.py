@@ -58,6 +58,7 @@ WHAT: dict[str, Sequence[str]] = {
     "show": ("show", "MAP", "-o", "out.png"),
     "diff": ("diff", "MAP", "--from", "FIRST", "--to", "LAST"),
     "verify": ("verify", "MAP"),
+    "verify --deep": ("verify", "MAP", "--deep"),
     "Costmap.from_map": (_COSTMAP, "MAP"),
     "outlines joined": (_OUTLINES, "MAP"),
     "rows": ("rows", "MAP"),
