@@ -22,7 +22,7 @@ LAYERS = (
         *("documents", "errors", "quality", "geodesy", "angles", "rotations", "kernel", "palette"),
         *("plane_fit", "plugins", "publish", "measured", "reasons", "utc"),
     ),
-    ("notebook", "workers"),
+    ("lon_lat", "notebook", "workers"),
     (
         "fixes",
         "lattice",
