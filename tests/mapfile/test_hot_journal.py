@@ -16,7 +16,7 @@ import pytest
 from fieldgrid.errors import MapError
 from fieldgrid.mapfile import hot_journal, open_map
 from fieldgrid.mapfile.hot_journal import check_journal
-from fieldgrid.mapfile.journal_file import MAGIC
+from fieldgrid.mapfile.journal_file import MAGIC, _segments
 from tests.mapfile.content import content
 from tests.mapfile.maps import drive, write_map, write_session
 
@@ -163,6 +163,28 @@ def test_a_journal_that_was_not_needed_is_none(tmp_path: Path, beginning: bytes)
     path.with_name("map.gpkg-journal").write_bytes(beginning)
     with open_map(path) as universal:
         assert universal.verify().sound
+
+
+@pytest.mark.parametrize("written", [1, 6, 7])
+def test_a_header_that_was_torn_as_it_was_completed_is_none(tmp_path: Path, written: int) -> None:
+    path = write_map(tmp_path / "map.gpkg", [drive(2)])
+    untouched, before = path.read_bytes(), content(path)
+    journal = interrupted(path)
+    whole = journal.read_bytes()
+    torn = MAGIC[:written] + bytes(12 - written) + whole[12:512]
+    with journal.open("rb") as file:
+        *_, last = (found for found in _segments(file, len(whole)) if found.pages)
+    added = whole[: last.end].ljust(last.next, b"\0") + torn
+    for map_bytes, data in ((untouched, torn + whole[512:]), (path.read_bytes(), added)):
+        path.write_bytes(map_bytes)
+        journal.write_bytes(data)
+        with open_map(path) as universal:
+            assert universal.verify(deep=True).sound
+        assert content(path) == before
+    path.write_bytes(untouched)
+    journal.write_bytes(torn[:12] + bytes(16) + whole[28:])
+    with pytest.raises(MapError, match="does not begin as one"):
+        open_map(path)
 
 
 def test_what_is_no_file_is_no_journal(tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def damage(file: BinaryIO, size: int, now: bytes) -> str:
     if len(head) < _HEADER.size or head[0] == 0:
         return ""  # SQLite, too, takes it for one that was never needed
     if not head.startswith(MAGIC):
-        return "it does not begin as one"
+        return "" if _is_torn(head) else "it does not begin as one"
     seen: set[int] = set()
     segments = list(_segments(file, size))
     if not segments:
@@ -140,7 +140,18 @@ def _ends(file: BinaryIO, size: int, last: Segment) -> bool:
     if file.read(8) == MAGIC:
         return True  # the name of a journal of several databases
     file.seek(last.next)
-    return not any(file.read(len(MAGIC)))  # which SQLite writes when the pages are on the disk
+    head = file.read(_HEADER.size)
+    return not any(head[: len(MAGIC)]) or _is_torn(head)
+
+
+def _is_torn(head: bytes) -> bool:
+    """Whether a header has no more than a part of its magic number. SQLite writes that and the
+    count at once, when the pages are on the disk and before it touches the map: so it did not."""
+    if len(head) < _HEADER.size:
+        return False
+    _, count, nonce, _, sector, page = _HEADER.unpack(head)
+    is_part = MAGIC.startswith(head[: len(MAGIC)].rstrip(b"\0")) and count == 0
+    return is_part and nonce != 0 and sector in _SECTORS and page in _PAGES
 
 
 def page_size(first: bytes) -> int:
