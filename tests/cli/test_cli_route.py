@@ -6,13 +6,16 @@ import csv
 import json
 import xml.etree.ElementTree as ElementTree
 import zipfile
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import shapely
 
 import fieldgrid as fg
 from benchmarks.planting import DATUM, Sight
+from fieldgrid import coverage
 from fieldgrid.vectors import Feature, write_features
 from tests.cli.conftest import Run
 from tests.route.test_plan import field as free_field
@@ -157,6 +160,25 @@ def test_tracks_over_ground_without_rows(fieldgrid: Run, meadow: Path, tmp_path:
     told = json.loads(along)
     assert told["swaths"]["worked_m2"] > 0.8 * told["swaths"]["reachable_m2"]
     assert "--tracks" in fieldgrid("route", meadow, "--cover").sentence()
+
+
+@pytest.mark.parametrize(("passes", "fewer"), [("0", False), ("1", True)])
+def test_fewer_passes_are_advised_where_there_can_be_fewer(
+    passes: str, fewer: bool, fieldgrid: Run, meadow: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def one_is_left_out(*asked: Any, **how: Any) -> Any:
+        return replace(
+            cover(*asked, **how),
+            left_out=(coverage.LeftOut("F1-T1", "There is no path to the track", 1.0, 2.0),),
+            remedy="give a smaller vehicle",
+        )
+
+    cover = coverage.plan_coverage
+    monkeypatch.setattr(coverage, "plan_coverage", one_is_left_out)
+    asked = ("route", meadow, "--cover", "--tracks", "--width", "2", "--headland-passes", passes)
+    said = fieldgrid(*asked).err
+    assert "the others are driven; give a smaller vehicle" in said
+    assert ("fewer --headland-passes" in said) == fewer
 
 
 def test_tracks_and_lanes_for_terminals_and_lanelet2(

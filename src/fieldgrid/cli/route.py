@@ -287,6 +287,7 @@ def command(
     if coverage is not None and coverage.left_out:
         first, covered = coverage.left_out[0], sorted(lane.lane for lane in coverage.lanes)
         is_one = len(coverage.left_out) == 1
+        fewer = "" if headland_passes == 0 else ", or fewer --headland-passes"
         raise NoRouteError(
             f"{len(coverage.left_out)} of {len(coverage.left_out) + len(covered)} lanes "
             f"{'is' if is_one else 'are'} not covered; of {first.lane}: {first.reason}",
@@ -294,7 +295,7 @@ def command(
             first.north_m,
             f"{coverage.remedy}; --lanes {','.join(covered)} asks for the others alone"
             if coverage.swaths is None
-            else f"the others are driven; {coverage.remedy}, or fewer --headland-passes",
+            else f"the others are driven; {coverage.remedy}{fewer}",
         )
 
 
