@@ -33,8 +33,9 @@ FAR_M = 1.0
 FIXED_NEAR_S = 60.0
 """A float solution so near in time to a fixed one is hardly worse than it states."""
 
-_CLEARLY, _LEAST_SHARE = 1.5, 0.05
-"""Fixes that count as so many times less sure than stated are reported, where they are so many."""
+_CLEARLY, _VISIBLY_M, _LEAST_SHARE = 1.5, 0.02, 0.05
+"""Fixes that count as so many times and as so much less sure than stated are reported, where they
+are so many. No map shows the half centimetre of RTK."""
 
 _NEARLY_ALL = 0.95
 """What may be declared of all fixes is named where so many are of one quality."""
@@ -146,8 +147,8 @@ def unsure_fit_m(fixes: AcceptedFixes) -> float:
 
 def unsure_notes(fixes: AcceptedFixes) -> Iterator[str]:
     """What the report says of fixes that count as much less sure than stated."""
-    least_m = _least_m(fixes)
-    raised = least_m > _CLEARLY * _believed_m(fixes)
+    least_m, believed_m = _least_m(fixes), _believed_m(fixes)
+    raised = (least_m > _CLEARLY * believed_m) & (least_m > believed_m + _VISIBLY_M)
     for quality in map(Quality, np.unique(fixes.quality[raised])):
         these = raised & (fixes.quality == quality)
         if np.mean(these) < _LEAST_SHARE:
