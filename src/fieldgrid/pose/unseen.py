@@ -17,18 +17,14 @@ from fieldgrid.array_types import Bool, Float64
 from fieldgrid.fixes import least_sigma_m, position_sigma_m
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import names_axle
-from fieldgrid.pose.denied import CLEAR_SIGMAS, sees_speed, sees_turns, sees_way
+from fieldgrid.pose.denied import CLEAR_SIGMAS, FAR_M, sees_speed, sees_turns
 from fieldgrid.pose.drive import DRIVING_MPS, DriveEstimate
 from fieldgrid.pose.georeference import Georeference
-from fieldgrid.pose.settings import HeadingSource
 from fieldgrid.pose.table import PoseTable
 from fieldgrid.quality import Quality
 from fieldgrid.rig import Rig, VehicleGeometry
 from fieldgrid.smoother import Constant
 from fieldgrid.trajectory import Trajectory
-
-FAR_M = 1.0
-"""A fault that is denied only from an error of so much on is not seen."""
 
 FIXED_NEAR_S = 60.0
 """A float solution so near in time to a fixed one is hardly worse than it states."""
@@ -67,13 +63,13 @@ _WORDS = {
 
 
 def unseen_faults(
-    drive: DriveEstimate, vehicle: VehicleGeometry | None, source: HeadingSource
+    drive: DriveEstimate, vehicle: VehicleGeometry | None, *, drift_shown: bool
 ) -> tuple[UnseenFault, ...]:
     """The faults that this drive would not show, of a vehicle as it was declared.
 
     Of a log alone positions are those of its antenna in its own clock, so that neither can be
-    wrong; and where nobody says where the axle is, no place ahead of it is either. A drift
-    is looked for where the drive gives the headings.
+    wrong; and where nobody says where the axle is, no place ahead of it is either. `drift_shown`
+    is whether it would show a drift.
     """
     told, placed = drive.smoothed.declared, isinstance(vehicle, Rig)
     turns, speed = sees_turns(drive), sees_speed(drive)
@@ -89,7 +85,7 @@ def unseen_faults(
         # ahead shows there, too.
         UnseenFault.LATE_STAMPS: placed
         and not (turns and _is_told(told.ahead_m) and _is_told(told.late_s, usual_mps)),
-        UnseenFault.SLOW_DRIFT: not (source.kind == "smooth" and sees_way(drive)),
+        UnseenFault.SLOW_DRIFT: not drift_shown,
     }
     return tuple(fault for fault, unseen in hidden.items() if unseen)
 
