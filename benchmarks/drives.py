@@ -27,6 +27,7 @@ import numpy as np
 from benchmarks import EXAMPLE
 from benchmarks.cluster import cluster
 from benchmarks.lasting import Line
+from benchmarks.peak import peak_mb, peaks_of_children
 
 DRIVES, ROUNDS = 20, 3
 """A thousand frames."""
@@ -103,10 +104,11 @@ def _build(where: str, out: Path, paths: list[Path]) -> None:
 
     start = time.perf_counter()
     drive, settings = DriveOptions("gnss_rtk.nmea"), BuildSettings()
-    if where.isdigit():
-        build_map(paths, out, settings, drive, jobs=int(where))
-    else:
-        build_map(paths, out, settings, drive, scheduler=where)
+    with peaks_of_children() as peaks:
+        if where.isdigit():
+            build_map(paths, out, settings, drive, jobs=int(where))
+        else:
+            build_map(paths, out, settings, drive, scheduler=where)
     wall_s = time.perf_counter() - start
     own, workers = (
         resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
@@ -115,8 +117,8 @@ def _build(where: str, out: Path, paths: list[Path]) -> None:
         "wall_s": wall_s,
         "own_cpu_s": own.ru_utime + own.ru_stime,
         "worker_cpu_s": workers.ru_utime + workers.ru_stime,
-        "own_mb": own.ru_maxrss / 1024.0,
-        "worker_mb": workers.ru_maxrss / 1024.0,
+        "own_mb": peak_mb(),
+        "worker_mb": max(peaks.values(), default=0.0),
     }
     print(json.dumps(taken))
 

@@ -10,16 +10,13 @@ Each is a process of its own. What takes more than five minutes is ended, and sa
 from __future__ import annotations
 
 import os
-import signal
-import subprocess
 import sys
 import tempfile
-import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 from benchmarks.lasting import Line
+from benchmarks.peak import Used, used_by
 from fieldgrid.mapfile import open_map
 
 _RUN = "import sys; from fieldgrid.cli import main; main()"
@@ -36,7 +33,7 @@ with fg.open_map(sys.argv[1]) as m, m.read_blocks(layers=m.deciding(None)) as bl
     list(trace_obstacles(blocks.views, ShapeOptions(min_area_m2=1e8)))
 """
 
-_LIMIT_S = 300.0
+_LIMIT_S = 300
 
 WHAT: dict[str, Sequence[str]] = {
     "nothing: the map is opened": ("sessions", "MAP"),
@@ -61,6 +58,7 @@ WHAT: dict[str, Sequence[str]] = {
     "show": ("show", "MAP", "-o", "out.png"),
     "diff": ("diff", "MAP", "--from", "FIRST", "--to", "LAST"),
     "verify": ("verify", "MAP"),
+    "verify --deep": ("verify", "MAP", "--deep"),
     "Costmap.from_map": (_COSTMAP, "MAP"),
     "outlines joined": (_OUTLINES, "MAP"),
     "rows": ("rows", "MAP"),
@@ -74,14 +72,6 @@ _PROGRAMS = ("Costmap.from_map", "outlines joined")
 """Which are Python of their own, and no commands."""
 
 
-class Used(NamedTuple):
-    """What a command took: peak memory, processor time, and how it ended."""
-
-    rss_mb: float
-    cpu_s: float
-    said: str
-
-
 def run(what: str, map_: Path, folder: Path) -> Used:
     """A command, in a process of its own."""
     with open_map(map_) as universal:
@@ -89,22 +79,7 @@ def run(what: str, map_: Path, folder: Path) -> Used:
     known = {"MAP": str(map_), "FIRST": names[max(0, len(names) - 2)], "LAST": names[-1]}
     words = [known.get(word, word) for word in WHAT[what]]
     program = words if what in _PROGRAMS else [_RUN, *words]
-    with (folder / "said").open("w+") as said:
-        process = subprocess.Popen(
-            [sys.executable, "-c", *program],
-            cwd=folder, stdout=subprocess.DEVNULL, stderr=said,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-        )  # fmt: skip
-        timer = threading.Timer(_LIMIT_S, process.kill)
-        timer.start()
-        _, status, usage = os.wait4(process.pid, 0)
-        timer.cancel()
-        process.returncode = os.waitstatus_to_exitcode(status)
-        said.seek(0)
-        last = said.read().strip()[-200:] if process.returncode else ""
-    if process.returncode == -signal.SIGKILL:
-        last = f"ended after {_LIMIT_S:.0f} s"
-    return Used(usage.ru_maxrss / 1024.0, usage.ru_utime + usage.ru_stime, last)
+    return used_by(["-c", *program], folder=folder, limit_s=_LIMIT_S)
 
 
 def measure_memory(maps: Sequence[Path], only: Sequence[str] = ()) -> Iterator[Line]:
@@ -114,13 +89,14 @@ def measure_memory(maps: Sequence[Path], only: Sequence[str] = ()) -> Iterator[L
         for path in maps:
             with tempfile.TemporaryDirectory() as out:
                 used.append(run(what, path.absolute(), Path(out)))
-        peaks = ", ".join(f"{one.rss_mb:.0f}" for one in used)
+        peaks = ", ".join(f"{one.peak_mb:.0f}" for one in used)
         seconds = ", ".join(f"{one.cpu_s:.1f}" for one in used)
         said = "; ".join(one.said for one in used if one.said)
         yield Line(what, f"{peaks} MB", f"{seconds} s {said}")
 
 
 if __name__ == "__main__":
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     words = sys.argv[1:]
     only: Sequence[str] = ()
     if words[0] == "--only":

@@ -20,9 +20,9 @@ LAYERS = (
     ("array_types", "choices", "closing", "file_locks", "limits", "version"),
     (
         *("documents", "errors", "quality", "geodesy", "angles", "rotations", "kernel", "palette"),
-        *("plane_fit", "publish", "measured", "reasons", "utc"),
+        *("plane_fit", "plugins", "publish", "measured", "reasons", "utc"),
     ),
-    ("notebook", "workers"),
+    ("lon_lat", "notebook", "workers"),
     (
         "fixes",
         "lattice",

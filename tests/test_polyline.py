@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fieldgrid.polyline import extended, lengths, normals, part, project, resampled
+from fieldgrid.polyline import (
+    extended,
+    first_beyond,
+    lengths,
+    normals,
+    part,
+    project,
+    resampled,
+)
 
 _TURN = st.floats(-0.4, 0.4)
 _LINES = st.builds(
@@ -113,3 +121,20 @@ def test_normals_are_unit_vectors_to_the_left(line: np.ndarray) -> None:
     assert np.hypot(*left.T) == pytest.approx(np.ones(len(line)))
     step = np.gradient(line, axis=0)
     assert (step[:, 0] * left[:, 1] - step[:, 1] * left[:, 0] > 0.0).all()
+
+
+@pytest.mark.parametrize("step", [-1, 1])
+@pytest.mark.parametrize("has_parts", [True, False])
+def test_the_first_point_that_is_so_far_away(step: int, has_parts: bool) -> None:
+    """Of a vehicle that goes to and fro, in parts between holes."""
+    random = np.random.default_rng(3)
+    points, n = np.cumsum(random.normal(0.0, 0.4, (60, 2)), axis=0), 60
+    parts = np.repeat(np.arange(3), 20) if has_parts else np.zeros(n, np.int64)
+    found = first_beyond(points, 1.0, step, parts if has_parts else None)
+    for k in range(n):
+        rest = np.arange(k + 1, n) if step > 0 else np.arange(k)[::-1]
+        far = np.hypot(*(points[rest] - points[k]).T) >= 1.0
+        wanted = [i for i in rest[far].tolist() if parts[i] == parts[k]]
+        assert found[k] == (wanted[0] if wanted else -1)
+    assert (found >= 0).sum() > n // 2
+    assert (found < 0).any()

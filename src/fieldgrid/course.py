@@ -16,6 +16,7 @@ import numpy as np
 from fieldgrid.angles import heading_deg, wrap_deg
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.kernel import kernel
+from fieldgrid.polyline import first_beyond
 
 CUSP_DEG = 110.0
 """A path whose direction before and after a point differs by more has turned back there."""
@@ -159,26 +160,6 @@ def stations(points, part, standing, step_m):  # type: ignore[no-untyped-def]
         found[count], last = k, k
         count += 1
     return found[:count]
-
-
-@kernel
-def first_beyond(points, reach_m, step):  # type: ignore[no-untyped-def]
-    """For each of n points the nearest index before (step -1) or after (+1) it that is
-    `reach_m` away, int64 [n]; -1 where there is none.
-
-    By distance and not by length of path: a vehicle that stands still draws a long path.
-    """
-    n = points.shape[0]
-    found = np.empty(n, dtype=np.int64)
-    for k in range(n):
-        found[k], i = -1, k + step
-        while 0 <= i < n:
-            d_east, d_north = points[i, 0] - points[k, 0], points[i, 1] - points[k, 1]
-            if d_east * d_east + d_north * d_north >= reach_m * reach_m:
-                found[k] = i
-                break
-            i += step
-    return found
 
 
 def _windows(leg: Float64, baseline_m: float) -> list[tuple[int, int]]:

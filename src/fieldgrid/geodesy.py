@@ -189,6 +189,14 @@ def geodetic_to_ecef(
     return ring * np.cos(lon), ring * np.sin(lon), z
 
 
+def continued_deg(lon_deg: npt.ArrayLike, from_deg: float) -> Float64:
+    """Longitudes as they go on from one nearby, also across the meridian of 180°: beyond ±180°
+    there, where `to_geodetic` begins anew on the other side."""
+    lon = np.asarray(lon_deg, dtype=np.float64)
+    off = lon - from_deg
+    return np.where(off > 180.0, lon - 360.0, np.where(off < -180.0, lon + 360.0, lon))
+
+
 def ecef_to_geodetic(
     x_m: npt.ArrayLike, y_m: npt.ArrayLike, z_m: npt.ArrayLike
 ) -> tuple[Float64, Float64, Float64]:

@@ -1,4 +1,4 @@
-"""Polylines [n, 2] in metres: how far along, at equal steps, sideways."""
+"""Polylines [n, 2] in metres: how far along, at equal steps, sideways, far enough from a point."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from fieldgrid.array_types import Float64
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.kernel import kernel
 
 
@@ -89,3 +89,30 @@ def project_points(points, line, nearest, along, left):  # type: ignore[no-untyp
                 nearest[p] = apart
                 along[p], left[p] = before + at, unit_x * y - unit_y * x
         before += size
+
+
+def first_beyond(points: Float64, reach_m: float, step: int, parts: Int64 | None = None) -> Int64:
+    """For each of n points the nearest index before (step -1) or after (+1) it that is `reach_m`
+    away and of the same part, [n]; -1 where there is none. `parts` numbers the parts [n]; without
+    it all points are one.
+
+    By distance and not by length of path: a vehicle that stands still draws a long path.
+    """
+    numbers = np.zeros(len(points), np.int64) if parts is None else parts
+    return np.asarray(find_first_beyond(points, numbers, reach_m, step))
+
+
+@kernel
+def find_first_beyond(points, parts, reach_m, step):  # type: ignore[no-untyped-def]
+    """The loop of :func:`first_beyond`."""
+    n = points.shape[0]
+    found = np.empty(n, dtype=np.int64)
+    for k in range(n):
+        found[k], i = -1, k + step
+        while 0 <= i < n and parts[i] == parts[k]:
+            d_east, d_north = points[i, 0] - points[k, 0], points[i, 1] - points[k, 1]
+            if d_east * d_east + d_north * d_north >= reach_m * reach_m:
+                found[k] = i
+                break
+            i += step
+    return found

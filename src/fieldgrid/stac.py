@@ -21,6 +21,7 @@ from fieldgrid.errors import ConfigError, MapError, MapWriteError, printable
 from fieldgrid.export import Selection, export_geotiff
 from fieldgrid.farm import Farm, FarmBlock
 from fieldgrid.lattice import Window
+from fieldgrid.lon_lat import in_degrees
 from fieldgrid.mapfile import MapFile, open_map
 from fieldgrid.publish import mentions, replacing_folder
 from fieldgrid.recording.files import read_text
@@ -96,11 +97,16 @@ def write_stac(
         if not items:
             raise ConfigError(f"No map of {farm.path} can be in a catalogue: {left_out[0][1]}")
         name = printable(farm.path.resolve().name) or "farm"
+        extent = pystac.Extent.from_items(items)
+        if any(item.bbox[0] > item.bbox[2] for item in items):
+            # Of maps on either side of the meridian of 180° only all longitudes are sure to hold.
+            (_, south, _, north), *_ = extent.spatial.bboxes
+            extent.spatial = pystac.SpatialExtent([[-180.0, south, 180.0, north]])
         collection = pystac.Collection(
             id=_COLLECTION,
             title=f"Maps of {name}",
             description="A map of obstacles and ground for each field, made from drives.",
-            extent=pystac.Extent.from_items(items),
+            extent=extent,
             license="other",
         )
         collection.add_items(items)
@@ -165,7 +171,7 @@ def _item(universal: MapFile, block: FarmBlock, id_: str, folder: Path) -> Any:
     item = pystac.Item(
         id=id_,
         geometry=geometry.__geo_interface__,
-        bbox=list(geometry.bounds),
+        bbox=_bbox(geometry),
         datetime=None if first else datetime.fromtimestamp(block.path.stat().st_mtime, UTC),
         start_datetime=first,
         end_datetime=last,
@@ -236,12 +242,19 @@ def _footprint(universal: MapFile) -> Any:
     corner, cell_m = view.bounds[:2], view.lattice.cell_m
     seen = shapely.transform(seen, lambda points: points * cell_m + corner)
 
-    def in_degrees(points: Any) -> Any:
-        lat, lon, _ = universal.datum.to_geodetic(points[:, 0], points[:, 1], 0.0)
-        return np.round(np.column_stack([lon, lat]), 9)
+    return shapely.orient_polygons(in_degrees(seen & shapely.box(*bounds), universal.datum))
 
-    seen = shapely.transform(seen & shapely.box(*bounds), in_degrees)
-    return shapely.orient_polygons(seen)
+
+def _bbox(geometry: Any) -> list[float]:
+    """West, south, east and north of a shape; west is more than east where it has parts on either
+    side of the meridian of 180°."""
+    import shapely
+
+    west, south, east, north = geometry.bounds
+    if east - west > 180.0:
+        lons = shapely.get_coordinates(geometry)[:, 0]
+        west, east = lons[lons > 0.0].min(), lons[lons < 0.0].max()
+    return [float(west), south, float(east), north]
 
 
 def _is_ours(folder: Path) -> bool:

@@ -25,9 +25,9 @@ from fieldgrid.array_types import AnyArray, Float64
 from fieldgrid.errors import ConfigError, MapWriteError, printable
 from fieldgrid.geodesy import Datum
 from fieldgrid.limits import check_document, file_bytes
+from fieldgrid.lon_lat import DECIMALS, in_degrees
 from fieldgrid.publish import made_elsewhere, mentions, replacing, working_beside
 
-_DECIMALS = 9
 _KML = "http://www.opengis.net/kml/2.2"
 
 
@@ -81,18 +81,6 @@ def plain_properties(feature: Feature) -> dict[str, Any]:
     return {key: _plain(value, key) for key, value in feature.properties.items()}
 
 
-def in_degrees(geometry: Any, datum: Datum) -> Any:
-    """Geometries in longitude and latitude, nine decimals, of points in the datum's plane."""
-    import shapely
-
-    def turned(places: Float64) -> Float64:
-        lat_deg, lon_deg, _ = datum.to_geodetic(places[:, 0], places[:, 1], np.zeros(len(places)))
-        degrees: Float64 = np.column_stack([lon_deg, lat_deg])
-        return degrees.round(_DECIMALS)
-
-    return shapely.transform(shapely.force_2d(geometry), turned)
-
-
 def read_shapes(path: Path, datum: Datum) -> list[Any]:
     """The geometries of a GeoJSON in longitude and latitude, in the datum's plane; of a CSV with
     the columns east_m and north_m one line through its points.
@@ -130,7 +118,7 @@ def _plain(value: Any, key: str = "") -> Any:
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float):
-        digits = _DECIMALS if key in ("lat_deg", "lon_deg") else 4
+        digits = DECIMALS if key in ("lat_deg", "lon_deg") else 4
         return round(value, digits) if math.isfinite(value) else None
     return list(value) if isinstance(value, tuple) else value
 

@@ -118,9 +118,14 @@ def a_terminal() -> Iterator[tuple[TextIO, list[bytes]]]:
 
 
 def in_a_process(*arguments: object, before: str = "") -> list[str]:
-    """The command line of a process of its own; `before` is Python to run first in it."""
+    """The command line of a process of its own; `before` is Python to run first in it.
+
+    Ctrl-C interrupts it as one that a user begins: what a shell starts in the background ignores
+    it, with all that it starts.
+    """
     code = (
-        f"import sys\nfrom fieldgrid.cli import main\n{before}\nsys.argv[0] = 'fieldgrid'\nmain()"
+        "import signal, sys\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        f"from fieldgrid.cli import main\n{before}\nsys.argv[0] = 'fieldgrid'\nmain()"
     )
     return [sys.executable, "-c", code, *map(str, arguments)]
 

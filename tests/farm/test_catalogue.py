@@ -19,8 +19,10 @@ import shapely
 
 from fieldgrid.errors import ConfigError, MapError, MapExistsError
 from fieldgrid.farm import Farm, Health
+from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import create_map, open_map
 from fieldgrid.stac import write_stac
+from tests.mapfile import maps
 from tests.mapfile.maps import DATUM, drive, write_map
 
 
@@ -227,3 +229,25 @@ def test_a_map_without_a_drive_in_time(tmp_path: Path) -> None:
         pass
     (block,) = Farm(tmp_path).blocks
     assert (block.problem, block.first, block.last, block.bounds) == ("", None, None, None)
+
+
+def test_a_field_across_the_meridian_of_180_degrees(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """STAC has a box there begin in the east, at a west that is more than its east."""
+    farm = tmp_path / "farm"
+    farm.mkdir()
+    monkeypatch.setattr(maps, "DATUM", Datum(-16.8, 179.99998, 50.0))
+    write_map(farm / "taveuni.gpkg", [drive(12, step_m=2.0)])
+    with Farm(farm) as opened:
+        write_stac(opened, tmp_path / "stac")
+    (path,) = (tmp_path / "stac").rglob("taveuni.json")
+    item = json.loads(path.read_text())
+    west, south, east, north = item["bbox"]
+    assert 179.99 < west < 180.0
+    assert -180.0 < east < -179.99
+    for part in shapely.get_parts(shapely.geometry.shape(item["geometry"])):
+        assert part.bounds[2] - part.bounds[0] < 0.001
+    (path,) = (tmp_path / "stac").rglob("collection.json")
+    (extent,) = json.loads(path.read_text())["extent"]["spatial"]["bbox"]
+    assert extent == [-180.0, south, 180.0, north]

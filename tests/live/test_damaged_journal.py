@@ -207,7 +207,7 @@ def test_frames_are_not_left_to_another_rig_where_the_beginning_is_damaged(
     damage(journal, [first])
     with open_recording(short_drive) as recording:
         other = replace(recording.rig, image_time_offset_ns=7)
-        with pytest.raises(ConfigError, match="it has another rig"):
+        with pytest.raises(ConfigError, match="differs in its rig"):
             Live(out, other, name=recording.name)
     with SessionFolder(out, None) as kept:
         assert (kept.drive.frames, kept.drive.fixes) == (sound.frames, sound.fixes)

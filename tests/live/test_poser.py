@@ -115,7 +115,7 @@ def test_when_fixes_stop_sigma_grows_until_the_window_is_not_trusted(follows: bo
 @pytest.mark.parametrize("has_tilt", [True, False])
 def test_who_has_no_accelerometer_is_told_once_what_the_lean_costs(has_tilt: bool) -> None:
     """On a straight row nothing tells how the vehicle leans, by which an antenna far up is off."""
-    told = Told()
+    told = Heard()
     rig = replace(RIG, antenna=LeverArm(0.0, 0.0, 3.0))
     poser = Poser(rig, SETTINGS, DATUM, LiveOptions(), told)
 
@@ -128,8 +128,8 @@ def test_who_has_no_accelerometer_is_told_once_what_the_lean_costs(has_tilt: boo
         if has_tilt:
             poser.put(("tilt", rows_of("tilt", at_ns(seconds), 0.0, 0.0, 0.5)))
         poser.put(frame(seconds, 0.2))
-        while k == 50 and not has_tilt and not advice():
-            time.sleep(0.05)
+        if k == 50 and not has_tilt:
+            told.wait(lambda: bool(advice()))
     poser.close()
     assert told.of(LiveWindow)[-1].is_trusted is has_tilt
     assert len(advice()) == (not has_tilt)

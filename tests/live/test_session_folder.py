@@ -376,13 +376,13 @@ def test_what_keeps_a_session_from_going_on_is_named(tmp_path: Path) -> None:
     SessionFolder(out, replace(begun, source="serial:/dev/ttyACM1")).close()
     others = {
         "rig": replace(begun, rig=replace(rig, image_time_offset_ns=7)),
-        "name, settings": replace(begun, name="x", settings=BuildSettings(map={"cell_m": 0.2})),
+        "name and settings": replace(begun, name="x", settings=BuildSettings(map={"cell_m": 0.2})),
         "log of fixes": replace(begun, source="rtk.nmea", source_sha256="07"),
         "use of --append": replace(begun, append=True),
         "datum": replace(begun, datum=Datum(41.0, 2.0, 0.0), datum_hint=Datum(41.0, 2.0, 0.0)),
     }
     for words, other in others.items():
-        with pytest.raises(ConfigError, match=rf"'row'.* it has another {words}\. Finish it with"):
+        with pytest.raises(ConfigError, match=rf"'row'.* differs in its {words}\. Finish it with"):
             SessionFolder(out, other)
 
 

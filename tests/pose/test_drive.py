@@ -71,16 +71,19 @@ def test_gears_that_the_user_names_are_not_denied() -> None:
     assert accepted[0].sum() < accepted[1].sum()
 
 
-@pytest.mark.parametrize(("shift_s", "noted"), [(0.0, False), (60.0, True), (-90.0, True)])
-def test_known_gears_of_another_time_are_told(shift_s: float, noted: bool) -> None:
+@pytest.mark.parametrize(
+    ("shifts_s", "noted"),
+    [((0.0,), False), ((60.0,), True), ((-90.0,), True), ((-90.0, 0.0), False)],
+)
+def test_known_gears_of_another_time_are_told(shifts_s: tuple[float, ...], noted: bool) -> None:
     """A file of local times, say."""
     drive = simulate(SLALOM, 35.0)
     fixes = fixes_of(drive, 1.0, 0.01)
-    first, shift_ns = int(fixes.time_ns[0]), round(shift_s * 1e9)
-    span = GearSpan(
-        start_ns=first + shift_ns, stop_ns=first + shift_ns + 10**10, gear=GearName.FORWARD
+    starts = [int(fixes.time_ns[0]) + round(shift_s * 1e9) for shift_s in shifts_s]
+    spans = tuple(
+        GearSpan(start_ns=start, stop_ns=start + 10**10, gear=GearName.FORWARD) for start in starts
     )
-    settings = PoseSettings(quality=4, accuracy_m=0.02, gear_spans=(span,))
+    settings = PoseSettings(quality=4, accuracy_m=0.02, gear_spans=spans)
     notes = estimate_poses(fixes, Carrier(0.0), DATUM, settings).report.notes
     assert any("known gears are all of a time before or after" in note for note in notes) == noted
 

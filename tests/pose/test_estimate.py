@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -697,6 +698,46 @@ def test_a_course_posing_as_a_heading_is_not_used() -> None:
     assert off_deg(found.trajectory, simulated)[found.trajectory.accepted].max() < 3.0
     with pytest.raises(GnssError, match="use --heading smooth"):
         estimate(simulated, fixes=fixes, motion=gyro, settings=PoseSettings(heading="recorded"))
+
+
+@pytest.mark.parametrize(("share", "word"), [(0.01, False), (0.1, True), (0.45, True)])
+@pytest.mark.parametrize("heading", ["smooth", "recorded"])
+def test_where_a_recorded_heading_is_the_other_way_round_it_is_not_used(
+    heading: str, share: float, word: bool
+) -> None:
+    """As while a receiver with two antennas finds its attitude."""
+    simulated = simulate([*SLALOM, *SLALOM], 35.0, speed_mps=1.5)
+    fixes = fixes_of(simulated, 0.2, 0.01, heading_sigma_deg=0.3)
+    around = np.arange(len(fixes)) < share * len(fixes)
+    shown = np.asarray(wrap_deg(fixes.heading_deg + 180.0 * around))
+    settings = PoseSettings(heading=heading)
+    found = estimate(simulated, fixes=fixes.replace(heading_deg=shown), settings=settings)
+    assert off_deg(found.trajectory, simulated)[found.trajectory.accepted].max() < 10.0
+    by_itself = heading == "smooth"
+    assert found.trajectory.accepted.mean() == pytest.approx(
+        1.0 - share * (not by_itself), abs=0.02
+    )
+    told = f"the other way round at {around.sum()} of {len(fixes)} fixes"
+    assert any(told in note for note in found.report.notes) == (word or not by_itself)
+
+
+def test_a_heading_that_turns_around_during_the_drive_is_not_used() -> None:
+    """Only in a tenth, with RTK, the drive itself is sure where it points."""
+    simulated = simulate([*SLALOM, *SLALOM], 35.0, speed_mps=1.5)
+    good, poor = (fixes_of(simulated, 0.2, m, heading_sigma_deg=0.3) for m in (0.01, 0.4))
+    sure = np.arange(len(good)) < 0.15 * len(good)
+    fixes = good.replace(
+        heading_deg=np.asarray(wrap_deg(good.heading_deg + 180.0 * ~sure)),
+        lat_deg=np.where(sure, good.lat_deg, poor.lat_deg),
+        lon_deg=np.where(sure, good.lon_deg, poor.lon_deg),
+        sigma_m=np.where(sure, 0.01, 0.4),
+        quality=np.where(sure, 4, 1),
+    )
+    found = estimate(simulated, fixes=fixes)
+    told = r"turns around during the drive, and was not used: it is 0° off .* at 85 % of all"
+    assert any(re.search(told, note) for note in found.report.notes)
+    with pytest.raises(GnssError, match="cut the log where it does, or use --heading smooth"):
+        estimate(simulated, fixes=fixes, settings=PoseSettings(heading="recorded"))
 
 
 def test_a_constant_heading_that_contradicts_the_drive_is_told() -> None:

@@ -28,6 +28,8 @@ TIGHT = [
 ]
 """Rows of a robot that turns about a point 1.1 m beside it."""
 
+SNAKE = [Command(3.0, 1.0, 0.6), Command(3.0, 1.0, -0.6)] * 6
+
 RIG = paper_rig(antenna=LeverArm(0.0, 0.0, 3.0), rear_axle_forward_m=0.0)
 STAMPED = re.compile(r"stamped (\S+) s ± (\S+) s (late|early) against the gyro")
 PLACED = re.compile(r"sits (\S+) m ± (\S+) m farther (ahead|back) than")
@@ -97,6 +99,13 @@ def test_stamps_that_shift_turns_to_where_there_are_none_are_told(late_s: float)
     assert not any(WRONG in note for note in found.report.notes)
     assert min(within(found, drive)) > 0.98
     assert found.trajectory.accepted.mean() > 0.3
+
+
+def test_a_mistake_from_which_no_step_leads_is_found_from_another_start() -> None:
+    """Stamps that are half a period of the turns off have each turn go the other way."""
+    found = estimate(simulate(SNAKE, 35.0), late_s=3.0)
+    assert told(found, STAMPED) == [pytest.approx(3.0, abs=0.1)]
+    assert told(found, PLACED) == []
 
 
 @pytest.mark.parametrize(("size", "gyro_s"), [(-1.0, 0.0), (0.4, 0.0), (1.0, 20.0)])

@@ -177,6 +177,33 @@ def test_topics(kind: str, truth: Truth, tmp_path: Path) -> None:
         given(PoseSource(bag, topic="/other", axes="rdf"))
 
 
+@pytest.mark.parametrize("kind", ["nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"])
+def test_topics_of_a_simulations_clock(kind: str, tmp_path: Path) -> None:
+    """The stamps of the poses and of their messages count from the start of the simulation."""
+    ros, epoch_ns, times_ns = Maker("mcap"), 1_750_000_000 * 10**9, [5 * 10**9, 7 * 10**9]
+    pose = ros.of(
+        "geometry_msgs/msg/Pose",
+        position=ros.of("geometry_msgs/msg/Point", x=1.0, y=2.0, z=0.0),
+        orientation=ros.of("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+    )
+    stamped = [
+        ros.of("geometry_msgs/msg/PoseStamped", header=ros.header(time_ns, "map"), pose=pose)
+        for time_ns in times_ns
+    ]
+    said = [Said(time_ns, "/slam", one) for time_ns, one in zip(times_ns, stamped, strict=True)]
+    if kind == "nav_msgs/msg/Path":
+        path = ros.of(kind, header=ros.header(times_ns[-1], "map"), poses=stamped)
+        said = [Said(times_ns[-1], "/slam", path)]
+    fixes = [Said(time_ns, "/fix", ros.fix(time_ns, 41.65, -4.72, 700.0)) for time_ns in times_ns]
+    bag = write_bag(tmp_path / "slam", "mcap", ros, [*said, *fixes])
+    options = DriveOptions(poses=PoseSource(topic="/slam"), unmounted=True, epoch_ns=epoch_ns)
+    with open_drive(bag, options) as drive:
+        poses = drive.motion().poses
+        assert poses is not None
+        assert poses.time_ns.tolist() == [epoch_ns + time_ns for time_ns in times_ns]
+        assert drive.fixes().time_ns.tolist() == poses.time_ns.tolist()
+
+
 def test_recording_toml_names_them(truth: Truth, tmp_path: Path) -> None:
     """Options outrank it one by one."""
     folder = tmp_path / "june"

@@ -14,14 +14,15 @@ from fieldgrid.cli.options import AsJson
 
 
 def command(as_json: AsJson = False) -> None:
-    """Print the versions of the program and its libraries, the installed extras, and the
-    folders of caches.
+    """Print the versions of the program and its libraries, the installed extras, what other
+    packages add, and the folders of caches.
 
     Example:
 
         fieldgrid info --json
     """
     from fieldgrid.kernel import nothing
+    from fieldgrid.plugins import Group, plugins
     from fieldgrid.recording import cache_folder
 
     requirements = importlib.metadata.requires("fieldgrid") or []
@@ -42,8 +43,10 @@ def command(as_json: AsJson = False) -> None:
         for extra in extras
         if extra not in {"all", "dev"}
     }
+    by_group = {group.value: plugins(group) for group in Group}
     if as_json:
-        output.print_json({**machine, "libraries": libraries, "extras": by_extra})
+        added = {group: [one.value for one in named] for group, named in by_group.items()}
+        output.print_json({**machine, "libraries": libraries, "extras": by_extra, "plugins": added})
         return
     rows = [(key.replace("_", " "), _text(value)) for key, value in machine.items()]
     rows += [(name, _text(version)) for name, version in libraries.items()]
@@ -51,6 +54,8 @@ def command(as_json: AsJson = False) -> None:
         missing = [name for name, version in versions.items() if version is None]
         state = f"lacks {', '.join(missing)}" if missing else "installed"
         rows.append((f"extra {extra}", state))
+    for group, named in by_group.items():
+        rows += [(f"{group}: {one.value}", _from(one.dist)) for one in named]
     output.print_table(("", ""), rows)
 
 
@@ -70,6 +75,10 @@ def _version(name: str) -> str | None:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return None
+
+
+def _from(package: importlib.metadata.Distribution | None) -> str:
+    return "-" if package is None else f"{package.name} {package.version}"
 
 
 def _text(value: Any) -> str:

@@ -23,7 +23,7 @@ from fieldgrid.export.clipping import at, stretches_inside
 from fieldgrid.export.georeference import extent
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
-from fieldgrid.geodesy import Datum
+from fieldgrid.geodesy import Datum, continued_deg
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.mapfile import LAYERS, MapFile, MapView
 from fieldgrid.mapfile.marks import features
@@ -148,7 +148,8 @@ def _place(datum: Datum, view: MapView) -> _Place:
     east_m = [bounds.west_m, bounds.east_m, bounds.east_m, bounds.west_m]
     north_m = [bounds.south_m, bounds.south_m, bounds.north_m, bounds.north_m]
     lat_deg, lon_deg, _ = datum.to_geodetic(east_m, north_m, 0.0)
-    return _Place(lon_deg, lat_deg)
+    # KML has overlays that overlap the meridian of 180° reach beyond it.
+    return _Place(continued_deg(lon_deg, datum.lon_deg), lat_deg)
 
 
 def _document(
@@ -220,14 +221,19 @@ def _lines(root: ElementTree.Element, universal: MapFile, selection: Selection) 
         for positions in stretches_inside(drive[0], drive[1], selection.area(universal)):
             places = (at(values, positions) for values in drive)
             lat_deg, lon_deg, _ = universal.datum.to_geodetic(*places)
-            placemark = _add(folder, "Placemark")
-            _add(placemark, "name", session)
-            _add(placemark, "styleUrl", f"#{_LINE_STYLE}")
-            line = _add(placemark, "LineString")
-            _add(line, "tessellate", "1")
-            _add(line, "altitudeMode", "clampToGround")
-            _add(line, "coordinates", _coordinates(lon_deg, lat_deg))
-            count += 1
+            # A line across the meridian of 180° would go around the world.
+            across = np.flatnonzero(np.abs(np.diff(lon_deg)) > 180.0) + 1
+            for lons, lats in zip(
+                np.split(lon_deg, across), np.split(lat_deg, across), strict=True
+            ):
+                placemark = _add(folder, "Placemark")
+                _add(placemark, "name", session)
+                _add(placemark, "styleUrl", f"#{_LINE_STYLE}")
+                line = _add(placemark, "LineString")
+                _add(line, "tessellate", "1")
+                _add(line, "altitudeMode", "clampToGround")
+                _add(line, "coordinates", _coordinates(lons, lats))
+                count += 1
     return count
 
 

@@ -117,6 +117,12 @@ class _Zooms:
 
         corners = (*plane.at(0, plane.height), *plane.at(plane.width, 0))
         area = transform_bounds(plane.crs, CRS.from_epsg(3857), *corners, densify_pts=99)
+        if area[2] - area[0] > WORLD_M / 2.0:
+            raise ConfigError(
+                "The map lies on both sides of the meridian of 180°, where Web Mercator ends; "
+                "export the parts to the west and to the east of it by --bounds, or write a "
+                "GeoTIFF."
+            )
         on_ground_m = WORLD_M / TILE_PX * math.cos(math.radians(lat_deg))
         self.finest = max(math.ceil(math.log2(on_ground_m / plane.transform.a)), 0)
         # GDAL begins its raster at the bounds, so they go by whole pixels.

@@ -33,6 +33,10 @@ CACHE_MB = 96
 
 MAX_SIDE_PX = 1 << 30
 
+MOST_STRETCHED = 100.0
+"""No system that is used somewhere stretches the ground more along one axis than along the other.
+"""
+
 
 class BandLayout(NamedTuple):
     """How a layer's cells become bands: of this type, with alpha or else a value for nodata.
@@ -322,8 +326,14 @@ def _reprojected(source: PixelPlane, epsg: int, datum: Datum) -> PixelPlane:
     area = Bounds(*bounds)
     # As large in both units of the system: many programs take no other pixels.
     side = min(side_x, side_y)
-    width = math.ceil((area.east_m - area.west_m) / side)
-    height = math.ceil((area.north_m - area.south_m) / side)
+    wide, high = area.east_m - area.west_m, area.north_m - area.south_m
+    if wide <= 0.0 or max(wide, high) > MOST_STRETCHED * side * (source.width + source.height):
+        raise ConfigError(
+            f"The map lies on both sides of where EPSG:{epsg} ({crs_name(crs)}) ends, as at the "
+            "meridian of 180°; leave --epsg out, choose a system that goes on there, or export the "
+            "parts by --bounds."
+        )
+    width, height = math.ceil(wide / side), math.ceil(high / side)
     placed = Affine(side, 0.0, area.west_m, 0.0, -side, area.north_m)
     return _checked(PixelPlane(max(width, 1), max(height, 1), crs, placed))
 

@@ -10,8 +10,9 @@ A module of another package can add one::
 
     register_export_format(ExportFormat("mine", (".mine",), "what it is", write))
 
-and is found when its distribution has an entry point of the group `fieldgrid.formats`. The flags
-of `fieldgrid export`, its help, its errors and `docs/exports.md` follow from the declarations.
+and is found when the entry points of its package name it in the group `fieldgrid.export_formats`.
+The flags of `fieldgrid export`, its help, its errors and `docs/exports.md` follow from the
+declarations.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ import re
 from collections.abc import Mapping
 from enum import StrEnum
 from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
@@ -32,6 +32,7 @@ from fieldgrid.cost import DENSITIES
 from fieldgrid.errors import ConfigError, MapError, MapExistsError
 from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import LAYERS, MapFile, Readable, read_datum
+from fieldgrid.plugins import Group, load
 from fieldgrid.publish import check_place
 from fieldgrid.settings import DeclaredSetting, Settings, declared, first_problem
 
@@ -136,6 +137,7 @@ def unregister_export_format(name: str) -> None:
 def formats() -> Mapping[str, ExportFormat]:
     """All formats by their names: those of fieldgrid, then those of other packages."""
     _load()
+    load(Group.EXPORT_FORMATS)
     order = {f"fieldgrid.export.{module}": k for k, module in enumerate(_BUILT_IN)}
     last = len(order)
     found = sorted(_formats.values(), key=lambda one: order.get(one.write.__module__, last))
@@ -146,8 +148,6 @@ def formats() -> Mapping[str, ExportFormat]:
 def _load() -> None:
     for module in _BUILT_IN:
         importlib.import_module(f"fieldgrid.export.{module}")
-    for found in entry_points(group="fieldgrid.formats"):
-        found.load()
 
 
 def format_of(path: Path, name: str | None = None) -> ExportFormat:

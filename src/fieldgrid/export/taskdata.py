@@ -23,7 +23,7 @@ from fieldgrid.export.features import feature_layers
 from fieldgrid.export.guidance import NAME, Points, TaskdataOptions, drive_groups, lane_groups
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
-from fieldgrid.geodesy import Datum
+from fieldgrid.geodesy import Datum, continued_deg
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, MapView, MarkKind
@@ -179,9 +179,11 @@ def zone_grid(view: MapView, obstacle_above: int = OBSTACLE_ABOVE) -> ZoneGrid:
     corners_east = np.array([bounds.west_m, bounds.east_m, bounds.west_m, bounds.east_m])
     corners_north = np.array([bounds.south_m, bounds.south_m, bounds.north_m, bounds.north_m])
     lat_deg, lon_deg, _ = datum.to_geodetic(corners_east, corners_north, np.zeros(4))
+    lon_deg = continued_deg(lon_deg, datum.lon_deg)
     lat0, lon0, _ = datum.to_geodetic(
         np.array([0.0, cell_m, 0.0]), np.array([0.0, 0.0, cell_m]), np.zeros(3)
     )
+    lon0 = continued_deg(lon0, datum.lon_deg)
     step_north, step_east = float(lat0[2] - lat0[0]), float(lon0[1] - lon0[0])
     south, west = round(float(lat_deg.min()), _DECIMALS), round(float(lon_deg.min()), _DECIMALS)
     rows = int(np.ceil((lat_deg.max() - south) / step_north))
@@ -203,6 +205,7 @@ def zone_grid(view: MapView, obstacle_above: int = OBSTACLE_ABOVE) -> ZoneGrid:
                 lon = west + (np.arange(columns) + (b + 0.5) / _SAMPLES) * step_east
                 np.maximum(worst, _sampled(view, severity, lat, lon), out=worst)
         zones[first : first + len(part)] = _BY_SEVERITY[worst]
+    west = west + 360.0 if west < -180.0 else west
     return ZoneGrid(zones, south, west, step_north, step_east)
 
 

@@ -22,10 +22,11 @@ from fieldgrid.export.options import QuadtreeOptions, ShapeOptions
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum
+from fieldgrid.lon_lat import in_degrees
 from fieldgrid.mapfile import MapFile
 from fieldgrid.publish import made_elsewhere, mentions, replacing, replacing_folder, working_beside
 from fieldgrid.settings import Flag, setting
-from fieldgrid.vectors import Feature, FeatureLayer, in_degrees, write_features, write_layer
+from fieldgrid.vectors import Feature, FeatureLayer, write_features, write_layer
 
 _FLATGEOBUF = "features of a map of fieldgrid"
 """What a FlatGeobuf says that it is."""

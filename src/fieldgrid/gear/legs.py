@@ -16,7 +16,8 @@ import numpy as np
 from fieldgrid.angles import heading_deg, wrap_deg
 from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.gear.holes import EDGE_SHARE, carried_on_nats, slows, tight_nats
-from fieldgrid.kernel import kernel, part_of_kernel
+from fieldgrid.kernel import kernel
+from fieldgrid.polyline import first_beyond
 
 CUT_DEG = 75.0
 """A path whose direction before and after a point differs by more may have turned back there."""
@@ -136,7 +137,7 @@ def _cut(track: GearEvidence) -> list[int]:
     """Where legs begin: after each gap, and at each point where the path turns sharply."""
     points = track.points_m
     reach_m = max(REACH_M, REACH_SIGMAS * float(np.median(track.sigma_m)))
-    turning = np.abs(turning_deg(points, np.cumsum(track.gap_s > 0.0), reach_m))
+    turning = np.abs(turning_deg(points, np.cumsum(track.gap_s > 0.0, dtype=np.int64), reach_m))
     sharp = turning > CUT_DEG
     starts = {0, *np.flatnonzero(track.gap_s).tolist()}
     runs = np.flatnonzero(np.diff(np.concatenate([[False], sharp, [False]]).astype(np.int8)))
@@ -167,43 +168,25 @@ def _tips(points: Float64, turning: Float64, first: int, last: int, reach_m: flo
     return tips
 
 
-@kernel
-def turning_deg(points, part, reach_m):  # type: ignore[no-untyped-def]
+def turning_deg(points: Float64, part: Int64, reach_m: float) -> Float64:
     """Clockwise turn of the path [n, 2] at each point between the nearest places `reach_m`
     away on both sides, degrees; 0 where the part ends within that."""
-    n = points.shape[0]
-    turning = np.empty(n)
-    one = np.int64(1)  # of a literal Numba would compile the function anew
-    for k in range(n):
-        turning[k] = 0.0
-        before = _beyond(points, part, k, -one, reach_m)
-        after = _beyond(points, part, k, one, reach_m)
-        if before >= 0 and after >= 0:
-            a_e, a_n = points[k, 0] - points[before, 0], points[k, 1] - points[before, 1]
-            b_e, b_n = points[after, 0] - points[k, 0], points[after, 1] - points[k, 1]
-            turning[k] = np.degrees(np.arctan2(a_n * b_e - a_e * b_n, a_e * b_e + a_n * b_n))
-    return turning
+    before, after = (first_beyond(points, reach_m, step, part) for step in (-1, 1))
+    return np.asarray(turn_between(points, before, after))
 
 
 @kernel
-def first_beyond_in(points, part, reach_m, step):  # type: ignore[no-untyped-def]
-    """The first point at least `reach_m` away from each, before (`step` -1) or after it (+1) and
-    in the same part; -1 for none."""
-    found = np.empty(points.shape[0], np.int64)
+def turn_between(points, before, after):  # type: ignore[no-untyped-def]
+    """The same between points of two indices for each, of which -1 is none."""
+    turning = np.empty(points.shape[0])
     for k in range(points.shape[0]):
-        found[k] = _beyond(points, part, k, step, reach_m)
-    return found
-
-
-@part_of_kernel
-def _beyond(points, part, k, step, reach_m):  # type: ignore[no-untyped-def]
-    i = k + step
-    while 0 <= i < points.shape[0] and part[i] == part[k]:
-        d_e, d_n = points[i, 0] - points[k, 0], points[i, 1] - points[k, 1]
-        if d_e * d_e + d_n * d_n >= reach_m * reach_m:
-            return i
-        i += step
-    return -1
+        turning[k] = 0.0
+        if before[k] >= 0 and after[k] >= 0:
+            a_e = points[k, 0] - points[before[k], 0]
+            a_n = points[k, 1] - points[before[k], 1]
+            b_e, b_n = points[after[k], 0] - points[k, 0], points[after[k], 1] - points[k, 1]
+            turning[k] = np.degrees(np.arctan2(a_n * b_e - a_e * b_n, a_e * b_e + a_n * b_n))
+    return turning
 
 
 def _length_m(points: Float64) -> float:
@@ -299,9 +282,9 @@ class TurningSeen(NamedTuple):
 
 def turning_seen(track: GearEvidence) -> TurningSeen:
     """The fastest and the tightest of the turns of a path, but for the few that noise makes."""
-    points, part = track.points_m, np.cumsum(track.gap_s > 0.0)
+    points, part = track.points_m, np.cumsum(track.gap_s > 0.0, dtype=np.int64)
     turn = turning_deg(points, part, TANGENT_REACH_M)
-    away = [first_beyond_in(points, part, TANGENT_REACH_M, step) for step in (-1, 1)]
+    away = [first_beyond(points, TANGENT_REACH_M, step, part) for step in (-1, 1)]
     known = (away[0] >= 0) & (away[1] >= 0) & (np.abs(turn) < CUT_DEG)
     if np.count_nonzero(known) < FEWEST_TURNS:
         return TurningSeen(USUAL_TURN_DPS, TIGHTEST_M)

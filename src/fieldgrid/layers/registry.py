@@ -23,6 +23,7 @@ from fieldgrid.layers import (
     variance,
 )
 from fieldgrid.layers.declaration import ChannelGroup, Layer
+from fieldgrid.plugins import Group, Registered
 
 _GROUPS: dict[str, ChannelGroup] = {}
 _LAYERS: dict[str, Layer] = {}
@@ -33,10 +34,10 @@ RETIRED_GROUPS: Mapping[str, str] = MappingProxyType(
 """Groups of older maps, with a value for each cell and sums over frames, and what replaces them.
 The next change of such a map makes the new ones from its frames."""
 
-GROUPS: Mapping[str, ChannelGroup] = MappingProxyType(_GROUPS)
+GROUPS: Mapping[str, ChannelGroup] = Registered(_GROUPS, Group.LAYERS)
 """The channel groups by name; a group may use those before it, and all may use the density."""
 
-LAYERS: Mapping[str, Layer] = MappingProxyType(_LAYERS)
+LAYERS: Mapping[str, Layer] = Registered(_LAYERS, Group.LAYERS)
 """The layers by name."""
 
 
@@ -95,20 +96,20 @@ def check_layers(names: Iterable[str]) -> tuple[str, ...]:
     """The names, once it is sure that there are such layers."""
     wanted = tuple(names)
     for name in wanted:
-        if name not in _LAYERS:
-            raise ConfigError(f"There is no layer {name!r}; there are {', '.join(_LAYERS)}.")
+        if name not in LAYERS:
+            raise ConfigError(f"There is no layer {name!r}; there are {', '.join(LAYERS)}.")
     return wanted
 
 
 def stored_groups() -> tuple[str, ...]:
     """The channel groups that the tiles of a new map hold; derived ones those above the base."""
-    return tuple(_GROUPS)
+    return tuple(GROUPS)
 
 
 def groups_of(layers: Iterable[str]) -> tuple[str, ...]:
     """The channel groups that layers are made of, in the order of their registration."""
-    wanted = {name for layer in layers for name in _LAYERS[layer].groups} | {density.GROUP.name}
-    return tuple(name for name in _GROUPS if name in wanted)
+    wanted = {name for layer in layers for name in LAYERS[layer].groups} | {density.GROUP.name}
+    return tuple(name for name in GROUPS if name in wanted)
 
 
 def channel_names(group: ChannelGroup) -> tuple[str, ...]:

@@ -40,7 +40,6 @@ _IN_WORDS = {
     "datum": "datum",
     "datum_hint": "datum",
     "append": "use of --append",
-    "source": "log of fixes",
     "source_sha256": "log of fixes",
     "notes": "source of data",
     "poses": "poses of another program",
@@ -83,12 +82,11 @@ class SessionStart:
     def differs_in(self, earlier: SessionStart) -> tuple[str, ...]:
         """What is other than where an earlier session was begun, in words; nothing where this is
         that session again. What is checked at its end may differ, and so may the address of a
-        receiver, which a plug may change; logs that are replayed are told apart."""
+        receiver, which a plug may change; replayed logs are told apart by their content."""
         ours, theirs = self.to_json(), earlier.to_json()
         for one in (ours, theirs):
             del one["settings"]["checks"]
-            if not (self.source_sha256 or earlier.source_sha256):
-                del one["source"]
+            del one["source"]
         other = {_IN_WORDS[part] for part, value in ours.items() if value != theirs[part]}
         return tuple(words for words in dict.fromkeys(_IN_WORDS.values()) if words in other)
 

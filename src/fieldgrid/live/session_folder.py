@@ -131,9 +131,9 @@ class SessionFolder(Closing):
         if about is not None and (other := about.differs_in(drive.about)):
             raise ConfigError(
                 f"{self.folder} holds the session {drive.about.name!r}, which was ended before it "
-                f"was in the map and is not this one again: it has another {', '.join(other)}. "
-                f"Finish it with fieldgrid live -o {self.out} --finish, or remove it with "
-                "--discard."
+                f"was in the map and cannot go on with this one, which differs in its "
+                f"{' and '.join(other)}. Finish it with fieldgrid live -o {self.out} --finish, or "
+                "remove it with --discard."
             )
         if drive.cut_at is not None:
             self.journal.append("cut", drive.cut_at)

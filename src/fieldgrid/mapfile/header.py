@@ -56,7 +56,8 @@ class MapHeader(NamedTuple):
         if unknown:
             raise ConfigError(
                 f"{path} holds the channel group {unknown[0]!r}, which no imported module knows; "
-                "import the module that registers it, or drop it with `fieldgrid repair`."
+                "import the module that registers it, install the package that has it, or drop it "
+                "with `fieldgrid repair`."
             )
         return self.known_groups()
 

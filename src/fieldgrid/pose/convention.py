@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.angles import wrap_deg
-from fieldgrid.array_types import Float64, Int64
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.rig import VehicleGeometry
 
 FEWEST = 20
@@ -26,6 +26,9 @@ SURE_DEG = 5.0
 
 COARSE_DEG = 25.0
 """Where it is this sure, it tells at least which way round another is."""
+
+FEW_TURNED_SHARE = 0.02
+"""No more than this that is the other way round is not worth a word beside other sensors."""
 
 TELLING_TURN_DEG = 10.0
 """A mirrored sign shows only in a drive that has turned by as much."""
@@ -111,11 +114,19 @@ def compare(
     sign = -1.0 if mirrored else 1.0
     behind = np.abs(wrap_deg(recorded_deg[back] - sign * heading_deg[back] - offset))
     course = bool(back.sum() >= FEWEST_BACK and np.median(behind) > 90.0)
+    found = Comparison(offset, float(sigma), scatter, mirrored, course, int(use.sum()), backing)
     coarse = np.isfinite(recorded_deg) & (sigma_deg < COARSE_DEG) & (gear == (-1 if backing else 1))
-    away = np.abs(wrap_deg(recorded_deg[coarse] - sign * heading_deg[coarse] - offset))
-    flipped = float(np.mean(away > 90.0))
-    found = int(use.sum()), backing, flipped
-    return Comparison(offset, float(sigma), scatter, mirrored, course, *found)
+    around = turned_around(found, recorded_deg, heading_deg, sigma_deg)
+    return found._replace(flipped=float(np.mean(around[coarse])))
+
+
+def turned_around(
+    found: Comparison, recorded_deg: Float64, heading_deg: Float64, sigma_deg: Float64
+) -> Bool:
+    """Where a recorded heading is the other way round than its comparison says, [n]."""
+    sign = -1.0 if found.mirrored else 1.0
+    away = np.abs(wrap_deg(recorded_deg - sign * heading_deg - found.offset_deg))
+    return (sigma_deg < COARSE_DEG) & (away > 90.0)
 
 
 def _circular(angles_deg: Float64) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from fieldgrid.pose.axle import axle_forward_m, with_antenna_moved
 from fieldgrid.pose.camera_yaw import CameraYaw, camera_yaw
 from fieldgrid.pose.clock import ClockFindings, check_clock
 from fieldgrid.pose.clock_jump import clock_jump
-from fieldgrid.pose.convention import Comparison
+from fieldgrid.pose.convention import FEW_TURNED_SHARE, Comparison
 from fieldgrid.pose.denied import Denied, denied_by, unsure_declared, with_whole_place
 from fieldgrid.pose.drifting import Drifts, drift_notes, drifts, unsure_drift
 from fieldgrid.pose.drive import DriveEstimate, with_recorded
@@ -283,7 +283,7 @@ def _recorded(
     if found.flips:
         note = (
             "The recorded heading turns around during the drive, and was not used: it is "
-            f"{found.offset_deg:.0f}° off the nose at the {found.compared} fixes where that is "
+            f"{found.offset_deg:z.0f}° off the nose at the {found.compared} fixes where that is "
             f"known best, and the other way round at {100.0 * found.flipped:.0f} % of all."
         )
         if source.kind == "recorded":
@@ -305,7 +305,16 @@ def _recorded(
             f"The recorded heading is {found.offset_deg:+.2f}° ± {found.offset_sigma_deg:.2f}° off "
             "the course of the drive; taken out."
         ]
-    return np.asarray(wrap_deg(recorded - found.offset_deg)), found, notes
+    used = np.asarray(wrap_deg(recorded - found.offset_deg))
+    # Of a few the robust estimate makes nothing by itself.
+    if found.flipped > (FEW_TURNED_SHARE if source.kind == "smooth" else 0.0):
+        around = fused.turned_around(found)
+        used[around] = np.nan
+        notes.append(
+            f"The recorded heading is the other way round at {np.count_nonzero(around)} of "
+            f"{np.count_nonzero(np.isfinite(recorded))} fixes, and was not used there."
+        )
+    return used, found, notes
 
 
 def _carried(table: PoseTable, rig: VehicleGeometry | None, source: HeadingSource) -> PoseTable:

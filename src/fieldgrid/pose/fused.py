@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Float64, Int64
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.attitude import AxisTilt, axes_of_fixes
 from fieldgrid.errors import GnssError
 from fieldgrid.fixes import FixColumns
@@ -20,7 +20,7 @@ from fieldgrid.gnss import NO_STRAYS, condition
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose.accepted import accepted_fixes, datum_of, no_fix_sentence
 from fieldgrid.pose.axle import Axle, axle_by_gyro, axle_of
-from fieldgrid.pose.convention import Comparison, compare
+from fieldgrid.pose.convention import Comparison, compare, turned_around
 from fieldgrid.pose.denied_leaps import denied_leaps
 from fieldgrid.pose.drive import DriveEstimate, smooth_drive
 from fieldgrid.pose.gears import GearHints, gear_hints
@@ -81,12 +81,21 @@ class Fused(NamedTuple):
 
     def compared(self) -> Comparison | None:
         """Recorded headings beside those of the drive; None where too little is sure."""
+        return compare(*self._headings(), self.drive.gear[self.drive.fix >= 0])
+
+    def turned_around(self, found: Comparison) -> Bool:
+        """At which accepted fixes the recorded heading is the other way round than it was found
+        to be."""
+        return turned_around(found, *self._headings())
+
+    def _headings(self) -> tuple[Float64, Float64, Float64]:
+        """Recorded headings, those of the drive, and the sigmas of these, [fixes]."""
         drive = self.drive
         at = drive.fix >= 0
         # Nodes stand in the order of the accepted fixes. An unsure axle, which shifts headings one
         # way in left and the other way in right turns, hides no convention.
         sigma_deg = np.degrees(drive.smoothed.heading_sigma_rad[at])
-        return compare(self.recorded_deg(), drive.heading_deg[at], sigma_deg, drive.gear[at])
+        return self.recorded_deg(), drive.heading_deg[at], sigma_deg
 
 
 def fuse(

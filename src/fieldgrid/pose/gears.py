@@ -8,9 +8,10 @@ import numpy as np
 
 from fieldgrid.angles import heading_deg, wrap_deg
 from fieldgrid.array_types import Bool, Float64, Int64
-from fieldgrid.course import first_beyond, stations
+from fieldgrid.course import stations
 from fieldgrid.gear import GearEvidence, Gears, gears
 from fieldgrid.motion import Motion
+from fieldgrid.polyline import first_beyond
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.leaps import leaps
 from fieldgrid.pose.measured import WHEEL_SIGMA_MPS, turn_back, wheel_speed_at

@@ -8,8 +8,8 @@ import numpy as np
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.course import first_beyond
 from fieldgrid.motion import Gyro, Inertial, Motion
+from fieldgrid.polyline import first_beyond
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.drive import DriveEstimate, smooth_drive

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.course import first_beyond
 from fieldgrid.motion import Gyro, Steps
+from fieldgrid.polyline import first_beyond
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.leaps import usual_period_s
 from fieldgrid.pose.nodes import GYRO_HOLE_NS

@@ -17,6 +17,7 @@ from typing import Any, BinaryIO, cast
 
 from fieldgrid.errors import FieldgridError, RecordingError
 from fieldgrid.limits import UnfoldBudget, bounded_lines, check_rows
+from fieldgrid.utc import MAX_TIME_NS, MIN_TIME_NS
 
 MAX_TEXT_BYTES = 256 << 20
 MAX_LOG_BYTES = 2 << 30
@@ -24,10 +25,6 @@ MAX_LOG_BYTES = 2 << 30
 
 DELIMITERS = ",;\t|"
 
-MIN_TIME_NS = 315_964_800_000_000_000
-"""1980-01-06, when GPS time began: what is stamped earlier is not UTC in nanoseconds."""
-
-MAX_TIME_NS = 1 << 62  # the year 2116
 _SUSPECT = re.compile(r"\.\.|[\0\\:]")
 _SECONDS = re.compile(r"(\d{1,12})(?:\.(\d+))?")
 

@@ -1,6 +1,7 @@
 """The formats of recordings: each is one module that says what it recognises and opens it.
 
-A format of one's own is added with :func:`register_format`.
+A format of one's own is added with :func:`register_format`; its module is found when the entry
+points of its package name it in the group `fieldgrid.recording_formats`.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fieldgrid.errors import ConfigError
+from fieldgrid.plugins import Group, load
 from fieldgrid.recording.drive import Drive
 from fieldgrid.recording.mounting import MOUNTING
 from fieldgrid.recording.options import DriveOptions
@@ -55,7 +57,8 @@ def unregister_format(name: str) -> None:
 
 
 def formats() -> Iterator[Format]:
-    """All formats, in the order in which they are asked."""
+    """All formats, in the order in which they are asked, those of other packages first."""
+    load(Group.RECORDING_FORMATS)
     return iter(tuple(_FORMATS.values()))
 
 

@@ -49,8 +49,9 @@ _FRAMES = {
 }
 
 
-def with_given_poses(drive: Drive, source: PoseSource | None) -> Drive:
-    """The drive with the poses of a source as part of its motion.
+def with_given_poses(drive: Drive, source: PoseSource | None, epoch_ns: int | None = None) -> Drive:
+    """The drive with the poses of a source as part of its motion; `epoch_ns` is when the clock of a
+    bag began that counts from its own start.
 
     Raises RecordingError for what cannot be read or contradicts itself, ConfigError for what is
     said in vain.
@@ -64,7 +65,7 @@ def with_given_poses(drive: Drive, source: PoseSource | None) -> Drive:
         check_axes(axes)
     except ValueError as problem:
         raise ConfigError(str(problem).replace("an IMU", "the body of poses") + ".") from problem
-    body = _read(drive, source, axes)
+    body = _read(drive, source, axes, epoch_ns)
     return with_body_poses(drive, body, PoseBody(body.name, axes, source.point_flu_m))
 
 
@@ -113,13 +114,13 @@ def motion_of_body(
     return motion, notes
 
 
-def _read(drive: Drive, source: PoseSource, axes: str) -> BodyPoses:
+def _read(drive: Drive, source: PoseSource, axes: str, epoch_ns: int | None) -> BodyPoses:
     path = drive.path if source.file is None else source.file
     offset_ns = source.offset_ns or 0
     if is_bag(path):
         if source.times is not None:
             raise ConfigError(f"The poses of {path} have their own times; leave --poses-times out.")
-        return read_pose_topic(path, source.topic, offset_ns)
+        return read_pose_topic(path, source.topic, offset_ns, epoch_ns)
     if source.topic is not None:
         raise ConfigError(f"{path} is no bag and has no topics; leave --poses-topic out.")
     image_offset_ns = 0 if drive.rig is None else drive.rig.image_time_offset_ns

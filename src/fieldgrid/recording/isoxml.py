@@ -16,9 +16,10 @@ from xml.parsers import expat
 
 from fieldgrid.errors import RecordingError, counted
 from fieldgrid.fixes import Fix, FixColumns
-from fieldgrid.recording.files import MIN_TIME_NS, check_regular, read_bytes
+from fieldgrid.recording.files import check_regular, read_bytes
 from fieldgrid.recording.fix_log import FixLog
 from fieldgrid.recording.qualities import from_position_status
+from fieldgrid.utc import MIN_TIME_NS
 
 _MAX_HEADER_BYTES = 1 << 20
 _MAX_TASKDATA_BYTES = 64 << 20

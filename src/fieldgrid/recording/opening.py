@@ -62,7 +62,7 @@ def open_drive(path: str | Path, options: DriveOptions | None = None) -> Drive:
         if options.poses is not None:
             given = options.poses.over(given)
         try:
-            return with_given_poses(drive, given)
+            return with_given_poses(drive, given, options.epoch_ns)
         except BaseException:
             drive.close()
             raise

@@ -9,8 +9,9 @@ import numpy as np
 
 from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.errors import RecordingError
-from fieldgrid.recording.files import MIN_TIME_NS, read_lines
+from fieldgrid.recording.files import read_lines
 from fieldgrid.recording.times import UNITS, TimeScale, guess_scale, to_utc_ns
+from fieldgrid.utc import MIN_TIME_NS
 
 MOST_M = 1e7
 """No trajectory leads farther from its origin."""

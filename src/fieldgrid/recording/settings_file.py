@@ -22,11 +22,12 @@ from fieldgrid.recording.entries import (
     entry,
     fitted,
 )
-from fieldgrid.recording.files import MAX_TIME_NS, MIN_TIME_NS, is_inside, read_text
+from fieldgrid.recording.files import is_inside, read_text
 from fieldgrid.recording.motion_files import check_axes
 from fieldgrid.recording.options import MAX_GIVEN_OFFSET_S
 from fieldgrid.recording.pixels import BAYER_PATTERNS, BITS
 from fieldgrid.recording.pose_source import PoseSource
+from fieldgrid.utc import MAX_TIME_NS, MIN_TIME_NS
 
 SETTINGS = "recording.toml"
 

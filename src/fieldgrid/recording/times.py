@@ -12,8 +12,8 @@ import numpy as np
 
 from fieldgrid.array_types import Int64
 from fieldgrid.gnss.gps_time import GPS_EPOCH_UNIX_S, unix_ns
-from fieldgrid.recording.files import MAX_TIME_NS, MIN_TIME_NS
 from fieldgrid.recording.tables import NOTHING
+from fieldgrid.utc import MAX_TIME_NS, MIN_TIME_NS
 
 NO_TIME = 0
 """What stands for an empty cell, and for a time before 1980: the receiver had none yet."""

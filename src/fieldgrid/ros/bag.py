@@ -28,6 +28,7 @@ from fieldgrid.ros.source import ZSTD_MAGIC, inflate
 from fieldgrid.ros.sqlite_file import MAGIC as SQLITE_MAGIC
 from fieldgrid.ros.sqlite_file import mended
 from fieldgrid.ros.stamps import stamp_ns
+from fieldgrid.utc import MIN_TIME_NS
 
 _PARTS: dict[bytes, type[BagPart]] = {
     ROSBAG1_MAGIC: Rosbag1File,
@@ -41,10 +42,6 @@ _MOST_MESSAGES = 1_000_000  # and one more for each 8 bytes of the files
 _SPAN = 1 << 44  # places in a bag: those of one file after those of the one before
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
-LEAST_UTC_NS = 315_964_800_000_000_000
-"""1980-01-06, when GPS time began: what is stamped earlier is of a clock that counts from its own
-start."""
-
 Take = Callable[[Message, int], None]
 """Takes a message and its place among those of its topic."""
 
@@ -57,7 +54,7 @@ def as_utc(time_ns: Int64, epoch_ns: int | None) -> Int64:
     become UTC; 0 stays what stands for none."""
     if epoch_ns is None:
         return time_ns
-    return np.where((time_ns > 0) & (time_ns < LEAST_UTC_NS), time_ns + epoch_ns, time_ns)
+    return np.where((time_ns > 0) & (time_ns < MIN_TIME_NS), time_ns + epoch_ns, time_ns)
 
 
 def is_bag(path: Path) -> bool:

@@ -19,7 +19,7 @@ import shapely
 
 from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
-from fieldgrid.geodesy import Datum
+from fieldgrid.geodesy import Datum, continued_deg
 from fieldgrid.polyline import project, resampled
 from fieldgrid.publish import mentions, replacing_folder
 from fieldgrid.rows.result import Planting
@@ -41,6 +41,7 @@ class FieldPlane(NamedTuple):
     def metres(self, points_m: Float64, datum: Datum) -> Float64:
         """Metres east and north [n, 2] of points in the plane of a datum."""
         lat, lon, _ = datum.to_geodetic(points_m[:, 0], points_m[:, 1], np.zeros(len(points_m)))
+        lon = continued_deg(lon, self.lon_deg)
         a = math.radians(self.lat_deg)
         a_degree_north = (
             111132.92 - 559.82 * math.cos(2.0 * a) + 1.175 * math.cos(4.0 * a)
@@ -50,7 +51,10 @@ class FieldPlane(NamedTuple):
             111412.84 * math.cos(a) - 93.5 * math.cos(3.0 * a) + 0.118 * math.cos(5.0 * a)
         )
         return np.column_stack(
-            [(lon - self.lon_deg) * a_degree_east, (lat - self.lat_deg) * a_degree_north]
+            [
+                (continued_deg(lon, self.lon_deg) - self.lon_deg) * a_degree_east,
+                (lat - self.lat_deg) * a_degree_north,
+            ]
         )
 
 

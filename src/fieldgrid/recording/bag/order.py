@@ -9,7 +9,7 @@ import numpy as np
 
 from fieldgrid.array_types import Bool, Index, Int64
 from fieldgrid.errors import RecordingError
-from fieldgrid.recording.files import MAX_TIME_NS, MIN_TIME_NS
+from fieldgrid.utc import MAX_TIME_NS, MIN_TIME_NS
 
 WINDOW = 16
 """How many messages of one topic wait for an earlier one at most; each may hold an image."""

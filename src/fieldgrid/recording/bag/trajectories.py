@@ -57,8 +57,11 @@ class _Poses(Heard):
         self.values.extend((p.x, p.y, p.z, q.x, q.y, q.z, q.w))
 
 
-def read_pose_topic(path: Path, topic: str | None, offset_ns: int = 0) -> BodyPoses:
-    """The poses of a topic of a bag, of the only one that has poses where none is named.
+def read_pose_topic(
+    path: Path, topic: str | None, offset_ns: int = 0, epoch_ns: int | None = None
+) -> BodyPoses:
+    """The poses of a topic of a bag, of the only one that has poses where none is named; `epoch_ns`
+    as `open_bag` takes it.
 
     Raises RecordingError where there is none, several, or one whose poses are none.
     """
@@ -70,13 +73,13 @@ def read_pose_topic(path: Path, topic: str | None, offset_ns: int = 0) -> BodyPo
         heard[name] = _Poses(type_)
         return heard[name].take
 
-    with open_bag(path, listen) as bag:
+    with open_bag(path, listen, epoch_ns) as bag:
         name = _chosen(bag, list(heard), topic)
         found = heard[name]
         found.finish()
         values = np.array(found.values, dtype=np.float64).reshape(-1, 7)
         if found.type == _PATH:
-            stamps_ns = np.array(found.stamps_ns, dtype=np.int64)
+            stamps_ns = bag.dated(np.array(found.stamps_ns, dtype=np.int64))
             time_ns = clock(name, stamps_ns, stamps_ns).time_ns
         else:
             times_ns = clock(name, *bag.stamps(name)).time_ns

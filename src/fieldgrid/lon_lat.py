@@ -1,0 +1,60 @@
+"""Shapes in longitude and latitude."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fieldgrid.array_types import Float64
+from fieldgrid.geodesy import Datum, continued_deg
+
+DECIMALS = 9
+"""Of degrees: a tenth of a millimetre."""
+
+
+def in_degrees(geometry: Any, datum: Datum) -> Any:
+    """Geometries in longitude and latitude, nine decimals, of points in the datum's plane.
+
+    At the meridian of 180° they are cut, as RFC 7946 has it: a line that goes from 179.9999° to
+    -179.9999° would span the world.
+    """
+    import shapely
+
+    def turned(places: Float64) -> Float64:
+        lat_deg, lon_deg, _ = datum.to_geodetic(places[:, 0], places[:, 1], np.zeros(len(places)))
+        degrees = np.column_stack([continued_deg(lon_deg, datum.lon_deg), lat_deg])
+        return np.asarray(degrees.round(DECIMALS))
+
+    found = shapely.transform(shapely.force_2d(geometry), turned)
+    west, _, east, _ = np.moveaxis(shapely.bounds(found), -1, 0)
+    beyond = (west < -180.0) | (east > 180.0)
+    if not np.any(beyond):
+        return found
+    if np.ndim(found) == 0:
+        return _cut(found)
+    found[beyond] = [_cut(shape) for shape in found[beyond]]
+    return found
+
+
+def _cut(shape: Any) -> Any:
+    """A shape that reaches beyond ±180° of longitude in parts that do not."""
+    import shapely
+
+    parts: list[Any] = []
+    for turns in (-1, 0, 1):
+        middle = 360.0 * turns
+        world = shapely.box(middle - 180.0, -90.0, middle + 180.0, 90.0)
+        inside = shapely.transform(
+            shapely.intersection(shape, world), lambda at, middle=middle: at - [middle, 0.0]
+        )
+        parts += [
+            part
+            for part in shapely.get_parts(inside)
+            if not part.is_empty and shapely.get_dimensions(part) == shapely.get_dimensions(shape)
+        ]
+    several = (shapely.multipoints, shapely.multilinestrings, shapely.multipolygons)
+    rounded = shapely.transform(parts, lambda at: at.round(DECIMALS))
+    if len(rounded) == 1:
+        return rounded[0]
+    return several[int(shapely.get_dimensions(shape))](rounded)
