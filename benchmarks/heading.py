@@ -20,6 +20,7 @@ from benchmarks import (
     heading_tractor,
     heading_vineyard,
     heading_wander,
+    heading_weave,
 )
 
 
@@ -98,6 +99,12 @@ SECTIONS = (
         "vineyard robot, positions only, beside the surveyed rows",
         heading_vineyard.FOLDER,
         heading_vineyard.report_rows,
+    ),
+    Section(
+        "weave",
+        "why the vineyard robot scatters about its rows, beside simulated robots that weave as far",
+        heading_vineyard.FOLDER,
+        heading_weave.report,
     ),
     Section(
         "harm",

@@ -13,9 +13,11 @@ from benchmarks.heading_scores import DATA, numbers, percent, poses_at, table
 from fieldgrid.angles import heading_from_yaw_rad, wrap_deg
 from fieldgrid.errors import GnssError
 from fieldgrid.fixes import FixColumns
+from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Gyro, Motion
-from fieldgrid.pose import estimate_poses
+from fieldgrid.pose import conditioned, estimate_poses
 from fieldgrid.quality import Quality
+from fieldgrid.settings import PoseSettings
 
 FOLDER = DATA / "kitti_oxts"
 RTK = ("2011_09_26_drive_0001", "2011_09_26_drive_0018", "2011_09_30_drive_0020")
@@ -109,12 +111,48 @@ def report() -> Iterator[str]:
         together = [found[name] for name in RTK if name in found]
         columns = (np.concatenate(column) for column in zip(*together, strict=True))
         yield _line(f"RTK drives pooled, {what}", Errors(*columns))
+    yield from _slides()
     for what, size in GYROS.items():
         for path in sorted(FOLDER.glob("*.csv")):
             log = read_log(path, TOLD[0])
             gyro = Gyro(log.fixes.time_ns, size * log.rate_rad_s)
             name = f"{log.name.removeprefix('2011_')}, {what}"
             yield _line(name, measure(log, Motion(gyro=gyro)))
+
+
+SLIDES_S = 2.0
+
+
+def _slides() -> Iterator[str]:
+    """How fast positions slide over :data:`SLIDES_S` beside the velocity of the inertial unit, and
+    the noise from fix to fix and within a second, by which a log alone would have to show it."""
+    for path in sorted(FOLDER.glob("*.csv")):
+        log = read_log(path, TOLD[2])
+        if not log.moving.any():
+            continue
+        try:
+            fixes = conditioned(log.fixes, PoseSettings()).accepted
+        except GnssError:
+            continue
+        text = table(path, ("timestamp", "ve", "vn"))
+        velocity = np.stack([numbers(text["ve"]), numbers(text["vn"])], axis=1)
+        datum = Datum(log.fixes.lat_deg[0], log.fixes.lon_deg[0], 0.0)
+        place = np.stack(
+            datum.to_enu(log.fixes.lat_deg, log.fixes.lon_deg, np.zeros(len(velocity)))
+        )
+        time_s = (log.fixes.time_ns - log.fixes.time_ns[0]) / 1e9
+        driven = (velocity[1:] + velocity[:-1]) / 2.0 * np.diff(time_s)[:, None]
+        slid = np.cumsum(np.diff(place[:2].T, axis=0) - driven, axis=0)
+        later = np.searchsorted(time_s[1:], time_s[1:] + SLIDES_S)
+        later = later[later < len(slid)]
+        slide_mps = np.hypot(*(slid[later] - slid[: len(later)]).T) / SLIDES_S
+        noise_mm = 1e3 * np.median([fixes.noise.across_m, fixes.noise.second_m], axis=1)
+        yield (
+            f"{path.stem.removeprefix('2011_')}: positions slide by {np.median(slide_mps):.2f} m/s "
+            f"({slide_mps.max():.2f} at most), {np.hypot(*np.ptp(slid, axis=0)):.1f} m in "
+            f"{time_s[-1]:.0f} s; noise from fix to fix {noise_mm[0]:.1f} mm, within a second "
+            f"{noise_mm[1]:.0f} mm"
+        )
 
 
 def _line(name: str, one: Errors) -> str:

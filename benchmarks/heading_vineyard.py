@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -175,10 +174,7 @@ FOLDER = DATA / "vineyard_gnss_rows"
 BESIDE_M, END_M = 1.6, 5.0
 """A pass lies within this of the row's line, and begins and ends this far inside it."""
 
-_ROW_HEIGHT_M = 145.0
-
-FEWEST_OF_PASS, WEAVE_STEP_M, BESIDE_TRACK_M = 50, 0.25, 1.1
-WAVES_M = (20.0, 8.0, 4.0, 2.0, 1.0)
+ROW_HEIGHT_M = 145.0
 
 
 def report_rows() -> Iterator[str]:
@@ -186,11 +182,10 @@ def report_rows() -> Iterator[str]:
     yield f"{'asked':<34}{'':>8}{'':>8}{'<= 0.5°':>10}{'<= 0.5°':>8}"
     for quality, name in ((4, "taken for RTK"), (1, "quality unknown")):
         yield from _rows_lines(quality, name)
-    yield from _weave_lines()
 
 
 def _rows_lines(quality: int, name: str) -> Iterator[str]:
-    fixes, lat, lon = _robot(quality)
+    fixes, lat, lon = robot(quality)
     found = estimate_poses(fixes)
     row, azimuth = row_of(lat, lon)
     at = found.fix_row
@@ -205,39 +200,6 @@ def _rows_lines(quality: int, name: str) -> Iterator[str]:
         if mask.sum() > 50:
             yield _rows_line(f"  pass {k}, row {row[mask][0]}", off, sigma, accepted, mask)
     yield _rows_line(f"all passes, {name}", off, sigma, accepted, (row >= 0) & drives)
-
-
-def _weave_lines() -> Iterator[str]:
-    """How far the antenna weaves about its row by the length of the waves, and whether passes whose
-    tracks lie within a metre weave alike, as on the same bumps they would."""
-    fixes, lat, lon = _robot(1)
-    row, azimuth = row_of(lat, lon)
-    east, north = Datum(lat[0], lon[0], _ROW_HEIGHT_M).to_enu(lat, lon, fixes.height_m)[:2]
-    way = np.radians(np.nanmedian(azimuth))
-    along = east * np.sin(way) + north * np.cos(way)
-    aside = east * np.cos(way) - north * np.sin(way)
-    inside = row >= 0
-    passes = np.cumsum(np.diff(row, prepend=-1) != 0)
-    tracks = [np.flatnonzero(inside & (passes == k)) for k in np.unique(passes[inside])]
-    tracks = [at[np.argsort(along[at])] for at in tracks if len(at) > FEWEST_OF_PASS]
-    start, stop = max(along[at[0]] for at in tracks), min(along[at[-1]] for at in tracks)
-    even_m = np.arange(start, stop, WEAVE_STEP_M)
-    lines = np.array([np.interp(even_m, along[at], aside[at]) for at in tracks])
-    trend = np.polynomial.polynomial.polyfit(even_m, lines.T, 1)
-    waves = np.fft.rfft(lines - np.polynomial.polynomial.polyval(even_m, trend), axis=1)
-    per_m = np.fft.rfftfreq(len(even_m), WEAVE_STEP_M)
-    middle_m = np.median(lines, axis=1)
-    for longest_m, shortest_m in pairwise(WAVES_M):
-        band = (per_m > 1.0 / longest_m) & (per_m <= 1.0 / shortest_m)
-        found = np.fft.irfft(np.where(band, waves, 0.0), len(even_m), axis=1)
-        alike = np.asarray(np.corrcoef(found))
-        beside = np.abs(middle_m[:, None] - middle_m) <= BESIDE_TRACK_M
-        size_cm = 100.0 * found.std(axis=1)
-        yield (
-            f"waves of {shortest_m:g} to {longest_m:g} m: {size_cm.min():.1f} to "
-            f"{size_cm.max():.1f} cm a pass; tracks within a metre are alike by "
-            + ", ".join(f"{one:+.2f}" for one in alike[np.triu(beside, 1)])
-        )
 
 
 def _rows_line(
@@ -259,7 +221,7 @@ def _rows_line(
     )
 
 
-def _robot(quality: int) -> tuple[FixColumns, _Float64, _Float64]:
+def robot(quality: int) -> tuple[FixColumns, _Float64, _Float64]:
     text = table(FOLDER / "Image_GPS.csv", ("Computer_Time", "Latitude", "Longitude"))
     stamps = []
     for stamp in text["Computer_Time"]:
@@ -274,9 +236,9 @@ def row_of(lat: _Float64, lon: _Float64) -> tuple[_Int64, _Float64]:
     """The surveyed row that each position lies beside, -1 for none, and its azimuth."""
     text = table(FOLDER / "Row_SE_GPS_OBlock.csv", ("Row", "ID", "Longitude", "Latitude"))
     ends_lat, ends_lon = numbers(text["Latitude"]), numbers(text["Longitude"])
-    datum = Datum(float(ends_lat[0]), float(ends_lon[0]), _ROW_HEIGHT_M)
-    ends = np.stack(datum.to_enu(ends_lat, ends_lon, np.full(len(ends_lat), _ROW_HEIGHT_M)))[:2].T
-    points = np.stack(datum.to_enu(lat, lon, np.full(len(lat), _ROW_HEIGHT_M)))[:2].T
+    datum = Datum(float(ends_lat[0]), float(ends_lon[0]), ROW_HEIGHT_M)
+    ends = np.stack(datum.to_enu(ends_lat, ends_lon, np.full(len(ends_lat), ROW_HEIGHT_M)))[:2].T
+    points = np.stack(datum.to_enu(lat, lon, np.full(len(lat), ROW_HEIGHT_M)))[:2].T
     row, azimuth = np.full(len(lat), -1, dtype=np.int64), np.full(len(lat), np.nan)
     nearest = np.full(len(lat), BESIDE_M)
     for k in range(0, len(ends), 2):

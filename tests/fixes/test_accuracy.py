@@ -56,7 +56,7 @@ def test_only_centimetres_tell_a_quality() -> None:
         (Quality.DIFFERENTIAL, 0.25),
         (Quality.SBAS, 0.25),
         (Quality.RTK_FLOAT, 0.125),
-        (Quality.RTK_FIXED, 0.01),
+        (Quality.RTK_FIXED, 0.015),
         (Quality.UNKNOWN, 0.0),
     ],
 )

@@ -1,4 +1,4 @@
-"""Fixes that drift bit by bit beside the camera's way."""
+"""Fixes that drift bit by bit beside the way of the camera, or of gyro and wheels."""
 
 from __future__ import annotations
 
@@ -6,10 +6,20 @@ import numpy as np
 import pytest
 
 from fieldgrid.fixes import FixColumns
-from fieldgrid.motion import Motion
-from fieldgrid.pose import Estimate, estimate_poses
+from fieldgrid.motion import Motion, WheelSpeed
+from fieldgrid.pose import Estimate, UnseenFault, estimate_poses
 from fieldgrid.rig import Carrier, LeverArm
-from tests.simulated import DATUM, K_TURN, START, Command, Drive, fixes_of, gyro_of, simulate
+from tests.simulated import (
+    DATUM,
+    K_TURN,
+    START,
+    Command,
+    Drive,
+    fixes_of,
+    gyro_of,
+    simulate,
+    time_ns,
+)
 from tests.simulated import steps_of as camera
 
 ROWS = [Command(30.0, 1.2), *K_TURN[1:-1], Command(30.0, 1.2)]
@@ -81,3 +91,88 @@ def test_a_clock_that_is_off_is_no_drift() -> None:
     found = estimated(drive, drifting(drive, 0.0), late_s=0.4)
     assert found.report.clock is not None
     assert not tells(found)
+
+
+# --- smooth ones of minutes
+
+LONG = simulate(ROWS * 2, 50.0, speed_mps=1.2)
+
+
+def slowly(drive: Drive, drift_m: float) -> FixColumns:
+    """RTK fixes that go north-east and come back over the whole drive."""
+    fixes = fixes_of(drive, 0.5, noise_m=0.008, seed=4)
+    share = (fixes.time_ns - START) / 1e9 / float(drive.time_s[-1])
+    away_m = drift_m * np.sin(np.pi * share) ** 2
+    east, north, up = DATUM.to_enu(fixes.lat_deg, fixes.lon_deg, fixes.height_m)
+    lat, lon, _ = DATUM.to_geodetic(east + 0.6 * away_m, north + 0.8 * away_m, up)
+    return fixes.replace(lat_deg=lat, lon_deg=lon)
+
+
+def seen(drive: Drive, by: str, gyro_size: float = 1.0) -> Motion:
+    """The motion by a camera, or by gyro and wheels that slip."""
+    if by == "camera":
+        return Motion(steps=camera(drive, noise=1.0, seed=3))
+    at = drive.every(0.1)
+    slip = 1.0 + np.random.default_rng(5).normal(0.01, 0.02, len(at.time_s))
+    gyro = gyro_of(drive, noise_dps=0.05)
+    gyro = gyro._replace(rate_rad_s=gyro.rate_rad_s * gyro_size)
+    wheels = WheelSpeed(time_ns(at.time_s), at.speed_mps * slip)
+    return Motion(gyro=gyro, wheels=wheels if "wheels" in by else None)
+
+
+@pytest.mark.parametrize(
+    ("by", "words"), [("camera", "By the camera"), ("gyro, wheels", "By gyro and wheels")]
+)
+def test_a_drift_there_and_back_is_seen_over_the_whole_drive(by: str, words: str) -> None:
+    motion = seen(LONG, by)
+    found = estimate_poses(slowly(LONG, 1.5), Carrier(0.0), DATUM, motion=motion)
+    one, truth = found.trajectory, LONG.at((found.trajectory.time_ns - START) / 1e9)
+    off_m = np.hypot(one.east_m - truth.east_m, one.north_m - truth.north_m)
+    (note,) = [note for note in found.report.notes if "the fixes drift by about" in note]
+    assert note.startswith(words)
+    assert (off_m <= 3.44 * one.position_sigma_m).mean() > 0.98
+    assert one.position_sigma_m.max() < 1.5
+    assert UnseenFault.SLOW_DRIFT not in found.report.unseen
+
+
+@pytest.mark.parametrize(
+    ("by", "gyro_size"), [("camera", 1.0), ("gyro, wheels", 1.0), ("gyro, wheels", 1.06)]
+)
+def test_long_drives_that_do_not_drift_are_as_sure_as_ever(by: str, gyro_size: float) -> None:
+    """Also beside a gyro whose scale is as wrong as is usual."""
+    motion = seen(LONG, by, gyro_size)
+    found = estimate_poses(slowly(LONG, 0.0), Carrier(0.0), DATUM, motion=motion)
+    assert not tells(found)
+    assert np.median(found.trajectory.position_sigma_m) < 0.1
+    assert UnseenFault.SLOW_DRIFT not in found.report.unseen
+
+
+def test_an_antenna_as_far_ahead_as_is_usual_is_no_slow_drift() -> None:
+    fixes = fixes_of(LONG, 0.5, noise_m=0.008, seed=4, antenna=LeverArm(0.0, 0.25, 2.0))
+    motion = seen(LONG, "gyro, wheels")
+    assert not tells(estimate_poses(fixes, Carrier(0.0), DATUM, motion=motion))
+
+
+def test_a_drift_of_a_decimetre_is_not_worth_a_word() -> None:
+    """However well the camera knows its way."""
+    motion = Motion(steps=camera(LONG, sigma_m=0.001, sigma_deg=0.005))
+    assert not tells(estimate_poses(slowly(LONG, 0.14), Carrier(0.0), DATUM, motion=motion))
+
+
+def test_a_drift_no_larger_than_stated_is_none() -> None:
+    unsure = slowly(LONG, 1.0)
+    unsure = unsure.replace(sigma_m=np.full(len(unsure), 0.4), quality=np.full(len(unsure), 2))
+    found = estimate_poses(unsure, Carrier(0.0), DATUM, motion=seen(LONG, "gyro, wheels"))
+    assert not tells(found)
+
+
+@pytest.mark.parametrize("by", ["gyro", "coarse camera"])
+def test_a_drift_that_would_not_be_seen_is_named(by: str) -> None:
+    """Without the speed, or with turns that are known too badly for it."""
+    motion = seen(LONG, by)
+    if by != "gyro":
+        steps = camera(LONG, noise=1.0, sigma_m=0.05, sigma_deg=0.5, seed=3)
+        motion = Motion(steps=steps)
+    found = estimate_poses(slowly(LONG, 1.0), Carrier(0.0), DATUM, motion=motion)
+    assert not tells(found)
+    assert UnseenFault.SLOW_DRIFT in found.report.unseen

@@ -180,6 +180,19 @@ def test_no_position_is_surer_than_half_of_what_is_usual(
     assert np.median(sigma_m) == pytest.approx(counts_m, rel=0.15)
 
 
+@pytest.mark.parametrize(("stated_m", "believed_m"), [(0.005, 0.01), (0.012, 0.012)])
+def test_fixed_ambiguities_leave_a_centimetre_and_a_half(
+    stated_m: float, believed_m: float
+) -> None:
+    """Beside what the swaying antenna and the steering add."""
+    plain, fixed = (
+        stating(stated_m, kind).trajectory for kind in (Quality.UNKNOWN, Quality.RTK_FIXED)
+    )
+    missing_m2 = fixed.position_sigma_m**2 - plain.position_sigma_m**2
+    assert missing_m2 == pytest.approx(np.full(len(missing_m2), 0.015**2 - believed_m**2))
+    assert np.array_equal(fixed.accepted, plain.accepted)
+
+
 def test_it_is_reported_with_its_remedy() -> None:
     (note,) = slow_notes(stating(0.1, Quality.DIFFERENTIAL))
     assert "differential fixes state 0.1 m in the median and count as 0.25 m; if" in note
@@ -187,6 +200,7 @@ def test_it_is_reported_with_its_remedy() -> None:
     for sigma_m, quality, accuracy_m in (
         (0.3, Quality.DIFFERENTIAL, None),
         (0.1, Quality.RTK_FIXED, None),
+        (0.005, Quality.RTK_FIXED, None),
         (0.1, Quality.DIFFERENTIAL, 0.1),
     ):
         assert not slow_notes(stating(sigma_m, quality, accuracy_m))

@@ -10,7 +10,7 @@ from fieldgrid.quality import CENTIMETRES_M, Quality
 
 _LEAST_SIGMA_M = 0.01
 _USUAL_SHARE = 0.1
-_LEAST_SHARE = 0.5
+_LEAST_SHARE, _LEAST_FIXED_M = 0.5, 0.015
 _SIGMA_OF_CODE = np.array([q.usual_sigma_m for q in sorted(Quality)])
 
 
@@ -33,14 +33,17 @@ def position_sigma_m(quality: npt.ArrayLike, sigma_m: npt.ArrayLike) -> Float64:
 
 def least_sigma_m(quality: npt.ArrayLike) -> Float64:
     """The least 1-sigma error along one horizontal axis, metres, that positions of each quality
-    have, whatever was stated: half of what is usual for it, 0 of unknown quality.
+    have, whatever was stated: half of what is usual for it, 1.5 cm of RTK with fixed ambiguities
+    (8 to 10 mm and 1 ppm of the way to the base, which is what data sheets promise of an antenna
+    under open sky, and echoes from trees and machine), 0 of unknown quality.
 
     A receiver computes its figure from the scatter of what it measures, which the slow errors of
-    orbits, clocks, air and of a float solution's waves do not enter.
+    orbits, clocks, air, echoes and of a float solution's waves do not enter.
     """
     code = np.asarray(quality, dtype=np.int64)
-    usual = _SIGMA_OF_CODE[code - Quality.UNKNOWN]
-    return np.where(code == Quality.UNKNOWN, 0.0, _LEAST_SHARE * usual)
+    least = _LEAST_SHARE * _SIGMA_OF_CODE[code - Quality.UNKNOWN]
+    least = np.where(code == Quality.RTK_FIXED, _LEAST_FIXED_M, least)
+    return np.where(code == Quality.UNKNOWN, 0.0, least)
 
 
 def known_codes(codes: npt.ArrayLike) -> Int64:

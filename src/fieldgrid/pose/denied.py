@@ -23,6 +23,9 @@ from fieldgrid.smoother import AHEAD, LATE, Constant, DeclaredCorrection
 CLEAR_SIGMAS = 4.0
 """A drive denies what was declared only by so many sigmas."""
 
+FAR_M = 1.0
+"""A fault that is denied only from an error of so much on is not seen."""
+
 LEAST_LEVER_M, LEAST_DELAY_S = 0.3, 0.05
 """Smaller contradictions of the antenna's place and of the fixes' stamps are not worth a word."""
 
@@ -142,11 +145,6 @@ def sees_speed(drive: DriveEstimate) -> bool:
     """Whether wheels or a camera measured its speed, over most of the drive."""
     by_wheels = float(np.mean(np.isfinite(drive.measured.speed_mps)))
     return max(by_wheels, _camera_share(drive)) >= LEAST_SEEN_SHARE
-
-
-def sees_way(drive: DriveEstimate) -> bool:
-    """Whether a camera measured its way, over most of the drive."""
-    return _camera_share(drive) >= LEAST_SEEN_SHARE
 
 
 def _camera_share(drive: DriveEstimate) -> float:

@@ -1,22 +1,25 @@
-"""Fixes that drift bit by bit, as the camera sees.
+"""Fixes that drift bit by bit, as the camera, or gyro and wheels, see.
 
 A receiver with the wrong number of waves may drift by metres in minutes and state centimetres. No
-two fixes are far apart, but the camera's way from one end of the drive to the other is another.
+two fixes are far apart, but the way from one end of the drive to the other is another.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
+from fieldgrid.array_types import Float64
 from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.clock import ClockFindings
-from fieldgrid.pose.denied import Denied
+from fieldgrid.pose.denied import FAR_M, Denied, sees_speed, sees_turns
 from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.imu_turn import ImuTurn
 from fieldgrid.pose.table import PoseTable
-from fieldgrid.smoother import WanderTest, wander
+from fieldgrid.smoother import SlowDrift, slow_drift, wander
 
 CLEAR_NATS = 8.0
 """Fixes drift only where that is likelier by so much: where the fixes of rendered drives are right,
@@ -26,33 +29,79 @@ EXPLAINED_NATS = 2.0
 """It is no drift what an antenna, stamps and a gyro's scale that are off by what is usual explain
 by so much better, as an antenna does that an IMU, tilted by 5°, leans."""
 
+CLEAR_MISFIT = 5.5
+"""Six numbers that are right are more sigmas away once in 20,000 drives."""
+
 STATED_TIMES, LEAST_M = 3.0, 0.2
 """A drift by less than so many times the stated error, or by this, is not worth a word: the camera
 itself makes as much."""
 
 
-def drift(
+class Drift(NamedTuple):
+    """Fixes that drift: how far apart they lie by it, `extent_m`, and by how much the headings [n]
+    differ from those of fixes that do not, `turned_rad`."""
+
+    extent_m: float
+    turned_rad: Float64
+
+
+class Drifts(NamedTuple):
+    """The drift of the fixes of a drive, None where there is none or something else explains it;
+    whether the drive would show one, and who sees it."""
+
+    found: Drift | None = None
+    is_shown: bool = False
+    seen_by: str = "the camera"
+
+
+def drifts(
     drive: DriveEstimate, axle: Axle, denied: Denied, clocks: ClockFindings, turned: ImuTurn | None
-) -> WanderTest | None:
-    """By how much the fixes of a drive drift beside its camera's way; None where they do not, and
-    where a wrong declaration or clock, or an IMU that is `turned`, explains what does not fit."""
+) -> Drifts:
+    """By how much the fixes of a drive drift beside the way that it measured otherwise; nothing is
+    found where a wrong declaration or clock, or an IMU that is `turned`, explains what does not
+    fit."""
+    slow, is_shown, has_camera = None, False, len(drive.measured.step) > 0
+    if sees_turns(drive) and sees_speed(drive):
+        slow = slow_drift(drive.smoothed, drive.measured, *axle.frame())
+        is_shown = _is_shown(slow, drive)
+    seen = Drifts(None, is_shown, "the camera" if has_camera else "gyro and wheels")
     certain = clocks.contradiction is not None and clocks.contradiction.is_certain
-    if not len(drive.measured.step) or denied.clear or certain or clocks.change is not None:
-        return None
+    if denied.clear or certain or clocks.change is not None:
+        return seen
     if clocks.offset is not None and clocks.offset.is_certain:
-        return None
+        return seen
     if turned is not None and turned.is_off:
-        return None
+        return seen
+    if has_camera and (found := _wandering(drive, axle)) is not None:
+        return seen._replace(found=found)
+    if slow is not None and slow.misfit > CLEAR_MISFIT and _is_large(slow.extent_m, drive):
+        return seen._replace(found=Drift(slow.extent_m, slow.turned_rad))
+    return seen
+
+
+def _wandering(drive: DriveEstimate, axle: Axle) -> Drift | None:
+    """A drift at random, faster than the slow ones."""
     found = wander(drive.smoothed, drive.measured, *axle.frame())
-    stated_m = float(np.median(drive.measured.bias_m))
-    large = found.extent_m > max(LEAST_M, STATED_TIMES * stated_m)
     likely = found.nats > CLEAR_NATS and found.unexplained_nats > -EXPLAINED_NATS
-    return found if large and likely else None
+    large = _is_large(found.extent_m, drive)
+    return Drift(found.extent_m, found.turned_rad) if large and likely else None
 
 
-def unsure_drift(table: PoseTable, drive: DriveEstimate, found: WanderTest | None) -> PoseTable:
+def _is_large(extent_m: float, drive: DriveEstimate) -> bool:
+    return extent_m > max(LEAST_M, STATED_TIMES * float(np.median(drive.measured.bias_m)))
+
+
+def _is_shown(slow: SlowDrift, drive: DriveEstimate) -> bool:
+    """Whether the drive denies a drift of :data:`FAR_M`, beyond what the receiver states."""
+    stated_m = float(np.median(drive.measured.bias_m))
+    open_m = math.sqrt(max(slow.sigma_m**2 - stated_m**2, 0.0))
+    return CLEAR_MISFIT * open_m < FAR_M
+
+
+def unsure_drift(table: PoseTable, drive: DriveEstimate, drifts: Drifts) -> PoseTable:
     """The same poses, as unsure as the fixes drift: nobody knows where these were right, so
     positions by half of the drift along each axis."""
+    found = drifts.found
     if found is None:
         return table
     turned_rad = np.interp(table.time_ns, drive.time_ns, np.abs(found.turned_rad))
@@ -62,12 +111,12 @@ def unsure_drift(table: PoseTable, drive: DriveEstimate, found: WanderTest | Non
     )
 
 
-def drift_notes(found: WanderTest | None) -> Iterator[str]:
+def drift_notes(drifts: Drifts) -> Iterator[str]:
     """That the fixes drift."""
-    if found is not None:
+    if (found := drifts.found) is not None:
         yield (
-            f"By the camera the fixes drift by about {found.extent_m:.1f} m within the drive, more "
-            "than they state, and nothing shows where they are right: positions count as good to "
-            f"{found.extent_m / 2.0:.1f} m. Check the receiver's base station and corrections, and "
-            "the mounting of an IMU: one that is tilted looks the same."
+            f"By {drifts.seen_by} the fixes drift by about {found.extent_m:.1f} m within the "
+            "drive, more than they state, and nothing shows where they are right: positions count "
+            f"as good to {found.extent_m / 2.0:.1f} m. Check the receiver's base station and "
+            "corrections, and the mounting of an IMU: one that is tilted looks the same."
         )

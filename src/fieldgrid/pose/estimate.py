@@ -20,7 +20,7 @@ from fieldgrid.pose.clock import ClockFindings, check_clock
 from fieldgrid.pose.clock_jump import clock_jump
 from fieldgrid.pose.convention import FEW_TURNED_SHARE, Comparison
 from fieldgrid.pose.denied import Denied, denied_by, unsure_declared, with_whole_place
-from fieldgrid.pose.drifting import drift, drift_notes, unsure_drift
+from fieldgrid.pose.drifting import Drifts, drift_notes, drifts, unsure_drift
 from fieldgrid.pose.drive import DriveEstimate, with_recorded
 from fieldgrid.pose.excused import Excused, excused
 from fieldgrid.pose.explained import explained
@@ -41,7 +41,6 @@ from fieldgrid.pose.unseen import (
 from fieldgrid.pose.verdict import ErrorBudget, judged
 from fieldgrid.rig import LeverArm, VehicleGeometry
 from fieldgrid.settings import PoseSettings
-from fieldgrid.smoother import WanderTest
 from fieldgrid.trajectory import Trajectory
 
 
@@ -133,7 +132,7 @@ def estimate_poses(
         offset=fix_offset(log.accepted, drive.offset_m),
         camera_scale=drive.smoothed.camera_scale,
         wheel_scale=drive.smoothed.wheel_scale,
-        unseen=unseen_faults(drive, rig, source),
+        unseen=unseen_faults(drive, rig, drift_shown=checks.drifts.is_shown),
         notes=(
             *checks.gyro_notes(found),
             *(*found.notes, *notes),
@@ -154,7 +153,7 @@ class _Checks(NamedTuple):
     clocks: ClockFindings
     yaw: CameraYaw | None
     denied: Denied
-    drifts: WanderTest | None
+    drifts: Drifts
     excused: Excused | None
 
     def gyro_notes(self, found: Fused) -> tuple[str, ...]:
@@ -189,8 +188,10 @@ def _checked(
         excuse = excused(found, declared)
     if excuse is not None:
         denied = excuse.denied
-    drifts = drift(drive, found.axle, denied, clocks, found.imu_turn) if smooth else None
-    return _Checks(clocks, yaw, denied, drifts, excuse)
+    seen = Drifts()
+    if smooth:
+        seen = drifts(drive, found.axle, denied, clocks, found.imu_turn)
+    return _Checks(clocks, yaw, denied, seen, excuse)
 
 
 def _with_recorded(found: Fused, recorded: RecordedHeadings, ahead_m: float = 0.0) -> DriveEstimate:

@@ -35,6 +35,7 @@ from fieldgrid.pose.levelled import (
     levelled_motion,
     measures_tilt,
 )
+from fieldgrid.pose.recorded_leaps import recorded_leaps
 from fieldgrid.pose.seen_leaps import seen_leaps
 from fieldgrid.pose.stray import MOST_ROUNDS, stray_fixes
 from fieldgrid.pose.table import Conditioned
@@ -147,6 +148,10 @@ def fuse(
     # A solution that goes on elsewhere, as the camera sees or the estimate itself.
     steps = found.motion.steps
     seen = {leap.time_ns: leap for leap in denied_leaps(found.log.accepted, found.drive)}
+    if (offset_deg := _heading_offset_deg(found, settings)) is not None:
+        nose_deg, (_, ahead_m) = found.recorded_deg() - offset_deg, found.axle.frame()[0]
+        by_heading = recorded_leaps(found.log.accepted, nose_deg, ahead_m)
+        seen |= {leap.time_ns: leap for leap in by_heading}
     if rig is not None:
         by_camera = seen_leaps(found.log.accepted, found.drive, steps, rig.antenna)
         seen |= {leap.time_ns: leap for leap in by_camera}
@@ -191,6 +196,17 @@ def _with_trusted_gyro(
 def _stated_axes(found: Fused, settings: PoseSettings) -> tuple[AxisTilt, ...]:
     """The axes whose rise the receiver states beside its heading. Where they point is what the
     heading shows: none, where it is none of the vehicle or was not compared with the drive."""
+    offset_deg = _heading_offset_deg(found, settings)
+    if offset_deg is None:
+        return ()
+    rig = found.axle.vehicle
+    declared_deg = (rig and rig.heading_offset_deg) or 0.0
+    return axes_of_fixes(found.log.fixes[found.log.verdicts.ok], declared_deg + offset_deg)
+
+
+def _heading_offset_deg(found: Fused, settings: PoseSettings) -> float | None:
+    """What recorded headings have more than the nose; None where they are none of the vehicle or
+    were not compared with the drive."""
     heading = found.compared()
     if (
         heading is None
@@ -198,10 +214,8 @@ def _stated_axes(found: Fused, settings: PoseSettings) -> tuple[AxisTilt, ...]:
         or heading.flips
         or heading.is_denied(settings.max_heading_offset_deg)
     ):
-        return ()
-    rig = found.axle.vehicle
-    declared_deg = (rig and rig.heading_offset_deg) or 0.0
-    return axes_of_fixes(found.log.fixes[found.log.verdicts.ok], declared_deg + heading.offset_deg)
+        return None
+    return heading.offset_deg
 
 
 def conditioned(

@@ -17,24 +17,21 @@ from fieldgrid.array_types import Bool, Float64
 from fieldgrid.fixes import least_sigma_m, position_sigma_m
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import names_axle
-from fieldgrid.pose.denied import CLEAR_SIGMAS, sees_speed, sees_turns, sees_way
+from fieldgrid.pose.denied import CLEAR_SIGMAS, FAR_M, sees_speed, sees_turns
 from fieldgrid.pose.drive import DRIVING_MPS, DriveEstimate
 from fieldgrid.pose.georeference import Georeference
-from fieldgrid.pose.settings import HeadingSource
 from fieldgrid.pose.table import PoseTable
 from fieldgrid.quality import Quality
 from fieldgrid.rig import Rig, VehicleGeometry
 from fieldgrid.smoother import Constant
 from fieldgrid.trajectory import Trajectory
 
-FAR_M = 1.0
-"""A fault that is denied only from an error of so much on is not seen."""
-
 FIXED_NEAR_S = 60.0
 """A float solution so near in time to a fixed one is hardly worse than it states."""
 
-_CLEARLY, _LEAST_SHARE = 1.5, 0.05
-"""Fixes that count as so many times less sure than stated are reported, where they are so many."""
+_CLEARLY, _VISIBLY_M, _LEAST_SHARE = 1.5, 0.02, 0.05
+"""Fixes that count as so many times and as so much less sure than stated are reported, where they
+are so many. No map shows the half centimetre of RTK."""
 
 _NEARLY_ALL = 0.95
 """What may be declared of all fixes is named where so many are of one quality."""
@@ -66,13 +63,13 @@ _WORDS = {
 
 
 def unseen_faults(
-    drive: DriveEstimate, vehicle: VehicleGeometry | None, source: HeadingSource
+    drive: DriveEstimate, vehicle: VehicleGeometry | None, *, drift_shown: bool
 ) -> tuple[UnseenFault, ...]:
     """The faults that this drive would not show, of a vehicle as it was declared.
 
     Of a log alone positions are those of its antenna in its own clock, so that neither can be
-    wrong; and where nobody says where the axle is, no place ahead of it is either. A drift
-    is looked for where the drive gives the headings.
+    wrong; and where nobody says where the axle is, no place ahead of it is either. `drift_shown`
+    is whether it would show a drift.
     """
     told, placed = drive.smoothed.declared, isinstance(vehicle, Rig)
     turns, speed = sees_turns(drive), sees_speed(drive)
@@ -88,7 +85,7 @@ def unseen_faults(
         # ahead shows there, too.
         UnseenFault.LATE_STAMPS: placed
         and not (turns and _is_told(told.ahead_m) and _is_told(told.late_s, usual_mps)),
-        UnseenFault.SLOW_DRIFT: not (source.kind == "smooth" and sees_way(drive)),
+        UnseenFault.SLOW_DRIFT: not drift_shown,
     }
     return tuple(fault for fault, unseen in hidden.items() if unseen)
 
@@ -146,8 +143,8 @@ def unsure_fit_m(fixes: AcceptedFixes) -> float:
 
 def unsure_notes(fixes: AcceptedFixes) -> Iterator[str]:
     """What the report says of fixes that count as much less sure than stated."""
-    least_m = _least_m(fixes)
-    raised = least_m > _CLEARLY * _believed_m(fixes)
+    least_m, believed_m = _least_m(fixes), _believed_m(fixes)
+    raised = (least_m > _CLEARLY * believed_m) & (least_m > believed_m + _VISIBLY_M)
     for quality in map(Quality, np.unique(fixes.quality[raised])):
         these = raised & (fixes.quality == quality)
         if np.mean(these) < _LEAST_SHARE:

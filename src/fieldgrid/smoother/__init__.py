@@ -4,7 +4,8 @@ from fieldgrid.smoother.batch import Smoothed, refine, smooth
 from fieldgrid.smoother.declared import AHEAD, LATE, MOST_MISFIT, Constant, DeclaredCorrection
 from fieldgrid.smoother.envelope import STATES
 from fieldgrid.smoother.measurements import Measurements
-from fieldgrid.smoother.wander import WanderTest, unstated_wander, wander
+from fieldgrid.smoother.slow_drift import SlowDrift, slow_drift
+from fieldgrid.smoother.wander import unstated_wander, wander
 
 __all__ = [
     "AHEAD",
@@ -14,9 +15,10 @@ __all__ = [
     "Constant",
     "DeclaredCorrection",
     "Measurements",
+    "SlowDrift",
     "Smoothed",
-    "WanderTest",
     "refine",
+    "slow_drift",
     "smooth",
     "unstated_wander",
     "wander",
