@@ -119,5 +119,6 @@ def drift_notes(drifts: Drifts) -> Iterator[str]:
             f"By {drifts.seen_by} the fixes drift by about {found.extent_m:.1f} m within the "
             "drive, more than they state, and nothing shows where they are right: positions count "
             f"as good to {found.extent_m / 2.0:.1f} m. Check the receiver's base station and "
-            "corrections, and the mounting of an IMU: one that is tilted looks the same."
+            "corrections, and how cameras and IMU are mounted: one that is tilted or was pushed "
+            "looks the same."
         )
