@@ -132,7 +132,6 @@ def test_a_drift_there_and_back_is_seen_over_the_whole_drive(by: str, words: str
     assert note.startswith(words)
     assert (off_m <= 3.44 * one.position_sigma_m).mean() > 0.98
     assert one.position_sigma_m.max() < 1.5
-    assert UnseenFault.SLOW_DRIFT not in found.report.unseen
 
 
 @pytest.mark.parametrize(
@@ -144,7 +143,6 @@ def test_long_drives_that_do_not_drift_are_as_sure_as_ever(by: str, gyro_size: f
     found = estimate_poses(slowly(LONG, 0.0), Carrier(0.0), DATUM, motion=motion)
     assert not tells(found)
     assert np.median(found.trajectory.position_sigma_m) < 0.1
-    assert UnseenFault.SLOW_DRIFT not in found.report.unseen
 
 
 def test_an_antenna_as_far_ahead_as_is_usual_is_no_slow_drift() -> None:
@@ -176,3 +174,11 @@ def test_a_drift_that_would_not_be_seen_is_named(by: str) -> None:
     found = estimate_poses(slowly(LONG, 1.0), Carrier(0.0), DATUM, motion=motion)
     assert not tells(found)
     assert UnseenFault.SLOW_DRIFT in found.report.unseen
+
+
+@pytest.mark.parametrize(("repeats", "is_shown"), [(1, True), (2, False)])
+def test_only_short_drives_show_a_drift_of_a_metre(repeats: int, is_shown: bool) -> None:
+    """The longer a drive, the more the camera's own steps drift."""
+    drive = simulate(ROWS * repeats, 50.0, speed_mps=1.2)
+    found = estimate_poses(slowly(drive, 0.0), Carrier(0.0), DATUM, motion=seen(drive, "camera"))
+    assert (UnseenFault.SLOW_DRIFT not in found.report.unseen) is is_shown

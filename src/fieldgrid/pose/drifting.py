@@ -92,9 +92,10 @@ def _is_large(extent_m: float, drive: DriveEstimate) -> bool:
 
 
 def _is_shown(slow: SlowDrift, drive: DriveEstimate) -> bool:
-    """Whether the drive denies a drift of :data:`FAR_M`, beyond what the receiver states."""
+    """Whether the drive denies a drift of :data:`FAR_M` from one end of it to the other, beyond
+    what the receiver states."""
     stated_m = float(np.median(drive.measured.bias_m))
-    open_m = math.sqrt(max(slow.sigma_m**2 - stated_m**2, 0.0))
+    open_m = 2.0 * math.sqrt(max(slow.sigma_m**2 - stated_m**2, 0.0))
     return CLEAR_MISFIT * open_m < FAR_M
 
 
@@ -118,5 +119,6 @@ def drift_notes(drifts: Drifts) -> Iterator[str]:
             f"By {drifts.seen_by} the fixes drift by about {found.extent_m:.1f} m within the "
             "drive, more than they state, and nothing shows where they are right: positions count "
             f"as good to {found.extent_m / 2.0:.1f} m. Check the receiver's base station and "
-            "corrections, and the mounting of an IMU: one that is tilted looks the same."
+            "corrections, and how cameras and IMU are mounted: one that is tilted or was pushed "
+            "looks the same."
         )

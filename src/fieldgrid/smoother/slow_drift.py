@@ -43,7 +43,7 @@ class SlowDrift(NamedTuple):
     """What a drive makes of a slow drift of its fixes: how many sigmas it is from none, beside
     declarations that may be off by what is usual, `misfit`; how far apart the fixes lie by it,
     `extent_m`; by how much the headings [n] change without it, `turned_rad`; and the error of the
-    shape of it that the drive tells least, along one axis, `sigma_m`."""
+    cosine that the drive tells least, along one axis, `sigma_m`: fixes lie twice as far apart."""
 
     misfit: float
     extent_m: float
