@@ -14,6 +14,7 @@ from typing import NamedTuple
 from benchmarks import (
     heading_gyro,
     heading_harvester,
+    heading_holes,
     heading_honesty,
     heading_road,
     heading_stops,
@@ -63,6 +64,12 @@ SECTIONS = (
         "simulated vehicles that stop, positions only: errors in sigmas, driving and at rest",
         Path("."),
         heading_stops.report,
+    ),
+    Section(
+        "holes",
+        "simulated vehicles whose fixes have holes, positions only, beside the truth",
+        Path("."),
+        heading_holes.report,
     ),
     Section(
         "doubt",

@@ -68,7 +68,7 @@ def poses_at(trajectory: Trajectory, time_ns: _Int64) -> Poses:
         np.array([pose.north_m for pose in poses]),
         np.array([pose.heading_deg for pose in poses]),
         np.array([pose.heading_sigma_deg for pose in poses]),
-        np.array([pose.status is not Status.REJECTED for pose in poses]),
+        np.array([pose.status is not Status.REJECTED for pose in poses], dtype=np.bool_),
         trajectory.gear[rows[nearest]],
     )
 

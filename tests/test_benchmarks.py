@@ -121,8 +121,9 @@ def test_the_clock_of_the_example(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clock, "VINEYARD", Path("nowhere"))
     for line in clock.measure():
         assert line.steps == 49
-        for error_s, told in zip(line.errors_s(), line.told, strict=True):
-            assert told is not None
+        # Fixes of decimetres with a hole do not tell 0.03 s without a gyro.
+        assert line.told[0] is not None or (line.log, line.gyro) == ("sf1", "no")
+        for error_s, told in zip(line.errors_s(), filter(None, line.told), strict=True):
             assert abs(error_s) < 3.0 * told.sigma_s
 
 

@@ -200,6 +200,7 @@ class Way:
     def __init__(self, seed: int, n: int, *, gyro: bool) -> None:
         random = np.random.default_rng(seed)
         self.step_s = random.uniform(0.05, 0.6, n - 1)
+        self.kept = random.uniform(0.1, 1.0, n - 1)
         self.steering = random.uniform(0.01, 0.1, n - 1)
         self.bias_m, self.bias_s = random.uniform(0.1, 1.0, n), random.uniform(20.0, 300.0, n)
         told = random.random(n - 1) < 0.7 if gyro else np.zeros(n - 1, np.bool_)
@@ -212,6 +213,7 @@ class Way:
             system,
             x,
             self.step_s,
+            self.kept,
             self.steering,
             self.bias_m,
             self.bias_s,
@@ -257,8 +259,7 @@ class Way:
             noise = model.STANDING_TURN_NOISE
         found.append((b[PHI] - a[PHI] - h * speed * curvature, 1.0 / (noise**2 * h)))
         found.append((b[V] - a[V], 1.0 / (model.ACCELERATION_NOISE**2 * h)))
-        fade = np.exp(-h / model.CURVATURE_S)
-        found.append((b[KAPPA] - fade * a[KAPPA], 1.0 / self.steering[k]))
+        found.append((b[KAPPA] - self.kept[k] * a[KAPPA], 1.0 / self.steering[k]))
         return found
 
 

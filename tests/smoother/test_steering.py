@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fieldgrid.array_types import Float64
+from fieldgrid.array_types import Bool, Float64
 from fieldgrid.smoother import model
 from fieldgrid.smoother.steering import (
     ALWAYS_SHARE,
@@ -26,10 +26,14 @@ def steering(
     steering_noise: float,
     variance: Float64 | float = 0.0,
     onward: Float64 | float = 0.0,
+    unseen: Bool | None = None,
 ) -> Float64:
     """The local steering of curvatures that are known exactly, or as well as is said."""
     zero = np.zeros(len(time_s))
-    return local_steering(curvature, zero + variance, zero[1:] + onward, time_s, steering_noise)
+    unseen = zero[1:] > 0.0 if unseen is None else unseen
+    return local_steering(
+        *(curvature, zero + variance, zero[1:] + onward), time_s, steering_noise, unseen
+    )
 
 
 def test_steering_is_looked_for_nearby() -> None:
@@ -87,6 +91,17 @@ def test_what_noise_hides_counts_as_steering_and_what_both_nodes_share_does_not(
     assert (shared > known).all()
 
 
+def test_what_nobody_saw_is_no_steering_of_its_neighbours() -> None:
+    """Wherever a hole lies, and however tightly the vehicle may turn in it."""
+    time_s = np.arange(100) * 0.2
+    hole = (time_s[1:] > 8.0) & (time_s[:-1] < 12.0)
+    wild = np.where((time_s > 8.0) & (time_s < 12.0), 0.5 * (-1) ** np.arange(100), 0.0)
+    away = steering(wild, time_s, 0.02, unseen=hole)
+    assert away[~hole] == pytest.approx(steering(np.zeros(100), time_s, 0.02)[~hole])
+    assert np.isfinite(away).all()
+    assert (steering(wild, time_s, 0.02)[~hole] > 2.0 * away[~hole]).any()
+
+
 @pytest.mark.parametrize("n", [1, 2])
 def test_the_shortest_drives_have_a_steering(n: int) -> None:
     assert steering(np.zeros(n), np.arange(n) * 0.2, 0.05).shape == (n - 1,)
@@ -95,6 +110,7 @@ def test_the_shortest_drives_have_a_steering(n: int) -> None:
 def test_the_usual_steering_keeps_the_usual_curvatures() -> None:
     """A step that lasts for ever leaves nothing but the usual spread."""
     step_s = np.array([0.01, 1.0, 1e3])
-    fade = np.exp(-step_s / model.CURVATURE_S)
-    kept = fade**2 * model.CURVATURE_SIGMA**2 + usual_steering(step_s)
-    assert kept == pytest.approx(model.CURVATURE_SIGMA**2)
+    usual = usual_steering(step_s)
+    assert usual.kept == pytest.approx(np.exp(-step_s / model.CURVATURE_S))
+    left = usual.kept**2 * model.CURVATURE_SIGMA**2 + usual.variance
+    assert left == pytest.approx(model.CURVATURE_SIGMA**2)

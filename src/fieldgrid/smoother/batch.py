@@ -13,6 +13,7 @@ from fieldgrid.smoother.equations import CONSTANTS
 from fieldgrid.smoother.measurements import Measurements
 from fieldgrid.smoother.rounds import (
     Covariances,
+    CurvatureChange,
     Linear,
     SmoothingProblem,
     Solution,
@@ -22,7 +23,6 @@ from fieldgrid.smoother.rounds import (
     stated_weights,
 )
 from fieldgrid.smoother.steering import (
-    USUAL_STEERING_NOISE,
     Steering,
     adapted,
     likeliest_steering,
@@ -44,8 +44,8 @@ class Smoothed(NamedTuple):
 
     `heading_offset` (radians), `wheel_scale` and `camera_scale` are the constants; None where
     nothing measures them. `declared` is what the drive makes of what was declared, and `response`
-    what that does to headings. `steering` [n - 1] is the variance of the curvature's change that
-    was learnt, and `steers` how the vehicle steers.
+    what that does to headings. `steering` is the change of the curvature that was learnt, and
+    `steers` how the vehicle steers.
     """
 
     state: Float64
@@ -59,7 +59,7 @@ class Smoothed(NamedTuple):
     camera_scale: Constant | None
     declared: DeclaredCorrection
     response: HeadingResponse
-    steering: Float64
+    steering: CurvatureChange
     steers: Steering
     rounds: int
 
@@ -80,7 +80,7 @@ def smooth(
     # A gyro sees the steering; without one the drive has to tell what to expect of it.
     gyro = np.isfinite(measured.turned_rad)
     learns = bool(gyro.size) and float(gyro.mean()) < GYRO_SHARE
-    constants, steers = np.zeros(CONSTANTS), Steering(USUAL_STEERING_NOISE, 1.0)
+    constants, steers = np.zeros(CONSTANTS), Steering.usual()
     if not learns:
         found = converged(
             problem,

@@ -95,11 +95,12 @@ def _add_residual(system, index, slope, residual, weight):  # type: ignore[no-un
 
 
 @kernel
-def add_motion(system, x, step_s, steering, bias_m, bias_s, turned, seen, standing):  # type: ignore[no-untyped-def]
+def add_motion(system, x, step_s, kept, steering, bias_m, bias_s, turned, seen, standing):  # type: ignore[no-untyped-def]
     """The vehicle's own laws between neighbouring nodes, and its gyro [n - 1] (NaN: none), in place
     of whatever the matrix held: to clear a large one takes as long as this.
 
-    `steering` [n - 1] is the variance of the curvature's change over each step. Over a hole
+    Of the curvature the share `kept` [n - 1] goes on over each step, and what joins has the
+    variance `steering` [n - 1]. Over a hole
     (`seen` is False) only the gyro and the drifts go on. Of the weights only those of the steering
     and of the slow error enter the sum of their logarithms: the others are the same whatever is
     learnt.
@@ -146,8 +147,7 @@ def add_motion(system, x, step_s, steering, bias_m, bias_s, turned, seen, standi
                 turn_noise = STANDING_TURN_NOISE
             total[0] += _add_kinematics(pair, side, x, k, h, turn_noise)
             total[0] += _add_drift(pair, side, x, k, speed, 1.0, ACCELERATION_NOISE**2 * h)
-            fading = np.exp(-h / CURVATURE_S)
-            total[0] += _add_drift(pair, side, x, k, curvature, fading, steering[k])
+            total[0] += _add_drift(pair, side, x, k, curvature, kept[k], steering[k])
             total[1] -= np.log(steering[k])
         else:
             _add_start(pair, side, x, k + 1, np.int64(STATES))

@@ -50,15 +50,22 @@ class SmoothingProblem(NamedTuple):
         return cls(measured, np.array(lever_m), step_ahead_m, shape, np.empty(shape.size))
 
 
+class CurvatureChange(NamedTuple):
+    """How the curvature changes over each step [n - 1]: the share of it that is `kept`, and the
+    `variance` of what joins."""
+
+    kept: Float64
+    variance: Float64
+
+
 class Weights(NamedTuple):
-    """What each measurement counts, in 1/sigma²; `steering` [n - 1] is the variance of the
-    curvature's change over each step."""
+    """What each measurement counts, in 1/sigma², and how the curvature changes."""
 
     fix: Float64
     heading: Float64
     speed: Float64
     step: Float64
-    steering: Float64
+    steering: CurvatureChange
 
 
 class Residuals(NamedTuple):
@@ -92,7 +99,7 @@ class Linear(NamedTuple):
     schur: Float64
 
 
-def stated_weights(measured: Measurements, steering: Float64) -> Weights:
+def stated_weights(measured: Measurements, steering: CurvatureChange) -> Weights:
     """What the measurements count by their own sigmas."""
     return Weights(
         _inverse_squared(measured.fix_sigma_m),
@@ -180,7 +187,7 @@ def linearized(
         system,
         x,
         np.diff(measured.time_s),
-        weights.steering,
+        *weights.steering,
         measured.bias_m,
         measured.bias_s,
         measured.turned_rad,

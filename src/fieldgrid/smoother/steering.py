@@ -12,9 +12,11 @@ import numpy as np
 
 from fieldgrid.array_types import Bool, Float64
 from fieldgrid.smoother import model
+from fieldgrid.smoother.holes import ShownBends, Unseen, leaving, seen_way_m
 from fieldgrid.smoother.measurements import Measurements
 from fieldgrid.smoother.rounds import (
     Covariances,
+    CurvatureChange,
     Linear,
     SmoothingProblem,
     Solution,
@@ -51,12 +53,8 @@ ADAPTATIONS = 6
 """In so many rounds the expected steering is brought up to date. More of it makes rows straighter,
 and hides steering where noise could."""
 
-BLIND_S = 0.75
-"""Farther in time from every fix, steering is not measured, and any is expected."""
-
-HOLE_S, HOLE_PERIODS = 2.0, 2.5
-"""Longer without a fix, and over so many of a receiver's periods, at least the usual steering is
-expected: what a vehicle does in a hole, the others do not show."""
+LEAST_VARIANCE = 1e-12
+"""No curvature is known better, 1/m²: rounding."""
 
 CLEAR_NATS = 2.0
 """A drive is taken for a calm one only when its fixes clearly say so."""
@@ -71,16 +69,23 @@ STRETCHES, STRETCH_NODES = 4, 1000
 
 class Steering(NamedTuple):
     """How a vehicle steers: `noise`, (1/m)/√s, is what it does all the time, and `bent` the
-    curvatures that it drives, as a share of the usual: so much it steers where no fix shows it."""
+    curvatures that it drives, as a share of the usual: so much it steers where no fix shows it.
+    `shown` are the curvatures that are expected where fixes return after a hole."""
 
     noise: float
     bent: float
+    shown: ShownBends
+
+    @classmethod
+    def usual(cls) -> Steering:
+        """That of a drive not looked at."""
+        return cls(USUAL_STEERING_NOISE, 1.0, ShownBends.usual())
 
 
-def usual_steering(step_s: Float64) -> Float64:
-    """Variance of the curvature's change over steps [n - 1] of a drive not looked at yet."""
-    fading = np.exp(-2.0 * step_s / model.CURVATURE_S)
-    return np.asarray(model.CURVATURE_SIGMA**2 * (1.0 - fading))
+def usual_steering(step_s: Float64) -> CurvatureChange:
+    """The curvature's change over steps [n - 1] of a drive not looked at yet."""
+    variance = model.CURVATURE_SIGMA**2 * (1.0 - np.exp(-2.0 * step_s / model.CURVATURE_S))
+    return CurvatureChange(np.exp(-step_s / model.CURVATURE_S), np.asarray(variance))
 
 
 def local_steering(
@@ -89,9 +94,11 @@ def local_steering(
     onward: Float64,
     time_s: Float64,
     steering_noise: float,
+    unseen: Bool,
 ) -> Float64:
-    """The same by what the curvatures [n] do around each step, as far as that is known:
-    `variance` [n] is theirs, `onward` [n - 1] their covariance with the next one.
+    """The variance of its change by what the curvatures [n] do around each step, as far as that is
+    known: `variance` [n] is theirs, `onward` [n - 1] their covariance with the next one. Steps
+    [n - 1] that are `unseen` tell nothing of those around.
 
     A vehicle goes straight for long and then turns in. `steering_noise`, (1/m)/√s, is how much
     it steers always; a part of the variance is that, and the rest what was seen nearby. What
@@ -104,9 +111,11 @@ def local_steering(
     middle_s = (time_s[1:] + time_s[:-1]) / 2.0
     first = np.searchsorted(middle_s, middle_s - STEERING_S / 2.0)
     last = np.searchsorted(middle_s, middle_s + STEERING_S / 2.0, side="right")
-    changed = np.concatenate([[0.0], np.cumsum(change)])
-    passed_s = np.concatenate([[0.0], np.cumsum(step_s)])
-    near = (changed[last] - changed[first]) / (passed_s[last] - passed_s[first])
+    changed = np.concatenate([[0.0], np.cumsum(np.where(unseen, 0.0, change))])
+    passed_s = np.concatenate([[0.0], np.cumsum(np.where(unseen, 0.0, step_s))])
+    near = (changed[last] - changed[first]) / np.where(
+        unseen, step_s, passed_s[last] - passed_s[first]
+    )
     mixed = ALWAYS_SHARE * steering_noise**2 + (1.0 - ALWAYS_SHARE) * near
     return np.asarray(np.minimum(mixed, MOST_STEERING) * step_s)
 
@@ -114,44 +123,30 @@ def local_steering(
 def adapted(problem: SmoothingProblem, found: Solution, steering: Steering) -> Solution:
     """The drive when steering is expected where it was seen, and where it may be hidden."""
     k, measured = model.KAPPA, problem.measured
-    blind = blind_steps(measured)
-    bent = np.where(steps_in_holes(measured), max(steering.bent, 1.0), steering.bent)
-    hidden = bent**2 * usual_steering(np.diff(measured.time_s))
+    unseen = Unseen.of(measured)
+    exits = unseen.exits()
+    bent = np.where(unseen.holes, max(steering.bent, 1.0), steering.bent)
+    usual = usual_steering(np.diff(measured.time_s))
+    hidden = usual._replace(variance=bent**2 * usual.variance)
+    inside = outside = bent[exits] * model.CURVATURE_SIGMA
     found = found._replace(weights=found.weights._replace(steering=hidden))
     for _ in range(ADAPTATIONS):
         linear, off = linearized(problem, found.x, found.constants, found.weights)
         curvature, found = found.x[:, k], improved(problem, found, linear, off)
         known = Covariances.of(linear)
-        seen = local_steering(
-            *(curvature, known.own(k, k), known.with_before(k, k)), measured.time_s, steering.noise
-        )
+        own, onward = known.own(k, k), known.with_before(k, k)
         del linear, off, known  # large, and the next round makes its own
-        weights = found.weights._replace(steering=np.where(blind, hidden, seen))
-        found = found._replace(weights=weights)
+        seen = local_steering(
+            *(curvature, own, onward), measured.time_s, steering.noise, unseen.between
+        )
+        there = np.maximum(own[exits + 1], LEAST_VARIANCE)
+        measured_precision = np.maximum(1.0 / there - 1.0 / outside**2, 0.0)
+        information = curvature[exits + 1] / there
+        outside = np.sqrt(steering.shown.expected_squared(measured_precision, information))
+        change = usual._replace(variance=np.where(unseen.blind, hidden.variance, seen))
+        change = leaving(change, exits, inside, outside)
+        found = found._replace(weights=found.weights._replace(steering=change))
     return converged(problem, found.x, found.constants, found.weights)
-
-
-def blind_steps(measured: Measurements) -> Bool:
-    """Steps [n - 1] on which no fix is near."""
-    before, after = _fixes_around(measured)
-    middle = (measured.time_s[1:] + measured.time_s[:-1]) / 2.0
-    return np.asarray(np.minimum(middle - before, after - middle) > BLIND_S)
-
-
-def steps_in_holes(measured: Measurements) -> Bool:
-    """Steps [n - 1] between fixes that are farther apart than those of the receiver usually are."""
-    before, after = _fixes_around(measured)
-    fixes_s = measured.time_s[np.isfinite(measured.fix_sigma_m[:, 0])]
-    period_s = float(np.percentile(np.diff(fixes_s), 25)) if len(fixes_s) > 1 else 0.0
-    return np.asarray(after - before > max(HOLE_S, HOLE_PERIODS * period_s))
-
-
-def _fixes_around(measured: Measurements) -> tuple[Float64, Float64]:
-    """The times of the last fix before and of the first after the middle of each step."""
-    fixes_s = measured.time_s[np.isfinite(measured.fix_sigma_m[:, 0])]
-    at = np.concatenate([[-np.inf], fixes_s, [np.inf]])  # a stretch may have none
-    after = np.searchsorted(at, (measured.time_s[1:] + measured.time_s[:-1]) / 2.0)
-    return at[after - 1], at[after]
 
 
 def bent_share(measured: Measurements, x: Float64) -> float:
@@ -160,9 +155,7 @@ def bent_share(measured: Measurements, x: Float64) -> float:
     turned = np.where(measured.seen, np.diff(x[:, model.PHI]), 0.0)
     if not np.ptp(np.cumsum([0.0, *turned])) > ENOUGH_TURN:
         return 1.0
-    step_s = np.diff(measured.time_s)
-    way_m = np.abs(x[1:, model.V] + x[:-1, model.V]) / 2.0 * step_s
-    way_m[~measured.seen | (measured.standing[1:] & measured.standing[:-1])] = 0.0
+    way_m = seen_way_m(measured, x)
     bend = np.abs(x[1:, model.KAPPA] + x[:-1, model.KAPPA]) / 2.0
     order = np.argsort(bend)
     passed_m = np.cumsum(way_m[order])
@@ -179,11 +172,12 @@ def likeliest_steering(problem: SmoothingProblem, found: Solution) -> Steering:
     """
     parts = [(part, roughly(part, x, found.constants)) for part, x in stretches(problem, found)]
     bent = bent_share(problem.measured, found.x)
+    shown = ShownBends.of(problem.measured, found.x)
     tried: dict[int, float] = {}
 
     def likelihood(k: int) -> float:
         if k not in tried:
-            steering = Steering(STEERING_NOISES[k], bent)
+            steering = Steering(STEERING_NOISES[k], bent, shown)
             tried[k] = sum(log_likelihood(part, near, steering) for part, near in parts)
         return tried[k]
 
@@ -193,7 +187,7 @@ def likeliest_steering(problem: SmoothingProblem, found: Solution) -> Steering:
             if likelihood(at + step) <= likelihood(at) - step * CLEAR_NATS:
                 break
             at += step
-    return Steering(STEERING_NOISES[at], bent)
+    return Steering(STEERING_NOISES[at], bent, shown)
 
 
 def stretches(problem: SmoothingProblem, found: Solution) -> list[tuple[SmoothingProblem, Float64]]:
