@@ -151,6 +151,20 @@ def test_an_antenna_as_far_ahead_as_is_usual_is_no_slow_drift() -> None:
     assert not tells(estimate_poses(fixes, Carrier(0.0), DATUM, motion=motion))
 
 
+@pytest.mark.parametrize("drift_m", [0.0, 1.5])
+def test_a_drift_that_leaves_a_contradiction_is_not_known(drift_m: float) -> None:
+    """Here a gyro whose bias walks away: what is told of the receiver is not known either."""
+    motion = seen(LONG, "gyro, wheels")
+    assert motion.gyro is not None
+    share = (motion.gyro.time_ns - START) / 1e9 / float(LONG.time_s[-1])
+    rate = motion.gyro.rate_rad_s + np.radians(1.0) * np.sin(6.0 * np.pi * share)
+    found = estimate_poses(
+        slowly(LONG, drift_m), Carrier(0.0), DATUM,
+        motion=motion._replace(gyro=motion.gyro._replace(rate_rad_s=rate)),
+    )  # fmt: skip
+    assert not tells(found)
+
+
 def test_a_drift_of_a_decimetre_is_not_worth_a_word() -> None:
     """However well the camera knows its way."""
     motion = Motion(steps=camera(LONG, sigma_m=0.001, sigma_deg=0.005))

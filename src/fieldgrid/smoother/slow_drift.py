@@ -41,11 +41,13 @@ _DECLARED = len(UNVERIFIED_SIGMAS)
 
 class SlowDrift(NamedTuple):
     """What a drive makes of a slow drift of its fixes: how many sigmas it is from none, beside
-    declarations that may be off by what is usual, `misfit`; how far apart the fixes lie by it,
+    declarations that may be off by what is usual, `misfit`; how many sigmas these are off beside
+    the drift, which it does not explain, `left`; how far apart the fixes lie by it,
     `extent_m`; by how much the headings [n] change without it, `turned_rad`; and the error of the
     cosine that the drive tells least, along one axis, `sigma_m`: fixes lie twice as far apart."""
 
     misfit: float
+    left: float
     extent_m: float
     turned_rad: Float64
     sigma_m: float
@@ -62,23 +64,27 @@ def slow_drift(
     linear, _ = linearized(problem, found.x, found.constants, found.weights, held=False)
     shapes = _shapes(measured.time_s)
     followed, information, right = _told(problem, found, linear, shapes)
-    declared = slice(None, _DECLARED)
+    declared, drifts = slice(None, _DECLARED), slice(_DECLARED, None)
     priors = [*UNVERIFIED_SIGMAS, *SHAPES * _AXES * [DRIFT_SIGMA_M]]
     schur = information + np.diag(1.0 / np.square(priors))
     values = np.linalg.solve(schur, right)
-    without = np.linalg.solve(schur[declared, declared], right[declared])
-    explained = float(values @ right) - float(without @ right[declared])
+    explained = float(values @ right)
+    by_declared, by_drift = (
+        float(right[one] @ np.linalg.solve(schur[one, one], right[one]))
+        for one in (declared, drifts)
+    )
     # Of each shape alone, beside what was declared.
-    shared = schur[declared, _DECLARED:]
-    alone = np.diagonal(schur)[_DECLARED:] - np.einsum(
+    shared = schur[declared, drifts]
+    alone = np.diagonal(schur)[drifts] - np.einsum(
         "ak,ak->k", shared, np.linalg.solve(schur[declared, declared], shared)
     )
-    drift = values[_DECLARED:]
+    drift = values[drifts]
     away_m = shapes @ drift.reshape(SHAPES, _AXES)
     return SlowDrift(
-        math.sqrt(max(explained, 0.0)),
+        math.sqrt(max(explained - by_declared, 0.0)),
+        math.sqrt(max(explained - by_drift, 0.0)),
         float(np.hypot(*np.ptp(away_m, axis=0))),
-        np.asarray(-followed[PHI::STATES, _DECLARED:] @ drift),
+        np.asarray(-followed[PHI::STATES, drifts] @ drift),
         float(1.0 / np.sqrt(alone.min())),
     )
 
