@@ -52,6 +52,16 @@ def test_shapes_are_cut_at_the_meridian_of_180_degrees(
     assert max(shapely.distance(shape, part) for part in back) < 0.001
 
 
+def test_the_parts_of_a_line_are_in_its_order() -> None:
+    """There and back across the meridian, from the east."""
+    line = shapely.LineString([(50.0, 0.0), (-50.0, 10.0), (50.0, 20.0)])
+    lon_deg, lat_deg = shapely.get_coordinates(in_degrees(line, TAVEUNI)).T
+    east, north, _ = TAVEUNI.to_enu(lat_deg, lon_deg, TAVEUNI.height_m)
+    there = shapely.LineString(np.column_stack([east, north]))
+    assert there.length == pytest.approx(line.length, abs=0.01)
+    assert (np.diff(north) >= -0.001).all()
+
+
 def test_of_many_shapes_only_those_across_it_are_cut() -> None:
     shapes = np.array([FIELD, shapely.box(-50.0, 10.0, -20.0, 40.0), shapely.Point(30.0, 0.0)])
     kinds = [shape.geom_type for shape in in_degrees(shapes, TAVEUNI)]

@@ -38,23 +38,25 @@ def in_degrees(geometry: Any, datum: Datum) -> Any:
 
 
 def _cut(shape: Any) -> Any:
-    """A shape that reaches beyond ±180° of longitude in parts that do not."""
+    """A shape that reaches beyond ±180° of longitude in parts that do not, those of a line in its
+    own order."""
     import shapely
 
+    size = int(shapely.get_dimensions(shape))
     parts: list[Any] = []
+    along: list[float] = []
     for turns in (-1, 0, 1):
         middle = 360.0 * turns
         world = shapely.box(middle - 180.0, -90.0, middle + 180.0, 90.0)
-        inside = shapely.transform(
-            shapely.intersection(shape, world), lambda at, middle=middle: at - [middle, 0.0]
-        )
-        parts += [
-            part
-            for part in shapely.get_parts(inside)
-            if not part.is_empty and shapely.get_dimensions(part) == shapely.get_dimensions(shape)
-        ]
+        for part in shapely.get_parts(shapely.intersection(shape, world)):
+            if part.is_empty or shapely.get_dimensions(part) != size:
+                continue
+            parts.append(shapely.transform(part, lambda at, middle=middle: at - [middle, 0.0]))
+            middle_point = part.interpolate(0.5, normalized=True) if size == 1 else None
+            along.append(0.0 if middle_point is None else float(shape.project(middle_point)))
     several = (shapely.multipoints, shapely.multilinestrings, shapely.multipolygons)
-    rounded = shapely.transform(parts, lambda at: at.round(DECIMALS))
+    ordered = [parts[k] for k in np.argsort(along, kind="stable")]
+    rounded = shapely.transform(ordered, lambda at: at.round(DECIMALS))
     if len(rounded) == 1:
         return rounded[0]
-    return several[int(shapely.get_dimensions(shape))](rounded)
+    return several[size](rounded)

@@ -1,4 +1,4 @@
-"""Fixes that drift bit by bit beside the way of the camera, or of gyro and wheels."""
+"""Fixes that drift bit by bit beside the way of the camera."""
 
 from __future__ import annotations
 
@@ -108,61 +108,53 @@ def slowly(drive: Drive, drift_m: float) -> FixColumns:
     return fixes.replace(lat_deg=lat, lon_deg=lon)
 
 
-def seen(drive: Drive, by: str, gyro_size: float = 1.0) -> Motion:
-    """The motion by a camera, or by gyro and wheels that slip."""
-    if by == "camera":
-        return Motion(steps=camera(drive, noise=1.0, seed=3))
+def seen(drive: Drive, by: str) -> Motion:
+    """The motion by a camera, by a gyro, or also by wheels, which slip by more where the vehicle
+    goes north, say uphill."""
+    gyro = gyro_of(drive, noise_dps=0.05) if "gyro" in by else None
+    steps = camera(drive, noise=1.0, seed=3) if "camera" in by else None
     at = drive.every(0.1)
-    slip = 1.0 + np.random.default_rng(5).normal(0.01, 0.02, len(at.time_s))
-    gyro = gyro_of(drive, noise_dps=0.05)
-    gyro = gyro._replace(rate_rad_s=gyro.rate_rad_s * gyro_size)
+    slip = 1.0 + np.random.default_rng(5).normal(0.1 * np.cos(at.heading_rad), 0.02)
     wheels = WheelSpeed(time_ns(at.time_s), at.speed_mps * slip)
-    return Motion(gyro=gyro, wheels=wheels if "wheels" in by else None)
+    return Motion(gyro=gyro, wheels=wheels if "wheels" in by else None, steps=steps)
 
 
-@pytest.mark.parametrize(
-    ("by", "words"), [("camera", "By the camera"), ("gyro, wheels", "By gyro and wheels")]
-)
-def test_a_drift_there_and_back_is_seen_over_the_whole_drive(by: str, words: str) -> None:
+@pytest.mark.parametrize("by", ["camera", "camera, gyro", "camera, gyro, wheels"])
+def test_a_drift_there_and_back_is_seen_over_the_whole_drive(by: str) -> None:
     motion = seen(LONG, by)
     found = estimate_poses(slowly(LONG, 1.5), Carrier(0.0), DATUM, motion=motion)
     one, truth = found.trajectory, LONG.at((found.trajectory.time_ns - START) / 1e9)
     off_m = np.hypot(one.east_m - truth.east_m, one.north_m - truth.north_m)
-    (note,) = [note for note in found.report.notes if "the fixes drift by about" in note]
-    assert note.startswith(words)
+    assert tells(found)
     assert (off_m <= 3.44 * one.position_sigma_m).mean() > 0.98
     assert one.position_sigma_m.max() < 1.5
 
 
-@pytest.mark.parametrize(
-    ("by", "gyro_size"), [("camera", 1.0), ("gyro, wheels", 1.0), ("gyro, wheels", 1.06)]
-)
-def test_long_drives_that_do_not_drift_are_as_sure_as_ever(by: str, gyro_size: float) -> None:
-    """Also beside a gyro whose scale is as wrong as is usual."""
-    motion = seen(LONG, by, gyro_size)
-    found = estimate_poses(slowly(LONG, 0.0), Carrier(0.0), DATUM, motion=motion)
+@pytest.mark.parametrize("by", ["camera", "camera, gyro", "camera, gyro, wheels", "gyro, wheels"])
+def test_long_drives_that_do_not_drift_are_as_sure_as_ever(by: str) -> None:
+    """However wheels slip: by 10 % of rows of 250 m that is 25 m."""
+    rows = [Command(250.0, 1.2), *K_TURN[1:-1], Command(250.0, 1.2)]
+    drive = simulate(rows, 50.0, speed_mps=1.2)
+    motion = seen(drive, by)
+    found = estimate_poses(slowly(drive, 0.0), Carrier(0.0), DATUM, motion=motion)
     assert not tells(found)
     assert np.median(found.trajectory.position_sigma_m) < 0.1
 
 
 def test_an_antenna_as_far_ahead_as_is_usual_is_no_slow_drift() -> None:
     fixes = fixes_of(LONG, 0.5, noise_m=0.008, seed=4, antenna=LeverArm(0.0, 0.25, 2.0))
-    motion = seen(LONG, "gyro, wheels")
+    motion = seen(LONG, "camera, gyro")
     assert not tells(estimate_poses(fixes, Carrier(0.0), DATUM, motion=motion))
 
 
-@pytest.mark.parametrize("drift_m", [0.0, 1.5])
-def test_a_drift_that_leaves_a_contradiction_is_not_known(drift_m: float) -> None:
-    """Here a gyro whose bias walks away: what is told of the receiver is not known either."""
-    motion = seen(LONG, "gyro, wheels")
+def test_a_drift_that_leaves_a_contradiction_is_not_known() -> None:
+    """Of a gyro whose bias walks away and back nothing is told of the receiver."""
+    motion = seen(LONG, "camera, gyro")
     assert motion.gyro is not None
     share = (motion.gyro.time_ns - START) / 1e9 / float(LONG.time_s[-1])
-    rate = motion.gyro.rate_rad_s + np.radians(1.0) * np.sin(6.0 * np.pi * share)
-    found = estimate_poses(
-        slowly(LONG, drift_m), Carrier(0.0), DATUM,
-        motion=motion._replace(gyro=motion.gyro._replace(rate_rad_s=rate)),
-    )  # fmt: skip
-    assert not tells(found)
+    rate = motion.gyro.rate_rad_s + np.radians(0.42) * np.sin(2.0 * np.pi * share)
+    motion = motion._replace(gyro=motion.gyro._replace(rate_rad_s=rate))
+    assert not tells(estimate_poses(slowly(LONG, 0.0), Carrier(0.0), DATUM, motion=motion))
 
 
 def test_a_drift_of_a_decimetre_is_not_worth_a_word() -> None:
@@ -172,17 +164,17 @@ def test_a_drift_of_a_decimetre_is_not_worth_a_word() -> None:
 
 
 def test_a_drift_no_larger_than_stated_is_none() -> None:
-    unsure = slowly(LONG, 1.0)
+    unsure = slowly(LONG, 0.8)
     unsure = unsure.replace(sigma_m=np.full(len(unsure), 0.4), quality=np.full(len(unsure), 2))
-    found = estimate_poses(unsure, Carrier(0.0), DATUM, motion=seen(LONG, "gyro, wheels"))
+    found = estimate_poses(unsure, Carrier(0.0), DATUM, motion=seen(LONG, "camera"))
     assert not tells(found)
 
 
-@pytest.mark.parametrize("by", ["gyro", "coarse camera"])
+@pytest.mark.parametrize("by", ["gyro", "gyro, wheels", "coarse camera"])
 def test_a_drift_that_would_not_be_seen_is_named(by: str) -> None:
-    """Without the speed, or with turns that are known too badly for it."""
+    """Without a camera, or with turns that are known too badly for it."""
     motion = seen(LONG, by)
-    if by != "gyro":
+    if by == "coarse camera":
         steps = camera(LONG, noise=1.0, sigma_m=0.05, sigma_deg=0.5, seed=3)
         motion = Motion(steps=steps)
     found = estimate_poses(slowly(LONG, 1.0), Carrier(0.0), DATUM, motion=motion)

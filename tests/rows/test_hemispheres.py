@@ -14,7 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+import shapely
 from pyproj import Geod
+from shapely.geometry import LineString, Point, shape
 
 from fieldgrid.geodesy import Datum
 from fieldgrid.route import Route, Vehicle, route_in_view
@@ -73,7 +75,12 @@ def bearing_deg(degrees: Array) -> float:
 
 
 def assert_leads_there(datum: Datum, degrees: Array, line: Array) -> None:
-    assert np.abs(metres(datum, *degrees.T) - line).max() < 0.01
+    """Through the points of the line, in their order; where it is cut there are more."""
+    there = metres(datum, *degrees.T)
+    way = LineString(there)
+    assert max(way.distance(Point(*at)) for at in line) < 0.01
+    assert np.abs(there[[0, -1]] - line[[0, -1]]).max() < 0.01
+    assert way.length == pytest.approx(LineString(line).length, abs=0.02)
     assert bearing_deg(degrees) == pytest.approx(HEADING_DEG, abs=1.5)
 
 
@@ -81,7 +88,7 @@ def test_rows_and_lanes_of_geojson(field: Worked, tmp_path: Path) -> None:
     write_planting(field.planting, tmp_path / "rows.geojson")
     features = json.loads((tmp_path / "rows.geojson").read_text())["features"]
     lines = {
-        f["properties"]["id"]: np.array(f["geometry"]["coordinates"])
+        f["properties"]["id"]: shapely.get_coordinates(shape(f["geometry"]))  # of all its parts
         for f in features
         if f["properties"]["kind"] in ("row", "lane")
     }
@@ -99,9 +106,10 @@ def test_rows_of_kml(field: Worked, tmp_path: Path) -> None:
     root = ElementTree.parse(tmp_path / "rows.kml").getroot()
     space = {"k": "http://www.opengis.net/kml/2.2"}
     folder = next(f for f in root.iterfind(".//k:Folder", space) if f[0].text == "row")
-    texts = [node.text or "" for node in folder.iterfind(".//k:coordinates", space)]
-    assert len(texts) == len(field.planting.rows)
-    for text, row in zip(texts, field.planting.rows, strict=True):
+    places = folder.findall(".//k:Placemark", space)
+    assert len(places) == len(field.planting.rows)
+    for place, row in zip(places, field.planting.rows, strict=True):
+        text = " ".join(node.text or "" for node in place.iterfind(".//k:coordinates", space))
         degrees = np.array([pair.split(",")[:2] for pair in text.split()], dtype=np.float64)
         assert_leads_there(field.datum, degrees, np.array(row.line.coords))
 

@@ -147,6 +147,11 @@ def sees_speed(drive: DriveEstimate) -> bool:
     return max(by_wheels, _camera_share(drive)) >= LEAST_SEEN_SHARE
 
 
+def sees_way(drive: DriveEstimate) -> bool:
+    """Whether a camera measured its way, over most of the drive."""
+    return _camera_share(drive) >= LEAST_SEEN_SHARE
+
+
 def _camera_share(drive: DriveEstimate) -> float:
     """The share of the drive's time that the camera's steps cover."""
     time_s, nodes = drive.measured.time_s, drive.measured.step_nodes

@@ -1,7 +1,9 @@
-"""Fixes that drift bit by bit, as the camera, or gyro and wheels, see.
+"""Fixes that drift bit by bit, as the camera sees.
 
 A receiver with the wrong number of waves may drift by metres in minutes and state centimetres. No
-two fixes are far apart, but the way from one end of the drive to the other is another.
+two fixes are far apart, but the camera's way from one end of the drive to the other is another.
+That of wheels is no evidence: they slip by some per cent uphill and not downhill, and that adds up
+to metres along rows.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.clock import ClockFindings
-from fieldgrid.pose.denied import FAR_M, Denied, sees_speed, sees_turns
+from fieldgrid.pose.denied import FAR_M, Denied, sees_way
 from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.imu_turn import ImuTurn
 from fieldgrid.pose.table import PoseTable
@@ -51,24 +53,21 @@ class Drift(NamedTuple):
 
 class Drifts(NamedTuple):
     """The drift of the fixes of a drive, None where there is none or something else explains it;
-    whether the drive would show one, and who sees it."""
+    and whether the drive would show one."""
 
     found: Drift | None = None
     is_shown: bool = False
-    seen_by: str = "the camera"
 
 
 def drifts(
     drive: DriveEstimate, axle: Axle, denied: Denied, clocks: ClockFindings, turned: ImuTurn | None
 ) -> Drifts:
-    """By how much the fixes of a drive drift beside the way that it measured otherwise; nothing is
-    found where a wrong declaration or clock, or an IMU that is `turned`, explains what does not
-    fit."""
-    slow, is_shown, has_camera = None, False, len(drive.measured.step) > 0
-    if sees_turns(drive) and sees_speed(drive):
+    """By how much the fixes of a drive drift beside its camera's way; nothing is found where a
+    wrong declaration or clock, or an IMU that is `turned`, explains what does not fit."""
+    slow, seen = None, Drifts()
+    if sees_way(drive):
         slow = slow_drift(drive.smoothed, drive.measured, *axle.frame())
-        is_shown = _is_shown(slow, drive)
-    seen = Drifts(None, is_shown, "the camera" if has_camera else "gyro and wheels")
+        seen = Drifts(None, _is_shown(slow, drive))
     certain = clocks.contradiction is not None and clocks.contradiction.is_certain
     if denied.clear or certain or clocks.change is not None:
         return seen
@@ -76,7 +75,7 @@ def drifts(
         return seen
     if turned is not None and turned.is_off:
         return seen
-    if has_camera and (found := _wandering(drive, axle)) is not None:
+    if len(drive.measured.step) and (found := _wandering(drive, axle)) is not None:
         return seen._replace(found=found)
     if slow is not None and _is_told(slow, drive):
         return seen._replace(found=Drift(slow.extent_m, slow.turned_rad))
@@ -126,7 +125,7 @@ def drift_notes(drifts: Drifts) -> Iterator[str]:
     """That the fixes drift."""
     if (found := drifts.found) is not None:
         yield (
-            f"By {drifts.seen_by} the fixes drift by about {found.extent_m:.1f} m within the "
+            f"By the camera the fixes drift by about {found.extent_m:.1f} m within the "
             "drive, more than they state, and nothing shows where they are right: positions count "
             f"as good to {found.extent_m / 2.0:.1f} m. Check the receiver's base station and "
             "corrections, and how cameras and IMU are mounted: one that is tilted or was pushed "

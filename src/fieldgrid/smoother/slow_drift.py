@@ -58,6 +58,8 @@ def slow_drift(
 ) -> SlowDrift:
     """What an estimate `known` from the same measurements says of a slow drift of its fixes: one
     step of Gauss and Newton, with all states and what was declared following."""
+    # Wheels slip by some per cent uphill and not downhill, which is metres along rows.
+    measured = measured._replace(speed_sigma_mps=np.full_like(measured.speed_sigma_mps, np.nan))
     problem = SmoothingProblem.of(measured, lever_m, step_ahead_m)
     weights = stated_weights(measured, known.steering)
     found = converged(problem, known.state, np.zeros(CONSTANTS), weights)
