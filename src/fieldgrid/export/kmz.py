@@ -25,6 +25,7 @@ from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_ex
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum, continued_deg
 from fieldgrid.lattice import Lattice, Window
+from fieldgrid.lon_lat import in_degrees
 from fieldgrid.mapfile import LAYERS, MapFile, MapView
 from fieldgrid.mapfile.marks import features
 from fieldgrid.publish import replacing
@@ -211,41 +212,38 @@ def _overlay(folder: ElementTree.Element, name: str, place: _Place, *, alone: bo
 
 
 def _lines(root: ElementTree.Element, universal: MapFile, selection: Selection) -> int:
-    """A line for each stretch of a drive in the part; returns how many there are."""
+    """A line for each stretch of a drive in the part, two where it crosses the meridian of 180°;
+    returns how many there are."""
+    import shapely
+
     document = root[0]
     folder = _add(document, "Folder")
     _add(folder, "name", "drives")
     count = 0
     for session in selection.sessions(universal):
         drive = _drive(universal, session)
-        for positions in stretches_inside(drive[0], drive[1], selection.area(universal)):
-            places = (at(values, positions) for values in drive)
-            lat_deg, lon_deg, _ = universal.datum.to_geodetic(*places)
-            # A line across the meridian of 180° would go around the world.
-            across = np.flatnonzero(np.abs(np.diff(lon_deg)) > 180.0) + 1
-            for lons, lats in zip(
-                np.split(lon_deg, across), np.split(lat_deg, across), strict=True
-            ):
+        for positions in stretches_inside(*drive, selection.area(universal)):
+            line = shapely.LineString(np.stack([at(v, positions) for v in drive], axis=1))
+            for part in shapely.get_parts(in_degrees(line, universal.datum)):
                 placemark = _add(folder, "Placemark")
                 _add(placemark, "name", session)
                 _add(placemark, "styleUrl", f"#{_LINE_STYLE}")
-                line = _add(placemark, "LineString")
-                _add(line, "tessellate", "1")
-                _add(line, "altitudeMode", "clampToGround")
-                _add(line, "coordinates", _coordinates(lons, lats))
+                shown = _add(placemark, "LineString")
+                _add(shown, "tessellate", "1")
+                _add(shown, "altitudeMode", "clampToGround")
+                _add(shown, "coordinates", _coordinates(*shapely.get_coordinates(part).T))
                 count += 1
     return count
 
 
-def _drive(universal: MapFile, session: str) -> tuple[Float64, ...]:
-    """East, north, up of the accepted poses: of the trajectory, or else of the frames."""
+def _drive(universal: MapFile, session: str) -> tuple[Float64, Float64]:
+    """East and north of the accepted poses: of the trajectory, or else of the frames."""
     metadata = universal.metadata(session)
     if metadata.trajectory is not None:
         track = metadata.transform.trajectory(metadata.trajectory)
-        return tuple(v[track.accepted] for v in (track.east_m, track.north_m, track.up_m))
+        return track.east_m[track.accepted], track.north_m[track.accepted]
     poses = [frame.pose for frame in universal.frames(session) if frame.accepted]
-    places = np.array([(p.east_m, p.north_m, p.up_m) for p in poses], dtype=np.float64)
-    return tuple(places.reshape(-1, 3).T)
+    return np.array([p.east_m for p in poses]), np.array([p.north_m for p in poses])
 
 
 def _coordinates(lon_deg: Float64, lat_deg: Float64) -> str:

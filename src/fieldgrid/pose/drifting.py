@@ -36,7 +36,7 @@ CLEAR_MISFIT = 5.5
 
 MOST_LEFT = 5.0
 """A drift that leaves more sigmas between the sensors and what was declared is not what is wrong
-with a drive, or not all of it. Drives whose fixes do drift have 0.4 to 3.4 left."""
+with a drive, or not all of it. Simulated drives whose fixes drift have 1.4 to 2.1 left."""
 
 STATED_TIMES, LEAST_M = 3.0, 0.2
 """A drift by less than so many times the stated error, or by this, is not worth a word: the camera

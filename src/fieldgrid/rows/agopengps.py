@@ -51,10 +51,7 @@ class FieldPlane(NamedTuple):
             111412.84 * math.cos(a) - 93.5 * math.cos(3.0 * a) + 0.118 * math.cos(5.0 * a)
         )
         return np.column_stack(
-            [
-                (continued_deg(lon, self.lon_deg) - self.lon_deg) * a_degree_east,
-                (lat - self.lat_deg) * a_degree_north,
-            ]
+            [(lon - self.lon_deg) * a_degree_east, (lat - self.lat_deg) * a_degree_north]
         )
 
 

@@ -148,18 +148,18 @@ def tested(
     return declared, HeadingResponse(heading[:, 1], at_most, unverified)
 
 
-class _Told(NamedTuple):
-    """How all states [states, 4] follow what is tested, what the drive tells of it as a matrix
-    [4, 4], and the right side [4]."""
+class Told(NamedTuple):
+    """How all states [states, k] follow k numbers that are tested, what the drive tells of these as
+    a matrix [k, k], and the right side [k]."""
 
     followed: Float64
     information: Float64
     right: Float64
 
 
-def _told(problem: SmoothingProblem, found: Solution, linear: Linear) -> _Told:
+def _told(problem: SmoothingProblem, found: Solution, linear: Linear) -> Told:
     measured = problem.measured
-    border, corner, right = couplings(
+    tested = couplings(
         found.x,
         measured.fix_m,
         found.weights.fix,
@@ -167,13 +167,19 @@ def _told(problem: SmoothingProblem, found: Solution, linear: Linear) -> _Told:
         measured.turned_rad,
         np.diff(measured.time_s),
     )
+    return told_by(linear, *tested)
+
+
+def told_by(linear: Linear, border: Float64, corner: Float64, right: Float64) -> Told:
+    """What a drive tells of numbers that are tested, by their coupling with its states [states, k],
+    the corner [k, k] and the right side [k] of their residuals."""
     followed = border.copy()
     solve(linear.system.shape, linear.system.values, followed)
     if len(linear.active):
         shared = linear.coupling.T @ border
         followed -= linear.coupling @ (inverse(linear.schur) @ shared)
     information = corner - border.T @ followed
-    return _Told(followed, information, right - followed.T @ linear.system.right)
+    return Told(followed, information, right - followed.T @ linear.system.right)
 
 
 def unverified_nats(problem: SmoothingProblem, found: Solution, linear: Linear) -> float:

@@ -13,17 +13,15 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.smoother.batch import Smoothed
-from fieldgrid.smoother.declared import SCALE, UNVERIFIED_SIGMAS, couplings
-from fieldgrid.smoother.envelope import STATES, solve
+from fieldgrid.smoother.declared import SCALE, UNVERIFIED_SIGMAS, couplings, told_by
+from fieldgrid.smoother.envelope import STATES
 from fieldgrid.smoother.equations import CONSTANTS
 from fieldgrid.smoother.measurements import Measurements
 from fieldgrid.smoother.model import BIAS_E, BIAS_N, KAPPA, PHI, E, N, V
 from fieldgrid.smoother.rounds import (
-    Linear,
     SmoothingProblem,
     Solution,
     converged,
-    inverse,
     linearized,
     stated_weights,
 )
@@ -65,7 +63,7 @@ def slow_drift(
     found = converged(problem, known.state, np.zeros(CONSTANTS), weights)
     linear, _ = linearized(problem, found.x, found.constants, found.weights, held=False)
     shapes = _shapes(measured.time_s)
-    followed, information, right = _told(problem, found, linear, shapes)
+    followed, information, right = told_by(linear, *_couplings(problem, found, shapes))
     declared, drifts = slice(None, _DECLARED), slice(_DECLARED, None)
     priors = [*UNVERIFIED_SIGMAS, *SHAPES * _AXES * [DRIFT_SIGMA_M]]
     schur = information + np.diag(1.0 / np.square(priors))
@@ -95,21 +93,6 @@ def _shapes(time_s: Float64) -> Float64:
     """The shapes of a drift at instants [n, SHAPES]."""
     share = (time_s - time_s[0]) / max(float(time_s[-1] - time_s[0]), 1e-9)
     return np.cos(np.pi * np.outer(share, np.arange(1, SHAPES + 1)))
-
-
-def _told(
-    problem: SmoothingProblem, found: Solution, linear: Linear, shapes: Float64
-) -> tuple[Float64, Float64, Float64]:
-    """How all states [states, k] follow what was declared and the shapes, east and north of each,
-    what the drive tells of these as a matrix [k, k], and the right side [k]."""
-    border, corner, right = _couplings(problem, found, shapes)
-    followed = border.copy()
-    solve(linear.system.shape, linear.system.values, followed)
-    if len(linear.active):
-        shared = linear.coupling.T @ border
-        followed -= linear.coupling @ (inverse(linear.schur) @ shared)
-    information = corner - border.T @ followed
-    return followed, information, right - followed.T @ linear.system.right
 
 
 def _couplings(
