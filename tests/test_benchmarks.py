@@ -141,3 +141,20 @@ def test_the_cost_of_reading(
     assert min(found) > 0.0
     assert found.line("mcap").split()[-1] == "%"
     assert 20.0 < reading.peak_of_reading_mb(bag) < 10_000.0
+
+
+def test_no_clock_is_told_by_a_gyro_that_does_not_go_with_the_images(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A part that is too even for its offset: the estimate that fuses the images bends to them."""
+    monkeypatch.setattr(clock, "LATE_S", (18.0, -18.0))
+    monkeypatch.setattr(clock, "LOGS", ("sf1",))
+    parts = {name: clock.PARTS[name] for name in ("lane 2", "entry, lane 1")}
+    monkeypatch.setattr(clock, "PARTS", parts)
+    monkeypatch.setattr(clock, "VINEYARD", Path("nowhere"))
+    lines = list(clock.measure())
+    assert [(line.steps, line.gyro) for line in lines] == [
+        *((14, "yes"), (14, "no")),
+        *((20, "yes"), (20, "no")),
+    ]
+    assert [told for line in lines for told in line.told] == [None] * 8

@@ -139,7 +139,7 @@ def _together(
     hints: GearHints,
 ) -> ClockOffset | None:
     """The offset, near the one given, of a camera and a gyro of one clock, by how late the fixes
-    are beside both; None where that does not settle or is not told."""
+    are beside both; None where that does not settle or is not told, or does not fit."""
     for _ in range(MOST_ROUNDS):
         by_ns = round(offset_s * 1e9)
         moved = Motion(
@@ -152,6 +152,8 @@ def _together(
             return None
         if abs(late.value) < max(LEAST_SIGMA_S, late.sigma / 2.0):
             misfit = ClockSearch(drive, steps, axle).misfit(offset_s)
+            if misfit >= POOR_MISFIT:  # camera and gyro are of two clocks
+                return None
             sigma_s = math.hypot(late.sigma, LEAST_SIGMA_S)
             return ClockOffset(offset_s, sigma_s, len(steps.start_ns), misfit)
         offset_s += late.value
