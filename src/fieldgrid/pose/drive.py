@@ -270,7 +270,8 @@ def contradicted_gear(at: Nodes, assigned: Int64, speed_mps: Float64) -> Bool:
     """Nodes [n] whose gear the estimate denies: it drives back within a hole of the fixes, in which
     nothing tells how the vehicle turned, and whose two sides have the same gear, so that one of
     them is wrong. That is rather the side of which less was seen until the next such hole, and on
-    it what lies before the next hole of any kind; the gear of each node is `assigned`."""
+    it what lies before the next hole of any kind, with the nodes in the holes beside it; the gear
+    of each node is `assigned`."""
     node = np.flatnonzero(at.fix >= 0)
     gap_s = np.diff(at.time_ns[node]) / 1e9
     denied = np.zeros(len(assigned), dtype=np.bool_)
@@ -289,7 +290,9 @@ def contradicted_gear(at: Nodes, assigned: Int64, speed_mps: Float64) -> Bool:
     for before, one, after in zip(around[:-2], wrong, around[2:], strict=True):
         later = seen_s[after] - seen_s[one + 1] <= seen_s[one] - seen_s[before + 1]
         piece = int(np.searchsorted(ends, one + later, side="right"))
-        denied[node[ends[piece - 1]] : node[ends[piece] - 1] + 1] = True
+        first, stop = ends[piece - 1], ends[piece]
+        begin = node[first - 1] + 1 if first > 0 else 0
+        denied[begin : node[stop] if stop < len(node) else None] = True
     return denied
 
 
