@@ -26,7 +26,7 @@ from fieldgrid.pose.denied import (
 from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.fused import Fused
 from fieldgrid.rig import Rig, VehicleGeometry
-from fieldgrid.smoother import MOST_MISFIT, Constant, DeclaredCorrection
+from fieldgrid.smoother import AHEAD, LATE, MOST_MISFIT, Constant, DeclaredCorrection
 
 MOST_STEPS = 8
 """Clocks that are up to 3 s off are settled in three to six."""
@@ -39,6 +39,10 @@ MOST_LEFT, RULED_OUT, CLEARLY_WORSE = 3.5, 5.0, 2.0
 that is wrong, too; the other of the two is ruled out where it leaves more than the second, or so
 many times as many with the scale as it is. Random drives (`benchmarks.late_fixes`) have 0.2 to 5
 left by the one, 3 to 80 by the other."""
+
+SLIGHT = 0.5
+"""What is no more than such a share of the least that is named is as it seems in one step: there a
+path hardly bends."""
 
 LEAST_MPS = 0.1
 """A slower vehicle tells no clock from a place."""
@@ -110,12 +114,29 @@ def explained(
         return denied
     if declared.misfit_but_scale < MOST_MISFIT:
         return denied
-    tried = explanation(found._replace(drive=drive), vehicle)
+    tried = _slight(declared, vehicle) or explanation(found._replace(drive=drive), vehicle)
     if tried is None:
         return denied
     if tried.left > MOST_LEFT:
         return _neither(denied, declared, drive, vehicle)
     return tried.denies(drive, vehicle)
+
+
+def _slight(declared: DeclaredCorrection, vehicle: VehicleGeometry | None) -> Explanation | None:
+    """What explains a contradiction by so little that no other estimate is needed; None where
+    nothing does, or what may be it is more than that."""
+    one_step = {LATE: (declared.late_s.sigma, LEAST_DELAY_S)}
+    if names_axle(vehicle):
+        one_step[AHEAD] = (declared.ahead_m.sigma, LEAST_LEVER_M)
+    found = {}
+    for k, (sigma, least) in one_step.items():
+        value, left = declared.alone[k], declared.left[k]
+        if left > MOST_LEFT:
+            continue
+        if abs(value) > SLIGHT * least:
+            return None
+        found[k] = PutRight(Constant(value, sigma), left, left, None)
+    return Explanation(found.get(AHEAD, UNTOLD), found.get(LATE, UNTOLD)) if found else None
 
 
 def explanation(
