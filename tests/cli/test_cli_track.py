@@ -106,6 +106,16 @@ def test_a_log_alone(fieldgrid: Run, out: Path) -> None:
     assert float(first["lat_deg"]) == pytest.approx(41.65038, abs=1e-4)
 
 
+def test_the_summary_without_a_table(fieldgrid: Run, out: Path) -> None:
+    printed = fieldgrid("track", RTK, "-o", out).output()
+    table, last = printed.rstrip().rsplit("\n", 1)
+    assert last == f"track {out}"
+    before = set(out.parent.iterdir())
+    assert fieldgrid("track", RTK).output().rstrip() == table
+    assert json.loads(fieldgrid("track", RTK, "--json").output())["track"] is None
+    assert set(out.parent.iterdir()) == before
+
+
 def test_json_is_one_object_and_nothing_else(fieldgrid: Run, out: Path) -> None:
     result = json.loads(fieldgrid("track", TWO_LANES, "-o", out, *SF1, "--json").output())
     assert set(result) == KEYS
@@ -317,7 +327,6 @@ def test_values_that_cannot_be(
     ("arguments", "message"),
     [
         ((), "Missing argument 'RECORDING|LOG'"),
-        ((RTK,), "Missing option '--out'"),
         ((RTK, "-o", "t.csv", "--figure", "t.txt"), "t.txt ends in none of .png, .svg, .pdf"),
         ((RTK, "-o", "t.csv", "--datum", "41"), "'41' is not LAT,LON,HEIGHT"),
     ],

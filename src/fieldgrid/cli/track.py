@@ -32,20 +32,19 @@ def command(
     recording: Annotated[
         str, typer.Argument(metavar="RECORDING|LOG", help="A recording, or a GNSS log.")
     ],
+    drive: Drive,
+    poses: Poses,
+    settings: Annotated[Overrides, SettingsFlags(*_SETTINGS)],
     out: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             "--out",
             "-o",
             metavar="FILE.csv|gpx|geojson|tum",
-            help="The track.",
+            help="Write the track; without it only the summary is printed.",
             rich_help_panel=options.OUTPUT,
-            show_default=False,
         ),
-    ],
-    drive: Drive,
-    poses: Poses,
-    settings: Annotated[Overrides, SettingsFlags(*_SETTINGS)],
+    ] = None,
     gear: Annotated[
         Path | None,
         typer.Option(
@@ -83,9 +82,11 @@ def command(
     figure: options.Figure = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Write position, heading and gear of the vehicle with their sigmas, one row per GNSS fix.
+    """Estimate position, heading and gear of the vehicle with their sigmas, one row per GNSS fix.
 
     Examples:
+
+        fieldgrid track june-03
 
         fieldgrid track june-03 -o track.csv --gnss rtk.nmea --figure track.png
 
@@ -112,12 +113,15 @@ def command(
     carrier = None
     if antenna_ahead is not None or heading_offset is not None:
         carrier = Carrier(antenna_ahead, heading_offset)
-    check_target(out)
+    if out is not None:
+        check_target(out)
     path = progress.fetched(recording)
-    refuse_input(out, [path])
+    if out is not None:
+        refuse_input(out, [path])
     with progress.working(f"{path.name}: reading and estimating"):
         tracked = track_drive(path, chosen, opening, datum=origin, carrier=carrier)
-    write_track(tracked.estimate, out)
+    if out is not None:
+        write_track(tracked.estimate, out)
     if figure is not None:
         _draw(tracked, chosen, figure)
     summary = summarise_track(tracked.estimate)
@@ -137,12 +141,14 @@ def _draw(drive: TrackedDrive, settings: BuildSettings, path: Path) -> None:
     save(track_figure(trajectory, title=drive.name, max_sigma_deg=limit_deg), path)
 
 
-def _print_json(out: Path, figure: Path | None, drive: TrackedDrive, summary: TrackSummary) -> None:
+def _print_json(
+    out: Path | None, figure: Path | None, drive: TrackedDrive, summary: TrackSummary
+) -> None:
     values = summary.as_dict()
     values["notes"] = [*drive.notes, *values["notes"]]
     output.print_json(
         {
-            "track": str(out),
+            "track": None if out is None else str(out),
             "figure": None if figure is None else str(figure),
             "drive": drive.name,
             "gnss": drive.gnss_source,
@@ -151,7 +157,9 @@ def _print_json(out: Path, figure: Path | None, drive: TrackedDrive, summary: Tr
     )
 
 
-def _report(out: Path, figure: Path | None, drive: TrackedDrive, summary: TrackSummary) -> None:
+def _report(
+    out: Path | None, figure: Path | None, drive: TrackedDrive, summary: TrackSummary
+) -> None:
     from fieldgrid.pose import unseen_sentence
 
     rows = [*_fix_rows(summary), *_way_rows(summary), *_sensor_rows(summary)]
@@ -167,7 +175,8 @@ def _report(out: Path, figure: Path | None, drive: TrackedDrive, summary: TrackS
         output.report_line(f"note: {note}")
     if summary.report.unseen:
         output.report_line(f"unseen: {unseen_sentence(summary.report.unseen)}")
-    output.report_line(f"track {out}")
+    if out is not None:
+        output.report_line(f"track {out}")
     if figure is not None:
         output.report_line(f"figure {figure}")
 
