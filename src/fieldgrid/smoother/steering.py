@@ -12,6 +12,8 @@ import numpy as np
 
 from fieldgrid.array_types import Bool, Float64
 from fieldgrid.smoother import model
+from fieldgrid.smoother.edges import LEAST_VARIANCE, Edges, freed, shown_changes, units
+from fieldgrid.smoother.envelope import STATES, solve
 from fieldgrid.smoother.holes import ShownBends, Unseen, leaving, seen_way_m
 from fieldgrid.smoother.measurements import Measurements
 from fieldgrid.smoother.rounds import (
@@ -52,9 +54,6 @@ STEERING_S = 2.0
 ADAPTATIONS = 6
 """In so many rounds the expected steering is brought up to date. More of it makes rows straighter,
 and hides steering where noise could."""
-
-LEAST_VARIANCE = 1e-12
-"""No curvature is known better, 1/m²: rounding."""
 
 CLEAR_NATS = 2.0
 """A drive is taken for a calm one only when its fixes clearly say so."""
@@ -120,8 +119,11 @@ def local_steering(
     return np.asarray(np.minimum(mixed, MOST_STEERING) * step_s)
 
 
-def adapted(problem: SmoothingProblem, found: Solution, steering: Steering) -> Solution:
-    """The drive when steering is expected where it was seen, and where it may be hidden."""
+def adapted(
+    problem: SmoothingProblem, found: Solution, steering: Steering, *, at_edges: bool = True
+) -> Solution:
+    """The drive when steering is expected where it was seen, and where it may be hidden: in holes,
+    and `at_edges` of them."""
     k, measured = model.KAPPA, problem.measured
     unseen = Unseen.of(measured)
     exits = unseen.exits()
@@ -130,15 +132,24 @@ def adapted(problem: SmoothingProblem, found: Solution, steering: Steering) -> S
     hidden = usual._replace(variance=bent**2 * usual.variance)
     inside = outside = bent[exits] * model.CURVATURE_SIGMA
     found = found._replace(weights=found.weights._replace(steering=hidden))
+    sides = Edges.of(measured.time_s, unseen) if at_edges else ()
     for _ in range(ADAPTATIONS):
         linear, off = linearized(problem, found.x, found.constants, found.weights)
-        curvature, found = found.x[:, k], improved(problem, found, linear, off)
+        curvature, prior = found.x[:, k], found.weights.steering
+        found = improved(problem, found, linear, off)
+        shared = units(sides, found.x.size)
+        solve(linear.system.shape, linear.system.values, shared)
         known = Covariances.of(linear)
         own, onward = known.own(k, k), known.with_before(k, k)
         del linear, off, known  # large, and the next round makes its own
         seen = local_steering(
             *(curvature, own, onward), measured.time_s, steering.noise, unseen.between
         )
+        if sides:
+            shown = shown_changes(measured, found.x, unseen)
+            for edges, column in zip(sides, shared[k::STATES].T, strict=True):
+                now = found.x[:, k], own, column
+                seen = freed(seen, edges, shown, now, prior, measured.time_s)
         there = np.maximum(own[exits + 1], LEAST_VARIANCE)
         measured_precision = np.maximum(1.0 / there - 1.0 / outside**2, 0.0)
         information = curvature[exits + 1] / there
@@ -216,8 +227,9 @@ def roughly(problem: SmoothingProblem, start: Float64, constants: Float64) -> So
 
 
 def log_likelihood(problem: SmoothingProblem, near: Solution, steering: Steering) -> float:
-    """Of the measurements under a steering, every drive considered."""
-    return likelihood_of(problem, adapted(problem, near, steering))
+    """Of the measurements under a steering, every drive considered. What may be hidden at edges is
+    no part of what the vehicle does all the time."""
+    return likelihood_of(problem, adapted(problem, near, steering, at_edges=False))
 
 
 def likelihood_of(problem: SmoothingProblem, solution: Solution) -> float:
