@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.angles import wrap_deg
-from fieldgrid.smoother import STATES, Measurements, Smoothed, smooth, steering
+from fieldgrid.smoother import STATES, Measurements, Smoothed, edges, smooth, steering
 from fieldgrid.smoother.equations import CONSTANTS
 from fieldgrid.smoother.holes import Unseen
 from fieldgrid.smoother.model import GYRO
@@ -290,6 +290,7 @@ def test_each_side_of_a_hole_is_what_it_would_be_without_the_other(
     """But for how restless the vehicle is, which the whole drive tells better."""
     if not learnt:
         monkeypatch.setattr(steering, "STEERING_NOISES", (steering.USUAL_STEERING_NOISE,))
+        monkeypatch.setattr(edges, "FEW_AND_LARGE", 0.0)
     whole = simulate([Command(20.0, 1.5), Command(60.0, 1.5, 0.05), Command(20.0, 1.5)], 20.0)
     times = np.concatenate([np.arange(0.0, 20.0, 0.2), np.arange(80.0, 100.0, 0.2)])
     drive = whole.at(times)
@@ -531,7 +532,7 @@ def test_a_calm_vehicle_turns_less_between_its_fixes() -> None:
         found = steering.adapted(asked, first, steers).weights.steering
         expected = np.where(unseen.holes, max(bent, 1.0), bent) ** 2 * usual.variance
         assert found.variance[inner] == pytest.approx(expected[inner])
-        assert (found.variance[~unseen.blind] < expected[~unseen.blind]).all()
+        assert (found.variance[~unseen.blind] <= expected[~unseen.blind]).all()
         # A curvature in the hole says little of the one behind it.
         assert found.kept[leaves] < 0.5 * usual.kept[leaves]
         others = np.arange(len(time_s) - 1) != leaves

@@ -15,7 +15,7 @@ from fieldgrid.smoother.edges import (
     EDGE_S,
     FEW_AND_LARGE,
     UNTOLD,
-    Edges,
+    FixEdges,
     expected_squared,
     freed,
     shown_changes,
@@ -35,18 +35,19 @@ HOLES_S = np.concatenate(
 
 
 def test_edges_are_where_fixes_begin_and_end() -> None:
-    begin, end = Edges.of(HOLES_S, Unseen.of(measured_at(HOLES_S)))
-    assert begin.at.tolist() == [0, 20, 23]
-    assert end.at.tolist() == [19, 22, 47]
+    begin, end = FixEdges.of(HOLES_S, Unseen.of(measured_at(HOLES_S)))
+    # Where the drive itself begins and ends is no hole.
+    assert begin.at.tolist() == [20, 23]
+    assert end.at.tolist() == [19, 22]
     # A second away, or at the other end of the stretch.
-    assert HOLES_S[begin.inner] == pytest.approx([1.0, 8.4, 14.0])
-    assert HOLES_S[end.inner] == pytest.approx([2.8, 8.0, 16.8])
-    assert [one.tolist() for one in begin.steps()] == [[0, 20, 23], [5, 22, 28]]
-    assert [one.tolist() for one in end.steps()] == [[14, 20, 42], [19, 22, 47]]
+    assert HOLES_S[begin.inner] == pytest.approx([8.4, 14.0])
+    assert HOLES_S[end.inner] == pytest.approx([2.8, 8.0])
+    assert [one.tolist() for one in begin.steps()] == [[20, 23], [22, 28]]
+    assert [one.tolist() for one in end.steps()] == [[14, 20], [19, 22]]
 
 
 def test_the_covariances_with_the_curvature_of_each_edge_are_asked_for() -> None:
-    sides = Edges.of(HOLES_S, Unseen.of(measured_at(HOLES_S)))
+    sides = FixEdges.of(HOLES_S, Unseen.of(measured_at(HOLES_S)))
     right = units(sides, STATES * len(HOLES_S))
     for edges, column in zip(sides, right.T, strict=True):
         assert np.flatnonzero(column).tolist() == (STATES * edges.at + model.KAPPA).tolist()
@@ -119,7 +120,7 @@ def test_what_a_position_leaves_open_is_no_proof_of_going_straight() -> None:
 
 def test_beside_edges_at_least_the_shown_changes_are_expected() -> None:
     time_s = np.arange(0.0, 10.0, 0.2)
-    _, end = Edges.of(time_s, Unseen.of(measured_at(time_s)))
+    end = FixEdges(np.array([49]), np.array([44]))
     calm = np.full(len(time_s) - 1, 1e-5)
     calm[-2] = 1.0
     zero = np.zeros(len(time_s))
@@ -127,11 +128,16 @@ def test_beside_edges_at_least_the_shown_changes_are_expected() -> None:
     shown = ShownBends(np.array([0.2]), np.ones(1))
     # That the neighbours share their error is no change.
     known = zero, zero + 1.0, zero + 1.0
-    found = freed(calm, end, shown, known, prior, time_s)
+    most = np.ones(len(calm))
+    found = freed(calm, most, end, shown, known, prior, time_s)
     at_least = FEW_AND_LARGE * 0.2**2 / EDGE_S * 0.2
     assert found[-6:] == pytest.approx([1e-5, *3 * [at_least], 1.0, at_least])
     assert (found[:-5] == 1e-5).all()
     assert calm[-1] == 1e-5
+    # Where no fix is near, all is expected that the vehicle can do.
+    most[-1] = at_least / 3.0
+    found = freed(calm, most, end, shown, known, prior, time_s)
+    assert found[-3:] == pytest.approx([at_least, 1.0, at_least / 3.0])
 
 
 # --- drives whose fixes end in a turn-in

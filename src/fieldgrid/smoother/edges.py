@@ -1,4 +1,4 @@
-"""How much a vehicle may steer just before fixes end and just after they return.
+"""How much a vehicle may steer just before a hole of its fixes and just after it.
 
 In the middle of a drive the fixes that follow show a turn-in. At an edge none follow: that none is
 seen yet does not say that there is none. So what is expected there are the changes of the curvature
@@ -34,20 +34,22 @@ LEAST_VARIANCE = 1e-12
 """No curvature is known better, 1/m²: rounding."""
 
 
-class Edges(NamedTuple):
-    """Where e stretches with fixes begin or end: nodes `at` [e], and nodes `inner` [e] of the same
-    stretches :data:`EDGE_S` away from these, or at their other end."""
+class FixEdges(NamedTuple):
+    """Where e stretches with fixes begin behind a hole, or end before one: nodes `at` [e], and
+    nodes `inner` [e] of the same stretches :data:`EDGE_S` away, or at their other end."""
 
     at: Int64
     inner: Int64
 
     @classmethod
-    def of(cls, time_s: Float64, unseen: Unseen) -> tuple[Edges, Edges]:
+    def of(cls, time_s: Float64, unseen: Unseen) -> tuple[FixEdges, FixEdges]:
         """Those where stretches begin, and those where they end."""
         begin, end = unseen.stretches()
         after = np.minimum(next_nodes(time_s)[begin], end)
         before = np.searchsorted(time_s, time_s[end] - EDGE_S * (1.0 - 1e-6), side="right") - 1
-        return cls(begin, after), cls(end, np.maximum(before, begin))
+        before = np.maximum(before, begin)
+        # The drive itself begins and ends somewhere, which is no hole.
+        return cls(begin[1:], after[1:]), cls(end[:-1], before[:-1])
 
     def steps(self) -> tuple[Int64, Int64]:
         """The first step beside each edge, and the one after the last."""
@@ -59,7 +61,7 @@ def next_nodes(time_s: Float64) -> Int64:
     return np.searchsorted(time_s, time_s + EDGE_S * (1.0 - 1e-6))
 
 
-def units(sides: tuple[Edges, ...], states: int) -> Float64:
+def units(sides: tuple[FixEdges, ...], states: int) -> Float64:
     """Right sides [states, sides] whose solutions are the covariances with the curvature at the
     edges of each side. Those of one side share a column: beyond a hole curvatures are unrelated."""
     right = np.zeros((states, len(sides)))
@@ -102,15 +104,18 @@ def expected_squared(
 
 def freed(
     change: Float64,
-    edges: Edges,
+    most: Float64,
+    edges: FixEdges,
     shown: ShownBends,
     known: tuple[Float64, Float64, Float64],
     prior: CurvatureChange,
     time_s: Float64,
 ) -> Float64:
     """The variance [n - 1] `change` of the curvature's change, and beside edges at least what is
-    expected there. `known` are the curvatures [n] that were estimated with the `prior`, their
-    variances [n], and their covariances [n] with that at the edge of the same stretch."""
+    expected there, but no more than the `most` [n - 1] that is where no fix is near.
+
+    `known` are the curvatures [n] that were estimated with the `prior`, their variances [n], and
+    their covariances [n] with that at the edge of the same stretch."""
     curvature, own, shared = known
     at, inner = edges
     first, last = edges.steps()
@@ -124,5 +129,6 @@ def freed(
     rate = FEW_AND_LARGE * expected / (time_s[last] - time_s[first])
     change = change.copy()
     for a, b, one in zip(first.tolist(), last.tolist(), rate.tolist(), strict=True):
-        change[a:b] = np.maximum(change[a:b], one * np.diff(time_s[a : b + 1]))
+        there = np.minimum(one * np.diff(time_s[a : b + 1]), most[a:b])
+        change[a:b] = np.maximum(change[a:b], there)
     return change

@@ -12,7 +12,7 @@ import numpy as np
 
 from fieldgrid.array_types import Bool, Float64
 from fieldgrid.smoother import model
-from fieldgrid.smoother.edges import LEAST_VARIANCE, Edges, freed, shown_changes, units
+from fieldgrid.smoother.edges import LEAST_VARIANCE, FixEdges, freed, shown_changes, units
 from fieldgrid.smoother.envelope import STATES, solve
 from fieldgrid.smoother.holes import ShownBends, Unseen, leaving, seen_way_m
 from fieldgrid.smoother.measurements import Measurements
@@ -132,7 +132,8 @@ def adapted(
     hidden = usual._replace(variance=bent**2 * usual.variance)
     inside = outside = bent[exits] * model.CURVATURE_SIGMA
     found = found._replace(weights=found.weights._replace(steering=hidden))
-    sides = Edges.of(measured.time_s, unseen) if at_edges else ()
+    sides = FixEdges.of(measured.time_s, unseen) if at_edges else ()
+    sides = tuple(edges for edges in sides if len(edges.at))
     for _ in range(ADAPTATIONS):
         linear, off = linearized(problem, found.x, found.constants, found.weights)
         curvature, prior = found.x[:, k], found.weights.steering
@@ -149,7 +150,7 @@ def adapted(
             shown = shown_changes(measured, found.x, unseen)
             for edges, column in zip(sides, shared[k::STATES].T, strict=True):
                 now = found.x[:, k], own, column
-                seen = freed(seen, edges, shown, now, prior, measured.time_s)
+                seen = freed(seen, hidden.variance, edges, shown, now, prior, measured.time_s)
         there = np.maximum(own[exits + 1], LEAST_VARIANCE)
         measured_precision = np.maximum(1.0 / there - 1.0 / outside**2, 0.0)
         information = curvature[exits + 1] / there
