@@ -125,9 +125,9 @@ def test_beside_edges_at_least_the_shown_changes_are_expected() -> None:
     calm[-2] = 1.0
     zero = np.zeros(len(time_s))
     prior = CurvatureChange(np.ones(len(calm)), calm)
-    shown = ShownBends(np.array([0.2]), np.ones(1))
-    # That the neighbours share their error is no change.
-    known = zero, zero + 1.0, zero + 1.0
+    shown = ShownBends(np.array([0.001, 0.2]), np.array([0.5, 0.5]))
+    # That the neighbours share their error leaves the change known.
+    known = np.where(time_s > 9.7, 0.2, 0.0), zero + 1.0, zero + 1.0
     most = np.ones(len(calm))
     found = freed(calm, most, end, shown, known, prior, time_s)
     at_least = FEW_AND_LARGE * 0.2**2 / EDGE_S * 0.2

@@ -132,8 +132,8 @@ def adapted(
     hidden = usual._replace(variance=bent**2 * usual.variance)
     inside = outside = bent[exits] * model.CURVATURE_SIGMA
     found = found._replace(weights=found.weights._replace(steering=hidden))
-    sides = FixEdges.of(measured.time_s, unseen) if at_edges else ()
-    sides = tuple(edges for edges in sides if len(edges.at))
+    beside = FixEdges.of(measured.time_s, unseen) if at_edges else ()
+    sides = tuple(edges for edges in beside if len(edges.at))
     for _ in range(ADAPTATIONS):
         linear, off = linearized(problem, found.x, found.constants, found.weights)
         curvature, prior = found.x[:, k], found.weights.steering
