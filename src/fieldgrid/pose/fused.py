@@ -21,6 +21,7 @@ from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose.accepted import accepted_fixes, datum_of, no_fix_sentence
 from fieldgrid.pose.axle import Axle, axle_by_gyro, axle_of
 from fieldgrid.pose.convention import Comparison, compare, turned_around
+from fieldgrid.pose.dead_gyro import without_dead_gyro
 from fieldgrid.pose.denied_leaps import denied_leaps
 from fieldgrid.pose.drive import DriveEstimate, smooth_drive
 from fieldgrid.pose.gears import GearHints, gear_hints
@@ -111,6 +112,7 @@ def fuse(
     the vehicle leans (best at `frame_ns`); whatever was assumed otherwise is estimated again.
     """
     motion, faulty_gyro = without_faulty_samples(motion)
+    motion, dead_gyro = without_dead_gyro(log.accepted, motion)
     motion, turned_wheels = with_right_wheels(motion)
     gyro = motion.gyro
     motion, wrong_gyro = without_wrong_gyro(log.accepted, motion)
@@ -126,7 +128,7 @@ def fuse(
         drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     # A gyro that contradicts the drive; of one that fits, where an undeclared axle is.
     trusted = _with_trusted_gyro(drive, log, motion, axle, hints, frame_ns)
-    notes = (faulty_gyro, turned_wheels)
+    notes = (faulty_gyro, dead_gyro, turned_wheels)
     found = Fused(
         *(log, trusted.drive, trusted.motion, axle, hints, gyro, trusted),
         imu_turn=imu_turn(trusted.motion.steps, trusted.motion.inertial),

@@ -17,21 +17,20 @@ STUCK_S, MOST_STUCK = 1.0, 0.4
 """For so long a working gyro does not say the same to the last digit, if it hardly ever does; and
 it is not stuck for a larger share of a drive."""
 
+FEWEST_SAMPLES = 2
+"""Of fewer samples a gyro tells no turn."""
+
 
 def without_faulty_samples(motion: Motion) -> tuple[Motion, str | None]:
     """The motion without samples of its gyro that are spoilt or stuck, and a sentence on them, None
     where there are none. Those of a whole IMU are left out of it, too."""
-    gyro, sensed = motion.gyro, motion.inertial
+    gyro = motion.gyro
     if gyro is None or len(gyro.time_ns) < 2:
         return motion, None
     wild, stuck = _wild(gyro.rate_rad_s), _stuck(gyro.time_ns, gyro.rate_rad_s)
     faulty = wild | stuck
     if not faulty.any():
         return motion, None
-    if sensed is not None:
-        kept = ~np.isin(sensed.time_ns, gyro.time_ns[faulty])
-        sensed = Inertial(sensed.time_ns[kept], sensed.rate_rad_s[kept], sensed.force_mps2[kept])
-    gyro = Gyro(gyro.time_ns[~faulty], gyro.rate_rad_s[~faulty])
     said = [
         f"{int(wrong.sum())} {what}"
         for wrong, what in (
@@ -41,7 +40,26 @@ def without_faulty_samples(motion: Motion) -> tuple[Motion, str | None]:
         if wrong.any()
     ]
     note = f"Of {len(faulty)} samples of the gyro {' and '.join(said)}; they were left out."
-    return motion._replace(gyro=gyro, inertial=sensed), note
+    return without_samples(motion, faulty), note
+
+
+def without_samples(motion: Motion, faulty: Bool) -> Motion:
+    """The motion without some samples of its gyro, and without the same ones of its IMU; without a
+    gyro where too few are left."""
+    gyro, sensed = motion.gyro, motion.inertial
+    if gyro is None or np.count_nonzero(~faulty) < FEWEST_SAMPLES:
+        return motion._replace(gyro=None, inertial=None)
+    if sensed is not None:
+        kept = ~np.isin(sensed.time_ns, gyro.time_ns[faulty])
+        sensed = Inertial(sensed.time_ns[kept], sensed.rate_rad_s[kept], sensed.force_mps2[kept])
+    gyro = Gyro(gyro.time_ns[~faulty], gyro.rate_rad_s[~faulty])
+    return motion._replace(gyro=gyro, inertial=sensed)
+
+
+def runs_of_equal_rates(rate_rad_s: Float64) -> list[tuple[int, int]]:
+    """The first and the last sample of each run of samples that say the same."""
+    edges = np.flatnonzero(np.concatenate([[True], np.diff(rate_rad_s) != 0.0, [True]]))
+    return list(zip(edges[:-1].tolist(), (edges[1:] - 1).tolist(), strict=True))
 
 
 def _wild(rate_rad_s: Float64) -> Bool:
@@ -51,8 +69,7 @@ def _wild(rate_rad_s: Float64) -> Bool:
 
 def _stuck(time_ns: Int64, rate_rad_s: Float64) -> Bool:
     """Runs of equal values that last, of a gyro that is not used to say the same twice."""
-    edges = np.flatnonzero(np.concatenate([[True], np.diff(rate_rad_s) != 0.0, [True]]))
-    first, last = edges[:-1], edges[1:] - 1
+    first, last = np.array(runs_of_equal_rates(rate_rad_s)).T
     long = (time_ns[last] - time_ns[first]) / 1e9 > STUCK_S
     brief = ~long
     again = float((last - first)[brief].sum()) / max(float((last - first + 1)[brief].sum()), 1.0)

@@ -1,0 +1,69 @@
+"""A gyro that says the same for long while the path turns: a sensor that died, or a driver that
+hands out zeros.
+
+What repeats is no fault by itself: a gyro without noise, of a simulator, says the same along each
+straight row, and so does a coarse one. What the path does meanwhile tells them apart.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fieldgrid.array_types import Bool, Float64
+from fieldgrid.motion import Gyro, Motion
+from fieldgrid.pose.accepted import AcceptedFixes
+from fieldgrid.pose.gyro_faults import runs_of_equal_rates, without_samples
+from fieldgrid.pose.gyro_sense import course_lines
+
+LONG_S = 5.0
+"""A shorter run spoils no heading."""
+
+FEWEST_OFF, OFF_RAD = 6, np.radians(20.0)
+"""So many lines of the path, which are good to 14° each, lie off by so much more than their own
+noise makes."""
+
+
+def without_dead_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, str | None]:
+    """The motion without the samples of its gyro during which it said the same and the path turned
+    otherwise, and a sentence on them, None where there are none."""
+    gyro = motion.gyro
+    if gyro is None or len(gyro.time_ns) < 2:
+        return motion, None
+    dead, dead_s = np.zeros(len(gyro.time_ns), dtype=np.bool_), 0.0
+    line_rad, line_s = course_lines(fixes, gyro)
+    time_s = (gyro.time_ns - gyro.time_ns[0]) / 1e9
+    for first, last in runs_of_equal_rates(gyro.rate_rad_s):
+        inside = (line_s >= time_s[first]) & (line_s <= time_s[last])
+        lasts_s = float(time_s[last] - time_s[first])
+        if lasts_s > LONG_S and _turns(line_rad[inside], line_s[inside], gyro.rate_rad_s[first]):
+            dead[first : last + 1] = True
+            dead_s += lasts_s
+    if not dead.any():
+        return motion, None
+    return without_samples(motion, dead), _note(gyro, dead, dead_s)
+
+
+def _turns(line_rad: Float64, line_s: Float64, rate_rad_s: float) -> bool:
+    """Whether lines turn otherwise than a vehicle that turns at one rate."""
+    if len(line_rad) < 2 * FEWEST_OFF:
+        return False
+    # Of a line there are two directions, which twice its angle does not tell apart.
+    twice = 2.0 * (line_rad - rate_rad_s * (line_s - line_s[0]))
+    usual = np.median(np.stack([np.sin(twice), np.cos(twice)]), axis=1)
+    off = np.abs(np.angle(np.exp(1j * (twice - np.arctan2(*usual))))) / 2.0
+    return bool(np.count_nonzero(off > OFF_RAD) >= FEWEST_OFF)
+
+
+def _note(gyro: Gyro, dead: Bool, dead_s: float) -> str:
+    """What was left out, and what to look at."""
+    if dead.all():
+        rate_dps = float(np.degrees(gyro.rate_rad_s[0]))
+        return (
+            f"The gyro says {rate_dps:z.3g}°/s throughout while the path turns, so it was not "
+            "used: check the driver of the IMU and the column or topic of its rates."
+        )
+    first_s = (gyro.time_ns[np.flatnonzero(dead)[0]] - gyro.time_ns[0]) / 1e9
+    return (
+        f"The gyro says the same for {dead_s:.0f} s (first {first_s:.0f} s after its start) while "
+        "the path turns otherwise; these samples were left out. Check the driver of the IMU."
+    )
