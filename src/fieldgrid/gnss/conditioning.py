@@ -33,6 +33,7 @@ from fieldgrid.settings import GateLimits
 
 _LAST_NS = 2**62  # differences of such times still fit into 64 bits
 NO_STRAYS: Mapping[int, str] = MappingProxyType({})
+COUNTED_TWICE = "the log counts its time twice, at two places"
 _LOWEST_M, _HIGHEST_M = -1000.0, 10_000.0
 
 
@@ -40,17 +41,20 @@ def condition(
     fixes: FixColumns,
     limits: GateLimits = DEFAULT_LIMITS,
     strays: Mapping[int, str] = NO_STRAYS,
+    twice: Bool | None = None,
 ) -> Verdicts:
     """The verdicts on fixes, in their order. Accepted fixes increase strictly in time.
 
     The whole drive is judged at once, so a fix may be rejected for what came after it. Where the
     solution has moved, the fix from which it is followed is accepted with a reason: the seam.
     `strays` are rows that an estimate of the drive denies, with the reason of each: the others are
-    judged without them.
+    judged without them, and without those whose seconds the log counts `twice`.
     """
     log = _Judged(fixes, limits)
     _check_place(log)
     _check_receiver(log)
+    if twice is not None:
+        log.reject_all(twice, Gate.CLOCK, lambda _: COUNTED_TWICE)
     _check_time(log)
     _check_repeats(log)
     _check_climb(log)

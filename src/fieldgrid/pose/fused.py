@@ -16,7 +16,7 @@ from fieldgrid.attitude import AxisTilt, axes_of_fixes
 from fieldgrid.errors import GnssError
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import NO_STRAYS, condition
+from fieldgrid.gnss import condition, counted_twice
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose.accepted import accepted_fixes, datum_of, no_fix_sentence
 from fieldgrid.pose.axle import Axle, axle_by_gyro, axle_of
@@ -124,11 +124,11 @@ def fuse(
         if not (more := stray_fixes(drive, log)):
             break
         strays |= more
-        log = conditioned(log.fixes, settings, log.datum, strays)
+        log = conditioned_again(log, settings, strays)
         drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     # A gyro that contradicts the drive; of one that fits, where an undeclared axle is.
     trusted = _with_trusted_gyro(drive, log, motion, axle, hints, frame_ns)
-    notes = (faulty_gyro, dead_gyro, turned_wheels)
+    notes = (_counted_twice_note(log), faulty_gyro, dead_gyro, turned_wheels)
     found = Fused(
         *(log, trusted.drive, trusted.motion, axle, hints, gyro, trusted),
         imu_turn=imu_turn(trusted.motion.steps, trusted.motion.inertial),
@@ -164,6 +164,20 @@ def fuse(
             unsure = levelled_fixes(unsure, lean)
         found = found.again(log=log._replace(accepted=unsure))
     return found
+
+
+def _counted_twice_note(log: Conditioned) -> str | None:
+    """That the log counts some seconds twice, and what it means."""
+    if not log.spans:
+        return None
+    seconds, rows = (sum(span[k] for span in log.spans) for k in (1, 2))
+    first_s = (log.spans[0].start_ns - int(log.fixes.time_ns[0])) / 1e9
+    often = "" if len(log.spans) == 1 else f", {len(log.spans)} times"
+    return (
+        f"The log counts {seconds:.1f} s twice, at two places{often} (first {first_s:.0f} s after "
+        f"its start): its clock was set back, or logs were joined. These {rows} fixes were not "
+        "used; where there are images or a gyro, cut the log there and use the part of their clock."
+    )
 
 
 def _with_trusted_gyro(
@@ -221,20 +235,30 @@ def _heading_offset_deg(found: Fused, settings: PoseSettings) -> float | None:
 
 
 def conditioned(
-    fixes: FixColumns,
-    settings: PoseSettings,
-    datum: Datum | None = None,
-    strays: Mapping[int, str] = NO_STRAYS,
+    fixes: FixColumns, settings: PoseSettings, datum: Datum | None = None
 ) -> Conditioned:
     """Fixes in order of time with what the settings declare of them, judged, and the accepted
-    ones in the plane; `strays` as in `condition`. Raises GnssError when none can be used."""
+    ones in the plane. Raises GnssError when none can be used."""
+    twice, spans = counted_twice(fixes)
+    twice = twice[np.argsort(fixes.time_ns, kind="stable")]
     fixes = fixes.in_order()
     if settings.quality is not None:
         fixes = fixes.replace(quality=np.full(len(fixes), settings.quality, dtype=np.int64))
     if settings.accuracy_m is not None:
         fixes = fixes.replace(sigma_m=np.full(len(fixes), settings.accuracy_m))
-    verdicts = condition(fixes, settings.gnss, strays)
+    verdicts = condition(fixes, settings.gnss, twice=twice)
     if not verdicts.ok.any():
         raise GnssError(no_fix_sentence(fixes, verdicts))
     datum = datum or datum_of(fixes, verdicts)
-    return Conditioned(fixes, verdicts, datum, accepted_fixes(fixes, verdicts, datum))
+    accepted = accepted_fixes(fixes, verdicts, datum)
+    return Conditioned(fixes, verdicts, datum, accepted, twice, spans)
+
+
+def conditioned_again(
+    log: Conditioned, settings: PoseSettings, strays: Mapping[int, str]
+) -> Conditioned:
+    """The same log judged without `strays`, as in `condition`."""
+    verdicts = condition(log.fixes, settings.gnss, strays, log.twice)
+    if not verdicts.ok.any():
+        raise GnssError(no_fix_sentence(log.fixes, verdicts))
+    return log._replace(verdicts=verdicts, accepted=accepted_fixes(log.fixes, verdicts, log.datum))

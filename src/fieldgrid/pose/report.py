@@ -11,8 +11,8 @@ import numpy as np
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.attitude import Attitude
-from fieldgrid.gnss import ConditioningSummary
-from fieldgrid.pose.accepted import AcceptedFixes, fix_offsets
+from fieldgrid.gnss import COUNTED_TWICE, ConditioningSummary
+from fieldgrid.pose.accepted import CUT_AT_CLOCK, AcceptedFixes, fix_offsets
 from fieldgrid.pose.axle import Axle, names_axle
 from fieldgrid.pose.camera_yaw import CameraYaw, yaw_notes
 from fieldgrid.pose.clock_change import ClockChange
@@ -262,6 +262,8 @@ def _remedy(
             "the fixes contradict each other by more than they state; say how good they are with "
             "--accuracy METRES, or leave out the epochs of another receiver or of a jump"
         )
+    elif commonest == COUNTED_TWICE:
+        advice = CUT_AT_CLOCK
     elif commonest.startswith("forward or reverse"):
         advice = "say --starts forward or --starts reverse, or give --gear FILE with spans"
     elif commonest.startswith("heading unknown"):

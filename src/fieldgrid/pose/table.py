@@ -10,7 +10,7 @@ from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.course import Course
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import Verdicts
+from fieldgrid.gnss import CountedTwice, Verdicts
 from fieldgrid.pose.accepted import AcceptedFixes, fix_offsets
 from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.paper import constant_heading, course_heading, recorded_heading
@@ -57,12 +57,15 @@ class PoseTable(NamedTuple):
 
 class Conditioned(NamedTuple):
     """All fixes of a drive in order of time with their verdicts, and the accepted ones in the
-    plane of the datum."""
+    plane of the datum; `twice` are those whose seconds the log counts twice, if there are any, and
+    `spans` these seconds."""
 
     fixes: FixColumns
     verdicts: Verdicts
     datum: Datum
     accepted: AcceptedFixes
+    twice: Bool | None = None
+    spans: tuple[CountedTwice, ...] = ()
 
 
 def pose_table(
