@@ -277,3 +277,53 @@ def test_a_camera_that_saw_little_of_a_drive_denies_no_antenna(
         found = estimate_poses(drive.fixes(), drive.rig, drive.datum_hint, motion=motion)
     assert found.trajectory.accepted.mean() > 0.8
     assert not any("than mounting.json says" in note for note in found.report.notes)
+
+
+def pivoting(seed: int) -> Drive:
+    """A robot that drives straight, turns on the spot, and drives on forward or back."""
+    random = np.random.default_rng(seed)
+    heading, rows, at = 0.3, [(0.0, 0.0, 0.3, 0.0)], np.zeros(2)
+    for _ in range(12):
+        turn = random.uniform(60.0, 180.0) * random.choice([-1.0, 1.0])
+        speed = 0.8 if random.uniform() > 0.25 else -0.8
+        for share in np.minimum(
+            np.minimum(np.arange(2000) / 50.0, 1.0), np.arange(2000, 0, -1) / 50.0
+        ):
+            at = at + 0.01 * speed * share * np.array([np.sin(heading), np.cos(heading)])
+            rows.append((*at, heading, speed * share))
+        spin = np.r_[np.zeros(100), np.full(int(abs(turn) / 0.3), np.radians(np.sign(turn) * 0.3))]
+        for step in np.r_[spin, np.zeros(100)]:
+            heading += step
+            rows.append((*at, heading, 0.0))
+    east, north, heading_rad, speed_mps = np.array(rows).T
+    time_s = 0.01 * np.arange(len(rows))
+    return Drive(time_s, east, north, heading_rad, speed_mps, 0.0 * time_s)
+
+
+@pytest.mark.parametrize("seed", [0, 4])
+def test_a_gyro_that_sees_turns_on_the_spot_is_used(seed: int) -> None:
+    """Its path turns the other way where it goes on in reverse: the gyro was said to be upside
+    down, and of the poses a third and a sixteenth were used."""
+    drive = pivoting(seed)
+    fixes, right = fixes_of(drive, 0.2, 0.01), gyro_of(drive, bias_dps=0.1, noise_dps=0.1)
+    accepted = conditioned(fixes, PoseSettings(), DATUM).accepted
+    ratio = turn_ratio(accepted, right)
+    assert ratio is not None
+    assert ratio.value < 0.0
+    assert ratio.is_wrong
+    found = estimate(drive, Motion(gyro=right))
+    assert not [note for note in found.report.notes if "gyro" in note]
+    track, rows = found.trajectory, found.fix_row
+    used, moving = track.accepted[rows], np.abs(drive.every(0.2).speed_mps) > 0.05
+    assert used[moving].mean() > 0.8
+    off = wrap_deg(track.heading_deg[rows] - np.degrees(drive.every(0.2).heading_rad))
+    assert np.abs(off[used & moving]).max() < 2.0
+    # One that is upside down is still found out.
+    (note,) = (
+        note
+        for note in estimate(
+            drive, Motion(gyro=right._replace(rate_rad_s=-right.rate_rad_s))
+        ).report.notes
+        if "gyro" in note
+    )
+    assert "was not used" in note

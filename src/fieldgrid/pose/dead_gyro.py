@@ -18,9 +18,9 @@ from fieldgrid.pose.gyro_sense import course_lines
 LONG_S = 5.0
 """A shorter run spoils no heading."""
 
-FEWEST_OFF, OFF_RAD = 6, np.radians(20.0)
-"""So many lines of the path, which are good to 14° each, lie off by so much more than their own
-noise makes."""
+FEWEST_LINES, IN_A_ROW, OFF_RAD = 6, 3, np.radians(30.0)
+"""Of so many lines of the path, which are good to 14° each, so many in a row lie off: between two
+rows of a field there are no more."""
 
 
 def without_dead_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, str | None]:
@@ -45,13 +45,13 @@ def without_dead_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, str
 
 def _turns(line_rad: Float64, line_s: Float64, rate_rad_s: float) -> bool:
     """Whether lines turn otherwise than a vehicle that turns at one rate."""
-    if len(line_rad) < 2 * FEWEST_OFF:
+    if len(line_rad) < FEWEST_LINES:
         return False
     # Of a line there are two directions, which twice its angle does not tell apart.
     twice = 2.0 * (line_rad - rate_rad_s * (line_s - line_s[0]))
     usual = np.median(np.stack([np.sin(twice), np.cos(twice)]), axis=1)
-    off = np.abs(np.angle(np.exp(1j * (twice - np.arctan2(*usual))))) / 2.0
-    return bool(np.count_nonzero(off > OFF_RAD) >= FEWEST_OFF)
+    off = np.abs(np.angle(np.exp(1j * (twice - np.arctan2(*usual))))) / 2.0 > OFF_RAD
+    return bool((np.convolve(off, np.ones(IN_A_ROW), "valid") == IN_A_ROW).any())
 
 
 def _note(gyro: Gyro, dead: Bool, dead_s: float) -> str:
