@@ -31,9 +31,11 @@ from fieldgrid.quality import Quality
 from fieldgrid.recording import open_recording
 from fieldgrid.rig import Rig
 from fieldgrid.settings import PoseSettings
+from tests.simulated import DATUM, fixes_of, gyro_of, pivoting
 
 SECOND = 1_000_000_000
-MOVING_MPS = 0.2
+MOVING_MPS, STANDING_MPS = 0.2, 0.05
+GEARS: tuple[GearName, GearName] = (GearName.REVERSE, GearName.FORWARD)
 
 
 class Known(NamedTuple):
@@ -133,6 +135,21 @@ def vineyards() -> Iterator[Known]:
             )
 
 
+def robots() -> Iterator[Known]:
+    """Simulated ones that turn on the spot, with gyro."""
+    for seed in range(8):
+        drive = pivoting(seed)
+        fixes, motion = fixes_of(drive, 0.2, 0.01), Motion(gyro=gyro_of(drive, 50.0, 0.1, 0.1))
+        truth = drive.every(0.2)
+        rows = np.flatnonzero(np.abs(truth.speed_mps) > STANDING_MPS)
+        truth = truth.at(truth.time_s[rows])
+        yield Known(
+            *(f"robot {seed}", fixes, fixes.time_ns[rows], np.degrees(truth.heading_rad)),
+            *(truth.gear(), truth.east_m, truth.north_m, DATUM),
+            motion,
+        )
+
+
 # --- the way that it was driven
 
 
@@ -153,7 +170,7 @@ def in_other_gears(one: Known, _: np.random.Generator) -> Known:
     fixes = one.fixes[::-1]
     course_deg = wrap_deg(fixes.course_deg + 180.0)
     gear = -one.gear[::-1]
-    starts: GearName = "forward" if gear[np.flatnonzero(gear)][:1].sum() >= 0 else "reverse"
+    starts = GEARS[int(gear[np.flatnonzero(gear)][:1].sum() >= 0)]
     return one._replace(
         fixes=fixes.replace(time_ns=ends_ns - fixes.time_ns, course_deg=course_deg),
         motion=_gyro(one, -1.0, lambda time_ns: ends_ns - time_ns),
@@ -319,7 +336,7 @@ def line(name: str, one: Known) -> Iterator[str]:
 def report(words: list[str], drives: list[str], notes: bool) -> Iterator[str]:
     """Lines of all transformations of all drives."""
     yield HEAD
-    every = [one for make in (tractors, roads, vineyards) for one in make()]
+    every = [one for make in (tractors, roads, vineyards, robots) for one in make()]
     for name, change in TRANSFORMATIONS.items():
         if words and not any(word in name for word in words):
             continue

@@ -100,6 +100,27 @@ def _simulated(commands: tuple[Command, ...], heading_deg: float, speed_mps: flo
     return Drive(*columns)
 
 
+def pivoting(seed: int) -> Drive:
+    """A robot that drives straight, turns on the spot, and drives on forward or back."""
+    random = np.random.default_rng(seed)
+    heading, rows, at = 0.3, [(0.0, 0.0, 0.3, 0.0)], np.zeros(2)
+    for _ in range(12):
+        turn = random.uniform(60.0, 180.0) * random.choice([-1.0, 1.0])
+        speed = 0.8 if random.uniform() > 0.25 else -0.8
+        for share in np.minimum(
+            np.minimum(np.arange(2000) / 50.0, 1.0), np.arange(2000, 0, -1) / 50.0
+        ):
+            at = at + 0.01 * speed * share * np.array([np.sin(heading), np.cos(heading)])
+            rows.append((*at, heading, speed * share))
+        spin = np.r_[np.zeros(100), np.full(int(abs(turn) / 0.3), np.radians(np.sign(turn) * 0.3))]
+        for step in np.r_[spin, np.zeros(100)]:
+            heading += step
+            rows.append((*at, heading, 0.0))
+    east, north, heading_rad, speed_mps = np.array(rows).T
+    time_s = 0.01 * np.arange(len(rows))
+    return Drive(time_s, east, north, heading_rad, speed_mps, 0.0 * time_s)
+
+
 CIRCLE = [Command(40.0, 1.5, 0.2)]
 SLALOM = [Command(5.0, 1.5)] + [Command(4.0, 1.5, 0.15 * (-1) ** k) for k in range(8)]
 K_TURN = [

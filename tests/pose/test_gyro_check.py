@@ -23,7 +23,17 @@ from fieldgrid.rig import Carrier, LeverArm
 from fieldgrid.settings import PoseSettings
 from fieldgrid.smoother import Constant, DeclaredCorrection
 from tests.scenes import paper_rig
-from tests.simulated import K_TURN, SLALOM, Command, Drive, fixes_of, gyro_of, simulate, steps_of
+from tests.simulated import (
+    K_TURN,
+    SLALOM,
+    Command,
+    Drive,
+    fixes_of,
+    gyro_of,
+    pivoting,
+    simulate,
+    steps_of,
+)
 
 DATUM = Datum(39.5, -1.1, 700.0)
 ROWS = [
@@ -277,27 +287,6 @@ def test_a_camera_that_saw_little_of_a_drive_denies_no_antenna(
         found = estimate_poses(drive.fixes(), drive.rig, drive.datum_hint, motion=motion)
     assert found.trajectory.accepted.mean() > 0.8
     assert not any("than mounting.json says" in note for note in found.report.notes)
-
-
-def pivoting(seed: int) -> Drive:
-    """A robot that drives straight, turns on the spot, and drives on forward or back."""
-    random = np.random.default_rng(seed)
-    heading, rows, at = 0.3, [(0.0, 0.0, 0.3, 0.0)], np.zeros(2)
-    for _ in range(12):
-        turn = random.uniform(60.0, 180.0) * random.choice([-1.0, 1.0])
-        speed = 0.8 if random.uniform() > 0.25 else -0.8
-        for share in np.minimum(
-            np.minimum(np.arange(2000) / 50.0, 1.0), np.arange(2000, 0, -1) / 50.0
-        ):
-            at = at + 0.01 * speed * share * np.array([np.sin(heading), np.cos(heading)])
-            rows.append((*at, heading, speed * share))
-        spin = np.r_[np.zeros(100), np.full(int(abs(turn) / 0.3), np.radians(np.sign(turn) * 0.3))]
-        for step in np.r_[spin, np.zeros(100)]:
-            heading += step
-            rows.append((*at, heading, 0.0))
-    east, north, heading_rad, speed_mps = np.array(rows).T
-    time_s = 0.01 * np.arange(len(rows))
-    return Drive(time_s, east, north, heading_rad, speed_mps, 0.0 * time_s)
 
 
 @pytest.mark.parametrize("seed", [0, 4])
