@@ -47,8 +47,8 @@ def test_twice_set_back_is_found_twice() -> None:
     assert np.count_nonzero(twice) == 2 * (15 + 20)
 
 
-def late_rows() -> Int64:
-    return np.argsort(np.arange(len(LOG)) + RANDOM.uniform(0.0, 6.0, len(LOG)))
+def late_rows(most: float) -> Int64:
+    return np.argsort(np.arange(len(LOG)) + RANDOM.uniform(0.0, most, len(LOG)))
 
 
 def a_part_late() -> Int64:
@@ -65,12 +65,28 @@ def written_twice() -> Int64:
 
 
 @pytest.mark.parametrize(
-    "rows", [late_rows(), a_part_late(), halves_exchanged(), written_twice(), np.arange(400)]
+    "rows",
+    [
+        late_rows(6.0),
+        late_rows(30.0),
+        a_part_late(),
+        halves_exchanged(),
+        written_twice(),
+        np.arange(400),
+    ],
 )
 def test_rows_in_another_order_are_left_alone(rows: Int64) -> None:
     twice, spans = counted_twice(LOG[rows])
     assert not twice.any()
     assert spans == ()
+
+
+def test_every_other_row_of_a_packet_may_come_late() -> None:
+    """Of a receiver that scatters by decimetres, so that the rows do not lie on one path."""
+    log = fixes_of(DRIVE, 0.2, 0.3)
+    packets = np.arange(len(log) // 12 * 12).reshape(-1, 12)
+    rows = np.concatenate([packets[:, ::2], packets[:, 1::2]], axis=1).ravel()
+    assert counted_twice(log[rows]) == (pytest.approx(np.zeros(len(rows))), ())
 
 
 def test_single_stamps_far_off_are_left_alone() -> None:
@@ -95,6 +111,13 @@ def test_a_drive_whose_clock_is_set_back_is_used_but_for_these_seconds() -> None
     assert np.mean(off <= 3.0 * track.heading_sigma_deg[rows][used]) > 0.98
     away = np.hypot(track.east_m[rows] - truth.east_m, track.north_m[rows] - truth.north_m)
     assert away[used].max() < 0.1
+
+
+def test_a_drive_of_which_nothing_is_left_is_told_to_be_cut() -> None:
+    estimate = estimate_poses(set_back(18.0, 100)[np.arange(200)], None, DATUM)
+    assert not estimate.trajectory.accepted.any()
+    note = estimate.report.notes[-1]
+    assert "the log counts its time twice, at two places; cut the log where its clock goes" in note
 
 
 def test_two_logs_of_the_same_time_are_refused_with_what_helps() -> None:

@@ -72,6 +72,16 @@ def test_a_gyro_without_noise_is_left_as_it_is(commands: list[Command]) -> None:
     assert note is None
 
 
+def test_a_gyro_that_says_the_same_all_round_a_circle_is_left_as_it_is() -> None:
+    drive = simulate(CIRCLE, 70.0, speed_mps=1.5)
+    given = gyro_of(drive)
+    given = given._replace(rate_rad_s=np.round(given.rate_rad_s, 6))
+    assert np.count_nonzero(given.rate_rad_s == np.median(given.rate_rad_s)) > 1500
+    found, note = judged(drive, given)
+    assert found.gyro is given
+    assert note is None
+
+
 def _errors(drive: Drive, gyro: Gyro) -> tuple[Float64, float]:
     fixes = fixes_of(drive, 0.2, 0.01)
     estimate = estimate_poses(fixes, None, DATUM, motion=Motion(gyro=gyro))
