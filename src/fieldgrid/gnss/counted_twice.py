@@ -20,8 +20,9 @@ FEWEST_IN_PASS, FEWEST_TWICE = 10, 3
 """A pass has so many rows in order of time, and so many of each are of the same seconds: rows that
 come late make shorter ones."""
 
-SAME_M = 0.05
-"""Passes that lie no farther apart are one log written twice, or of a vehicle that stood."""
+SAME_M, SAME_SCATTERS = 0.05, 3.0
+"""Passes that lie no farther apart, or by no more than so many times what their own rows scatter,
+are one log whose rows come late or twice, or of a vehicle that stood."""
 
 
 class CountedTwice(NamedTuple):
@@ -56,7 +57,9 @@ def counted_twice(fixes: FixColumns) -> tuple[Bool, tuple[CountedTwice, ...]]:
                 ]
                 for i in (j, k)
             )
-            if _alternate(time_ns, one, two) and _apart_m(time_ns, place_m, one, two) > SAME_M:
+            whole = [slice(first[i], last[i] + 1) for i in (j, k)]
+            same_m = max(SAME_M, SAME_SCATTERS * max(_scatter_m(place_m[:, i]) for i in whole))
+            if _alternate(time_ns, one, two) and _apart_m(time_ns, place_m, one, two) > same_m:
                 twice[rows[one]] = twice[rows[two]] = True
                 seconds = (to_ns - from_ns) / 1e9
                 found.append(CountedTwice(from_ns, seconds, len(one) + len(two)))
@@ -84,3 +87,9 @@ def _apart_m(time_ns: Int64, place_m: Float64, one: Index, two: Index) -> float:
     since_s, known_s = ((time_ns[some] - time_ns[one[0]]) / 1e9 for some in (two, one))
     north, east = (np.interp(since_s, known_s, axis[one]) - axis[two] for axis in place_m)
     return float(np.median(np.hypot(north, east)))
+
+
+def _scatter_m(place_m: Float64) -> float:
+    """How far rows of a pass lie from the middle of their neighbours, median."""
+    off_m = place_m[:, 1:-1] - (place_m[:, :-2] + place_m[:, 2:]) / 2.0
+    return float(np.median(np.hypot(*off_m)))
