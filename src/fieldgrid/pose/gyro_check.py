@@ -153,9 +153,13 @@ def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, st
         return motion._replace(gyro=None, inertial=None), note
     ratio, sense = turn_ratio(fixes, gyro), gyro_sense(fixes, motion.steps, gyro)
     # One that turns by 140° where it stands and goes on in reverse leaves a path that turns by 40°
-    # the other way. The sense counts a course and its reverse as one.
-    pivots = ratio is not None and ratio.value < 0.0 and sense.is_right
-    if ratio is not None and ratio.is_wrong and not pivots:
+    # the other way. The lines of the fixes count a course and its reverse as one; the camera, which
+    # vouches for the gyro beside fixes that are mirrored, does not count here.
+    if (
+        ratio is not None
+        and ratio.is_wrong
+        and not (ratio.value < 0.0 and gyro_sense(fixes, None, gyro).is_right)
+    ):
         note = (
             f"For each degree of the gyro the path turns {ratio.value:.2g}° ± {ratio.sigma:.1g}°: "
             f"the gyro {CHECK}"
