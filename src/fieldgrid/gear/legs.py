@@ -15,6 +15,7 @@ import numpy as np
 
 from fieldgrid.angles import heading_deg, wrap_deg
 from fieldgrid.array_types import Bool, Float64, Int64
+from fieldgrid.gear.habits import Habits
 from fieldgrid.gear.holes import EDGE_SHARE, carried_on_nats, slows, tight_nats
 from fieldgrid.kernel import kernel
 from fieldgrid.polyline import first_beyond
@@ -53,17 +54,14 @@ LOOSEST_M, TIGHTEST_M, TIGHTER_SHARE = 3.0, 1.0, 0.7
 """Unseen, a vehicle turns no tighter than at this share of the smallest radius that was seen, which
 is taken to be within these."""
 
-TURNED_TWICE_COST = 1.5
-"""In nats, beyond a change of gear that nobody saw: for one back again in the same hole."""
+SWITCH_COST, TURN_COST_CAP = 2.0, 12.0
+"""In nats: for a change of gear that is usual and seen, and the most that a turn can cost."""
 
-SWITCH_COST, GAP_SWITCH_COST, TURN_COST_CAP = 2.0, 4.0, 12.0
-"""In nats: for a change of gear, for one that nobody saw, and the most that a turn can cost."""
+UNMOVED_MPS = 1.0
+"""The speed of a vehicle that is never seen to drive."""
 
 _SURE = 700.0
 """Nats beyond which nothing is in doubt, and whose exponential is a number still."""
-
-REVERSE_M_PER_NAT = 5.0
-"""Metres of reverse that are as unlikely, to start with, as one nat."""
 
 FIRST_FORWARD_NATS = 2.0
 """How much likelier a drive begins forward."""
@@ -107,12 +105,24 @@ class GearEvidence(NamedTuple):
 
 
 class _Join(NamedTuple):
-    """A way from leg `one` to leg `two`: what it costs in the same gear, and in the other."""
+    """A way from leg `one` to leg `two`: what it costs in the same gear, and in the other, beside
+    the habit. `hole_m` is how far it drives meanwhile, if that is a hole, and `carried` the nats by
+    which positions say that it drove on in it."""
 
     one: int
     two: int
     stay: float
     change: float
+    hole_m: float = 0.0
+    carried: float = 0.0
+
+    def weights(self, habits: Habits) -> tuple[Float64, Float64]:
+        """Log weights [h, 2] of the same gear, and of the other one, from each gear."""
+        if self.hole_m > 0.0:
+            stay, change = habits.hole(self.hole_m, self.carried)
+            return stay - self.stay, change - self.change
+        cusp = habits.cusp() - SWITCH_COST
+        return np.full(cusp.shape, -self.stay), cusp - self.change
 
 
 def gears(track: GearEvidence) -> Gears:
@@ -123,9 +133,10 @@ def gears(track: GearEvidence) -> Gears:
         return Gears(none, np.zeros(0), none, np.zeros(0, np.bool_))
     starts = _cut(track)
     legs = list(zip(starts, [*starts[1:], n], strict=True))
-    forward = np.array([_forward_nats(track, a, b) for a, b in legs])
-    forward[0] += FIRST_FORWARD_NATS
-    gear, doubt, driven = _likeliest(forward, _joins(track, legs))
+    habits = Habits.usual()
+    own = np.array([_leg_weights(track, a, b, habits) for a, b in legs])
+    own[0, :, 0] += FIRST_FORWARD_NATS
+    gear, doubt, driven = _likeliest(own, _joins(track, legs), habits)
     lengths = [b - a for a, b in legs]
     leg = np.repeat(np.arange(len(legs), dtype=np.int64), lengths)
     return Gears(
@@ -193,10 +204,11 @@ def _length_m(points: Float64) -> float:
     return float(np.hypot(*np.diff(points, axis=0).T).sum()) if len(points) > 1 else 0.0
 
 
-def _forward_nats(track: GearEvidence, start: int, stop: int) -> float:
-    """Log odds that a leg was driven forward: its length, and what wheels or camera saw."""
-    habit = min(_length_m(track.points_m[start:stop]) / REVERSE_M_PER_NAT, REVERSE_CAP_NATS)
-    return habit + float(track.forward_nats[start + 1 : stop].sum())
+def _leg_weights(track: GearEvidence, start: int, stop: int, habits: Habits) -> Float64:
+    """Log weights [h, 2] of a leg, forward and in reverse: by its length, and by what wheels or
+    camera saw."""
+    habit = habits.leg(_length_m(track.points_m[start:stop]), REVERSE_CAP_NATS)
+    return habit + np.array([0.5, -0.5]) * float(track.forward_nats[start + 1 : stop].sum())
 
 
 def _joins(track: GearEvidence, legs: list[tuple[int, int]]) -> list[_Join]:
@@ -207,9 +219,7 @@ def _joins(track: GearEvidence, legs: list[tuple[int, int]]) -> list[_Join]:
     for i in range(len(legs) - 1):
         skipped = 0.0
         for j in range(i + 1, min(i + 2 + MAX_SKIPPED, len(legs))):
-            joins.append(
-                _Join(i, j, *(skipped + c for c in _turn_costs(track, legs[i], legs[j], seen)))
-            )
+            joins.append(_joined(track, (i, j), (legs[i], legs[j]), seen, skipped))
             skipped += skipping[j]
             if skipped > SKIP_CAP_NATS or track.gap_s[legs[j][0]]:
                 break
@@ -223,61 +233,78 @@ def _skip_cost(track: GearEvidence, start: int, stop: int) -> float:
     return 1.0 + 2.0 * (float(np.hypot(*np.ptp(points, axis=0))) / wander_m) ** 2
 
 
-def _turn_costs(
-    track: GearEvidence, one: tuple[int, int], two: tuple[int, int], seen: TurningSeen
-) -> tuple[float, float]:
-    """What it costs, in nats, to go from one leg to another in the same gear, and in the other."""
-    gap_s = track.gap_s[two[0]]
+def _joined(
+    track: GearEvidence,
+    pair: tuple[int, int],
+    spans: tuple[tuple[int, int], tuple[int, int]],
+    seen: TurningSeen,
+    skipped: float,
+) -> _Join:
+    """The way from one leg to another, past some that are skipped at that cost."""
+    one, two = spans
+    gap_s = float(track.gap_s[two[0]])
     # A cut belongs to the later leg and ends the earlier one; a gap has two sides.
     end = one[1] if gap_s else one[1] + 1
     before, after = track.points_m[one[0] : end], track.points_m[two[0] : two[1]]
-    out, out_m, back = _chord_deg(before[::-1])
-    into, into_m, on = _chord_deg(after)
-    stay, switch = 0.0, GAP_SWITCH_COST if gap_s else SWITCH_COST
+    out, into = _chord_deg(before[::-1]), _chord_deg(after)
+    hole_m, carried = 0.0, 0.0
     if gap_s:
-        across, arrived = end - 1, two[0]
-        speeds_mps = (
-            out_m / max(track.time_s[across] - track.time_s[across - back], 1e-3),
-            into_m / max(track.time_s[arrived + on] - track.time_s[arrived], 1e-3),
-        )
-        step_m, sigma_m = track.points_m[arrived] - track.points_m[across], track.sigma_m[arrived]
-        carried = carried_on_nats(
-            float(np.hypot(*step_m)), sum(speeds_mps) / 2.0 * gap_s, float(sigma_m)
-        )
-        edges = (across, max(one[0], across - back)), (arrived, arrived + on)
-        path = track.points_m, track.time_s
-        if any(slows(*path, *edge, EDGE_SHARE * max(speeds_mps)) for edge in edges):
-            carried = min(carried, 0.0)
-        if min(out_m, into_m) > 0.0:
-            bearings, most_m = (out + 180.0, into), max(speeds_mps) * gap_s
-            tight = tight_nats(
-                step_m, bearings, seen.radius_m, most_m, float(gap_s), float(sigma_m)
-            )
-            # Or it came in the same gear since it turned back twice.
-            carried = float(np.logaddexp(carried - tight, -switch - TURNED_TWICE_COST))
-        stay = -carried
-    if min(out_m, into_m) == 0.0:
-        return stay, switch
+        hole_m = seen.usual_mps * gap_s
+        carried = _carried_nats(track, (one[0], end - 1, two[0]), (out, into), seen)
+    if min(out.length_m, into.length_m) == 0.0:
+        return _Join(*pair, skipped, skipped, hole_m, carried)
     # A chord has the direction of its middle.
-    turned = float(track.turned_deg[end - back // 2 : two[0] + on // 2 + 1].sum())
+    turned = float(track.turned_deg[end - out.to // 2 : two[0] + into.to // 2 + 1].sum())
     known = bool(np.isfinite(turned))
-    noise_deg = np.degrees(1.5 * track.sigma_m[two[0]] / min(out_m, into_m))
+    noise_deg = np.degrees(1.5 * track.sigma_m[two[0]] / min(out.length_m, into.length_m))
     unseen_deg = 0.0 if known else UNSEEN_TURN_SHARE * seen.fastest_dps * gap_s
     sigma = np.hypot(np.hypot(GYRO_TURN_DEG if known else NOSE_TURN_DEG, noise_deg), unseen_deg)
-    beyond_deg = into - (out + 180.0) - (turned if known else 0.0)
+    beyond_deg = into.bearing_deg - (out.bearing_deg + 180.0) - (turned if known else 0.0)
 
     def cost(nose_turn_deg: float) -> float:
         return min(0.5 * (float(wrap_deg(nose_turn_deg)) / float(sigma)) ** 2, TURN_COST_CAP)
 
-    return stay + cost(beyond_deg), switch + cost(beyond_deg + 180.0)
+    return _Join(
+        *pair, skipped + cost(beyond_deg), skipped + cost(beyond_deg + 180.0), hole_m, carried
+    )
+
+
+def _carried_nats(
+    track: GearEvidence,
+    edge: tuple[int, int, int],
+    chords: tuple[_Chord, _Chord],
+    seen: TurningSeen,
+) -> float:
+    """The nats by which positions say that a vehicle drove on in a hole: `edge` is where the leg
+    before it begins and ends, and where the next one begins."""
+    begun, across, arrived = edge
+    (out, out_m, back), (into, into_m, on) = chords
+    gap_s = float(track.gap_s[arrived])
+    speeds_mps = (
+        out_m / max(track.time_s[across] - track.time_s[across - back], 1e-3),
+        into_m / max(track.time_s[arrived + on] - track.time_s[arrived], 1e-3),
+    )
+    step_m, sigma_m = track.points_m[arrived] - track.points_m[across], track.sigma_m[arrived]
+    carried = carried_on_nats(
+        float(np.hypot(*step_m)), sum(speeds_mps) / 2.0 * gap_s, float(sigma_m)
+    )
+    edges = (across, max(begun, across - back)), (arrived, arrived + on)
+    path = track.points_m, track.time_s
+    if any(slows(*path, *one, EDGE_SHARE * max(speeds_mps)) for one in edges):
+        carried = min(carried, 0.0)
+    if min(out_m, into_m) == 0.0:
+        return carried
+    bearings, most_m = (out + 180.0, into), max(speeds_mps) * gap_s
+    return carried - tight_nats(step_m, bearings, seen.radius_m, most_m, gap_s, float(sigma_m))
 
 
 class TurningSeen(NamedTuple):
-    """How fast a vehicle turns at its fastest, degrees a second, and at its tightest, as far as its
-    path was seen."""
+    """How fast a vehicle turns at its fastest, degrees a second, and at its tightest, and how fast
+    it mostly drives, as far as its path was seen."""
 
     fastest_dps: float
     radius_m: float
+    usual_mps: float
 
 
 def turning_seen(track: GearEvidence) -> TurningSeen:
@@ -286,8 +313,12 @@ def turning_seen(track: GearEvidence) -> TurningSeen:
     turn = turning_deg(points, part, TANGENT_REACH_M)
     away = [first_beyond(points, TANGENT_REACH_M, step, part) for step in (-1, 1)]
     known = (away[0] >= 0) & (away[1] >= 0) & (np.abs(turn) < CUT_DEG)
+    driven = np.flatnonzero(track.gap_s[1:] == 0.0)
+    step_m = np.hypot(*(points[driven + 1] - points[driven]).T)
+    step_s = np.maximum(track.time_s[driven + 1] - track.time_s[driven], 1e-3)
+    usual_mps = float(np.median(step_m / step_s)) if driven.size else UNMOVED_MPS
     if np.count_nonzero(known) < FEWEST_TURNS:
-        return TurningSeen(USUAL_TURN_DPS, TIGHTEST_M)
+        return TurningSeen(USUAL_TURN_DPS, TIGHTEST_M, usual_mps)
     turned_deg = np.abs(turn[known])
     span_s = track.time_s[away[1][known]] - track.time_s[away[0][known]]
     # From the middle of the way in to the middle of the way out.
@@ -296,39 +327,48 @@ def turning_seen(track: GearEvidence) -> TurningSeen:
     return TurningSeen(
         float(np.clip(fastest, LEAST_TURN_DPS, MOST_TURN_DPS)),
         float(np.clip(TIGHTER_SHARE / max(bend, 1e-3), TIGHTEST_M, LOOSEST_M)),
+        usual_mps,
     )
 
 
-def _chord_deg(points: Float64) -> tuple[float, float, int]:
+class _Chord(NamedTuple):
+    """The bearing and the length of a leg's first or last piece, and the point where it ends."""
+
+    bearing_deg: float
+    length_m: float
+    to: int
+
+
+def _chord_deg(points: Float64) -> _Chord:
     """Direction from the first of the points to the first beyond a tangent's reach (or to the
     farthest), degrees, how far that is, and which point it is."""
     away = np.hypot(*(points - points[0]).T)
     beyond = np.flatnonzero(away >= TANGENT_REACH_M)
     to = int(beyond[0]) if beyond.size else int(np.argmax(away))
-    return float(heading_deg(*(points[to] - points[0]))), float(away[to]), to
+    return _Chord(float(heading_deg(*(points[to] - points[0]))), float(away[to]), to)
 
 
-def _likeliest(forward: Float64, joins: list[_Join]) -> tuple[Int64, Float64, Bool]:
+def _likeliest(own: Float64, joins: list[_Join], habits: Habits) -> tuple[Int64, Float64, Bool]:
     """The gear of each leg, the probability of the other, and whether it was driven at all:
-    sums over all sequences of gears.
+    sums over all habits and all sequences of gears; `own` [n, h, 2] are the legs' log weights.
 
     A leg that is rather skipped than driven takes the gear of the one before it, and is in as
     much doubt as it may have been driven in the other after all.
     """
-    n = len(forward)
-    own = np.stack([forward, -forward], axis=1) / 2.0
-    # Log weights of [forward, reverse] of all that comes before a leg, and after it.
-    left, right = np.full((n, 2), -np.inf), np.full((n, 2), -np.inf)
-    left[0], right[n - 1] = 0.0, 0.0
-    for join in joins:
+    n = len(own)
+    # Log weights of [forward, reverse] by each habit, of all that comes before a leg, and after it.
+    left, right = np.full(own.shape, -np.inf), np.full(own.shape, -np.inf)
+    left[0], right[n - 1] = habits.share[:, None], 0.0
+    weights = [join.weights(habits) for join in joins]
+    for join, (stay, change) in zip(joins, weights, strict=True):
         known = left[join.one] + own[join.one]
-        reach = np.logaddexp(known - join.stay, known[::-1] - join.change)
+        reach = np.logaddexp(known + stay, (known + change)[:, ::-1])
         left[join.two] = np.logaddexp(left[join.two], reach)
-    for join in reversed(joins):
+    for join, (stay, change) in zip(reversed(joins), reversed(weights), strict=True):
         known = right[join.two] + own[join.two]
-        reach = np.logaddexp(known - join.stay, known[::-1] - join.change)
+        reach = np.logaddexp(known + stay, known[:, ::-1] + change)
         right[join.one] = np.logaddexp(right[join.one], reach)
-    total = left + own + right
+    total = np.logaddexp.reduce(left + own + right, axis=1)
     odds = total[:, 0] - total[:, 1]
     every = float(np.logaddexp(*total[0]))
     driven = np.logaddexp(total[:, 0], total[:, 1]) >= every + np.log(0.5)
