@@ -34,8 +34,12 @@ from tests.simulated import DATUM, Command, Drive, simulate
 
 LASTS_S, MOVING_MPS = 400.0, 0.3
 RATES_HZ = (1.0, 2.0, 5.0, 10.0)
-BEATS_S = {"8 of 10 s": (8.0, 10.0), "5 of 10 s": (5.0, 10.0), "12 of 15 s": (12.0, 15.0),
-           "3 of 20 s": (3.0, 20.0)}
+BEATS_S = {
+    "8 of 10 s": (8.0, 10.0),
+    "5 of 10 s": (5.0, 10.0),
+    "12 of 15 s": (12.0, 15.0),
+    "3 of 20 s": (3.0, 20.0),
+}
 AT_RANDOM = "at random"
 GRADES = {
     Quality.RTK_FIXED: (0.008, 0.015),

@@ -8,16 +8,22 @@ chain along the way: whoever backs up soon drives forward again.
 
 from __future__ import annotations
 
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.array_types import Float64
 
-FORWARD_M = {30.0: 0.25, 100.0: 0.25, 300.0: 0.25, 1000.0: 0.25}
-REVERSE_M = {5.0: 0.6, 15.0: 0.25, 50.0: 0.15}
-"""Mean ways forward and in reverse, each with the share of drives that are taken to have it."""
+USUAL = (
+    (1000.0, 5.0, 0.30),
+    (300.0, 5.0, 0.25),
+    (100.0, 5.0, 0.20),
+    (30.0, 5.0, 0.15),
+    (30.0, 20.0, 0.05),
+    (15.0, 12.0, 0.02),
+)
+"""Mean ways forward and in reverse, metres, and how many vehicles have them: most back up a few
+metres and seldom, some at each headland, and a few load or push, as far back as forth."""
 
 
 class Habits(NamedTuple):
@@ -30,12 +36,8 @@ class Habits(NamedTuple):
     @classmethod
     def usual(cls) -> Habits:
         """Those of all vehicles."""
-        all_of = list(product(FORWARD_M.items(), REVERSE_M.items()))
-        return cls(
-            np.log([one[1] * other[1] for one, other in all_of]),
-            np.array([1.0 / one[0] for one, _ in all_of]),
-            np.array([1.0 / other[0] for _, other in all_of]),
-        )
+        forward_m, reverse_m, vehicles = np.array(USUAL).T
+        return cls(np.log(vehicles / vehicles.sum()), 1.0 / forward_m, 1.0 / reverse_m)
 
     def leg(self, length_m: float, cap: float) -> Float64:
         """Log weights [h, 2] of a way that is driven forward, and in reverse."""
@@ -43,9 +45,9 @@ class Habits(NamedTuple):
 
     def cusp(self) -> Float64:
         """Log weights [h, 2] of a change of gear that is seen, from forward and from reverse,
-        beside those that all vehicles have together."""
+        beside what one and the other have together on average over all vehicles."""
         rates = np.stack([self.back_per_m, self.forth_per_m], axis=1)
-        return np.asarray(np.log(rates / (np.exp(self.share) @ rates)))
+        return np.asarray(np.log(rates) - np.log(np.exp(self.share) @ rates).mean())
 
     def hole(self, way_m: float, carried: float) -> tuple[Float64, Float64]:
         """Log weights [h, 2] of the same gear after a hole, and of the other one, from forward and

@@ -9,8 +9,9 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.curves import words
 
-TURNED_BACK_SHARE, CARRIED_CAP = 0.7, 6.0
-"""Who turns back in a hole comes at most this share as far, and the most nats that this can say."""
+BRAKING_MPS2, LEAST_BACK_SHARE, BACK_SPREAD, CARRIED_CAP = 1.5, 0.2, 0.15, 6.0
+"""Who turns back in a hole stops and starts no faster, and comes at least this share as far as its
+speed makes; by what share it may come farther, and the most nats that this can say."""
 
 HOLE_DISTANCE_SHARE, STOPPED_SHARE = 0.2, 0.3
 """By what share of it the distance across a hole differs from what the speed makes, and how often a
@@ -27,14 +28,26 @@ JUMPED_SPREADS, JUMPED_MPS2 = 4.0, 1.0
 """Who comes farther than its speed makes by so many times that, and by what it can gain by speeding
 up, did not drive there: the positions have jumped, and their distance tells nothing."""
 
-EDGE_S, EDGE_SHARE = 0.5, 0.2
-"""A vehicle that is slower than this share of its speed at the edge of a hole may turn back
-right there."""
+EDGE_S = 0.5
+"""The speed at the very edge of a hole is that over so long."""
 
 
-def carried_on_nats(moved_m: float, driven_m: float, sigma_m: float) -> float:
+def back_m(speeds_mps: tuple[float, float], edge_mps: tuple[float, float], gap_s: float) -> float:
+    """How far a vehicle that turns back in a hole comes at most: it does so at one of its edges,
+    where it has some speed left, and drives all the rest of it at the speed on the other side."""
+
+    def reach_m(edge: float, other: float) -> float:
+        lost_s, way_m = (edge + other) / BRAKING_MPS2, (other**2 - edge**2) / (2.0 * BRAKING_MPS2)
+        return other * (gap_s - lost_s) + way_m
+
+    (before, after), (at_start, at_end) = speeds_mps, edge_mps
+    return max(reach_m(at_start, after), reach_m(at_end, before))
+
+
+def carried_on_nats(moved_m: float, driven_m: float, back_m: float, sigma_m: float) -> float:
     """Log odds, by the distance across a hole, that a vehicle drove on rather than turned back:
-    who turns back stops and comes less far than the `driven_m` that its speed makes."""
+    who turns back stops and comes no farther than `back_m`, less than its speed makes,
+    `driven_m`."""
     if not driven_m > 4.0 * sigma_m:
         return 0.0
     spread_m = float(np.hypot(HOLE_DISTANCE_SHARE * driven_m, 2.0 * sigma_m))
@@ -43,23 +56,23 @@ def carried_on_nats(moved_m: float, driven_m: float, sigma_m: float) -> float:
     beyond = float(np.exp(-0.5 * max(off, 0.0) ** 2))
     drove_on = float(np.exp(-0.5 * off**2)) / (spread_m * np.sqrt(2.0 * np.pi))
     mixed = (1.0 - STOPPED_SHARE) * drove_on + STOPPED_SHARE * even * beyond
-    # Turning back takes time to stop and to start: nobody does it at full speed throughout.
-    reach = moved_m / (TURNED_BACK_SHARE * driven_m)
+    most_m = max(back_m, LEAST_BACK_SHARE * driven_m)
     turned_back = (
-        even / TURNED_BACK_SHARE * float(np.exp(-0.5 * (max(reach - 1.0, 0.0) / 0.15) ** 2))
+        float(np.exp(-0.5 * (max(moved_m / most_m - 1.0, 0.0) / BACK_SPREAD) ** 2)) / most_m
     )
     return float(
         np.clip(np.log((mixed + 1e-12) / (turned_back + 1e-12)), -CARRIED_CAP, CARRIED_CAP)
     )
 
 
-def slows(points_m: Float64, time_s: Float64, edge: int, inner: int, slow_mps: float) -> bool:
-    """Whether a vehicle is slower at the edge of a hole, on the way to or from an inner point."""
-    way = np.arange(edge, inner + (1 if inner > edge else -1), 1 if inner > edge else -1)
+def edge_mps(points_m: Float64, time_s: Float64, edge: int, inner: int) -> float:
+    """The speed at the edge of a hole, on the way to or from an inner point; 0 at a single one."""
+    step = 1 if inner > edge else -1
+    way = np.arange(edge, inner + step, step)
     since_s = np.abs(time_s[way] - time_s[edge])
     k = min(int(np.searchsorted(since_s, EDGE_S)), len(way) - 1)
     moved_m = float(np.hypot(*(points_m[way[k]] - points_m[edge])))
-    return k > 0 and moved_m < slow_mps * float(since_s[k])
+    return moved_m / max(float(since_s[k]), 1e-3)
 
 
 def tight_nats(

@@ -16,7 +16,7 @@ import numpy as np
 from fieldgrid.angles import heading_deg, wrap_deg
 from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.gear.habits import Habits
-from fieldgrid.gear.holes import EDGE_SHARE, carried_on_nats, slows, tight_nats
+from fieldgrid.gear.holes import back_m, carried_on_nats, edge_mps, tight_nats
 from fieldgrid.kernel import kernel
 from fieldgrid.polyline import first_beyond
 
@@ -285,13 +285,17 @@ def _carried_nats(
         into_m / max(track.time_s[arrived + on] - track.time_s[arrived], 1e-3),
     )
     step_m, sigma_m = track.points_m[arrived] - track.points_m[across], track.sigma_m[arrived]
-    carried = carried_on_nats(
-        float(np.hypot(*step_m)), sum(speeds_mps) / 2.0 * gap_s, float(sigma_m)
-    )
-    edges = (across, max(begun, across - back)), (arrived, arrived + on)
     path = track.points_m, track.time_s
-    if any(slows(*path, *one, EDGE_SHARE * max(speeds_mps)) for one in edges):
-        carried = min(carried, 0.0)
+    at_edges = (
+        min(edge_mps(*path, across, max(begun, across - back)), speeds_mps[0]),
+        min(edge_mps(*path, arrived, arrived + on), speeds_mps[1]),
+    )
+    carried = carried_on_nats(
+        float(np.hypot(*step_m)),
+        sum(speeds_mps) / 2.0 * gap_s,
+        back_m(speeds_mps, at_edges, gap_s),
+        float(sigma_m),
+    )
     if min(out_m, into_m) == 0.0:
         return carried
     bearings, most_m = (out + 180.0, into), max(speeds_mps) * gap_s
