@@ -19,8 +19,8 @@ USUAL = (
     (300.0, 5.0, 0.25),
     (100.0, 5.0, 0.20),
     (30.0, 5.0, 0.15),
-    (30.0, 20.0, 0.05),
-    (15.0, 12.0, 0.02),
+    (30.0, 12.0, 0.02),
+    (15.0, 8.0, 0.01),
 )
 """Mean ways forward and in reverse, metres, and how many vehicles have them: most back up a few
 metres and seldom, some at each headland, and a few load or push, as far back as forth."""
