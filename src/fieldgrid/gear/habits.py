@@ -44,21 +44,19 @@ class Habits(NamedTuple):
         return -np.minimum(np.stack([self.back_per_m, self.forth_per_m], axis=1) * length_m, cap)
 
     def cusp(self) -> Float64:
-        """Log weights [h, 2] of a change of gear that is seen, from forward and from reverse,
-        beside what one and the other have together on average over all vehicles."""
+        """Log weight [h] of a change of gear that is seen, beside its mean over all vehicles. It is
+        the same both ways: nothing but the beginning tells a drive from its mirror in time."""
         rates = np.stack([self.back_per_m, self.forth_per_m], axis=1)
-        return np.asarray(np.log(rates) - np.log(np.exp(self.share) @ rates).mean())
+        return np.asarray((np.log(rates) - np.log(np.exp(self.share) @ rates)).mean(axis=1))
 
     def hole(self, way_m: float, carried: float) -> tuple[Float64, Float64]:
-        """Log weights [h, 2] of the same gear after a hole, and of the other one, from forward and
-        from reverse. `carried` are the nats by which positions say that it drove on in it, rather
-        than that it turned back, be it once or twice."""
+        """Log weights of the same gear after a hole [h, 2], from forward and from reverse, and of
+        the other one [h], the same both ways. `carried` are the nats by which positions say that it
+        drove on in it, rather than that it turned back, be it once or twice."""
         rates = np.stack([self.back_per_m, self.forth_per_m], axis=1)
         total = rates.sum(axis=1, keepdims=True)
         changed = rates / total * -np.expm1(-total * way_m)
         drove_on = -rates * way_m
         twice = np.maximum(1.0 - changed - np.exp(drove_on), 1e-12)
-        return (
-            np.logaddexp(drove_on + carried, np.log(twice)),
-            np.log(np.maximum(changed, 1e-12)),
-        )
+        stay = np.logaddexp(drove_on + carried, np.log(twice))
+        return stay, np.log(np.maximum(changed, 1e-12)).mean(axis=1)

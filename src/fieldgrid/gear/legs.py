@@ -117,12 +117,14 @@ class _Join(NamedTuple):
     carried: float = 0.0
 
     def weights(self, habits: Habits) -> tuple[Float64, Float64]:
-        """Log weights [h, 2] of the same gear, and of the other one, from each gear."""
+        """Log weights [h, 2] of the same gear, from forward and from reverse, and [h, 1] of the
+        other one."""
         if self.hole_m > 0.0:
             stay, change = habits.hole(self.hole_m, self.carried)
-            return stay - self.stay, change - self.change
-        cusp = habits.cusp() - SWITCH_COST
-        return np.full(cusp.shape, -self.stay), cusp - self.change
+        else:
+            change = habits.cusp() - SWITCH_COST
+            stay = np.zeros((len(change), 2))
+        return stay - self.stay, change[:, None] - self.change
 
 
 def gears(track: GearEvidence) -> Gears:
@@ -366,7 +368,7 @@ def _likeliest(own: Float64, joins: list[_Join], habits: Habits) -> tuple[Int64,
     weights = [join.weights(habits) for join in joins]
     for join, (stay, change) in zip(joins, weights, strict=True):
         known = left[join.one] + own[join.one]
-        reach = np.logaddexp(known + stay, (known + change)[:, ::-1])
+        reach = np.logaddexp(known + stay, known[:, ::-1] + change)
         left[join.two] = np.logaddexp(left[join.two], reach)
     for join, (stay, change) in zip(reversed(joins), reversed(weights), strict=True):
         known = right[join.two] + own[join.two]
