@@ -40,8 +40,11 @@ class Habits(NamedTuple):
         return cls(np.log(vehicles / vehicles.sum()), 1.0 / forward_m, 1.0 / reverse_m)
 
     def leg(self, length_m: float, cap: float) -> Float64:
-        """Log weights [h, 2] of a way that is driven forward, and in reverse."""
-        return -np.minimum(np.stack([self.back_per_m, self.forth_per_m], axis=1) * length_m, cap)
+        """Log weights [h, 2] of a way that is driven forward, and in reverse, which is at most by
+        `cap` less likely."""
+        rarer = np.minimum((self.forth_per_m - self.back_per_m) * length_m, cap)
+        forward = -self.back_per_m * length_m
+        return np.stack([forward, forward - rarer], axis=1)
 
     def cusp(self) -> Float64:
         """Log weight [h] of a change of gear that is seen, beside its mean over all vehicles. It is
