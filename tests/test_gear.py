@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.gear import GearEvidence, Gears, gears, turning_deg
-from fieldgrid.gear.holes import tight_nats
+from fieldgrid.gear.habits import Habits
+from fieldgrid.gear.holes import back_m, carried_on_nats, edge_mps, tight_nats
 from tests.simulated import K_TURN, Command, Drive, simulate
 
 _Float64 = npt.NDArray[np.float64]
@@ -181,7 +182,9 @@ def test_weak_words_against_the_habit_leave_doubt() -> None:
     own = track(drive)
     ways = len(drive.time_s) - 1
     length_m = np.hypot(*np.diff(own.points_m, axis=0).T).sum()
-    even = -(length_m / 5.0 + 2.0) / ways  # as much as habit and beginning say
+    usual = Habits.usual()
+    forward, reverse = np.logaddexp.reduce(usual.share[:, None] + usual.leg(length_m, 15.0)).T
+    even = -(forward - reverse + 2.0) / ways  # as much as habit and beginning say
     found = gears(own._replace(forward_nats=np.r_[0.0, np.full(ways, even)]))
     assert found.doubt == pytest.approx(0.5, abs=0.01)
     more = gears(own._replace(forward_nats=np.r_[0.0, np.full(ways, even - 2.0 / ways)]))
@@ -396,6 +399,115 @@ def test_a_cusp_in_a_hole_leaves_doubt(commands: list[Command], accepted: float)
     is_sure = np.concatenate(sure)
     assert is_sure.mean() > accepted
     assert np.concatenate(right)[is_sure].mean() > 0.985
+
+
+def _between_holes(backs_up: Sequence[bool], seen: Sequence[bool]) -> tuple[GearEvidence, slice]:
+    """Rows north with a hole of 8 s in each, in which some back up by 4 m and some of these are
+    seen to do so; and what is driven after the last hole, which nobody can tell."""
+    points, gaps, north = [], [], 0.0
+    for backs, is_seen in zip(backs_up, seen, strict=True):
+        ahead = north + np.arange(0.0, 15.0, 0.15)
+        back = ahead[-1] - np.arange(0.15, 4.0, 0.15) if backs and is_seen else np.zeros(0)
+        on = (back[-1] if back.size else ahead[-1]) + np.arange(0.15, 12.0, 0.15)
+        points += [*ahead, *back, *on]
+        gaps += [8.0, *np.zeros(len(ahead) + len(back) + len(on) - 1)]
+        north = on[-1] + 11.5
+    last = points[-1] + 5.0 + np.arange(0.0, 3.0, 0.15)
+    after = slice(len(points), len(points) + len(last))
+    points, gaps = [*points, *last], [*gaps, 8.0, *np.zeros(len(last) - 1)]
+    gap_s = np.array(gaps)
+    gap_s[0] = np.inf
+    track = plain(np.stack([np.zeros(len(points)), points], axis=1), gap_s, 0.01)
+    step_s = np.where(gap_s > 0.0, gap_s, 0.1)
+    step_s[0] = 0.0
+    return track._replace(time_s=np.cumsum(step_s)), after
+
+
+def test_who_is_seen_to_back_up_may_do_so_in_a_hole() -> None:
+    """The same hole leaves more doubt in a drive that turns back in each row than in one that
+    never does, and less the longer it never does."""
+    doubts = []
+    for backs_up in ([False] * 60, [False] * 3, [True] * 12):
+        evidence, after = _between_holes(backs_up, backs_up)
+        found = gears(evidence)
+        assert (found.gear[after] == 1).all()
+        doubts.append(float(found.doubt[after].max()))
+    assert doubts[0] < 0.75 * doubts[1]
+    assert 2.0 * doubts[1] < doubts[2]
+
+
+def test_a_long_way_is_forward_however_long() -> None:
+    points = np.stack([np.zeros(4000), np.arange(4000) * 5.0], axis=1)
+    gap_s = np.zeros(4000)
+    gap_s[0] = np.inf
+    found = gears(plain(points, gap_s, 0.02))
+    assert (found.gear == 1).all()
+    assert found.doubt.max() < 1e-4
+
+
+def test_who_shunts_where_every_way_back_begins_in_a_hole_is_not_taken_for_sure() -> None:
+    """Back and forth by the same, one of each pair of cusps seen and the other not: which is which
+    tells neither habit nor where the holes lie, but a little the beginning."""
+    pieces, gaps, at_m = [], [], 0.0
+    for stroke in range(24):
+        way = 1.0 if stroke % 2 == 0 else -1.0
+        ways = at_m + way * np.arange(0.15, 9.0, 0.15)
+        hidden = stroke % 2 == 1
+        pieces += [*(ways[10:] if hidden else ways)]
+        gaps += [3.2 if hidden else 0.0, *np.zeros(len(ways) - 1 - 10 * hidden)]
+        at_m = ways[-1]
+    gap_s = np.array(gaps)
+    gap_s[0] = np.inf
+    track = plain(np.stack([np.zeros(len(pieces)), pieces], axis=1), gap_s, 0.01)
+    step_s = np.where(gap_s > 0.0, gap_s, 0.1)
+    step_s[0] = 0.0
+    mirrored = track._replace(
+        points_m=track.points_m[::-1],
+        gap_s=np.concatenate([[np.inf], track.gap_s[:0:-1]]),
+        time_s=np.cumsum(np.concatenate([[0.0], step_s[:0:-1]])),
+    )
+    for one in (track._replace(time_s=np.cumsum(step_s)), mirrored):
+        found = gears(one)
+        assert found.gear[0] == 1
+        assert found.doubt.min() > SURE
+
+
+def test_a_change_of_gear_weighs_the_same_both_ways() -> None:
+    usual = Habits.usual()
+    stay, change = usual.hole(12.0, 0.0)
+    assert change.shape == usual.cusp().shape == usual.share.shape
+    # Of nothing that is known of the hole both gears are as likely as the drive has them.
+    backward, forward = 1.0 / usual.back_per_m, 1.0 / usual.forth_per_m
+    share = np.stack([backward, forward], axis=1)
+    share /= share.sum(axis=1, keepdims=True)
+    far = np.exp(np.stack(usual.hole(1e5, 0.0)[0].T, axis=1))
+    assert far == pytest.approx(share, rel=1e-3)
+    assert np.exp(usual.hole(1e5, 0.0)[1]) == pytest.approx(np.sqrt(share.prod(axis=1)), rel=1e-3)
+    assert (np.exp(change) < 1.0).all()
+    assert (np.exp(stay[:, 0]) > 0.3).all()
+    # Little way hides no change.
+    assert np.exp(usual.hole(0.01, 0.0)[1]).max() < 0.01
+
+
+def test_who_turns_back_in_a_hole_loses_the_time_to_stop() -> None:
+    """At full speed at both edges he comes far less far than his speed makes; at rest at one of
+    them he may have turned back right there, and the distance tells nothing."""
+    full = back_m((1.5, 1.5), (1.5, 1.5), 8.0)
+    resting = back_m((1.5, 1.5), (1.5, 0.0), 8.0)
+    assert full == pytest.approx(1.5 * (8.0 - 2.0))
+    assert resting == pytest.approx(1.5 * (8.0 - 1.0) + 0.75)
+    assert carried_on_nats(12.0, 12.0, full, 0.02) > 2.0
+    assert carried_on_nats(12.0, 12.0, resting, 0.02) < 1.5
+    # Slower one way: what he comes at most is that of the faster.
+    assert back_m((1.8, 1.2), (1.8, 1.2), 8.0) > back_m((1.2, 1.2), (1.2, 1.2), 8.0)
+
+
+def test_the_speed_at_an_edge_is_that_of_its_last_half_second() -> None:
+    time_s = np.arange(0.0, 2.05, 0.1)
+    points = np.stack([np.zeros(21), np.minimum(1.5 * time_s, 2.25)], axis=1)
+    assert edge_mps(points, time_s, 20, 0) == pytest.approx(0.0, abs=1e-9)
+    assert edge_mps(points, time_s, 0, 20) == pytest.approx(1.5)
+    assert edge_mps(points, time_s, 7, 7) == 0.0
 
 
 def test_a_distance_that_no_speed_makes_says_nothing_of_turns() -> None:
