@@ -485,6 +485,14 @@ def test_a_change_of_gear_weighs_the_same_both_ways() -> None:
     assert np.exp(usual.hole(1e5, 0.0)[1]) == pytest.approx(np.sqrt(share.prod(axis=1)), rel=1e-3)
     assert (np.exp(change) < 1.0).all()
     assert (np.exp(stay[:, 0]) > 0.3).all()
+    # Rare and frequent changes, as often back: of what is seen, the root of how often.
+    cusps, legs = usual.cusp(), usual.leg(300.0, 15.0)
+    rare, often = (
+        int(np.argmax(backward)),
+        int(np.argmax(np.where(forward == 5.0, -backward, -1e9))),
+    )
+    assert cusps[often] - cusps[rare] == pytest.approx(np.log(backward[rare] / backward[often]) / 2)
+    assert legs[rare, 0] - legs[often, 0] == pytest.approx(300.0 / backward[often] - 0.3)
     # Little way hides no change.
     assert np.exp(usual.hole(0.01, 0.0)[1]).max() < 0.01
 
@@ -500,6 +508,21 @@ def test_who_turns_back_in_a_hole_loses_the_time_to_stop() -> None:
     assert carried_on_nats(12.0, 12.0, resting, 0.02) < 1.5
     # Slower one way: what he comes at most is that of the faster.
     assert back_m((1.8, 1.2), (1.8, 1.2), 8.0) > back_m((1.2, 1.2), (1.2, 1.2), 8.0)
+
+
+@pytest.mark.parametrize("stops", [True, False])
+def test_who_stops_at_the_edge_of_a_hole_may_turn_back_there(stops: bool) -> None:
+    """A hole of 8 s across which he comes as far as at full speed, or begins it at rest."""
+    ahead = np.arange(0.0, 20.0, 0.15)
+    if stops:
+        ahead = np.append(ahead, ahead[-1] + 0.1 * np.cumsum([1.2, 0.9, 0.6, 0.4, 0.2, 0.1, 0.0]))
+    points = np.concatenate([ahead, ahead[-1] + 12.0 + np.arange(0.0, 3.0, 0.15)])
+    gap_s = np.zeros(len(points))
+    gap_s[0], gap_s[len(ahead)] = np.inf, 8.0
+    track = plain(np.stack([np.zeros_like(points), points], axis=1), gap_s, 0.01)
+    step_s = np.where(np.isfinite(gap_s) & (gap_s > 0.0), gap_s, 0.1)
+    doubt = gears(track._replace(time_s=np.cumsum(step_s))).doubt[-1]
+    assert (doubt > 0.0005) == stops
 
 
 def test_the_speed_at_an_edge_is_that_of_its_last_half_second() -> None:
