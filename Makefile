@@ -74,6 +74,7 @@ crash: .venv/installed ## Kill writers, cut the power, damage maps (COUNT=500: s
 
 heading: .venv/installed ## Measure heading and gear on real logs, where they are at hand
 	$(PY) -m benchmarks.heading
+	$(PY) -m benchmarks.heading_shunts
 	$(PY) -m benchmarks.variations
 	$(PY) -m benchmarks.transformed
 	$(PY) -m benchmarks.stretches
