@@ -474,6 +474,9 @@ def test_an_accelerometer_shows_which_way_up_its_gyro_is(blind: bool) -> None:
     found = estimate_poses(fixes[~hole], RIG, DATUM, motion=motion, frame_ns=frames_ns)
     assert any("too few" in note for note in found.report.notes) is blind
     assert (found.report.attitude is None) is blind
+    if not found.trajectory.accepted.any():
+        assert blind  # two rows, either of which may be backed up
+        return
     poses = [found.trajectory.at(t) for t in frames_ns.tolist()]
     used = np.array([pose.status is Status.OK for pose in poses])
     assert (used.mean() > 0.8) is not blind
