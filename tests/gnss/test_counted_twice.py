@@ -91,6 +91,18 @@ def test_every_other_row_of_a_packet_may_come_late() -> None:
     assert spans == ()
 
 
+def test_a_log_in_no_order_is_left_alone() -> None:
+    """To compare each pass with all before it would take hours of a large file."""
+
+    def passes(count: int) -> FixColumns:
+        rows, number = np.tile(np.arange(20), count), np.repeat(np.arange(count), 20)
+        log = LOG[rows]
+        return log.replace(lat_deg=log.lat_deg + 2e-5 * number, time_ns=log.time_ns + number)
+
+    assert counted_twice(passes(5))[0].mean() > 0.9
+    assert not counted_twice(passes(201))[0].any()
+
+
 def test_single_stamps_far_off_are_left_alone() -> None:
     time_ns = LOG.time_ns.copy()
     time_ns[[100, 200]] += np.array([7200, -7200]) * SECOND

@@ -20,6 +20,9 @@ FEWEST_IN_PASS, FEWEST_TWICE = 10, 3
 """A pass has so many rows in order of time, and so many of each are of the same seconds: rows that
 come late make shorter ones."""
 
+MOST_PASSES = 200
+"""A log of more passes is in no order at all."""
+
 SAME_M, SAME_SCATTERS = 0.05, 3.0
 """Passes that lie no farther apart, or by no more than so many times what their own rows scatter,
 are one log whose rows come late or twice, or of a vehicle that stood."""
@@ -45,6 +48,8 @@ def counted_twice(fixes: FixColumns) -> tuple[Bool, tuple[CountedTwice, ...]]:
     edges = np.flatnonzero(np.concatenate([[True], np.diff(time_ns) < 0, [True]]))
     long = np.diff(edges) >= FEWEST_IN_PASS
     first, last = edges[:-1][long], edges[1:][long] - 1
+    if len(first) > MOST_PASSES:
+        return twice, ()
     for k in range(1, len(first)):
         start, stop = time_ns[first[k]], time_ns[last[k]]
         for j in np.flatnonzero((time_ns[first[:k]] < stop) & (time_ns[last[:k]] > start)).tolist():

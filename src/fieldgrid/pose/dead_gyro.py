@@ -29,15 +29,18 @@ def without_dead_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, str
     gyro = motion.gyro
     if gyro is None or len(gyro.time_ns) < 2:
         return motion, None
+    time_s = (gyro.time_ns - gyro.time_ns[0]) / 1e9
+    runs = np.stack(runs_of_equal_rates(gyro.rate_rad_s), axis=1)
+    runs = runs[time_s[runs[:, 1]] - time_s[runs[:, 0]] > LONG_S]
+    if len(runs) == 0:
+        return motion, None
     dead, dead_s = np.zeros(len(gyro.time_ns), dtype=np.bool_), 0.0
     line_rad, line_s = course_lines(fixes, gyro)
-    time_s = (gyro.time_ns - gyro.time_ns[0]) / 1e9
-    for first, last in runs_of_equal_rates(gyro.rate_rad_s):
+    for first, last in runs.tolist():
         inside = (line_s >= time_s[first]) & (line_s <= time_s[last])
-        lasts_s = float(time_s[last] - time_s[first])
-        if lasts_s > LONG_S and _turns(line_rad[inside], line_s[inside], gyro.rate_rad_s[first]):
+        if _turns(line_rad[inside], line_s[inside], gyro.rate_rad_s[first]):
             dead[first : last + 1] = True
-            dead_s += lasts_s
+            dead_s += float(time_s[last] - time_s[first])
     if not dead.any():
         return motion, None
     return without_samples(motion, dead), _note(gyro, dead, dead_s)

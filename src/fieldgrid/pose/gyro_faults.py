@@ -56,10 +56,10 @@ def without_samples(motion: Motion, faulty: Bool) -> Motion:
     return motion._replace(gyro=gyro, inertial=sensed)
 
 
-def runs_of_equal_rates(rate_rad_s: Float64) -> list[tuple[int, int]]:
-    """The first and the last sample of each run of samples that say the same."""
+def runs_of_equal_rates(rate_rad_s: Float64) -> tuple[Int64, Int64]:
+    """The first and the last sample [r] of each run of samples that say the same."""
     edges = np.flatnonzero(np.concatenate([[True], np.diff(rate_rad_s) != 0.0, [True]]))
-    return list(zip(edges[:-1].tolist(), (edges[1:] - 1).tolist(), strict=True))
+    return edges[:-1], edges[1:] - 1
 
 
 def _wild(rate_rad_s: Float64) -> Bool:
@@ -69,7 +69,7 @@ def _wild(rate_rad_s: Float64) -> Bool:
 
 def _stuck(time_ns: Int64, rate_rad_s: Float64) -> Bool:
     """Runs of equal values that last, of a gyro that is not used to say the same twice."""
-    first, last = np.array(runs_of_equal_rates(rate_rad_s)).T
+    first, last = runs_of_equal_rates(rate_rad_s)
     long = (time_ns[last] - time_ns[first]) / 1e9 > STUCK_S
     brief = ~long
     again = float((last - first)[brief].sum()) / max(float((last - first + 1)[brief].sum()), 1.0)
