@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.angles import wrap_deg
-from fieldgrid.array_types import Float64
+from fieldgrid.array_types import Bool, Float64
 from fieldgrid.build import visual_odometry
 from fieldgrid.fixes import FixColumns
 from fieldgrid.geodesy import Datum
@@ -287,6 +287,43 @@ def test_a_camera_that_saw_little_of_a_drive_denies_no_antenna(
         found = estimate_poses(drive.fixes(), drive.rig, drive.datum_hint, motion=motion)
     assert found.trajectory.accepted.mean() > 0.8
     assert not any("than mounting.json says" in note for note in found.report.notes)
+
+
+def headings_of_a_robot(seed: int, noise_m: float) -> tuple[Estimate, Bool, Float64]:
+    """The estimate of one that turns on the spot, which fixes while it moves are used, and how far
+    their headings are off, degrees."""
+    drive = pivoting(seed)
+    fixes, right = fixes_of(drive, 0.2, noise_m), gyro_of(drive, bias_dps=0.1, noise_dps=0.1)
+    found = estimate_poses(fixes, Carrier(0.0), DATUM, motion=Motion(gyro=right))
+    track, rows, truth = found.trajectory, found.fix_row, drive.every(0.2)
+    moving = np.abs(truth.speed_mps) > 0.05
+    off = np.abs(wrap_deg(track.heading_deg[rows] - np.degrees(truth.heading_rad)))
+    return found, track.accepted[rows][moving], off[moving]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 5])
+def test_a_gyro_shows_who_turns_on_the_spot_and_goes_on_in_reverse(seed: int) -> None:
+    """Its path hardly turns, and has no cusp: a third of the headings was the other way round. With
+    seed 1 a turn of more than half a circle was taken for the lesser one of the other sense."""
+    found, used, off_deg = headings_of_a_robot(seed, 0.01)
+    assert used.mean() > 0.98
+    assert off_deg[used].max() < 2.0
+    assert not [note for note in found.report.notes if "gyro" in note]
+
+
+def test_positions_that_wander_while_a_robot_turns_on_the_spot_are_no_legs() -> None:
+    for seed in (110, 115):
+        _, used, off_deg = headings_of_a_robot(seed, 0.1)
+        assert used.mean() > 0.6
+        assert off_deg[used].max() < 10.0
+
+
+@pytest.mark.parametrize("seed", [114, 123])
+def test_gears_in_doubt_may_be_why_a_gyro_does_not_fit(seed: int) -> None:
+    """The gyro was left out, and half of the headings that were used were the other way round."""
+    found, used, off_deg = headings_of_a_robot(seed, 0.1)
+    assert any("gyro contradicts" in note for note in found.report.notes)
+    assert not (off_deg[used] > 90.0).any()
 
 
 @pytest.mark.parametrize("seed", [0, 4])

@@ -147,16 +147,31 @@ def gears(track: GearEvidence) -> Gears:
 
 
 def _cut(track: GearEvidence) -> list[int]:
-    """Where legs begin: after each gap, and at each point where the path turns sharply."""
+    """Where legs begin: after each gap, and at each point where the path turns sharply, or
+    otherwise than the gyro: who turns back on the spot and goes on in reverse leaves no cusp."""
     points = track.points_m
     reach_m = max(REACH_M, REACH_SIGMAS * float(np.median(track.sigma_m)))
-    turning = np.abs(turning_deg(points, np.cumsum(track.gap_s > 0.0, dtype=np.int64), reach_m))
+    part = np.cumsum(track.gap_s > 0.0, dtype=np.int64)
+    before, after = (first_beyond(points, reach_m, step, part) for step in (-1, 1))
+    turn = turn_between(points, before, after)
+    turning = np.maximum(np.abs(turn), _slip_deg(turn, track.turned_deg, before, after))
     sharp = turning > CUT_DEG
     starts = {0, *np.flatnonzero(track.gap_s).tolist()}
     runs = np.flatnonzero(np.diff(np.concatenate([[False], sharp, [False]]).astype(np.int8)))
     for first, last in zip(runs[::2], runs[1::2], strict=True):
         starts |= set(_tips(points, turning, int(first), int(last), reach_m))
     return sorted(starts)
+
+
+def _slip_deg(turn: Float64, turned_deg: Float64, before: Int64, after: Int64) -> Float64:
+    """How differently from the path's `turn` [n] the gyro saw the vehicle turn, degrees, from the
+    middle of the way to each point to that of the way on; 0 where it did not see all."""
+    at = np.flatnonzero((before >= 0) & (after >= 0))
+    first, last = (before[at] + at) // 2, (at + after[at]) // 2
+    blind, in_all_deg = np.cumsum(~np.isfinite(turned_deg)), np.nancumsum(turned_deg)
+    slip = np.abs(wrap_deg(turn[at] - in_all_deg[last] + in_all_deg[first]))
+    seen = np.where(blind[last] == blind[first], slip, 0.0)
+    return np.bincount(at, seen, len(turn)).astype(np.float64)
 
 
 def _tips(points: Float64, turning: Float64, first: int, last: int, reach_m: float) -> list[int]:

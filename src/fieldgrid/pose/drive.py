@@ -116,11 +116,10 @@ def smooth_drive(
     comparison with the course.
     """
     at = nodes(fixes.time_ns, all_ns, motion)
-    resting = at_rest(
-        seconds(fixes.time_ns), fixes.east_m, fixes.north_m, fixes.noise.across_m, fixes.speed_mps
-    ) & ~_turning(at, fixes.time_ns)
+    standing = _standing(fixes)
+    resting = standing & ~_turning(at, fixes.time_ns)
     recorded = recorded or RecordedHeadings(np.full(len(fixes.time_ns), np.nan))
-    found = station_gears(fixes, at, resting, motion, recorded.heading_deg, hints)
+    found = station_gears(fixes, at, standing, resting, motion, recorded.heading_deg, hints)
     # Between two fixes it rests only where it does at both; beyond them nobody knows.
     rest = np.interp(at.time_ns, fixes.time_ns, resting.astype(np.float64), left=0.0, right=0.0)
     node_rest = (rest > 0.99) & ~_driven(at.time_ns, motion.steps)
@@ -143,12 +142,21 @@ def with_recorded(
     """The same drive by its recorded headings, too: only what they change is estimated again,
     unless they turn a gear around."""
     resting = drive.resting[np.flatnonzero(drive.fix >= 0)]
-    found = station_gears(fixes, drive.at, resting, motion, recorded.heading_deg, hints)
+    found = station_gears(
+        *(fixes, drive.at, _standing(fixes), resting, motion, recorded.heading_deg, hints)
+    )
     if not np.array_equal(found.gears.gear, drive.stations.gears.gear):
         return smooth_drive(fixes, drive.time_ns, motion, axle, recorded, hints)
     measured = with_headings(drive.measured, fixes, drive.at, recorded)
     smoothed = refine(drive.smoothed, measured, *axle.frame())
     return _drive(fixes, drive.at, measured, found, smoothed, axle)
+
+
+def _standing(fixes: AcceptedFixes) -> Bool:
+    """Fixes at which a vehicle stays where it is, whether it turns there or not."""
+    return at_rest(
+        seconds(fixes.time_ns), fixes.east_m, fixes.north_m, fixes.noise.across_m, fixes.speed_mps
+    )
 
 
 def _turning(at: Nodes, time_ns: Int64) -> Bool:

@@ -31,6 +31,10 @@ GUESS_REACH_M, GUESS_SIGMAS = 0.3, 8.0
 WINDING_NS = 2_000_000_000
 """Between courses that are farther apart a vehicle may turn by more than half a circle."""
 
+WINDING_DEG = 90.0
+"""A vehicle that turns by so much along a chord does so on the spot, maybe by more than half a
+circle, and the chord is no course."""
+
 STEP_NATS, WHEEL_NATS, RECORDED_NATS = 8.0, 2.0, 4.0
 """How strongly a camera's step, a wheel's and a compass's sign speak of the gear."""
 
@@ -69,19 +73,21 @@ def gear_hints(settings: PoseSettings) -> GearHints:
 def station_gears(
     fixes: AcceptedFixes,
     at: Nodes,
+    standing: Bool,
     resting: Bool,
     motion: Motion,
     recorded_deg: Float64,
     hints: GearHints,
 ) -> StationGears:
-    """Stations and gears of accepted fixes; `resting` marks those at rest, `recorded_deg` are
-    headings that were recorded, NaN where there is none."""
+    """Stations and gears of accepted fixes; `standing` marks those at one place, `resting` those
+    of them at which no gyro sees a turn, `recorded_deg` are headings that were recorded, NaN where
+    there is none."""
     points, time_ns = fixes.points_m(), fixes.time_ns
     noise_m, steps_s = fixes.noise.across_m, np.diff(time_ns) / 1e9
     hole, torn = breaks(fixes)
     part = np.concatenate([[0], np.cumsum(hole | torn)])
     station = stations(
-        points, part, resting, max(STATION_M, STATION_SIGMAS * float(np.median(noise_m)))
+        points, part, standing, max(STATION_M, STATION_SIGMAS * float(np.median(noise_m)))
     )
     at_ns = time_ns[station]
     # A hole lasts from station to station, a jump only between its two fixes.
@@ -170,9 +176,12 @@ def first_guess(
     reach_m = max(GUESS_REACH_M, GUESS_SIGMAS * float(np.median(fixes.noise.across_m)))
     heading, speed = np.full(len(station), np.nan), np.zeros(len(station))
     cuts = np.flatnonzero(np.diff(found.leg)) + 1
+    seen_rad = measured.seen_turns_rad()
+    turned_rad = np.append(0.0, np.cumsum(np.nan_to_num(seen_rad)))
+    turned_deg = np.degrees(turned_rad[np.searchsorted(at.time_ns, fixes.time_ns[station])])
     for leg in np.split(np.arange(len(station)), cuts):
         time_s = seconds(fixes.time_ns[station[leg]])
-        heading[leg], speed[leg] = _chords(points[leg], time_s, reach_m)
+        heading[leg], speed[leg] = _chords(points[leg], time_s, turned_deg[leg], reach_m)
     heading = np.where(found.gear < 0, heading + 180.0, heading)
     heading[~found.driven] = np.nan  # a wandering path, which would turn the guess around
     known = np.flatnonzero(np.isfinite(heading))
@@ -182,9 +191,9 @@ def first_guess(
     if known.size:
         times = fixes.time_ns[station[known]]
         turns = np.asarray(wrap_deg(np.diff(heading[known])))
-        # From one course to the next nobody turns by more than half a circle, but in a hole. The
-        # gyro's bias, a degree a second, leaves no doubt which way it was.
-        seen_deg = _turned_in_holes_deg(at.time_ns, times, measured.seen_turns_rad())
+        # From one course to the next nobody turns by more than half a circle, but in a hole or on
+        # the spot. The gyro's bias, a degree a second, leaves no doubt which way it was.
+        seen_deg = _turned_in_holes_deg(at.time_ns, times, seen_rad)
         turns_seen = np.diff(seen_deg[np.searchsorted(at.time_ns, times)])
         turns = turns_seen + wrap_deg(turns - turns_seen)
         angle_deg = heading[known[0]] + np.concatenate([[0.0], np.cumsum(turns - turns_seen)])
@@ -204,11 +213,17 @@ def _turned_in_holes_deg(node_ns: Int64, time_ns: Int64, turned_rad: Float64) ->
     return np.asarray(np.degrees(turned))
 
 
-def _chords(points: Float64, time_s: Float64, reach_m: float) -> tuple[Float64, Float64]:
-    """Course, degrees, and speed, m/s, at each point of a leg; NaN for a leg that is a point."""
+def _chords(
+    points: Float64, time_s: Float64, turned_deg: Float64, reach_m: float
+) -> tuple[Float64, Float64]:
+    """Course, degrees, and speed, m/s, at each point of a leg, until which the vehicle was seen to
+    turn by `turned_deg`; NaN for a leg that is a point, and where it turns on the spot."""
     before, after = first_beyond(points, reach_m, -1), first_beyond(points, reach_m, 1)
     start, stop = np.where(before < 0, 0, before), np.where(after < 0, len(points) - 1, after)
     chord = points[stop] - points[start]
     length_m, span_s = np.hypot(*chord.T), time_s[stop] - time_s[start]
-    course = np.where(length_m > reach_m / 2.0, heading_deg(*chord.T), np.nan)
+    tells = (length_m > reach_m / 2.0) & (
+        np.abs(turned_deg[stop] - turned_deg[start]) < WINDING_DEG
+    )
+    course = np.where(tells, heading_deg(*chord.T), np.nan)
     return course, length_m / np.maximum(span_s, 0.02)

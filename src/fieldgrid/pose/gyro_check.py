@@ -53,6 +53,10 @@ PLAUSIBLE_RATIO = 0.3
 STEADY_M = 0.1
 """Fixes that state less do not wander: the gyro is wrong."""
 
+DOUBT, DOUBTFUL_SHARE = 0.02, 0.1
+"""Where a gear is in more doubt in more than such a share of the drive, it may be wrong, which
+contradicts a gyro as well."""
+
 NEAR_S = 2.0
 """Two headings that cross agree for a moment; how far they are apart is the most around it."""
 
@@ -218,10 +222,12 @@ def with_trusted_gyro(
     # What the camera confirms without the gyro was spoilt by it.
     if not found.blames_gyro and not (rest.turns_seen and not rest.smoothed.declared.contradicts):
         return fits
-    # One that turns as the path does may be right where the fixes wander.
-    gyro = motion.gyro
+    # One that turns as the path does may be right where the fixes wander, and any where gears are
+    # in doubt.
+    gyro, moves = motion.gyro, drive.gear != 0
     ratio = None if gyro is None else turn_ratio(fixes, gyro)
     either = wanders and ratio is not None and abs(ratio.value - 1.0) < PLAUSIBLE_RATIO
+    either |= float(np.mean(drive.doubt[moves] > DOUBT)) > DOUBTFUL_SHARE if moves.any() else False
     note = f"The gyro contradicts the drive by {found.misfit:.0f} sigmas and {CHECK}"
     return Trusted(rest, without, apart_deg(rest, drive) * float(either), note)
 
