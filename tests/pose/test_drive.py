@@ -71,6 +71,20 @@ def test_gears_that_the_user_names_are_not_denied() -> None:
     assert accepted[0].sum() < accepted[1].sum()
 
 
+@pytest.mark.parametrize("alone", [0, 1])
+def test_a_start_that_the_user_names_counts_where_it_is_first_seen_to_drive(alone: int) -> None:
+    """One fix before a hole of 8 s had no way to which it could belong."""
+    drive = simulate([Command(20.0, -1.2), Command(10.0, -1.2, 0.1)], 25.0)
+    fixes = fixes_of(drive, 0.2, 0.01)
+    late_s = (fixes.time_ns - fixes.time_ns[0]) / 1e9
+    seen = fixes[(np.arange(len(fixes)) < alone) | (late_s > 8.0)]
+    settings = PoseSettings(quality=4, accuracy_m=0.02, starts=GearName.REVERSE)
+    found = estimate_poses(seen, Carrier(0.0), DATUM, settings)
+    used = found.trajectory.accepted
+    assert used.mean() > 0.7  # not in the hole
+    assert (found.trajectory.gear[used] == -1).all()
+
+
 @pytest.mark.parametrize(
     ("shifts_s", "noted"),
     [((0.0,), False), ((60.0,), True), ((-90.0,), True), ((-90.0, 0.0), False)],

@@ -102,7 +102,7 @@ def station_gears(
         gap_s,
         noise_m[station],
         _turned_deg(at, at_ns, time_ns[resting]),
-        _forward_nats(points[station], at_ns, motion, recorded_deg[station], hints),
+        _forward_nats(points[station], at_ns, gap_s, motion, recorded_deg[station], hints),
     )
     return StationGears(station, gears(track))
 
@@ -139,6 +139,7 @@ def _turned_deg(at: Nodes, time_ns: Int64, resting_ns: Int64) -> Float64:
 def _forward_nats(
     points: Float64,
     time_ns: Int64,
+    gap_s: Float64,
     motion: Motion,
     recorded_deg: Float64,
     hints: GearHints,
@@ -160,7 +161,8 @@ def _forward_nats(
         course = heading_deg(*np.diff(points, axis=0).T)
         agree = np.cos(np.radians(course - recorded_deg[1:]))
         nats[1:] += np.nan_to_num(agree) * RECORDED_NATS
-    nats[1:2] += HINT_NATS * hints.starts
+    # What is said of the start holds where it is first seen to drive, not across a hole before.
+    nats[np.flatnonzero(gap_s == 0.0)[:1]] += HINT_NATS * hints.starts
     for start_ns, stop_ns, gear in hints.spans:
         nats[(time_ns > start_ns) & (time_ns <= stop_ns)] += HINT_NATS * gear
     return nats
