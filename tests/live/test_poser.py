@@ -44,7 +44,7 @@ RIG = Rig(
 SPEC = GridSpec(4.0, 6.0, 0.1)
 SETTINGS = BuildSettings(grid={"width_m": 4.0, "length_m": 6.0, "cell_m": 0.1})
 START_NS = 1_700_000_000_000_000_000
-SPEED_MPS = 1.0
+SPEED_MPS = 1.2
 GRID = LocalGrid(SPEC, np.full(SPEC.shape, 10, np.uint8), np.ones(SPEC.shape, np.bool_))
 
 
