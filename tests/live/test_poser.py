@@ -44,7 +44,7 @@ RIG = Rig(
 SPEC = GridSpec(4.0, 6.0, 0.1)
 SETTINGS = BuildSettings(grid={"width_m": 4.0, "length_m": 6.0, "cell_m": 0.1})
 START_NS = 1_700_000_000_000_000_000
-SPEED_MPS = 1.2
+SPEED_MPS = 1.0
 GRID = LocalGrid(SPEC, np.full(SPEC.shape, 10, np.uint8), np.ones(SPEC.shape, np.bool_))
 
 
@@ -374,14 +374,14 @@ def test_a_window_is_told_before_the_estimate_that_has_its_frame(
         name = f"{(asked.frame_ns[-1] - START_NS) / 1e9:.1f}"
         asked_of.append((name, is_shown(told, name)))
 
-    for k in range(51):
+    for k in range(61):
         poser.put(fix(k / 5.0))
-    poser.put(("gyro", rows_of("gyro", at_ns(0.0) + np.arange(600) * 20_000_000, np.zeros(600))))
-    poser.put(frame(10.0, None))
-    told.wait(lambda: is_shown(told, "10.0"))
+    poser.put(("gyro", rows_of("gyro", at_ns(0.0) + np.arange(700) * 20_000_000, np.zeros(700))))
+    poser.put(frame(12.0, None))
+    told.wait(lambda: is_shown(told, "12.0"))
     monkeypatch.setattr("fieldgrid.live.poser.Estimator.ask", asking)
     monkeypatch.setattr("fieldgrid.live.poser.Estimator.is_free", property(lambda _self: True))
-    names = [f"{k / 5.0:.1f}" for k in range(51, 56)]
+    names = [f"{k / 5.0:.1f}" for k in range(61, 66)]
     for name in names:
         poser.put(frame(float(name), 0.2))
         told.wait(lambda name=name: is_shown(told, name))
