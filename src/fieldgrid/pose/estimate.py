@@ -24,7 +24,7 @@ from fieldgrid.pose.drifting import Drifts, drift_notes, drifts, unsure_drift
 from fieldgrid.pose.drive import DriveEstimate, with_recorded
 from fieldgrid.pose.excused import Excused, excused
 from fieldgrid.pose.explained import explained
-from fieldgrid.pose.fused import Fused, conditioned, fuse
+from fieldgrid.pose.fused import Fused, conditioned, counted_twice_note, fuse
 from fieldgrid.pose.given import CLEAR_OFFSET_DEG, place_poses
 from fieldgrid.pose.levelled import leaning, tells_attitude, unsure_lean
 from fieldgrid.pose.measured import RecordedHeadings
@@ -219,6 +219,7 @@ def _of_given(
     try:
         log = conditioned(fixes, settings, datum)
         datum = log.datum
+        notes += [note for note in (counted_twice_note(log),) if note is not None]
     except GnssError as problem:
         if origin is not None and len(fixes):
             notes.append(str(problem))

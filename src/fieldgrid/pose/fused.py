@@ -128,7 +128,7 @@ def fuse(
         drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     # A gyro that contradicts the drive; of one that fits, where an undeclared axle is.
     trusted = _with_trusted_gyro(drive, log, motion, axle, hints, frame_ns)
-    notes = (_counted_twice_note(log), faulty_gyro, dead_gyro, turned_wheels)
+    notes = (counted_twice_note(log), faulty_gyro, dead_gyro, turned_wheels)
     found = Fused(
         *(log, trusted.drive, trusted.motion, axle, hints, gyro, trusted),
         imu_turn=imu_turn(trusted.motion.steps, trusted.motion.inertial),
@@ -166,7 +166,7 @@ def fuse(
     return found
 
 
-def _counted_twice_note(log: Conditioned) -> str | None:
+def counted_twice_note(log: Conditioned) -> str | None:
     """That the log counts some seconds twice, and what it means."""
     if not log.spans:
         return None

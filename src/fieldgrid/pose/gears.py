@@ -41,6 +41,8 @@ STEP_NATS, WHEEL_NATS, RECORDED_NATS = 8.0, 2.0, 4.0
 UNSIGNED_NATS = 0.3
 """The same of wheels that never turn back: they may not know how."""
 
+TELL_GEARS = "say --starts forward or --starts reverse, or give --gear FILE with spans"
+
 HINT_NATS = 200.0
 """A hint of the user outweighs everything."""
 

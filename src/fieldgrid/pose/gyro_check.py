@@ -13,7 +13,7 @@ from fieldgrid.polyline import first_beyond
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.drive import DriveEstimate, smooth_drive
-from fieldgrid.pose.gears import GearHints
+from fieldgrid.pose.gears import TELL_GEARS, GearHints
 from fieldgrid.pose.gyro_sense import gyro_sense
 from fieldgrid.pose.leaps import usual_period_s
 from fieldgrid.smoother import DeclaredCorrection
@@ -64,6 +64,8 @@ CHECK = (
     "was not used: check imu_axes (it may be upside down), its unit (rad/s), its stamps and how "
     "far the antenna sits ahead of the axle."
 )
+
+GEARS_UNSURE = f"Or the gears are wrong, which are in doubt: {TELL_GEARS}."
 
 
 class Trusted(NamedTuple):
@@ -227,8 +229,10 @@ def with_trusted_gyro(
     gyro, moves = motion.gyro, drive.gear != 0
     ratio = None if gyro is None else turn_ratio(fixes, gyro)
     either = wanders and ratio is not None and abs(ratio.value - 1.0) < PLAUSIBLE_RATIO
-    either |= float(np.mean(drive.doubt[moves] > DOUBT)) > DOUBTFUL_SHARE if moves.any() else False
     note = f"The gyro contradicts the drive by {found.misfit:.0f} sigmas and {CHECK}"
+    if moves.any() and float(np.mean(drive.doubt[moves] > DOUBT)) > DOUBTFUL_SHARE:
+        either = True
+        note += f" {GEARS_UNSURE}"
     return Trusted(rest, without, apart_deg(rest, drive) * float(either), note)
 
 

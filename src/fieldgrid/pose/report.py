@@ -21,6 +21,7 @@ from fieldgrid.pose.clock_search import ClockOffset, DeniedMotions
 from fieldgrid.pose.convention import Comparison
 from fieldgrid.pose.denied import Denied, denied_notes
 from fieldgrid.pose.drive import DriveEstimate
+from fieldgrid.pose.gears import TELL_GEARS
 from fieldgrid.pose.georeference import Georeference
 from fieldgrid.pose.imu_turn import ImuTurn
 from fieldgrid.pose.seams import LEAP_S
@@ -265,7 +266,7 @@ def _remedy(
     elif commonest == COUNTED_TWICE:
         advice = CUT_AT_CLOCK
     elif commonest.startswith("forward or reverse"):
-        advice = "say --starts forward or --starts reverse, or give --gear FILE with spans"
+        advice = TELL_GEARS
     elif commonest.startswith("heading unknown"):
         advice = "log while the vehicle drives, or record its heading"
     elif commonest.startswith(("heading sigma", "a cell")):
