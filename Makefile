@@ -6,6 +6,7 @@ BIN    := .venv/bin
 PY     := $(BIN)/python
 # -qq: errors only.
 PIP    := $(BIN)/pip -qq --disable-pip-version-check
+PARTS  ?=
 SOURCES := src tests tools $(wildcard benchmarks examples fuzz)
 
 # The tests start hundreds of Pythons, each of which would compile the whole package.
@@ -13,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test long check docs page dist bench crash accuracy heading fuzz format lock clean
+.PHONY: help demo test long check docs page dist bench crash accuracy heading figures compare fuzz format lock clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -92,6 +93,12 @@ accuracy: .venv/installed ## Measure the accuracy of maps, mounts, clocks, align
 	$(PY) -m benchmarks.good_receivers
 	$(PY) -m benchmarks.changes
 	$(PY) -m benchmarks.moved
+
+figures: .venv/installed ## Freeze what the measurements print in benchmarks/frozen.json (PARTS="rows moved"; all: two hours)
+	$(PY) -m benchmarks.frozen --write $(PARTS)
+
+compare: .venv/installed ## Measure again and print what moved beyond its tolerance (PARTS="rows moved"; all: two hours)
+	$(PY) -m benchmarks.frozen $(PARTS)
 
 fuzz: .venv/installed ## Feed every parser hostile input (SECONDS=30 each); counts go on from run to run
 	$(PY) -m fuzz --seconds $(or $(SECONDS),30)

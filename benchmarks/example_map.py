@@ -34,7 +34,7 @@ def main() -> None:
             "build": f"build {EXAMPLE} -o {path} --overwrite --gnss gnss_rtk.nmea".split(),
             "show": f"show {path} -o {folder / 'map.png'}".split(),
             "verify": f"verify {path}".split(),
-            "export tif": f"export {path} -o {folder / 'map.tif'}".split(),
+            "export tif": f"export {path} {folder / 'map.tif'} --overwrite".split(),
         }
         matcher_s: list[float] = []
         spent_s: dict[str, list[float]] = {what: [] for what in commands}

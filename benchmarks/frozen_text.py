@@ -25,7 +25,9 @@ _UNIT = re.compile(r" ?[^\s\d,;:()]*")
 _CELL = re.compile(r"\S+(?: \S+)*")
 _CLAUSE_END = re.compile(r"[,;:](?=\s|$)|[()]|\s{2,}")
 _WORD = re.compile(r"[^\W\d_]{3,}")
-_GAP = re.compile(r" {3,}")
+_NAME = re.compile(r"[^\W\d].*\D")
+_GAP = re.compile(r" {4,}")
+_COLON = re.compile(r"(?:[^: ]|:(?! )| (?! ))+: ")
 _SKIPPED = re.compile(r"\s*asked|.*cores, Python")
 """Lines of what was asked, and of the versions of libraries."""
 
@@ -148,7 +150,7 @@ def _header_of(line: str, below: Sequence[str]) -> _Header | None:
             return None
         titled = cells[0].start() <= len(row) - len(row.lstrip())
         columns = [(cell.end(), cell[0]) for cell in cells[titled:]]
-        if sum(not re.search(r"\d", name) for _, name in columns) < 2:
+        if sum(bool(_NAME.fullmatch(name)) for _, name in columns) < 2:
             return None
         header = _Header(cells[0][0] if titled else "", columns)
         if header.values(row):
@@ -197,14 +199,14 @@ def _clauses(line: str, start: int) -> Iterator[tuple[int, int]]:
 
 def _label(line: str) -> tuple[str, int]:
     """What a sentence is called, and where its figures begin: what stands before a wide gap, else
-    before a colon, else before the first number."""
+    before a colon, else before the first number. A narrow gap pads a number."""
     numbers = [number.start for number in _numbers(line)]
     body = len(line) - len(line.lstrip())
     if not numbers:
         return _plain(line), len(line)
-    for mark in (_GAP.search(line, body), re.compile(": ").search(line, body)):
-        if mark and mark.end() <= numbers[-1] and _WORD.search(line, body, mark.start()):
-            return _plain(line[: mark.start()]), mark.end()
+    for mark in (_GAP.search(line, body), _COLON.match(line, body)):
+        if mark and mark.end() <= numbers[-1] and _WORD.search(line, body, mark.end()):
+            return _plain(line[body : mark.end()].rstrip()), mark.end()
     return _plain(line[: numbers[0]]), numbers[0]
 
 
@@ -217,8 +219,9 @@ def _without_numbers(line: str, numbers: Sequence[_Number], first: int, last: in
 
 
 def _plain(text: str) -> str:
-    """Without signs around it, and with single spaces."""
-    return " ".join(text.split()).strip(" ,;:()")
+    """Without signs around it, with single spaces, and without what divides the parts of a name."""
+    text = " ".join(text.split()).strip(" ,;:(").removesuffix(" -").replace(" / ", "/")
+    return text if "(" in text else text.strip(")")
 
 
 def _numbers(line: str) -> list[_Number]:

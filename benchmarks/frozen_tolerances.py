@@ -2,7 +2,7 @@
 
 A figure falls under the first rule that fits it:
 
-times      seconds, milliseconds, anything a second, and unnamed figures of `make bench`: ±40 %
+times      of runs: seconds, anything a second, and figures of `make bench` without unit: ±40 %
 memory     MB and GB: ±15 %
 ratios     of times, and shares in `make bench`: ±15 %
 sizes      bytes and cells, angles and distances in `make bench`: 2 %
@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 import re
+from enum import Enum
 
 from benchmarks.frozen_text import Figure
 
@@ -39,14 +40,22 @@ _EXACT = ("°", "cm", "bytes", "cells")
 _RATIO = re.compile(r"(x|%|times)$")
 
 
-def tolerance_of(figure: Figure, *, timed: bool, cases: int | None) -> float:
-    """The tolerance of a figure: of a part that measures times, or one of so many random cases,
-    None where nothing is drawn."""
+class Times(Enum):
+    """Whether a part measures times. A second elsewhere is that of a clock, not of a run."""
+
+    NONE = 0
+    SOME = 1
+    ALL = 2
+
+
+def tolerance_of(figure: Figure, times: Times, cases: int | None) -> float:
+    """The tolerance of a figure; `cases` is the number of random cases of its part, None where
+    nothing is drawn."""
     size = abs(figure.value)
     step = STEPS * 10.0**-figure.decimals
-    if _TIME.match(figure.unit) or _TIMED.search(figure.name):
+    if times is not Times.NONE and (_TIME.match(figure.unit) or _TIMED.search(figure.name)):
         return step + TIME * size
-    if timed:
+    if times is Times.ALL:
         return _of_bench(figure, step)
     if cases is not None:
         return _of_samples(figure, step, figure.drives or cases)
