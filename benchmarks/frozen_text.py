@@ -27,6 +27,8 @@ _CLAUSE_END = re.compile(r"[,;:](?=\s|$)|[()]|\s{2,}")
 _WORD = re.compile(r"[^\W\d_]{3,}")
 _NAME = re.compile(r"[^\W\d].*\D")
 _GAP = re.compile(r" {4,}")
+_BETWEEN = re.compile(r"(?: ?[%°])?(?: {2,8}| ± )")
+_TOUCHING = re.compile(r"[^\W\d_]{3,} $")
 _COLON = re.compile(r"(?:[^: ]|:(?! )| (?! ))+: ")
 _SKIPPED = re.compile(r"\s*asked|.*cores, Python")
 """Lines of what was asked, and of the versions of libraries."""
@@ -82,13 +84,9 @@ class _Header(NamedTuple):
         first = next((n for n in numbers if self.column_of(n) is not None), None)
         if first is None:
             return []
-        column = self.column_of(first)
-        assert column is not None
-        start = self.columns[column - 1][0] if column else line.rfind("  ", 0, first.start) + 2
-        if _WORD.search(line, start, first.start):
-            if column:
-                return []
-            start = first.start
+        start = _start_of_run(line, numbers, first)
+        if _TOUCHING.search(line[:start]):
+            return []
         inside = [n for n in numbers if n.start >= start]
         aligned = sum(self.column_of(n) is not None for n in inside)
         return inside if 2 * aligned >= len(inside) else []
@@ -156,6 +154,15 @@ def _header_of(line: str, below: Sequence[str]) -> _Header | None:
         if header.values(row):
             return header
     return None
+
+
+def _start_of_run(line: str, numbers: Sequence[_Number], last: _Number) -> int:
+    """Where the numbers begin that stand before one with nothing but narrow gaps between."""
+    start = last.start
+    for number in reversed(numbers):
+        if number.end <= start and _BETWEEN.fullmatch(line, number.end, start):
+            start = number.start
+    return start
 
 
 def _of_row(
