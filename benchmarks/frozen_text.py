@@ -25,7 +25,7 @@ _UNIT = re.compile(r" ?[^\s\d,;:()]*")
 _CELL = re.compile(r"\S+(?: \S+)*")
 _CLAUSE_END = re.compile(r"[,;:](?=\s|$)|[()]|\s{2,}")
 _WORD = re.compile(r"[^\W\d_]{3,}")
-_NAME = re.compile(r"[^\W\d].*\D")
+_NAME = re.compile(r"[^\d+-].*\D")
 _GAP = re.compile(r" {4,}")
 _BETWEEN = re.compile(r"(?: ?[%°])?(?: {2,8}| ± )")
 _TOUCHING = re.compile(r"[^\W\d_]{3,} $")
@@ -119,12 +119,12 @@ def _figures(lines: Sequence[str]) -> Iterator[Figure]:
             continue
         if _SKIPPED.match(line):
             continue
+        least = 0.5 if header else 0.0
+        new = _header_of(line, lines[k + 1 : k + 1 + _LINES_TO_FIRST_ROW], least)
+        if new is not None:
+            header = new
+            continue
         values = header.values(line) if header else []
-        if not values:
-            new = _header_of(line, lines[k + 1 : k + 1 + _LINES_TO_FIRST_ROW])
-            if new is not None:
-                header = new
-                continue
         indent = len(line) - len(line.lstrip())
         above = [one for one in above if one[0] < indent]
         titles = [label for _, label in above]
@@ -140,15 +140,17 @@ def _figures(lines: Sequence[str]) -> Iterator[Figure]:
         above.append((indent, label))
 
 
-def _header_of(line: str, below: Sequence[str]) -> _Header | None:
-    """A line is a header if numbers of a line below end where its words do."""
+def _header_of(line: str, below: Sequence[str], least: float) -> _Header | None:
+    """A line is a header if numbers of a line below end where its words do; of its columns more
+    than the least share, and two, have names."""
     cells = list(_CELL.finditer(line))
     for row in below:
         if not row.strip():
             return None
         titled = cells[0].start() <= len(row) - len(row.lstrip())
         columns = [(cell.end(), cell[0]) for cell in cells[titled:]]
-        if sum(bool(_NAME.fullmatch(name)) for _, name in columns) < 2:
+        named = sum(bool(_NAME.fullmatch(name)) for _, name in columns)
+        if named < 2 or named <= least * len(columns):
             return None
         header = _Header(cells[0][0] if titled else "", columns)
         if header.values(row):

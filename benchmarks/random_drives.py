@@ -341,8 +341,8 @@ def _each(many: Sequence[Found]) -> Iterator[str]:
 def _table(title: str, groups: dict[str, list[Found]]) -> Iterator[str]:
     """A line a group of drives."""
     yield (
-        f"{title:<44}{'drives':>7}{'used':>7}{'place in 3':>11}{'worst':>7}"
-        f"{'heading in 3':>13}{'worst':>7}{'wrong':>7}{'silent':>7}{'unnamed':>8}"
+        f"{title:<44}{'drives':>7}{'used':>9}{'place in 3':>12}{'worst':>10}"
+        f"{'heading in 3':>14}{'worst':>10}{'wrong':>7}{'silent':>8}{'unnamed':>9}"
     )
     for name, many in groups.items():
         known = [one for one in many if np.isfinite(one.place_beyond)]
@@ -352,11 +352,11 @@ def _table(title: str, groups: dict[str, list[Found]]) -> Iterator[str]:
         if not known:
             continue
         yield (
-            f"{name:<44}{len(many):>7}{percent(float(np.mean([m.accepted for m in many])), 1):>7}"
-            f"{percent(float(place.mean()), 1):>11}{percent(float(place.min())):>7}"
-            f"{percent(float(heading.mean()), 1):>13}{percent(float(heading.min())):>7}"
-            f"{len(wrong):>7}{sum(one.is_silent for one in wrong):>7}"
-            f"{sum(one.is_unnamed for one in wrong):>8}"
+            f"{name:<44}{len(many):>7}{percent(float(np.mean([m.accepted for m in many])), 1):>9}"
+            f"{percent(float(place.mean()), 1):>12}{percent(float(place.min())):>10}"
+            f"{percent(float(heading.mean()), 1):>14}{percent(float(heading.min())):>10}"
+            f"{len(wrong):>7}{sum(one.is_silent for one in wrong):>8}"
+            f"{sum(one.is_unnamed for one in wrong):>9}"
         )
 
 
