@@ -30,6 +30,13 @@ _GAP = re.compile(r" {4,}")
 _BETWEEN = re.compile(r"(?: ?[%°])?(?: {2,8}| ± )")
 _TOUCHING = re.compile(r"[^\W\d_]{3,} $")
 _COLON = re.compile(r"(?:[^: ]|:(?! )| (?! ))+: ")
+"""
+_NAME   a cell of a header that is not a number.
+_GAP    between the label of a sentence and what is said.
+_BETWEEN, _TOUCHING: between two values of a row, and between words and a number of a sentence.
+_COLON  a label and its colon.
+"""
+
 _SKIPPED = re.compile(r"\s*asked|.*cores, Python")
 """Lines of what was asked, and of the versions of libraries."""
 
@@ -141,8 +148,8 @@ def _figures(lines: Sequence[str]) -> Iterator[Figure]:
 
 
 def _header_of(line: str, below: Sequence[str], least: float) -> _Header | None:
-    """A line is a header if numbers of a line below end where its words do; of its columns more
-    than the least share, and two, have names."""
+    """A line is a header if numbers of a line below end where its cells do, the first of them below
+    a name; of its cells two, and more than the least share, are names."""
     cells = list(_CELL.finditer(line))
     for row in below:
         if not row.strip():
@@ -153,7 +160,8 @@ def _header_of(line: str, below: Sequence[str], least: float) -> _Header | None:
         if named < 2 or named <= least * len(columns):
             return None
         header = _Header(cells[0][0] if titled else "", columns)
-        if header.values(row):
+        values = header.values(row)
+        if values and _NAME.fullmatch(header.name_of(values[0])):
             return header
     return None
 

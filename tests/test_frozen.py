@@ -93,6 +93,35 @@ def test_values_are_named_alike_however_wide_they_are() -> None:
     assert names[0] == names[1]
 
 
+def test_sentences_below_each_other_are_no_table() -> None:
+    lines = (
+        "lanes  gnss_rtk      obstacles   54.0 m²  moved  0.013 m²",
+        "slope  gnss_rtk      obstacles   13.5 m²  moved  0.005 m²",
+    )
+    assert [figure.name for figure in figures_of("\n".join(lines))] == [
+        "lanes gnss_rtk / obstacles # m²",
+        "lanes gnss_rtk / moved # m²",
+        "slope gnss_rtk / obstacles # m²",
+        "slope gnss_rtk / moved # m²",
+    ]
+
+
+def test_a_header_may_follow_rows() -> None:
+    lines = (
+        "fault            drives      used   in 3 sigma",
+        "none                 10   100.0 %      100.0 %",
+        "sensors          drives      used   in 3 sigma",
+        "gyro, 10 Hz           3       8 %            -",
+    )
+    assert {figure.name: figure.value for figure in figures_of("\n".join(lines))} == {
+        "fault / none / drives": 10.0,
+        "fault / none / used": 100.0,
+        "fault / none / in 3 sigma": 100.0,
+        "sensors / gyro, 10 Hz / drives": 3.0,
+        "sensors / gyro, 10 Hz / used": 8.0,
+    }
+
+
 def test_the_same_output_has_not_moved(table: Bench, capsys: pytest.CaptureFixture[str]) -> None:
     assert table(TABLE) == 0
     assert capsys.readouterr().out == ("rows: 23 figures, 0 moved, 0 lines vanished, 0 appeared\n")
