@@ -22,6 +22,7 @@ _NUMBER = re.compile(
 """Not what is glued to a word (SF1), a part of a date, or the bound of what was asked (>= 95)."""
 
 _UNIT = re.compile(r" ?[^\s\d,;:()]*")
+_GLUED = re.compile(r"\S*")
 _CELL = re.compile(r"\S+(?: \S+)*")
 _CLAUSE_END = re.compile(r"[,;:](?=\s|$)|[()]|\s{2,}")
 _WORD = re.compile(r"[^\W\d_]{3,}")
@@ -59,17 +60,18 @@ class Figure(NamedTuple):
 
 
 class _Number(NamedTuple):
-    """A number in a line, and the columns in which it and its unit may be said to end."""
+    """A number in a line, the columns in which it and its unit may be said to end, and the word
+    behind it."""
 
     start: int
     end: int
     ends: tuple[int, ...]
-    unit: str
+    word: str
 
     @property
-    def units(self) -> str:
-        """Without what marks or ends a number."""
-        return self.unit.strip(" ?*.")
+    def unit(self) -> str:
+        """The word without marks."""
+        return self.word.strip(" ?*.")
 
 
 class _Header(NamedTuple):
@@ -183,7 +185,7 @@ def _of_row(
     for name, number in named:
         if name not in _NO_FIGURES:
             yield _figure([*path, name], line, number, drives)
-    yield from _of_text(path, line, values[-1].end + len(values[-1].unit))
+    yield from _of_text(path, line, values[-1].end + len(values[-1].word))
 
 
 def _of_text(path: list[str], line: str, start: int) -> Iterator[Figure]:
@@ -245,7 +247,7 @@ def _numbers(line: str) -> list[_Number]:
     found = []
     for match in _NUMBER.finditer(line):
         unit = _UNIT.match(line, match.end())
-        glued = re.compile(r"\S*").match(line, match.end())
+        glued = _GLUED.match(line, match.end())
         assert unit is not None
         assert glued is not None
         ends = (match.end(), glued.end(), unit.end())
@@ -262,4 +264,4 @@ def _figure(path: list[str], line: str, number: _Number, drives: float | None = 
     mantissa, _, power = text.partition("e")
     decimals = len(mantissa.partition(".")[2]) - int(power or 0)
     name = " / ".join(part for part in path if part)
-    return Figure(name, _value(line, number), number.units, decimals, drives)
+    return Figure(name, _value(line, number), number.unit, decimals, drives)
