@@ -101,7 +101,7 @@ def test_rows_that_repeat_have_two_peaks_and_a_place_between_them_is_unsure() ->
     assert found is not None
     across = found.by_cell[found.reach]
     assert across[found.reach + 20] > 0.8 * across[found.reach]
-    sure, unsure = (peak(found, np.array([at, 0.0])).information[0, 0] for at in (0.0, 1.0))
+    sure, unsure = (peak(found, np.array([at, 0.0]))[1][0, 0] for at in (0.0, 1.0))
     assert sure > 300.0
     assert unsure < 20.0
 
@@ -132,9 +132,9 @@ def test_a_turn_is_found(turn_deg: float) -> None:
     against = Against(a, 1.5)
     base = against.scores(b[1])
     assert base is not None
-    found = turn_peak(against, b[0], base, b[2])
-    assert found.turn_deg == pytest.approx(-turn_deg, abs=0.1)
-    assert found.information > 1.0
+    turn, information = turn_peak(against, b[0], base, b[2])
+    assert turn == pytest.approx(-turn_deg, abs=0.1)
+    assert information > 1.0
 
 
 def test_scores_know_their_shifts() -> None:

@@ -81,7 +81,10 @@ def level(
     none).
     """
     moving = {
-        n for n, drive in enumerate(drives) if drive.role is Role.MOVES and _has_ground(drive)
+        n
+        for n, drive in enumerate(drives)
+        if drive.role is Role.MOVES
+        and any(GROUND_CHANNEL in frame.cells().channels for frame in drive.submaps[0].frames)
     }
     kept = dict.fromkeys(moving & {*doubtful}, "it is in doubt where the drive lies")
     count = sum(len(drive.submaps) for n, drive in enumerate(drives) if n not in doubtful)
@@ -102,11 +105,6 @@ def level(
     return Levels(tuple(corrections), kept)
 
 
-def _has_ground(drive: SubmapDrive) -> bool:
-    """Whether frames tell of the ground at all: those of drives without roll and pitch do not."""
-    return any(GROUND_CHANNEL in frame.cells().channels for frame in drive.submaps[0].frames)
-
-
 def _corrections(
     drives: Sequence[SubmapDrive], transforms: Sequence[Transform], doubtful: Collection[int]
 ) -> tuple[list[HeightCorrection | None], set[int], int]:
@@ -122,7 +120,9 @@ def _corrections(
     seen = _ground(own, placed)
     if not len(seen.place):
         return corrections, set(), 0
-    shared = _pairs_that_share(seen, count)
+    ones = np.ones(len(seen.place), np.bool_)
+    each = sparse.csr_array((ones, (seen.submap, seen.place)), shape=(count, seen.place.max() + 1))
+    shared = int((each @ each.T).nnz) - len(np.unique(seen.submap))
     if shared > MOST_SHARED:
         return corrections, set(), shared
     parts = np.split(np.arange(count), np.cumsum([len(drive.submaps) for drive in own])[:-1])
@@ -211,7 +211,9 @@ def _solve(
         up_m = np.asarray(factor.solve(np.append(side, np.zeros(len(parts)))), np.float64)[:count]
         if np.abs(up_m - before).max() < SETTLED_M:
             break
-        misfit = _left_m(seen, weights, up_m) / SCATTER_M
+        moved = seen.up_m + up_m[seen.submap]
+        mean = np.bincount(seen.place, weights * moved) / np.bincount(seen.place, weights)
+        misfit = np.asarray(moved - mean[seen.place]) / SCATTER_M
         weights = PLACE_SIGMA_M**-2.0 * (FREEDOM + 1.0) / (FREEDOM + misfit**2)
         for n in np.flatnonzero(~held).tolist():
             off = np.mean((up_m[parts[n]] / stated_m[parts[n]]) ** 2)
@@ -300,17 +302,3 @@ def _without_places(seen: _Seen, weights: Float64, count: int) -> tuple[sparse.c
         seen.up_m - (np.bincount(seen.place, weights * seen.up_m, places) / of_place)[seen.place]
     )
     return normal.tocsr(), np.asarray(-np.bincount(seen.submap, weights * off_m, count), np.float64)
-
-
-def _pairs_that_share(seen: _Seen, count: int) -> int:
-    """How many pairs of submaps saw ground of one place, each counted twice."""
-    ones = np.ones(len(seen.place), np.bool_)
-    each = sparse.csr_array((ones, (seen.submap, seen.place)), shape=(count, seen.place.max() + 1))
-    return int((each @ each.T).nnz) - len(np.unique(seen.submap))
-
-
-def _left_m(seen: _Seen, weights: Float64, up_m: Float64) -> Float64:
-    """By how much each observation departs from the mean of its place."""
-    moved = seen.up_m + up_m[seen.submap]
-    mean = np.bincount(seen.place, weights * moved) / np.bincount(seen.place, weights)
-    return np.asarray(moved - mean[seen.place])

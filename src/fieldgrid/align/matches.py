@@ -129,8 +129,7 @@ def turn_equations(
     turn = np.radians([match.turn_deg for match in some])
     common = np.minimum(np.array([alike[n] for n in told]), ALIKE) * COMMON_TURN_SIGMA_DEG**2
     own = 1.0 / np.array([match.turn_information for match in some])
-    variance = own + MATCH_TURN_SIGMA_DEG**2 + common
-    by_error = 1.0 / np.radians(np.sqrt(variance))
+    by_error = 1.0 / np.radians(np.sqrt(own + MATCH_TURN_SIGMA_DEG**2 + common))
     every = np.arange(len(told))
     jacobian = sparse.csr_array(
         (np.concatenate([by_error, -by_error]), (np.tile(every, 2), np.concatenate([b, a]))),

@@ -61,10 +61,11 @@ class Contradiction(NamedTuple):
 
 class PairAlignment(NamedTuple):
     """How drive `b` lay against drive `a` where both saw the same ground, on the mean, about `at_m`
-    [2]: metres east and north (of b less of a), and degrees clockwise, as they were placed and as
-    they are after alignment, with the error of the shift. What is left is `left_sigmas` of what
-    their matches tell; beyond a few of them the two contradict other pairs. The places where single
-    matches do so are `contradictions`, the worst first. Of a pair with a `doubt` nothing was used.
+    [2]: metres east and north (of b less of a), as they were placed and as they are after
+    alignment, with the error of the shift, and degrees clockwise, as they were placed. What is left
+    is `left_sigmas` of what their matches tell; beyond a few of them the two contradict other
+    pairs. The places where single matches do so are `contradictions`, the worst first. Of a pair
+    with a `doubt` nothing was used.
 
     What they saw tells the shift worst along `weak_axis_deg` (a heading), to `weak_sigma_m`,
     infinite where not at all: there the receivers alone have a say.
@@ -76,7 +77,6 @@ class PairAlignment(NamedTuple):
     before_m: Float64
     after_m: Float64
     turn_before_deg: float
-    turn_after_deg: float
     sigma_m: float
     weak_axis_deg: float
     weak_sigma_m: float
@@ -140,7 +140,6 @@ def summed_up(
                     stated_m=drive.stated_m,
                 ),
             )
-        own = sum(count for pair, count in counts.items() if n in pair)
         results.append(
             DriveAlignment(
                 drive.name,
@@ -148,7 +147,7 @@ def summed_up(
                 after,
                 float(sigma_m[n, n]),
                 float(solution.turn_sigma_deg[n]),
-                own,
+                sum(count for pair, count in counts.items() if n in pair),
                 drive.role,
                 heights_kept.get(n),
             )
@@ -203,7 +202,7 @@ def _pair(
     return PairAlignment(
         drives[a].name, drives[b].name, one.at_m,
         moved + left if trusted else one.shift_m, left if trusted else one.shift_m,
-        turned if trusted else one.turn_deg, 0.0 if trusted else one.turn_deg,
+        turned if trusted else one.turn_deg,
         sigma_m, float(np.degrees(np.arctan2(*axes[:, 0])) % 180.0),
         float(told[0] ** -0.5) if told[0] > 0.0 else np.inf, len(own), one.doubt, one,
         float(np.sqrt(max(left @ total @ left, 0.0))), _contradictions(matches, solution, own),

@@ -64,8 +64,7 @@ def along_ridge(agreement: Float64, shifts_m: Float64, shift_m: Float64) -> Floa
 
     def peaks(along_m: Float64) -> Float64:
         sides = np.concatenate([[0.0], SIDES_M, -np.asarray(SIDES_M)])
-        places_m = origins_m[ridge] + (along_m[:, None] + sides)[..., None] * ways[ridge]
-        values = at(places_m)
+        values = at(origins_m[ridge] + (along_m[:, None] + sides)[..., None] * ways[ridge])
         return np.asarray(values[:, 0] - values[:, 1:].mean(axis=1))
 
     near = np.arange(-PEAK_M, PEAK_M + STEP_M / 2.0, STEP_M)

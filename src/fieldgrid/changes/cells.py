@@ -31,15 +31,8 @@ MARGIN_M = 3.0
 tells of no change."""
 
 
-class SideDrives(NamedTuple):
-    """The drives of one side by name, in their order."""
-
-    observers: Mapping[str, Sequence[FrameObserver]]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Their names."""
-        return tuple(self.observers)
+SideDrives = Mapping[str, Sequence[FrameObserver]]
+"""The frames of the drives of one side by name, in the order of the drives."""
 
 
 class SideCells(NamedTuple):
@@ -86,8 +79,7 @@ class Changed(NamedTuple):
     @classmethod
     def joined(cls, parts: Sequence[Changed]) -> Changed:
         """The cells of several squares."""
-        columns: list[Any] = [np.concatenate(column) for column in zip(*parts, strict=True)]
-        return cls(*columns)
+        return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def chosen(self, which: Bool | Int64) -> Changed:
         """Some of the cells."""
@@ -118,7 +110,7 @@ def surroundings(window: Window, lattice: Lattice) -> Window:
 def seen_by(drives: SideDrives, lattice: Lattice, window: Window) -> SideCells:
     """What the drives of a side saw of a window."""
     total = _unseen(window)
-    for number, observers in enumerate(drives.observers.values()):
+    for number, observers in enumerate(drives.values()):
         one = _seen_by_one(observers, lattice, window, number)
         pairs: Iterator[Any] = zip(total, one, strict=True)
         for array, values in pairs:

@@ -94,16 +94,14 @@ def _drives(
     """The frames of some drives that reach into the surroundings of some places."""
     infos = {info.name: info for info in universal.sessions()}
     wide = [surroundings(place, lattice) for place in places]
-    return SideDrives(
-        {
-            name: observers(
-                universal.frames(name, with_grid=True),
-                infos[name],
-                lattice,
-                wide,
-                position_sigma_m,
-                beside.get(name),
-            )
-            for name in names
-        }
-    )
+    return {
+        name: observers(
+            universal.frames(name, with_grid=True),
+            infos[name],
+            lattice,
+            wide,
+            position_sigma_m,
+            beside.get(name),
+        )
+        for name in names
+    }

@@ -60,8 +60,7 @@ class Drivable:
         inner = points[places] - (ground.west_m, ground.south_m)
         free = np.zeros(len(places), dtype=np.bool_)
         for turned in (0.0, math.pi):
-            poses = np.column_stack([inner, yaw + turned])
-            free |= searcher.gaps_m(poses, least_m) >= least_m
+            free |= searcher.gaps_m(np.column_stack([inner, yaw + turned]), least_m) >= least_m
         wanted[places] = free
         found = []
         for first, last in runs(wanted):
@@ -131,8 +130,7 @@ def turns(line: Float64, radius_m: float) -> Float64:
 def _shifted(values: Float64, by: int) -> Float64:
     """The values so many places on; the first or the last where there is none."""
     places = np.clip(np.arange(len(values)) + by, 0, len(values) - 1)
-    found: Float64 = values[places]
-    return found
+    return np.asarray(values[places])
 
 
 def runs(is_in: Bool) -> Iterator[list[int]]:

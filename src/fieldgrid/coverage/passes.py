@@ -188,8 +188,7 @@ def _standing_fault(searcher: Searcher, name: str, pose: Float64) -> NoRouteErro
     ground = searcher.ground
     east, north = pose[:, 0] + ground.west_m, pose[:, 1] + ground.south_m
     heading, none = heading_from_yaw_rad(pose[:, 2]), np.array([0.0])
-    standing = Path(east, north, heading, np.array([1]), none)
-    fault = find_fault(standing, ground, searcher.vehicle)
+    fault = find_fault(Path(east, north, heading, np.array([1]), none), ground, searcher.vehicle)
     why, place = "something is too near", (float(east[0]), float(north[0]))
     if fault is not None:
         why, place = fault.reason, (fault.east_m, fault.north_m)

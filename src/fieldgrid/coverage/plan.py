@@ -82,7 +82,7 @@ class Coverage:
     `remedy` is what may help those, '' where there are none. `planting` has the lanes; those of
     parallel tracks are tracks and passes around them, and `swaths` says what they work. `cost_m` is
     what the order was chosen by: metres of way, those in reverse and changes of gear counted for
-    more; `planned` is how many ways between lanes were planned for that.
+    more.
     """
 
     route: Route
@@ -91,7 +91,6 @@ class Coverage:
     remedy: str
     planting: Planting
     cost_m: float
-    planned: int
     swaths: Swaths | None = None
 
     @property
@@ -229,9 +228,7 @@ def coverage_in_view(
         from_m, to_m = (lane.length_m - end for end in ends[::-1]) if node % 2 else ends
         worked.append(Worked(lane.id, bool(node % 2), max(from_m, 0.0), to_m))
     swaths = None if laid is None else _swaths(laid, route)
-    return Coverage(
-        route, tuple(worked), tuple(left_out), helps, planting, cost_m, len(network.ways), swaths
-    )
+    return Coverage(route, tuple(worked), tuple(left_out), helps, planting, cost_m, swaths)
 
 
 def _core(laid: Laid, vehicle: Vehicle) -> shapely.Geometry:
@@ -261,8 +258,7 @@ def _swaths(laid: Laid, route: Route) -> Swaths:
     steps = shapely.linestrings(np.stack([places[:-1], places[1:]], axis=1)[route.lane[:-1] == ""])
     shapely.prepare(core)
     crossing = shapely.length(steps[shapely.intersects(core, steps)]).sum()
-    reachable_m2 = float(laid.reachable.area)
-    return Swaths(laid.wide_m, reachable_m2, float(area.area), float(crossing))
+    return Swaths(laid.wide_m, float(laid.reachable.area), float(area.area), float(crossing))
 
 
 def _asked(planting: Planting, lanes: Sequence[str] | None) -> list[Lane]:
@@ -305,8 +301,7 @@ def _unreached(network: Network, nodes: list[int], k: int, lane: Lane) -> LeftOu
     place = (entries[0].x + searcher.ground.west_m, entries[0].y + searcher.ground.south_m)
     for origin in origins:
         for entry in entries:
-            left = searcher.distance_left(entry)
-            if np.isfinite(left[searcher.coarse_place(origin)]):
+            if np.isfinite(searcher.distance_left(entry)[searcher.coarse_place(origin)]):
                 radius = searcher.vehicle.turning_radius_m
                 return LeftOut(
                     lane.id,

@@ -62,19 +62,19 @@ def lay_tracks(
     ConfigError for too many."""
     vehicle = searcher.vehicle
     wide_m, step_m = asked.widths_m(vehicle.work_width_m)
-    area = work_area(searcher, wide_m, fill_unseen=fill_unseen)
+    places, reachable = work_area(searcher, wide_m, fill_unseen=fill_unseen)
     lanes: list[Lane] = []
     blocks: list[Block] = []
     headlands: list[Headland] = []
     things: list[Obstacle] = []
     inners = []
-    for standing in area.standing:
+    for standing in places:
         name = f"F{len(blocks) + 1}"
         field = _Field(searcher, asked, wide_m, step_m, name, standing)
         mine = field.lanes()
         if not mine:
             continue
-        ground = area.reachable.intersection(standing.buffer(0.5 * wide_m + searcher.ground.cell_m))
+        ground = reachable.intersection(standing.buffer(0.5 * wide_m + searcher.ground.cell_m))
         lanes += mine
         things += field.obstacles()
         inners.append(field.inner)
@@ -95,7 +95,7 @@ def lay_tracks(
         datum, bounds, searcher.ground.cell_m, (), tuple(lanes), (), tuple(headlands),
         tuple(blocks), tuple(things),
     )  # fmt: skip
-    return Laid(planting, shapely.union_all(inners), area.reachable, wide_m)
+    return Laid(planting, shapely.union_all(inners), reachable, wide_m)
 
 
 class _Field:
@@ -163,8 +163,12 @@ class _Field:
         ]
         if self.passes:
             for number, hole in enumerate(self._holes, 1):
+                box = hole.minimum_rotated_rectangle
+                is_small = hole.area < 4.0 * self.wide_m**2 or box.area < 1.5 * hole.area
                 found += self._sides(
-                    f"O{number}", self._boxed(hole), tuple(-shift for shift in _SHIFTS_M)
+                    f"O{number}",
+                    box if is_small else hole.simplify(0.25 * self.wide_m),
+                    tuple(-shift for shift in _SHIFTS_M),
                 )
         return found + list(self._tracks())
 
@@ -181,12 +185,6 @@ class _Field:
                 if len(ring) > 3:
                     pieces += self._around(ring, shifts)
         return [self._lane(f"{name}.{k}", piece) for k, piece in enumerate(pieces, 1)]
-
-    def _boxed(self, hole: shapely.Polygon) -> shapely.Polygon:
-        """A small hole as the smallest box around it, whose sides are straight."""
-        box = hole.minimum_rotated_rectangle
-        is_small = hole.area < 4.0 * self.wide_m**2 or box.area < 1.5 * hole.area
-        return box if is_small else hole.simplify(0.25 * self.wide_m)
 
     def _around(self, ring: Float64, shifts: tuple[float, ...]) -> list[Float64]:
         """The sides of a closed ring that can be driven."""

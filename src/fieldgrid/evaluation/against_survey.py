@@ -20,7 +20,7 @@ import numpy as np
 import shapely
 from scipy import ndimage
 
-from fieldgrid.array_types import Bool, Float64
+from fieldgrid.array_types import Bool
 from fieldgrid.errors import TruthError
 from fieldgrid.evaluation.survey import ROW, Survey, Surveyed
 from fieldgrid.grids import OBSTACLE_ABOVE
@@ -104,27 +104,6 @@ def evaluate_survey(
     where the survey has no rows.
     """
     planted = crop_named(crop)
-    view = _view(universal, survey)
-    obstacle = view.observed & (view.density > OBSTACLE_ABOVE)
-    things = [thing for thing in survey.things if thing.kind != ROW]
-    scores = [_thing(thing, view, obstacle, within_m) for thing in things]
-    lines: list[Any] = []
-    surveyed_rows = [thing for thing in survey.things if thing.kind == ROW]
-    if surveyed_rows:
-        lines = [row.line for row in find_rows(universal, crop=planted).rows]
-        scores += [_row(row, view, lines, within_m) for row in surveyed_rows]
-    kinds = dict.fromkeys(score.kind for score in scores)
-    return SurveyScores(
-        within_m,
-        _by_chance(view, obstacle, survey, within_m),
-        tuple(_kind(kind, [one for one in scores if one.kind == kind]) for kind in kinds),
-        _false(survey, view, obstacle, lines, within_m) if survey.area is not None else None,
-        tuple(scores),
-    )
-
-
-def _view(universal: MapFile, survey: Survey) -> MapView:
-    """The map around what was surveyed."""
     shapes = [thing.shape for thing in survey.things]
     shapes += [] if survey.area is None else [survey.area]
     west, south, east, north = shapely.total_bounds(shapes)
@@ -141,7 +120,23 @@ def _view(universal: MapFile, survey: Survey) -> MapView:
             f"the datum) lies beside the map ({whole.west_m:.0f} to {whole.east_m:.0f} m east, "
             f"{whole.south_m:.0f} to {whole.north_m:.0f} m north); is it of this field?"
         )
-    return universal.read(bounds)
+    view = universal.read(bounds)
+    obstacle = view.observed & (view.density > OBSTACLE_ABOVE)
+    things = [thing for thing in survey.things if thing.kind != ROW]
+    scores = [_thing(thing, view, obstacle, within_m) for thing in things]
+    lines: list[Any] = []
+    surveyed_rows = [thing for thing in survey.things if thing.kind == ROW]
+    if surveyed_rows:
+        lines = [row.line for row in find_rows(universal, crop=planted).rows]
+        scores += [_row(row, view, lines, within_m) for row in surveyed_rows]
+    kinds = dict.fromkeys(score.kind for score in scores)
+    return SurveyScores(
+        within_m,
+        _by_chance(view, obstacle, survey, within_m),
+        tuple(_kind(kind, [one for one in scores if one.kind == kind]) for kind in kinds),
+        _false(survey, view, obstacle, lines, within_m) if survey.area is not None else None,
+        tuple(scores),
+    )
 
 
 def _thing(thing: Surveyed, view: MapView, obstacle: Bool, within_m: float) -> ThingScore:
@@ -181,7 +176,13 @@ def _row(row: Surveyed, view: MapView, lines: list[Any], within_m: float) -> Thi
         row.shape, np.arange(_STEP_M / 2.0, row.shape.length, _STEP_M)
     )
     at = shapely.get_coordinates(places)
-    seen = _observed_near(view, at, within_m)
+    side = 2 * round(within_m * view.lattice.cells_per_m) + 1
+    share = cv2.blur(view.observed.astype(np.float32), (side, side), borderType=cv2.BORDER_CONSTANT)
+    i, j = view.lattice.index(at[:, 0], at[:, 1])
+    i, j = i - view.window.i0, j - view.window.j0
+    inside = (i >= 0) & (j >= 0) & (i < view.window.width) & (j < view.window.height)
+    seen = np.zeros(len(at), dtype=np.bool_)
+    seen[inside] = share[j[inside], i[inside]] >= _LEAST_SHARE
     if seen.mean() < _LEAST_SHARE or not lines:
         found_seen = bool(seen.mean() >= _LEAST_SHARE)
         return ThingScore(row.kind, row.id, found_seen, False, None, None, None)
@@ -196,18 +197,6 @@ def _row(row: Surveyed, view: MapView, lines: list[Any], within_m: float) -> Thi
     east, north = across.mean(axis=0).tolist()
     error_m = math.sqrt(float((across**2).sum(axis=1).mean()))
     return ThingScore(row.kind, row.id, True, True, east, north, error_m)
-
-
-def _observed_near(view: MapView, at: Float64, within_m: float) -> Bool:
-    """Whether the map observed half of the square about each point."""
-    side = 2 * round(within_m * view.lattice.cells_per_m) + 1
-    share = cv2.blur(view.observed.astype(np.float32), (side, side), borderType=cv2.BORDER_CONSTANT)
-    i, j = view.lattice.index(at[:, 0], at[:, 1])
-    i, j = i - view.window.i0, j - view.window.j0
-    inside = (i >= 0) & (j >= 0) & (i < view.window.width) & (j < view.window.height)
-    seen = np.zeros(len(at), dtype=np.bool_)
-    seen[inside] = share[j[inside], i[inside]] >= _LEAST_SHARE
-    return seen
 
 
 def _by_chance(view: MapView, obstacle: Bool, survey: Survey, within_m: float) -> float | None:

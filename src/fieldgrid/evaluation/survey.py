@@ -57,8 +57,7 @@ class Survey(NamedTuple):
     @property
     def points_m(self) -> Float64:
         """The points, and the corners of the lines and polygons [n, 2], metres east and north."""
-        found: Float64 = shapely.get_coordinates([thing.shape for thing in self.things])
-        return found
+        return np.asarray(shapely.get_coordinates([thing.shape for thing in self.things]))
 
 
 def read_survey(path: str | Path, datum: Datum) -> Survey:
@@ -67,7 +66,7 @@ def read_survey(path: str | Path, datum: Datum) -> Survey:
     try:
         size = file_bytes(path)
         with path.open(encoding="utf-8-sig", newline="") as file:
-            if _is_json(path):
+            if path.suffix.lower() in (".geojson", ".json"):
                 check_document(size, path, TruthError)
                 things_of_file: Iterable[Surveyed] = _geojson(file.read(), datum)
             else:
@@ -80,7 +79,15 @@ def read_survey(path: str | Path, datum: Datum) -> Survey:
     except _SurveyError as error:
         raise TruthError(f"{path}: {error}") from error
     for thing in found:
-        _check_place(path, thing, datum)
+        if thing.shape.is_empty or not np.isfinite(shapely.get_coordinates(thing.shape)).all():
+            raise TruthError(f"{path}: {thing.kind} {thing.id!r} has no place.")
+        far_m = float(np.abs(shapely.bounds(thing.shape)).max())
+        if far_m > MAX_DISTANCE_M:
+            raise TruthError(
+                f"{path}: {thing.kind} {thing.id!r} lies {far_m / 1000:.0f} km from the map's "
+                f"datum {datum.described()}; is it the survey of this field, in longitude and "
+                "latitude?"
+            )
     areas = [thing.shape for thing in found if thing.kind == AREA]
     if any(shape.geom_type not in ("Polygon", "MultiPolygon") for shape in areas):
         raise TruthError(f"{path}: an {AREA} is no polygon; draw the ground that was surveyed.")
@@ -108,26 +115,9 @@ def _few(things: Iterable[Surveyed]) -> Iterator[Surveyed]:
         yield thing
 
 
-def _is_json(path: Path) -> bool:
-    return path.suffix.lower() in (".geojson", ".json")
-
-
-def _check_place(path: Path, thing: Surveyed, datum: Datum) -> None:
-    if thing.shape.is_empty or not np.isfinite(shapely.get_coordinates(thing.shape)).all():
-        raise TruthError(f"{path}: {thing.kind} {thing.id!r} has no place.")
-    far_m = float(np.abs(shapely.bounds(thing.shape)).max())
-    if far_m > MAX_DISTANCE_M:
-        raise TruthError(
-            f"{path}: {thing.kind} {thing.id!r} lies {far_m / 1000:.0f} km from the map's datum "
-            f"{datum.described()}; is it the survey of this field, in longitude and latitude?"
-        )
-
-
 def _geojson(text: str, datum: Datum) -> Iterable[Surveyed]:
     try:
-        document = parse_json(text)
-        features = document["features"]
-        for number, feature in enumerate(features, 1):
+        for number, feature in enumerate(parse_json(text)["features"], 1):
             properties = feature.get("properties") or {}
             _check_size(feature["geometry"])
             shape = shapely.geometry.shape(feature["geometry"])

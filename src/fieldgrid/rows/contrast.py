@@ -104,8 +104,7 @@ def chances_of_noise(contrasts: Sequence[Contrast]) -> Float64:
         return chances
     for k, one in enumerate(contrasts):
         if len(one.on):
-            as_many = len(beside) - np.searchsorted(beside, one.on)
-            ranks = (1.0 + as_many) / (1.0 + len(beside))
+            ranks = (1.0 + (len(beside) - np.searchsorted(beside, one.on))) / (1.0 + len(beside))
             chance = float(gammaincc(len(ranks), -np.log(ranks).sum()))
             chances[k] = min(1.0, 1.5 * min(chances[k], 2.0 * chance))
     return chances
@@ -130,8 +129,7 @@ def _shares(is_in: Bool, count: int) -> Float64:
     # The first ones are longer by one where it does not come out even.
     edges = k * (len(is_in) // count) + np.minimum(k, len(is_in) % count)
     sums = np.add.reduceat(is_in.sum(axis=1), edges[:-1])
-    shares: Float64 = sums / (np.diff(edges) * is_in.shape[1])
-    return shares
+    return np.asarray(sums / (np.diff(edges) * is_in.shape[1]))
 
 
 def stand_out(chances: Float64) -> Bool:

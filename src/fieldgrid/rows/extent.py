@@ -98,8 +98,7 @@ def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int]
     some = weight > 0.0
     if not some.any():
         return None
-    occupied = uniform_filter1d(weight, 3) > _OCCUPIED * float(np.median(weight[some]))
-    pieces = runs(occupied)
+    pieces = runs(uniform_filter1d(weight, 3) > _OCCUPIED * float(np.median(weight[some])))
     if crop.are_single:
         pieces = plants_among(weight, pieces)
     parts = _closed(pieces, crop.plant_spacing_m / step_m)

@@ -168,15 +168,9 @@ def seen_cells(evidence: Evidence, line: shapely.LineString, reach_m: float) -> 
     return round(np.count_nonzero(strip.cells != UNSEEN) / _PER_CELL**2)
 
 
-class ObstacleCells(NamedTuple):
-    """Obstacle cells that are no part of a row: their outline, and the area of the cells."""
-
-    outline: shapely.Polygon
-    area_m2: float
-
-
-def find_things(evidence: Evidence, canopy: UInt8) -> list[ObstacleCells]:
-    """What stands in lanes, in gaps and beside the rows, whose canopies are a mask of the cells."""
+def find_things(evidence: Evidence, canopy: UInt8) -> list[tuple[shapely.Polygon, float]]:
+    """What stands in lanes, in gaps and beside the rows, whose canopies are a mask of the cells:
+    the outline of its obstacle cells, and their area in square metres."""
     obstacle = (evidence.cells == OBSTACLE).astype(np.uint8)
     size = max(1, round(_JOIN_M / evidence.cell_m)) | 1
     beside = cv2.morphologyEx(
@@ -197,19 +191,19 @@ def find_things(evidence: Evidence, canopy: UInt8) -> list[ObstacleCells]:
             continue
         if touching[k] and not _sticks_out(evidence, canopy, window, mine):
             continue
-        found.append(ObstacleCells(_hull(evidence, mine, left, top), area))
+        j, i = np.nonzero(mine)
+        west, south = evidence.origin_m
+        corners = np.concatenate([np.column_stack([i + a, j + b]) for a in (0, 1) for b in (0, 1)])
+        places = (corners + np.array([left, top])) * evidence.cell_m + (west, south)
+        found.append((shapely.MultiPoint(places).convex_hull, area))
     return found
 
 
-class Stray(NamedTuple):
-    """Obstacle cells within blocks that are on no row: how many, and their share of all there."""
-
-    cells: int
-    share: float
-
-
-def stray_cells(evidence: Evidence, canopy: UInt8, blocks: list[shapely.Polygon]) -> Stray:
-    """The obstacle cells of blocks beside the canopies of their rows, of which gaps are no part."""
+def stray_cells(
+    evidence: Evidence, canopy: UInt8, blocks: list[shapely.Polygon]
+) -> tuple[int, float]:
+    """The number of obstacle cells of blocks beside the canopies of their rows, of which gaps are
+    no part, and their share of all obstacle cells of blocks."""
     inside = np.zeros(evidence.cells.shape, dtype=np.uint8)
     for block in blocks:
         _fill(inside, evidence, block)
@@ -217,7 +211,7 @@ def stray_cells(evidence: Evidence, canopy: UInt8, blocks: list[shapely.Polygon]
     every = int(np.count_nonzero(inside))
     inside &= ~canopy
     stray = int(np.count_nonzero(inside))
-    return Stray(stray, stray / max(every, 1))
+    return stray, stray / max(every, 1)
 
 
 def _sticks_out(evidence: Evidence, canopy: UInt8, window: tuple[slice, slice], mine: Bool) -> bool:
@@ -255,14 +249,6 @@ def _fill(mask: UInt8, evidence: Evidence, shape: shapely.Polygon, value: int = 
     west, south = evidence.origin_m
     ring = (np.asarray(shape.exterior.coords) - (west, south)) * evidence.lattice.cells_per_m
     cv2.fillPoly(mask, [np.floor(ring).astype(np.int32)], value)
-
-
-def _hull(evidence: Evidence, mine: Bool, left: int, top: int) -> shapely.Polygon:
-    j, i = np.nonzero(mine)
-    west, south = evidence.origin_m
-    corners = np.concatenate([np.column_stack([i + a, j + b]) for a in (0, 1) for b in (0, 1)])
-    places = (corners + np.array([left, top])) * evidence.cell_m + (west, south)
-    return shapely.MultiPoint(places).convex_hull
 
 
 def find_headlands(
@@ -309,8 +295,7 @@ def polygons_of(evidence: Evidence, mask: UInt8, least_m2: float) -> list[shapel
     half_m = 0.5 * evidence.cell_m
 
     def ring(contour: np.ndarray) -> Float64:
-        places: Float64 = (contour[:, 0].astype(np.float64) + 0.5) * half_m + (west, south)
-        return places
+        return np.asarray((contour[:, 0].astype(np.float64) + 0.5) * half_m + (west, south))
 
     found = []
     for k, contour in enumerate(contours):

@@ -75,8 +75,7 @@ def neighbour_pairs(lines: list[Float64], crop: Crop) -> tuple[list[Pair], float
             length = lengths(lines[other])[-1]
             beside = (s >= 0.0) & (s <= length)
             # To the left of this row is where the other one has it on its right.
-            foot = _at(lines[other], s)
-            side = ((foot - sample) * left).sum(axis=1)
+            side = ((_at(lines[other], s) - sample) * left).sum(axis=1)
             distances[n] = np.where(beside & (side > 0.0), np.abs(v), np.inf)
         nearest = distances.argmin(axis=0)
         found = distances.min(axis=0)
