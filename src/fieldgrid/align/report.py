@@ -127,16 +127,14 @@ def summed_up(
     for n, drive in enumerate(drives):
         after = solution.transforms[n]
         if drive.role is Role.MOVES:
-            others = tuple(drives[k].name for k in sorted(with_[n] - {n}))
             earlier = before[n].aligned
-            was = before[n].to_text() if earlier is None else earlier.before
             after = replace(
                 after,
                 aligned=Aligned(
                     float(sigma_m[n, n]),
                     float(solution.turn_sigma_deg[n]),
-                    others,
-                    was,
+                    tuple(drives[k].name for k in sorted(with_[n] - {n})),
+                    before[n].to_text() if earlier is None else earlier.before,
                     stated_m=drive.stated_m,
                 ),
             )
@@ -199,13 +197,19 @@ def _pair(
     )
     left = np.linalg.pinv(total, hermitian=True) @ pulled
     told, axes = np.linalg.eigh(total)
+    contradictions = [
+        Contradiction(matches[k].at_m, solution.left_m[k], float(solution.misfit[k]))
+        for k in own
+        if solution.misfit[k] > CONTRADICTS_SIGMAS
+    ]
     return PairAlignment(
         drives[a].name, drives[b].name, one.at_m,
         moved + left if trusted else one.shift_m, left if trusted else one.shift_m,
         turned if trusted else one.turn_deg,
         sigma_m, float(np.degrees(np.arctan2(*axes[:, 0])) % 180.0),
         float(told[0] ** -0.5) if told[0] > 0.0 else np.inf, len(own), one.doubt, one,
-        float(np.sqrt(max(left @ total @ left, 0.0))), _contradictions(matches, solution, own),
+        float(np.sqrt(max(left @ total @ left, 0.0))),
+        tuple(sorted(contradictions, key=lambda one: -one.sigmas)),
     )  # fmt: skip
 
 
@@ -257,18 +261,6 @@ def _bent_m(drive: SubmapDrive, transform: Transform) -> Float64:
 def _open_m(*drives: SubmapDrive) -> float:
     """By how much drives may be bent against each other, as their receivers state."""
     return max(BENT_SIGMAS * math.hypot(*(drive.wander_m for drive in drives)), SCATTER_M)
-
-
-def _contradictions(
-    matches: Sequence[Match], solution: NetworkSolution, own: Sequence[int]
-) -> tuple[Contradiction, ...]:
-    """Those of some matches, the worst first."""
-    found = [
-        Contradiction(matches[k].at_m, solution.left_m[k], float(solution.misfit[k]))
-        for k in own
-        if solution.misfit[k] > CONTRADICTS_SIGMAS
-    ]
-    return tuple(sorted(found, key=lambda one: -one.sigmas))
 
 
 def _moved(

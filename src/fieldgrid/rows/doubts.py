@@ -48,7 +48,7 @@ def find_doubts(
     crop: Crop,
     pitch_m: Sequence[float],
 ) -> tuple[Doubt, ...]:
-    """The doubts of a planting. `stray` is the number of obstacle cells on no row, with their share,
+    """The doubts of a planting. `stray` is the number of obstacle cells on no row, and their share,
     as `stray_cells` counts them; `roads` may cross the rows or not; `pitch_m` is how far single
     plants of each row are from each other, and empty for other plants."""
     if not planting.rows:
@@ -105,7 +105,6 @@ def _at_roads(planting: Planting, roads: Sequence[DoubtfulRoad]) -> Iterator[Dou
     """Holes side by side of which nobody can say whether they are a road."""
     for road in roads:
         holes = shapely.MultiLineString(road.holes)
-        names = tuple(row.id for row in planting.rows if row.line.distance(holes) < _ON_ROW_M)
         middle = holes.centroid
         taken = (
             "they are taken for a road, at which rows end, and may lack plants"
@@ -114,7 +113,7 @@ def _at_roads(planting: Planting, roads: Sequence[DoubtfulRoad]) -> Iterator[Dou
         )
         yield Doubt(
             "road",
-            names,
+            tuple(row.id for row in planting.rows if row.line.distance(holes) < _ON_ROW_M),
             f"{len(road.holes)} holes lie side by side near {middle.x:.1f} m east and "
             f"{middle.y:.1f} m north: {taken}",
         )

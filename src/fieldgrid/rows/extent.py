@@ -111,9 +111,7 @@ def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int]
         if hole * step_m > crop.max_bridge_m:
             return False
         place = crop.plant_spacing_m / step_m
-        if crop.are_single and hole <= _FEW * place:
-            return True
-        if parts[k][1] - parts[k][0] >= least:
+        if (crop.are_single and hole <= _FEW * place) or parts[k][1] - parts[k][0] >= least:
             return True
         reach = max(_REACH * hole, _REACH_M / step_m)
         near = [min(b, parts[k][0] + reach) - max(a, parts[k][1] - reach) for a, b in parts[beyond]]

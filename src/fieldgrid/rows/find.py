@@ -22,8 +22,11 @@ from fieldgrid.rows.crops import Crop, crop_named
 from fieldgrid.rows.doubts import find_doubts, is_better, may_bend
 from fieldgrid.rows.drives import Reach, VehicleTracks, drives_of
 from fieldgrid.rows.ground import (
+    canopies,
+    find_things,
     measure_lane,
     seen_cells,
+    stray_cells,
     without_specks,
 )
 from fieldgrid.rows.measure import MeasuredRow, measure_rows
@@ -32,7 +35,7 @@ from fieldgrid.rows.pitch import plant_pitch_m
 from fieldgrid.rows.result import Block, Gap, Lane, Planting, Row
 from fieldgrid.rows.roads import DoubtfulRoad, split_at_roads
 from fieldgrid.rows.segments import find_segments, link, thinned
-from fieldgrid.rows.surroundings import headlands_of, obstacles_of, off_rows
+from fieldgrid.rows.surroundings import headlands_of, obstacles_of
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -145,7 +148,8 @@ def _with_crop(
             [lane.area for lane in lanes if ordered.block_of[lane.left] == block],
             [ordered.rows[k].half_width_m for k in members],
         )
-    things, stray = off_rows(evidence, speckless, ordered, areas)
+    canopy = canopies(evidence, ordered.rows)
+    stray = stray_cells(evidence, canopy, list(areas.values()))
     found = Planting(
         datum,
         evidence.lattice.bounds(evidence.window),
@@ -155,7 +159,7 @@ def _with_crop(
         _gaps(evidence, ordered, rows, reach),
         headlands_of(clean, ordered, areas, headland_m, reach),
         _blocks(ordered, areas, rows, found_lanes),
-        obstacles_of(evidence, things, ordered, found_lanes, reach),
+        obstacles_of(evidence, find_things(speckless, canopy), ordered, found_lanes, reach),
     )
     singles = ordered.rows if crop.are_single else []
     pitch_m = [plant_pitch_m(evidence, row.line, row.half_width_m) for row in singles]

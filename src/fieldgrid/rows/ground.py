@@ -187,9 +187,7 @@ def find_things(evidence: Evidence, canopy: UInt8) -> list[tuple[shapely.Polygon
         mine = labels[window] == k
         area = float((obstacle[window] & mine).sum()) * cell_m2
         least = _PROTRUSION_M2 if touching[k] else _THING_M2
-        if area < least:
-            continue
-        if touching[k] and not _sticks_out(evidence, canopy, window, mine):
+        if area < least or (touching[k] and not _sticks_out(evidence, canopy, window, mine)):
             continue
         j, i = np.nonzero(mine)
         west, south = evidence.origin_m

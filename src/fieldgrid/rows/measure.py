@@ -226,13 +226,12 @@ def _measured(
         tuple((a - extent.start_m, b - extent.start_m) for a, b in extent.unseen_m),
         extent.ends_seen,
     )
-    sides = float((faces.left_seen[inside].astype(int) + faces.right_seen[inside]).mean())
     return MeasuredRow(
         own,
         np.interp(at, lengths(curve.line), sigma),
         shifted,
         float(half),
-        sides,
+        float((faces.left_seen[inside].astype(int) + faces.right_seen[inside]).mean()),
         int(profile.weight.sum()),
         curve.scatter_m,
     )

@@ -8,25 +8,8 @@ import shapely
 from fieldgrid.evidence import Evidence
 from fieldgrid.rows.blocks import OrderedRows
 from fieldgrid.rows.drives import Reach
-from fieldgrid.rows.ground import (
-    canopies,
-    find_headlands,
-    find_things,
-    stray_cells,
-)
+from fieldgrid.rows.ground import find_headlands
 from fieldgrid.rows.result import Headland, Lane, Obstacle
-
-
-def off_rows(
-    evidence: Evidence,
-    speckless: Evidence,
-    ordered: OrderedRows,
-    areas: dict[str, shapely.Polygon],
-) -> tuple[list[tuple[shapely.Polygon, float]], tuple[int, float]]:
-    """What stands off the canopies: things as `find_things` has them, and obstacle cells of blocks
-    as `stray_cells` counts them."""
-    canopy = canopies(evidence, ordered.rows)
-    return find_things(speckless, canopy), stray_cells(evidence, canopy, list(areas.values()))
 
 
 def headlands_of(
