@@ -22,7 +22,7 @@ from fieldgrid.align.agreement import Agreement, agree
 from fieldgrid.align.beside import with_beside
 from fieldgrid.align.comparing import SubmapGroup, fine_matches, whole_scores
 from fieldgrid.align.drives import WANDER_SHARE, Role, SubmapDrive, read_drives
-from fieldgrid.align.heights import Levels, level
+from fieldgrid.align.heights import HeightCorrections, level
 from fieldgrid.align.matches import Match
 from fieldgrid.align.network import left_between, solve, turn_sigma_deg, wrong_ones
 from fieldgrid.align.pairs import (
@@ -63,11 +63,12 @@ BEYOND_M = 2.0
 FINE_REACH_M = 1.5
 
 FAR_SIGMAS = 3.0
-"""Drives that agree so many stated errors apart contradict what their receivers state."""
+"""Drives whose best agreement is more than this number of stated errors away contradict what their
+receivers state."""
 
 FOUND_WANDER_M = 0.25
-"""Receivers that are farther off than they state wander by so much at most, or by what they state:
-most of them have a wrong base."""
+"""The largest wander of receivers that are farther off than they state, or what they state where
+that is more: most of them have a wrong base."""
 
 FINE_ROUNDS = 2
 
@@ -98,8 +99,8 @@ def align_map(
     further ones take part.
     `reach_m` is the largest shift that is believed; without `rounds` of fine comparison shifts are
     good to a decimetre, in a third of the time. With `most_others` each drive that may move is
-    compared with so many others that may and so many that may not, those that it shares most
-    ground with, and not with all.
+    compared with this number of others that may and this number of those that may not, which
+    share most ground with it, and not with all.
     `jobs` is the number of threads, all cores when not given; with a `scheduler`, the address of
     one of Dask or a client, the workers of that cluster compare submaps, which are sent to them.
     Raises ConfigError for names that are not in the map, or nothing to align, ClusterError where
@@ -110,11 +111,13 @@ def align_map(
     drives = read_drives(universal, _roles(universal, sessions, to, datum_from))
     tell = progress or (lambda stage, done, count: None)
     with runner(jobs, scheduler) as workers:
-        found = _aligned(_Run(drives, reach_m, most_others, tell, workers), drives, rounds)
+        found = _aligned(
+            _SubmapComparison(drives, reach_m, most_others, tell, workers), drives, rounds
+        )
     return with_beside(universal, found)
 
 
-def _aligned(run: _Run, drives: list[SubmapDrive], rounds: int) -> MapAlignment:
+def _aligned(run: _SubmapComparison, drives: list[SubmapDrive], rounds: int) -> MapAlignment:
     """How drives lie against each other, by their submaps."""
     agreements, coarse = run.compare_as_wholes()
     believed = {(one.a, one.b): one.along for one in agreements if one.doubt is None}
@@ -141,7 +144,7 @@ def _aligned(run: _Run, drives: list[SubmapDrive], rounds: int) -> MapAlignment:
             solution = solve(drives, now, matches)
     rough_m = 0.0 if rounds else ROUGH_M
     doubtful = {n for one in agreements if one.doubt is not None for n in (one.a, one.b)}
-    heights = Levels((None,) * len(drives), {})
+    heights = HeightCorrections((None,) * len(drives), {})
     if rounds:
         heights = level(drives, solution.transforms, doubtful)
     corrected = [
@@ -235,7 +238,7 @@ def undo_alignment(universal: MapFile, sessions: Collection[str] | None = None) 
     return chosen
 
 
-class _Run:
+class _SubmapComparison:
     """Comparing submaps, by threads of this process or by the workers of a cluster."""
 
     def __init__(

@@ -9,7 +9,7 @@ import numpy as np
 
 from fieldgrid.align.matches import Match
 from fieldgrid.align.pairs import SubmapPair
-from fieldgrid.align.score import Against, Scores, peak, turn_peak
+from fieldgrid.align.score import Scores, SubmapCorrelator, peak, turn_peak
 from fieldgrid.align.submaps import SubmapImage
 
 
@@ -24,7 +24,7 @@ class SubmapGroup(NamedTuple):
 def whole_scores(reach_m: float, group: SubmapGroup) -> list[tuple[SubmapPair, Scores]]:
     """The scores of a submap with others over all shifts up to `reach_m`, for those pairs that
     share obstacles."""
-    against = Against(group.a, reach_m)
+    against = SubmapCorrelator(group.a, reach_m)
     return [
         (pair, scores)
         for pair, (own,) in zip(group.pairs, group.b, strict=True)
@@ -35,7 +35,7 @@ def whole_scores(reach_m: float, group: SubmapGroup) -> list[tuple[SubmapPair, S
 def fine_matches(reach_m: float, group: SubmapGroup) -> list[tuple[SubmapPair, Match]]:
     """The matches of a submap with others, by shifts up to `reach_m` and turns, for those pairs
     that share obstacles."""
-    against = Against(group.a, reach_m)
+    against = SubmapCorrelator(group.a, reach_m)
     found = []
     for pair, (straight, less, more) in zip(group.pairs, group.b, strict=True):
         score = against.scores(straight)

@@ -17,12 +17,12 @@ LEAST_SHARE = 0.25
 """Submaps are compared when this share of the smaller one was seen by the other, too."""
 
 MOST_OF_A_DRIVE, MOST_OF_ALL = 3, 5
-"""A submap is compared with so many of one other drive, and with so many in all: those that share
-most."""
+"""The number of submaps of one other drive, and of all drives, that a submap is compared with:
+those that share most ground with it."""
 
 MOST_OF_TWO = 16
-"""To see whether two drives agree as wholes so many pairs are enough that overlap as they lie, and
-so many more for other shifts."""
+"""The number of overlapping pairs that show whether two drives agree as wholes, and of further
+pairs for other shifts."""
 
 COARSE_M = 1.0
 """How finely it is told which shifts make submaps overlap."""
@@ -31,8 +31,8 @@ MOST_LOOKED_AT = 96
 """Pairs of two drives of which this is told, from all along them."""
 
 APART = 3
-"""Submaps of one drive are compared when so many lie between them: before, they see the same from
-the same way."""
+"""Submaps of one drive are compared when their numbers differ by this or more; nearer ones see the
+same ground from the same way."""
 
 SAME_LANE_M = 1.2
 """Vehicles whose tracks lie farther apart see the opposite faces of what stands between them."""
@@ -118,9 +118,9 @@ def placed(of: Overlap, pictures: Sequence[Sequence[SubmapImage]]) -> SubmapPair
 
 
 def of_nearest(pairs: Iterable[Overlap], moving: Collection[int], most: int) -> list[Overlap]:
-    """The pairs within drives, and those of each `moving` drive with so many others that move, and
-    so many that do not: those that it shares most ground with. Drives of one day may share one
-    error, which only older ones show."""
+    """The pairs within drives, and those of each `moving` drive with the `most` others that move
+    and the `most` that do not: those that it shares most ground with. Drives of one day may share
+    one error, which only older drives show."""
     every = list(pairs)
     shared = defaultdict[tuple[int, int], float](float)
     for pair in every:

@@ -22,10 +22,11 @@ CONTRADICTS_SIGMAS = 4.0
 """What is left of a match, in its sigmas, that its two axes have by chance in one of 3,000."""
 
 BENT_SIGMAS = 3.0
-"""So many of its stated slow errors a drive is bent by chance in one place of 90."""
+"""A drive is bent by this number of its stated slow errors by chance in one place of 90."""
 
 WITHIN_SIGMAS = 2.0
-"""Places that contradict each other are so many of the errors apart that are stated for them."""
+"""Two places contradict each other when they are more than this number of their stated errors
+apart."""
 
 
 class DriveAlignment(NamedTuple):
@@ -52,7 +53,8 @@ class DriveAlignment(NamedTuple):
 
 class Contradiction(NamedTuple):
     """A place `at_m` [2], east and north, where a match of two drives contradicts how they lie
-    after alignment: by `left_m` [2], which is so many `sigmas` of the match."""
+    after alignment: by `left_m` [2]. `sigmas` is that distance in standard deviations of the match.
+    """
 
     at_m: Float64
     left_m: Float64

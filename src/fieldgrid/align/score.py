@@ -67,7 +67,7 @@ class Scores(NamedTuple):
         return self.cell_m * np.arange(-self.reach, self.reach + 1, dtype=np.float64)
 
 
-class Against:
+class SubmapCorrelator:
     """A picture with which others of its lattice are compared, up to a shift."""
 
     def __init__(self, a: SubmapImage, reach_m: float) -> None:
@@ -224,7 +224,7 @@ PROBE_REACH_M = 0.6
 
 
 def turn_peak(
-    a: Against, less: SubmapImage, straight: Scores, more: SubmapImage
+    a: SubmapCorrelator, less: SubmapImage, straight: Scores, more: SubmapImage
 ) -> tuple[float, float]:
     """The turn of a picture with the scores `straight`, degrees clockwise, that agrees best with
     `a`, and its information (1/degrees²), 0 where nothing is told. From these scores and from

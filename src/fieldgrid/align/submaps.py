@@ -22,10 +22,10 @@ from fieldgrid.mapfile import FrameRecord, Transform
 from fieldgrid.transfer import Transfer, footprint
 
 SUBMAP_M = 8.0
-"""A submap ends after so many metres of driving."""
+"""Metres of driving after which a submap ends."""
 
 PAUSE_NS = 30_000_000_000
-"""Or where nothing was seen for so long: a receiver wanders meanwhile."""
+"""A submap also ends where nothing was seen for this time: a receiver wanders meanwhile."""
 
 FULL = 150.0
 """Densities from here on say obstacle with full weight; half of it is a potential obstacle."""

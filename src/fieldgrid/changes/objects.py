@@ -29,7 +29,7 @@ from scipy.spatial import cKDTree
 from scipy.special import betainc
 
 from fieldgrid.array_types import Int16, Int64
-from fieldgrid.changes.cells import Changed, SideDrives
+from fieldgrid.changes.cells import CellChanges, SideDrives
 from fieldgrid.changes.result import ChangedObject, ChangeKind
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
@@ -48,7 +48,7 @@ class ChangedCells(NamedTuple):
     """Cells that are one object, and what became of it."""
 
     kind: ChangeKind
-    cells: Changed
+    cells: CellChanges
 
     @property
     def window(self) -> Window:
@@ -65,7 +65,7 @@ class Votes(NamedTuple):
 
 
 def things_of(
-    cells: Changed,
+    cells: CellChanges,
     kinds: tuple[ChangeKind, ChangeKind],
     lattice: Lattice,
     growth_m: float,
@@ -102,7 +102,7 @@ def things_of(
     return found
 
 
-def _connected(cells: Changed, among: Int64) -> Iterator[Int64]:
+def _connected(cells: CellChanges, among: Int64) -> Iterator[Int64]:
     """The parts of some cells that lie side by side."""
     if not among.size:
         return

@@ -21,13 +21,13 @@ STRAIGHT_M = 0.15
 """What bends less is one straight track; `drive_lane` takes it for one, too."""
 
 CURVE_MARGIN_M = 0.2
-"""By so much a vehicle may leave a curve that it follows."""
+"""The largest distance of a vehicle from a curve that it follows."""
 
 MOST_TURN = 0.95
 """Radians in a turning radius of way: a curve that turns more is cut there."""
 
 
-class Drivable:
+class DrivableLines:
     """What of a line a vehicle can drive on its ground, that works a width."""
 
     def __init__(self, searcher: Searcher, wide_m: float) -> None:
@@ -128,7 +128,7 @@ def turns(line: Float64, radius_m: float) -> Float64:
 
 
 def _shifted(values: Float64, by: int) -> Float64:
-    """The values so many places on; the first or the last where there is none."""
+    """The values `by` places later; the first or the last one where there is none."""
     places = np.clip(np.arange(len(values)) + by, 0, len(values) - 1)
     return np.asarray(values[places])
 

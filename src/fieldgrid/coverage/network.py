@@ -24,8 +24,8 @@ _MORE_POSES = 60_000
 _RETRIES = 40
 
 _USUALLY = 1.5
-"""So much more than its lower bound a way between tracks is taken to cost before it is planned:
-headlands leave hardly any way straight, and of many tracks few ways need planning."""
+"""The factor by which a way between tracks is taken to cost more than its lower bound before it is
+planned: headlands leave hardly any way straight, and of many tracks few ways need planning."""
 
 _ENOUGH = 4
 """Ways that are planned for each track before the order is made of those that are known: of a
@@ -36,7 +36,7 @@ _MOST_FAILED = 8
 none but those that were found: where a vehicle hardly turns, others take minutes to fail, too."""
 
 _LONGER = 1.02
-"""An order that costs less may be so much longer than the shortest one."""
+"""The largest length of an order that costs less, in lengths of the shortest order."""
 
 _SHARES = (4.0, 2.0, 1.0, 0.5, 0.25)
 """Of the costs, beside the lengths, in the search for such an order."""
@@ -116,7 +116,7 @@ class Network:
         return found
 
     def order(self, worth: Float64) -> VisitOrder:
-        """The best order of the lanes, which are worth so much each. Where lanes are left out, the
+        """The best order of the lanes, each of which has a `worth`. Where lanes are left out, the
         nearest ways from and to them of which the search was cut short are searched for longer. An
         order of lanes is hardly longer than the shortest one, though it may cost less."""
         costs, lengths, known = self.bounds()
@@ -219,8 +219,8 @@ class Network:
     def _bound(
         self, starts: list[SearchPose], goals: list[SearchPose], left_m: Float32, changes: int
     ) -> float:
-        """No way between poses costs less; inf where there is none. One that reverses has at least
-        so many changes of gear."""
+        """A lower bound of the cost of a way between poses; inf where there is none. A way that
+        reverses has at least `changes` changes of gear."""
         around = float(left_m[self.searcher.coarse_place(starts[0])])
         if not math.isfinite(around):
             return math.inf

@@ -164,8 +164,8 @@ def _around(
     first: tuple[float, float],
     last: tuple[float, float],
 ) -> Pass:
-    """A way that the search finds between the sides of a lane, from and to so far beside its line
-    and along it."""
+    """A way that the search finds between the sides of a lane; `first` and `last` are its ends: the
+    distances to the left of the lane's line, and along it."""
     ground, vehicle = searcher.ground, searcher.vehicle
     corner = np.array([ground.west_m, ground.south_m])
     beyond_m = vehicle.reach_m + vehicle.clearance_m + 1.0

@@ -21,7 +21,7 @@ from fieldgrid.coverage.lines import (
     MOST_TURN,
     STEP_M,
     STRAIGHT_M,
-    Drivable,
+    DrivableLines,
     runs,
     turns,
 )
@@ -33,8 +33,8 @@ from fieldgrid.route.search import Searcher
 from fieldgrid.rows import Block, Headland, Lane, Obstacle, Planting
 
 _CORNER = 0.5
-"""Radians in a turning radius of way: an outline is cut at a corner of so much, where the vehicle
-may reverse out of it."""
+"""Radians in a turning radius of way: an outline is cut at a corner that turns more, where the
+vehicle may reverse out of it."""
 
 _SHIFTS_M = (-0.1, 0.0, 0.1, 0.2, 0.3, 0.4)
 """Away from what is blocked, of a straight pass beside it: the first that is free nearly all along
@@ -45,7 +45,7 @@ _EVERY_DEG = 10.0
 _MOST_LINES = 2000
 
 
-class Laid(NamedTuple):
+class TrackLayout(NamedTuple):
     """Tracks as the lanes of a planting; the ground inside the headland passes; all ground that the
     working width reaches; the width."""
 
@@ -57,7 +57,7 @@ class Laid(NamedTuple):
 
 def lay_tracks(
     searcher: Searcher, asked: Tracks, datum: Datum, bounds: Bounds, *, fill_unseen: bool
-) -> Laid:
+) -> TrackLayout:
     """Tracks over the ground of a searcher. Raises NoRouteError where there is no room for one,
     ConfigError for too many."""
     vehicle = searcher.vehicle
@@ -70,7 +70,7 @@ def lay_tracks(
     inners = []
     for standing in places:
         name = f"F{len(blocks) + 1}"
-        field = _Field(searcher, asked, wide_m, step_m, name, standing)
+        field = _TrackField(searcher, asked, wide_m, step_m, name, standing)
         mine = field.lanes()
         if not mine:
             continue
@@ -95,10 +95,10 @@ def lay_tracks(
         datum, bounds, searcher.ground.cell_m, (), tuple(lanes), (), tuple(headlands),
         tuple(blocks), tuple(things),
     )  # fmt: skip
-    return Laid(planting, shapely.union_all(inners), reachable, wide_m)
+    return TrackLayout(planting, shapely.union_all(inners), reachable, wide_m)
 
 
-class _Field:
+class _TrackField:
     """One piece of ground, where the reference point may be."""
 
     def __init__(
@@ -112,7 +112,7 @@ class _Field:
     ) -> None:
         self.searcher, self.asked, self.name = searcher, asked, name
         self.wide_m, self.step_m = wide_m, step_m
-        self._drivable = Drivable(searcher, wide_m)
+        self._drivable = DrivableLines(searcher, wide_m)
         vehicle = searcher.vehicle
         # Where the width reaches farther than the vehicle, its edge keeps to the ground.
         self._inset = max(0.5 * (wide_m - vehicle.work_width_m) - vehicle.clearance_m, 0.0)
@@ -140,7 +140,7 @@ class _Field:
         ]
 
     def _inside(self, passes: int) -> shapely.Geometry:
-        """The ground that so many passes leave."""
+        """The ground that remains inside this number of headland passes."""
         if not passes:
             grown = 0.5 * self.wide_m
             holes = shapely.union_all([hole.buffer(-grown) for hole in self._holes])

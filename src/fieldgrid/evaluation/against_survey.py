@@ -22,7 +22,7 @@ from scipy import ndimage
 
 from fieldgrid.array_types import Bool
 from fieldgrid.errors import TruthError
-from fieldgrid.evaluation.survey import ROW, Survey, Surveyed
+from fieldgrid.evaluation.survey import ROW, Survey, SurveyFeature
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, MapView
@@ -31,7 +31,7 @@ from fieldgrid.rows import crop_named, find_rows
 WITHIN_M = 0.3
 
 _STEP_M = 0.25
-"""Rows are compared at points so far from each other."""
+"""The distance between the points at which rows are compared."""
 
 _LEAST_SHARE = 0.5
 _MARGIN_M = 5.0
@@ -139,7 +139,7 @@ def evaluate_survey(
     )
 
 
-def _thing(thing: Surveyed, view: MapView, obstacle: Bool, within_m: float) -> ThingScore:
+def _thing(thing: SurveyFeature, view: MapView, obstacle: Bool, within_m: float) -> ThingScore:
     reach_m = thing.radius_m + within_m
     rows, columns = _slices(view, thing.shape, reach_m)
     east_m, north_m = view.lattice.centres(view.window)
@@ -171,7 +171,7 @@ def _slices(view: MapView, shape: Any, reach_m: float) -> tuple[slice, slice]:
     return slice(int(j[0]), int(j[1]) + 1), slice(int(i[0]), int(i[1]) + 1)
 
 
-def _row(row: Surveyed, view: MapView, lines: list[Any], within_m: float) -> ThingScore:
+def _row(row: SurveyFeature, view: MapView, lines: list[Any], within_m: float) -> ThingScore:
     places = shapely.line_interpolate_point(
         row.shape, np.arange(_STEP_M / 2.0, row.shape.length, _STEP_M)
     )

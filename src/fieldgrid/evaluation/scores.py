@@ -23,9 +23,9 @@ from fieldgrid.evaluation.attitude import score_attitude
 from fieldgrid.evaluation.results import (
     Evaluation,
     FrameError,
+    GroupScores,
     ObstacleScores,
     PoseErrors,
-    ScoredGroup,
 )
 from fieldgrid.evaluation.terrain import score_terrain
 from fieldgrid.evaluation.truth import Truth, TruthPose
@@ -86,7 +86,7 @@ def evaluate(
         unmatched_frames=unmatched,
         unlevelled_frames=_unlevelled(universal, [one for one, _ in matched if one.accepted]),
         groups=tuple(
-            ScoredGroup(
+            GroupScores(
                 name, _score_map(universal, truth, pairs, observable_pixels), _score_poses(pairs)
             )
             for name, pairs in groups

@@ -38,7 +38,7 @@ _EAST, _NORTH = ("eastm", "east"), ("northm", "north")
 _RADIUS = "radius_m"
 
 
-class Surveyed(NamedTuple):
+class SurveyFeature(NamedTuple):
     """One thing that was surveyed: a point, line or polygon, metres east and north of the datum,
     and how far it reaches around that: the radius of a post, half the width of a row."""
 
@@ -51,7 +51,7 @@ class Surveyed(NamedTuple):
 class Survey(NamedTuple):
     """What was surveyed, and the ground that the survey covers; None where it does not say."""
 
-    things: tuple[Surveyed, ...]
+    things: tuple[SurveyFeature, ...]
     area: Any | None
 
     @property
@@ -68,7 +68,7 @@ def read_survey(path: str | Path, datum: Datum) -> Survey:
         with path.open(encoding="utf-8-sig", newline="") as file:
             if path.suffix.lower() in (".geojson", ".json"):
                 check_document(size, path, TruthError)
-                things_of_file: Iterable[Surveyed] = _geojson(file.read(), datum)
+                things_of_file: Iterable[SurveyFeature] = _geojson(file.read(), datum)
             else:
                 things_of_file = _csv(bounded_lines(file, path), datum)
             found = list(_few(things_of_file))
@@ -107,7 +107,7 @@ class _SurveyError(Exception):
     """What is wrong in a file, without its name."""
 
 
-def _few(things: Iterable[Surveyed]) -> Iterator[Surveyed]:
+def _few(things: Iterable[SurveyFeature]) -> Iterator[SurveyFeature]:
     """What is in a survey, while it is not more than can be."""
     for count, thing in enumerate(things):
         if count == MOST_FEATURES:
@@ -115,7 +115,7 @@ def _few(things: Iterable[Surveyed]) -> Iterator[Surveyed]:
         yield thing
 
 
-def _geojson(text: str, datum: Datum) -> Iterable[Surveyed]:
+def _geojson(text: str, datum: Datum) -> Iterable[SurveyFeature]:
     try:
         for number, feature in enumerate(parse_json(text)["features"], 1):
             properties = feature.get("properties") or {}
@@ -129,7 +129,9 @@ def _geojson(text: str, datum: Datum) -> Iterable[Surveyed]:
                     f"{kind} {name!r} has the position {degrees[0].tolist()}, which is no "
                     "longitude and latitude; export it in WGS84, as GeoJSON asks."
                 )
-            yield Surveyed(kind, name, _in_plane(shape, datum), _radius_m(properties.get(_RADIUS)))
+            yield SurveyFeature(
+                kind, name, _in_plane(shape, datum), _radius_m(properties.get(_RADIUS))
+            )
     except (TypeError, KeyError, ValueError, AttributeError) as error:
         raise _SurveyError(f"it is no GeoJSON FeatureCollection ({error!r}).") from error
     except shapely.errors.ShapelyError as error:
@@ -169,7 +171,7 @@ def _radius_m(given: Any) -> float:
     return radius_m
 
 
-def _csv(lines: Iterable[str], datum: Datum) -> Iterable[Surveyed]:
+def _csv(lines: Iterable[str], datum: Datum) -> Iterable[SurveyFeature]:
     reader = csv.DictReader(lines)
     try:
         names = {re.sub("[^a-z]", "", n.lower()): n for n in reader.fieldnames or () if n}
@@ -211,13 +213,13 @@ def _point(
     columns: tuple[str, ...],
     label: str | None,
     datum: Datum,
-) -> Surveyed:
+) -> SurveyFeature:
     cells = {name: (row.get(original) or "").strip() for name, original in names.items()}
     kind = (cells.get("kind") or label or "post").lower()
     name = cells.get("id") or (cells[label] if label else "") or str(number)
     radius_m = _radius_m(cells.get("radiusm"))
     if columns == ("wktm",):
-        return Surveyed(kind, name, shapely.from_wkt(cells["wktm"]), radius_m)
+        return SurveyFeature(kind, name, shapely.from_wkt(cells["wktm"]), radius_m)
     try:
         first, second = (float(cells[column]) for column in columns)
         if columns[0] in _LATITUDE:
@@ -228,12 +230,12 @@ def _point(
             if not (math.isfinite(first) and math.isfinite(second)):
                 raise ValueError(f"{first}, {second} is no place")
             shape = shapely.Point(first, second)
-        return Surveyed(kind, name, shape, radius_m)
+        return SurveyFeature(kind, name, shape, radius_m)
     except ValueError as error:
         raise _SurveyError(f"line {number} has no position ({error}).") from error
 
 
-def _joined(points: Sequence[Surveyed]) -> Iterable[Surveyed]:
+def _joined(points: Sequence[SurveyFeature]) -> Iterable[SurveyFeature]:
     """The points of each row as its line, all else as it is."""
     rows: dict[str, list[Any]] = {}
     for thing in points:
@@ -250,4 +252,4 @@ def _joined(points: Sequence[Surveyed]) -> Iterable[Surveyed]:
             )
         places = [thing.shape for thing in corners]
         shape = shapely.LineString(places) if kind == ROW else shapely.Polygon(places)
-        yield Surveyed(kind, name, shape, radius_m)
+        yield SurveyFeature(kind, name, shape, radius_m)

@@ -152,8 +152,8 @@ def route_in_view(
     curve: CostCurve | None = None,
     max_poses: int = MAX_STATES,
 ) -> Route:
-    """The same of a view that was read already, with the layers that `MapFile.deciding` names.
-    `max_poses` bounds the search."""
+    """Plan a route as :func:`plan_route` does, in a view that was read with the layers that
+    `MapFile.deciding` names. `max_poses` is the largest number of poses that are searched."""
     vehicle = vehicle or Vehicle()
     for name, place in (("start", start), ("goal", goal)):
         check_place(name, place)

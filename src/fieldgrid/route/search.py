@@ -207,8 +207,8 @@ class Searcher:
         return np.stack(arcs)
 
     def _may_be_free(self, start: SearchPose, goal: SearchPose, left_m: float) -> bool:
-        """Whether a curve between poses may be free, that are so far apart by `distance_left`: none
-        is shorter than the way around what is blocked."""
+        """Whether a curve may be free between poses that are `left_m` apart by `distance_left`:
+        none is shorter than the way around what is blocked."""
         most_m = math.dist(start[:2], goal[:2]) + _LONGEST_WORD * self.vehicle.turning_radius_m
         return most_m >= self.least_m(left_m)
 
@@ -290,8 +290,9 @@ class Searcher:
         return left
 
     def least_m(self, left_m: float) -> float:
-        """No way is shorter of which `distance_left` says so many metres: eight neighbours make a
-        straight line up to 8.2 % longer, and a coarse cell stands for all of its points."""
+        """The length that no way falls below of which `distance_left` says `left_m`: eight
+        neighbours make a straight line up to 8.2 % longer, and a coarse cell stands for all of its
+        points."""
         return max(left_m / _EIGHT_WAYS - 4.0 * self._coarse_m, 0.0)
 
     @cached_property
@@ -352,7 +353,8 @@ class Searcher:
 
 
 def _word_cost(word: Word, cusp: float) -> float:
-    """The same of a word, in turning radii."""
+    """The cost of a word, in turning radii: its length, with reverse counted for more, and `cusp`
+    for each change of gear."""
     gears = [length > 0.0 for _, length in word if abs(length) > 1e-6]
     cusps = sum(a != b for a, b in itertools.pairwise(gears))
     return cusp * cusps + sum(

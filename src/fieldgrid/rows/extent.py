@@ -32,14 +32,16 @@ much of the canopy. The row ends on its inner side."""
 
 _BEYOND_M = 0.5
 _BEYOND_SEEN = 0.5
-"""The end of a row was seen when so much of the ground beyond its last cells was."""
+"""The end of a row was seen when this share of the ground within `_BEYOND_M` behind its last cells
+was seen."""
 
 _REACH = 1.5
 _REACH_M = 2.0
 """How far beyond a hole plants are counted, in its lengths and at least."""
 
 _FEW = 2.5
-"""Where so many places of single plants are bare, the next one is still of the row."""
+"""The number of bare places of single plants up to which the next plant still belongs to the row.
+"""
 
 _PLANT = 0.3
 """A piece with less than this share of the usual cells at its densest place is a speck."""
@@ -61,7 +63,8 @@ clear one on the other. Two clear holes with nearly a plant between them are two
 
 _SPACE_M = 0.15
 _PER_SPACE_M = 4.0
-"""Plants of a row with a small hole in less than so many metres stand apart from each other."""
+"""Plants of a row stand apart from each other when there is a small hole in every stretch of this
+length."""
 
 _EDGE_M = 1.0
 """Between a gap and the end of its row there is a plant; an end post is none."""
@@ -105,8 +108,8 @@ def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int]
     first = last = int(np.argmax([b - a for a, b in parts]))
 
     def is_more(k: int, hole: int, beyond: slice) -> bool:
-        """Whether what is beyond so long a hole is more of the row: plants over half of its length,
-        a metre at least, within one and a half times its length from part k on."""
+        """Whether what is beyond a hole of this length is more of the row: plants over half of the
+        hole's length, a metre at least, within one and a half times its length from part k on."""
         least = max(1.0 / step_m, 0.5 * hole)
         if hole * step_m > crop.max_bridge_m:
             return False

@@ -27,7 +27,8 @@ _CANOPY_MARGIN_M = 0.2
 _THING_M2 = 0.04
 _PROTRUSION_M = 0.3
 _PROTRUSION_M2 = 0.12
-"""What hangs together with a canopy is a thing of its own when it sticks out so far."""
+"""Obstacle cells that touch a canopy are a thing of their own when they reach this far out of it
+and have this area."""
 
 _JOIN_M = 0.12
 _OPEN_M = 0.6
@@ -36,17 +37,18 @@ _BAND_CELLS = 4_000_000
 
 
 _SECTION_SEEN = 0.8
-"""A cross-section of a lane has a width when so much of it was seen, and a metre when so many of
-its cross-sections have."""
+"""A cross-section of a lane has a width when this share of it was seen, and a metre when this share
+of its cross-sections have a width."""
 
 
 _SHOOTS_M = 0.07
 _WIDTH_SIGMA_M = 0.12
-"""Shoots that no cell shows reach so much into a lane from both sides together, and how much that
-differs from metre to metre: of the rendered drives, `python -m benchmarks.rows drives`."""
+"""Shoots that no cell shows reach this far into a lane, from both sides together; and the standard
+deviation of that from metre to metre. Both are of the rendered drives, by `python -m
+benchmarks.rows drives`."""
 
 _WHOLE = 0.5
-"""A metre has a clear width when so many of its cross-sections do not end where ground was not
+"""A metre has a clear width when this share of its cross-sections do not end where ground was not
 seen: such a width is a bound, and no width."""
 
 
@@ -67,7 +69,7 @@ class LaneGround(NamedTuple):
 
 def without_specks(evidence: Evidence, *, of_any_size: bool = False) -> Evidence:
     """The evidence with lone obstacle cells taken for free ground: on less than 0.02 m², or of any
-    size. The same evidence where no cells are so small."""
+    size. The evidence itself where no cells are that small."""
     # A hundredth of a square metre is not quite 0.1², of which there are two.
     few = int(_SPECK_M2 / evidence.cell_m**2 + 1e-9)
     if few < 2 and not of_any_size:
@@ -213,7 +215,7 @@ def stray_cells(
 
 
 def _sticks_out(evidence: Evidence, canopy: UInt8, window: tuple[slice, slice], mine: Bool) -> bool:
-    """Whether some of these cells of a window are so far from the canopy that they are a thing."""
+    """Whether some of these cells of a window are at least `_PROTRUSION_M` from the canopy."""
     reach = math.ceil(_PROTRUSION_M / evidence.cell_m) + 2  # beyond it nothing is near enough
     low = [max(part.start - reach, 0) for part in window]
     wide = tuple(slice(a, part.stop + reach) for a, part in zip(low, window, strict=True))

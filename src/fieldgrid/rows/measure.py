@@ -43,7 +43,7 @@ class MeasuredRow(NamedTuple):
     scatter_m: float
 
 
-class Settled(NamedTuple):
+class RowSection(NamedTuple):
     """What is known of a row before it is fitted: its profile about its own middle, its faces, and
     how far from its line its cells may lie."""
 
@@ -83,19 +83,19 @@ def _uncrossed(candidates: list[tuple[MeasuredRow, float]]) -> list[tuple[Measur
 
 def _all_settled(
     evidence: Evidence, lines: list[Float64], gates: list[float], crop: Crop
-) -> list[Settled]:
+) -> list[RowSection]:
     """The rows near lines that are near one, each with its gate."""
     found = []
     for line, gate in zip(lines, gates, strict=True):
         gate_m = max(gate, 3.0 * evidence.cell_m)
         profile = _settled(evidence, line, gate_m, crop)
         if profile is not None:
-            found.append(Settled(profile, find_faces(profile), gate_m))
+            found.append(RowSection(profile, find_faces(profile), gate_m))
     return found
 
 
 def _candidates(
-    evidence: Evidence, settled: list[Settled], width: tuple[float, float], crop: Crop
+    evidence: Evidence, settled: list[RowSection], width: tuple[float, float], crop: Crop
 ) -> list[tuple[MeasuredRow, float]]:
     """The rows of profiles, each with its chance to be noise."""
     found, contrasts = [], []
@@ -166,7 +166,7 @@ def _settled(evidence: Evidence, line: Float64, gate_m: float, crop: Crop) -> Pr
     return profile
 
 
-def _half_width(settled: list[Settled], crop: Crop) -> tuple[float, float]:
+def _half_width(settled: list[RowSection], crop: Crop) -> tuple[float, float]:
     """Half the width of the canopies, metres, and its standard deviation: what the rows that were
     seen from both sides say, beside what is usual for the crop."""
     told = [near for near in settled if np.isfinite(near.faces.full_width_m)]
@@ -183,7 +183,7 @@ def _half_width(settled: list[Settled], crop: Crop) -> tuple[float, float]:
 
 
 def _measured(
-    evidence: Evidence, settled: Settled, width: tuple[float, float], crop: Crop
+    evidence: Evidence, settled: RowSection, width: tuple[float, float], crop: Crop
 ) -> MeasuredRow | None:
     """The row of a profile: every station moved from the cells that were seen to the middle."""
     profile, faces, _ = settled

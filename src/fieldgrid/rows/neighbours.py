@@ -15,7 +15,7 @@ from fieldgrid.rows.crops import Crop
 _STEP_M = 1.0
 _MAX_ANGLE = np.cos(np.radians(12.0))
 _BLOCK_SPACINGS = 3.3
-"""Rows of one block may be so many spacings apart: two unseen ones may lie between."""
+"""Rows of one block are at most this number of spacings apart: two unseen ones may lie between."""
 
 _LANE_SPACINGS = 1.55
 """A lane is not wider than this: beyond, a row was not seen."""

@@ -14,7 +14,7 @@ from fieldgrid.polyline import lengths, project
 from fieldgrid.rows.result import Block, Planting, Row
 
 _NEAR_M = 1.0
-"""A surveyed point belongs to a row that is at most so far beside it."""
+"""The largest distance of a surveyed point from the row that it belongs to."""
 
 
 class RowQuality(NamedTuple):

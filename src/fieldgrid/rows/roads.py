@@ -29,23 +29,24 @@ _LEAST_ROWS = 4
 """In fewer rows plants may be missing side by side by chance."""
 
 _SHARED = 0.25
-"""Holes lie side by side when the shorter shares so much with the other: a road may be oblique."""
+"""Holes lie side by side when they share this part of the shorter one: a road may be oblique."""
 
 _PIECE = 0.6
 """A piece of a row is a row when it has this share of the shortest one."""
 
 
 _BY_CHANCE = 0.01
-"""Of holes that lie wherever they like, so few sets are as much in line as those of a road."""
+"""The expected number of sets of holes, of holes that lie anywhere, that are as well in line as
+those of a road; a road has fewer."""
 
 _IN_LINE_M = 0.5
-"""The holes of a road are in line to so much, and no better: rows end where plants do."""
+"""The best alignment that the holes of a road can have: rows end where plants do."""
 
 _RAGGED_M = 0.6
 """The edges of a road are straighter than this, root mean square: half a vine's place."""
 
 _SURE_ROWS = 8
-"""In so many rows the edges of a road may be ragged."""
+"""The number of rows from which on the edges of a road may be ragged."""
 
 
 class DoubtfulRoad(NamedTuple):
