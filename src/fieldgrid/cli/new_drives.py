@@ -63,7 +63,8 @@ def compare(
 
 
 def report_offsets(offsets: Sequence[dict[str, Any]], out: Path) -> None:
-    """Print the offsets of new drives from older ones, a line for each pair; of many pairs only those that do not agree."""
+    """Print the offsets of new drives from older ones, a line for each pair; of many pairs only
+    those that do not agree."""
     agree = 0
     for pair in offsets:
         if len(offsets) > _MOST_PAIRS and _agrees(pair):

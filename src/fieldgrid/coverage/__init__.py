@@ -11,5 +11,6 @@ from fieldgrid.coverage.plan import (
 )
 
 __all__ = [
-    "Coverage", "OmittedLane", "Swaths", "Tracks", "WorkedLane", "coverage_in_view", "plan_coverage",
+    "Coverage", "OmittedLane", "Swaths", "Tracks", "WorkedLane", "coverage_in_view",
+    "plan_coverage",
 ]  # fmt: skip
