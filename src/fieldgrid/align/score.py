@@ -230,9 +230,8 @@ def turn_peak(
     `a`, and its information (1/degrees²), 0 where nothing is told. From these scores and from
     pictures of it that are turned by -PROBE_DEG and +PROBE_DEG: the top of the parabola through the
     best score of each."""
-    probes = a.scores(less, straight.alike), straight, a.scores(more, straight.alike)
     tops = []
-    for found in probes:
+    for found in (a.scores(less, straight.alike), straight, a.scores(more, straight.alike)):
         near = None if found is None else found.within(PROBE_REACH_M)
         if near is None or not near.by_cell.any():
             return 0.0, 0.0

@@ -38,8 +38,9 @@ def find_changes(
     `MapFile.diff`, whose `bounds` and `cell_m` these are. Objects below `min_area_m2` or
     `min_confidence` (0..1) are left out. What is nearer than `sigmas` standard deviations
     of both positions to what the other side saw is no change; what is nearer than `growth_m` is
-    growth; an object may have moved by up to `moved_m`. `position_sigma_m` is taken in place of what the frames say;
-    without it drives that were aligned are as sure as they lie beside each other.
+    growth; an object may have moved by up to `moved_m`. `position_sigma_m` is taken in place of
+    what the frames say; without it drives that were aligned are as sure as they lie beside each
+    other.
 
     `docs/changes.md` has the definitions. Raises ConfigError as `diff` does, and for settings that
     cannot be.

@@ -75,10 +75,9 @@ def things_of(
     `growth_m`, and what does not."""  # fmt: skip
     far, near = kinds
     least = max(LEAST_CELLS, math.ceil(min_area_m2 * lattice.cells_per_m**2 - 1e-9))
-    certain = np.flatnonzero(cells.certain)
     found, grown = list[ChangedCells](), list[Int64]()
     taken = np.zeros(cells.i.size, dtype=np.bool_)
-    for part in _connected(cells, certain):
+    for part in _connected(cells, np.flatnonzero(cells.certain)):
         core = part[cells.away_m[part] > growth_m]
         # A sliver of shoots may reach further; what appeared is there with a share of its own.
         if core.size < max(LEAST_CELLS, least / 2):

@@ -80,9 +80,8 @@ class DrivableLines:
         ends = []
         for stretch in (points[first:last], points[first:last][::-1]):
             left = normals(stretch)
-            yaw = np.arctan2(-left[:, 0], left[:, 1])
             corner = (self._searcher.ground.west_m, self._searcher.ground.south_m)
-            poses = np.column_stack([stretch - corner, yaw])
+            poses = np.column_stack([stretch - corner, np.arctan2(-left[:, 0], left[:, 1])])
             # From the end inwards; most have room at once.
             ends.append(next((k for k in range(len(poses)) if self._turns_away(poses[-1 - k])),
                              len(poses)))  # fmt: skip

@@ -237,10 +237,9 @@ def _holes(
         else:
             joined.append((a, b))
     least_m = crop.min_gap_m - 0.5 * _STEP_M
-    long = [(a, b) for a, b in joined if (b - a) * _STEP_M >= least_m]
     edge = round(_EDGE_M / _STEP_M)
     gaps, unseen = [], []
-    for hole in long:
+    for hole in [(a, b) for a, b in joined if (b - a) * _STEP_M >= least_m]:
         bare = _bare(hole, seen, least_m)
         gaps += [(a, b) for a, b in bare if a - start >= edge and stop - b >= edge]
         edges = [hole[0], *(place for part in bare for place in part), hole[1]]

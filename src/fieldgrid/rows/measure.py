@@ -212,9 +212,8 @@ def _measured(
     extent = find_extent(evidence, line, (half, -half), crop)
     if extent is None or extent.stop_m - extent.start_m < 0.6 * crop.min_row_m:
         return None
-    hole = sum(b - a for a, b in (*extent.gaps_m, *extent.unseen_m))
     length = extent.stop_m - extent.start_m
-    if length - hole < 0.35 * length:
+    if length - sum(b - a for a, b in (*extent.gaps_m, *extent.unseen_m)) < 0.35 * length:
         return None
     sigma = np.sqrt(curve.sigma_m**2 + float(np.sqrt((side_sigma[inside] ** 2).mean())) ** 2)
     own = resampled(part(line, extent.start_m, extent.stop_m), 1.0)
