@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import shapely
 
-from fieldgrid.array_types import Bool, Float64
+from fieldgrid.array_types import Float64
 from fieldgrid.coverage.passes import followed
 from fieldgrid.polyline import lengths, normals, project, resampled
 from fieldgrid.route.search import Searcher
+from fieldgrid.rows.extent import runs
 
 STEP_M = 0.1
 _LEAST_M = 1.0
@@ -130,9 +130,3 @@ def _shifted(values: Float64, by: int) -> Float64:
     """The values `by` places later; the first or the last one where there is none."""
     places = np.clip(np.arange(len(values)) + by, 0, len(values) - 1)
     return np.asarray(values[places])
-
-
-def runs(is_in: Bool) -> Iterator[list[int]]:
-    """First and last + 1 of the stretches that are true."""
-    edges = np.flatnonzero(np.diff(is_in.astype(np.int8), prepend=0, append=0))
-    yield from edges.reshape(-1, 2).tolist()

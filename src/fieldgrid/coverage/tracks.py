@@ -22,7 +22,6 @@ from fieldgrid.coverage.lines import (
     STEP_M,
     STRAIGHT_M,
     DrivableLines,
-    runs,
     turns,
 )
 from fieldgrid.errors import ConfigError, NoRouteError
@@ -31,6 +30,7 @@ from fieldgrid.lattice import Bounds
 from fieldgrid.polyline import extended, lengths, normals, project, resampled
 from fieldgrid.route.search import Searcher
 from fieldgrid.rows import Block, Headland, Lane, Obstacle, Planting
+from fieldgrid.rows.extent import runs
 
 _CORNER = 0.5
 """Radians in a turning radius of way: an outline is cut at a corner that turns more, where the

@@ -6,14 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from fieldgrid.array_types import Float64
 from fieldgrid.polyline import lengths, part, resampled
 from fieldgrid.rows.crops import Crop
 from fieldgrid.rows.measure import MeasuredRow
-from fieldgrid.rows.neighbours import Pair, neighbour_pairs
+from fieldgrid.rows.neighbours import Pair, linked_parts, neighbour_pairs
 
 _INSET_SPACINGS = 0.25
 """The line of a lane begins this far inside its mouth, so that it lies between both rows."""
@@ -45,10 +43,8 @@ def order_rows(rows: list[MeasuredRow], crop: Crop) -> OrderedRows:
         return OrderedRows([], [], [], [], np.nan)
     lines = [row.line for row in rows]
     pairs, spacing = neighbour_pairs(lines, crop)
-    count = len(rows)
     links = np.array([(p.left, p.right) for p in pairs]).reshape(-1, 2)
-    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
-    _, block = connected_components(graph, directed=False)
+    block = linked_parts(links, len(rows))
     sizes = np.bincount(block, minlength=1)
     places: list[int] = []
     names: list[str] = []

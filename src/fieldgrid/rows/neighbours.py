@@ -6,9 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from fieldgrid.array_types import Float64
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.polyline import lengths, normals, project, resampled
 from fieldgrid.rows.crops import Crop
 
@@ -105,6 +107,12 @@ def _near(samples: list[Float64], reach_m: float) -> list[list[int]]:
         if k != other:
             found[k].append(other)
     return found
+
+
+def linked_parts(links: Int64, count: int) -> Int64:
+    """The number of the part that each of `count` things belongs to; links [n, 2] join things."""
+    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1].astype(np.int64))
 
 
 def outer_lines(lines: list[Float64], crop: Crop) -> tuple[list[Float64], float]:

@@ -12,15 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from fieldgrid.array_types import Float64
 from fieldgrid.polyline import lengths, part, project
 from fieldgrid.rows.crops import Crop
 from fieldgrid.rows.extent import Extent, Span
 from fieldgrid.rows.measure import MeasuredRow
-from fieldgrid.rows.neighbours import Pair, neighbour_pairs
+from fieldgrid.rows.neighbours import Pair, linked_parts, neighbour_pairs
 
 _ROAD_M = 2.5
 """A way across rows is no narrower."""
@@ -163,9 +161,7 @@ def _roads(rows: list[MeasuredRow], holes: list[_Hole], pairs: list[Pair]) -> li
             links += [(place, at) for at in met]
             # A row that ends before the hole, or begins after it, leaves it open.
             closed[place] |= not met and low > 0.0 and high < size
-    ends = np.array(links).reshape(-1, 2)
-    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(holes),) * 2)
-    _, label = connected_components(graph, directed=False)
+    label = linked_parts(np.array(links).reshape(-1, 2), len(holes))
     found = []
     for number in range(int(label.max()) + 1):
         places = np.flatnonzero(label == number)

@@ -13,14 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import correlate1d, gaussian_filter1d
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.evidence import OBSTACLE, Evidence
 from fieldgrid.kernel import kernel
 from fieldgrid.rows.crops import Crop
+from fieldgrid.rows.neighbours import linked_parts
 
 _ANGLES = 120
 """Directions that are tried over half a turn: 1.5° moves the end of a patch by a fifth of a row."""
@@ -233,7 +232,6 @@ def link(segments: Segments, crop: Crop) -> Int64:
 
     Both must see the other within a fifth of a row's spacing at the place where they meet.
     """
-    count = len(segments.half_m)
     a, b = cKDTree(segments.middle_m).query_pairs(1.1 * crop.patch_m, output_type="ndarray").T
     step = segments.middle_m[b] - segments.middle_m[a]
     turn = segments.along[a, 0] * segments.along[b, 1] - segments.along[a, 1] * segments.along[b, 0]
@@ -245,5 +243,4 @@ def link(segments: Segments, crop: Crop) -> Int64:
     touching = apart <= segments.half_m[a] + segments.half_m[b] + 0.25 * crop.patch_m
     near = np.maximum(*off) <= 0.22 * crop.min_spacing_m + 0.03 * apart
     linked = touching & near & (np.abs(turn) < np.sin(_MAX_TURN_RAD))
-    graph = coo_array((np.ones(linked.sum()), (a[linked], b[linked])), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1].astype(np.int64))
+    return linked_parts(np.column_stack([a[linked], b[linked]]), len(segments.half_m))
