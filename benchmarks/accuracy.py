@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks import EXAMPLE
 from fieldgrid.build import build_map, perceive, session_config
-from fieldgrid.evaluation import Evaluation, ScoredGroup, evaluate, read_truth
+from fieldgrid.evaluation import Evaluation, GroupScores, evaluate, read_truth
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import create_map, open_map
 from fieldgrid.recording import DriveOptions, open_recording
@@ -149,7 +149,7 @@ def _honesty(scores: Evaluation) -> str:
     )
 
 
-def _line(name: str, group: ScoredGroup) -> str:
+def _line(name: str, group: GroupScores) -> str:
     obstacles, poses = group.obstacles, group.poses
     shares = [
         obstacles.precision["0.10"],

@@ -370,7 +370,7 @@ def lanes(folder: Path) -> None:
             ]
             for overlap in pairs.overlapping([drawn], lambda a, b: True):
                 pair = pairs.placed(overlap, [drawn])
-                found = score.Against(drawn[pair.k], 1.5).scores(drawn[pair.l])
+                found = score.SubmapCorrelator(drawn[pair.k], 1.5).scores(drawn[pair.l])
                 if found is None or not pair.across.any():
                     continue
                 told = score.peak(found, np.zeros(2))

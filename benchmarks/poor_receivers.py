@@ -21,7 +21,7 @@ from benchmarks.align import LATER, SLOPE, Placed, built, displaced, frames_of, 
 from fieldgrid.align import MapAlignment, align_map, pairs, score
 from fieldgrid.align.alignment import FINE_M, FINE_REACH_M
 from fieldgrid.align.pairs import overlapping, placed
-from fieldgrid.align.score import Against, peak
+from fieldgrid.align.score import SubmapCorrelator, peak
 from fieldgrid.align.submaps import cut, draw
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import FrameRecord, MapFile, Transform, open_map
@@ -144,7 +144,7 @@ def faces(universal: MapFile, names: Sequence[str]) -> None:
             overlaps = list(overlapping(pictures, lambda a, b: True))
             for one in overlaps:
                 pair = placed(one, pictures)
-                scores = Against(pictures[pair.a][pair.k], FINE_REACH_M).scores(
+                scores = SubmapCorrelator(pictures[pair.a][pair.k], FINE_REACH_M).scores(
                     pictures[pair.b][pair.l]
                 )
                 if scores is None or not pair.across.any():

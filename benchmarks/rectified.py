@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.heading_scores import DATA
 from fieldgrid.build import perceive, session_config
-from fieldgrid.evaluation import ScoredGroup, evaluate, read_truth
+from fieldgrid.evaluation import GroupScores, evaluate, read_truth
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import create_map, open_map
 from fieldgrid.recording import Image, Recording, StereoFrame, open_recording
@@ -43,7 +43,7 @@ class Scores(NamedTuple):
     """What a set of pairs is worth: the map against the truth, and the rows."""
 
     name: str
-    group: ScoredGroup
+    group: GroupScores
     row_error_px: float
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fieldgrid.changes.cells import SideCells, SideDrives, seen_by
+from fieldgrid.changes.cells import SideCells, seen_by
 from fieldgrid.changes.observations import _range_sigma_1pm, hidden, observers
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.lattice import Lattice, Window
@@ -82,7 +82,7 @@ def test_of_several_looks_the_mean_counts(tmp_path: Path) -> None:
     with open_map(world_map(tmp_path / "map.gpkg", {"one": ([], poses)})) as universal:
         frames, (info,) = list(universal.frames(with_grid=True)), universal.sessions()
         both = observers(frames, info, lattice, [cell], None)
-        seen = seen_by(SideDrives({"one": both}), lattice, cell)
+        seen = seen_by({"one": both}, lattice, cell)
     looks = [one.observe(lattice, cell) for one in both]
     assert seen.free[0, 0] == 2.0
     assert seen.pose_m2[0, 0] == pytest.approx(

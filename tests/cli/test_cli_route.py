@@ -169,7 +169,7 @@ def test_fewer_passes_are_advised_where_there_can_be_fewer(
     def one_is_left_out(*asked: Any, **how: Any) -> Any:
         return replace(
             cover(*asked, **how),
-            left_out=(coverage.LeftOut("F1-T1", "There is no path to the track", 1.0, 2.0),),
+            left_out=(coverage.OmittedLane("F1-T1", "There is no path to the track", 1.0, 2.0),),
             remedy="give a smaller vehicle",
         )
 

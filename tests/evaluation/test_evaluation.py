@@ -16,7 +16,7 @@ import numpy.typing as npt
 import pytest
 
 from fieldgrid.errors import TruthError
-from fieldgrid.evaluation import Evaluation, ScoredGroup, evaluate, read_truth
+from fieldgrid.evaluation import Evaluation, GroupScores, evaluate, read_truth
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.mapfile import open_map
@@ -153,7 +153,7 @@ def scored(
     occupied: npt.NDArray[np.bool_],
     move: Callable[[Pose], Pose] = lambda pose: pose,
     drives: Sequence[Drive] = SQUARE,
-) -> ScoredGroup:
+) -> GroupScores:
     """The scores of a map whose grids are perfect and whose poses were moved."""
     truth = write_truth(tmp_path / "truth", occupied, drives)
     true_poses = [pose_of(drive, k) for k, drive in enumerate(drives)]

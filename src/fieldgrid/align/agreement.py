@@ -96,8 +96,7 @@ def agree(
 
     agreement = together(likelihoods)
     cells = together([one.independent for one in found])
-    told = cells > LEAST_SHARE * cells.max()
-    agreement = np.where(told, agreement / np.maximum(cells, 1.0), 0.0)
+    agreement = np.where(cells > LEAST_SHARE * cells.max(), agreement / np.maximum(cells, 1.0), 0.0)
     # Less its own 1-sigma error: of few cells some agree by chance.
     error = np.sqrt(-np.expm1(-2.0 * agreement) / np.maximum(cells, 1.0))
     agreement = np.maximum(agreement - error, 0.0)

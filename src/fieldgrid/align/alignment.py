@@ -13,17 +13,18 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from fieldgrid.align.agreement import Agreement, agree
 from fieldgrid.align.beside import with_beside
-from fieldgrid.align.comparing import Matching, SubmapGroup, Wholes
+from fieldgrid.align.comparing import SubmapGroup, fine_matches, whole_scores
 from fieldgrid.align.drives import WANDER_SHARE, Role, SubmapDrive, read_drives
-from fieldgrid.align.heights import Levels, level
+from fieldgrid.align.heights import HeightCorrections, level
 from fieldgrid.align.matches import Match
-from fieldgrid.align.network import NetworkSolution, left_between, solve, turn_sigma_deg, wrong_ones
+from fieldgrid.align.network import left_between, solve, turn_sigma_deg, wrong_ones
 from fieldgrid.align.pairs import (
     Overlap,
     SubmapPair,
@@ -32,7 +33,6 @@ from fieldgrid.align.pairs import (
     of_nearest,
     overlapping,
     placed,
-    thinned,
 )
 from fieldgrid.align.report import MapAlignment, summed_up
 from fieldgrid.align.ridge import across_alone
@@ -42,7 +42,6 @@ from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import MapFile, Transform
-from fieldgrid.mapfile.corrections import HeightCorrection
 from fieldgrid.mapfile.transform import transform_of
 from fieldgrid.workers.order import Runner, Threads
 from fieldgrid.workers.runner import runner
@@ -64,11 +63,12 @@ BEYOND_M = 2.0
 FINE_REACH_M = 1.5
 
 FAR_SIGMAS = 3.0
-"""Drives that agree so many stated errors apart contradict what their receivers state."""
+"""Drives whose best agreement is more than this number of stated errors away contradict what their
+receivers state."""
 
 FOUND_WANDER_M = 0.25
-"""Receivers that are farther off than they state wander by so much at most, or by what they state:
-most of them have a wrong base."""
+"""The largest wander of receivers that are farther off than they state, or what they state where
+that is more: most of them have a wrong base."""
 
 FINE_ROUNDS = 2
 
@@ -99,8 +99,8 @@ def align_map(
     further ones take part.
     `reach_m` is the largest shift that is believed; without `rounds` of fine comparison shifts are
     good to a decimetre, in a third of the time. With `most_others` each drive that may move is
-    compared with so many others that may and so many that may not, those that it shares most
-    ground with, and not with all.
+    compared with this number of others that may and this number of those that may not, which
+    share most ground with it, and not with all.
     `jobs` is the number of threads, all cores when not given; with a `scheduler`, the address of
     one of Dask or a client, the workers of that cluster compare submaps, which are sent to them.
     Raises ConfigError for names that are not in the map, or nothing to align, ClusterError where
@@ -111,12 +111,13 @@ def align_map(
     drives = read_drives(universal, _roles(universal, sessions, to, datum_from))
     tell = progress or (lambda stage, done, count: None)
     with runner(jobs, scheduler) as workers:
-        run = _Run(drives, reach_m, most_others, tell, workers)
-        found = _aligned(run, drives, rounds)
+        found = _aligned(
+            _SubmapComparison(drives, reach_m, most_others, tell, workers), drives, rounds
+        )
     return with_beside(universal, found)
 
 
-def _aligned(run: _Run, drives: list[SubmapDrive], rounds: int) -> MapAlignment:
+def _aligned(run: _SubmapComparison, drives: list[SubmapDrive], rounds: int) -> MapAlignment:
     """How drives lie against each other, by their submaps."""
     agreements, coarse = run.compare_as_wholes()
     believed = {(one.a, one.b): one.along for one in agreements if one.doubt is None}
@@ -143,27 +144,18 @@ def _aligned(run: _Run, drives: list[SubmapDrive], rounds: int) -> MapAlignment:
             solution = solve(drives, now, matches)
     rough_m = 0.0 if rounds else ROUGH_M
     doubtful = {n for one in agreements if one.doubt is not None for n in (one.a, one.b)}
-    heights = Levels((None,) * len(drives), {})
+    heights = HeightCorrections((None,) * len(drives), {})
     if rounds:
         heights = level(drives, solution.transforms, doubtful)
-    solution = with_heights(solution, heights.corrections, before)
+    corrected = [
+        found or earlier.heights for found, earlier in zip(heights.corrections, before, strict=True)
+    ]
+    transforms = [
+        one if own is one.heights else replace(one, heights=own)
+        for one, own in zip(solution.transforms, corrected, strict=True)
+    ]
+    solution = solution._replace(transforms=tuple(transforms))
     return summed_up(drives, before, agreements, matches, solution, rough_m, heights.kept)
-
-
-def with_heights(
-    solution: NetworkSolution,
-    corrections: Sequence[HeightCorrection | None],
-    before: Sequence[Transform],
-) -> NetworkSolution:
-    """A solution whose transforms carry the heights that were found for them, else those of
-    before."""
-    transforms = []
-    for transform, found, earlier in zip(solution.transforms, corrections, before, strict=True):
-        heights = found or earlier.heights
-        transforms.append(
-            transform if heights is transform.heights else replace(transform, heights=heights)
-        )
-    return solution._replace(transforms=tuple(transforms))
 
 
 MOST_REACH_M = 20.0
@@ -246,7 +238,7 @@ def undo_alignment(universal: MapFile, sessions: Collection[str] | None = None) 
     return chosen
 
 
-class _Run:
+class _SubmapComparison:
     """Comparing submaps, by threads of this process or by the workers of a cluster."""
 
     def __init__(
@@ -263,19 +255,16 @@ class _Run:
 
     def compare_as_wholes(self) -> tuple[list[Agreement], list[Match]]:
         """Where two drives each agree, and the matches of those that do without doubt."""
-        transforms = [drive.transform for drive in self._drives]
-        drawn = self._draw(transforms, COARSE_M, "drives")
+        drawn = self._draw([drive.transform for drive in self._drives], COARSE_M, "drives")
         (pictures,) = drawn
         by_pair = defaultdict(list)
         overlaps: Iterable[Overlap] = self._overlaps(pictures, None)
         if self._most_others is not None:
             moving = [n for n, drive in enumerate(self._drives) if drive.role is Role.MOVES]
             overlaps = of_nearest(overlaps, moving, self._most_others)
-        chosen = thinned(overlaps)
-        chosen = for_every_shift(chosen, pictures, self._reach_m)
+        chosen = for_every_shift(overlaps, pictures, self._reach_m)
         pairs = [placed(one, pictures) for one in chosen]
-
-        compare = Wholes(self._reach_m + BEYOND_M)
+        compare = partial(whole_scores, self._reach_m + BEYOND_M)
         for pair, score in self._each(compare, pairs, drawn, "drives"):
             by_pair[pair.a, pair.b].append((pair, score))
         agreements, matches = [], list[Match]()
@@ -310,10 +299,9 @@ class _Run:
         the way along which nothing is told."""
         drawn = self._draw(transforms, FINE_M, stage, (0.0, -PROBE_DEG, PROBE_DEG))
         pictures, *_ = drawn
-        chosen = bounded(self._overlaps(pictures, set(believed)))
-        pairs = [placed(one, pictures) for one in chosen]
+        pairs = [placed(one, pictures) for one in bounded(self._overlaps(pictures, set(believed)))]
         by_pair = defaultdict[tuple[int, int], list[Match]](list)
-        for _, one in self._each(Matching(FINE_REACH_M), pairs, drawn, stage):
+        for _, one in self._each(partial(fine_matches, FINE_REACH_M), pairs, drawn, stage):
             by_pair[one.a, one.b].append(one)
         nothing = np.zeros(2)
         return [

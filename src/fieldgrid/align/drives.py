@@ -105,6 +105,6 @@ def _sigma_m(frames: Sequence[FrameRecord], transform: Transform, role: Role) ->
     aligned = transform.aligned
     if role is not Role.MOVES and aligned is not None and aligned.sigma_m is not None:
         return max(aligned.sigma_m, LEAST_SIGMA_M)
-    sigmas = [f.driven.position_sigma_m for f in frames]
-    known = [sigma for sigma in sigmas if np.isfinite(sigma)]
-    return max(float(np.median(known)), LEAST_SIGMA_M) if known else UNKNOWN_SIGMA_M
+    stated = np.array([frame.driven.position_sigma_m for frame in frames])
+    known = stated[np.isfinite(stated)]
+    return max(float(np.median(known)), LEAST_SIGMA_M) if len(known) else UNKNOWN_SIGMA_M

@@ -40,7 +40,7 @@ FAR_M = 100.0
 """Farther off no height is: a log without heights, or with another zero."""
 
 FAR_SIGMAS = 3.0
-"""A receiver that is so many of its stated errors off states too little."""
+"""A receiver that is off by more than this number of its stated errors states too little."""
 
 LOOSE = 0.01
 """What priors count for at first."""
@@ -55,7 +55,7 @@ MOST_SUBMAPS, MOST_SHARED = 10_000, 3_000_000
 share ground: these take up to 1 GB."""
 
 
-class _Seen(NamedTuple):
+class _GroundHeights(NamedTuple):
     """Heights of places, metres as driven: by which submap, of all drives in order, and where."""
 
     submap: Int64
@@ -63,7 +63,7 @@ class _Seen(NamedTuple):
     up_m: Float64
 
 
-class Levels(NamedTuple):
+class HeightCorrections(NamedTuple):
     """What to add to the heights of each drive, None for those that keep theirs; `kept` says why of
     those that ground was looked for."""
 
@@ -73,7 +73,7 @@ class Levels(NamedTuple):
 
 def level(
     drives: Sequence[SubmapDrive], transforms: Sequence[Transform], doubtful: Collection[int] = ()
-) -> Levels:
+) -> HeightCorrections:
     """What to add to the heights of each drive that moves, placed by its transform.
 
     Nothing to those of one that saw no ground which another submap saw, too, of the `doubtful`,
@@ -81,30 +81,32 @@ def level(
     none).
     """
     moving = {
-        n for n, drive in enumerate(drives) if drive.role is Role.MOVES and _has_ground(drive)
+        n
+        for n, drive in enumerate(drives)
+        if drive.role is Role.MOVES
+        and any(GROUND_CHANNEL in frame.cells().channels for frame in drive.submaps[0].frames)
     }
     kept = dict.fromkeys(moving & {*doubtful}, "it is in doubt where the drive lies")
     count = sum(len(drive.submaps) for n, drive in enumerate(drives) if n not in doubtful)
     if count > MOST_SUBMAPS:
         why = f"{count} pieces of {SUBMAP_M:.0f} m are more than the {MOST_SUBMAPS} that are solved"
-        return Levels((None,) * len(drives), kept | dict.fromkeys(moving - {*doubtful}, why))
+        return HeightCorrections(
+            (None,) * len(drives), kept | dict.fromkeys(moving - {*doubtful}, why)
+        )
     corrections, far, shared = _corrections(drives, transforms, doubtful)
     if shared > MOST_SHARED:
         why = (
             f"{shared} times two pieces of {SUBMAP_M:.0f} m share ground, more than the "
             f"{MOST_SHARED} that are solved"
         )
-        return Levels(tuple(corrections), kept | dict.fromkeys(moving - {*doubtful}, why))
+        return HeightCorrections(
+            tuple(corrections), kept | dict.fromkeys(moving - {*doubtful}, why)
+        )
     if far:
         why = f"they are over {FAR_M:.0f} m off: another zero, or none"
         found = level(drives, transforms, {*doubtful, *far})
         return found._replace(kept={**found.kept, **kept, **dict.fromkeys(far & moving, why)})
-    return Levels(tuple(corrections), kept)
-
-
-def _has_ground(drive: SubmapDrive) -> bool:
-    """Whether frames tell of the ground at all: those of drives without roll and pitch do not."""
-    return any(GROUND_CHANNEL in frame.cells().channels for frame in drive.submaps[0].frames)
+    return HeightCorrections(tuple(corrections), kept)
 
 
 def _corrections(
@@ -122,7 +124,9 @@ def _corrections(
     seen = _ground(own, placed)
     if not len(seen.place):
         return corrections, set(), 0
-    shared = _pairs_that_share(seen, count)
+    ones = np.ones(len(seen.place), np.bool_)
+    each = sparse.csr_array((ones, (seen.submap, seen.place)), shape=(count, seen.place.max() + 1))
+    shared = int((each @ each.T).nnz) - len(np.unique(seen.submap))
     if shared > MOST_SHARED:
         return corrections, set(), shared
     parts = np.split(np.arange(count), np.cumsum([len(drive.submaps) for drive in own])[:-1])
@@ -185,7 +189,7 @@ def _stated_m(drive: SubmapDrive, transform: Transform) -> Float64:
 
 
 def _solve(
-    seen: _Seen, drives: Sequence[SubmapDrive], stated_m: Float64, parts: Sequence[Int64]
+    seen: _GroundHeights, drives: Sequence[SubmapDrive], stated_m: Float64, parts: Sequence[Int64]
 ) -> tuple[Float64, sparse.csr_array]:
     """The heights of submaps [count], and what the ground says of them [count, count], not 0 of
     two that share a place; `parts` are the submaps of each drive."""
@@ -211,7 +215,9 @@ def _solve(
         up_m = np.asarray(factor.solve(np.append(side, np.zeros(len(parts)))), np.float64)[:count]
         if np.abs(up_m - before).max() < SETTLED_M:
             break
-        misfit = _left_m(seen, weights, up_m) / SCATTER_M
+        moved = seen.up_m + up_m[seen.submap]
+        mean = np.bincount(seen.place, weights * moved) / np.bincount(seen.place, weights)
+        misfit = np.asarray(moved - mean[seen.place]) / SCATTER_M
         weights = PLACE_SIGMA_M**-2.0 * (FREEDOM + 1.0) / (FREEDOM + misfit**2)
         for n in np.flatnonzero(~held).tolist():
             off = np.mean((up_m[parts[n]] / stated_m[parts[n]]) ** 2)
@@ -219,7 +225,7 @@ def _solve(
     return up_m, normal
 
 
-def _ground(drives: Sequence[SubmapDrive], transforms: Sequence[Transform]) -> _Seen:
+def _ground(drives: Sequence[SubmapDrive], transforms: Sequence[Transform]) -> _GroundHeights:
     """The ground of places that more than one submap saw; submaps are counted over all drives."""
     submaps, places, heights = [], [], []
     for drive, transform in zip(drives, transforms, strict=True):
@@ -232,7 +238,9 @@ def _ground(drives: Sequence[SubmapDrive], transforms: Sequence[Transform]) -> _
     _, place_of, times = np.unique(np.concatenate(places), return_inverse=True, return_counts=True)
     shared = times[place_of] > 1
     _, place_of = np.unique(place_of[shared], return_inverse=True)
-    return _Seen(numbers[shared], place_of.astype(np.int64), np.concatenate(heights)[shared])
+    return _GroundHeights(
+        numbers[shared], place_of.astype(np.int64), np.concatenate(heights)[shared]
+    )
 
 
 def _ground_of(submap: Submap, transform: Transform, *, placed: bool) -> tuple[Int64, Float64]:
@@ -288,7 +296,9 @@ def _prior(
     )
 
 
-def _without_places(seen: _Seen, weights: Float64, count: int) -> tuple[sparse.csr_array, Float64]:
+def _without_places(
+    seen: _GroundHeights, weights: Float64, count: int
+) -> tuple[sparse.csr_array, Float64]:
     """The normal equations [count, count], [count] of the heights of submaps; those of the places
     are eliminated."""
     places = int(seen.place.max()) + 1
@@ -300,17 +310,3 @@ def _without_places(seen: _Seen, weights: Float64, count: int) -> tuple[sparse.c
         seen.up_m - (np.bincount(seen.place, weights * seen.up_m, places) / of_place)[seen.place]
     )
     return normal.tocsr(), np.asarray(-np.bincount(seen.submap, weights * off_m, count), np.float64)
-
-
-def _pairs_that_share(seen: _Seen, count: int) -> int:
-    """How many pairs of submaps saw ground of one place, each counted twice."""
-    ones = np.ones(len(seen.place), np.bool_)
-    each = sparse.csr_array((ones, (seen.submap, seen.place)), shape=(count, seen.place.max() + 1))
-    return int((each @ each.T).nnz) - len(np.unique(seen.submap))
-
-
-def _left_m(seen: _Seen, weights: Float64, up_m: Float64) -> Float64:
-    """By how much each observation departs from the mean of its place."""
-    moved = seen.up_m + up_m[seen.submap]
-    mean = np.bincount(seen.place, weights * moved) / np.bincount(seen.place, weights)
-    return np.asarray(moved - mean[seen.place])

@@ -12,12 +12,12 @@ from fieldgrid.align.drives import SubmapDrive
 from fieldgrid.array_types import Float64, Int64
 
 COMMON_SIGMA_M, ALIKE = 0.03, 10
-"""What all matches of two drives have in common, such as a mount that is a little off: this much,
-in so many neighbouring matches."""
+"""The error that all matches of two drives have in common, such as a mount that is a little off,
+and the number of neighbouring matches that share it."""
 
 MATCH_TURN_SIGMA_DEG, COMMON_TURN_SIGMA_DEG = 0.25, 0.05
-"""The same of turns: headings within a submap, and a slow error that bends it meanwhile, which a
-turn of the picture cannot be told from; and what all submaps have in common."""
+"""Errors of turns: of one match, from headings within a submap and from a slow error that bends it,
+which cannot be told from a turn of the picture; and the error that all submaps have in common."""
 
 MATCH_SIGMA_M = 0.03
 """What poses within a submap, and cells, add to the error of a match."""
@@ -56,8 +56,8 @@ class Equations(NamedTuple):
         return np.asarray(self.target - self.jacobian @ x)
 
     def by_error(self, information: Float64) -> Equations:
-        """The same equations in units of their errors; `information` [n / 2, 2, 2] is that of each
-        two of them."""
+        """The equations in units of their errors; `information` [n / 2, 2, 2] is that of each two
+        of them."""
         values, axes = np.linalg.eigh(information)
         roots = np.sqrt(np.maximum(values, 0.0))[:, :, None] * axes.swapaxes(1, 2)
         count = len(roots)
@@ -129,8 +129,7 @@ def turn_equations(
     turn = np.radians([match.turn_deg for match in some])
     common = np.minimum(np.array([alike[n] for n in told]), ALIKE) * COMMON_TURN_SIGMA_DEG**2
     own = 1.0 / np.array([match.turn_information for match in some])
-    variance = own + MATCH_TURN_SIGMA_DEG**2 + common
-    by_error = 1.0 / np.radians(np.sqrt(variance))
+    by_error = 1.0 / np.radians(np.sqrt(own + MATCH_TURN_SIGMA_DEG**2 + common))
     every = np.arange(len(told))
     jacobian = sparse.csr_array(
         (np.concatenate([by_error, -by_error]), (np.tile(every, 2), np.concatenate([b, a]))),

@@ -32,11 +32,13 @@ MOST_TURN_SIGMA_DEG = 0.5
 """What a receiver errs from one end of a drive to the other turns it, and a short one no more."""
 
 FACE_M, FACE_SIGMA_M = 0.07, 0.05
-"""What is seen of a row from one lane and from the other agrees best so far apart. Either face
-looks 6 to 11 cm off the middle, but posts, stems and tops, which both see, stand in one place."""
+"""Distance at which the faces of a row agree best when they are seen from two lanes, and its
+standard deviation. Either face is 6 to 11 cm off the middle, but posts, stems and tops, which both
+see, stand in one place."""
 
 VIEW_M, VIEW_SIGMA_M = 0.05, 0.04
-"""What is seen of a plant or a post lies on the side of the one who looks, by about so much."""
+"""A plant or a post is seen nearer to the vehicle than it is by this distance; with its standard
+deviation."""
 
 SCATTER_M = 0.09
 """The shifts that matches tell of drives that lie where they should: canopies that grew, other
@@ -54,7 +56,8 @@ HELD_M, LEAST_WANDER_M, LOOSE = 1e-4, 0.001, 10.0
 
 
 def turn_sigma_deg(drive: SubmapDrive) -> float:
-    """By how much the receiver may have turned a drive as a whole."""
+    """The standard deviation, in degrees, of the turn of a drive as a whole by its receiver's
+    error."""
     return min(float(np.degrees(drive.sigma_m / drive.half_length_m)), MOST_TURN_SIGMA_DEG)
 
 
@@ -185,7 +188,7 @@ def _prior(drive: SubmapDrive, off: Float64, loose: float) -> Float64:
     return block
 
 
-class Chain(NamedTuple):
+class WanderChain(NamedTuple):
     """A Gauss-Markov chain: each value is the one before it times `fading` [n - 1] and a step of
     the `information` [n], the first one a step from 0."""
 
@@ -203,10 +206,10 @@ class Chain(NamedTuple):
         return np.asarray(-self.information[1:] * self.fading)
 
 
-def wander_chain(time_ns: Int64, variance: float) -> Chain:
+def wander_chain(time_ns: Int64, variance: float) -> WanderChain:
     """What a slow error of some variance at each time may change by from time to time."""
     fading = np.exp(-np.diff(time_ns) / 1e9 / WANDER_S)
-    return Chain(
+    return WanderChain(
         fading, 1.0 / (variance * np.concatenate([[1.0], np.maximum(1.0 - fading**2, 1e-6)]))
     )
 

@@ -17,12 +17,12 @@ LEAST_SHARE = 0.25
 """Submaps are compared when this share of the smaller one was seen by the other, too."""
 
 MOST_OF_A_DRIVE, MOST_OF_ALL = 3, 5
-"""A submap is compared with so many of one other drive, and with so many in all: those that share
-most."""
+"""The number of submaps of one other drive, and of all drives, that a submap is compared with:
+those that share most ground with it."""
 
 MOST_OF_TWO = 16
-"""To see whether two drives agree as wholes so many pairs are enough that overlap as they lie, and
-so many more for other shifts."""
+"""The number of overlapping pairs that show whether two drives agree as wholes, and of further
+pairs for other shifts."""
 
 COARSE_M = 1.0
 """How finely it is told which shifts make submaps overlap."""
@@ -31,8 +31,8 @@ MOST_LOOKED_AT = 96
 """Pairs of two drives of which this is told, from all along them."""
 
 APART = 3
-"""Submaps of one drive are compared when so many lie between them: before, they see the same from
-the same way."""
+"""Submaps of one drive are compared when their numbers differ by this or more; nearer ones see the
+same ground from the same way."""
 
 SAME_LANE_M = 1.2
 """Vehicles whose tracks lie farther apart see the opposite faces of what stands between them."""
@@ -103,13 +103,24 @@ def overlapping(
 def placed(of: Overlap, pictures: Sequence[Sequence[SubmapImage]]) -> SubmapPair:
     """The pair, with where it lies and how its submaps look at it."""
     one, other = pictures[of.a][of.k], pictures[of.b][of.l]
-    return SubmapPair(*of[:4], *_place(one, other), one.facing - other.facing, of.share)
+    # The direction in which the track of `a` runs; across it lies that of `b`.
+    centred = one.track_m - one.track_m.mean(axis=0)
+    along = np.linalg.svd(centred, full_matrices=False)[2][0] if len(centred) > 1 else np.zeros(2)
+    left = np.array([-along[1], along[0]])
+    apart_m = float(left @ (other.track_m.mean(axis=0) - one.track_m.mean(axis=0)))
+    return SubmapPair(
+        *of[:4],
+        _middle(one, other),
+        left * np.sign(apart_m) if abs(apart_m) > SAME_LANE_M else np.zeros(2),
+        one.facing - other.facing,
+        of.share,
+    )
 
 
 def of_nearest(pairs: Iterable[Overlap], moving: Collection[int], most: int) -> list[Overlap]:
-    """The pairs within drives, and those of each `moving` drive with so many others that move, and
-    so many that do not: those that it shares most ground with. Drives of one day may share one
-    error, which only older ones show."""
+    """The pairs within drives, and those of each `moving` drive with the `most` others that move
+    and the `most` that do not: those that it shares most ground with. Drives of one day may share
+    one error, which only older drives show."""
     every = list(pairs)
     shared = defaultdict[tuple[int, int], float](float)
     for pair in every:
@@ -124,32 +135,22 @@ def of_nearest(pairs: Iterable[Overlap], moving: Collection[int], most: int) -> 
     return [pair for pair in every if (pair.a, pair.b) in kept]
 
 
-def thinned(pairs: Iterable[Overlap]) -> list[Overlap]:
-    """Of each two drives a few pairs from all along them."""
-    by_drives = defaultdict[tuple[int, int], list[Overlap]](list)
-    for pair in pairs:
-        by_drives[pair.a, pair.b].append(pair)
-    chosen = []
-    for members in by_drives.values():
-        step = max(-(-len(members) // MOST_OF_TWO), 1)
-        chosen += members[::step]
-    return chosen
-
-
 def for_every_shift(
-    chosen: Sequence[Overlap], pictures: Sequence[Sequence[SubmapImage]], reach_m: float
+    pairs: Iterable[Overlap], pictures: Sequence[Sequence[SubmapImage]], reach_m: float
 ) -> list[Overlap]:
-    """Overlaps, with further ones of the same drives that exist where these lie elsewhere by up to
-    `reach_m`, so that each such shift has ground that would speak for it or against it.
+    """A few overlaps of each two drives, from all along them, with further ones of the same drives
+    that exist where these lie elsewhere by up to `reach_m`, so that each such shift has ground that
+    would speak for it or against it.
 
     Drives that lie a lane aside overlap most there, and pairs that overlap as they lie would all
     be those that a slip by a row brings together.
     """
     by_drives = defaultdict[tuple[int, int], list[Overlap]](list)
-    for pair in chosen:
+    for pair in pairs:
         by_drives[pair.a, pair.b].append(pair)
     found = list[Overlap]()
-    for (a, b), own in by_drives.items():
+    for (a, b), members in by_drives.items():
+        own = members[:: -(-len(members) // MOST_OF_TWO)]
         found += own
         if a != b:
             found += _others(own, pictures[a], pictures[b], reach_m)
@@ -164,11 +165,12 @@ def _others(
     a, b = own[0].a, own[0].b
     ways = np.array([_shares(of_a[one.k], of_b[one.l], reach_m) for one in own])
     known = {(one.k, one.l) for one in own}
+    cells = round(reach_m / of_a[0].lattice.cell_m)
     near = [
         (k, l)
         for k, one in enumerate(of_a)
         for l, other in enumerate(of_b)  # noqa: E741
-        if (k, l) not in known and _within(one, other, reach_m)
+        if (k, l) not in known and one.window.grown(cells).intersect(other.window) is not None
     ]
     near = near[:: max(-(-len(near) // MOST_LOOKED_AT), 1)]
     if not near:
@@ -187,12 +189,6 @@ def _others(
         yield Overlap(a, near[n][0], b, near[n][1], float(further[n].max()))
         shared = shared + further[n]
         further[n] = 0.0
-
-
-def _within(a: SubmapImage, b: SubmapImage, reach_m: float) -> bool:
-    """Whether the windows of pictures come together by a shift."""
-    cells = round(reach_m / a.lattice.cell_m)
-    return a.window.grown(cells).intersect(b.window) is not None
 
 
 def _shares(a: SubmapImage, b: SubmapImage, reach_m: float) -> Float64:
@@ -223,8 +219,7 @@ def _blocks(seen: Bool, j: int, i: int, step: int) -> Float64:
     height, width = (-(-(n + first) // step) for n, first in zip(seen.shape, (j, i), strict=True))
     padded = np.zeros((height * step, width * step), np.uint8)
     padded[j : j + seen.shape[0], i : i + seen.shape[1]] = seen
-    blocks = padded.reshape(height, step, width, step)
-    return np.asarray(blocks.sum(axis=(1, 3), dtype=np.float64))
+    return np.asarray(padded.reshape(height, step, width, step).sum(axis=(1, 3), dtype=np.float64))
 
 
 def bounded(pairs: Iterable[Overlap]) -> list[Overlap]:
@@ -246,16 +241,6 @@ def _shared(a: SubmapImage, b: SubmapImage) -> float:
         return 0.0
     both = a.seen[a.window.slices_of(part)] & b.seen[b.window.slices_of(part)]
     return np.count_nonzero(both) / max(min(a.cells, b.cells), 1)
-
-
-def _place(a: SubmapImage, b: SubmapImage) -> tuple[Float64, Float64]:
-    at = _middle(a, b)
-    # The direction in which the track of `a` runs; across it lies that of `b`.
-    centred = a.track_m - a.track_m.mean(axis=0)
-    along = np.linalg.svd(centred, full_matrices=False)[2][0] if len(centred) > 1 else np.zeros(2)
-    left = np.array([-along[1], along[0]])
-    apart_m = float(left @ (b.track_m.mean(axis=0) - a.track_m.mean(axis=0)))
-    return at, left * np.sign(apart_m) if abs(apart_m) > SAME_LANE_M else np.zeros(2)
 
 
 def _middle(a: SubmapImage, b: SubmapImage) -> Float64:

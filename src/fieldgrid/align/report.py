@@ -22,10 +22,11 @@ CONTRADICTS_SIGMAS = 4.0
 """What is left of a match, in its sigmas, that its two axes have by chance in one of 3,000."""
 
 BENT_SIGMAS = 3.0
-"""So many of its stated slow errors a drive is bent by chance in one place of 90."""
+"""A drive is bent by this number of its stated slow errors by chance in one place of 90."""
 
 WITHIN_SIGMAS = 2.0
-"""Places that contradict each other are so many of the errors apart that are stated for them."""
+"""Two places contradict each other when they are more than this number of their stated errors
+apart."""
 
 
 class DriveAlignment(NamedTuple):
@@ -52,7 +53,8 @@ class DriveAlignment(NamedTuple):
 
 class Contradiction(NamedTuple):
     """A place `at_m` [2], east and north, where a match of two drives contradicts how they lie
-    after alignment: by `left_m` [2], which is so many `sigmas` of the match."""
+    after alignment: by `left_m` [2]. `sigmas` is that distance in standard deviations of the match.
+    """
 
     at_m: Float64
     left_m: Float64
@@ -61,10 +63,11 @@ class Contradiction(NamedTuple):
 
 class PairAlignment(NamedTuple):
     """How drive `b` lay against drive `a` where both saw the same ground, on the mean, about `at_m`
-    [2]: metres east and north (of b less of a), and degrees clockwise, as they were placed and as
-    they are after alignment, with the error of the shift. What is left is `left_sigmas` of what
-    their matches tell; beyond a few of them the two contradict other pairs. The places where single
-    matches do so are `contradictions`, the worst first. Of a pair with a `doubt` nothing was used.
+    [2]: metres east and north (of b less of a), as they were placed and as they are after
+    alignment, with the error of the shift, and degrees clockwise, as they were placed. What is left
+    is `left_sigmas` of what their matches tell; beyond a few of them the two contradict other
+    pairs. The places where single matches do so are `contradictions`, the worst first. Of a pair
+    with a `doubt` nothing was used.
 
     What they saw tells the shift worst along `weak_axis_deg` (a heading), to `weak_sigma_m`,
     infinite where not at all: there the receivers alone have a say.
@@ -76,7 +79,6 @@ class PairAlignment(NamedTuple):
     before_m: Float64
     after_m: Float64
     turn_before_deg: float
-    turn_after_deg: float
     sigma_m: float
     weak_axis_deg: float
     weak_sigma_m: float
@@ -127,20 +129,17 @@ def summed_up(
     for n, drive in enumerate(drives):
         after = solution.transforms[n]
         if drive.role is Role.MOVES:
-            others = tuple(drives[k].name for k in sorted(with_[n] - {n}))
             earlier = before[n].aligned
-            was = before[n].to_text() if earlier is None else earlier.before
             after = replace(
                 after,
                 aligned=Aligned(
                     float(sigma_m[n, n]),
                     float(solution.turn_sigma_deg[n]),
-                    others,
-                    was,
+                    tuple(drives[k].name for k in sorted(with_[n] - {n})),
+                    before[n].to_text() if earlier is None else earlier.before,
                     stated_m=drive.stated_m,
                 ),
             )
-        own = sum(count for pair, count in counts.items() if n in pair)
         results.append(
             DriveAlignment(
                 drive.name,
@@ -148,7 +147,7 @@ def summed_up(
                 after,
                 float(sigma_m[n, n]),
                 float(solution.turn_sigma_deg[n]),
-                own,
+                sum(count for pair, count in counts.items() if n in pair),
                 drive.role,
                 heights_kept.get(n),
             )
@@ -200,13 +199,19 @@ def _pair(
     )
     left = np.linalg.pinv(total, hermitian=True) @ pulled
     told, axes = np.linalg.eigh(total)
+    contradictions = [
+        Contradiction(matches[k].at_m, solution.left_m[k], float(solution.misfit[k]))
+        for k in own
+        if solution.misfit[k] > CONTRADICTS_SIGMAS
+    ]
     return PairAlignment(
         drives[a].name, drives[b].name, one.at_m,
         moved + left if trusted else one.shift_m, left if trusted else one.shift_m,
-        turned if trusted else one.turn_deg, 0.0 if trusted else one.turn_deg,
+        turned if trusted else one.turn_deg,
         sigma_m, float(np.degrees(np.arctan2(*axes[:, 0])) % 180.0),
         float(told[0] ** -0.5) if told[0] > 0.0 else np.inf, len(own), one.doubt, one,
-        float(np.sqrt(max(left @ total @ left, 0.0))), _contradictions(matches, solution, own),
+        float(np.sqrt(max(left @ total @ left, 0.0))),
+        tuple(sorted(contradictions, key=lambda one: -one.sigmas)),
     )  # fmt: skip
 
 
@@ -258,18 +263,6 @@ def _bent_m(drive: SubmapDrive, transform: Transform) -> Float64:
 def _open_m(*drives: SubmapDrive) -> float:
     """By how much drives may be bent against each other, as their receivers state."""
     return max(BENT_SIGMAS * math.hypot(*(drive.wander_m for drive in drives)), SCATTER_M)
-
-
-def _contradictions(
-    matches: Sequence[Match], solution: NetworkSolution, own: Sequence[int]
-) -> tuple[Contradiction, ...]:
-    """Those of some matches, the worst first."""
-    found = [
-        Contradiction(matches[k].at_m, solution.left_m[k], float(solution.misfit[k]))
-        for k in own
-        if solution.misfit[k] > CONTRADICTS_SIGMAS
-    ]
-    return tuple(sorted(found, key=lambda one: -one.sigmas))
 
 
 def _moved(

@@ -21,16 +21,16 @@ made fields of even walls all have at most 2.4; of 42 of plants 8.0 and more; re
 displaced at random, 2.7 to 45, four of 60 less than this, which are left to the receivers."""
 
 SIDES_M = (0.6, 0.8, 1.0, 1.2)
-"""A peak is what is higher than the mean so far to either side of it: neither a slope nor what is
-alike over decimetres is one."""
+"""Distances to either side at which the mean is taken; a peak is higher than that mean. Neither a
+slope nor what is alike over decimetres is a peak."""
 
 PEAK_M, OTHERS_FROM_M, FEWEST_OTHERS = 0.3, 1.5, 10
-"""The highest so near to the best shift is its peak; others are so far from it, and so many places
-`STEP_M` apart."""
+"""The highest value within `PEAK_M` of the best shift is its peak. Other places are at least
+`OTHERS_FROM_M` from it; `FEWEST_OTHERS` of them, `STEP_M` apart, are needed."""
 
 STEP_M, DIRECTIONS, BESIDE_M = 0.1, 90, (0.0, -0.1, 0.1)
-"""The ridge is looked for in so many directions, and so far beside the best shift, which is that of
-a cell."""
+"""The ridge is looked for in this number of directions, through the best shift, which is that of a
+cell, and through places beside it."""
 
 
 def along_ridge(agreement: Float64, shifts_m: Float64, shift_m: Float64) -> Float64:
@@ -64,8 +64,7 @@ def along_ridge(agreement: Float64, shifts_m: Float64, shift_m: Float64) -> Floa
 
     def peaks(along_m: Float64) -> Float64:
         sides = np.concatenate([[0.0], SIDES_M, -np.asarray(SIDES_M)])
-        places_m = origins_m[ridge] + (along_m[:, None] + sides)[..., None] * ways[ridge]
-        values = at(places_m)
+        values = at(origins_m[ridge] + (along_m[:, None] + sides)[..., None] * ways[ridge])
         return np.asarray(values[:, 0] - values[:, 1:].mean(axis=1))
 
     near = np.arange(-PEAK_M, PEAK_M + STEP_M / 2.0, STEP_M)

@@ -67,7 +67,7 @@ class Scores(NamedTuple):
         return self.cell_m * np.arange(-self.reach, self.reach + 1, dtype=np.float64)
 
 
-class Against:
+class SubmapCorrelator:
     """A picture with which others of its lattice are compared, up to a shift."""
 
     def __init__(self, a: SubmapImage, reach_m: float) -> None:
@@ -129,8 +129,7 @@ class Against:
             np.multiply(self._spectra[one], spectra[other], out=of)
         # Of all rows only the shifts within reach are wanted; the others need no transform.
         rows = fft.ifft(product, axis=1, overwrite_x=True)[:, :side]
-        found = fft.irfft(rows, self._shape[1], axis=2)[:, :, :side]
-        return np.asarray(found, dtype=np.float64)
+        return np.asarray(fft.irfft(rows, self._shape[1], axis=2)[:, :, :side], dtype=np.float64)
 
 
 def _obstacle_m2(picture: SubmapImage) -> float:
@@ -174,18 +173,9 @@ def _autocorrelated(values: Float64, lag: int) -> Float64:
     to `lag` columns [n, lag + 1, 2 lag + 1]."""
     height, width = (fft.next_fast_len(side + lag, real=True) for side in values.shape[1:])
     spectra = fft.fft(fft.rfft(values, width, axis=2), height, axis=1, overwrite_x=True)
-    power = spectra.real**2 + spectra.imag**2
-    rows = fft.ifft(power, axis=1)[:, : lag + 1]
+    rows = fft.ifft(spectra.real**2 + spectra.imag**2, axis=1)[:, : lag + 1]
     found = fft.irfft(rows, width, axis=2)
     return np.asarray(np.concatenate([found[..., -lag:], found[..., : lag + 1]], axis=2))
-
-
-class Peak(NamedTuple):
-    """What scores near a place say of the shift: information (inverse covariance, 1/m²) [2, 2]
-    and the shift east and north that it is about."""
-
-    shift_m: Float64
-    information: Float64
 
 
 NEAR_M = 0.4
@@ -194,8 +184,9 @@ NEAR_M = 0.4
 FINER = 4
 
 
-def peak(found: Scores, near_m: Float64) -> Peak:
-    """The scores around a place as one Gaussian; what they do not tell has no information.
+def peak(found: Scores, near_m: Float64) -> tuple[Float64, Float64]:
+    """The scores around a place as one Gaussian: the shift [2] east and north that it is about, and
+    its information (inverse covariance, 1/m²) [2, 2], zero along what the scores do not tell.
 
     They are weighted with a Gaussian of `NEAR_M` about the place, whose own information is taken
     off again: so a flat ridge stays flat, and two peaks make one wide one.
@@ -223,7 +214,7 @@ def peak(found: Scores, near_m: Float64) -> Peak:
     information = (axes * values) @ axes.T
     # Where nothing is told, the shift is of no weight.
     shift = np.linalg.pinv(information, rcond=1e-6, hermitian=True) @ inverse @ mean
-    return Peak(near_m + shift, information)
+    return near_m + shift, information
 
 
 PROBE_DEG = 0.8
@@ -232,36 +223,26 @@ PROBE_DEG = 0.8
 PROBE_REACH_M = 0.6
 
 
-def _top(found: Scores) -> float:
-    """The highest score a cell, between the shifts too."""
-    j, i = np.unravel_index(int(found.by_cell.argmax()), found.by_cell.shape)
-    around = np.linspace(-1.0, 1.0, 2 * FINER + 1)
-    return float(between_cells(found.by_cell, j + around, i + around).max())
-
-
-class TurnPeak(NamedTuple):
-    """By how much `b` is to be turned clockwise to agree best with `a`, degrees, and the
-    information (1/degrees²), 0 where nothing is told."""
-
-    turn_deg: float
-    information: float
-
-
-def turn_peak(a: Against, less: SubmapImage, straight: Scores, more: SubmapImage) -> TurnPeak:
-    """The turn of a picture with the scores `straight`, from these and from pictures of it that are
-    turned by -PROBE_DEG and +PROBE_DEG: the top of the parabola through the best score of each."""
-    probes = a.scores(less, straight.alike), straight, a.scores(more, straight.alike)
+def turn_peak(
+    a: SubmapCorrelator, less: SubmapImage, straight: Scores, more: SubmapImage
+) -> tuple[float, float]:
+    """The turn of a picture with the scores `straight`, degrees clockwise, that agrees best with
+    `a`, and its information (1/degrees²), 0 where nothing is told. From these scores and from
+    pictures of it that are turned by -PROBE_DEG and +PROBE_DEG: the top of the parabola through the
+    best score of each."""
     tops = []
-    for found in probes:
+    for found in (a.scores(less, straight.alike), straight, a.scores(more, straight.alike)):
         near = None if found is None else found.within(PROBE_REACH_M)
         if near is None or not near.by_cell.any():
-            return TurnPeak(0.0, 0.0)
-        tops.append(_top(near))
+            return 0.0, 0.0
+        j, i = np.unravel_index(int(near.by_cell.argmax()), near.by_cell.shape)
+        around = np.linspace(-1.0, 1.0, 2 * FINER + 1)
+        tops.append(float(between_cells(near.by_cell, j + around, i + around).max()))
     cells = float(straight.independent[straight.reach, straight.reach])
     tops = [cells * top for top in tops]
     curvature = (tops[0] - 2.0 * tops[1] + tops[2]) / PROBE_DEG**2
     if curvature >= 0.0:
-        return TurnPeak(0.0, 0.0)
+        return 0.0, 0.0
     turn = (tops[0] - tops[2]) / (2.0 * PROBE_DEG * curvature)
     # Beyond the probes a parabola is a guess.
-    return TurnPeak(float(np.clip(turn, -2.0 * PROBE_DEG, 2.0 * PROBE_DEG)), -curvature)
+    return float(np.clip(turn, -2.0 * PROBE_DEG, 2.0 * PROBE_DEG)), -curvature

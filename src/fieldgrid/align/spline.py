@@ -8,15 +8,16 @@ from scipy import ndimage
 from fieldgrid.array_types import Float64
 
 PAD = 12
-"""Beyond the border all is as at it, so far, as `scipy.ndimage.map_coordinates` has it."""
+"""Cells that are added beyond each border, with the values at the border;
+`scipy.ndimage.map_coordinates` adds as many."""
 
 
 def between_cells(values: Float64, rows: Float64, columns: Float64) -> Float64:
     """The cubic spline [m, n] through `values` [h, w] at places along either axis [m], [n], in
     cells.
 
-    The same as `scipy.ndimage.map_coordinates` with `mode="nearest"`; as places are crossings of
-    rows and columns two products of matrices give it in a quarter of the time.
+    It equals `scipy.ndimage.map_coordinates` with `mode="nearest"`. As the places are crossings of
+    rows and columns, two products of matrices give it in a quarter of the time.
     """
     padded = np.pad(values, PAD, mode="edge")
     coefficients = ndimage.spline_filter(padded, order=3, mode="nearest")

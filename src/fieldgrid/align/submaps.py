@@ -14,20 +14,18 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Bool, Float64, UInt8
-from fieldgrid.grids import LocalGrid
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.layers import Cells, FrameCells
 from fieldgrid.layers.density import GROUP
 from fieldgrid.layers.window import WindowFold
 from fieldgrid.mapfile import FrameRecord, Transform
-from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import Transfer, footprint
 
 SUBMAP_M = 8.0
-"""A submap ends after so many metres of driving."""
+"""Metres of driving after which a submap ends."""
 
 PAUSE_NS = 30_000_000_000
-"""Or where nothing was seen for so long: a receiver wanders meanwhile."""
+"""A submap also ends where nothing was seen for this time: a receiver wanders meanwhile."""
 
 FULL = 150.0
 """Densities from here on say obstacle with full weight; half of it is a potential obstacle."""
@@ -95,31 +93,27 @@ def draw(
     for turn_deg in turns_deg:
         turn = Transform(0.0, 0.0, turn_deg, east_m, north_m)
         turned = [turn.pose(pose) for pose in poses] if turn_deg else poses
-        pictures.append(_picture(submap, grids, turned, lattice))
+        specs = (frame.spec for frame in submap.frames)
+        windows = [footprint(spec, at, lattice) for spec, at in zip(specs, turned, strict=True)]
+        window = reduce(Window.union, windows)
+        # By their centres cells leave holes in cells that are hardly larger.
+        local_m = max(frame.spec.cell_m for frame in submap.frames)
+        rule = Transfer.CENTRE if lattice.cell_m >= np.sqrt(2.0) * local_m else Transfer.AREA
+        fold = WindowFold(lattice, window, rule, [GROUP])
+        for grid, pose in zip(grids, turned, strict=True):
+            fold.add(FrameCells(grid, {}), pose)
+        window, cells = _cropped(window, fold.cells())
+        weight, seen = cells["weight"], cells.observed
+        density = cells["sum"] / np.maximum(weight, np.uint64(1))
+        value = np.minimum(density * (255.0 / FULL), 255.0).astype(np.uint8)
+        track = np.array([[pose.east_m, pose.north_m] for pose in turned])
+        heading = np.radians([pose.heading_deg for pose in turned])
+        facing = np.array([np.sin(heading).sum(), np.cos(heading).sum()])
+        facing /= max(float(np.hypot(*facing)), 1e-9)
+        pictures.append(
+            SubmapImage(lattice, window, value, seen, track, facing, int(np.count_nonzero(seen)))
+        )
     return pictures
-
-
-def _picture(
-    submap: Submap, grids: Sequence[LocalGrid], poses: Sequence[Pose], lattice: Lattice
-) -> SubmapImage:
-    specs = (frame.spec for frame in submap.frames)
-    windows = [footprint(spec, at, lattice) for spec, at in zip(specs, poses, strict=True)]
-    window = reduce(Window.union, windows)
-    # By their centres cells leave holes in cells that are hardly larger.
-    local_m = max(frame.spec.cell_m for frame in submap.frames)
-    rule = Transfer.CENTRE if lattice.cell_m >= np.sqrt(2.0) * local_m else Transfer.AREA
-    fold = WindowFold(lattice, window, rule, [GROUP])
-    for grid, pose in zip(grids, poses, strict=True):
-        fold.add(FrameCells(grid, {}), pose)
-    window, cells = _cropped(window, fold.cells())
-    weight, seen = cells["weight"], cells.observed
-    density = cells["sum"] / np.maximum(weight, np.uint64(1))
-    value = np.minimum(density * (255.0 / FULL), 255.0).astype(np.uint8)
-    track = np.array([[pose.east_m, pose.north_m] for pose in poses])
-    heading = np.radians([pose.heading_deg for pose in poses])
-    facing = np.array([np.sin(heading).sum(), np.cos(heading).sum()])
-    facing /= max(float(np.hypot(*facing)), 1e-9)
-    return SubmapImage(lattice, window, value, seen, track, facing, int(np.count_nonzero(seen)))
 
 
 def _cropped(window: Window, cells: Cells) -> tuple[Window, Cells]:

@@ -31,15 +31,8 @@ MARGIN_M = 3.0
 tells of no change."""
 
 
-class SideDrives(NamedTuple):
-    """The drives of one side by name, in their order."""
-
-    observers: Mapping[str, Sequence[FrameObserver]]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Their names."""
-        return tuple(self.observers)
+SideDrives = Mapping[str, Sequence[FrameObserver]]
+"""The frames of the drives of one side by name, in the order of the drives."""
 
 
 class SideCells(NamedTuple):
@@ -65,13 +58,13 @@ class SideCells(NamedTuple):
         return np.asarray(self.pose_m2 + self.range_m2 / looks, dtype=np.float32)
 
 
-class Changed(NamedTuple):
+class CellChanges(NamedTuple):
     """Cells of a square that changed in one direction, arrays [n].
 
     Cell (i, j) of the lattice, `away_m` from the nearest thing of the other side, and `clear_m`
     from the nearest place where that side saw a thing or did not look. The two sides together are
-    unsure by `sigma_m`; `certain` where `away_m` is further than so many sigma. The drives of the
-    side that saw it standing, and of the one that saw it free.
+    unsure by `sigma_m`; `certain` where `away_m` is further than the asked number of
+    sigmas. `stood` and `freed` are the numbers of the drives that saw it standing, and free.
     """
 
     i: Int64
@@ -84,20 +77,19 @@ class Changed(NamedTuple):
     freed: Int16
 
     @classmethod
-    def joined(cls, parts: Sequence[Changed]) -> Changed:
+    def joined(cls, parts: Sequence[CellChanges]) -> CellChanges:
         """The cells of several squares."""
-        columns: list[Any] = [np.concatenate(column) for column in zip(*parts, strict=True)]
-        return cls(*columns)
+        return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
-    def chosen(self, which: Bool | Int64) -> Changed:
+    def chosen(self, which: Bool | Int64) -> CellChanges:
         """Some of the cells."""
         columns: list[Any] = [column[which] for column in self]
-        return Changed(*columns)
+        return CellChanges(*columns)
 
 
 def changed_cells(
     before: SideDrives, after: SideDrives, lattice: Lattice, window: Window, sigmas: float
-) -> tuple[Changed, Changed]:
+) -> tuple[CellChanges, CellChanges]:
     """The cells of a window that appeared, and those that vanished."""
     wide = surroundings(window, lattice)
     inside = wide.slices_of(window)
@@ -118,7 +110,7 @@ def surroundings(window: Window, lattice: Lattice) -> Window:
 def seen_by(drives: SideDrives, lattice: Lattice, window: Window) -> SideCells:
     """What the drives of a side saw of a window."""
     total = _unseen(window)
-    for number, observers in enumerate(drives.observers.values()):
+    for number, observers in enumerate(drives.values()):
         one = _seen_by_one(observers, lattice, window, number)
         pairs: Iterator[Any] = zip(total, one, strict=True)
         for array, values in pairs:
@@ -164,7 +156,7 @@ def _changed(
     window: Window,
     inside: tuple[slice, slice],
     sigmas: float,
-) -> Changed:
+) -> CellChanges:
     """The cells where one side saw something standing and the other side free ground."""
     classes = np.where(freed.stands, OBSTACLE, np.where(freed.observed, FREE, UNSEEN))
     wide = Window(0, 0, classes.shape[1], classes.shape[0])
@@ -176,7 +168,7 @@ def _changed(
     j, i = np.nonzero(says[inside])
     # Either side rounds places to the middles of cells.
     rounded_m = math.sqrt(2.0) * lattice.cell_m
-    return Changed(
+    return CellChanges(
         i + window.i0,
         j + window.j0,
         away_m[j, i],

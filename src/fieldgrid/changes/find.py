@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from fieldgrid.changes.cells import Changed, SideDrives, changed_cells, squares, surroundings
+from fieldgrid.changes.cells import CellChanges, SideDrives, changed_cells, squares, surroundings
 from fieldgrid.changes.objects import described, things_of, votes_of, with_moved
 from fieldgrid.changes.observations import observers
 from fieldgrid.changes.relative_sigmas import RelativeSigma, relative_sigmas
@@ -36,10 +36,11 @@ def find_changes(
 
     What the drives after `from_` and up to `to` found, beside what was known by `from_`, as in
     `MapFile.diff`, whose `bounds` and `cell_m` these are. Objects below `min_area_m2` or
-    `min_confidence` (0..1) are left out. What is nearer than so many `sigmas` of both positions
-    to what the other side saw is no change; what is nearer than `growth_m` is growth; an object may
-    have moved by up to `moved_m`. `position_sigma_m` is taken in place of what the frames say;
-    without it drives that were aligned are as sure as they lie beside each other.
+    `min_confidence` (0..1) are left out. What is nearer than `sigmas` standard deviations
+    of both positions to what the other side saw is no change; what is nearer than `growth_m` is
+    growth; an object may have moved by up to `moved_m`. `position_sigma_m` is taken in place of
+    what the frames say; without it drives that were aligned are as sure as they lie beside each
+    other.
 
     `docs/changes.md` has the definitions. Raises ConfigError as `diff` does, and for settings that
     cannot be.
@@ -66,7 +67,7 @@ def find_changes(
     parts = [changed_cells(before, after, view.lattice, place, sigmas) for place in places]
     found = list[ChangedObject]()
     if parts:
-        appeared, vanished = (Changed.joined(cells) for cells in zip(*parts, strict=True))
+        appeared, vanished = (CellChanges.joined(cells) for cells in zip(*parts, strict=True))
         for cells, kinds, sides in (
             (appeared, (ChangeKind.APPEARED, ChangeKind.GROWN), (after, before)),
             (vanished, (ChangeKind.VANISHED, ChangeKind.CUT_BACK), (before, after)),
@@ -94,16 +95,14 @@ def _drives(
     """The frames of some drives that reach into the surroundings of some places."""
     infos = {info.name: info for info in universal.sessions()}
     wide = [surroundings(place, lattice) for place in places]
-    return SideDrives(
-        {
-            name: observers(
-                universal.frames(name, with_grid=True),
-                infos[name],
-                lattice,
-                wide,
-                position_sigma_m,
-                beside.get(name),
-            )
-            for name in names
-        }
-    )
+    return {
+        name: observers(
+            universal.frames(name, with_grid=True),
+            infos[name],
+            lattice,
+            wide,
+            position_sigma_m,
+            beside.get(name),
+        )
+        for name in names
+    }

@@ -29,7 +29,7 @@ from scipy.spatial import cKDTree
 from scipy.special import betainc
 
 from fieldgrid.array_types import Int16, Int64
-from fieldgrid.changes.cells import Changed, SideDrives
+from fieldgrid.changes.cells import CellChanges, SideDrives
 from fieldgrid.changes.result import ChangedObject, ChangeKind
 from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import Lattice, Window
@@ -48,7 +48,7 @@ class ChangedCells(NamedTuple):
     """Cells that are one object, and what became of it."""
 
     kind: ChangeKind
-    cells: Changed
+    cells: CellChanges
 
     @property
     def window(self) -> Window:
@@ -65,7 +65,7 @@ class Votes(NamedTuple):
 
 
 def things_of(
-    cells: Changed,
+    cells: CellChanges,
     kinds: tuple[ChangeKind, ChangeKind],
     lattice: Lattice,
     growth_m: float,
@@ -75,16 +75,19 @@ def things_of(
     `growth_m`, and what does not."""  # fmt: skip
     far, near = kinds
     least = max(LEAST_CELLS, math.ceil(min_area_m2 * lattice.cells_per_m**2 - 1e-9))
-    certain = np.flatnonzero(cells.certain)
     found, grown = list[ChangedCells](), list[Int64]()
     taken = np.zeros(cells.i.size, dtype=np.bool_)
-    for part in _connected(cells, certain):
+    for part in _connected(cells, np.flatnonzero(cells.certain)):
         core = part[cells.away_m[part] > growth_m]
         # A sliver of shoots may reach further; what appeared is there with a share of its own.
         if core.size < max(LEAST_CELLS, least / 2):
             grown.append(part)
             continue
-        around = _near(cells, core, growth_m * lattice.cells_per_m)
+        places = np.column_stack([cells.i, cells.j])
+        away, _ = cKDTree(places[core]).query(
+            places, distance_upper_bound=growth_m * lattice.cells_per_m
+        )
+        around = np.flatnonzero(np.isfinite(away))
         around = around[~taken[around]]
         taken[around] = True
         if around.size >= least:
@@ -98,7 +101,7 @@ def things_of(
     return found
 
 
-def _connected(cells: Changed, among: Int64) -> Iterator[Int64]:
+def _connected(cells: CellChanges, among: Int64) -> Iterator[Int64]:
     """The parts of some cells that lie side by side."""
     if not among.size:
         return
@@ -113,14 +116,6 @@ def _connected(cells: Changed, among: Int64) -> Iterator[Int64]:
     yield from np.split(among[order], np.flatnonzero(np.diff(label[order])) + 1)
 
 
-def _near(cells: Changed, core: Int64, reach: float) -> Int64:
-    """The cells that are no further than `reach` cells from any of `core`."""
-    places = np.column_stack([cells.i, cells.j])
-    away, _ = cKDTree(places[core]).query(places, distance_upper_bound=reach)
-    found: Int64 = np.flatnonzero(np.isfinite(away))
-    return found
-
-
 def votes_of(
     things: Sequence[ChangedCells], drives: SideDrives, lattice: Lattice, numbers: Sequence[Int16]
 ) -> list[Votes]:
@@ -128,7 +123,7 @@ def votes_of(
     its cells."""
     windows = [thing.window for thing in things]
     totals = np.zeros((len(things), 2))
-    for number, observers in enumerate(drives.observers.values()):
+    for number, observers in enumerate(drives.values()):
         for one in observers:
             near = [k for k, w in enumerate(windows) if one.reach.intersect(w) is not None]
             look = one.observe(lattice, one.reach) if near else None
@@ -196,13 +191,13 @@ def described(
 
 
 def _named(drives: SideDrives, numbers: Int16) -> tuple[str, ...]:
-    return tuple(drives.names[k] for k in np.unique(numbers))
+    names = tuple(drives)
+    return tuple(names[k] for k in np.unique(numbers))
 
 
 def _sides(area: shapely.Geometry) -> tuple[float, float, float]:
     """Length, width and heading (-90, 90] of the smallest rectangle around an area."""
-    corners = shapely.get_coordinates(shapely.minimum_rotated_rectangle(area))
-    sides = np.diff(corners[:3], axis=0)
+    sides = np.diff(shapely.get_coordinates(shapely.minimum_rotated_rectangle(area))[:3], axis=0)
     first, second = np.hypot(*sides.T).tolist()
     east_m, north_m = sides[0 if first >= second else 1].tolist()
     heading_deg = math.degrees(math.atan2(east_m, north_m))

@@ -178,5 +178,4 @@ def hidden(grid: LocalGrid) -> Bool:
     rays[polar.bearing[stands], polar.ring[stands] + 1] = 1
     before: AnyArray = np.cumsum(rays, axis=1, dtype=np.int16)
     # `before[b, k]` counts the rings of a bearing that are nearer than ring k.
-    found: Bool = before[polar.bearing, polar.ring] > before[polar.bearing, polar.hidden_from]
-    return found
+    return np.asarray(before[polar.bearing, polar.ring] > before[polar.bearing, polar.hidden_from])

@@ -12,7 +12,7 @@ import typer
 from fieldgrid.cli import options, output, progress, warming
 from fieldgrid.cli.build_report import report_drives, report_remarks, report_session
 from fieldgrid.cli.drive_options import Drive
-from fieldgrid.cli.new_drives import compare, report_lies
+from fieldgrid.cli.new_drives import compare, report_offsets
 from fieldgrid.cli.pose_flags import Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
 from fieldgrid.errors import FieldgridError, printable
@@ -221,11 +221,11 @@ def command(
         partly, reports = problem, list(problem.reports)
         if not reports:
             raise
-    lies, lost = list[dict[str, Any]](), None
+    offsets, lost = list[dict[str, Any]](), None
     try:
         # Without --align it is little work, and no cluster is needed for it.
         there = scheduler if align else None
-        lies = compare(
+        offsets = compare(
             out,
             [report.session for report in reports],
             wait_s,
@@ -243,7 +243,7 @@ def command(
                 "map": str(out),
                 "sessions": sessions,
                 "failed": [{"session": name, "reason": reason} for name, reason in failed],
-                "alignment": lies,
+                "alignment": offsets,
             }
         )
         _raise(partly, lost)
@@ -252,8 +252,8 @@ def command(
         report_session(report)
     if len(recordings) > 1:
         report_drives(reports, partly)
-    report_lies(lies, out)
-    if align and not lies and lost is None:
+    report_offsets(offsets, out)
+    if align and not offsets and lost is None:
         output.report_line("no other drive of the map saw the same ground; nothing was aligned")
     output.report_line(f"map {out}")
     _raise(partly, lost)

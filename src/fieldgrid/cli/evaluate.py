@@ -11,7 +11,7 @@ import typer
 from fieldgrid.cli import options, output
 
 if TYPE_CHECKING:
-    from fieldgrid.evaluation import Evaluation, ScoredGroup, SurveyScores
+    from fieldgrid.evaluation import Evaluation, GroupScores, SurveyScores
     from fieldgrid.mapfile import MapFile
 
 
@@ -210,7 +210,7 @@ def _print_scores(result: Evaluation) -> None:
         )
 
 
-def _tolerance_rows(score: str, groups: tuple[ScoredGroup, ...]) -> list[tuple[str, ...]]:
+def _tolerance_rows(score: str, groups: tuple[GroupScores, ...]) -> list[tuple[str, ...]]:
     tolerances = getattr(groups[0].obstacles, score)
     return [
         (
@@ -221,7 +221,7 @@ def _tolerance_rows(score: str, groups: tuple[ScoredGroup, ...]) -> list[tuple[s
     ]
 
 
-def _error_rows(groups: tuple[ScoredGroup, ...]) -> list[tuple[str, ...]]:
+def _error_rows(groups: tuple[GroupScores, ...]) -> list[tuple[str, ...]]:
     labels = (
         ("heading error, median", "heading_median_deg", 2, "°"),
         ("heading error, 95 %", "heading_p95_deg", 2, "°"),

@@ -62,11 +62,12 @@ def compare(
     ]
 
 
-def report_lies(lies: Sequence[dict[str, Any]], out: Path) -> None:
-    """How new drives lie, a line for each pair; of many pairs only those that do not agree."""
+def report_offsets(offsets: Sequence[dict[str, Any]], out: Path) -> None:
+    """Print the offsets of new drives from older ones, a line for each pair; of many pairs only
+    those that do not agree."""
     agree = 0
-    for pair in lies:
-        if len(lies) > _MOST_PAIRS and _agrees(pair):
+    for pair in offsets:
+        if len(offsets) > _MOST_PAIRS and _agrees(pair):
             agree += 1
         else:
             output.report_line(_said(pair, out))

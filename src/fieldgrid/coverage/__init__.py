@@ -3,13 +3,14 @@
 from fieldgrid.coverage.area import Tracks
 from fieldgrid.coverage.plan import (
     Coverage,
-    LeftOut,
+    OmittedLane,
     Swaths,
-    Worked,
+    WorkedLane,
     coverage_in_view,
     plan_coverage,
 )
 
 __all__ = [
-    "Coverage", "LeftOut", "Swaths", "Tracks", "Worked", "coverage_in_view", "plan_coverage",
+    "Coverage", "OmittedLane", "Swaths", "Tracks", "WorkedLane", "coverage_in_view",
+    "plan_coverage",
 ]  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -66,17 +66,14 @@ class Tracks:
         return wide, wide - self.overlap_m
 
 
-class WorkArea(NamedTuple):
-    """Where the reference point may be on a straight way (polygons without narrow strips), and all
-    ground that the working width reaches from there; metres east and north."""
+def work_area(
+    searcher: Searcher, wide_m: float, *, fill_unseen: bool
+) -> tuple[list[shapely.Polygon], shapely.Geometry]:
+    """For a working width where the reference point may be on a straight way (polygons without
+    narrow strips), and all ground that the width reaches from there; metres east and north.
 
-    standing: list[shapely.Polygon]
-    reachable: shapely.Geometry
-
-
-def work_area(searcher: Searcher, wide_m: float, *, fill_unseen: bool) -> WorkArea:
-    """The area for a working width. Ground that was not seen belongs to it only where the vehicle
-    may drive there, and it lies inside the seen ground; but for `fill_unseen`, wherever it is."""
+    Ground that was not seen belongs to it only where the vehicle may drive there, and it lies
+    inside the seen ground; with `fill_unseen`, wherever it is."""
     ground, vehicle = searcher.ground, searcher.vehicle
     free: UInt8 = 1 - ground.blocked
     if not fill_unseen:
@@ -88,7 +85,7 @@ def work_area(searcher: Searcher, wide_m: float, *, fill_unseen: bool) -> WorkAr
     # From middle to middle of cells: half a cell is blocked ground.
     standing = (depth * ground.cell_m >= half_m + 0.5 * ground.cell_m).astype(np.uint8)
     if not standing.any():
-        return WorkArea([], shapely.Polygon())
+        return [], shapely.Polygon()
     away = cv2.distanceTransform(1 - standing, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     reached = ((away * ground.cell_m <= 0.5 * wide_m) & (free > 0)).astype(np.uint8)
     thin_m = 0.25 * wide_m
@@ -99,7 +96,7 @@ def work_area(searcher: Searcher, wide_m: float, *, fill_unseen: bool) -> WorkAr
         if part.area > 0.0
     ]
     shapes.sort(key=lambda shape: -shape.area)
-    return WorkArea(shapes, shapely.union_all(_polygons(searcher, reached)))
+    return shapes, shapely.union_all(_polygons(searcher, reached))
 
 
 def _polygons(searcher: Searcher, mask: UInt8) -> list[shapely.Polygon]:

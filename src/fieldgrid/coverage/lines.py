@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import shapely
 
-from fieldgrid.array_types import Bool, Float64
+from fieldgrid.array_types import Float64
 from fieldgrid.coverage.passes import followed
 from fieldgrid.polyline import lengths, normals, project, resampled
 from fieldgrid.route.search import Searcher
+from fieldgrid.rows.extent import runs
 
 STEP_M = 0.1
 _LEAST_M = 1.0
@@ -21,13 +21,13 @@ STRAIGHT_M = 0.15
 """What bends less is one straight track; `drive_lane` takes it for one, too."""
 
 CURVE_MARGIN_M = 0.2
-"""By so much a vehicle may leave a curve that it follows."""
+"""The largest distance of a vehicle from a curve that it follows."""
 
 MOST_TURN = 0.95
 """Radians in a turning radius of way: a curve that turns more is cut there."""
 
 
-class Drivable:
+class DrivableLines:
     """What of a line a vehicle can drive on its ground, that works a width."""
 
     def __init__(self, searcher: Searcher, wide_m: float) -> None:
@@ -60,8 +60,7 @@ class Drivable:
         inner = points[places] - (ground.west_m, ground.south_m)
         free = np.zeros(len(places), dtype=np.bool_)
         for turned in (0.0, math.pi):
-            poses = np.column_stack([inner, yaw + turned])
-            free |= searcher.gaps_m(poses, least_m) >= least_m
+            free |= searcher.gaps_m(np.column_stack([inner, yaw + turned]), least_m) >= least_m
         wanted[places] = free
         found = []
         for first, last in runs(wanted):
@@ -81,9 +80,8 @@ class Drivable:
         ends = []
         for stretch in (points[first:last], points[first:last][::-1]):
             left = normals(stretch)
-            yaw = np.arctan2(-left[:, 0], left[:, 1])
             corner = (self._searcher.ground.west_m, self._searcher.ground.south_m)
-            poses = np.column_stack([stretch - corner, yaw])
+            poses = np.column_stack([stretch - corner, np.arctan2(-left[:, 0], left[:, 1])])
             # From the end inwards; most have room at once.
             ends.append(next((k for k in range(len(poses)) if self._turns_away(poses[-1 - k])),
                              len(poses)))  # fmt: skip
@@ -129,13 +127,6 @@ def turns(line: Float64, radius_m: float) -> Float64:
 
 
 def _shifted(values: Float64, by: int) -> Float64:
-    """The values so many places on; the first or the last where there is none."""
+    """The values `by` places later; the first or the last one where there is none."""
     places = np.clip(np.arange(len(values)) + by, 0, len(values) - 1)
-    found: Float64 = values[places]
-    return found
-
-
-def runs(is_in: Bool) -> Iterator[list[int]]:
-    """First and last + 1 of the stretches that are true."""
-    edges = np.flatnonzero(np.diff(is_in.astype(np.int8), prepend=0, append=0))
-    yield from edges.reshape(-1, 2).tolist()
+    return np.asarray(values[places])

@@ -24,8 +24,8 @@ _MORE_POSES = 60_000
 _RETRIES = 40
 
 _USUALLY = 1.5
-"""So much more than its lower bound a way between tracks is taken to cost before it is planned:
-headlands leave hardly any way straight, and of many tracks few ways need planning."""
+"""The factor by which a way between tracks is taken to cost more than its lower bound before it is
+planned: headlands leave hardly any way straight, and of many tracks few ways need planning."""
 
 _ENOUGH = 4
 """Ways that are planned for each track before the order is made of those that are known: of a
@@ -36,7 +36,7 @@ _MOST_FAILED = 8
 none but those that were found: where a vehicle hardly turns, others take minutes to fail, too."""
 
 _LONGER = 1.02
-"""An order that costs less may be so much longer than the shortest one."""
+"""The largest length of an order that costs less, in lengths of the shortest order."""
 
 _SHARES = (4.0, 2.0, 1.0, 0.5, 0.25)
 """Of the costs, beside the lengths, in the search for such an order."""
@@ -66,7 +66,10 @@ class Network:
         headland: Searcher | None = None,
     ) -> None:
         self.searcher, self.passes, self._headland = searcher, passes, headland
-        self.starts, self.goals, self._progress = starts, goals, progress
+        self.starts, self._progress = starts, progress
+        # The poses from which a way leaves each node, and in which one reaches it.
+        self._starts = [*([] if one is None else [one.stop] for one in passes), starts]
+        self._goals = [*([] if one is None else [one.start] for one in passes), goals]
         self.ways: dict[tuple[int, int], Float64] = {}
         self.lengths_m: dict[tuple[int, int], float] = {}
         self._doubtful: dict[tuple[int, int], None] = {}
@@ -83,7 +86,7 @@ class Network:
         lengths = costs.copy()
         known = np.zeros(costs.shape, dtype=np.bool_)
         for b in range(count + 1):
-            goals = self._goals(b)
+            goals = self._goals[b]
             if b < count and not goals:
                 continue
             after = self.passes[b] if b < count else None
@@ -91,15 +94,14 @@ class Network:
             size_m = 0.0 if after is None else _length_m(after.samples)
             left = self._distance(b) if goals else None
             for a in range(count + 1):
-                starts = self._starts(a)
+                starts = self._starts[a]
                 is_same_lane = max(a, b) < count and a // 2 == b // 2
                 if a == b or is_same_lane or (a < count and not starts):
                     continue
                 if left is None or not starts:
                     costs[a, b], lengths[a, b], known[a, b] = size, size_m, True
                     continue
-                changes = (a < count) + (b < count)
-                way = self._bound(starts, goals, left, changes)
+                way = self._bound(starts, goals, left, (a < count) + (b < count))
                 costs[a, b] = size + (way if self._headland is None else _USUALLY * way)
                 lengths[a, b] = size_m + self._bound(starts, goals, left, 0)
         known |= ~np.isfinite(costs)
@@ -114,7 +116,7 @@ class Network:
         return found
 
     def order(self, worth: Float64) -> VisitOrder:
-        """The best order of the lanes, which are worth so much each. Where lanes are left out, the
+        """The best order of the lanes, each of which has a `worth`. Where lanes are left out, the
         nearest ways from and to them of which the search was cut short are searched for longer. An
         order of lanes is hardly longer than the shortest one, though it may cost less."""
         costs, lengths, known = self.bounds()
@@ -169,7 +171,7 @@ class Network:
         return float(sum(values[pair] for pair in itertools.pairwise((end, *nodes, end))))
 
     def _cost(self, a: int, b: int, max_poses: int) -> float:
-        starts, goals = self._starts(a), self._goals(b)
+        starts, goals = self._starts[a], self._goals[b]
         tried = self._cut_off.get(a)
         radius = self.searcher.vehicle.turning_radius_m
         if tried is not None and np.hypot(*(tried - goals[0][:2]).T).min() > 2.0 * radius:
@@ -203,26 +205,12 @@ class Network:
         ways = [*parts, samples, *([] if after is None else [after.samples])]
         return driven_cost(joined(ways)) - sum(driven_cost(part) for part in parts)
 
-    def _starts(self, node: int) -> list[SearchPose]:
-        """The poses from which a way leaves a node."""
-        if node == len(self.passes):
-            return self.starts
-        passed = self.passes[node]
-        return [] if passed is None else [passed.stop]
-
-    def _goals(self, node: int) -> list[SearchPose]:
-        """The poses in which a way reaches a node."""
-        if node == len(self.passes):
-            return self.goals
-        passed = self.passes[node]
-        return [] if passed is None else [passed.start]
-
     def _distance(self, node: int, searcher: Searcher | None = None) -> Float32:
         """`distance_left` of the place of a node; of the latest ones it is kept."""
         key = node, searcher is None
         left = self._left.get(key)
         if left is None:
-            left = (searcher or self.searcher).distance_left(self._goals(node)[0])
+            left = (searcher or self.searcher).distance_left(self._goals[node][0])
             while self._left and (len(self._left) + 1) * left.nbytes > _DISTANCE_BYTES:
                 del self._left[next(iter(self._left))]
             self._left[key] = left
@@ -231,8 +219,8 @@ class Network:
     def _bound(
         self, starts: list[SearchPose], goals: list[SearchPose], left_m: Float32, changes: int
     ) -> float:
-        """No way between poses costs less; inf where there is none. One that reverses has at least
-        so many changes of gear."""
+        """A lower bound of the cost of a way between poses; inf where there is none. A way that
+        reverses has at least `changes` changes of gear."""
         around = float(left_m[self.searcher.coarse_place(starts[0])])
         if not math.isfinite(around):
             return math.inf

@@ -34,7 +34,7 @@ class VisitOrder(NamedTuple):
     cost: float
 
     def left_out(self, count: int) -> set[int]:
-        """The things that are not visited, of so many."""
+        """The numbers of the things, of `count`, that are not visited."""
         return set(range(count)) - {node // 2 for node in self.nodes}
 
 

@@ -164,8 +164,8 @@ def _around(
     first: tuple[float, float],
     last: tuple[float, float],
 ) -> Pass:
-    """A way that the search finds between the sides of a lane, from and to so far beside its line
-    and along it."""
+    """A way that the search finds between the sides of a lane; `first` and `last` are its ends: the
+    distances to the left of the lane's line, and along it."""
     ground, vehicle = searcher.ground, searcher.vehicle
     corner = np.array([ground.west_m, ground.south_m])
     beyond_m = vehicle.reach_m + vehicle.clearance_m + 1.0
@@ -188,8 +188,7 @@ def _standing_fault(searcher: Searcher, name: str, pose: Float64) -> NoRouteErro
     ground = searcher.ground
     east, north = pose[:, 0] + ground.west_m, pose[:, 1] + ground.south_m
     heading, none = heading_from_yaw_rad(pose[:, 2]), np.array([0.0])
-    standing = Path(east, north, heading, np.array([1]), none)
-    fault = find_fault(standing, ground, searcher.vehicle)
+    fault = find_fault(Path(east, north, heading, np.array([1]), none), ground, searcher.vehicle)
     why, place = "something is too near", (float(east[0]), float(north[0]))
     if fault is not None:
         why, place = fault.reason, (fault.east_m, fault.north_m)

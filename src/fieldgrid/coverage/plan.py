@@ -18,7 +18,7 @@ from fieldgrid.cost import CostCurve
 from fieldgrid.coverage.area import Tracks
 from fieldgrid.coverage.network import Network
 from fieldgrid.coverage.passes import Pass, drive_lane
-from fieldgrid.coverage.tracks import Laid, lay_tracks
+from fieldgrid.coverage.tracks import TrackLayout, lay_tracks
 from fieldgrid.errors import ConfigError, NoRouteError
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
@@ -46,7 +46,7 @@ _WORTH = 1000.0
 """Metres of way that a metre of lane is worth: nothing is left out to save way."""
 
 
-class Worked(NamedTuple):
+class WorkedLane(NamedTuple):
     """A lane that a route works: whether against the direction of its line, and from where to where
     along the line the reference point goes, in metres."""
 
@@ -56,7 +56,7 @@ class Worked(NamedTuple):
     to_m: float
 
 
-class LeftOut(NamedTuple):
+class OmittedLane(NamedTuple):
     """A lane that no route works, why, and where that is (metres east and north)."""
 
     lane: str
@@ -82,16 +82,15 @@ class Coverage:
     `remedy` is what may help those, '' where there are none. `planting` has the lanes; those of
     parallel tracks are tracks and passes around them, and `swaths` says what they work. `cost_m` is
     what the order was chosen by: metres of way, those in reverse and changes of gear counted for
-    more; `planned` is how many ways between lanes were planned for that.
+    more.
     """
 
     route: Route
-    lanes: tuple[Worked, ...]
-    left_out: tuple[LeftOut, ...]
+    lanes: tuple[WorkedLane, ...]
+    left_out: tuple[OmittedLane, ...]
     remedy: str
     planting: Planting
     cost_m: float
-    planned: int
     swaths: Swaths | None = None
 
     @property
@@ -164,7 +163,8 @@ def coverage_in_view(
     curve: CostCurve | None = None,
     progress: Progress | None = None,
 ) -> Coverage:
-    """The same of a view that was read already, as `route_in_view` takes it."""
+    """Plan a coverage as :func:`plan_coverage` does, in a view that was read already, as
+    `route_in_view` takes it."""
     for name, place in (("start", start), ("goal", goal)):
         if place is not None:
             check_place(name, place)
@@ -192,7 +192,7 @@ def coverage_in_view(
         if none is None:
             driven.append((lane, passes))
         else:
-            left_out.append(LeftOut(lane.id, none.reason, none.east_m, none.north_m))
+            left_out.append(OmittedLane(lane.id, none.reason, none.east_m, none.north_m))
     nodes: list[int] = []
     cost_m = 0.0
     network = Network(
@@ -227,26 +227,24 @@ def coverage_in_view(
         assert way is not None
         ends = way.from_m, way.to_m
         from_m, to_m = (lane.length_m - end for end in ends[::-1]) if node % 2 else ends
-        worked.append(Worked(lane.id, bool(node % 2), max(from_m, 0.0), to_m))
+        worked.append(WorkedLane(lane.id, bool(node % 2), max(from_m, 0.0), to_m))
     swaths = None if laid is None else _swaths(laid, route)
-    return Coverage(
-        route, tuple(worked), tuple(left_out), helps, planting, cost_m, len(network.ways), swaths
-    )
+    return Coverage(route, tuple(worked), tuple(left_out), helps, planting, cost_m, swaths)
 
 
-def _core(laid: Laid, vehicle: Vehicle) -> shapely.Geometry:
+def _core(laid: TrackLayout, vehicle: Vehicle) -> shapely.Geometry:
     """The ground that tracks alone lead over: a vehicle at the end of one stays out of it."""
     return laid.inner.buffer(-(vehicle.reach_m + vehicle.clearance_m + 0.5 * laid.wide_m))
 
 
-def _headland(searcher: Searcher, laid: Laid) -> Searcher:
+def _headland(searcher: Searcher, laid: TrackLayout) -> Searcher:
     """What plans on the headland alone, where turns belong."""
     all_m = shapely.box(*searcher.ground.bounds_m)
     ground = searcher.ground.confined(all_m.difference(_core(laid, searcher.vehicle)))
     return Searcher(ground, searcher.vehicle)
 
 
-def _swaths(laid: Laid, route: Route) -> Swaths:
+def _swaths(laid: TrackLayout, route: Route) -> Swaths:
     """What of the ground is worked, by the poses in which a lane is."""
     places = np.column_stack([route.east_m, route.north_m])
     edges = np.flatnonzero(np.r_[True, route.lane[1:] != route.lane[:-1], True])
@@ -261,8 +259,7 @@ def _swaths(laid: Laid, route: Route) -> Swaths:
     steps = shapely.linestrings(np.stack([places[:-1], places[1:]], axis=1)[route.lane[:-1] == ""])
     shapely.prepare(core)
     crossing = shapely.length(steps[shapely.intersects(core, steps)]).sum()
-    reachable_m2 = float(laid.reachable.area)
-    return Swaths(laid.wide_m, reachable_m2, float(area.area), float(crossing))
+    return Swaths(laid.wide_m, float(laid.reachable.area), float(area.area), float(crossing))
 
 
 def _asked(planting: Planting, lanes: Sequence[str] | None) -> list[Lane]:
@@ -296,7 +293,7 @@ def _both_ways(searcher: Searcher, lane: Lane) -> tuple[list[Pass | None], NoRou
     return passes, why if passes == [None, None] else None
 
 
-def _unreached(network: Network, nodes: list[int], k: int, lane: Lane) -> LeftOut:
+def _unreached(network: Network, nodes: list[int], k: int, lane: Lane) -> OmittedLane:
     """Why a lane that could be driven is left out."""
     searcher = network.searcher
     entries = [p.start for p in network.passes[2 * k : 2 * k + 2] if p is not None]
@@ -305,10 +302,9 @@ def _unreached(network: Network, nodes: list[int], k: int, lane: Lane) -> LeftOu
     place = (entries[0].x + searcher.ground.west_m, entries[0].y + searcher.ground.south_m)
     for origin in origins:
         for entry in entries:
-            left = searcher.distance_left(entry)
-            if np.isfinite(left[searcher.coarse_place(origin)]):
+            if np.isfinite(searcher.distance_left(entry)[searcher.coarse_place(origin)]):
                 radius = searcher.vehicle.turning_radius_m
-                return LeftOut(
+                return OmittedLane(
                     lane.id,
                     "no way was found that leads to it from the other lanes and on, with a turning "
                     f"radius of {radius:g} m"
@@ -318,8 +314,8 @@ def _unreached(network: Network, nodes: list[int], k: int, lane: Lane) -> LeftOu
     try:
         find_way(searcher, origins[:1], entries[:1], "to the lane", 1)
     except NoRouteError as none:
-        return LeftOut(lane.id, none.reason, none.east_m, none.north_m)
-    return LeftOut(lane.id, "no way leads to it", *place)
+        return OmittedLane(lane.id, none.reason, none.east_m, none.north_m)
+    return OmittedLane(lane.id, "no way leads to it", *place)
 
 
 def _assembled(network: Network, nodes: list[int]) -> Float64:

@@ -21,8 +21,7 @@ from fieldgrid.coverage.lines import (
     MOST_TURN,
     STEP_M,
     STRAIGHT_M,
-    Drivable,
-    runs,
+    DrivableLines,
     turns,
 )
 from fieldgrid.errors import ConfigError, NoRouteError
@@ -31,10 +30,11 @@ from fieldgrid.lattice import Bounds
 from fieldgrid.polyline import extended, lengths, normals, project, resampled
 from fieldgrid.route.search import Searcher
 from fieldgrid.rows import Block, Headland, Lane, Obstacle, Planting
+from fieldgrid.rows.extent import runs
 
 _CORNER = 0.5
-"""Radians in a turning radius of way: an outline is cut at a corner of so much, where the vehicle
-may reverse out of it."""
+"""Radians in a turning radius of way: an outline is cut at a corner that turns more, where the
+vehicle may reverse out of it."""
 
 _SHIFTS_M = (-0.1, 0.0, 0.1, 0.2, 0.3, 0.4)
 """Away from what is blocked, of a straight pass beside it: the first that is free nearly all along
@@ -45,7 +45,7 @@ _EVERY_DEG = 10.0
 _MOST_LINES = 2000
 
 
-class Laid(NamedTuple):
+class TrackLayout(NamedTuple):
     """Tracks as the lanes of a planting; the ground inside the headland passes; all ground that the
     working width reaches; the width."""
 
@@ -57,24 +57,24 @@ class Laid(NamedTuple):
 
 def lay_tracks(
     searcher: Searcher, asked: Tracks, datum: Datum, bounds: Bounds, *, fill_unseen: bool
-) -> Laid:
+) -> TrackLayout:
     """Tracks over the ground of a searcher. Raises NoRouteError where there is no room for one,
     ConfigError for too many."""
     vehicle = searcher.vehicle
     wide_m, step_m = asked.widths_m(vehicle.work_width_m)
-    area = work_area(searcher, wide_m, fill_unseen=fill_unseen)
+    places, reachable = work_area(searcher, wide_m, fill_unseen=fill_unseen)
     lanes: list[Lane] = []
     blocks: list[Block] = []
     headlands: list[Headland] = []
     things: list[Obstacle] = []
     inners = []
-    for standing in area.standing:
+    for standing in places:
         name = f"F{len(blocks) + 1}"
-        field = _Field(searcher, asked, wide_m, step_m, name, standing)
+        field = _TrackField(searcher, asked, wide_m, step_m, name, standing)
         mine = field.lanes()
         if not mine:
             continue
-        ground = area.reachable.intersection(standing.buffer(0.5 * wide_m + searcher.ground.cell_m))
+        ground = reachable.intersection(standing.buffer(0.5 * wide_m + searcher.ground.cell_m))
         lanes += mine
         things += field.obstacles()
         inners.append(field.inner)
@@ -95,10 +95,10 @@ def lay_tracks(
         datum, bounds, searcher.ground.cell_m, (), tuple(lanes), (), tuple(headlands),
         tuple(blocks), tuple(things),
     )  # fmt: skip
-    return Laid(planting, shapely.union_all(inners), area.reachable, wide_m)
+    return TrackLayout(planting, shapely.union_all(inners), reachable, wide_m)
 
 
-class _Field:
+class _TrackField:
     """One piece of ground, where the reference point may be."""
 
     def __init__(
@@ -112,7 +112,7 @@ class _Field:
     ) -> None:
         self.searcher, self.asked, self.name = searcher, asked, name
         self.wide_m, self.step_m = wide_m, step_m
-        self._drivable = Drivable(searcher, wide_m)
+        self._drivable = DrivableLines(searcher, wide_m)
         vehicle = searcher.vehicle
         # Where the width reaches farther than the vehicle, its edge keeps to the ground.
         self._inset = max(0.5 * (wide_m - vehicle.work_width_m) - vehicle.clearance_m, 0.0)
@@ -140,7 +140,7 @@ class _Field:
         ]
 
     def _inside(self, passes: int) -> shapely.Geometry:
-        """The ground that so many passes leave."""
+        """The ground that remains inside this number of headland passes."""
         if not passes:
             grown = 0.5 * self.wide_m
             holes = shapely.union_all([hole.buffer(-grown) for hole in self._holes])
@@ -163,8 +163,12 @@ class _Field:
         ]
         if self.passes:
             for number, hole in enumerate(self._holes, 1):
+                box = hole.minimum_rotated_rectangle
+                is_small = hole.area < 4.0 * self.wide_m**2 or box.area < 1.5 * hole.area
                 found += self._sides(
-                    f"O{number}", self._boxed(hole), tuple(-shift for shift in _SHIFTS_M)
+                    f"O{number}",
+                    box if is_small else hole.simplify(0.25 * self.wide_m),
+                    tuple(-shift for shift in _SHIFTS_M),
                 )
         return found + list(self._tracks())
 
@@ -181,12 +185,6 @@ class _Field:
                 if len(ring) > 3:
                     pieces += self._around(ring, shifts)
         return [self._lane(f"{name}.{k}", piece) for k, piece in enumerate(pieces, 1)]
-
-    def _boxed(self, hole: shapely.Polygon) -> shapely.Polygon:
-        """A small hole as the smallest box around it, whose sides are straight."""
-        box = hole.minimum_rotated_rectangle
-        is_small = hole.area < 4.0 * self.wide_m**2 or box.area < 1.5 * hole.area
-        return box if is_small else hole.simplify(0.25 * self.wide_m)
 
     def _around(self, ring: Float64, shifts: tuple[float, ...]) -> list[Float64]:
         """The sides of a closed ring that can be driven."""

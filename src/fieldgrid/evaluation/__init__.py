@@ -11,12 +11,12 @@ from fieldgrid.evaluation.attitude import AttitudeScores
 from fieldgrid.evaluation.results import (
     Evaluation,
     FrameError,
+    GroupScores,
     ObstacleScores,
     PoseErrors,
-    ScoredGroup,
 )
 from fieldgrid.evaluation.scores import evaluate
-from fieldgrid.evaluation.survey import Survey, Surveyed, read_survey
+from fieldgrid.evaluation.survey import Survey, SurveyFeature, read_survey
 from fieldgrid.evaluation.terrain import TerrainScores, TrueGround
 from fieldgrid.evaluation.truth import Truth, TruthPose, read_truth
 
@@ -25,13 +25,13 @@ __all__ = [
     "Evaluation",
     "FalseScore",
     "FrameError",
+    "GroupScores",
     "KindScore",
     "ObstacleScores",
     "PoseErrors",
-    "ScoredGroup",
     "Survey",
+    "SurveyFeature",
     "SurveyScores",
-    "Surveyed",
     "TerrainScores",
     "ThingScore",
     "TrueGround",

@@ -20,9 +20,9 @@ import numpy as np
 import shapely
 from scipy import ndimage
 
-from fieldgrid.array_types import Bool, Float64
+from fieldgrid.array_types import Bool
 from fieldgrid.errors import TruthError
-from fieldgrid.evaluation.survey import ROW, Survey, Surveyed
+from fieldgrid.evaluation.survey import ROW, Survey, SurveyFeature
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, MapView
@@ -31,7 +31,7 @@ from fieldgrid.rows import crop_named, find_rows
 WITHIN_M = 0.3
 
 _STEP_M = 0.25
-"""Rows are compared at points so far from each other."""
+"""The distance between the points at which rows are compared."""
 
 _LEAST_SHARE = 0.5
 _MARGIN_M = 5.0
@@ -104,7 +104,23 @@ def evaluate_survey(
     where the survey has no rows.
     """
     planted = crop_named(crop)
-    view = _view(universal, survey)
+    shapes = [thing.shape for thing in survey.things]
+    shapes += [] if survey.area is None else [survey.area]
+    west, south, east, north = shapely.total_bounds(shapes)
+    whole = universal.bounds
+    bounds = Bounds(
+        max(west - _MARGIN_M, whole.west_m),
+        max(south - _MARGIN_M, whole.south_m),
+        min(east + _MARGIN_M, whole.east_m),
+        min(north + _MARGIN_M, whole.north_m),
+    )
+    if bounds.west_m >= bounds.east_m or bounds.south_m >= bounds.north_m:
+        raise TruthError(
+            f"The survey ({west:.0f} to {east:.0f} m east, {south:.0f} to {north:.0f} m north of "
+            f"the datum) lies beside the map ({whole.west_m:.0f} to {whole.east_m:.0f} m east, "
+            f"{whole.south_m:.0f} to {whole.north_m:.0f} m north); is it of this field?"
+        )
+    view = universal.read(bounds)
     obstacle = view.observed & (view.density > OBSTACLE_ABOVE)
     things = [thing for thing in survey.things if thing.kind != ROW]
     scores = [_thing(thing, view, obstacle, within_m) for thing in things]
@@ -123,28 +139,7 @@ def evaluate_survey(
     )
 
 
-def _view(universal: MapFile, survey: Survey) -> MapView:
-    """The map around what was surveyed."""
-    shapes = [thing.shape for thing in survey.things]
-    shapes += [] if survey.area is None else [survey.area]
-    west, south, east, north = shapely.total_bounds(shapes)
-    whole = universal.bounds
-    bounds = Bounds(
-        max(west - _MARGIN_M, whole.west_m),
-        max(south - _MARGIN_M, whole.south_m),
-        min(east + _MARGIN_M, whole.east_m),
-        min(north + _MARGIN_M, whole.north_m),
-    )
-    if bounds.west_m >= bounds.east_m or bounds.south_m >= bounds.north_m:
-        raise TruthError(
-            f"The survey ({west:.0f} to {east:.0f} m east, {south:.0f} to {north:.0f} m north of "
-            f"the datum) lies beside the map ({whole.west_m:.0f} to {whole.east_m:.0f} m east, "
-            f"{whole.south_m:.0f} to {whole.north_m:.0f} m north); is it of this field?"
-        )
-    return universal.read(bounds)
-
-
-def _thing(thing: Surveyed, view: MapView, obstacle: Bool, within_m: float) -> ThingScore:
+def _thing(thing: SurveyFeature, view: MapView, obstacle: Bool, within_m: float) -> ThingScore:
     reach_m = thing.radius_m + within_m
     rows, columns = _slices(view, thing.shape, reach_m)
     east_m, north_m = view.lattice.centres(view.window)
@@ -176,12 +171,18 @@ def _slices(view: MapView, shape: Any, reach_m: float) -> tuple[slice, slice]:
     return slice(int(j[0]), int(j[1]) + 1), slice(int(i[0]), int(i[1]) + 1)
 
 
-def _row(row: Surveyed, view: MapView, lines: list[Any], within_m: float) -> ThingScore:
+def _row(row: SurveyFeature, view: MapView, lines: list[Any], within_m: float) -> ThingScore:
     places = shapely.line_interpolate_point(
         row.shape, np.arange(_STEP_M / 2.0, row.shape.length, _STEP_M)
     )
     at = shapely.get_coordinates(places)
-    seen = _observed_near(view, at, within_m)
+    side = 2 * round(within_m * view.lattice.cells_per_m) + 1
+    share = cv2.blur(view.observed.astype(np.float32), (side, side), borderType=cv2.BORDER_CONSTANT)
+    i, j = view.lattice.index(at[:, 0], at[:, 1])
+    i, j = i - view.window.i0, j - view.window.j0
+    inside = (i >= 0) & (j >= 0) & (i < view.window.width) & (j < view.window.height)
+    seen = np.zeros(len(at), dtype=np.bool_)
+    seen[inside] = share[j[inside], i[inside]] >= _LEAST_SHARE
     if seen.mean() < _LEAST_SHARE or not lines:
         found_seen = bool(seen.mean() >= _LEAST_SHARE)
         return ThingScore(row.kind, row.id, found_seen, False, None, None, None)
@@ -196,18 +197,6 @@ def _row(row: Surveyed, view: MapView, lines: list[Any], within_m: float) -> Thi
     east, north = across.mean(axis=0).tolist()
     error_m = math.sqrt(float((across**2).sum(axis=1).mean()))
     return ThingScore(row.kind, row.id, True, True, east, north, error_m)
-
-
-def _observed_near(view: MapView, at: Float64, within_m: float) -> Bool:
-    """Whether the map observed half of the square about each point."""
-    side = 2 * round(within_m * view.lattice.cells_per_m) + 1
-    share = cv2.blur(view.observed.astype(np.float32), (side, side), borderType=cv2.BORDER_CONSTANT)
-    i, j = view.lattice.index(at[:, 0], at[:, 1])
-    i, j = i - view.window.i0, j - view.window.j0
-    inside = (i >= 0) & (j >= 0) & (i < view.window.width) & (j < view.window.height)
-    seen = np.zeros(len(at), dtype=np.bool_)
-    seen[inside] = share[j[inside], i[inside]] >= _LEAST_SHARE
-    return seen
 
 
 def _by_chance(view: MapView, obstacle: Bool, survey: Survey, within_m: float) -> float | None:

@@ -48,7 +48,7 @@ class ObstacleScores:
 
 
 @dataclass(frozen=True, slots=True)
-class ScoredGroup:
+class GroupScores:
     """The scores of one selection of frames."""
 
     name: str
@@ -84,7 +84,7 @@ class Evaluation:
     observable_pixels: int
     unmatched_frames: int
     unlevelled_frames: int
-    groups: tuple[ScoredGroup, ...]
+    groups: tuple[GroupScores, ...]
     frames: tuple[FrameError, ...]
     terrain: TerrainScores | None = None
     attitude: AttitudeScores | None = None

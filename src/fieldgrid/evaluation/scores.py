@@ -23,15 +23,15 @@ from fieldgrid.evaluation.attitude import score_attitude
 from fieldgrid.evaluation.results import (
     Evaluation,
     FrameError,
+    GroupScores,
     ObstacleScores,
     PoseErrors,
-    ScoredGroup,
 )
 from fieldgrid.evaluation.terrain import score_terrain
 from fieldgrid.evaluation.truth import Truth, TruthPose
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import FREE_UP_TO, GROUND_CHANNEL, OBSTACLE_ABOVE, GridSpec
-from fieldgrid.mapfile import FrameRecord, MapFile, MapView, SessionInfo
+from fieldgrid.mapfile import FrameRecord, MapFile, MapView
 from fieldgrid.trajectory import Status
 from fieldgrid.transfer import to_universal
 
@@ -86,7 +86,7 @@ def evaluate(
         unmatched_frames=unmatched,
         unlevelled_frames=_unlevelled(universal, [one for one, _ in matched if one.accepted]),
         groups=tuple(
-            ScoredGroup(
+            GroupScores(
                 name, _score_map(universal, truth, pairs, observable_pixels), _score_poses(pairs)
             )
             for name, pairs in groups
@@ -157,17 +157,19 @@ def _score_map(
         return ObstacleScores(0, 0, 0, _by_tolerance(None), _by_tolerance(None), None)
     keys = {(record.session, record.frame_id) for record in accepted}
     view = universal.read(frame_filter=lambda record: (record.session, record.frame_id) in keys)
-    east, north = _cell_centres(view)
-    inside = _inside(truth, east, north)
+    east, north = view.lattice.centres(view.window)
+    bounds = truth.lattice.bounds(truth.window)
+    inside = ((north > bounds.south_m) & (north < bounds.north_m))[:, None]
+    inside = inside & (east > bounds.west_m) & (east < bounds.east_m)
     obstacle = view.observed & (view.density > OBSTACLE_ABOVE) & inside
     free = view.observed & (view.density <= FREE_UP_TO) & inside
-
     observable = truth.occupied & (truth.obstacle_pixels >= observable_pixels)
     observable &= _in_view(universal, truth, accepted)
-    to_truth = _distances(_points(east, north, obstacle), _truth_points(truth, truth.occupied))
-    to_map = _distances(_truth_points(truth, observable), _points(east, north, obstacle))
+    found, observed = _points(view, obstacle), _points(truth, observable)
+    to_truth = _distances(found, _points(truth, truth.occupied))
+    to_map = _distances(observed, found)
     hit = np.zeros(view.window.shape, dtype=np.bool_)
-    i, j = view.lattice.index(*_truth_points(truth, observable).T)
+    i, j = view.lattice.index(*observed.T)
     known = (i >= view.window.i0) & (i < view.window.i0 + view.window.width)
     known &= (j >= view.window.j0) & (j < view.window.j0 + view.window.height)
     hit[j[known] - view.window.j0, i[known] - view.window.i0] = True
@@ -187,19 +189,15 @@ def _in_view(universal: MapFile, truth: Truth, accepted: list[FrameRecord]) -> B
     sessions = {info.name: info for info in universal.sessions()}
     for record in accepted:
         info = sessions[record.session]
-        x, y = _view_points(_spec_of(info), info.config, truth.lattice.cell_m / 2.0)
+        if info.grid is None:
+            raise TruthError(f"Session {info.name} has no frames to judge; build the map again.")
+        x, y = _view_points(info.grid, info.config, truth.lattice.cell_m / 2.0)
         east, north = to_universal(x, y, record.pose)
         i, j = truth.lattice.index(east, north)
         i, j = i - truth.window.i0, j - truth.window.j0
         ok = (i >= 0) & (j >= 0) & (i < truth.window.width) & (j < truth.window.height)
         mask[j[ok], i[ok]] = True
     return mask
-
-
-def _spec_of(info: SessionInfo) -> GridSpec:
-    if info.grid is None:
-        raise TruthError(f"Session {info.name} has no frames to judge; build the map again.")
-    return info.grid
 
 
 def _view_points(
@@ -213,7 +211,17 @@ def _view_points(
             left = right = math.inf
             nearest_m, offset_m = step_m, 0.0
         else:
-            left, right, lowest, offset_m = _field_of_view(rig)
+            camera = rig["camera"] if "camera" in rig else rig["depth_camera"]
+            is_pair = "camera" in rig
+            fx_px, fy_px = (
+                camera[key] for key in (("focal_px",) * 2 if is_pair else ("fx_px", "fy_px"))
+            )
+            left, right, lowest, offset_m = (
+                camera["cx_px"] / fx_px,
+                (camera["width_px"] - 1 - camera["cx_px"]) / fx_px,
+                (camera["height_px"] - 1 - camera["cy_px"]) / fy_px,
+                -camera["baseline_m"] / 2.0 if is_pair else 0.0,
+            )
             lowest_deg = rig["mount"]["tilt_deg"] + math.degrees(math.atan(lowest))
             nearest_m = rig["mount"]["height_m"] / math.tan(math.radians(max(lowest_deg, 0.1)))
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
@@ -231,46 +239,9 @@ def _view_points(
     return x[seen], y[seen]
 
 
-def _field_of_view(rig: Mapping[str, Any]) -> tuple[float, float, float, float]:
-    """Tangents from the axis of the camera to its left, right and lower edge, and how far right
-    of the grid origin it is."""
-    camera = rig["camera"] if "camera" in rig else rig["depth_camera"]
-    is_pair = "camera" in rig
-    fx_px, fy_px = (camera[key] for key in (("focal_px",) * 2 if is_pair else ("fx_px", "fy_px")))
-    return (
-        camera["cx_px"] / fx_px,
-        (camera["width_px"] - 1 - camera["cx_px"]) / fx_px,
-        (camera["height_px"] - 1 - camera["cy_px"]) / fy_px,
-        -camera["baseline_m"] / 2.0 if is_pair else 0.0,
-    )
-
-
-def _cell_centres(view: MapView) -> tuple[Float64, Float64]:
-    east, north = view.lattice.centres(view.window)
-    shape = view.window.shape
-    return np.broadcast_to(east[None, :], shape), np.broadcast_to(north[:, None], shape)
-
-
-def _inside(truth: Truth, east: Float64, north: Float64) -> Bool:
-    bounds = truth.lattice.bounds(truth.window)
-    return (
-        (east > bounds.west_m)
-        & (east < bounds.east_m)
-        & (north > bounds.south_m)
-        & (north < bounds.north_m)
-    )
-
-
-def _points(
-    east: Float64,
-    north: Float64,
-    mask: Bool,
-) -> Float64:
-    return np.stack([east[mask], north[mask]], axis=1)
-
-
-def _truth_points(truth: Truth, mask: Bool) -> Float64:
-    east, north = truth.lattice.centres(truth.window)
+def _points(of: Truth | MapView, mask: Bool) -> Float64:
+    """The centres [n, 2] of the cells of a mask, metres east and north."""
+    east, north = of.lattice.centres(of.window)
     rows, columns = np.nonzero(mask)
     return np.stack([east[columns], north[rows]], axis=1)
 

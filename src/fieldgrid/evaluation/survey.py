@@ -38,7 +38,7 @@ _EAST, _NORTH = ("eastm", "east"), ("northm", "north")
 _RADIUS = "radius_m"
 
 
-class Surveyed(NamedTuple):
+class SurveyFeature(NamedTuple):
     """One thing that was surveyed: a point, line or polygon, metres east and north of the datum,
     and how far it reaches around that: the radius of a post, half the width of a row."""
 
@@ -51,14 +51,13 @@ class Surveyed(NamedTuple):
 class Survey(NamedTuple):
     """What was surveyed, and the ground that the survey covers; None where it does not say."""
 
-    things: tuple[Surveyed, ...]
+    things: tuple[SurveyFeature, ...]
     area: Any | None
 
     @property
     def points_m(self) -> Float64:
         """The points, and the corners of the lines and polygons [n, 2], metres east and north."""
-        found: Float64 = shapely.get_coordinates([thing.shape for thing in self.things])
-        return found
+        return np.asarray(shapely.get_coordinates([thing.shape for thing in self.things]))
 
 
 def read_survey(path: str | Path, datum: Datum) -> Survey:
@@ -67,9 +66,9 @@ def read_survey(path: str | Path, datum: Datum) -> Survey:
     try:
         size = file_bytes(path)
         with path.open(encoding="utf-8-sig", newline="") as file:
-            if _is_json(path):
+            if path.suffix.lower() in (".geojson", ".json"):
                 check_document(size, path, TruthError)
-                things_of_file: Iterable[Surveyed] = _geojson(file.read(), datum)
+                things_of_file: Iterable[SurveyFeature] = _geojson(file.read(), datum)
             else:
                 things_of_file = _csv(bounded_lines(file, path), datum)
             found = list(_few(things_of_file))
@@ -80,7 +79,15 @@ def read_survey(path: str | Path, datum: Datum) -> Survey:
     except _SurveyError as error:
         raise TruthError(f"{path}: {error}") from error
     for thing in found:
-        _check_place(path, thing, datum)
+        if thing.shape.is_empty or not np.isfinite(shapely.get_coordinates(thing.shape)).all():
+            raise TruthError(f"{path}: {thing.kind} {thing.id!r} has no place.")
+        far_m = float(np.abs(shapely.bounds(thing.shape)).max())
+        if far_m > MAX_DISTANCE_M:
+            raise TruthError(
+                f"{path}: {thing.kind} {thing.id!r} lies {far_m / 1000:.0f} km from the map's "
+                f"datum {datum.described()}; is it the survey of this field, in longitude and "
+                "latitude?"
+            )
     areas = [thing.shape for thing in found if thing.kind == AREA]
     if any(shape.geom_type not in ("Polygon", "MultiPolygon") for shape in areas):
         raise TruthError(f"{path}: an {AREA} is no polygon; draw the ground that was surveyed.")
@@ -100,7 +107,7 @@ class _SurveyError(Exception):
     """What is wrong in a file, without its name."""
 
 
-def _few(things: Iterable[Surveyed]) -> Iterator[Surveyed]:
+def _few(things: Iterable[SurveyFeature]) -> Iterator[SurveyFeature]:
     """What is in a survey, while it is not more than can be."""
     for count, thing in enumerate(things):
         if count == MOST_FEATURES:
@@ -108,26 +115,9 @@ def _few(things: Iterable[Surveyed]) -> Iterator[Surveyed]:
         yield thing
 
 
-def _is_json(path: Path) -> bool:
-    return path.suffix.lower() in (".geojson", ".json")
-
-
-def _check_place(path: Path, thing: Surveyed, datum: Datum) -> None:
-    if thing.shape.is_empty or not np.isfinite(shapely.get_coordinates(thing.shape)).all():
-        raise TruthError(f"{path}: {thing.kind} {thing.id!r} has no place.")
-    far_m = float(np.abs(shapely.bounds(thing.shape)).max())
-    if far_m > MAX_DISTANCE_M:
-        raise TruthError(
-            f"{path}: {thing.kind} {thing.id!r} lies {far_m / 1000:.0f} km from the map's datum "
-            f"{datum.described()}; is it the survey of this field, in longitude and latitude?"
-        )
-
-
-def _geojson(text: str, datum: Datum) -> Iterable[Surveyed]:
+def _geojson(text: str, datum: Datum) -> Iterable[SurveyFeature]:
     try:
-        document = parse_json(text)
-        features = document["features"]
-        for number, feature in enumerate(features, 1):
+        for number, feature in enumerate(parse_json(text)["features"], 1):
             properties = feature.get("properties") or {}
             _check_size(feature["geometry"])
             shape = shapely.geometry.shape(feature["geometry"])
@@ -139,7 +129,9 @@ def _geojson(text: str, datum: Datum) -> Iterable[Surveyed]:
                     f"{kind} {name!r} has the position {degrees[0].tolist()}, which is no "
                     "longitude and latitude; export it in WGS84, as GeoJSON asks."
                 )
-            yield Surveyed(kind, name, _in_plane(shape, datum), _radius_m(properties.get(_RADIUS)))
+            yield SurveyFeature(
+                kind, name, _in_plane(shape, datum), _radius_m(properties.get(_RADIUS))
+            )
     except (TypeError, KeyError, ValueError, AttributeError) as error:
         raise _SurveyError(f"it is no GeoJSON FeatureCollection ({error!r}).") from error
     except shapely.errors.ShapelyError as error:
@@ -179,7 +171,7 @@ def _radius_m(given: Any) -> float:
     return radius_m
 
 
-def _csv(lines: Iterable[str], datum: Datum) -> Iterable[Surveyed]:
+def _csv(lines: Iterable[str], datum: Datum) -> Iterable[SurveyFeature]:
     reader = csv.DictReader(lines)
     try:
         names = {re.sub("[^a-z]", "", n.lower()): n for n in reader.fieldnames or () if n}
@@ -221,13 +213,13 @@ def _point(
     columns: tuple[str, ...],
     label: str | None,
     datum: Datum,
-) -> Surveyed:
+) -> SurveyFeature:
     cells = {name: (row.get(original) or "").strip() for name, original in names.items()}
     kind = (cells.get("kind") or label or "post").lower()
     name = cells.get("id") or (cells[label] if label else "") or str(number)
     radius_m = _radius_m(cells.get("radiusm"))
     if columns == ("wktm",):
-        return Surveyed(kind, name, shapely.from_wkt(cells["wktm"]), radius_m)
+        return SurveyFeature(kind, name, shapely.from_wkt(cells["wktm"]), radius_m)
     try:
         first, second = (float(cells[column]) for column in columns)
         if columns[0] in _LATITUDE:
@@ -238,12 +230,12 @@ def _point(
             if not (math.isfinite(first) and math.isfinite(second)):
                 raise ValueError(f"{first}, {second} is no place")
             shape = shapely.Point(first, second)
-        return Surveyed(kind, name, shape, radius_m)
+        return SurveyFeature(kind, name, shape, radius_m)
     except ValueError as error:
         raise _SurveyError(f"line {number} has no position ({error}).") from error
 
 
-def _joined(points: Sequence[Surveyed]) -> Iterable[Surveyed]:
+def _joined(points: Sequence[SurveyFeature]) -> Iterable[SurveyFeature]:
     """The points of each row as its line, all else as it is."""
     rows: dict[str, list[Any]] = {}
     for thing in points:
@@ -260,4 +252,4 @@ def _joined(points: Sequence[Surveyed]) -> Iterable[Surveyed]:
             )
         places = [thing.shape for thing in corners]
         shape = shapely.LineString(places) if kind == ROW else shapely.Polygon(places)
-        yield Surveyed(kind, name, shape, radius_m)
+        yield SurveyFeature(kind, name, shape, radius_m)

@@ -56,8 +56,7 @@ def score_terrain(universal: MapFile, true: TrueGround) -> TerrainScores | None:
             (east[column] - true.west_m) / true.cell_m - 0.5,
         ]
     )
-    expected = map_coordinates(true.up_m, at, order=1, cval=np.nan)
-    error = found[row, column] - expected
+    error = found[row, column] - map_coordinates(true.up_m, at, order=1, cval=np.nan)
     known = np.isfinite(error)
     if not known.any():
         return None

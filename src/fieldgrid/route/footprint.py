@@ -70,15 +70,13 @@ def _moved(corners: Float64, curvature: float, step: float) -> Float64:
     if curvature:
         x, y = math.sin(turn) / curvature, (1.0 - math.cos(turn)) / curvature
     cos, sin = math.cos(turn), math.sin(turn)
-    moved: Float64 = corners @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
-    return moved
+    return np.asarray(corners @ np.array([[cos, sin], [-sin, cos]]) + (x, y))
 
 
 def _hull(points: Float64) -> Float64:
     """The corners of the convex hull, counter-clockwise."""
     hull = shapely.orient_polygons(shapely.MultiPoint(points).convex_hull)
-    corners: Float64 = shapely.get_coordinates(hull)[:-1]
-    return corners
+    return np.asarray(shapely.get_coordinates(hull)[:-1])
 
 
 def _covering(corners: Float64) -> Float64:

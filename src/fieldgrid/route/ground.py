@@ -147,8 +147,8 @@ class Ground:
         return float(x[k]), float(y[k])
 
     def weak_near(self, east_m: float, north_m: float, within_m: float) -> int:
-        """The highest density of the weak obstacle cells so near to a point that stand alone, few
-        together; 0 where there is none."""
+        """The highest density of the weak obstacle cells within `within_m` of a point that stand
+        alone, few together; 0 where there is none."""
         (j0, i0), (j1, i1) = (
             self._cell(east_m + side * within_m, north_m + side * within_m) for side in (-1, 1)
         )

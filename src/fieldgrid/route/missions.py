@@ -42,8 +42,7 @@ def stretches(route: Route) -> list[RouteStretch]:
 def _vertices(route: Route, poses: slice) -> Float64:
     """Points [n, 2] between which straight lines are near enough to some poses of a route."""
     line = shapely.LineString(np.column_stack([route.east_m[poses], route.north_m[poses]]))
-    found: Float64 = shapely.get_coordinates(line.simplify(TOLERANCE_M))
-    return found
+    return np.asarray(shapely.get_coordinates(line.simplify(TOLERANCE_M)))
 
 
 def mission(route: Route) -> dict[str, Any]:

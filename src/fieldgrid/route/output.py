@@ -79,7 +79,13 @@ def write_route(route: Route, path: Path, *, overwrite: bool = False) -> None:
         draft.open("w", encoding="utf-8", newline="") as file,
     ):
         if suffix == ".gpx":
-            file.writelines(f"{line}\n" for line in _gpx_lines(route))
+            lat, lon, _ = route.datum.to_geodetic(
+                route.east_m, route.north_m, np.zeros(len(route.east_m))
+            )
+            starts = np.concatenate([[True], np.diff(route.gear) != 0])
+            file.writelines(
+                f"{line}\n" for line in gpx_track(_GPX_NAME, lat, lon, starts, [""] * len(lat))
+            )
         elif suffix == ".csv":
             writer_ = csv.writer(file, lineterminator="\n")
             writer_.writerow(COLUMNS)
@@ -124,9 +130,3 @@ def _rows(route: Route) -> Iterator[tuple[str, ...]]:
             f"{east:.6f}", f"{north:.6f}", f"{heading:.6f}", f"{gear:d}", f"{curvature + 0.0:.6f}",
             f"{clearance:.3f}", lane,
         )  # fmt: skip
-
-
-def _gpx_lines(route: Route) -> Iterator[str]:
-    lat, lon, _ = route.datum.to_geodetic(route.east_m, route.north_m, np.zeros(len(route.east_m)))
-    starts = np.concatenate([[True], np.diff(route.gear) != 0])
-    return gpx_track(_GPX_NAME, lat, lon, starts, [""] * len(lat))

@@ -81,8 +81,7 @@ class Route:
     @property
     def turning_share(self) -> float:
         """The share of the length that is driven on arcs, 0..1."""
-        turning = self.path.steps_m[self.curvature_1pm[:-1] != 0.0].sum()
-        return float(turning) / self.length_m
+        return float(self.path.steps_m[self.curvature_1pm[:-1] != 0.0].sum()) / self.length_m
 
     @property
     def reverse_share(self) -> float:
@@ -153,8 +152,8 @@ def route_in_view(
     curve: CostCurve | None = None,
     max_poses: int = MAX_STATES,
 ) -> Route:
-    """The same of a view that was read already, with the layers that `MapFile.deciding` names.
-    `max_poses` bounds the search."""
+    """Plan a route as :func:`plan_route` does, in a view that was read with the layers that
+    `MapFile.deciding` names. `max_poses` is the largest number of poses that are searched."""
     vehicle = vehicle or Vehicle()
     for name, place in (("start", start), ("goal", goal)):
         check_place(name, place)
@@ -250,8 +249,7 @@ def checked_route(
             f"The planned route fails its check: {fault.reason}",
             fault.east_m, fault.north_m, "report this with the map",
         )  # fmt: skip
-    clearance = searcher.gaps_m(samples[:, :3], NEAR_M)
-    return Route(datum, vehicle, *path, clearance, lane)
+    return Route(datum, vehicle, *path, searcher.gaps_m(samples[:, :3], NEAR_M), lane)
 
 
 def check_place(name: str, place: tuple[float, ...]) -> None:

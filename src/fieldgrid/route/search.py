@@ -95,8 +95,7 @@ class Searcher:
 
     def is_free(self, poses: Float64) -> Bool:
         """Whether the vehicle may stand in poses [n, 3]."""
-        free: Bool = self.gaps_m(poses, self.shape.clearance_m) >= self.shape.clearance_m
-        return free
+        return np.asarray(self.gaps_m(poses, self.shape.clearance_m) >= self.shape.clearance_m)
 
     def curve(self, start: SearchPose, goal: SearchPose, longest_m: float = math.inf) -> Float64:
         """The cheapest free curve from pose to pose that costs less than `longest_m`, as rows of x,
@@ -154,7 +153,7 @@ class Searcher:
             here = expand(
                 np.int64(here), goals[0].x, goals[0].y, np.array([goal.yaw for goal in goals]),
                 radius, np.int64(MOVES if self.vehicle.reverse else 5),
-                self._move_m, self._stacked, self._lattice, left_m, self._coarse_m,
+                self._move_m, self._arcs, self._lattice, left_m, self._coarse_m,
                 *self._step[1:], states, links, heap, places,
                 table, counters, tried_at,
             )  # fmt: skip
@@ -192,8 +191,9 @@ class Searcher:
         return found[::-1]
 
     @cached_property
-    def _arcs(self) -> list[Float64]:
-        """Each move from a pose at the corner that faces east."""
+    def _arcs(self) -> Float64:
+        """Each move from a pose at the corner that faces east, as rows of x, y, yaw, gear,
+        curvature [10, n, 5]: all moves are equally long."""
         length, arcs = self._move_m, []
         for move in range(MOVES):
             gear = 1.0 if move < MOVES // 2 else -1.0
@@ -204,16 +204,11 @@ class Searcher:
             if curvature:
                 ahead, left = np.sin(turned) / curvature, (1.0 - np.cos(turned)) / curvature
             arcs.append(np.column_stack([ahead, left, turned, gear * same, curvature * same]))
-        return arcs
-
-    @cached_property
-    def _stacked(self) -> Float64:
-        """The same [10, n, 5]: all moves are equally long."""
-        return np.stack(self._arcs)
+        return np.stack(arcs)
 
     def _may_be_free(self, start: SearchPose, goal: SearchPose, left_m: float) -> bool:
-        """Whether a curve between poses may be free, that are so far apart by `distance_left`: none
-        is shorter than the way around what is blocked."""
+        """Whether a curve may be free between poses that are `left_m` apart by `distance_left`:
+        none is shorter than the way around what is blocked."""
         most_m = math.dist(start[:2], goal[:2]) + _LONGEST_WORD * self.vehicle.turning_radius_m
         return most_m >= self.least_m(left_m)
 
@@ -273,8 +268,7 @@ class Searcher:
         nearer_m = left_m[self.coarse_place(starts[0])] - left_m[self.coarse_place(goals[0])]
         if not self._may_be_free(starts[0], goals[0], float(nearer_m)):
             return None
-        longest_m = had_m + 2.0 * CUSP_M
-        curve = self._best_curve(starts, goals, longest_m)
+        curve = self._best_curve(starts, goals, had_m + 2.0 * CUSP_M)
         if not len(curve):
             return None
         before = samples[: start + (not _is_doubled(samples, start - 1))].copy()
@@ -296,8 +290,9 @@ class Searcher:
         return left
 
     def least_m(self, left_m: float) -> float:
-        """No way is shorter of which `distance_left` says so many metres: eight neighbours make a
-        straight line up to 8.2 % longer, and a coarse cell stands for all of its points."""
+        """The length that no way falls below of which `distance_left` says `left_m`: eight
+        neighbours make a straight line up to 8.2 % longer, and a coarse cell stands for all of its
+        points."""
         return max(left_m / _EIGHT_WAYS - 4.0 * self._coarse_m, 0.0)
 
     @cached_property
@@ -315,8 +310,7 @@ class Searcher:
         whole[: fits.shape[0], : fits.shape[1]] = fits
         # North to south first, over whole rows: both at once takes ten times as long.
         strips = whole.reshape(height // scale, scale, width).max(axis=1)
-        coarse: UInt8 = strips.reshape(height // scale, width // scale, scale).max(axis=2)
-        return coarse
+        return np.asarray(strips.reshape(height // scale, width // scale, scale).max(axis=2))
 
     def coarse_place(self, pose: SearchPose) -> tuple[int, int]:
         """Row and column of the coarse cell that encloses a pose."""
@@ -359,7 +353,8 @@ class Searcher:
 
 
 def _word_cost(word: Word, cusp: float) -> float:
-    """The same of a word, in turning radii."""
+    """The cost of a word, in turning radii: its length, with reverse counted for more, and `cusp`
+    for each change of gear."""
     gears = [length > 0.0 for _, length in word if abs(length) > 1e-6]
     cusps = sum(a != b for a, b in itertools.pairwise(gears))
     return cusp * cusps + sum(

@@ -90,6 +90,11 @@ def write_agopengps(planting: Planting, folder: Path, *, overwrite: bool = False
     middle = np.array([shapely.get_coordinates(outer.centroid)[0]])
     lat, lon, _ = planting.datum.to_geodetic(middle[:, 0], middle[:, 1], np.zeros(1))
     plane = FieldPlane(round(float(lat[0]), 9), round(float(lon[0]), 9))
+    origin = [
+        f"{datetime.now():%Y-%b-%d %I:%M:%S %p}",
+        *("$FieldDir", "fieldgrid", "$Offsets", "0,0", "Convergence", "0", "StartFix"),
+        f"{plane.lat_deg:.9f},{plane.lon_deg:.9f}",
+    ]
     with replacing_folder(
         folder,
         overwrite=overwrite,
@@ -97,17 +102,11 @@ def write_agopengps(planting: Planting, folder: Path, *, overwrite: bool = False
         what="a field of AgOpenGPS",
     ) as draft:
         for name, lines in (
-            ("Field.txt", _field(plane)),
+            ("Field.txt", origin),
             ("Boundary.txt", _boundary([outer.exterior, *holes], plane, planting.datum)),
             ("TrackLines.txt", _tracks(planting, plane)),
         ):
             (draft / name).write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
-
-
-def _field(plane: FieldPlane) -> Iterator[str]:
-    yield f"{datetime.now():%Y-%b-%d %I:%M:%S %p}"
-    yield from ("$FieldDir", "fieldgrid", "$Offsets", "0,0", "Convergence", "0", "StartFix")
-    yield f"{plane.lat_deg:.9f},{plane.lon_deg:.9f}"
 
 
 def _boundary(rings: list[shapely.LinearRing], plane: FieldPlane, datum: Datum) -> Iterator[str]:

@@ -6,14 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from fieldgrid.array_types import Float64
 from fieldgrid.polyline import lengths, part, resampled
 from fieldgrid.rows.crops import Crop
 from fieldgrid.rows.measure import MeasuredRow
-from fieldgrid.rows.neighbours import Pair, neighbour_pairs
+from fieldgrid.rows.neighbours import Pair, linked_parts, neighbour_pairs
 
 _INSET_SPACINGS = 0.25
 """The line of a lane begins this far inside its mouth, so that it lies between both rows."""
@@ -45,10 +43,8 @@ def order_rows(rows: list[MeasuredRow], crop: Crop) -> OrderedRows:
         return OrderedRows([], [], [], [], np.nan)
     lines = [row.line for row in rows]
     pairs, spacing = neighbour_pairs(lines, crop)
-    count = len(rows)
     links = np.array([(p.left, p.right) for p in pairs]).reshape(-1, 2)
-    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
-    _, block = connected_components(graph, directed=False)
+    block = linked_parts(links, len(rows))
     sizes = np.bincount(block, minlength=1)
     places: list[int] = []
     names: list[str] = []
@@ -84,7 +80,14 @@ def lane_lines(ordered: OrderedRows) -> list[LaneLine]:
         low, high = max(low, -2.0), min(high, float(lengths(middle)[-1]) + 2.0)
         if high - low < 2.0:
             continue
-        line = _between(middle, low, high)
+        s = lengths(middle)
+        first, last = middle[1] - middle[0], middle[-1] - middle[-2]
+        head = middle[0] + first / np.hypot(*first) * min(low, 0.0)
+        tail = middle[-1] + last / np.hypot(*last) * max(high - s[-1], 0.0)
+        inner = part(middle, max(low, 0.0), min(high, float(s[-1])))
+        before = [head] if low < 0.0 else []
+        after = [tail] if high > s[-1] else []
+        line = np.array([*before, *inner, *after])
         start, stop = line[0] - inset * along, line[-1] + inset * along
         sides = [_cut(row, start, stop, along) for row in (left, right)]
         area = shapely.Polygon(np.concatenate([sides[0], sides[1][::-1]]))
@@ -92,18 +95,6 @@ def lane_lines(ordered: OrderedRows) -> list[LaneLine]:
             area = area.buffer(0)
         found.append(LaneLine(pair.left, pair.right, line, area, pair.distance_m))
     return found
-
-
-def _between(line: Float64, low: float, high: float) -> Float64:
-    """A stretch of a line; it is carried on straight where it is asked for beyond its ends."""
-    s = lengths(line)
-    first, last = line[1] - line[0], line[-1] - line[-2]
-    head = line[0] + first / np.hypot(*first) * min(low, 0.0)
-    tail = line[-1] + last / np.hypot(*last) * max(high - s[-1], 0.0)
-    inner = part(line, max(low, 0.0), min(high, float(s[-1])))
-    before = [head] if low < 0.0 else []
-    after = [tail] if high > s[-1] else []
-    return np.array([*before, *inner, *after])
 
 
 def _cut(row: Float64, start: Float64, stop: Float64, along: Float64) -> Float64:

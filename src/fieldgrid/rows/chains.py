@@ -58,8 +58,7 @@ def _ordered(segments: Segments, members: Int64) -> Float64:
     pull = weight * np.exp(-0.5 * (ahead / (0.6 * half + 0.5)) ** 2) + 1e-12
     pull /= pull.sum(axis=1, keepdims=True)
     points = middle[None] + ahead[:, :, None] * along[None]
-    line: Float64 = (pull[:, :, None] * points).sum(axis=1)
-    return line
+    return np.asarray((pull[:, :, None] * points).sum(axis=1))
 
 
 def _bridged(lines: list[Float64], crop: Crop) -> list[Float64]:
@@ -76,8 +75,7 @@ def _bridged(lines: list[Float64], crop: Crop) -> list[Float64]:
         # Lines may also overlap by a little where a direction was found twice.
         onward = (step * outward[a]).sum(axis=1)
         off = [np.abs(step[:, 0] * outward[k, 1] - step[:, 1] * outward[k, 0]) for k in (a, b)]
-        straight = np.maximum(*off) <= 0.2 * crop.min_spacing_m + 0.02 * apart
-        meeting = facing & straight
+        meeting = facing & (np.maximum(*off) <= 0.2 * crop.min_spacing_m + 0.02 * apart)
         near = np.flatnonzero(apart <= _ARC_M)
         meeting[near] |= _in_arcs(lines, pairs[near], crop)
         good = meeting & (onward > -0.25 * crop.patch_m)
@@ -144,8 +142,7 @@ def _outward(line: Float64) -> Float64:
     reach = min(8.0, float(s[-1]))
     inner = [np.interp(at, s, line[:, k]) for at in (reach, s[-1] - reach) for k in (0, 1)]
     out = np.array([line[0] - inner[:2], line[-1] - inner[2:]])
-    unit: Float64 = out / np.hypot(out[:, 0], out[:, 1])[:, None]
-    return unit
+    return np.asarray(out / np.hypot(out[:, 0], out[:, 1])[:, None])
 
 
 def without_doubles(lines: list[Float64], crop: Crop) -> list[int]:

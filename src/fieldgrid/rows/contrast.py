@@ -27,7 +27,7 @@ _FLANK = 0.8
 """Ground from this share of the way to the middle between two rows is beside the row."""
 
 _CLEAR = 2.5
-"""Parts beside a row begin so many half widths of its core from its middle."""
+"""Parts beside a row begin at this number of half widths of its core from its middle."""
 
 _SEEN = 0.5
 _LEAST_BESIDE = 30
@@ -37,8 +37,8 @@ _CHANCE = 1e-4
 
 
 class Contrast(NamedTuple):
-    """How a line stands out: how likely noise has so many more obstacle cells on it than half-way
-    to the next row, 1 where there are not several times as many.
+    """How a line stands out: the probability that noise has as many more obstacle cells on it than
+    half-way to the next row, 1 where there are not several times as many.
 
     Of single plants also the numbers of obstacle cells in parts of the line, each long enough for
     a plant, and in parts of the same size beside it.
@@ -52,8 +52,8 @@ class Contrast(NamedTuple):
 def contrast(
     evidence: Evidence, line: Float64, half_width_m: float, reach_m: float, crop: Crop
 ) -> Contrast:
-    """The contrast of a line [n, 2] with canopies of so much to either side; it is `reach_m` to
-    half-way to the next row."""
+    """The contrast of a line [n, 2] with canopies of `half_width_m` to either side; half-way to the
+    next row is `reach_m`."""
     strip = evidence.strip(line, reach_m, reach_m, _STEP_M)
     beside_m = np.abs(strip.across_m)
     core_m = max(_CORE * half_width_m, evidence.cell_m)
@@ -104,16 +104,16 @@ def chances_of_noise(contrasts: Sequence[Contrast]) -> Float64:
         return chances
     for k, one in enumerate(contrasts):
         if len(one.on):
-            as_many = len(beside) - np.searchsorted(beside, one.on)
-            ranks = (1.0 + as_many) / (1.0 + len(beside))
+            ranks = (1.0 + (len(beside) - np.searchsorted(beside, one.on))) / (1.0 + len(beside))
             chance = float(gammaincc(len(ranks), -np.log(ranks).sum()))
             chances[k] = min(1.0, 1.5 * min(chances[k], 2.0 * chance))
     return chances
 
 
 def _chance(core: Bool, flank: Bool, seen: float, part_m: float) -> float:
-    """How likely noise has so many more obstacle cells [n, m] on a row than beside it, of which
-    such a share was seen, in parts of that length."""
+    """The probability that noise has as many more obstacle cells [n, m] on a row than beside it;
+    `seen` is the share of the ground beside it that was seen. Both are counted in parts of
+    `part_m`."""
     count = int(len(core) * _STEP_M / part_m)
     if count < 2:
         return 1.0
@@ -130,8 +130,7 @@ def _shares(is_in: Bool, count: int) -> Float64:
     # The first ones are longer by one where it does not come out even.
     edges = k * (len(is_in) // count) + np.minimum(k, len(is_in) % count)
     sums = np.add.reduceat(is_in.sum(axis=1), edges[:-1])
-    shares: Float64 = sums / (np.diff(edges) * is_in.shape[1])
-    return shares
+    return np.asarray(sums / (np.diff(edges) * is_in.shape[1]))
 
 
 def stand_out(chances: Float64) -> Bool:

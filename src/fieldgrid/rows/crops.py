@@ -13,11 +13,13 @@ from typing import Any
 from fieldgrid.errors import ConfigError
 
 _APART = 4.0
-"""Plants are single ones whose canopies, of so many half widths, would leave room between them."""
+"""Plants are single ones when their spacing is more than this number of half widths of a canopy, so
+that there is room between them."""
 
 
 _BENT_PATCH = 0.45
-"""Patches are so much smaller where rows bend: an arc of 15 m radius leaves its chord by 0.3 m."""
+"""The factor by which patches are smaller where rows bend: an arc of 15 m radius leaves its chord
+by 0.3 m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +70,7 @@ class Crop:
         return self.plant_spacing_m > _APART * self.half_width_m
 
     def changed(self, **given: float | None) -> Crop:
-        """The same crop with some distances given by hand; None leaves a distance as it is."""
+        """A copy with some distances given by hand; None leaves a distance as it is."""
         known: dict[str, Any] = {k: value for k, value in given.items() if value is not None}
         return replace(self, **known)
 

@@ -5,7 +5,7 @@ A row is tested against noise on its own; whether all of them make a field is se
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import shapely
@@ -14,7 +14,6 @@ from scipy.spatial import cKDTree
 from fieldgrid.array_types import Float64
 from fieldgrid.polyline import project
 from fieldgrid.rows.crops import Crop
-from fieldgrid.rows.ground import Stray
 from fieldgrid.rows.result import Doubt, Planting
 from fieldgrid.rows.roads import DoubtfulRoad
 
@@ -44,14 +43,14 @@ _ON_ROW_M = 0.05
 
 def find_doubts(
     planting: Planting,
-    stray: Stray,
+    stray: tuple[int, float],
     roads: Sequence[DoubtfulRoad],
     crop: Crop,
     pitch_m: Sequence[float],
 ) -> tuple[Doubt, ...]:
-    """The doubts of a planting, of which so many obstacle cells are on no row, and which such roads
-    cross or do not. `pitch_m` is how far single plants of each row are from each other, and empty
-    for other plants."""
+    """The doubts of a planting. `stray` is the number of obstacle cells on no row, and their share,
+    as `stray_cells` counts them; `roads` may cross the rows or not; `pitch_m` is how far single
+    plants of each row are from each other, and empty for other plants."""
     if not planting.rows:
         return ()
     return (
@@ -60,7 +59,7 @@ def find_doubts(
         *_at_roads(planting, roads),
         *_uneven(planting),
         *_across(planting, pitch_m),
-        *_stray(planting, stray),
+        *_stray(planting, *stray),
     )
 
 
@@ -82,7 +81,7 @@ def is_better(bent: Planting, found: Planting) -> bool:
     return cells >= _SAME * before and length_m > (_SAME if fewer else 1.0) * before_m
 
 
-def _bent(planting: Planting, least_m: float) -> list[Doubt]:
+def _bent(planting: Planting, least_m: float) -> Iterator[Doubt]:
     """Rows that bend more than those which are found whole."""
     found = {}
     for row in planting.rows:
@@ -92,24 +91,39 @@ def _bent(planting: Planting, least_m: float) -> list[Doubt]:
             chord_m = float(np.hypot(*(line[-1] - line[0])))
             found[row.id] = chord_m**2 / (8.0 * sagitta_m) + 0.5 * sagitta_m
     tight = {name: radius_m for name, radius_m in found.items() if radius_m < least_m}
-    if not tight:
-        return []
-    return [
-        Doubt(
+    if tight:
+        yield Doubt(
             "bend",
             tuple(tight),
             f"{len(tight)} of {len(planting.rows)} rows bend to a radius of "
             f"{min(tight.values()):.0f} m or so; below {least_m:.0f} m rows may be in pieces, or "
             "missed",
         )
-    ]
 
 
-def _in_pieces(planting: Planting, crop: Crop) -> list[Doubt]:
+def _at_roads(planting: Planting, roads: Sequence[DoubtfulRoad]) -> Iterator[Doubt]:
+    """Holes side by side of which nobody can say whether they are a road."""
+    for road in roads:
+        holes = shapely.MultiLineString(road.holes)
+        middle = holes.centroid
+        taken = (
+            "they are taken for a road, at which rows end, and may lack plants"
+            if road.is_road
+            else "they are taken for missing plants, and may be a road"
+        )
+        yield Doubt(
+            "road",
+            tuple(row.id for row in planting.rows if row.line.distance(holes) < _ON_ROW_M),
+            f"{len(road.holes)} holes lie side by side near {middle.x:.1f} m east and "
+            f"{middle.y:.1f} m north: {taken}",
+        )
+
+
+def _in_pieces(planting: Planting, crop: Crop) -> Iterator[Doubt]:
     """Rows that end where another one goes on in line; across a road those of another block do."""
     rows = planting.rows
     if len(rows) < 2:
-        return []
+        return
     reach_m = 0.35 * float(np.nanmedian([*(row.spacing_m for row in rows), 2.0]))
     lines = [np.asarray(row.line.coords) for row in rows]
     tips, out = (
@@ -131,53 +145,25 @@ def _in_pieces(planting: Planting, crop: Crop) -> list[Doubt]:
     off = (tips[first] + half * out[first]) - (tips[second] + half * out[second])
     goes_on = facing & near & (np.hypot(off[:, 0], off[:, 1]) < reach_m)
     broken = {rows[k // 2].id for k in (*first[goes_on], *second[goes_on])}
-    if not broken:
-        return []
-    return [
-        Doubt(
+    if broken:
+        yield Doubt(
             "pieces",
             tuple(row.id for row in planting.rows if row.id in broken),
             f"{len(broken)} of {len(planting.rows)} rows end where another begins in line: they "
             "may be pieces of rows that bend, or lack many plants; --spacing with their distance "
             "helps where rows are near to each other",
         )
-    ]
-
-
-def _at_roads(planting: Planting, roads: Sequence[DoubtfulRoad]) -> list[Doubt]:
-    """Holes side by side of which nobody can say whether they are a road."""
-    found = []
-    for road in roads:
-        holes = shapely.MultiLineString(road.holes)
-        names = tuple(row.id for row in planting.rows if row.line.distance(holes) < _ON_ROW_M)
-        middle = holes.centroid
-        taken = (
-            "they are taken for a road, at which rows end, and may lack plants"
-            if road.is_road
-            else "they are taken for missing plants, and may be a road"
-        )
-        found.append(
-            Doubt(
-                "road",
-                names,
-                f"{len(road.holes)} holes lie side by side near {middle.x:.1f} m east and "
-                f"{middle.y:.1f} m north: {taken}",
-            )
-        )
-    return found
 
 
 def _tip(line: Float64) -> tuple[Float64, Float64]:
     """The last point of a line and the direction out of it, over some metres."""
-    inner = line[max(0, len(line) - 5)]
-    out = line[-1] - inner
+    out = line[-1] - line[max(0, len(line) - 5)]
     return line[-1], out / np.hypot(*out)
 
 
-def _uneven(planting: Planting) -> list[Doubt]:
+def _uneven(planting: Planting) -> Iterator[Doubt]:
     """Blocks whose rows are not as far from each other as rows of a block are."""
     lines = {row.id: row.line for row in planting.rows}
-    found = []
     for block in planting.blocks:
         lanes = [lane for lane in planting.lanes if lane.block == block.id]
         if len(lanes) < 3:
@@ -192,48 +178,39 @@ def _uneven(planting: Planting) -> list[Doubt]:
         usual = float(np.median(apart))
         odd = [k for k in range(len(lanes)) if abs(apart[k] - usual) > _UNEVEN * usual]
         if odd:
-            found.append(
-                Doubt(
-                    "uneven",
-                    tuple(dict.fromkeys(name for k in odd for name in lanes[k].rows)),
-                    f"{len(odd)} of {len(lanes)} lanes of {block.id} are {apart[odd].min():.2f} to "
-                    f"{apart[odd].max():.2f} m wide from row to row and the others "
-                    f"{usual:.2f} m: a row may be wrong, missed, or none",
-                )
+            yield Doubt(
+                "uneven",
+                tuple(dict.fromkeys(name for k in odd for name in lanes[k].rows)),
+                f"{len(odd)} of {len(lanes)} lanes of {block.id} are {apart[odd].min():.2f} to "
+                f"{apart[odd].max():.2f} m wide from row to row and the others "
+                f"{usual:.2f} m: a row may be wrong, missed, or none",
             )
-    return found
 
 
-def _across(planting: Planting, pitch_m: Sequence[float]) -> list[Doubt]:
+def _across(planting: Planting, pitch_m: Sequence[float]) -> Iterator[Doubt]:
     """Single plants that are farther from each other than the rows: trees on a grid stand in line
     both ways, and rows are usually the way in which they are nearer."""
     apart_m = [row.spacing_m for row in planting.rows]
     if not np.isfinite(apart_m).any() or not np.isfinite(pitch_m).any():
-        return []
+        return
     along_m, rows_m = float(np.nanmedian(pitch_m)), float(np.nanmedian(apart_m))
-    if along_m <= rows_m:
-        return []
-    return [
-        Doubt(
+    if along_m > rows_m:
+        yield Doubt(
             "across",
             tuple(row.id for row in planting.rows),
             f"plants are {along_m:.2f} m apart along the rows, and rows {rows_m:.2f} m: they may "
             f"run the other way. If so, try --spacing {0.85 * along_m:.1f}:{1.15 * along_m:.1f} "
             f"--plant-spacing {1.15 * rows_m:.1f}",
         )
-    ]
 
 
-def _stray(planting: Planting, stray: Stray) -> list[Doubt]:
+def _stray(planting: Planting, cells: int, share: float) -> Iterator[Doubt]:
     """Obstacle cells among the rows that belong to none of them."""
-    if stray.share <= _STRAY_SHARE or stray.cells < _LEAST_STRAY:
-        return []
-    return [
-        Doubt(
+    if share > _STRAY_SHARE and cells >= _LEAST_STRAY:
+        yield Doubt(
             "stray",
             tuple(row.id for row in planting.rows),
-            f"{stray.share:.0%} of the obstacle cells in blocks are on no row: some were missed, "
+            f"{share:.0%} of the obstacle cells in blocks are on no row: some were missed, "
             "or there is noise, by which rows may be too long; --crop and --spacing say what to "
             "look for, --obstacle-above which cells are plants",
         )
-    ]

@@ -24,14 +24,6 @@ class VehicleTracks(NamedTuple):
     sigma_m: Float64
 
 
-class Reached(NamedTuple):
-    """The sessions of which a frame covers something of a shape, and the median sigma of the
-    places of these frames, 0 where none is known."""
-
-    sessions: tuple[str, ...]
-    sigma_m: float
-
-
 class Reach:
     """Looks up which frames of the drives cover a shape; without drives none does."""
 
@@ -39,15 +31,16 @@ class Reach:
         self._drives = drives if drives is not None and len(drives.footprints) else None
         self._tree = None if self._drives is None else shapely.STRtree(self._drives.footprints)
 
-    def of(self, shape: Any) -> Reached:
-        """The frames over a shape, in metres east and north."""
+    def of(self, shape: Any) -> tuple[tuple[str, ...], float]:
+        """The sessions of the frames that cover something of a shape, in metres east and north, and
+        the median sigma of the places of these frames, 0 where none is known."""
         if self._tree is None or self._drives is None:
-            return Reached((), 0.0)
+            return (), 0.0
         seeing = np.sort(self._tree.query(shape, predicate="intersects"))
         sigma = self._drives.sigma_m[seeing]
         known = sigma[np.isfinite(sigma)]
         sessions = tuple(dict.fromkeys(self._drives.sessions[i] for i in seeing))
-        return Reached(sessions, float(np.median(known)) if len(known) else 0.0)
+        return sessions, float(np.median(known)) if len(known) else 0.0
 
 
 def drives_of(universal: MapFile, at: str | int | None) -> VehicleTracks:

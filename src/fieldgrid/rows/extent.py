@@ -32,14 +32,16 @@ much of the canopy. The row ends on its inner side."""
 
 _BEYOND_M = 0.5
 _BEYOND_SEEN = 0.5
-"""The end of a row was seen when so much of the ground beyond its last cells was."""
+"""The end of a row was seen when this share of the ground within `_BEYOND_M` behind its last cells
+was seen."""
 
 _REACH = 1.5
 _REACH_M = 2.0
 """How far beyond a hole plants are counted, in its lengths and at least."""
 
 _FEW = 2.5
-"""Where so many places of single plants are bare, the next one is still of the row."""
+"""The number of bare places of single plants up to which the next plant still belongs to the row.
+"""
 
 _PLANT = 0.3
 """A piece with less than this share of the usual cells at its densest place is a speck."""
@@ -61,7 +63,8 @@ clear one on the other. Two clear holes with nearly a plant between them are two
 
 _SPACE_M = 0.15
 _PER_SPACE_M = 4.0
-"""Plants of a row with a small hole in less than so many metres stand apart from each other."""
+"""Plants of a row stand apart from each other when there is a small hole in every stretch of this
+length."""
 
 _EDGE_M = 1.0
 """Between a gap and the end of its row there is a plant; an end post is none."""
@@ -98,23 +101,20 @@ def connected_run(weight: Float64, step_m: float, crop: Crop) -> tuple[int, int]
     some = weight > 0.0
     if not some.any():
         return None
-    occupied = uniform_filter1d(weight, 3) > _OCCUPIED * float(np.median(weight[some]))
-    pieces = runs(occupied)
+    pieces = runs(uniform_filter1d(weight, 3) > _OCCUPIED * float(np.median(weight[some])))
     if crop.are_single:
         pieces = plants_among(weight, pieces)
     parts = _closed(pieces, crop.plant_spacing_m / step_m)
     first = last = int(np.argmax([b - a for a, b in parts]))
 
     def is_more(k: int, hole: int, beyond: slice) -> bool:
-        """Whether what is beyond so long a hole is more of the row: plants over half of its length,
-        a metre at least, within one and a half times its length from part k on."""
+        """Whether what is beyond a hole of this length is more of the row: plants over half of the
+        hole's length, a metre at least, within one and a half times its length from part k on."""
         least = max(1.0 / step_m, 0.5 * hole)
         if hole * step_m > crop.max_bridge_m:
             return False
         place = crop.plant_spacing_m / step_m
-        if crop.are_single and hole <= _FEW * place:
-            return True
-        if parts[k][1] - parts[k][0] >= least:
+        if (crop.are_single and hole <= _FEW * place) or parts[k][1] - parts[k][0] >= least:
             return True
         reach = max(_REACH * hole, _REACH_M / step_m)
         near = [min(b, parts[k][0] + reach) - max(a, parts[k][1] - reach) for a, b in parts[beyond]]
@@ -237,10 +237,9 @@ def _holes(
         else:
             joined.append((a, b))
     least_m = crop.min_gap_m - 0.5 * _STEP_M
-    long = [(a, b) for a, b in joined if (b - a) * _STEP_M >= least_m]
     edge = round(_EDGE_M / _STEP_M)
     gaps, unseen = [], []
-    for hole in long:
+    for hole in [(a, b) for a, b in joined if (b - a) * _STEP_M >= least_m]:
         bare = _bare(hole, seen, least_m)
         gaps += [(a, b) for a, b in bare if a - start >= edge and stop - b >= edge]
         edges = [hole[0], *(place for part in bare for place in part), hole[1]]

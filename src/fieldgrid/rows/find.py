@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import shapely
 
-from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.evidence import OBSTACLE, Evidence, fill_pinholes
 from fieldgrid.geodesy import Datum
@@ -23,17 +22,20 @@ from fieldgrid.rows.crops import Crop, crop_named
 from fieldgrid.rows.doubts import find_doubts, is_better, may_bend
 from fieldgrid.rows.drives import Reach, VehicleTracks, drives_of
 from fieldgrid.rows.ground import (
+    canopies,
+    find_things,
     measure_lane,
     seen_cells,
+    stray_cells,
     without_specks,
 )
-from fieldgrid.rows.measure import measure_rows
+from fieldgrid.rows.measure import MeasuredRow, measure_rows
 from fieldgrid.rows.neighbours import oriented
 from fieldgrid.rows.pitch import plant_pitch_m
 from fieldgrid.rows.result import Block, Gap, Lane, Planting, Row
-from fieldgrid.rows.roads import Split, split_at_roads
+from fieldgrid.rows.roads import DoubtfulRoad, split_at_roads
 from fieldgrid.rows.segments import find_segments, link, thinned
-from fieldgrid.rows.surroundings import headlands_of, obstacles_of, off_rows
+from fieldgrid.rows.surroundings import headlands_of, obstacles_of
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -74,12 +76,17 @@ def find_rows(
                 opened, crop=crop, bounds=bounds, obstacle_above=obstacle_above, hole_m=hole_m,
                 headland_m=headland_m, at=at, jobs=jobs, scheduler=scheduler,
             )  # fmt: skip
-    _check_lengths(hole_m, headland_m)
+    for what, value_m, most_m in (("Holes", hole_m, 10.0), ("Headlands", headland_m, 1000.0)):
+        if not 0.0 <= value_m <= most_m:  # NaN is outside, too
+            raise ConfigError(f"{what} of {value_m:g} m are outside 0..{most_m:g} m.")
     if not 0 <= obstacle_above <= 254:
         raise ConfigError(f"A threshold of {obstacle_above} is outside 0..254; 100 is the paper's.")
-    with universal.read_blocks(
-        bounds, _cell_m(universal, bounds), at=at, jobs=jobs, scheduler=scheduler
-    ) as blocks:
+    area = bounds or universal.bounds
+    cell_m = universal.cell_m
+    size = (area.east_m - area.west_m) * (area.north_m - area.south_m)
+    while size / cell_m**2 > MAX_CELLS:
+        cell_m *= 2.0
+    with universal.read_blocks(bounds, cell_m, at=at, jobs=jobs, scheduler=scheduler) as blocks:
         evidence = Evidence.of_blocks(blocks, obstacle_above)
         drives = drives_of(universal, at)
     return _planting(
@@ -88,24 +95,13 @@ def find_rows(
 
 
 def rows_of_view(
-    view: MapView,
-    drives: VehicleTracks | None = None,
-    *,
-    crop: str | Crop = "vineyard",
-    obstacle_above: int = OBSTACLE_ABOVE,
-    hole_m: float = DEFAULT_HOLE_M,
-    headland_m: float = DEFAULT_HEADLAND_M,
+    view: MapView, *, crop: str | Crop = "vineyard", hole_m: float = DEFAULT_HOLE_M
 ) -> Planting:
-    """The same of a view that was read already."""
-    _check_lengths(hole_m, headland_m)
-    evidence = Evidence.of(view, obstacle_above)
-    return _planting(evidence, view.datum, drives, crop=crop, hole_m=hole_m, headland_m=headland_m)
-
-
-def _check_lengths(hole_m: float, headland_m: float) -> None:
-    for what, value_m, most_m in (("Holes", hole_m, 10.0), ("Headlands", headland_m, 1000.0)):
-        if not 0.0 <= value_m <= most_m:  # NaN is outside, too
-            raise ConfigError(f"{what} of {value_m:g} m are outside 0..{most_m:g} m.")
+    """The rows of a view that was read already, as `find_rows` finds them without any drives."""
+    evidence = Evidence.of(view, OBSTACLE_ABOVE)
+    return _planting(
+        evidence, view.datum, None, crop=crop, hole_m=hole_m, headland_m=DEFAULT_HEADLAND_M
+    )
 
 
 def _planting(
@@ -133,8 +129,8 @@ def _with_crop(
     hole_m: float,
     headland_m: float,
 ) -> Planting:
-    split = _measured(evidence, crop)
-    ordered = order_rows(split.rows, crop)
+    measured, roads = _measured(evidence, crop)
+    ordered = order_rows(measured, crop)
     reach = Reach(drives)
     rows = _rows(ordered, reach)
     lanes = lane_lines(ordered)
@@ -144,8 +140,16 @@ def _with_crop(
     coarse = speckless is evidence
     bare = fill_pinholes(without_specks(evidence, of_any_size=True), hole_m) if coarse else clean
     found_lanes = _lanes(evidence, filled, clean, bare, ordered, lanes, rows, drives, reach)
-    areas = _block_areas(ordered, lanes)
-    things, stray = off_rows(evidence, speckless, ordered, areas)
+    areas = {}
+    for block in dict.fromkeys(ordered.block_of):
+        members = [k for k, name in enumerate(ordered.block_of) if name == block]
+        areas[block] = block_area(
+            [ordered.rows[k].line for k in members],
+            [lane.area for lane in lanes if ordered.block_of[lane.left] == block],
+            [ordered.rows[k].half_width_m for k in members],
+        )
+    canopy = canopies(evidence, ordered.rows)
+    stray = stray_cells(evidence, canopy, list(areas.values()))
     found = Planting(
         datum,
         evidence.lattice.bounds(evidence.window),
@@ -155,29 +159,20 @@ def _with_crop(
         _gaps(evidence, ordered, rows, reach),
         headlands_of(clean, ordered, areas, headland_m, reach),
         _blocks(ordered, areas, rows, found_lanes),
-        obstacles_of(evidence, things, ordered, found_lanes, reach),
+        obstacles_of(evidence, find_things(speckless, canopy), ordered, found_lanes, reach),
     )
     singles = ordered.rows if crop.are_single else []
     pitch_m = [plant_pitch_m(evidence, row.line, row.half_width_m) for row in singles]
-    return replace(found, doubts=find_doubts(found, stray, split.doubtful, crop, pitch_m))
+    return replace(found, doubts=find_doubts(found, stray, roads, crop, pitch_m))
 
 
-def _cell_m(universal: MapFile, bounds: Bounds | None) -> float:
-    area = bounds or universal.bounds
-    cell_m = universal.cell_m
-    size = (area.east_m - area.west_m) * (area.north_m - area.south_m)
-    while size / cell_m**2 > MAX_CELLS:
-        cell_m *= 2.0
-    return cell_m
-
-
-def _measured(evidence: Evidence, crop: Crop) -> Split:
+def _measured(evidence: Evidence, crop: Crop) -> tuple[list[MeasuredRow], list[DoubtfulRoad]]:
     if np.count_nonzero(evidence.cells == OBSTACLE) < 20:
-        return Split([], [])
+        return [], []
     points = thinned(evidence, max(evidence.cell_m, crop.min_spacing_m / 4.0))
     segments = find_segments(points, crop)
     if not len(segments.half_m):
-        return Split([], [])
+        return [], []
     lines = oriented(reference_lines(segments, link(segments, crop), crop))
     return split_at_roads(measure_rows(evidence, lines, crop), crop)
 
@@ -191,7 +186,7 @@ def _rows(ordered: OrderedRows, reach: Reach) -> tuple[Row, ...]:
     found = []
     for k, row in enumerate(ordered.rows):
         line = shapely.LineString(row.line)
-        reached = reach.of(line)
+        sessions, pose_sigma_m = reach.of(line)
         length = row.extent.stop_m
         unseen = sum(b - a for a, b in row.extent.unseen_m)
         found.append(
@@ -200,13 +195,13 @@ def _rows(ordered: OrderedRows, reach: Reach) -> tuple[Row, ...]:
                 ordered.block_of[k],
                 line,
                 length,
-                float(np.hypot(np.sqrt((row.sigma_m**2).mean()), reached.sigma_m)),
+                float(np.hypot(np.sqrt((row.sigma_m**2).mean()), pose_sigma_m)),
                 float(np.mean(spacing[k])) if k in spacing else float("nan"),
                 row.half_width_m,
                 row.sides,
                 1.0 - unseen / length,
                 row.cells,
-                reached.sessions,
+                sessions,
                 row.scatter_m,
                 row.extent.ends_seen,
             )
@@ -240,6 +235,7 @@ def _lanes(
             if inside.sum() > 1:
                 at = shapely.line_locate_point(line, shapely.points(drives.track_m[inside]))
                 driven = bool(np.ptp(at) >= _DRIVEN_SHARE * line.length)
+        known = ground.widths_m[np.isfinite(ground.widths_m)]
         found.append(
             Lane(
                 f"{block}-L{counts[block]}",
@@ -248,23 +244,18 @@ def _lanes(
                 line,
                 lane.area,
                 float(line.length),
-                _least(ground.widths_m),
+                float(known.min()) if len(known) else float("nan"),
                 ground.widths_m,
                 ground.known,
                 driven,
                 0.5 * (rows[lane.left].sigma_m + rows[lane.right].sigma_m),
                 ground.cells,
-                reach.of(lane.area).sessions,
+                reach.of(lane.area)[0],
                 ground.clear_m,
                 ground.clear_sigma_m,
             )
         )
     return tuple(found)
-
-
-def _least(widths_m: Float64) -> float:
-    known = widths_m[np.isfinite(widths_m)]
-    return float(known.min()) if len(known) else float("nan")
 
 
 def _gaps(
@@ -277,21 +268,9 @@ def _gaps(
             cells = seen_cells(evidence, line, row.half_width_m)
             found.append(
                 Gap(f"{told.id}-G{number}", told.id, line, stop - start, told.sigma_m, cells,
-                    reach.of(line).sessions)
+                    reach.of(line)[0])
             )  # fmt: skip
     return tuple(found)
-
-
-def _block_areas(ordered: OrderedRows, lanes: list[LaneLine]) -> dict[str, shapely.Polygon]:
-    areas = {}
-    for block in dict.fromkeys(ordered.block_of):
-        members = [k for k, name in enumerate(ordered.block_of) if name == block]
-        areas[block] = block_area(
-            [ordered.rows[k].line for k in members],
-            [lane.area for lane in lanes if ordered.block_of[lane.left] == block],
-            [ordered.rows[k].half_width_m for k in members],
-        )
-    return areas
 
 
 def _blocks(

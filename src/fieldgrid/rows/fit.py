@@ -45,7 +45,7 @@ def fit_curve(points_m: Float64, weight: Float64) -> Curve:
     """
     base = _base(points_m, weight)
     s_base, left = lengths(base), normals(base)
-    s, v = _local(points_m, base)
+    s, v = project(points_m, base)
     known = weight > 0.0
     low, high = float(s.min()), float(s.max())
     length = max(high - low, 1e-6)
@@ -89,19 +89,17 @@ def _robust(
         residual = v - design @ coefficients
         size = np.abs(residual)
         used = size[known]
-        scatter = max(1.4826 * _median(used), 0.3 * math.sqrt(float(used @ used) / len(used)))
+        ascending = np.sort(used)
+        half = len(used) // 2
+        scatter = max(
+            1.4826 * (0.5 * float(ascending[half] + ascending[-1 - half])),
+            0.3 * math.sqrt(float(used @ used) / len(used)),
+        )
         scatter = max(scatter, 1e-4)
         robust = np.minimum(1.0, _HUBER * scatter / np.maximum(size, 1e-12))
     left = max(float(known.sum()) - design.shape[1], 1.0)
     rms = float(np.sqrt((robust * trust * residual**2).sum() / max((robust * trust).sum(), 1e-9)))
     return coefficients, inverse, robust, rms * float(np.sqrt((left + design.shape[1]) / left))
-
-
-def _median(values: Float64) -> float:
-    """`numpy.median` of a few values, in a tenth of its time."""
-    ascending = np.sort(values)
-    half = len(values) // 2
-    return 0.5 * float(ascending[half] + ascending[-1 - half])
 
 
 def _base(points_m: Float64, weight: Float64) -> Float64:
@@ -114,8 +112,7 @@ def _base(points_m: Float64, weight: Float64) -> Float64:
     v = (points_m - middle) @ np.array([-along[1], along[0]])
     if np.ptp(v) < 0.2 * np.ptp(s) and np.all(np.diff(s) > 0.0):
         ends = np.array([s.min() - 1.0, s.max() + 1.0])
-        straight: Float64 = middle + ends[:, None] * along[None]
-        return straight
+        return np.asarray(middle + ends[:, None] * along[None])
     size = max(3, min(len(points_m) // 2, 25))
     kernel = np.hanning(size + 2)[1:-1]
     padded = np.concatenate(
@@ -127,7 +124,3 @@ def _base(points_m: Float64, weight: Float64) -> Float64:
         [np.convolve(padded[:, k], kernel / kernel.sum(), mode="same") for k in (0, 1)]
     )[half : half + len(points_m)]
     return resampled(smooth, _STEP_M)
-
-
-def _local(points_m: Float64, base: Float64) -> tuple[Float64, Float64]:
-    return project(points_m, base)

@@ -27,7 +27,8 @@ _CANOPY_MARGIN_M = 0.2
 _THING_M2 = 0.04
 _PROTRUSION_M = 0.3
 _PROTRUSION_M2 = 0.12
-"""What hangs together with a canopy is a thing of its own when it sticks out so far."""
+"""Obstacle cells that touch a canopy are a thing of their own when they reach this far out of it
+and have this area."""
 
 _JOIN_M = 0.12
 _OPEN_M = 0.6
@@ -36,17 +37,18 @@ _BAND_CELLS = 4_000_000
 
 
 _SECTION_SEEN = 0.8
-"""A cross-section of a lane has a width when so much of it was seen, and a metre when so many of
-its cross-sections have."""
+"""A cross-section of a lane has a width when this share of it was seen, and a metre when this share
+of its cross-sections have a width."""
 
 
 _SHOOTS_M = 0.07
 _WIDTH_SIGMA_M = 0.12
-"""Shoots that no cell shows reach so much into a lane from both sides together, and how much that
-differs from metre to metre: of the rendered drives, `python -m benchmarks.rows drives`."""
+"""Shoots that no cell shows reach this far into a lane, from both sides together; and the standard
+deviation of that from metre to metre. Both are of the rendered drives, by `python -m
+benchmarks.rows drives`."""
 
 _WHOLE = 0.5
-"""A metre has a clear width when so many of its cross-sections do not end where ground was not
+"""A metre has a clear width when this share of its cross-sections do not end where ground was not
 seen: such a width is a bound, and no width."""
 
 
@@ -67,7 +69,7 @@ class LaneGround(NamedTuple):
 
 def without_specks(evidence: Evidence, *, of_any_size: bool = False) -> Evidence:
     """The evidence with lone obstacle cells taken for free ground: on less than 0.02 m², or of any
-    size. The same evidence where no cells are so small."""
+    size. The evidence itself where no cells are that small."""
     # A hundredth of a square metre is not quite 0.1², of which there are two.
     few = int(_SPECK_M2 / evidence.cell_m**2 + 1e-9)
     if few < 2 and not of_any_size:
@@ -168,15 +170,9 @@ def seen_cells(evidence: Evidence, line: shapely.LineString, reach_m: float) -> 
     return round(np.count_nonzero(strip.cells != UNSEEN) / _PER_CELL**2)
 
 
-class ObstacleCells(NamedTuple):
-    """Obstacle cells that are no part of a row: their outline, and the area of the cells."""
-
-    outline: shapely.Polygon
-    area_m2: float
-
-
-def find_things(evidence: Evidence, canopy: UInt8) -> list[ObstacleCells]:
-    """What stands in lanes, in gaps and beside the rows, whose canopies are a mask of the cells."""
+def find_things(evidence: Evidence, canopy: UInt8) -> list[tuple[shapely.Polygon, float]]:
+    """What stands in lanes, in gaps and beside the rows, whose canopies are a mask of the cells:
+    the outline of its obstacle cells, and their area in square metres."""
     obstacle = (evidence.cells == OBSTACLE).astype(np.uint8)
     size = max(1, round(_JOIN_M / evidence.cell_m)) | 1
     beside = cv2.morphologyEx(
@@ -193,23 +189,21 @@ def find_things(evidence: Evidence, canopy: UInt8) -> list[ObstacleCells]:
         mine = labels[window] == k
         area = float((obstacle[window] & mine).sum()) * cell_m2
         least = _PROTRUSION_M2 if touching[k] else _THING_M2
-        if area < least:
+        if area < least or (touching[k] and not _sticks_out(evidence, canopy, window, mine)):
             continue
-        if touching[k] and not _sticks_out(evidence, canopy, window, mine):
-            continue
-        found.append(ObstacleCells(_hull(evidence, mine, left, top), area))
+        j, i = np.nonzero(mine)
+        west, south = evidence.origin_m
+        corners = np.concatenate([np.column_stack([i + a, j + b]) for a in (0, 1) for b in (0, 1)])
+        places = (corners + np.array([left, top])) * evidence.cell_m + (west, south)
+        found.append((shapely.MultiPoint(places).convex_hull, area))
     return found
 
 
-class Stray(NamedTuple):
-    """Obstacle cells within blocks that are on no row: how many, and their share of all there."""
-
-    cells: int
-    share: float
-
-
-def stray_cells(evidence: Evidence, canopy: UInt8, blocks: list[shapely.Polygon]) -> Stray:
-    """The obstacle cells of blocks beside the canopies of their rows, of which gaps are no part."""
+def stray_cells(
+    evidence: Evidence, canopy: UInt8, blocks: list[shapely.Polygon]
+) -> tuple[int, float]:
+    """The number of obstacle cells of blocks beside the canopies of their rows, of which gaps are
+    no part, and their share of all obstacle cells of blocks."""
     inside = np.zeros(evidence.cells.shape, dtype=np.uint8)
     for block in blocks:
         _fill(inside, evidence, block)
@@ -217,11 +211,11 @@ def stray_cells(evidence: Evidence, canopy: UInt8, blocks: list[shapely.Polygon]
     every = int(np.count_nonzero(inside))
     inside &= ~canopy
     stray = int(np.count_nonzero(inside))
-    return Stray(stray, stray / max(every, 1))
+    return stray, stray / max(every, 1)
 
 
 def _sticks_out(evidence: Evidence, canopy: UInt8, window: tuple[slice, slice], mine: Bool) -> bool:
-    """Whether some of these cells of a window are so far from the canopy that they are a thing."""
+    """Whether some of these cells of a window are at least `_PROTRUSION_M` from the canopy."""
     reach = math.ceil(_PROTRUSION_M / evidence.cell_m) + 2  # beyond it nothing is near enough
     low = [max(part.start - reach, 0) for part in window]
     wide = tuple(slice(a, part.stop + reach) for a, part in zip(low, window, strict=True))
@@ -255,14 +249,6 @@ def _fill(mask: UInt8, evidence: Evidence, shape: shapely.Polygon, value: int = 
     west, south = evidence.origin_m
     ring = (np.asarray(shape.exterior.coords) - (west, south)) * evidence.lattice.cells_per_m
     cv2.fillPoly(mask, [np.floor(ring).astype(np.int32)], value)
-
-
-def _hull(evidence: Evidence, mine: Bool, left: int, top: int) -> shapely.Polygon:
-    j, i = np.nonzero(mine)
-    west, south = evidence.origin_m
-    corners = np.concatenate([np.column_stack([i + a, j + b]) for a in (0, 1) for b in (0, 1)])
-    places = (corners + np.array([left, top])) * evidence.cell_m + (west, south)
-    return shapely.MultiPoint(places).convex_hull
 
 
 def find_headlands(
@@ -309,8 +295,7 @@ def polygons_of(evidence: Evidence, mask: UInt8, least_m2: float) -> list[shapel
     half_m = 0.5 * evidence.cell_m
 
     def ring(contour: np.ndarray) -> Float64:
-        places: Float64 = (contour[:, 0].astype(np.float64) + 0.5) * half_m + (west, south)
-        return places
+        return np.asarray((contour[:, 0].astype(np.float64) + 0.5) * half_m + (west, south))
 
     found = []
     for k, contour in enumerate(contours):

@@ -16,7 +16,7 @@ import shapely
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.publish import mentions, replacing
-from fieldgrid.rows.result import Lane, Planting
+from fieldgrid.rows.result import Planting
 
 _GENERATOR = "fieldgrid"
 _TOLERANCE_M = 0.005
@@ -39,9 +39,17 @@ def write_lanelet2(
     relations: list[ElementTree.Element] = []
     ids = itertools.count(1)
     kind = {"type": "road_border"} if planting.rows else {"type": "virtual"}
+    faces = {row.id: row.half_width_m for row in planting.rows}
     for lane in planting.lanes:
         bounds = {}
-        for role, line in zip(("left", "right"), _bounds(planting, lane), strict=True):
+        half_m = 0.5 * lane.area.area / lane.length_m
+        found = []
+        for side, row in zip((1.0, -1.0), lane.rows, strict=True):
+            away = max(half_m - faces.get(row, 0.0), _LEAST_HALF_M)
+            beside = shapely.offset_curve(lane.line, side * away, join_style="mitre")
+            longest = max(shapely.get_parts(beside), key=lambda part: part.length)
+            found.append(longest.simplify(_TOLERANCE_M))
+        for role, line in zip(("left", "right"), found, strict=True):
             nodes = _add_nodes(root, planting, line, ids)
             way = _element("way", next(ids), kind)
             for place, node in enumerate(nodes):
@@ -63,19 +71,6 @@ def write_lanelet2(
     ours = partial(mentions, mark=b'generator="fieldgrid"')
     with replacing(path, overwrite=overwrite, ours=ours, what="a map of Lanelet2") as draft:
         ElementTree.ElementTree(root).write(draft, encoding="utf-8", xml_declaration=True)
-
-
-def _bounds(planting: Planting, lane: Lane) -> tuple[shapely.LineString, shapely.LineString]:
-    """The left and the right bound of a lane, in the direction of its line."""
-    half_m = 0.5 * lane.area.area / lane.length_m
-    faces = {row.id: row.half_width_m for row in planting.rows}
-    found = []
-    for side, row in zip((1.0, -1.0), lane.rows, strict=True):
-        away = max(half_m - faces.get(row, 0.0), _LEAST_HALF_M)
-        beside = shapely.offset_curve(lane.line, side * away, join_style="mitre")
-        longest = max(shapely.get_parts(beside), key=lambda part: part.length)
-        found.append(longest.simplify(_TOLERANCE_M))
-    return found[0], found[1]
 
 
 def _add_nodes(

@@ -43,20 +43,13 @@ class MeasuredRow(NamedTuple):
     scatter_m: float
 
 
-class Settled(NamedTuple):
+class RowSection(NamedTuple):
     """What is known of a row before it is fitted: its profile about its own middle, its faces, and
     how far from its line its cells may lie."""
 
     profile: Profile
     faces: Faces
     gate_m: float
-
-
-class HalfWidth(NamedTuple):
-    """Half width of a field's canopies, metres, with its standard deviation."""
-
-    half_m: float
-    sigma_m: float
 
 
 def measure_rows(evidence: Evidence, lines: list[Float64], crop: Crop) -> list[MeasuredRow]:
@@ -90,19 +83,19 @@ def _uncrossed(candidates: list[tuple[MeasuredRow, float]]) -> list[tuple[Measur
 
 def _all_settled(
     evidence: Evidence, lines: list[Float64], gates: list[float], crop: Crop
-) -> list[Settled]:
+) -> list[RowSection]:
     """The rows near lines that are near one, each with its gate."""
     found = []
     for line, gate in zip(lines, gates, strict=True):
         gate_m = max(gate, 3.0 * evidence.cell_m)
         profile = _settled(evidence, line, gate_m, crop)
         if profile is not None:
-            found.append(Settled(profile, find_faces(profile), gate_m))
+            found.append(RowSection(profile, find_faces(profile), gate_m))
     return found
 
 
 def _candidates(
-    evidence: Evidence, settled: list[Settled], width: HalfWidth, crop: Crop
+    evidence: Evidence, settled: list[RowSection], width: tuple[float, float], crop: Crop
 ) -> list[tuple[MeasuredRow, float]]:
     """The rows of profiles, each with its chance to be noise."""
     found, contrasts = [], []
@@ -115,17 +108,11 @@ def _candidates(
     return list(zip(found, chances_of_noise(contrasts).tolist(), strict=True))
 
 
-def _single(
-    candidates: list[tuple[MeasuredRow, float]], crop: Crop
-) -> list[tuple[MeasuredRow, float]]:
-    """The candidates without those that turned out to lie on a longer one: the two faces of a wide
-    canopy both lead to its middle."""
-    kept = without_doubles([row.line for row, _ in candidates], crop)
-    return [candidates[k] for k in kept]
-
-
 def _standing_out(candidates: list[tuple[MeasuredRow, float]], crop: Crop) -> list[MeasuredRow]:
-    candidates = _single(_uncrossed(candidates), crop)
+    candidates = _uncrossed(candidates)
+    # The two faces of a wide canopy both lead to its middle: the longer one is kept.
+    kept = without_doubles([row.line for row, _ in candidates], crop)
+    candidates = [candidates[k] for k in kept]
     are_rows = stand_out(np.array([chance for _, chance in candidates]))
     return [row for (row, _), is_row in zip(candidates, are_rows, strict=True) if is_row]
 
@@ -146,8 +133,7 @@ def _gates(lines: list[Float64], crop: Crop) -> list[float]:
     along = np.array([line[-1] - line[0] for line in lines])
     along /= np.hypot(along[:, 0], along[:, 1])[:, None]
     is_parallel = np.abs((along[owner][:, None] * along[beside]).sum(axis=2)) > _PARALLEL
-    other = (beside != owner[:, None]) & is_parallel
-    nearest = np.where(other, distance, np.inf).min(axis=1)
+    nearest = np.where((beside != owner[:, None]) & is_parallel, distance, np.inf).min(axis=1)
     spacing = np.array([np.median(nearest[owner == k]) for k in range(len(lines))])
     usual = float(np.median(spacing[np.isfinite(spacing)])) if np.isfinite(spacing).any() else most
     return [float(np.clip(_GATE * min(s, 1.2 * usual), 0.0, most)) for s in spacing]
@@ -180,44 +166,45 @@ def _settled(evidence: Evidence, line: Float64, gate_m: float, crop: Crop) -> Pr
     return profile
 
 
-def _half_width(settled: list[Settled], crop: Crop) -> HalfWidth:
-    """Half the width of the canopies: what the rows that were seen from both sides say, beside
-    what is usual for the crop."""
+def _half_width(settled: list[RowSection], crop: Crop) -> tuple[float, float]:
+    """Half the width of the canopies, metres, and its standard deviation: what the rows that were
+    seen from both sides say, beside what is usual for the crop."""
     told = [near for near in settled if np.isfinite(near.faces.full_width_m)]
     widths = np.array([near.faces.full_width_m for near in told])
     weight = np.array([near.faces.both_share * near.profile.along_m[-1] for near in told])
     if not len(widths) or weight.sum() < 10.0:
-        return HalfWidth(crop.half_width_m, crop.half_width_sigma_m)
+        return crop.half_width_m, crop.half_width_sigma_m
     order = widths.argsort()
     middle = widths[order][np.searchsorted(weight[order].cumsum(), 0.5 * weight.sum())]
     measured = _WIDTH_SIGMA_M**-2
     prior = crop.half_width_sigma_m**-2
     half = (measured * 0.5 * float(middle) + prior * crop.half_width_m) / (measured + prior)
-    return HalfWidth(half, (measured + prior) ** -0.5)
+    return half, (measured + prior) ** -0.5
 
 
 def _measured(
-    evidence: Evidence, settled: Settled, width: HalfWidth, crop: Crop
+    evidence: Evidence, settled: RowSection, width: tuple[float, float], crop: Crop
 ) -> MeasuredRow | None:
     """The row of a profile: every station moved from the cells that were seen to the middle."""
     profile, faces, _ = settled
     both = faces.left_seen & faces.right_seen
     shift, side_sigma = np.zeros(len(both)), np.zeros(len(both))
-    half = width.half_m
+    usual_m, usual_sigma_m = width
+    half = usual_m
     if np.isfinite(faces.full_width_m) and faces.both_share >= 0.5:
         shift[:] = 0.5 * sum(faces.full_m)
         half = 0.5 * faces.full_width_m
         # A row that looks thinner than the others was hardly seen from both sides.
-        side_sigma[:] = max(width.half_m - half - 2.0 * _WIDTH_SIGMA_M, 0.0)
+        side_sigma[:] = max(usual_m - half - 2.0 * _WIDTH_SIGMA_M, 0.0)
     else:
         for seen, face_m, sign in (
             (faces.left_seen & ~both, faces.left_m, -1.0),
             (faces.right_seen & ~both, faces.right_m, 1.0),
         ):
             if np.isfinite(face_m):
-                shift[seen] = face_m + sign * width.half_m
-                side_sigma[seen] = width.sigma_m
-        side_sigma[~(faces.left_seen | faces.right_seen)] = width.half_m
+                shift[seen] = face_m + sign * usual_m
+                side_sigma[seen] = usual_sigma_m
+        side_sigma[~(faces.left_seen | faces.right_seen)] = usual_m
     used = np.flatnonzero(profile.weight > 0.0)
     inside = slice(int(used[0]), int(used[-1]) + 1)
     curve = fit_curve(moved(profile, profile.offset_m + shift)[inside], profile.weight[inside])
@@ -225,12 +212,10 @@ def _measured(
     extent = find_extent(evidence, line, (half, -half), crop)
     if extent is None or extent.stop_m - extent.start_m < 0.6 * crop.min_row_m:
         return None
-    hole = sum(b - a for a, b in (*extent.gaps_m, *extent.unseen_m))
     length = extent.stop_m - extent.start_m
-    if length - hole < 0.35 * length:
+    if length - sum(b - a for a, b in (*extent.gaps_m, *extent.unseen_m)) < 0.35 * length:
         return None
-    side = float(np.sqrt((side_sigma[inside] ** 2).mean()))
-    sigma = np.sqrt(curve.sigma_m**2 + side**2)
+    sigma = np.sqrt(curve.sigma_m**2 + float(np.sqrt((side_sigma[inside] ** 2).mean())) ** 2)
     own = resampled(part(line, extent.start_m, extent.stop_m), 1.0)
     at, _ = project(own, curve.line)
     shifted = Extent(
@@ -240,13 +225,12 @@ def _measured(
         tuple((a - extent.start_m, b - extent.start_m) for a, b in extent.unseen_m),
         extent.ends_seen,
     )
-    sides = float((faces.left_seen[inside].astype(int) + faces.right_seen[inside]).mean())
     return MeasuredRow(
         own,
         np.interp(at, lengths(curve.line), sigma),
         shifted,
         float(half),
-        sides,
+        float((faces.left_seen[inside].astype(int) + faces.right_seen[inside]).mean()),
         int(profile.weight.sum()),
         curve.scatter_m,
     )

@@ -6,16 +6,18 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from fieldgrid.array_types import Float64
+from fieldgrid.array_types import Float64, Int64
 from fieldgrid.polyline import lengths, normals, project, resampled
 from fieldgrid.rows.crops import Crop
 
 _STEP_M = 1.0
 _MAX_ANGLE = np.cos(np.radians(12.0))
 _BLOCK_SPACINGS = 3.3
-"""Rows of one block may be so many spacings apart: two unseen ones may lie between."""
+"""Rows of one block are at most this number of spacings apart: two unseen ones may lie between."""
 
 _LANE_SPACINGS = 1.55
 """A lane is not wider than this: beyond, a row was not seen."""
@@ -75,8 +77,7 @@ def neighbour_pairs(lines: list[Float64], crop: Crop) -> tuple[list[Pair], float
             length = lengths(lines[other])[-1]
             beside = (s >= 0.0) & (s <= length)
             # To the left of this row is where the other one has it on its right.
-            foot = _at(lines[other], s)
-            side = ((foot - sample) * left).sum(axis=1)
+            side = ((_at(lines[other], s) - sample) * left).sum(axis=1)
             distances[n] = np.where(beside & (side > 0.0), np.abs(v), np.inf)
         nearest = distances.argmin(axis=0)
         found = distances.min(axis=0)
@@ -106,6 +107,12 @@ def _near(samples: list[Float64], reach_m: float) -> list[list[int]]:
         if k != other:
             found[k].append(other)
     return found
+
+
+def linked_parts(links: Int64, count: int) -> Int64:
+    """The number of the part that each of `count` things belongs to; links [n, 2] join things."""
+    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1].astype(np.int64))
 
 
 def outer_lines(lines: list[Float64], crop: Crop) -> tuple[list[Float64], float]:

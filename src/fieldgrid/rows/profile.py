@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from fieldgrid.array_types import Bool, Float64
-from fieldgrid.evidence import OBSTACLE, UNSEEN, Evidence, Strip
+from fieldgrid.evidence import OBSTACLE, UNSEEN, Evidence
 from fieldgrid.polyline import lengths, normals
 
 STATION_M = 0.5
@@ -67,7 +67,10 @@ class Faces(NamedTuple):
 def take_profile(evidence: Evidence, line: Float64, gate_m: float) -> Profile:
     """The profile of a row near a reference line [n, 2], cells up to `gate_m` beside it."""
     strip = evidence.strip(line, gate_m, gate_m, STATION_M / 5.0)
-    stations, cells = _by_station(strip)
+    per = 5
+    count = max(1, len(strip.along_m) // per)
+    cells = strip.cells[: count * per].reshape(count, -1, len(strip.across_m))
+    stations = strip.along_m[: count * per].reshape(count, -1).mean(axis=1)
     band = np.abs(strip.across_m) > 0.65 * gate_m
     left, right = (
         (cells[:, :, band & (np.sign(strip.across_m) == side)] != UNSEEN).mean(axis=(1, 2))
@@ -77,8 +80,7 @@ def take_profile(evidence: Evidence, line: Float64, gate_m: float) -> Profile:
     offset = np.zeros(len(stations))
     # The gate follows the row: first all that is nearer to it than to the next, then the canopy.
     for reach in (gate_m, 0.75 * gate_m, 0.6 * gate_m):
-        beside = strip.across_m[None, :] - offset[:, None]
-        inside = obstacle * (np.abs(beside) < reach)
+        inside = obstacle * (np.abs(strip.across_m[None, :] - offset[:, None]) < reach)
         weight = inside.sum(axis=1).astype(np.float64)
         total = inside @ strip.across_m
         pooled = uniform_filter1d(weight, 9), uniform_filter1d(total, 9)
@@ -87,14 +89,6 @@ def take_profile(evidence: Evidence, line: Float64, gate_m: float) -> Profile:
     weight[weight < _CELLS] = 0.0
     share = obstacle / cells.shape[1]
     return Profile(line, stations, mean, weight, strip.across_m, share, left, right)
-
-
-def _by_station(strip: Strip) -> tuple[Float64, np.ndarray]:
-    per = 5
-    count = max(1, len(strip.along_m) // per)
-    cells = strip.cells[: count * per].reshape(count, -1, len(strip.across_m))
-    along = strip.along_m[: count * per].reshape(count, -1).mean(axis=1)
-    return along, cells
 
 
 def find_faces(profile: Profile) -> Faces:
@@ -162,5 +156,4 @@ def moved(profile: Profile, offset_m: Float64) -> Float64:
     middle = np.column_stack([np.interp(profile.along_m, s, profile.line[:, k]) for k in (0, 1)])
     left = normals(profile.line)
     left = np.column_stack([np.interp(profile.along_m, s, left[:, k]) for k in (0, 1)])
-    points: Float64 = middle + offset_m[:, None] * left
-    return points
+    return np.asarray(middle + offset_m[:, None] * left)

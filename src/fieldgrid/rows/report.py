@@ -14,16 +14,15 @@ from fieldgrid.polyline import lengths, project
 from fieldgrid.rows.result import Block, Planting, Row
 
 _NEAR_M = 1.0
-"""A surveyed point belongs to a row that is at most so far beside it."""
+"""The largest distance of a surveyed point from the row that it belongs to."""
 
 
 class RowQuality(NamedTuple):
-    """Of one row: how far it bends off its chord (RMS and most), and by how much its heading
+    """Of one row: how far it bends off its chord (RMS), and by how much its heading
     differs from that of its block."""
 
     row: str
     bend_m: float
-    max_bend_m: float
     turn_deg: float
 
 
@@ -56,9 +55,8 @@ def row_quality(planting: Planting) -> list[RowQuality]:
     for block in planting.blocks:
         rows = [row for row in planting.rows if row.block == block.id]
         for row, turn in zip(rows, _turns_deg(rows, block).tolist(), strict=True):
-            bend = _bend(row)
-            rms = float(np.sqrt((bend**2).mean()))
-            found.append(RowQuality(row.id, rms, float(np.abs(bend).max()), turn))
+            rms_m = float(np.sqrt((_bend(row) ** 2).mean()))
+            found.append(RowQuality(row.id, rms_m, turn))
     return found
 
 
@@ -96,8 +94,7 @@ def _turns_deg(rows: Sequence[Row], block: Block) -> Float64:
     steps = np.array([np.subtract(row.line.coords[-1], row.line.coords[0]) for row in rows])
     heading = np.radians(block.heading_deg)
     ahead = steps @ [np.sin(heading), np.cos(heading)]
-    right = steps @ [np.cos(heading), -np.sin(heading)]
-    return np.asarray(np.degrees(np.arctan2(right, ahead)))
+    return np.asarray(np.degrees(np.arctan2(steps @ [np.cos(heading), -np.sin(heading)], ahead)))
 
 
 def _bend(row: Row) -> Float64:
@@ -113,7 +110,9 @@ def against_survey(planting: Planting, survey_m: Float64) -> SurveyQuality:
     offsets, sigmas, seen = [], [], set()
     lines = [(row, np.asarray(row.line.coords)) for row in planting.rows]
     tree = shapely.STRtree([row.line for row in planting.rows])
-    for point, k in zip(survey_m, _nearest(tree, survey_m), strict=True):
+    if not len(tree.geometries):
+        raise ConfigError("No row was found, so there is nothing to compare with the survey.")
+    for point, k in zip(survey_m, tree.nearest(shapely.points(survey_m)).tolist(), strict=True):
         row, line = lines[k]
         s, v = project(point[None], line)
         if abs(v[0]) <= _NEAR_M and 0.0 <= s[0] <= lengths(line)[-1]:
@@ -133,9 +132,3 @@ def against_survey(planting: Planting, survey_m: Float64) -> SurveyQuality:
         float(np.sqrt((off**2).mean())),
         float((np.abs(off) <= 3.0 * sigma).mean()),
     )
-
-
-def _nearest(tree: shapely.STRtree, points_m: Float64) -> list[int]:
-    if not len(tree.geometries):
-        raise ConfigError("No row was found, so there is nothing to compare with the survey.")
-    return [int(k) for k in tree.nearest(shapely.points(points_m))]

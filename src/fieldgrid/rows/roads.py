@@ -7,19 +7,18 @@ plants that some of their holes lie side by side by chance.
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
 import shapely
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from fieldgrid.array_types import Float64
 from fieldgrid.polyline import lengths, part, project
 from fieldgrid.rows.crops import Crop
 from fieldgrid.rows.extent import Extent, Span
 from fieldgrid.rows.measure import MeasuredRow
-from fieldgrid.rows.neighbours import Pair, neighbour_pairs
+from fieldgrid.rows.neighbours import Pair, linked_parts, neighbour_pairs
 
 _ROAD_M = 2.5
 """A way across rows is no narrower."""
@@ -28,23 +27,24 @@ _LEAST_ROWS = 4
 """In fewer rows plants may be missing side by side by chance."""
 
 _SHARED = 0.25
-"""Holes lie side by side when the shorter shares so much with the other: a road may be oblique."""
+"""Holes lie side by side when they share this part of the shorter one: a road may be oblique."""
 
 _PIECE = 0.6
 """A piece of a row is a row when it has this share of the shortest one."""
 
 
 _BY_CHANCE = 0.01
-"""Of holes that lie wherever they like, so few sets are as much in line as those of a road."""
+"""The expected number of sets of holes, of holes that lie anywhere, that are as well in line as
+those of a road; a road has fewer."""
 
 _IN_LINE_M = 0.5
-"""The holes of a road are in line to so much, and no better: rows end where plants do."""
+"""The best alignment that the holes of a road can have: rows end where plants do."""
 
 _RAGGED_M = 0.6
 """The edges of a road are straighter than this, root mean square: half a vine's place."""
 
 _SURE_ROWS = 8
-"""In so many rows the edges of a road may be ragged."""
+"""The number of rows from which on the edges of a road may be ragged."""
 
 
 class DoubtfulRoad(NamedTuple):
@@ -55,13 +55,6 @@ class DoubtfulRoad(NamedTuple):
     is_road: bool
 
 
-class Split(NamedTuple):
-    """Rows, those that a road crosses as one on each side of it, and roads that are in doubt."""
-
-    rows: list[MeasuredRow]
-    doubtful: list[DoubtfulRoad]
-
-
 class _Hole(NamedTuple):
     """A hole of a row, by its number, from and to along it, and whether its ground was seen."""
 
@@ -70,8 +63,10 @@ class _Hole(NamedTuple):
     is_seen: bool
 
 
-def split_at_roads(rows: list[MeasuredRow], crop: Crop) -> Split:
-    """The rows, those that a road crosses as one on each side of it, and what is in doubt."""
+def split_at_roads(
+    rows: list[MeasuredRow], crop: Crop
+) -> tuple[list[MeasuredRow], list[DoubtfulRoad]]:
+    """The rows, those that a road crosses as one on each side of it, and the roads in doubt."""
     holes = [
         _Hole(k, span, is_seen)
         for k, row in enumerate(rows)
@@ -80,7 +75,7 @@ def split_at_roads(rows: list[MeasuredRow], crop: Crop) -> Split:
         if span[1] - span[0] >= _ROAD_M
     ]
     if sum(hole.is_seen for hole in holes) < _LEAST_ROWS:
-        return Split(rows, [])
+        return rows, []
     pairs, _ = neighbour_pairs([row.line for row in rows], crop)
     cuts: dict[int, list[Span]] = {}
     doubtful = []
@@ -88,7 +83,18 @@ def split_at_roads(rows: list[MeasuredRow], crop: Crop) -> Split:
     missing = set(holes)
     for road in sorted(_roads(rows, holes, pairs), key=lambda one: -_row_count(one)):
         others = missing - set(road)
-        edges_m = _edges(rows, road)
+        first = rows[road[0].row].line
+        along = (first[-1] - first[0]) / np.hypot(*(first[-1] - first[0]))
+        left = np.array([-along[1], along[0]])
+        ends = np.array([part(rows[hole.row].line, *hole.span_m)[[0, -1]] for hole in road])
+        s, across = (ends - first[0]) @ along, (ends - first[0]) @ left
+        s.sort(axis=1)
+        edges_m: Float64 = np.empty(s.shape)
+        for edge in (0, 1):
+            design = np.column_stack([np.ones(len(s)), across[:, edge]])
+            edges_m[:, edge] = (
+                s[:, edge] - design @ np.linalg.lstsq(design, s[:, edge], rcond=None)[0]
+            )
         is_road = _chance(rows, road, edges_m, others) <= _BY_CHANCE
         if is_road:
             missing = others
@@ -99,35 +105,17 @@ def split_at_roads(rows: list[MeasuredRow], crop: Crop) -> Split:
                 shapely.LineString(part(rows[hole.row].line, *hole.span_m)) for hole in road
             )
             doubtful.append(DoubtfulRoad(lines, is_road))
-    found = []
-    for k, row in enumerate(rows):
-        found += _pieces(row, sorted(cuts.get(k, [])), crop)
-    return Split(found, doubtful)
+    pieces = [_pieces(row, sorted(cuts.get(k, [])), crop) for k, row in enumerate(rows)]
+    return list(itertools.chain.from_iterable(pieces)), doubtful
 
 
 def _row_count(road: list[_Hole]) -> int:
     return len({hole.row for hole in road})
 
 
-def _edges(rows: list[MeasuredRow], road: list[_Hole]) -> Float64:
-    """Where holes begin and end beside the straight edges that fit them, metres [n, 2]."""
-    first = rows[road[0].row].line
-    along = (first[-1] - first[0]) / np.hypot(*(first[-1] - first[0]))
-    left = np.array([-along[1], along[0]])
-    ends = np.array([part(rows[hole.row].line, *hole.span_m)[[0, -1]] for hole in road])
-    s, across = (ends - first[0]) @ along, (ends - first[0]) @ left
-    s.sort(axis=1)
-    found: Float64 = np.empty(s.shape)
-    for edge in (0, 1):
-        design = np.column_stack([np.ones(len(s)), across[:, edge]])
-        found[:, edge] = s[:, edge] - design @ np.linalg.lstsq(design, s[:, edge], rcond=None)[0]
-    return found
-
-
 def _is_ragged(edges_m: Float64) -> bool:
     # Of each edge two numbers were fitted.
-    freedom = max(len(edges_m) - 2, 1)
-    return bool(np.sqrt((edges_m**2).sum(axis=0) / freedom).min() > _RAGGED_M)
+    return bool(np.sqrt((edges_m**2).sum(axis=0) / max(len(edges_m) - 2, 1)).min() > _RAGGED_M)
 
 
 def _chance(
@@ -143,11 +131,11 @@ def _chance(
         return 0.0
     per_m = len(sizes) / total_m
     road_m = float(np.mean([hole.span_m[1] - hole.span_m[0] for hole in road]))
-    middles_m = edges_m.mean(axis=1)
-    off_m = max(float(np.sqrt((middles_m**2).sum() / max(len(road) - 2, 1))), _IN_LINE_M)
+    off_m = max(
+        float(np.sqrt((edges_m.mean(axis=1) ** 2).sum() / max(len(road) - 2, 1))), _IN_LINE_M
+    )
     any_way = min(per_m * (road_m + float(np.mean(sizes))), 1.0)
-    in_line = min(per_m * 4.0 * off_m, 1.0)
-    return len(sizes) / len(own) * any_way * in_line ** (len(own) - 2)
+    return len(sizes) / len(own) * any_way * min(per_m * 4.0 * off_m, 1.0) ** (len(own) - 2)
 
 
 def _roads(rows: list[MeasuredRow], holes: list[_Hole], pairs: list[Pair]) -> list[list[_Hole]]:
@@ -159,7 +147,10 @@ def _roads(rows: list[MeasuredRow], holes: list[_Hole], pairs: list[Pair]) -> li
     both = [(pair.left, pair.right) for pair in pairs if pair.is_lane]
     for row, other in both + [pair[::-1] for pair in both]:
         for place in of_row.get(row, []):
-            low, high = _beside(rows[row], holes[place].span_m, rows[other])
+            # Along the other row, which runs the same way or against this one.
+            ends_m = part(rows[row].line, *holes[place].span_m)[[0, -1]]
+            along_m = project(ends_m, rows[other].line)[0]
+            low, high = float(along_m.min()), float(along_m.max())
             size = rows[other].extent.stop_m
             shares = [
                 (min(high, span[1]) - max(low, span[0])) / min(high - low, span[1] - span[0])
@@ -170,9 +161,7 @@ def _roads(rows: list[MeasuredRow], holes: list[_Hole], pairs: list[Pair]) -> li
             links += [(place, at) for at in met]
             # A row that ends before the hole, or begins after it, leaves it open.
             closed[place] |= not met and low > 0.0 and high < size
-    ends = np.array(links).reshape(-1, 2)
-    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(holes),) * 2)
-    _, label = connected_components(graph, directed=False)
+    label = linked_parts(np.array(links).reshape(-1, 2), len(holes))
     found = []
     for number in range(int(label.max()) + 1):
         places = np.flatnonzero(label == number)
@@ -182,17 +171,10 @@ def _roads(rows: list[MeasuredRow], holes: list[_Hole], pairs: list[Pair]) -> li
     return found
 
 
-def _beside(row: MeasuredRow, span_m: Span, other: MeasuredRow) -> Span:
-    """A stretch of a row, along the line of another one that runs the same way or against it."""
-    s, _ = project(part(row.line, *span_m)[[0, -1]], other.line)
-    return float(s.min()), float(s.max())
-
-
 def _pieces(row: MeasuredRow, cuts: list[Span], crop: Crop) -> list[MeasuredRow]:
     """A row without some stretches; all of it when a piece would be no row."""
     starts = [0.0, *(cut[1] for cut in cuts)]
-    stops = [*(cut[0] for cut in cuts), row.extent.stop_m]
-    spans = list(zip(starts, stops, strict=True))
+    spans = list(zip(starts, [*(cut[0] for cut in cuts), row.extent.stop_m], strict=True))
     if len(spans) < 2 or min(b - a for a, b in spans) < _PIECE * crop.min_row_m:
         return [row]
     along, whole, found = lengths(row.line), sum(b - a for a, b in spans), []

@@ -13,14 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import correlate1d, gaussian_filter1d
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.evidence import OBSTACLE, Evidence
 from fieldgrid.kernel import kernel
 from fieldgrid.rows.crops import Crop
+from fieldgrid.rows.neighbours import linked_parts
 
 _ANGLES = 120
 """Directions that are tried over half a turn: 1.5° moves the end of a patch by a fifth of a row."""
@@ -48,13 +47,6 @@ class Segments(NamedTuple):
     half_m: Float64
     support: Int64
     filled: Float64
-
-
-class _Patches(NamedTuple):
-    """Patches by their middles [n, 2], and for each the places of its points in `order`."""
-
-    middle_m: Float64
-    members: list[Int64]
 
 
 def thinned(evidence: Evidence, cell_m: float) -> Float64:
@@ -87,16 +79,15 @@ def thinned(evidence: Evidence, cell_m: float) -> Float64:
 def find_segments(points_m: Float64, crop: Crop) -> Segments:
     """The segments of rows among obstacle cells [n, 2] (metres), which are thinned already."""
     side = crop.patch_m
-    coarse = _patches(points_m, side, side)
-    profiles = np.stack([_sharpness(points_m[m], crop) for m in coarse.members])
-    directions = _pooled(coarse.middle_m, profiles, side)
-    tree = cKDTree(coarse.middle_m)
+    middles_m, patches = _patches(points_m, side, side)
+    profiles = np.stack([_sharpness(points_m[members], crop) for members in patches])
+    directions = _pooled(middles_m, profiles, side)
+    tree = cKDTree(middles_m)
     found = []
-    fine = _patches(points_m, side, side / 2.0)
-    for middle, members in zip(fine.middle_m, fine.members, strict=True):
+    for middle, members in zip(*_patches(points_m, side, side / 2.0), strict=True):
         if len(members) < _MIN_POINTS:
             continue
-        _, near = tree.query(middle, k=min(2, len(coarse.middle_m)))
+        _, near = tree.query(middle, k=min(2, len(middles_m)))
         # Where two blocks meet, either direction may be that of a row.
         angles = {float(directions[k]) for k in np.atleast_1d(near) if np.isfinite(directions[k])}
         for angle in angles:
@@ -105,12 +96,12 @@ def find_segments(points_m: Float64, crop: Crop) -> Segments:
         return Segments(
             np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, int), np.zeros(0)
         )
-    columns = zip(*found, strict=True)
-    return Segments(*(np.array(column) for column in columns))
+    return Segments(*(np.array(column) for column in zip(*found, strict=True)))
 
 
-def _patches(points_m: Float64, side_m: float, step_m: float) -> _Patches:
-    """Squares of `side_m` about every lattice point of `step_m` that has a point near it."""
+def _patches(points_m: Float64, side_m: float, step_m: float) -> tuple[Float64, list[Int64]]:
+    """Squares of `side_m` about every lattice point of `step_m` that has a point near it: their
+    middles [n, 2], and the numbers of the points in each."""
     tree = cKDTree(points_m)
     places = np.floor(points_m / step_m).astype(np.int64)
     low, high = places.min(axis=0), places.max(axis=0)
@@ -120,7 +111,7 @@ def _patches(points_m: Float64, side_m: float, step_m: float) -> _Patches:
     keys = np.column_stack([numbers // size[1], numbers % size[1]]) + low
     middle = np.asarray((keys + 0.5) * step_m, dtype=np.float64)
     members = tree.query_ball_point(middle, side_m / 2.0, p=np.inf, return_sorted=False)
-    return _Patches(middle, [np.asarray(m, dtype=np.int64) for m in members])
+    return middle, [np.asarray(m, dtype=np.int64) for m in members]
 
 
 def _sharpness(points_m: Float64, crop: Crop) -> Float64:
@@ -130,8 +121,7 @@ def _sharpness(points_m: Float64, crop: Crop) -> Float64:
     angles = np.arange(_ANGLES) * np.pi / _ANGLES
     across = np.stack([-np.sin(angles), np.cos(angles)])
     middle = points_m.mean(axis=0)
-    bin_m = crop.min_spacing_m / 5.0
-    v = np.floor(((points_m - middle) @ across) / bin_m).astype(np.int64)
+    v = np.floor(((points_m - middle) @ across) / (crop.min_spacing_m / 5.0)).astype(np.int64)
     v -= v.min()
     width = int(v.max()) + 1
     counts = np.bincount((v + np.arange(_ANGLES) * width).ravel(), minlength=_ANGLES * width)
@@ -141,8 +131,7 @@ def _sharpness(points_m: Float64, crop: Crop) -> Float64:
 
 def _pooled(middle_m: Float64, profiles: Float64, side_m: float) -> Float64:
     """The direction of each patch, radians counter-clockwise from east; NaN without any points."""
-    tree = cKDTree(middle_m)
-    pairs = tree.query_pairs(1.5 * side_m, output_type="ndarray")
+    pairs = cKDTree(middle_m).query_pairs(1.5 * side_m, output_type="ndarray")
     # What an angle has above the mean of all tells of rows; a blob is the same from everywhere.
     contrast = profiles - np.median(profiles, axis=1, keepdims=True)
     pooled = contrast.copy()
@@ -155,8 +144,7 @@ def _pooled(middle_m: Float64, profiles: Float64, side_m: float) -> Float64:
     )
     with np.errstate(invalid="ignore", divide="ignore"):
         shift = np.nan_to_num(0.5 * (left - right) / (left - 2.0 * peak + right))
-    angle = (best + np.clip(shift, -0.5, 0.5)) * np.pi / _ANGLES
-    return np.where(peak > 0.0, angle, np.nan)
+    return np.where(peak > 0.0, (best + np.clip(shift, -0.5, 0.5)) * np.pi / _ANGLES, np.nan)
 
 
 def _segments_of(
@@ -166,7 +154,8 @@ def _segments_of(
     from scipy.signal import find_peaks  # late: it imports all of scipy.stats
 
     side = crop.patch_m
-    along, across = _axes(angle)
+    along = np.array([np.cos(angle), np.sin(angle)])
+    across = np.array([-along[1], along[0]])
     local = points_m - middle_m
     s, v = local @ along, local @ across
     bin_m = crop.min_spacing_m / _BINS
@@ -238,19 +227,12 @@ def fit_line(s, v, at, gate, side, step, inside):  # type: ignore[no-untyped-def
     return at, slope, count, occupied
 
 
-def _axes(angle: float) -> tuple[Float64, Float64]:
-    along = np.array([np.cos(angle), np.sin(angle)])
-    return along, np.array([-along[1], along[0]])
-
-
 def link(segments: Segments, crop: Crop) -> Int64:
     """Which chain each segment belongs to: segments that lie on each other's lines are one row.
 
     Both must see the other within a fifth of a row's spacing at the place where they meet.
     """
-    count = len(segments.half_m)
-    pairs = cKDTree(segments.middle_m).query_pairs(1.1 * crop.patch_m, output_type="ndarray")
-    a, b = pairs.T
+    a, b = cKDTree(segments.middle_m).query_pairs(1.1 * crop.patch_m, output_type="ndarray").T
     step = segments.middle_m[b] - segments.middle_m[a]
     turn = segments.along[a, 0] * segments.along[b, 1] - segments.along[a, 1] * segments.along[b, 0]
     apart = np.abs((step * segments.along[a]).sum(axis=1))
@@ -261,6 +243,4 @@ def link(segments: Segments, crop: Crop) -> Int64:
     touching = apart <= segments.half_m[a] + segments.half_m[b] + 0.25 * crop.patch_m
     near = np.maximum(*off) <= 0.22 * crop.min_spacing_m + 0.03 * apart
     linked = touching & near & (np.abs(turn) < np.sin(_MAX_TURN_RAD))
-    graph = coo_array((np.ones(linked.sum()), (a[linked], b[linked])), shape=(count, count))
-    chain: Int64 = connected_components(graph, directed=False)[1].astype(np.int64)
-    return chain
+    return linked_parts(np.column_stack([a[linked], b[linked]]), len(segments.half_m))

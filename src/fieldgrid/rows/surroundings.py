@@ -7,27 +7,9 @@ import shapely
 
 from fieldgrid.evidence import Evidence
 from fieldgrid.rows.blocks import OrderedRows
-from fieldgrid.rows.drives import Reach, Reached
-from fieldgrid.rows.ground import (
-    ObstacleCells,
-    Stray,
-    canopies,
-    find_headlands,
-    find_things,
-    stray_cells,
-)
+from fieldgrid.rows.drives import Reach
+from fieldgrid.rows.ground import find_headlands
 from fieldgrid.rows.result import Headland, Lane, Obstacle
-
-
-def off_rows(
-    evidence: Evidence,
-    speckless: Evidence,
-    ordered: OrderedRows,
-    areas: dict[str, shapely.Polygon],
-) -> tuple[list[ObstacleCells], Stray]:
-    """What stands off the canopies: things, and cells of blocks."""
-    canopy = canopies(evidence, ordered.rows)
-    return find_things(speckless, canopy), stray_cells(evidence, canopy, list(areas.values()))
 
 
 def headlands_of(
@@ -52,18 +34,18 @@ def headlands_of(
         counts += 1
         near_to = [k for k, at in enumerate(("start", "stop")) if min(p[k] for p in near) <= 3.0]
         end = "both" if len(near_to) == 2 else ("start", "stop")[near_to[0]]
-        reaching = reach.of(area)
+        sessions, pose_sigma_m = reach.of(area)
         found.append(
             Headland(f"H{counts}", ordered.block_of[closest], end, area, float(area.area),
-                     _of_cells(evidence, reaching), round(area.area / evidence.cell_m**2),
-                     reaching.sessions)
+                     _of_cells(evidence, pose_sigma_m), round(area.area / evidence.cell_m**2),
+                     sessions)
         )  # fmt: skip
     return tuple(found)
 
 
 def obstacles_of(
     evidence: Evidence,
-    things: list[ObstacleCells],
+    things: list[tuple[shapely.Polygon, float]],
     ordered: OrderedRows,
     lanes: tuple[Lane, ...],
     reach: Reach,
@@ -71,28 +53,28 @@ def obstacles_of(
     """Things that stand off the canopies, each with the lane and the row that it stands in."""
     rows = [shapely.LineString(row.line) for row in ordered.rows]
     found = []
-    for number, thing in enumerate(things, 1):
-        shared = [lane.area.intersection(thing.outline).area for lane in lanes]
+    for number, (outline, area_m2) in enumerate(things, 1):
+        shared = [lane.area.intersection(outline).area for lane in lanes]
         best = int(np.argmax(shared)) if shared and max(shared) > 0.0 else -1
-        distance = [line.distance(thing.outline.centroid) for line in rows]
+        distance = [line.distance(outline.centroid) for line in rows]
         on = int(np.argmin(distance)) if distance else -1
-        reached = reach.of(thing.outline)
+        sessions, pose_sigma_m = reach.of(outline)
         is_on_row = on >= 0 and distance[on] < ordered.rows[on].half_width_m
         found.append(
             Obstacle(
                 f"O{number}",
                 lanes[best].id if best >= 0 else "",
                 ordered.ids[on] if is_on_row else "",
-                thing.outline,
-                thing.area_m2,
-                _of_cells(evidence, reached),
-                round(thing.area_m2 / evidence.cell_m**2),
-                reached.sessions,
+                outline,
+                area_m2,
+                _of_cells(evidence, pose_sigma_m),
+                round(area_m2 / evidence.cell_m**2),
+                sessions,
             )
         )
     return tuple(found)
 
 
-def _of_cells(evidence: Evidence, reached: Reached) -> float:
+def _of_cells(evidence: Evidence, pose_sigma_m: float) -> float:
     """The standard deviation of an outline that runs along cells: theirs, and that of the poses."""
-    return float(np.hypot(reached.sigma_m, evidence.cell_m / np.sqrt(12.0)))
+    return float(np.hypot(pose_sigma_m, evidence.cell_m / np.sqrt(12.0)))
