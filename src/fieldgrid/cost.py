@@ -101,8 +101,7 @@ class CostCurve:
         0 free, up to 251 in doubt, 254 an obstacle, 255 unknown: that layer with
         `trinary_costmap: false`, `lethal_cost_threshold: 100` and `track_unknown_space: true`.
         """
-        occupancy = self.table().astype(np.int64)
-        costs = (occupancy * LETHAL // OCCUPIED).astype(np.uint8)
+        costs = (self.table().astype(np.int64) * LETHAL // OCCUPIED).astype(np.uint8)
         return self._looked_up(costs, density, seen, keepout, UNKNOWN_COST, LETHAL)
 
     def _looked_up(

@@ -68,8 +68,7 @@ class FarmPart(NamedTuple):
         own = tuple(self.names[name] for name in names if name in self.names)
         if not own:
             return None
-        whole = len(own) == len(self.block.sessions)
-        return asked._replace(sessions=None if whole else own)
+        return asked._replace(sessions=None if len(own) == len(self.block.sessions) else own)
 
     def content(self, of_map: MapContent) -> MapContent:
         """The map's content in the cells of the farm; where its tiles are others, by its frames."""
@@ -131,7 +130,12 @@ class FarmContent:
             return exact, 1
         needed = exact if request.beyond_density else None
         alone = [
-            _FromMap(self._maps, part, asked, _whole_chunks)
+            _FromMap(
+                self._maps,
+                part,
+                asked,
+                lambda content, request: _WholeChunks(*content.cell_source(request)),
+            )
             for part in self._parts
             if (asked := part.request(request)) is not None
         ]
@@ -148,7 +152,7 @@ class FarmContent:
         groups: Sequence[ChannelGroup],
         source: Callable[[MapContent, Request, tuple[ChannelGroup, ...]], CellSource],
     ) -> CellSource:
-        """The same cells of all maps as one; `source` finds those of a map."""
+        """The cells of all maps as those of one; `source` finds the cells of a map."""
         kept = tuple(group for group in groups if not group.derived)
         return _Joined(
             [
@@ -289,10 +293,6 @@ class _WholeChunks:
                     yield chunk, cells
 
         return assembled(window, found())
-
-
-def _whole_chunks(content: MapContent, request: Request) -> CellSource:
-    return _WholeChunks(*content.cell_source(request))
 
 
 class _MovedEvidence(EvidenceTables):

@@ -132,8 +132,7 @@ def blocks_of(cells: Int32, lattice: Lattice, window: Window) -> Int32:
     blocks = np.empty(min(cells.size, held.size), np.int32)
     # How far the window begins behind the corner of its first block.
     j0, i0 = window.j0 - side * under.j0, window.i0 - side * under.i0
-    count = find_blocks(cells, window.width, j0, i0, side, under.width, held, blocks)
-    return blocks[:count]
+    return blocks[: find_blocks(cells, window.width, j0, i0, side, under.width, held, blocks)]
 
 
 @kernel

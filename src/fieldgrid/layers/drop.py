@@ -127,11 +127,6 @@ def _of_base(cells: Cells) -> UInt64:
     return deepest
 
 
-def _sure(cells: Cells) -> UInt64:
-    """1 where something was seen other than beyond an edge."""
-    return (cells["weight"] > cells["beyond_parts"]).astype(np.uint64)
-
-
 def _drop(cells: Cells) -> AnyArray:
     deepest = cells["drop_deepest"].astype(np.float32)
     known = deepest > 0.0
@@ -159,7 +154,12 @@ GROUP = ChannelGroup(
     fold=_Drops,
     overview=(
         OverviewChannel("drop_deepest", Combine.MAX, _of_base),
-        OverviewChannel("sure", Combine.SUM, _sure),
+        # Where something was seen other than beyond an edge.
+        OverviewChannel(
+            "sure",
+            Combine.SUM,
+            lambda cells: (cells["weight"] > cells["beyond_parts"]).astype(np.uint64),
+        ),
     ),
     expected=_expected,
     frame=(STEP_CHANNEL, DROP_CHANNEL),

@@ -42,8 +42,7 @@ class _Heights:
 
 def _height(cells: Cells) -> AnyArray:
     with np.errstate(divide="ignore", invalid="ignore"):
-        height: AnyArray = cells["height_cm"].view(np.int64) / cells["height_sessions"] / _PER_M
-    return height
+        return np.asarray(cells["height_cm"].view(np.int64) / cells["height_sessions"] / _PER_M)
 
 
 GROUP = ChannelGroup(

@@ -169,11 +169,10 @@ def _steps_cm(cells: Cells) -> AnyArray:
     """The step of base cells in whole centimetres, one more, 0 where none could be told: one that
     half of the sessions saw."""
     known, seen, total = (cells[name] for name in ("step_known", "step_sessions", "step_cm_sum"))
-    one = np.uint64(1)
     voted = (known > 0) & (seen * np.uint64(STEP_VOTES) >= known)
     half = seen // np.uint64(2)
-    height = np.where(voted, (total + half) // np.maximum(seen, one), np.uint64(0))
-    return np.where(known > 0, height + one, np.uint64(0)).astype(np.uint64)
+    height = np.where(voted, (total + half) // np.maximum(seen, np.uint64(1)), np.uint64(0))
+    return np.where(known > 0, height + np.uint64(1), np.uint64(0)).astype(np.uint64)
 
 
 def _step(cells: Cells) -> AnyArray:

@@ -79,8 +79,7 @@ def raise_standing(density, tops_dm, feet_dm, cell, shift, spans, most):  # type
 
 def _max_height(cells: Cells) -> AnyArray:
     top = cells["top_dm"].astype(np.float64) / 10.0
-    unknown = (top == 0.0) & (cells["sum"] > 0)
-    return np.where(unknown, np.nan, top)
+    return np.where((top == 0.0) & (cells["sum"] > 0), np.nan, top)
 
 
 def _clearance(cells: Cells) -> AnyArray:

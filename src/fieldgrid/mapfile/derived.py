@@ -32,8 +32,7 @@ from fieldgrid.mapfile.tiling import TileMatrixSet
 
 def tables_of(connection: sqlite3.Connection, header: MapHeader, path: Path) -> TileTables:
     """The tile tables of a map that is to be changed."""
-    matrices = TileMatrixSet(header.lattice)
-    return TileTables(connection, matrices, header.writable_groups(path))
+    return TileTables(connection, TileMatrixSet(header.lattice), header.writable_groups(path))
 
 
 def show(
@@ -84,19 +83,6 @@ def settle(connection: sqlite3.Connection, header: MapHeader, path: Path) -> Non
     Pyramid(connection, tables_of(connection, header, path)).settle()
 
 
-def fold_evidence(
-    connection: sqlite3.Connection,
-    header: MapHeader,
-    session_id: int,
-    path: Path,
-    jobs: int | None = None,
-) -> SessionTiles:
-    """The tiles of a session from its stored frames; to be closed."""
-    frames = placed_frames(frames_of(connection, session_id))
-    groups = header.writable_groups(path)
-    return SessionTiles.folded(frames, header.lattice, header.transfer, groups, jobs)
-
-
 class SessionFold:
     """Folds squares of a session, from its stored frames, to encoded tiles. Pickled it is where the
     map lies: each worker of a cluster reads there."""
@@ -139,7 +125,6 @@ def touch(connection: sqlite3.Connection) -> None:
 def rebuild(subject: Subject) -> None:
     """Make all that follows from the evidence, its tiles with the channel groups of the header."""
     connection, path, header, run, _ = subject
-    assert run is not None
     for table in (*schema.DERIVED_TABLES, "density"):
         connection.execute(f"DELETE FROM {table}")
     schema.renew_features(connection)

@@ -144,11 +144,6 @@ class _Coming(NamedTuple):
     was_placed: str
     placed: str
 
-    @property
-    def info(self) -> SessionInfo:
-        """The session of the map that it comes from."""
-        return self.twin.info
-
 
 def _take_all(universal: MapFile, target: MapFile, taken: dict[str, Twin]) -> list[Merged]:
     """Copy the active sessions of a map, but for those that the new one has."""
@@ -161,23 +156,23 @@ def _take_all(universal: MapFile, target: MapFile, taken: dict[str, Twin]) -> li
             before = taken | {one.name: one.twin for one in coming if not one.is_taken}
             coming.append(_coming(universal, info, moved, before))
     # All names first: alignments speak of sessions that come later, too.
-    names = {one.info.name: one.name for one in coming}
+    names = {one.twin.info.name: one.name for one in coming}
     placings = {one.was_placed: one.placed for one in coming}
     for one in coming:
         if one.is_taken:
             continue
-        metadata = universal.metadata(one.info.name)
+        metadata = universal.metadata(one.twin.info.name)
         if moved is not None and one.first is not None:
             metadata = moved.metadata(metadata, one.first)
         transform = metadata.transform.speaking_of(names, placings)
         metadata = metadata._replace(name=one.name, transform=transform)
         with target.add_session_of(metadata) as session:
-            for frame in universal.frames(one.info.name, with_grid=True):
+            for frame in universal.frames(one.twin.info.name, with_grid=True):
                 driven = frame.driven if moved is None else moved.pose(frame.driven)
                 session.add_staged(frame.staged(), driven, quality=frame.quality)
         taken[one.name] = one.twin
     return [
-        Merged(universal.path, one.info.name, one.name, one.name if one.is_taken else None)
+        Merged(universal.path, one.twin.info.name, one.name, one.name if one.is_taken else None)
         for one in coming
     ]
 

@@ -73,12 +73,14 @@ def read_overviews(
         for row in range(0, whole.height, side)
         for column in range(0, whole.width, side)
     ]
-    squares = run.in_order(_Halving(content, request, own), places)
-    for (row, column), halved in zip(places, squares, strict=True):
+    for (row, column), halved in zip(
+        places, run.in_order(_Halving(content, request, own), places), strict=True
+    ):
         if halved is not None:
-            yield from halved.blocks
+            blocks, top = halved
+            yield from blocks
             if levels > own:
-                tops.append((Window(column >> own, row >> own, 1, 1), halved.top))
+                tops.append((Window(column >> own, row >> own, 1, 1), top))
     if tops:
         yield from _above(tops, request, levels - own, own)
 
@@ -103,17 +105,11 @@ def _groups(request: Request) -> tuple[ChannelGroup, ...]:
     return tuple(GROUPS[name] for name in groups_of(request.layers))
 
 
-class _Halved(NamedTuple):
-    """The overviews of a square, and its one cell of the uppermost level."""
-
-    blocks: list[OverviewBlock]
-    top: Cells
-
-
 class _Halving:
     """Makes the overviews of squares of a view. Pickled it is where the map lies."""
 
     def __init__(self, content: Content, request: Request, levels: int) -> None:
+        check_known((), request.layers)
         self._of = content, request, levels
         self._groups = _groups(request)
         self._source, self._factor = content.cell_source(request)
@@ -122,10 +118,11 @@ class _Halving:
         self._margin = max(2, 1 << math.ceil(math.log2(reach))) if reach >= 1.0 else 0
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _arrived, self._of
+        return type(self), self._of
 
-    def __call__(self, place: tuple[int, int]) -> _Halved | None:
-        """The overviews of the square at a row and a column; None where nothing was observed."""
+    def __call__(self, place: tuple[int, int]) -> tuple[list[OverviewBlock], Cells] | None:
+        """The overviews of the square at a row and a column, and its one cell of the uppermost
+        level; None where nothing was observed."""
         (row, column), (_, request, levels) = place, self._of
         whole, side = request.window, 1 << SQUARE_LEVELS
         square = Window(whole.i0 + column, whole.j0 + whole.height - row - side, side, side)
@@ -137,7 +134,11 @@ class _Halving:
         for level in range(1, levels + 1):
             if level > 1:
                 if edge % 2:  # larger cells than the reach need no neighbours
-                    cells, edge = _without_edge(cells, edge), 0
+                    kept = {
+                        name: np.pad(values[edge:, edge:], (0, edge))
+                        for name, values in cells.items()
+                    }
+                    cells, edge = Cells(kept, cells.base_cells), 0
                 cells, edge = coarser(self._groups, cells, 2), edge // 2
             inside = (
                 slice(edge, edge - (-own_height >> level)),
@@ -146,7 +147,7 @@ class _Halving:
             cell_m = request.lattice.cell_m * (1 << level)
             blocks.append(_block(level, row, column, cells, request.layers, inside, cell_m))
         one = (slice(edge, edge + 1),) * 2
-        return _Halved(blocks, Cells({k: v[one] for k, v in cells.items()}, cells.base_cells))
+        return blocks, Cells({k: v[one] for k, v in cells.items()}, cells.base_cells)
 
     def _half_of(self, square: Window, multiple: int) -> Cells | None:
         """Cells of twice the side of the part of a square that lies in the view, with row 0 in the
@@ -203,11 +204,6 @@ def _gather(
         (np.maximum if rule is Combine.MAX else np.add)(place, values, out=place)
 
 
-def _arrived(content: Content, request: Request, levels: int) -> _Halving:
-    check_known((), request.layers)
-    return _Halving(content, request, levels)
-
-
 def _northward(cells: Cells, rows: int, columns: int) -> Cells:
     """The cells with row 0 in the north, after so many rows and columns of nothing, filled up to an
     even number of both."""
@@ -221,12 +217,6 @@ def _northward(cells: Cells, rows: int, columns: int) -> Cells:
         return nothing(tuple(sum(one) + n for one, n in zip(beyond, values.shape, strict=True)))
 
     return Cells({name: turned(values) for name, values in cells.items()}, cells.base_cells)
-
-
-def _without_edge(cells: Cells, edge: int) -> Cells:
-    """The cells without their first rows and columns, filled up again at the other end."""
-    kept = {name: np.pad(values[edge:, edge:], (0, edge)) for name, values in cells.items()}
-    return Cells(kept, cells.base_cells)
 
 
 def _block(

@@ -167,8 +167,7 @@ class Pyramid:
         ]
         if leaving is not None and maxima:
             # What is expected of the others is made of the density.
-            groups = tuple(dict.fromkeys((self._groups[0], *maxima)))
-            stay = self.merged(tile, session_id, groups)
+            stay = self.merged(tile, session_id, tuple(dict.fromkeys((self._groups[0], *maxima))))
         for of, channel in ((group, one) for group in self._groups for one in group.channels):
             name, by_sum = channel.name, channel.sessions is Combine.SUM
             if leaving is not None and by_sum and not is_nothing(leaving[name]):
@@ -250,8 +249,7 @@ class Pyramid:
         box = box_of(cells["weight"])
         lacking = [group for group in groups if group.name not in known]
         blobs = {**known, **encode_groups(lacking, cells, base=cells.base_cells == 1, box=box)}
-        picture = encode_png(*mean_density(cells["weight"], cells["sum"]))
-        return _Encoded(tile, blobs, picture, box)
+        return _Encoded(tile, blobs, encode_png(*mean_density(cells["weight"], cells["sum"])), box)
 
     def _put(self, zoom: int, encoded: _Encoded) -> None:
         self._tables.put(zoom, encoded.tile, encoded.blobs, encoded.picture)
@@ -313,8 +311,4 @@ def _window_of(text: str) -> Window:
 
 def union(a: Window | None, b: Window | None) -> Window | None:
     """The smallest window that holds both, as far as there are such."""
-    if a is None or b is None:
-        return b if a is None else a
-    i0, j0 = min(a.i0, b.i0), min(a.j0, b.j0)
-    i1, j1 = max(a.i0 + a.width, b.i0 + b.width), max(a.j0 + a.height, b.j0 + b.height)
-    return Window(i0, j0, i1 - i0, j1 - j0)
+    return a.union(b) if a and b else a or b

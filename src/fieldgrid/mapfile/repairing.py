@@ -16,7 +16,7 @@ from fieldgrid.mapfile import derived, schema
 from fieldgrid.mapfile.database import connect
 from fieldgrid.mapfile.file_check import MAX_PROBLEMS, damaged_pages, orphans, renew_file
 from fieldgrid.mapfile.header import MapHeader, read_header
-from fieldgrid.mapfile.marks import announce_marks, has_marks, read_marks
+from fieldgrid.mapfile.marks import TABLE, announce_marks, read_marks
 from fieldgrid.mapfile.metadata import count_frames
 from fieldgrid.mapfile.root import read_root, seal
 from fieldgrid.mapfile.row_sums import begin_sums, drop_sums
@@ -53,18 +53,13 @@ def repairers(
         yield Repairers(found, None if scheduler is None else keep)
 
 
-class Repaired(NamedTuple):
-    """The channel groups that the tiles hold now, and what is still wrong with the evidence of
-    sessions that were taken out, of which nothing is read, and with features that were found."""
-
-    groups: tuple[str, ...]
-    problems: tuple[str, ...]
-
-
 def repair(
     connection: sqlite3.Connection, path: Path, header: MapHeader, by: Repairers
-) -> Repaired:
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Rebuild everything that follows from the evidence, within the caller's transaction.
+
+    Returns the channel groups that the tiles hold now, and what is still wrong with the evidence
+    of sessions that were taken out, of which nothing is read, and with features that were found.
 
     Raises MapError when the evidence itself is damaged, of which nothing can be made, and when
     `verify` would still find something else; ConfigError when the workers of a cluster cannot read
@@ -82,9 +77,8 @@ def repair(
         return _repair(Subject(connection, path, header, by.runner, copy))
 
 
-def _repair(subject: Subject) -> Repaired:
+def _repair(subject: Subject) -> tuple[tuple[str, ...], tuple[str, ...]]:
     connection, path, header, run, _ = subject
-    assert run is not None
     if not read_root(connection).trusted:
         _renew_rows(connection, header)
         if not read_root(connection).trusted:
@@ -110,7 +104,7 @@ def _repair(subject: Subject) -> Repaired:
         )
     # The map's own plane is under the root digest: another PROJ may word it in another way.
     _replace_systems(connection, schema.reference_systems(header.datum)[:-1])
-    if has_marks(connection):
+    if schema.has_table(connection, TABLE):
         read_marks(connection, removed=True)
         announce_marks(connection)
     derived.rebuild(subject._replace(header=header._replace(groups=stored_groups())))
@@ -121,7 +115,7 @@ def _repair(subject: Subject) -> Repaired:
     left = _left(Subject(connection, path, _with_stored(header), Threads(run.here)))
     if left:  # which sums would call sound
         drop_sums(connection)
-    return Repaired(stored_groups(), (*left, *check_stored(connection)))
+    return stored_groups(), (*left, *check_stored(subject))
 
 
 def _with_stored(header: MapHeader) -> MapHeader:
@@ -134,8 +128,7 @@ def _left(subject: Subject) -> tuple[str, ...]:
     removed = islice(check_evidence(subject, "WHERE removed IS NOT NULL"), MAX_PROBLEMS)
     known = dict.fromkeys(shortened(one, LONGEST_PROBLEM) for one in removed)
     grids = {shortened(one, LONGEST_PROBLEM) for one in orphans(connection, "fieldgrid_grid")}
-    stored = {shortened(one, LONGEST_PROBLEM) for one in check_stored(connection)}
-    assert run is not None
+    stored = {shortened(one, LONGEST_PROBLEM) for one in check_stored(subject)}
     problems = verify(connection, path, header, run, deep=True, rebuilt=True).problems
     found = [problem for problem in problems if problem not in stored]
     for problem in found:

@@ -10,15 +10,16 @@ from __future__ import annotations
 import hashlib
 import re
 import sqlite3
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
 from fieldgrid.errors import MapError, shortened
 from fieldgrid.mapfile.digest import as_json
-from fieldgrid.mapfile.marks import has_marks
-from fieldgrid.mapfile.schema import COUNTED_TABLES, GEOPACKAGE_TABLES, SRS_ID
+from fieldgrid.mapfile.schema import COUNTED_TABLES, GEOPACKAGE_TABLES, SRS_ID, has_table
 from fieldgrid.mapfile.stored_features import FOUND_KEY
+from fieldgrid.mapfile.subject import Subject
 
 _KEY = "root_sha256"
 _OTHERS = ("data_window", FOUND_KEY, _KEY)
@@ -67,7 +68,7 @@ def read_root(connection: sqlite3.Connection) -> Root:
         for row in connection.execute(query):
             hashed.update(_line(*row))
         hashed.update(b"\n")
-    if has_marks(connection):
+    if has_table(connection, "fieldgrid_mark"):
         for row in connection.execute("SELECT * FROM fieldgrid_mark ORDER BY id"):
             hashed.update(as_json([_plain(value) for value in row]))
         hashed.update(b"\n")
@@ -80,6 +81,18 @@ def read_root(connection: sqlite3.Connection) -> Root:
         root_in_meta(connection),
         noted if noted is None else noted.removeprefix(f"{_DRIVES} (SHA-256 ").removesuffix(")"),
     )
+
+
+def check_digest(subject: Subject) -> Iterator[str]:
+    """Settings, plane and sessions against the root digest in both of its places."""
+    root = read_root(subject.connection)
+    if not root.trusted:
+        yield (
+            "The settings, the plane, the list of sessions or the marks are not as they were "
+            f"written: their root digest is {root.of_content}, and {root.in_meta} was kept."
+        )
+    elif not root.sound:
+        yield "One of the two copies of the root digest is damaged; repair the map."
 
 
 def root_in_meta(connection: sqlite3.Connection) -> str | None:

@@ -118,8 +118,7 @@ class Session:
             images_sha256=images_sha256,
             channels=channels,
         )
-        at_hand = len(self._frames) < RECENT_FRAMES
-        cells = as_decoded(grid, channels or {}) if at_hand else None
+        cells = as_decoded(grid, channels or {}) if len(self._frames) < RECENT_FRAMES else None
         self._take(self._own, self._own.append(frame), frame, pose, None, cells)
 
     def add_staged(
@@ -135,12 +134,10 @@ class Session:
 
         `quality` is that of its fix, taken from the trajectory when not given. Errors as in `add`.
         """
-        if isinstance(source, StagedFrame):
-            self._check(source.frame_id, source.spec, pose)
-            self._take(self._own, self._own.append(source), source, pose, quality)
-            return
-        frame = source[index]
+        frame = source if isinstance(source, StagedFrame) else source[index]
         self._check(frame.frame_id, frame.spec, pose)
+        if isinstance(source, StagedFrame):
+            source, index = self._own, self._own.append(frame)
         self._take(source, index, frame, pose, quality)
 
     def discard(self) -> None:

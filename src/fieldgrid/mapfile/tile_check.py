@@ -64,11 +64,9 @@ def _top_zoom(tables: TileTables) -> int:
 
 def _session_tiles(subject: Subject, session_id: int, name: str) -> Iterator[str]:
     header, tables, runner = subject.header, subject.tables, subject.runner
-    assert runner is not None
     check = _SquareCheck(subject, session_id, name)
     left = tables.session_tiles(session_id)
-    results = runner.in_order(check, check.squares.places())
-    for tile, problem in chain.from_iterable(results):
+    for tile, problem in chain.from_iterable(runner.in_order(check, check.squares.places())):
         if tile not in left:
             yield f"The map lacks {check.what(tile)}."
             continue
@@ -119,7 +117,6 @@ class _SquareCheck:
 def _level(subject: Subject, zoom: int, tiles: set[TileIndex]) -> Iterator[str]:
     """The tiles and pictures of a zoom level against what is below them."""
     tables, runner = subject.tables, subject.runner
-    assert runner is not None
     pictures = {
         tables.matrices.tile(zoom, column, row)
         for column, row in tables.rows(

@@ -225,10 +225,9 @@ class Transform:
         if self.is_identity and self.aligned is None:
             return None
         kinds: dict[str, object] = {_RIGID: self._rigid()}
-        if self.wander is not None:
-            kinds[_WANDER] = asdict(self.wander)
-        if self.heights is not None:
-            kinds[_HEIGHTS] = asdict(self.heights)
+        for name, part in ((_WANDER, self.wander), (_HEIGHTS, self.heights)):
+            if part is not None:
+                kinds[name] = asdict(part)
         if self.aligned is not None:
             beside = [one._asdict() for one in self.aligned.beside]
             kinds[_ALIGNED] = asdict(self.aligned) | {"beside": beside}
@@ -268,12 +267,11 @@ def transform_of(text: str | None) -> Transform:
         rigid = kinds[_RIGID]
         if set(rigid) != set(_RIGID_FIELDS) or not all(_is_number(v) for v in rigid.values()):
             raise TypeError(f"it says {rigid}")
-        return Transform(
-            **rigid,
-            wander=_wander(kinds.get(_WANDER)),
-            aligned=_aligned(kinds.get(_ALIGNED)),
-            heights=_heights(kinds.get(_HEIGHTS)),
-        )
+        readers = {_WANDER: _wander, _ALIGNED: _aligned, _HEIGHTS: _heights}
+        parts: dict[str, Any] = {
+            name: read(kinds[name]) for name, read in readers.items() if kinds.get(name) is not None
+        }
+        return Transform(**rigid, **parts)
     except (TypeError, ValueError, KeyError, AttributeError, ConfigError) as error:
         if isinstance(error, MapError):
             raise
@@ -286,18 +284,14 @@ def _is_number(value: object) -> bool:
     return abs(value) <= sys.float_info.max  # JSON has whole numbers beyond it
 
 
-def _wander(stored: Mapping[str, list[Any]] | None) -> Wander | None:
-    if stored is None:
-        return None
+def _wander(stored: Mapping[str, list[Any]]) -> Wander:
     times, east, north = (tuple(stored[name]) for name in ("time_ns", "east_m", "north_m"))
     if not (all(type(t) is int for t in times) and all(map(_is_number, (*east, *north)))):
         raise TypeError("its wander is not of numbers")
     return Wander(times, east, north)
 
 
-def _heights(stored: Mapping[str, Any] | None) -> HeightCorrection | None:
-    if stored is None:
-        return None
+def _heights(stored: Mapping[str, Any]) -> HeightCorrection:
     times, up_m, least = (
         tuple(stored["time_ns"]), tuple(stored["up_m"]), stored["least_sigma_m"],
     )  # fmt: skip
@@ -306,9 +300,7 @@ def _heights(stored: Mapping[str, Any] | None) -> HeightCorrection | None:
     return HeightCorrection(times, up_m, least)
 
 
-def _aligned(stored: Mapping[str, Any] | None) -> Aligned | None:
-    if stored is None:
-        return None
+def _aligned(stored: Mapping[str, Any]) -> Aligned:
     sigma_m, turn_sigma_deg, before = (
         stored["sigma_m"], stored["turn_sigma_deg"], stored["before"],
     )  # fmt: skip

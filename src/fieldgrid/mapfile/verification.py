@@ -35,7 +35,7 @@ from fieldgrid.mapfile.marks import check_marks
 from fieldgrid.mapfile.metadata import digest_of, find
 from fieldgrid.mapfile.quick_check import check_sums, is_as_written
 from fieldgrid.mapfile.records import SESSION_SQL, FrameRecord, frame_values, session_info
-from fieldgrid.mapfile.root import read_root
+from fieldgrid.mapfile.root import check_digest
 from fieldgrid.mapfile.row_sums import kept_sums
 from fieldgrid.mapfile.stored_features import check_stored
 from fieldgrid.mapfile.subject import Subject
@@ -91,9 +91,8 @@ def verify(
         if is_as_written(subject):
             return HealthReport((), (), *_counts(connection), False)
         notes += _why_deep(connection)
-    checks: tuple[Callable[[Subject], Iterator[str]], ...]
-    checks = (
-        *(check_file, check_layout, check_types, _root, check_marks, _stored),
+    checks: tuple[Callable[[Subject], Iterator[str]], ...] = (
+        *(check_file, check_layout, check_types, check_digest, check_marks, check_stored),
         *(() if rebuilt else (check_evidence,)),
         *(check_features, partial(check_tiles, folded=rebuilt)),
         *(() if rebuilt else (check_sums,)),
@@ -167,26 +166,9 @@ def _counted(connection: sqlite3.Connection, table: str) -> int:
         return 0
 
 
-def _root(subject: Subject) -> Iterator[str]:
-    """Settings, plane and sessions against the root digest in both of its places."""
-    root = read_root(subject.connection)
-    if not root.trusted:
-        yield (
-            "The settings, the plane, the list of sessions or the marks are not as they were "
-            f"written: their root digest is {root.of_content}, and {root.in_meta} was kept."
-        )
-    elif not root.sound:
-        yield "One of the two copies of the root digest is damaged; repair the map."
-
-
-def _stored(subject: Subject) -> Iterator[str]:
-    return check_stored(subject.connection)
-
-
 def check_evidence(subject: Subject, which: str = "") -> Iterator[str]:
     """Every frame and session, or those of `which`, against its own digest."""
     connection, path, header, runner, _ = subject
-    assert runner is not None
     sessions = connection.execute(
         "SELECT id, name, digest, frames, accepted, first_time_ns, last_time_ns, grid_width_m, "
         f"grid_length_m, grid_cell_m, heading_source FROM fieldgrid_session {which} ORDER BY id"
@@ -234,7 +216,6 @@ def _upgraded(subject: Subject) -> Iterator[str]:
     """The evidence of a map of an older format, and its pictures, which are all that is read of
     what follows from that."""
     connection, path, header, runner, _ = subject
-    assert runner is not None
     with closing(upgraded_copy(connection, path, header)) as copy:
         anew = Subject(copy, path, upgraded(header), Threads(runner.here))
         wrong = list(islice(chain(check_types(anew), check_evidence(anew)), MAX_PROBLEMS))

@@ -118,8 +118,7 @@ def close_cells(near: tuple[Float64, float], lattice: Lattice, window: Window) -
     low, high = np.minimum(starts, ends) - within_m, np.maximum(starts, ends) + within_m
     edges = lattice.bounds(window)
     # Of a long line few segments come near a window.
-    reaching = ((low < edges[2:]) & (high > edges[:2])).all(axis=1)
-    for k in np.flatnonzero(reaching):
+    for k in np.flatnonzero(((low < edges[2:]) & (high > edges[:2])).all(axis=1)):
         start, end = starts[k], ends[k]
         reach = lattice.window(Bounds(*low[k].tolist(), *(high[k] + lattice.cell_m).tolist()))
         part = reach.intersect(window)

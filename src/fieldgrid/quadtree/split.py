@@ -98,8 +98,7 @@ class _Level(NamedTuple):
     @property
     def known(self) -> Bool:
         """Where there is anything to tell."""
-        found: Bool = (self.observed > 0) | (self.most > State.UNSEEN)
-        return found
+        return np.asarray((self.observed > 0) | (self.most > State.UNSEEN))
 
     def whole(self, rule: Rule, cells: int) -> Bool:
         """Which squares, each of so many cells, lose no more than is allowed."""
@@ -107,10 +106,9 @@ class _Level(NamedTuple):
         mean = self.mean.astype(np.float64)
         near = (self.highest - mean <= rule.loss) & (mean - self.lowest <= rule.loss)
         alike = (self.least == self.most) & (self.seen >= rule.least_seen * cells)
-        found: Bool = (
+        return np.asarray(
             (near | (self.observed == 0)) & (alike | (self.most == State.UNSEEN)) & ~self.alone
         )
-        return found
 
 
 def _halved(fine: AnyArray, join: Callable[[AnyArray, AnyArray], AnyArray]) -> AnyArray:
