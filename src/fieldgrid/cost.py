@@ -23,7 +23,7 @@ DENSITIES = ("density", "lasting", "remaining", "max")
 """The layers that hold densities, from which a cost can be made."""
 
 LEAST_DROP_M = 0.1
-"""Ground that falls away by so much is an obstacle; a drop of 15 cm reads as 11 to 13."""
+"""The least drop of the ground that is an obstacle; a drop of 15 cm reads as 11 to 13."""
 
 LEAST_SEEN = 0.5
 """The share of the map's own cells that must have been seen for a larger cell to be known."""

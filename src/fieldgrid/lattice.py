@@ -92,7 +92,7 @@ class Window(NamedTuple):
         return Window(i0, j0, i1 - i0, j1 - j0)
 
     def grown(self, cells: int) -> Window:
-        """The window with so many cells more on each side."""
+        """The window with a number of cells more on each side."""
         return Window(
             self.i0 - cells, self.j0 - cells, self.width + 2 * cells, self.height + 2 * cells
         )

@@ -1,8 +1,8 @@
 """How QGIS shows a map: a style for each of its layers, in QGIS's own XML (QML).
 
 Obstacles are red on pale ground, drives have the colours of their sessions, footprints are hollow
-and seen from near only. The same styles are in the map file, for a layer that is opened by itself,
-and in a project.
+and seen from near only. These styles are in the map file, for a layer that is opened by itself, and
+in a project.
 """
 
 from __future__ import annotations

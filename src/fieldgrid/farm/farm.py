@@ -73,8 +73,8 @@ class Farm(Closing):
     Maps of one datum share their plane; with a `datum` others are laid into its plane, as `moved`
     says. The cells are the largest that a map has, by the rule of the first map; maps of other
     cells, rules or datums are folded anew from their frames. A drive that two maps have counts
-    once. With `verify` every map is verified, on so many threads (`jobs`). ConfigError for a folder
-    without maps.
+    once. With `verify` every map is verified by `jobs` threads. ConfigError for a folder without
+    maps.
     """
 
     def __init__(

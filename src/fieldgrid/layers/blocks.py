@@ -25,7 +25,7 @@ LARGEST_M = 0.25
 """A block is no larger, unless a single cell is."""
 
 _APART_M = 0.2
-"""A frame is looked up at points of a block about so far apart: in the middle of most."""
+"""Distance between the points of a block at which a frame is looked up: most blocks have one."""
 
 COLUMN_BITS = 16
 """Low bits of a local cell's number that are its column; the others are its row."""

@@ -49,7 +49,7 @@ BEYOND_SHARE = (3, 4)
 """Where at least this share of the parts that could tell lies beyond an edge, all of them do."""
 
 
-class _Drops:
+class _DropSums:
     """How many parts of local cells land in a cell, and five sums over those of frames that tell of
     drops: log-odds of a drop; parts with a drop, and its centimetres; those that lie beyond an
     edge, and those that do not."""
@@ -151,7 +151,7 @@ GROUP = ChannelGroup(
         Channel("drop_cm_sum"),
         Channel("beyond_parts"),
     ),
-    fold=_Drops,
+    fold=_DropSums,
     overview=(
         OverviewChannel("drop_deepest", Combine.MAX, _of_base),
         # Where something was seen other than beyond an edge.

@@ -47,8 +47,8 @@ LEAST_STEP_CM = 10
 """Lower steps are noise."""
 
 STEP_VOTES = 2
-"""There is a step where one in so many frames of a session that could tell saw one, and one in so
-many sessions."""
+"""There is a step where one of `STEP_VOTES` frames of a session that could tell saw one, and where
+one of `STEP_VOTES` sessions did."""
 
 _PER_M = 500
 """Roughness is summed in steps of 2 mm."""

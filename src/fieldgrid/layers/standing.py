@@ -31,10 +31,11 @@ LEAST_ROOM_DM = 3
 """What begins lower stands on the ground: the slice begins at 2."""
 
 FROM_FOOT = 128
-"""The foot is kept as what is left to so many decimetres, so that the lowest is the highest."""
+"""The foot is kept as this many decimetres less its height, so that the lowest foot is the maximum.
+"""
 
 
-class _Standing:
+class _StandingHeights:
     """Of each cell the highest top, the rest to the lowest foot, and whether ground shows below."""
 
     def __init__(self, cells: int, _: Lattice) -> None:
@@ -94,7 +95,7 @@ GROUP = ChannelGroup(
         Channel(name, Combine.MAX, Combine.MAX)
         for name in ("top_dm", "foot_from_dm", "ground_below")
     ),
-    fold=_Standing,
+    fold=_StandingHeights,
     frame=(TOP_CHANNEL, FOOT_CHANNEL),
 )
 

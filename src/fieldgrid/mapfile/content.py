@@ -30,7 +30,7 @@ from fieldgrid.mapfile.sources import (
     CellSource,
     FoldedFrames,
     FoldedOverBase,
-    Larger,
+    LargerCells,
     SessionSource,
     StoredLevel,
     StoredSessions,
@@ -98,13 +98,15 @@ class MapContent:
         own = request._replace(lattice=self.header.lattice, window=by.under(request.window))
         if isinstance(by, Multiple):
             base, multiple = self.own_cells(own, groups, by.factor)
-            return Larger(base, Multiple(groups, multiple)), multiple
+            return LargerCells(base, Multiple(groups, multiple)), multiple
         folded = self.session_source(request, groups)
         if not request.beyond_density:
             return folded, 1
         touched = tuple(group for group in groups if follows_from_touched(group))
         base, _ = self.own_cells(own, touched, 1)
-        return FoldedOverBase(folded, Larger(base, by._replace(groups=touched)), groups), by.factor
+        return FoldedOverBase(
+            folded, LargerCells(base, by._replace(groups=touched)), groups
+        ), by.factor
 
     def own_cells(
         self, request: Request, groups: tuple[ChannelGroup, ...], multiple: int = 1

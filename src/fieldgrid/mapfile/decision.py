@@ -46,7 +46,7 @@ class Decision(NamedTuple):
     keepout: Bool | None = None
 
 
-class Partly(NamedTuple):
+class PartlyFree(NamedTuple):
     """Cells of a view of which only a part is marked as free [n]: their rows and columns, the worst
     that the rest of them holds by layer, the share that was seen, what is marked included, and how
     far the ground falls away in the rest."""
@@ -62,7 +62,7 @@ class MarkedCells(NamedTuple):
     """The flags of a view's cells, `FREE` only where all of a cell is, and those partly free."""
 
     flags: UInt8
-    partly: tuple[Partly, ...] = ()
+    partly: tuple[PartlyFree, ...] = ()
 
     def decide(
         self, layer: str, worst: UInt8, seen: Float32, drop_m: Float32, least_drop_m: float

@@ -148,4 +148,4 @@ _OLD = tuple(
     for what, query in _ANNOUNCED + _FEATURES
     if "layer_styles" not in query
 )
-"""The same of format 2, which has neither styles nor the time of a feature as text."""
+"""The queries for format 2, which has neither styles nor the time of a feature as text."""

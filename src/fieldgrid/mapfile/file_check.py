@@ -18,7 +18,7 @@ from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tiling import TileMatrixSet
 
 MAX_PROBLEMS = 100
-"""Problems that are listed; a map with so many needs no longer list."""
+"""The largest number of problems that are listed."""
 
 _STORED = {
     "INTEGER": ("integer", "a whole number"),

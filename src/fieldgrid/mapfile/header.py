@@ -50,8 +50,8 @@ class MapHeader(NamedTuple):
         return tuple(GROUPS[name] for name in self.groups if name in GROUPS)
 
     def writable_groups(self, path: Path) -> tuple[ChannelGroup, ...]:
-        """The same for a change, which must bring all of them up to date; ConfigError when one is
-        unknown."""
+        """The channel groups of the map's tiles, all of which a change must bring up to date;
+        ConfigError when this program does not know one."""
         unknown = [name for name in self.groups if name not in GROUPS]
         if unknown:
             raise ConfigError(

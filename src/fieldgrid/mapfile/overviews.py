@@ -88,7 +88,7 @@ def read_overviews(
 def _above(
     tops: list[tuple[Window, Cells]], request: Request, levels: int, below: int
 ) -> Iterator[OverviewBlock]:
-    """So many levels above those of the squares, of the one cell of each; rows go southward."""
+    """The `levels` above those of the squares, from their single cells; rows go southward."""
     whole, multiple = request.window, 1 << levels
     height, width = (-(-size >> below) + multiple - 1 for size in whole.shape)
     filled = Window(0, 0, width // multiple * multiple, height // multiple * multiple)
@@ -205,8 +205,8 @@ def _gather(
 
 
 def _northward(cells: Cells, rows: int, columns: int) -> Cells:
-    """The cells with row 0 in the north, after so many rows and columns of nothing, filled up to an
-    even number of both."""
+    """The cells with row 0 in the north, behind `rows` and `columns` that hold nothing, filled up
+    to an even number of rows and of columns."""
 
     def turned(values: UInt64) -> UInt64:
         beyond = [

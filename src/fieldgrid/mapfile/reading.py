@@ -20,7 +20,7 @@ from fieldgrid.mapfile.decision import (
     KEEPOUT,
     OBSTACLE,
     MarkedCells,
-    Partly,
+    PartlyFree,
     cells_under,
     deciding,
     marked_cells,
@@ -105,7 +105,7 @@ def read_view(content: Content, request: Request) -> MapView:
     return replace(view, marked=MarkedCells(flags, tuple(partly)))
 
 
-def _partly_free(content: Content, request: Request, chunk: Window, cells: Bool) -> Partly:
+def _partly_free(content: Content, request: Request, chunk: Window, cells: Bool) -> PartlyFree:
     """What the map's own cells say of those larger ones of which a part is marked as free."""
     j, i = np.nonzero(cells)
     i0, j0 = int(i.min()), int(j.min())
@@ -126,7 +126,7 @@ def _partly_free(content: Content, request: Request, chunk: Window, cells: Bool)
     # In whole centimetres, as drops are stored.
     drop_cm = np.rint(100.0 * np.where(free, 0.0, np.minimum(base.drop_m, 2.55)))
     drop_m = by.highest(drop_cm.astype(np.uint8), part)[inside].astype(np.float32) / 100.0
-    return Partly(*place, worst, seen, drop_m)
+    return PartlyFree(*place, worst, seen, drop_m)
 
 
 def _read(content: Content, request: Request) -> MapView:

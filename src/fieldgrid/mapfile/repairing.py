@@ -80,7 +80,10 @@ def repair(
 def _repair(subject: Subject) -> tuple[tuple[str, ...], tuple[str, ...]]:
     connection, path, header, run, _ = subject
     if not read_root(connection).trusted:
-        _renew_rows(connection, header)
+        # Rows that follow from others, although the root digest covers them.
+        _replace_systems(connection, schema.reference_systems(header.datum)[-1:])
+        for (session_id,) in connection.execute("SELECT id FROM fieldgrid_session").fetchall():
+            count_frames(connection, session_id)
         if not read_root(connection).trusted:
             raise MapError(
                 f"{path} is not as it was written, and cannot be repaired: its settings, plane, "
@@ -112,14 +115,11 @@ def _repair(subject: Subject) -> tuple[tuple[str, ...], tuple[str, ...]]:
     seal(connection)
     begin_sums(connection)
     # What was made is seen here only, until it is committed.
-    left = _left(Subject(connection, path, _with_stored(header), Threads(run.here)))
+    renewed = header._replace(groups=stored_groups(), version=schema.FORMAT_VERSION)
+    left = _left(Subject(connection, path, renewed, Threads(run.here)))
     if left:  # which sums would call sound
         drop_sums(connection)
     return stored_groups(), (*left, *check_stored(subject))
-
-
-def _with_stored(header: MapHeader) -> MapHeader:
-    return header._replace(groups=stored_groups(), version=schema.FORMAT_VERSION)
 
 
 def _left(subject: Subject) -> tuple[str, ...]:
@@ -138,14 +138,6 @@ def _left(subject: Subject) -> tuple[str, ...]:
                 f"evidence: {problem} Nothing was changed; restore a copy of the map."
             )
     return tuple(dict.fromkeys((*known, *found)))
-
-
-def _renew_rows(connection: sqlite3.Connection, header: MapHeader) -> None:
-    """Bring rows up to date that follow from others, although the root digest covers them."""
-    *_, own_plane = schema.reference_systems(header.datum)
-    _replace_systems(connection, [own_plane])
-    for (session_id,) in connection.execute("SELECT id FROM fieldgrid_session").fetchall():
-        count_frames(connection, session_id)
 
 
 def _replace_systems(

@@ -36,7 +36,7 @@ _NAMES_OURS = re.compile(rf"fieldgrid_|\b({'|'.join(COUNTED_TABLES)})\b", re.IGN
 _DRIVES = "The drives in this map"
 
 
-class Root(NamedTuple):
+class RootDigest(NamedTuple):
     """The root digest as the map's content gives it, and as it is kept in the two places."""
 
     of_content: str
@@ -54,7 +54,7 @@ class Root(NamedTuple):
         return self.of_content in (self.in_meta, self.in_contents)
 
 
-def read_root(connection: sqlite3.Connection) -> Root:
+def read_root(connection: sqlite3.Connection) -> RootDigest:
     """The root digest of a map, from its content and from where it is kept."""
     hashed = hashlib.sha256()
     for query in (
@@ -76,7 +76,7 @@ def read_root(connection: sqlite3.Connection) -> Root:
         "SELECT description FROM gpkg_contents WHERE table_name = 'fieldgrid_session'"
     ).fetchone()
     noted = None if contents is None else str(contents[0])
-    return Root(
+    return RootDigest(
         hashed.hexdigest(),
         root_in_meta(connection),
         noted if noted is None else noted.removeprefix(f"{_DRIVES} (SHA-256 ").removesuffix(")"),

@@ -127,7 +127,7 @@ class TileTables:
         return stored_box(density, blob, f"{density.name} of tile {tuple(tile)} of level 0")
 
     def block(self, levels: int) -> int:
-        """Cells along the side of a block, so many levels above the base."""
+        """Cells along the side of a block in tiles that lie `levels` above the base."""
         return max(block_side(self.matrices.lattice) >> levels, 1)
 
     def kept(self, levels: int) -> Sequence[ChannelGroup]:

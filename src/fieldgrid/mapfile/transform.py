@@ -29,13 +29,13 @@ MOST_DEG = 180.0
 
 
 WORSE_TIMES = 2.0
-"""Poses that state more than so many times what their drive usually does are as unsure after an
-alignment as before: one error for a whole drive says nothing of them."""
+"""A pose that states more than `WORSE_TIMES` the usual error of its drive keeps that error when the
+drive is aligned: the one error of the whole drive does not hold for it."""
 
 _ROUNDING_M = 1e-6
 
 
-class Beside(NamedTuple):
+class RelativeError(NamedTuple):
     """How sure a session lies beside another one, which may be surer than where either lies: the
     1-sigma error of the shift between them, as long as the other is where it was (`placing`)."""
 
@@ -45,7 +45,7 @@ class Beside(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Aligned:
+class AlignmentRecord:
     """What a transform that was estimated rests on: its 1-sigma errors, the sessions that it was
     aligned to, and the transform that the session had before, as it was stored. The errors are None
     where the poses have been estimated anew since: it was found for others. `beside` has those of
@@ -56,7 +56,7 @@ class Aligned:
     turn_sigma_deg: float | None
     to: tuple[str, ...]
     before: str | None = None
-    beside: tuple[Beside, ...] = ()
+    beside: tuple[RelativeError, ...] = ()
     stated_m: float | None = None
 
     def __post_init__(self) -> None:
@@ -86,7 +86,7 @@ class Transform:
     pivot_east_m: float = 0.0
     pivot_north_m: float = 0.0
     wander: Wander | None = None
-    aligned: Aligned | None = None
+    aligned: AlignmentRecord | None = None
     heights: HeightCorrection | None = None
 
     def __post_init__(self) -> None:
@@ -206,8 +206,8 @@ class Transform:
     def speaking_of(
         self, names: Mapping[str, str], placings: Mapping[str, str] | None = None
     ) -> Transform:
-        """The same where other sessions that it speaks of have got other names, all at once, and
-        what tells where they lie has changed with the plane."""
+        """The transform with new names of the other sessions that it names, and with new digests of
+        where they lie, which change with the plane."""
         if self.aligned is None:
             return self
         others = tuple(names.get(one, one) for one in self.aligned.to)
@@ -300,7 +300,7 @@ def _heights(stored: Mapping[str, Any]) -> HeightCorrection:
     return HeightCorrection(times, up_m, least)
 
 
-def _aligned(stored: Mapping[str, Any]) -> Aligned:
+def _aligned(stored: Mapping[str, Any]) -> AlignmentRecord:
     sigma_m, turn_sigma_deg, before = (
         stored["sigma_m"], stored["turn_sigma_deg"], stored["before"],
     )  # fmt: skip
@@ -311,10 +311,10 @@ def _aligned(stored: Mapping[str, Any]) -> Aligned:
         raise TypeError("what it was before is no text")
     # Maps that were aligned before this was kept have none.
     beside = tuple(
-        Beside(str(one["name"]), one["sigma_m"], str(one["placing"]))
+        RelativeError(str(one["name"]), one["sigma_m"], str(one["placing"]))
         for one in stored.get("beside", ())
     )
     if not all(_is_number(one.sigma_m) for one in beside):
         raise TypeError("its errors beside other sessions are no numbers")
     to = tuple(str(name) for name in stored["to"])
-    return Aligned(sigma_m, turn_sigma_deg, to, before, beside, stated_m)
+    return AlignmentRecord(sigma_m, turn_sigma_deg, to, before, beside, stated_m)

@@ -34,7 +34,7 @@ from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.mapfile.marks import check_marks
 from fieldgrid.mapfile.metadata import digest_of, find
 from fieldgrid.mapfile.quick_check import check_sums, is_as_written
-from fieldgrid.mapfile.records import SESSION_SQL, FrameRecord, frame_values, session_info
+from fieldgrid.mapfile.records import SESSION_SQL, frame_values, session_info
 from fieldgrid.mapfile.root import check_digest
 from fieldgrid.mapfile.row_sums import kept_sums
 from fieldgrid.mapfile.stored_features import check_stored
@@ -241,26 +241,24 @@ class _FrameCheck:
         return type(self), self._of
 
     def __call__(self, number: int) -> str:
-        return _frame_problem(self.records[number])
-
-
-def _frame_problem(record: FrameRecord) -> str:
-    """What is wrong with a frame; empty when it is as it was stored."""
-    values = frame_values(
-        record.driven,
-        record.frame_id,
-        record.quality,
-        record.images,
-        record.images_sha256,
-        record.cells_sha256,
-    )
-    try:
-        if frame_digest(values) != record.digest or (
-            cells_sha256(record.cells()) != record.cells_sha256
-        ):
-            return (
-                f"Frame {record.frame_id!r} of session {record.session!r} is not as it was stored."
-            )
-    except MapError as error:
-        return f"Session {record.session!r}: {error}"
-    return ""
+        """What is wrong with a frame; empty when it is as it was stored."""
+        record = self.records[number]
+        values = frame_values(
+            record.driven,
+            record.frame_id,
+            record.quality,
+            record.images,
+            record.images_sha256,
+            record.cells_sha256,
+        )
+        try:
+            if frame_digest(values) != record.digest or (
+                cells_sha256(record.cells()) != record.cells_sha256
+            ):
+                return (
+                    f"Frame {record.frame_id!r} of session {record.session!r} is not as it was "
+                    "stored."
+                )
+        except MapError as error:
+            return f"Session {record.session!r}: {error}"
+        return ""

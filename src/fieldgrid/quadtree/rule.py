@@ -16,15 +16,15 @@ from fieldgrid.geodesy import MAX_DISTANCE_M
 from fieldgrid.lattice import Bounds, Lattice, Window
 
 LOSS = 16.0
-"""By how much the density of a cell may differ from the mean of its square, of 255."""
+"""Largest difference between the density of a cell and the mean of its square, of 255."""
 
 MAX_LEVEL = 8
 """The largest squares are 2^8 cells wide, as tiles are: the blocks of a map cut none of them."""
 
 
 class Near(NamedTuple):
-    """Where squares are as small as cells: within so many metres of a line, float [n, 2] east and
-    north, such as a route, or of one point, such as a vehicle."""
+    """Where squares are as small as cells: within `within_m` metres of a line, float [n, 2] east
+    and north, such as a route, or of one point, such as a vehicle."""
 
     line_m: npt.ArrayLike
     within_m: float
