@@ -10,7 +10,6 @@ import sqlite3
 from collections.abc import Collection, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 from fieldgrid.errors import MapError
 from fieldgrid.lattice import TileIndex
@@ -25,7 +24,7 @@ from fieldgrid.mapfile.pyramid import Pyramid
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.schema import NOW_SQL
 from fieldgrid.mapfile.styles import drop_styles, refresh_styles
-from fieldgrid.mapfile.subject import Subject
+from fieldgrid.mapfile.subject import PickledByArguments, Subject
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import TileMatrixSet
 
@@ -83,7 +82,7 @@ def settle(connection: sqlite3.Connection, header: MapHeader, path: Path) -> Non
     Pyramid(connection, tables_of(connection, header, path)).settle()
 
 
-class SessionFold:
+class SessionFold(PickledByArguments):
     """Folds squares of a session, from its stored frames, to encoded tiles. Pickled it is where the
     map lies: each worker of a cluster reads there."""
 
@@ -91,9 +90,6 @@ class SessionFold:
         self._of = subject, session_id
         self._groups = subject.header.writable_groups(subject.path)
         self.squares = squares_of(subject, session_id, self._groups)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._of
 
     def __call__(self, place: tuple[int, int]) -> list[tuple[TileIndex, dict[str, bytes]]]:
         """The tiles of a square that the frames observed."""

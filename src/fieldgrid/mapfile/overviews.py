@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from fieldgrid.mapfile.reading import (
 )
 from fieldgrid.mapfile.sharing import check_known
 from fieldgrid.mapfile.sources import FOR_KERNELS, assembled
+from fieldgrid.mapfile.subject import PickledByArguments
 from fieldgrid.transfer import mean_density
 from fieldgrid.workers.order import Runner
 
@@ -105,7 +106,7 @@ def _groups(request: Request) -> tuple[ChannelGroup, ...]:
     return tuple(GROUPS[name] for name in groups_of(request.layers))
 
 
-class _Halving:
+class _Halving(PickledByArguments):
     """Makes the overviews of squares of a view. Pickled it is where the map lies."""
 
     def __init__(self, content: Content, request: Request, levels: int) -> None:
@@ -116,9 +117,6 @@ class _Halving:
         # Cells beyond a square that its layers look at: a power of 2, so that they can be halved.
         reach = reach_cells(request)
         self._margin = max(2, 1 << math.ceil(math.log2(reach))) if reach >= 1.0 else 0
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._of
 
     def __call__(self, place: tuple[int, int]) -> tuple[list[OverviewBlock], Cells] | None:
         """The overviews of the square at a row and a column, and its one cell of the uppermost

@@ -13,6 +13,15 @@ from fieldgrid.mapfile.tiling import TileMatrixSet
 from fieldgrid.workers.order import Runner, Threads
 
 
+class PickledByArguments:
+    """What is pickled as its arguments, of which it is made again where it arrives."""
+
+    _of: tuple[Any, ...]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._of
+
+
 class Subject(NamedTuple):
     """A map that is verified or repaired, and who does it. Pickled it is where the map lies; where
     it arrives, it is opened again, for reading."""

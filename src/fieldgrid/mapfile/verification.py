@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any
 
 from fieldgrid.errors import ClusterError, FieldgridError, MapError, shortened
 from fieldgrid.layers import GROUPS, RETIRED_GROUPS
@@ -38,7 +37,7 @@ from fieldgrid.mapfile.records import SESSION_SQL, frame_values, session_info
 from fieldgrid.mapfile.root import check_digest
 from fieldgrid.mapfile.row_sums import kept_sums
 from fieldgrid.mapfile.stored_features import check_stored
-from fieldgrid.mapfile.subject import Subject
+from fieldgrid.mapfile.subject import PickledByArguments, Subject
 from fieldgrid.mapfile.tile_check import check_tiles
 from fieldgrid.mapfile.upgrade import upgraded, upgraded_copy
 from fieldgrid.workers.order import Runner, Threads
@@ -230,15 +229,12 @@ def _upgraded(subject: Subject) -> Iterator[str]:
             yield from check_tiles(anew)
 
 
-class _FrameCheck:
+class _FrameCheck(PickledByArguments):
     """Compares frames of a session, by their numbers, with their digests."""
 
     def __init__(self, subject: Subject, session_id: int) -> None:
         self._of = subject, session_id
         self.records = frames_of(subject.connection, session_id)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._of
 
     def __call__(self, number: int) -> str:
         """What is wrong with a frame; empty when it is as it was stored."""
