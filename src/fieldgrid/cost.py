@@ -23,7 +23,7 @@ DENSITIES = ("density", "lasting", "remaining", "max")
 """The layers that hold densities, from which a cost can be made."""
 
 LEAST_DROP_M = 0.1
-"""Ground that falls away by so much is an obstacle; a drop of 15 cm reads as 11 to 13."""
+"""The least drop of the ground that is an obstacle; a drop of 15 cm reads as 11 to 13."""
 
 LEAST_SEEN = 0.5
 """The share of the map's own cells that must have been seen for a larger cell to be known."""
@@ -101,8 +101,7 @@ class CostCurve:
         0 free, up to 251 in doubt, 254 an obstacle, 255 unknown: that layer with
         `trinary_costmap: false`, `lethal_cost_threshold: 100` and `track_unknown_space: true`.
         """
-        occupancy = self.table().astype(np.int64)
-        costs = (occupancy * LETHAL // OCCUPIED).astype(np.uint8)
+        costs = (self.table().astype(np.int64) * LETHAL // OCCUPIED).astype(np.uint8)
         return self._looked_up(costs, density, seen, keepout, UNKNOWN_COST, LETHAL)
 
     def _looked_up(

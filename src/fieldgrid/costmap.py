@@ -133,8 +133,7 @@ class Costmap:
             )
         wanted = dict.fromkeys((layer, *universal.deciding(cell_m)))
         with universal.read_blocks(bounds, cell_m, layers=tuple(wanted), at=at) as blocks:
-            costs = _costs_of(blocks, curve or CostCurve(), layer)
-            costmap = cls._of(blocks, universal.datum, costs, settings)
+            costmap = cls._of(blocks, universal.datum, settings, curve, layer)
         for cost in (LETHAL, UNKNOWN_COST):  # so that the first question takes no longer
             costmap._distances.to(cost)
         return costmap
@@ -154,11 +153,18 @@ class Costmap:
         distances are worked out when they are first asked for."""
         settings = Inflation(robot_radius_m, inflation_m, decay_per_m)
         whole = MapBlocks(view.lattice, view.window, iter((view,)))
-        costs = _costs_of(whole, curve or CostCurve(), "density")
-        return cls._of(whole, view.datum, costs, settings)
+        return cls._of(whole, view.datum, settings, curve, "density")
 
     @classmethod
-    def _of(cls, blocks: MapBlocks, datum: Datum, costs: UInt8, inflation: Inflation) -> Self:
+    def _of(
+        cls,
+        blocks: MapBlocks,
+        datum: Datum,
+        inflation: Inflation,
+        curve: CostCurve | None,
+        layer: str,
+    ) -> Self:
+        costs = _costs_of(blocks, curve or CostCurve(), layer)
         distances = _Distances(costs)
         # It changes no cell that is an obstacle or unknown.
         _inflate(costs, distances, inflation, blocks.lattice)
@@ -189,8 +195,7 @@ class Costmap:
 
     def is_known(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> Bool:
         """Whether a point lies in a cell that was observed."""
-        known: Bool = self.cost(east_m, north_m) != UNKNOWN_COST
-        return known
+        return np.asarray(self.cost(east_m, north_m) != UNKNOWN_COST)
 
     def at(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> Answer:
         """All answers at once."""
@@ -222,8 +227,7 @@ class Costmap:
         per_m, (i0, j0, width, height) = self.lattice.cells_per_m, self.window
         column = _within(east_m, per_m, i0, width)
         row = _within(north_m, per_m, j0, height)
-        places: Index = row * (width + 2) + column
-        return places
+        return np.asarray(row * (width + 2) + column)
 
     def _metres(self, cells: Float32, places: Index) -> Float64:
         return cells.take(places) * np.float64(self.lattice.cell_m)
@@ -246,8 +250,7 @@ def _distance_cells(other: Bool) -> Float32:
 
     if other.all():
         return np.full(other.shape, np.inf, dtype=np.float32)
-    mask = other.view(np.uint8)
-    found: Any = cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    found: Any = cv2.distanceTransform(other.view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     return np.asarray(found, dtype=np.float32)
 
 
@@ -255,7 +258,13 @@ def _costs_of(blocks: MapBlocks, curve: CostCurve, layer: str) -> UInt8:
     """The costs of the cells with a border, block by block: what decides them takes more bytes than
     they do."""
     window = blocks.window
-    _check_size(blocks)
+    width, height = blocks.window.width, blocks.window.height
+    if width * height > MAX_CELLS or max(width, height) > MAX_SIDE:
+        raise ConfigError(
+            f"A costmap of {width} x {height} cells of {blocks.lattice.cell_m} m is over "
+            f"{MAX_CELLS / 1e6:.0f} million cells or {MAX_SIDE} along a side; give smaller bounds "
+            "or a larger cell."
+        )
     costs = np.full((window.height + 2, window.width + 2), UNKNOWN_COST, np.uint8)
     inside = costs[1:-1, 1:-1]
     for view in blocks.views:
@@ -282,13 +291,3 @@ def _inflate(costs: UInt8, distances: _Distances, inflation: Inflation, lattice:
         inflated = ((INSCRIBED - 1) * np.exp(-inflation.decay_per_m * beyond_m)).astype(np.uint8)
         inflated[cells <= inscribed] = INSCRIBED
         cost[near] = np.maximum(cost[near], inflated)
-
-
-def _check_size(blocks: MapBlocks) -> None:
-    width, height = blocks.window.width, blocks.window.height
-    if width * height > MAX_CELLS or max(width, height) > MAX_SIDE:
-        raise ConfigError(
-            f"A costmap of {width} x {height} cells of {blocks.lattice.cell_m} m is over "
-            f"{MAX_CELLS / 1e6:.0f} million cells or {MAX_SIDE} along a side; give smaller bounds "
-            "or a larger cell."
-        )

@@ -50,7 +50,7 @@ class Evidence(NamedTuple):
 
     @classmethod
     def of_blocks(cls, blocks: MapBlocks, obstacle_above: int = OBSTACLE_ABOVE) -> Evidence:
-        """The same of the blocks of a map, of which no two are held at once."""
+        """The classes of the blocks of a map, of which one is held at a time."""
         cells = np.zeros(blocks.window.shape, dtype=np.uint8)
         for view in blocks.views:
             part = cells[blocks.window.slices_of(view.window)]
@@ -95,8 +95,8 @@ class Evidence(NamedTuple):
 
 @kernel
 def read_across(cells, i0, j0, per_m, middle, left, across, found):  # type: ignore[no-untyped-def]
-    """Write the classes of the cells that enclose the points so far to the left of some others;
-    those outside stay."""
+    """Write the classes of the cells that enclose points `across` metres to the left of the points
+    `middle`; points outside of the window are left out."""
     for k in range(len(middle)):
         for m in range(len(across)):
             i = math.floor((middle[k, 0] + across[m] * left[k, 0]) * per_m) - i0

@@ -104,18 +104,18 @@ class Datum:
         )
 
     def crs_json(self) -> dict[str, Any]:
-        """The same reference system as PROJJSON."""
+        """The plane as a coordinate reference system in PROJJSON."""
         from pyproj import CRS  # late: the mapping itself never needs PROJ
 
         name = f"fieldgrid LTP {self.lat_deg:.9f} {self.lon_deg:.9f} {self.height_m:.3f}"
         return {**CRS.from_proj4(self.crs_proj4()).to_json_dict(), "name": name}
 
     def crs_wkt(self, version: str = "WKT1_GDAL") -> str:
-        """The same reference system as well-known text, full, for files that carry it."""
+        """The plane as a coordinate reference system in well-known text, for files."""
         return _crs_wkt(self, version)
 
     def grid_mapping(self) -> dict[str, Any]:
-        """The same as attributes of a grid mapping by the CF conventions."""
+        """The plane as the attributes of a grid mapping by the CF conventions."""
         from pyproj import CRS
 
         wkt = self.crs_wkt("WKT2_2019")

@@ -92,7 +92,7 @@ class Window(NamedTuple):
         return Window(i0, j0, i1 - i0, j1 - j0)
 
     def grown(self, cells: int) -> Window:
-        """The window with so many cells more on each side."""
+        """The window with a number of cells more on each side."""
         return Window(
             self.i0 - cells, self.j0 - cells, self.width + 2 * cells, self.height + 2 * cells
         )
@@ -109,12 +109,23 @@ def tile_window(tile: TileIndex) -> Window:
 
 
 def squares(window: Window, side: int) -> Iterator[Window]:
-    """The window cut into squares of at most `side` cells."""
-    for j0 in range(window.j0, window.j0 + window.height, side):
-        for i0 in range(window.i0, window.i0 + window.width, side):
-            block = window.intersect(Window(i0, j0, side, side))
-            assert block is not None
-            yield block
+    """The window cut into squares of at most `side` cells, from its south-west corner on."""
+    return _cut(window, window.j0, window.i0, side, side)
+
+
+def aligned_parts(window: Window, height: int, width: int) -> Iterator[Window]:
+    """The window cut at all rows and columns that are multiples of a height and a width."""
+    j0, i0 = window.j0 // height * height, window.i0 // width * width
+    return _cut(window, j0, i0, height, width)
+
+
+def _cut(window: Window, first_j: int, first_i: int, height: int, width: int) -> Iterator[Window]:
+    """The parts of a window in rectangles of one size, south to north, west to east."""
+    for j0 in range(first_j, window.j0 + window.height, height):
+        for i0 in range(first_i, window.i0 + window.width, width):
+            part = window.intersect(Window(i0, j0, width, height))
+            assert part is not None
+            yield part
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
 """How QGIS shows a map: a style for each of its layers, in QGIS's own XML (QML).
 
 Obstacles are red on pale ground, drives have the colours of their sessions, footprints are hollow
-and seen from near only. The same styles are in the map file, for a layer that is opened by itself,
-and in a project.
+and seen from near only. These styles are in the map file, for a layer that is opened by itself, and
+in a project.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import html
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import chain, zip_longest
-from typing import NamedTuple
 from xml.etree import ElementTree as ET
 from xml.etree.ElementTree import Element
 
@@ -38,18 +37,13 @@ _NAME = "\N{REPLACEMENT CHARACTER}"
 """Stands for the names of sessions in a document without them."""
 
 
-class _Look(NamedTuple):
-    """A layer of features: its kind of symbol, and the smallest scale (1 in n) it is seen at."""
-
-    symbol: str
-    from_scale: int | None
-
-
 _LOOKS = {
-    "trajectory": _Look("marker", None),
-    "frame_position": _Look("marker", 1500),
-    "footprint": _Look("fill", 400),
+    "trajectory": ("marker", None),
+    "frame_position": ("marker", 1500),
+    "footprint": ("fill", 400),
 }
+"""Of each layer of features its kind of symbol, and the smallest scale (1 in n) it is seen at."""
+
 
 LAYERS = ("density", *_LOOKS)
 """The layers that have a style, from the lowest to the uppermost as they are to be drawn."""
@@ -70,8 +64,7 @@ _MARK_RULES = {
 def style(layer: str, sessions: Sequence[tuple[str, str]]) -> str:
     """The QML document of a layer; `sessions` are their names and colours (`#rrggbb`)."""
     colours, texts = _texts(tuple(sessions)) if layer in _LOOKS else ((), ())
-    pieces = _pieces(layer, colours)
-    return "".join(chain.from_iterable(zip_longest(pieces, texts, fillvalue="")))
+    return "".join(chain.from_iterable(zip_longest(_pieces(layer, colours), texts, fillvalue="")))
 
 
 @lru_cache(maxsize=1)
@@ -121,10 +114,10 @@ def fill_style(root: Element, layer: str, sessions: Sequence[tuple[str, str]]) -
     if layer in MARKS:
         _fill_marks(root, layer)
         return
-    look = _LOOKS[layer]
-    if look.from_scale is not None:
+    kind, from_scale = _LOOKS[layer]
+    if from_scale is not None:
         root.set("hasScaleBasedVisibilityFlag", "1")
-        root.set("minScale", str(look.from_scale))
+        root.set("minScale", str(from_scale))
         root.set("maxScale", "0")
     temporal = ET.SubElement(root, "temporal", mode="1", enabled="1", startField="time")
     temporal.set("durationUnit", "min")
@@ -138,14 +131,14 @@ def fill_style(root: Element, layer: str, sessions: Sequence[tuple[str, str]]) -
             rules, "rule", key=f"{{{key}}}", symbol=key, label=_label(names),
             filter=f"\"session\" IN ({_listed(names)}) AND \"status\" <> 'rejected'",
         )  # fmt: skip
-        symbols.append(_symbol(key, look.symbol, layer, colour))
+        symbols.append(_symbol(key, kind, layer, colour))
     for label, condition, colour in (
         ("rejected", "\"status\" = 'rejected'", palette.REJECTED),
         ("other sessions", "ELSE", palette.REJECTED),
     ):
         key = str(len(symbols))
         ET.SubElement(rules, "rule", key=f"{{{key}}}", symbol=key, label=label, filter=condition)
-        symbols.append(_symbol(key, look.symbol, layer, colour, rejected=label == "rejected"))
+        symbols.append(_symbol(key, kind, layer, colour, rejected=label == "rejected"))
 
 
 def _fill_density(root: Element) -> None:

@@ -212,8 +212,7 @@ class PaperFold:
     def density(self) -> tuple[UInt8, Bool]:
         """Averaged 3D density rounded to uint8, and the observed mask."""
         observed = ~np.isnan(self.value)
-        rounded = np.floor(np.where(observed, self.value, 0.0) + 0.5)
-        return rounded.astype(np.uint8), observed
+        return np.floor(np.where(observed, self.value, 0.0) + 0.5).astype(np.uint8), observed
 
 
 def mean_density(weight: UInt64, total: UInt64) -> tuple[UInt8, Bool]:

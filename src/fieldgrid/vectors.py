@@ -60,6 +60,8 @@ def write_features(
 def geojson(features: Sequence[Feature], datum: Datum) -> dict[str, Any]:
     """A FeatureCollection as RFC 7946 has it: longitude, latitude, nine decimals, the datum
     beside it as a foreign member."""
+    import shapely
+
     return {
         "type": "FeatureCollection",
         "datum": {
@@ -69,7 +71,10 @@ def geojson(features: Sequence[Feature], datum: Datum) -> dict[str, Any]:
             {
                 "type": "Feature",
                 "properties": {"kind": f.kind, **plain_properties(f)},
-                "geometry": _mapping(in_degrees(f.geometry, datum)),
+                # RFC 7946: outer rings run counter-clockwise.
+                "geometry": json.loads(
+                    shapely.to_geojson(shapely.orient_polygons(in_degrees(f.geometry, datum)))
+                ),
             }
             for f in features
         ],
@@ -121,14 +126,6 @@ def _plain(value: Any, key: str = "") -> Any:
         digits = DECIMALS if key in ("lat_deg", "lon_deg") else 4
         return round(value, digits) if math.isfinite(value) else None
     return list(value) if isinstance(value, tuple) else value
-
-
-def _mapping(geometry: Any) -> dict[str, Any]:
-    import shapely
-
-    # RFC 7946: outer rings run counter-clockwise.
-    found: dict[str, Any] = json.loads(shapely.to_geojson(shapely.orient_polygons(geometry)))
-    return found
 
 
 def _write_geojson(path: Path, features: Sequence[Feature], datum: Datum, overwrite: bool) -> None:

@@ -16,7 +16,7 @@ from fieldgrid.changes.objects import are_alike, probability
 from fieldgrid.changes.relative_sigmas import relative_sigmas
 from fieldgrid.errors import ConfigError
 from fieldgrid.mapfile import Change, Transform, open_map
-from fieldgrid.mapfile.transform import Aligned, Beside, placing
+from fieldgrid.mapfile.transform import AlignmentRecord, RelativeError, placing
 from fieldgrid.transfer import Transfer
 from tests.changes.worlds import WIDE, Box, Drive, lane, pose, world_map
 
@@ -112,8 +112,8 @@ def aligned(path: Path, apart_m: float, sigma_m: float = 0.4, **others: Transfor
     """As alignment leaves two drives: neither is sure of its place, the second beside the first."""
     with open_map(path, writable=True) as universal:
         driven = [frame.driven for frame in universal.frames("first") if frame.accepted]
-        beside = Beside("first", apart_m, placing(universal.transform("first"), driven))
-        found = Aligned(sigma_m, 0.1, ("first",), None, (beside,))
+        beside = RelativeError("first", apart_m, placing(universal.transform("first"), driven))
+        found = AlignmentRecord(sigma_m, 0.1, ("first",), None, (beside,))
         universal.set_transforms({"second": Transform(aligned=found), **others})
 
 

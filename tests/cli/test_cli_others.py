@@ -19,7 +19,7 @@ import pytest
 
 from fieldgrid.cli.commands import COMMANDS, load
 from fieldgrid.mapfile import Transform, open_map
-from fieldgrid.mapfile.transform import Aligned
+from fieldgrid.mapfile.transform import AlignmentRecord
 from tests.cli.conftest import Run, in_a_process
 from tests.conftest import TWO_LANES
 
@@ -438,7 +438,7 @@ def aligned_map(tmp_path_factory: pytest.TempPathFactory, two_lanes_map: Path) -
     """The map of the example with an alignment to be undone; copy it."""
     path = Path(shutil.copy(two_lanes_map, tmp_path_factory.mktemp("aligned")))
     with open_map(path, writable=True) as universal:
-        aligned = Aligned(0.1, 0.1, ("another",))
+        aligned = AlignmentRecord(0.1, 0.1, ("another",))
         universal.set_transforms({"two_lanes": Transform(0.1, aligned=aligned)})
     return path
 

@@ -11,7 +11,7 @@ from fieldgrid.export import Selection, ros_messages
 from fieldgrid.export.bag_content import BagContent, messages
 from fieldgrid.mapfile import Transform, open_map
 from fieldgrid.mapfile.corrections import HeightCorrection
-from fieldgrid.mapfile.transform import Aligned
+from fieldgrid.mapfile.transform import AlignmentRecord
 from tests.export.asymmetric import SPRING, write_asymmetric_map
 from tests.mapfile.maps import track
 
@@ -54,7 +54,7 @@ def test_heights_are_no_surer_than_driven_after_an_alignment(
     heights: HeightCorrection | None, up_sigma_m: float, tmp_path: Path
 ) -> None:
     path = write_asymmetric_map(tmp_path / "f.gpkg")
-    to = Transform(0.01, aligned=Aligned(0.005, None, ()), heights=heights)
+    to = Transform(0.01, aligned=AlignmentRecord(0.005, None, ()), heights=heights)
     with open_map(path, writable=True) as universal:
         universal.set_transforms({SPRING: to})
     with open_map(path) as universal:

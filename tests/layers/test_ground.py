@@ -26,7 +26,7 @@ from fieldgrid.layers.ground import (
 from fieldgrid.layers.robust import BIN_CM, BINS, MOST_HEIGHTS, WIDEST_SIGMA_M, Heights
 from fieldgrid.layers.window import with_overviews
 from fieldgrid.mapfile import MapView, Transform, create_map, open_map
-from fieldgrid.mapfile.transform import Aligned
+from fieldgrid.mapfile.transform import AlignmentRecord
 from fieldgrid.trajectory import HEIGHT_SHARE, Pose
 from fieldgrid.transfer import Transfer
 from tests.mapfile.maps import DATUM
@@ -324,7 +324,7 @@ def test_the_height_of_an_aligned_drive_is_no_surer_than_before(tmp_path: Path) 
     path = tmp_path / "map.gpkg"
     before = read(path, [[(pose, hillside(pose, 0.0, 0.0))]]).layer("ground_sigma")
     with open_map(path, writable=True) as universal:
-        aligned = Aligned(0.02, 0.1, ("other",))
+        aligned = AlignmentRecord(0.02, 0.1, ("other",))
         universal.set_transforms({"0": Transform(0.2, aligned=aligned)})
         assert next(iter(universal.frames())).pose.position_sigma_m == 0.02
         after = universal.read(cell_m=0.2, layers=LAYERS).layer("ground_sigma")

@@ -15,7 +15,7 @@ from fieldgrid.lattice import Lattice, Window
 from fieldgrid.layers import GROUPS, Cells
 from fieldgrid.layers.window import with_overviews
 from fieldgrid.mapfile import Change, MapFile, MapView, open_map
-from fieldgrid.mapfile.base_cells import PARTS, Touching
+from fieldgrid.mapfile.base_cells import PARTS, Resampling
 from fieldgrid.transfer import Transfer
 from tests.mapfile.maps import CELL_M, drive, one_cell, pose_at, write_map
 
@@ -40,7 +40,7 @@ def test_each_cell_has_the_worst_of_the_base_cells_that_it_touches(
     i0, j0 = corner
     lattice = Lattice(cell_m)
     window = lattice.window(BASE.bounds(Window(i0, j0, 31, 24)))
-    touching = Touching(DENSITY, BASE, lattice)
+    touching = Resampling(DENSITY, BASE, lattice)
     under = touching.under(window)
     shift = j0 - under.j0, i0 - under.i0
     sums = np.zeros((2, *under.shape), dtype=np.uint64)
@@ -144,14 +144,14 @@ def test_a_large_odd_cell_needs_no_more_memory(
 ) -> None:
     """However many of the map's own cells lie in one: they are looked into a piece at a time."""
     most = 0
-    larger = Touching.larger
+    larger = Resampling.larger
 
-    def spy(self: Touching, cells: Cells, window: Window) -> Cells:
+    def spy(self: Resampling, cells: Cells, window: Window) -> Cells:
         nonlocal most
         most = max(most, cells["weight"].size)
         return larger(self, cells, window)
 
-    monkeypatch.setattr(Touching, "larger", spy)
+    monkeypatch.setattr(Resampling, "larger", spy)
     bounds = universal.bounds._replace(east_m=2000.0, north_m=2000.0)
     view = universal.read(bounds, 7.33, layers=["peak"])
     with universal.overviews(2, bounds, 7.33, layers=["peak"]) as blocks:

@@ -16,7 +16,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.mapfile import Mark, MarkKind, create_map, merge_maps, open_map
 from fieldgrid.mapfile.corrections import HeightCorrection, Wander
 from fieldgrid.mapfile.redatum import Redatum
-from fieldgrid.mapfile.transform import Aligned, Beside, Transform, placing
+from fieldgrid.mapfile.transform import AlignmentRecord, RelativeError, Transform, placing
 from fieldgrid.mapfile.twins import SAME_PLACE_M
 from fieldgrid.transfer import Transfer
 from tests.mapfile.content import content
@@ -201,7 +201,9 @@ def lie_beside(path: Path, sigma_m: float) -> None:
             for name, to in rigid.items()
         }
         for name, other in (names, names[::-1]):
-            found = Aligned(0.4, 0.1, (other,), None, (Beside(other, sigma_m, placings[other]),))
+            found = AlignmentRecord(
+                0.4, 0.1, (other,), None, (RelativeError(other, sigma_m, placings[other]),)
+            )
             rigid[name] = replace(rigid[name], aligned=found)
         universal.set_transforms(rigid)
 

@@ -20,7 +20,7 @@ from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import LAYERS, Transform, evidence, merge_maps, open_map
 from fieldgrid.mapfile.corrections import HeightCorrection, Wander
 from fieldgrid.mapfile.records import frame_record
-from fieldgrid.mapfile.transform import Aligned, Beside, transform_of
+from fieldgrid.mapfile.transform import AlignmentRecord, RelativeError, transform_of
 from tests.mapfile.content import content
 from tests.mapfile.maps import drive, pose_at, track, write_map
 
@@ -98,7 +98,7 @@ def test_a_window_of_shifted_sessions_reads_the_frames_near_it_alone(
 
 def test_places_of_maps_that_were_aligned_before_have_the_error_that_was_stored() -> None:
     """Trajectories are stored as placed: `verify --deep` computes them again."""
-    old = transform_of(Transform(0.1, aligned=Aligned(0.4, 0.1, ("june",))).to_text())
+    old = transform_of(Transform(0.1, aligned=AlignmentRecord(0.4, 0.1, ("june",))).to_text())
     driven_m, placed_m = [0.02, 0.33, 0.5, math.nan], [0.02, 0.33, 0.4, 0.4]
     poses = [replace(pose_at(1.0, 2.0, 3.0), position_sigma_m=sigma_m) for sigma_m in driven_m]
     assert [old.pose(pose).position_sigma_m for pose in poses] == placed_m
@@ -181,9 +181,9 @@ def test_heights_are_moved_by_what_holds_at_their_time() -> None:
 def test_what_alignment_found_reads_back_and_damage_is_told() -> None:
     transform = Transform(
         0.1, -0.2, 0.3, 4.0, 5.0, Wander((5, 7), (0.1, 0.2), (0.0, -0.1)),
-        Aligned(
+        AlignmentRecord(
             0.02, 0.1, ("june", "july"), Transform(1.0, 2.0).to_text(),
-            (Beside("june", 0.01, "12ab"), Beside("july", 0.03, "34cd")), 0.2,
+            (RelativeError("june", 0.01, "12ab"), RelativeError("july", 0.03, "34cd")), 0.2,
         ),
         HeightCorrection((5, 9), (0.5, -0.3), 0.04),
     )  # fmt: skip

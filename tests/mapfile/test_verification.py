@@ -404,11 +404,11 @@ def test_repair_checks_and_folds_the_frames_once(
 
     path = shutil.copy(sound, tmp_path / "copy.gpkg")
     with open_map(path) as universal:
-        counted(verification, "_frame_problem")
+        counted(verification, "frame_digest")
         counted(TileSquares, "fold")
         frames = universal.verify(1, deep=True).frames
     once = sorted(done)
-    assert once.count("_frame_problem") == frames
+    assert once.count("frame_digest") == frames
     assert "fold" in once
     done.clear()
     with open_map(path, writable=True) as universal:

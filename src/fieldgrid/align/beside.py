@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from fieldgrid.align.report import MapAlignment
 from fieldgrid.mapfile import MapFile
-from fieldgrid.mapfile.transform import Beside, placing
+from fieldgrid.mapfile.transform import RelativeError, placing
 
 
 def with_beside(universal: MapFile, found: MapAlignment) -> MapAlignment:
@@ -22,10 +22,10 @@ def with_beside(universal: MapFile, found: MapAlignment) -> MapAlignment:
         for drive in found.drives
         if drive.name in matched
     }
-    beside = defaultdict[str, list[Beside]](list)
+    beside = defaultdict[str, list[RelativeError]](list)
     for pair in pairs:
         for one, other in ((pair.a, pair.b), (pair.b, pair.a)):
-            beside[one].append(Beside(other, pair.sigma_m, placings[other]))
+            beside[one].append(RelativeError(other, pair.sigma_m, placings[other]))
     drives = []
     for drive in found.drives:
         aligned = drive.after.aligned

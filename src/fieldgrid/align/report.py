@@ -16,7 +16,7 @@ from fieldgrid.align.matches import Match, information_of
 from fieldgrid.align.network import SCATTER_M, NetworkSolution, left_between, wrong_ones
 from fieldgrid.array_types import Float64
 from fieldgrid.mapfile import Transform
-from fieldgrid.mapfile.transform import Aligned
+from fieldgrid.mapfile.transform import AlignmentRecord
 
 CONTRADICTS_SIGMAS = 4.0
 """What is left of a match, in its sigmas, that its two axes have by chance in one of 3,000."""
@@ -132,7 +132,7 @@ def summed_up(
             earlier = before[n].aligned
             after = replace(
                 after,
-                aligned=Aligned(
+                aligned=AlignmentRecord(
                     float(sigma_m[n, n]),
                     float(solution.turn_sigma_deg[n]),
                     tuple(drives[k].name for k in sorted(with_[n] - {n})),

@@ -30,7 +30,7 @@ from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.mapfile.reading import Request, chunks
 from fieldgrid.mapfile.redatum import Redatum
 from fieldgrid.mapfile.sharing import check_known, known_groups
-from fieldgrid.mapfile.sources import CellSource, FoldedOverBase, Larger, assembled
+from fieldgrid.mapfile.sources import CellSource, FoldedOverBase, LargerCells, assembled
 from fieldgrid.workers.place import check_is_here
 
 _RISE_M = 1000.0
@@ -68,8 +68,7 @@ class FarmPart(NamedTuple):
         own = tuple(self.names[name] for name in names if name in self.names)
         if not own:
             return None
-        whole = len(own) == len(self.block.sessions)
-        return asked._replace(sessions=None if whole else own)
+        return asked._replace(sessions=None if len(own) == len(self.block.sessions) else own)
 
     def content(self, of_map: MapContent) -> MapContent:
         """The map's content in the cells of the farm; where its tiles are others, by its frames."""
@@ -77,7 +76,7 @@ class FarmPart(NamedTuple):
             return of_map
         evidence = of_map.evidence
         if self.moved is not None:
-            evidence = _MovedEvidence(evidence, self.block, self.moved)
+            evidence = _RebasedEvidence(evidence, self.block, self.moved)
         return MapContent(evidence, self.header._replace(groups=()))
 
 
@@ -124,14 +123,19 @@ class FarmContent:
             if not request.beyond_density:
                 return folded, 1
             touched = tuple(group for group in groups if follows_from_touched(group))
-            base = Larger(self._own_cells(own, touched), by._replace(groups=touched))
+            base = LargerCells(self._own_cells(own, touched), by._replace(groups=touched))
             return FoldedOverBase(folded, base, groups), by.factor
-        exact = Larger(self._own_cells(own, groups), by)
+        exact = LargerCells(self._own_cells(own, groups), by)
         if by.factor == 1:
             return exact, 1
         needed = exact if request.beyond_density else None
         alone = [
-            _FromMap(self._maps, part, asked, _whole_chunks)
+            _FromMap(
+                self._maps,
+                part,
+                asked,
+                lambda content, request: _WholeChunks(*content.cell_source(request)),
+            )
             for part in self._parts
             if (asked := part.request(request)) is not None
         ]
@@ -148,9 +152,9 @@ class FarmContent:
         groups: Sequence[ChannelGroup],
         source: Callable[[MapContent, Request, tuple[ChannelGroup, ...]], CellSource],
     ) -> CellSource:
-        """The same cells of all maps as one; `source` finds those of a map."""
+        """The cells of all maps as those of one; `source` finds the cells of a map."""
         kept = tuple(group for group in groups if not group.derived)
-        return _Joined(
+        return _JoinedSessions(
             [
                 _FromMap(self._maps, part, asked, lambda c, asked: source(c, asked, kept))
                 for part in self._parts
@@ -201,7 +205,7 @@ class _FromMap:
             return found
 
 
-class _Joined:
+class _JoinedSessions:
     """The sessions of several maps together, cell by cell."""
 
     def __init__(self, sources: Sequence[_FromMap], groups: Sequence[ChannelGroup]) -> None:
@@ -291,11 +295,7 @@ class _WholeChunks:
         return assembled(window, found())
 
 
-def _whole_chunks(content: MapContent, request: Request) -> CellSource:
-    return _WholeChunks(*content.cell_source(request))
-
-
-class _MovedEvidence(EvidenceTables):
+class _RebasedEvidence(EvidenceTables):
     """The evidence of a map in the plane of another datum."""
 
     def __init__(self, own: EvidenceTables, block: FarmBlock, moved: Redatum) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -11,41 +12,51 @@ from pathlib import Path
 from fieldgrid.errors import ConfigError
 from fieldgrid.farm.content import FarmPart
 from fieldgrid.farm.maps import Maps
-from fieldgrid.lattice import Bounds, Lattice
+from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import FrameRecord, Provenance
 from fieldgrid.mapfile.arrays import Array
+from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.mapfile.provenance import trace
 from fieldgrid.trajectory import Trajectory
-from fieldgrid.transfer import Transfer, check_cell_sizes
+from fieldgrid.transfer import check_cell_sizes
 
 
 class FarmDrives:
-    """The sessions of a farm, each found in the map that has it."""
+    """The part of `Farm` that tells of its sessions, each found in the map that has it."""
 
-    def __init__(self, path: Path, maps: Maps, parts: Sequence[FarmPart]) -> None:
-        self._path, self._maps, self._parts = path, maps, parts
-        self._part_of = {name: part for part in parts for name in part.names}
+    path: Path
+    _maps: Maps
 
-    def part_of(self, session: str) -> FarmPart:
+    @property
+    @abstractmethod
+    def _parts(self) -> tuple[FarmPart, ...]:
+        """The maps, each drive in one of them."""
+
+    @property
+    @abstractmethod
+    def _header(self) -> MapHeader:
+        """The plane, the own cells and the rule of the farm."""
+
+    def _part_of(self, session: str) -> FarmPart:
         """The map that has a session; ConfigError for a name that no session has."""
-        found = self._part_of.get(session)
+        found = next((part for part in self._parts if session in part.names), None)
         if found is None:
             raise ConfigError(
-                f"{self._path} has no session {session!r}; `fieldgrid farm` lists the drives of "
+                f"{self.path} has no session {session!r}; `fieldgrid farm` lists the drives of "
                 "its maps."
             )
         return found
 
     def trajectory(self, session: str) -> Trajectory:
-        """See `Farm.trajectory`."""
-        part = self.part_of(session)
+        """The trajectory of a session as it is placed; MapError where none was stored."""
+        part = self._part_of(session)
         with self._maps.reading(part.block) as opened:
             track = opened.universal.trajectory(part.names[session])
         return track if part.moved is None else part.moved.trajectory(track)
 
     def frames(self, session: str) -> Iterator[FrameRecord]:
-        """See `Farm.frames`."""
-        part = self.part_of(session)
+        """The frames of a session, rejected ones included, in time order, without their grids."""
+        part = self._part_of(session)
         with self._maps.reading(part.block) as opened:
             found = list(opened.universal.frames(part.names[session]))
         moved = part.moved
@@ -56,18 +67,17 @@ class FarmDrives:
             ]
         return _renamed(part, found)
 
-    def inputs(self, session: str) -> dict[str, Array]:
-        """See `Farm.session_inputs`."""
-        part = self.part_of(session)
+    def session_inputs(self, session: str) -> dict[str, Array]:
+        """As `MapFile.session_inputs`."""
+        part = self._part_of(session)
         with self._maps.reading(part.block) as opened:
             return opened.universal.session_inputs(part.names[session])
 
-    def query(
-        self, east_m: float, north_m: float, lattice: Lattice, transfer: Transfer
-    ) -> Provenance:
-        """See `Farm.query`; frames in the order of their times."""
+    def query(self, east_m: float, north_m: float, cell_m: float | None = None) -> Provenance:
+        """As `MapFile.query`: which frames of which sessions observed the cell at a point."""
         if not (math.isfinite(east_m) and math.isfinite(north_m)):
             raise ConfigError(f"A point at {east_m}, {north_m} is nowhere; give metres.")
+        lattice = self._header.lattice_of(cell_m)
         half_m = lattice.cell_m
         near = Bounds(east_m - half_m, north_m - half_m, east_m + half_m, north_m + half_m)
         frames: list[FrameRecord] = []
@@ -81,7 +91,7 @@ class FarmDrives:
             for frame in frames:
                 check_cell_sizes(lattice.cell_m, frame.spec.cell_m)
             frames.sort(key=lambda one: (one.pose.time_ns, one.session, one.frame_id))
-            return trace(east_m, north_m, lattice, transfer, frames)
+            return trace(east_m, north_m, lattice, self._header.transfer, frames)
 
 
 def _renamed(part: FarmPart, frames: Iterable[FrameRecord]) -> Iterator[FrameRecord]:

@@ -22,16 +22,13 @@ from fieldgrid.layers import check_layers, stored_groups
 from fieldgrid.mapfile import (
     DECISION_LAYERS,
     DROP_LAYERS,
-    FrameRecord,
     MapBlocks,
     MapFile,
     MapView,
     Mark,
     OverviewBlock,
-    Provenance,
     SessionInfo,
 )
-from fieldgrid.mapfile.arrays import Array
 from fieldgrid.mapfile.blocks import blocks_of
 from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.mapfile.history import during
@@ -40,7 +37,6 @@ from fieldgrid.mapfile.overviews import read_overviews
 from fieldgrid.mapfile.reading import Request, read_view
 from fieldgrid.mapfile.redatum import Redatum
 from fieldgrid.mapfile.twins import REMEDY, Twin, twin_of
-from fieldgrid.trajectory import Trajectory
 from fieldgrid.workers.runner import runner
 
 if TYPE_CHECKING:
@@ -60,7 +56,7 @@ class RebasedMap(NamedTuple):
     height_error_m: float
 
 
-class Farm(Closing):
+class Farm(FarmDrives, Closing):
     """The maps of a folder. Use it with `with`, or close it; one thread at a time.
 
     `blocks` lists them, those that cannot be read included. `read`, `read_blocks`, `overviews` and
@@ -73,8 +69,8 @@ class Farm(Closing):
     Maps of one datum share their plane; with a `datum` others are laid into its plane, as `moved`
     says. The cells are the largest that a map has, by the rule of the first map; maps of other
     cells, rules or datums are folded anew from their frames. A drive that two maps have counts
-    once. With `verify` every map is verified, on so many threads (`jobs`). ConfigError for a folder
-    without maps.
+    once. With `verify` every map is verified by `jobs` threads. ConfigError for a folder without
+    maps.
     """
 
     def __init__(
@@ -146,29 +142,12 @@ class Farm(Closing):
 
     def map_of(self, session: str) -> FarmBlock:
         """The map that has a session of `sessions`; ConfigError for another."""
-        return self._drives.part_of(session).block
+        return self._part_of(session).block
 
     def extents(self) -> dict[str, Bounds]:
         """The extents of the maps that are read, by the names of their blocks, in metres of the
         farm's plane."""
         return {part.block.name: part.bounds for part in self._parts}
-
-    def trajectory(self, session: str) -> Trajectory:
-        """The trajectory of a session as it is placed; MapError where none was stored."""
-        return self._drives.trajectory(session)
-
-    def frames(self, session: str) -> Iterator[FrameRecord]:
-        """The frames of a session, rejected ones included, in time order, without their grids."""
-        return self._drives.frames(session)
-
-    def session_inputs(self, session: str) -> dict[str, Array]:
-        """As `MapFile.session_inputs`."""
-        return self._drives.inputs(session)
-
-    def query(self, east_m: float, north_m: float, cell_m: float | None = None) -> Provenance:
-        """As `MapFile.query`: which frames of which sessions observed the cell at a point."""
-        lattice = self._header.lattice_of(cell_m)
-        return self._drives.query(east_m, north_m, lattice, self._header.transfer)
 
     def marks(self) -> tuple[Mark, ...]:
         """The marks of all maps; what two of them have counts once."""
@@ -196,7 +175,7 @@ class Farm(Closing):
         request = self._request(bounds, cell_m, layers, at)._replace(jobs=jobs)
         if sessions is not None:
             for name in sessions:
-                self._drives.part_of(name)
+                self._part_of(name)
             every = [info.name for info in self.sessions()]
             known = every if request.sessions is None else request.sessions
             chosen = tuple(name for name in known if name in set(sessions))
@@ -339,10 +318,6 @@ class Farm(Closing):
 
         found = marks_together(maps(), self.datum)
         return tuple(mark._replace(id=number) for number, mark in enumerate(found, 1))
-
-    @cached_property
-    def _drives(self) -> FarmDrives:
-        return FarmDrives(self.path, self._maps, self._parts)
 
     @cached_property
     def _content(self) -> FarmContent:

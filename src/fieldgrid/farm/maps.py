@@ -30,17 +30,12 @@ class OpenMap:
         self.content: MapContent
         self.sources: WeakKeyDictionary[object, CellSource] = WeakKeyDictionary()
         self.lock = threading.Lock()
-        self._users, self._state = 0, ExitStack()
+        self.users, self._state = 0, ExitStack()
         self._version: int | None = None
-
-    @property
-    def is_idle(self) -> bool:
-        """Whether nobody reads it."""
-        return self._users == 0
 
     def begin(self, root_sha256: str) -> None:
         """One more reads it; all who do so at a time see one state of it."""
-        if self._users == 0:
+        if self.users == 0:
             self.content = self._state.enter_context(self.universal.content())
             connection = self.content.evidence.connection
             if self._version is None:
@@ -53,12 +48,12 @@ class OpenMap:
                     f"{self.universal.path} has changed since the farm was opened; open it again."
                 )
             self._version = version
-        self._users += 1
+        self.users += 1
 
     def end(self) -> None:
         """One fewer reads it."""
-        self._users -= 1
-        if self._users == 0:
+        self.users -= 1
+        if self.users == 0:
             self._state.close()
 
 
@@ -90,7 +85,7 @@ class Maps(Closing):
             self._close_idle(0)
 
     def _close_idle(self, most: int) -> None:
-        for path in [path for path, one in self._open.items() if one.is_idle]:
+        for path in [path for path, one in self._open.items() if one.users == 0]:
             if len(self._open) <= most:
                 break
             self._open.pop(path).universal.close()

@@ -25,7 +25,7 @@ LARGEST_M = 0.25
 """A block is no larger, unless a single cell is."""
 
 _APART_M = 0.2
-"""A frame is looked up at points of a block about so far apart: in the middle of most."""
+"""Distance between the points of a block at which a frame is looked up: most blocks have one."""
 
 COLUMN_BITS = 16
 """Low bits of a local cell's number that are its column; the others are its row."""
@@ -132,8 +132,7 @@ def blocks_of(cells: Int32, lattice: Lattice, window: Window) -> Int32:
     blocks = np.empty(min(cells.size, held.size), np.int32)
     # How far the window begins behind the corner of its first block.
     j0, i0 = window.j0 - side * under.j0, window.i0 - side * under.i0
-    count = find_blocks(cells, window.width, j0, i0, side, under.width, held, blocks)
-    return blocks[:count]
+    return blocks[: find_blocks(cells, window.width, j0, i0, side, under.width, held, blocks)]
 
 
 @kernel

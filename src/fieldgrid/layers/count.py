@@ -13,7 +13,7 @@ from fieldgrid.layers.frame import FrameInPlace
 from fieldgrid.transfer import AREA_SHIFT, CELL_WEIGHT
 
 
-class _Frames:
+class _FrameCount:
     def __init__(self, cells: int, _: Lattice) -> None:
         self._frames: UInt32 = np.zeros(cells, dtype=np.uint32)
 
@@ -41,7 +41,7 @@ def frames_of_weight(weight: UInt64) -> UInt64:
 GROUP = ChannelGroup(
     "count",
     (Channel("frames", coarser=Combine.MAX, signed=True),),
-    fold=_Frames,
+    fold=_FrameCount,
     expected=lambda weight, _: frames_of_weight(weight)[None],
 )
 

@@ -60,8 +60,7 @@ class Cells(Mapping[str, UInt64]):
     @property
     def observed(self) -> Bool:
         """The cells that have any weight."""
-        seen: Bool = self["weight"] > 0
-        return seen
+        return np.asarray(self["weight"] > 0)
 
 
 @lru_cache(maxsize=64)

@@ -39,10 +39,6 @@ def mean(cells: Cells) -> AnyArray:
     return mean_density(cells["weight"], cells["sum"])[0]
 
 
-def _seen_share(cells: Cells) -> AnyArray:
-    return np.minimum(cells["seen"] / np.float32(cells.base_cells), 1.0)
-
-
 GROUP = ChannelGroup(
     "density",
     (Channel("weight"), Channel("sum")),
@@ -77,7 +73,7 @@ SEEN_SHARE = Layer(
     "1",
     "share of the base cells in the cell that were observed",
     ("density",),
-    _seen_share,
+    lambda cells: np.minimum(cells["seen"] / np.float32(cells.base_cells), 1.0),
     float("nan"),
     Colours.of(palette.VALUES, 0.0, 1.0),
 )

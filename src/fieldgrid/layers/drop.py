@@ -49,7 +49,7 @@ BEYOND_SHARE = (3, 4)
 """Where at least this share of the parts that could tell lies beyond an edge, all of them do."""
 
 
-class _Drops:
+class _DropSums:
     """How many parts of local cells land in a cell, and five sums over those of frames that tell of
     drops: log-odds of a drop; parts with a drop, and its centimetres; those that lie beyond an
     edge, and those that do not."""
@@ -127,11 +127,6 @@ def _of_base(cells: Cells) -> UInt64:
     return deepest
 
 
-def _sure(cells: Cells) -> UInt64:
-    """1 where something was seen other than beyond an edge."""
-    return (cells["weight"] > cells["beyond_parts"]).astype(np.uint64)
-
-
 def _drop(cells: Cells) -> AnyArray:
     deepest = cells["drop_deepest"].astype(np.float32)
     known = deepest > 0.0
@@ -156,10 +151,15 @@ GROUP = ChannelGroup(
         Channel("drop_cm_sum"),
         Channel("beyond_parts"),
     ),
-    fold=_Drops,
+    fold=_DropSums,
     overview=(
         OverviewChannel("drop_deepest", Combine.MAX, _of_base),
-        OverviewChannel("sure", Combine.SUM, _sure),
+        # Where something was seen other than beyond an edge.
+        OverviewChannel(
+            "sure",
+            Combine.SUM,
+            lambda cells: (cells["weight"] > cells["beyond_parts"]).astype(np.uint64),
+        ),
     ),
     expected=_expected,
     frame=(STEP_CHANNEL, DROP_CHANNEL),

@@ -226,14 +226,6 @@ def _mean(cells: Cells, total: str, count: str) -> AnyArray:
     return np.where(known, mean, np.nan)
 
 
-def _height(cells: Cells) -> AnyArray:
-    return _mean(cells, "ground_mm", "ground_cells") / 1000.0
-
-
-def _sigma(cells: Cells) -> AnyArray:
-    return np.sqrt(_mean(cells, "ground_variance", "ground_cells")) / 1000.0
-
-
 def _slope(cells: Cells) -> AnyArray:
     rises = (_mean(cells, name, "rise_parts") for name in ("rise_east", "rise_north"))
     return np.degrees(np.arctan(np.hypot(*rises) / _PER_RISE))
@@ -292,7 +284,7 @@ GROUND = Layer(
     "m",
     "height of the ground above the datum's plane, of sessions that tell how the vehicle leans",
     _GROUPS,
-    _height,
+    lambda cells: _mean(cells, "ground_mm", "ground_cells") / 1000.0,
     _NAN,
     Colours(palette.TERRAIN),
     above_datum=True,
@@ -304,7 +296,7 @@ SIGMA = Layer(
     "m",
     "1-sigma error of the ground's height: what a session states, or what sessions are apart",
     _GROUPS,
-    _sigma,
+    lambda cells: np.sqrt(_mean(cells, "ground_variance", "ground_cells")) / 1000.0,
     _NAN,
     Colours(palette.UNSURE, 0.0, 0.5),
 )

@@ -22,7 +22,7 @@ _PER_M = 100
 """Heights are summed in whole centimetres, so that a sum does not depend on the frames' order."""
 
 
-class _Heights:
+class _VehicleHeights:
     """The sum of heights in whole centimetres, and of how many frames: one whose pose has no height
     does not count."""
 
@@ -42,14 +42,13 @@ class _Heights:
 
 def _height(cells: Cells) -> AnyArray:
     with np.errstate(divide="ignore", invalid="ignore"):
-        height: AnyArray = cells["height_cm"].view(np.int64) / cells["height_sessions"] / _PER_M
-    return height
+        return np.asarray(cells["height_cm"].view(np.int64) / cells["height_sessions"] / _PER_M)
 
 
 GROUP = ChannelGroup(
     "vehicle_height",
     (Channel("height_cm", signed=True), Channel("height_sessions")),
-    fold=_Heights,
+    fold=_VehicleHeights,
     blocks=True,
 )
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from fieldgrid import palette
-from fieldgrid.array_types import AnyArray, Bool, UInt64
+from fieldgrid.array_types import UInt64
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.layers.declaration import (
     Cells,
@@ -25,21 +25,6 @@ _LEAST = 2
 """Sessions that must have seen a place to say what lasts there."""
 
 
-def _static(cells: Cells) -> UInt64:
-    stood, seen = cells["obstacle_sessions"], cells["seen_sessions"]
-    return _flags((seen >= _LEAST) & (stood == seen))
-
-
-def _seasonal(cells: Cells) -> UInt64:
-    stood, seen = cells["obstacle_sessions"], cells["seen_sessions"]
-    return _flags((stood >= 2) & (stood < seen))
-
-
-def _passing(cells: Cells) -> UInt64:
-    stood, seen = cells["obstacle_sessions"], cells["seen_sessions"]
-    return _flags((stood == 1) & (seen >= _LEAST))
-
-
 def lasting_density(cells: Cells) -> UInt64:
     """The density, 0 where most drives, or half of them, saw no obstacle, and that of an obstacle
     where most saw one: the mean over all is less where some saw far more of a cell."""
@@ -49,8 +34,15 @@ def lasting_density(cells: Cells) -> UInt64:
     return np.where(stays | (stood == 0), kept, 0).astype(np.uint64)
 
 
-def _flags(where: Bool) -> UInt64:
-    return where.astype(np.uint64)
+def _classes(cells: Cells) -> tuple[UInt64, ...]:
+    """Whether an obstacle stood in all of two sessions or more, in several but not in all, or in a
+    single one of them; and the density that lasts."""
+    stood, seen = cells["obstacle_sessions"], cells["seen_sessions"]
+    static = (seen >= _LEAST) & (stood == seen)
+    seasonal = (stood >= 2) & (stood < seen)
+    passing = (stood == 1) & (seen >= _LEAST)
+    flags = (where.astype(np.uint64) for where in (static, seasonal, passing))
+    return *flags, lasting_density(cells)
 
 
 GROUP = ChannelGroup(
@@ -58,23 +50,22 @@ GROUP = ChannelGroup(
     (),
     follows_from=("density", "sessions"),
     overview=(
-        OverviewChannel("static", Combine.MAX, _static),
-        OverviewChannel("seasonal", Combine.MAX, _seasonal),
-        OverviewChannel("passing", Combine.MAX, _passing),
-        OverviewChannel("lasting_peak", Combine.MAX, lasting_density),
+        OverviewChannel("static", Combine.MAX),
+        OverviewChannel("seasonal", Combine.MAX),
+        OverviewChannel("passing", Combine.MAX),
+        OverviewChannel("lasting_peak", Combine.MAX),
     ),
+    overview_of_base=_classes,
 )
 
 
-def _layer(name: str, meaning: str) -> Layer:
-    def values(cells: Cells) -> AnyArray:
-        return cells[name]
-
-    groups = "density", "sessions", GROUP.name
-    return Layer(name, "uint8", "", meaning, groups, values, None, _CLASS)
-
-
 _CLASS = Colours((palette.DENSITY[0].colour, palette.DENSITY[-1].colour), 0.0, 1.0)
+
+
+def _layer(name: str, meaning: str) -> Layer:
+    groups = "density", "sessions", GROUP.name
+    return Layer(name, "uint8", "", meaning, groups, lambda cells: cells[name], None, _CLASS)
+
 
 STATIC = _layer("static", "1: an obstacle in every session that observed the cell, two at least")
 SEASONAL = _layer(

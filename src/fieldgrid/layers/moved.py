@@ -49,7 +49,7 @@ APART_NS = 500_000_000
 """Looks that are not so far apart in time count as one: they share the errors of their images."""
 
 AS_NEAR = 1.1
-"""A clear look is from as near up to so many times the least distance of the obstacle's looks."""
+"""A clear look counts up to this many times the least distance from which the obstacle was seen."""
 
 NEAREST_M = 2.0
 """Clear looks from nearer do not count: a branch that hangs there may be above the picture."""
@@ -61,7 +61,7 @@ SEEN_SHARE = 0.5
 """How much of that was seen: a frame leaves pinholes, in a tenth to a third of the ground."""
 
 
-class _Moved:
+class _Looks:
     """Of each cell how many looks saw an obstacle, from how near, and how many since were clear.
 
     Frames come in the order of their time; those of one time in any. Pages of the arrays that no
@@ -224,7 +224,7 @@ def _remaining(cells: Cells) -> UInt64:
 GROUP = ChannelGroup(
     "moved",
     (Channel("moved_drives", coarser=Combine.MAX),),
-    fold=_Moved,
+    fold=_Looks,
 )
 
 LEFT = ChannelGroup(

@@ -75,8 +75,7 @@ class _LogOdds:
         )
 
     def channels(self) -> UInt64:
-        clamped = np.clip(self._cells[:, 0], LEAST, MOST).astype(np.int64)
-        return clamped.view(np.uint64)[None]
+        return np.clip(self._cells[:, 0], LEAST, MOST).astype(np.int64).view(np.uint64)[None]
 
 
 @kernel

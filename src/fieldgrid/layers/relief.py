@@ -47,8 +47,8 @@ LEAST_STEP_CM = 10
 """Lower steps are noise."""
 
 STEP_VOTES = 2
-"""There is a step where one in so many frames of a session that could tell saw one, and one in so
-many sessions."""
+"""There is a step where one of `STEP_VOTES` frames of a session that could tell saw one, and where
+one of `STEP_VOTES` sessions did."""
 
 _PER_M = 500
 """Roughness is summed in steps of 2 mm."""
@@ -169,11 +169,10 @@ def _steps_cm(cells: Cells) -> AnyArray:
     """The step of base cells in whole centimetres, one more, 0 where none could be told: one that
     half of the sessions saw."""
     known, seen, total = (cells[name] for name in ("step_known", "step_sessions", "step_cm_sum"))
-    one = np.uint64(1)
     voted = (known > 0) & (seen * np.uint64(STEP_VOTES) >= known)
     half = seen // np.uint64(2)
-    height = np.where(voted, (total + half) // np.maximum(seen, one), np.uint64(0))
-    return np.where(known > 0, height + one, np.uint64(0)).astype(np.uint64)
+    height = np.where(voted, (total + half) // np.maximum(seen, np.uint64(1)), np.uint64(0))
+    return np.where(known > 0, height + np.uint64(1), np.uint64(0)).astype(np.uint64)
 
 
 def _step(cells: Cells) -> AnyArray:

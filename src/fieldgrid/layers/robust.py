@@ -28,12 +28,12 @@ above: wrong ones of less than this share do not move it, and it does not jump w
 two become equal, as a median does."""
 
 LEAST_MAJORITY, NEAR_SIGMAS = 3, 2.0
-"""The majority is clear where there are so many sessions, of which all but `LOW_SHARE` of the
-weight lies within so many sigmas, or a bin, of the height. Elsewhere the sigma is at least the root
-of the mean square of what they all are away from it."""
+"""The majority is clear where there are `LEAST_MAJORITY` sessions or more, of whose weight all but
+`LOW_SHARE` lies within `NEAR_SIGMAS` sigmas, or a bin, of the height. Elsewhere the sigma is at
+least the root mean square of the distances of all sessions from the height."""
 
 IQR_OF_SIGMA = 1.349
-"""The middle half of normal errors is so many sigmas wide."""
+"""Width of the middle half of normal errors, in sigmas."""
 
 MOST_HEIGHTS = 24
 """Different heights that are kept of a block; where there are more, they are kept in steps of 2, 4,

@@ -26,8 +26,7 @@ def _of_session(cells: Cells) -> UInt64:
 
 def _persistence(cells: Cells) -> AnyArray:
     with np.errstate(divide="ignore", invalid="ignore"):
-        share: AnyArray = cells["obstacle_sessions"] / cells["seen_sessions"]
-    return share
+        return np.asarray(cells["obstacle_sessions"] / cells["seen_sessions"])
 
 
 GROUP = ChannelGroup(

@@ -31,10 +31,11 @@ LEAST_ROOM_DM = 3
 """What begins lower stands on the ground: the slice begins at 2."""
 
 FROM_FOOT = 128
-"""The foot is kept as what is left to so many decimetres, so that the lowest is the highest."""
+"""The foot is kept as this many decimetres less its height, so that the lowest foot is the maximum.
+"""
 
 
-class _Standing:
+class _StandingHeights:
     """Of each cell the highest top, the rest to the lowest foot, and whether ground shows below."""
 
     def __init__(self, cells: int, _: Lattice) -> None:
@@ -79,8 +80,7 @@ def raise_standing(density, tops_dm, feet_dm, cell, shift, spans, most):  # type
 
 def _max_height(cells: Cells) -> AnyArray:
     top = cells["top_dm"].astype(np.float64) / 10.0
-    unknown = (top == 0.0) & (cells["sum"] > 0)
-    return np.where(unknown, np.nan, top)
+    return np.where((top == 0.0) & (cells["sum"] > 0), np.nan, top)
 
 
 def _clearance(cells: Cells) -> AnyArray:
@@ -95,7 +95,7 @@ GROUP = ChannelGroup(
         Channel(name, Combine.MAX, Combine.MAX)
         for name in ("top_dm", "foot_from_dm", "ground_below")
     ),
-    fold=_Standing,
+    fold=_StandingHeights,
     frame=(TOP_CHANNEL, FOOT_CHANNEL),
 )
 

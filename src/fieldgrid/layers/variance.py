@@ -54,8 +54,7 @@ def _variance(cells: Cells) -> AnyArray:
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         # Of whole numbers, so that a constant has a variance of exactly 0.
-        variance: AnyArray = (weight * squares - total * total) / (weight * weight)
-    return variance
+        return np.asarray((weight * squares - total * total) / (weight * weight))
 
 
 GROUP = ChannelGroup("variance", (Channel("squares"),), fold=_Squares, expected=_expected)

@@ -92,11 +92,11 @@ class WindowFold:
         for group in self._groups:
             if group.derived:
                 continue
-            channels: Iterable[UInt64]
-            if group.of_session is not None:
-                channels = group.of_session(Cells(arrays))
-            else:
-                channels = self._channels(group, inside, whole_blocks)
+            channels: Iterable[UInt64] = (
+                self._channels(group, inside, whole_blocks)
+                if group.of_session is None
+                else group.of_session(Cells(arrays))
+            )
             for one, values in zip(group.channels, channels, strict=True):
                 if group is self._groups[0]:  # that kernels take
                     arrays[one.name] = np.ascontiguousarray(values)

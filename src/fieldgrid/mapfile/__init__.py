@@ -25,7 +25,7 @@ from fieldgrid.mapfile.dataset import cf_dataset, masked
 from fieldgrid.mapfile.history import in_drive_order
 from fieldgrid.mapfile.map_file import MapFile
 from fieldgrid.mapfile.marks import Mark, MarkKind
-from fieldgrid.mapfile.merge import Merged, merge_maps
+from fieldgrid.mapfile.merge import MergedSession, merge_maps
 from fieldgrid.mapfile.metadata import SessionMetadata
 from fieldgrid.mapfile.overviews import OverviewBlock
 from fieldgrid.mapfile.provenance import Contribution, Provenance
@@ -61,7 +61,7 @@ __all__ = [
     "MapView",
     "Mark",
     "MarkKind",
-    "Merged",
+    "MergedSession",
     "OverviewBlock",
     "Patience",
     "Provenance",

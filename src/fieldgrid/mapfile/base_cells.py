@@ -21,7 +21,7 @@ from fieldgrid.layers.window import coarser
 _Values = TypeVar("_Values", UInt8, UInt64)
 
 PARTS = 1 << 10
-"""A cell that is no whole multiple is counted in so many parts along its side."""
+"""Parts along the side of a cell that is no whole multiple, in which its area is counted."""
 
 _ROUNDING = 1e-9
 """Cells that overlap by less than this share of a cell only touch by an edge."""
@@ -52,7 +52,7 @@ class Multiple(NamedTuple):
         return np.asarray(true.reshape(blocks).mean(axis=(1, 3), dtype=np.float32))
 
 
-class Touching(NamedTuple):
+class Resampling(NamedTuple):
     """Cells of any other lattice: what follows from the map's own that each touches.
 
     These are maxima, and channels of overviews: how much was seen is counted in `PARTS` squared.
@@ -93,7 +93,7 @@ class Touching(NamedTuple):
         parts = _area(true.astype(np.uint64), *self._touched(window))
         return (parts / (PARTS * PARTS)).astype(np.float32)
 
-    def _touched(self, window: Window) -> tuple[list[_Touched], list[_Touched]]:
+    def _touched(self, window: Window) -> tuple[list[_Overlap], list[_Overlap]]:
         """What the rows and the columns of a window touch."""
         under, ratio = self.under(window), self.own.cell_m / self.lattice.cell_m
         return (
@@ -107,15 +107,17 @@ def follows_from_touched(group: ChannelGroup) -> bool:
     return bool(group.overview) or any(c.coarser is Combine.MAX for c in group.channels)
 
 
-def enlarged(groups: Sequence[ChannelGroup], own: Lattice, lattice: Lattice) -> Multiple | Touching:
+def enlarged(
+    groups: Sequence[ChannelGroup], own: Lattice, lattice: Lattice
+) -> Multiple | Resampling:
     """How the cells of a lattice follow from those of the map's own."""
     factor = round(lattice.cell_m / own.cell_m)
     if factor >= 1 and abs(factor * own.cell_m - lattice.cell_m) <= 1e-9 * lattice.cell_m:
         return Multiple(groups, factor)
-    return Touching(groups, own, lattice)
+    return Resampling(groups, own, lattice)
 
 
-class _Touched(NamedTuple):
+class _Overlap(NamedTuple):
     """Of each cell along an axis [n]: a base cell that it touches, and how many of its parts lie
     there, 0 where there is none."""
 
@@ -123,7 +125,7 @@ class _Touched(NamedTuple):
     parts: UInt64
 
 
-def _touched(first: int, count: int, ratio: float, start: int, size: int) -> list[_Touched]:
+def _touched(first: int, count: int, ratio: float, start: int, size: int) -> list[_Overlap]:
     """All that cells [size] from `start` touch of base cells [count] from `first`, which are
     `ratio` times as long."""
     low = start + np.arange(size, dtype=np.float64)
@@ -137,11 +139,11 @@ def _touched(first: int, count: int, ratio: float, start: int, size: int) -> lis
         parts = np.maximum(np.rint(right * PARTS) - np.rint(left * PARTS), 1.0)
         inside = (right - left > _ROUNDING) & (cell >= first) & (cell < first + count)
         parts = np.where(inside, parts, 0.0).astype(np.uint64)
-        found.append(_Touched(np.clip(cell - first, 0, count - 1), parts))
+        found.append(_Overlap(np.clip(cell - first, 0, count - 1), parts))
     return found
 
 
-def _highest(values: _Values, rows: list[_Touched], columns: list[_Touched]) -> _Values:
+def _highest(values: _Values, rows: list[_Overlap], columns: list[_Overlap]) -> _Values:
     """The highest value that each cell touches."""
     for touched in (rows, columns):
         taken = (values[cell] * (parts > 0)[:, None] for cell, parts in touched)
@@ -149,7 +151,7 @@ def _highest(values: _Values, rows: list[_Touched], columns: list[_Touched]) -> 
     return values
 
 
-def _area(values: UInt64, rows: list[_Touched], columns: list[_Touched]) -> UInt64:
+def _area(values: UInt64, rows: list[_Overlap], columns: list[_Overlap]) -> UInt64:
     """The values that each cell touches by how many of its parts they have."""
     for touched in (rows, columns):
         values = reduce(np.add, (values[cell] * parts[:, None] for cell, parts in touched)).T

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from fieldgrid.errors import ConfigError
-from fieldgrid.lattice import TILE_CELLS, Lattice, Window
+from fieldgrid.lattice import TILE_CELLS, Lattice, Window, aligned_parts
 from fieldgrid.mapfile.reading import Content, Request, read_view
 from fieldgrid.mapfile.sharing import check_known
 from fieldgrid.mapfile.view import MapView
@@ -77,10 +77,6 @@ def blocks_of(content: Content, request: Request, run: Runner = ONE_BY_ONE) -> M
     return MapBlocks(request.lattice, window, (view for view in views if view is not None))
 
 
-def windows(whole: Window) -> Iterator[Window]:
+def windows(whole: Window) -> list[Window]:
     """A window cut where tiles begin, the northern rows first."""
-    for j0 in reversed(range(whole.j0 // _ROWS * _ROWS, whole.j0 + whole.height, _ROWS)):
-        for i0 in range(whole.i0 // _COLUMNS * _COLUMNS, whole.i0 + whole.width, _COLUMNS):
-            part = whole.intersect(Window(i0, j0, _COLUMNS, _ROWS))
-            assert part is not None
-            yield part
+    return sorted(aligned_parts(whole, _ROWS, _COLUMNS), key=lambda part: -part.j0)

@@ -98,5 +98,4 @@ def unseen(states: UInt8) -> UInt8:
 
 def outcome(states: UInt8) -> UInt8:
     """The `Change` of cells, from their states before and after."""
-    found: UInt8 = _OUTCOME[states[0], states[1]]
-    return found
+    return np.asarray(_OUTCOME[states[0], states[1]])

@@ -92,9 +92,15 @@ def encode_channels(grid: LocalGrid, extra: Mapping[str, AnyArray]) -> tuple[Enc
                 f"A further channel of a frame cannot be named {name!r}; give it another name, a "
                 "text that is neither 'density' nor 'observed'."
             )
-    own["density"] = np.where(grid.observed, grid.density, np.uint8(0))
-    arrays = sorted({**own, **extra}.items())
-    return tuple(_encode(name, array, grid.spec) for name, array in arrays)
+    channels = _channels(FrameCells(grid, extra))
+    return tuple(_encode(name, array, grid.spec) for name, array in channels)
+
+
+def _channels(cells: FrameCells) -> list[tuple[str, AnyArray]]:
+    """All channels of a frame by name, in the order of their names, as they are stored."""
+    observed = cells.grid.observed
+    density = np.where(observed, cells.grid.density, np.uint8(0))
+    return sorted({"density": density, "observed": observed, **cells.channels}.items())
 
 
 def _encode(name: str, array: AnyArray, spec: GridSpec) -> EncodedChannel:
@@ -167,12 +173,8 @@ def as_decoded(grid: LocalGrid, extra: Mapping[str, AnyArray]) -> FrameCells:
 
 def cells_sha256(cells: FrameCells) -> str:
     """The SHA-256 of a frame's channels, uncompressed, whatever compressor stored them."""
-    grid = cells.grid
-    density = np.where(grid.observed, grid.density, np.uint8(0))
     hashed = hashlib.sha256()
-    for name, array in sorted(
-        {"density": density, "observed": grid.observed, **cells.channels}.items()
-    ):
+    for name, array in _channels(cells):
         dtype = BITS if array.dtype.kind == "b" else _little(array).str
         head = json.dumps([name, dtype, list(array.shape)], separators=(",", ":"))
         hashed.update(head.encode() + b"\n")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.errors import ConfigError
-from fieldgrid.lattice import Bounds, Lattice, Window, tile_window
+from fieldgrid.lattice import Lattice, Window, tile_window
 from fieldgrid.layers import GROUPS, ChannelGroup, groups_of
 from fieldgrid.layers.blocks import whole_blocks
 from fieldgrid.layers.window import with_overviews
@@ -30,7 +30,7 @@ from fieldgrid.mapfile.sources import (
     CellSource,
     FoldedFrames,
     FoldedOverBase,
-    Larger,
+    LargerCells,
     SessionSource,
     StoredLevel,
     StoredSessions,
@@ -71,7 +71,24 @@ class MapContent:
             return True
         level = self._picture_level(request)
         if level is not None:
-            self._draw_pictures(view, level, request.jobs)
+            matrices = TileMatrixSet(self.header.lattice)
+
+            def draw(picture: tuple[object, ...]) -> None:
+                tile, blob = picture
+                cells = tile_window(tile)  # type: ignore[arg-type]
+                part = cells.intersect(view.window)
+                if part is not None:
+                    # Its first row is the northernmost.
+                    grey_alpha = decode_png(blob, f"picture of tile {tuple(tile)}")[::-1]  # type: ignore[arg-type]
+                    grey_alpha = grey_alpha[cells.slices_of(part)]
+                    place = view.window.slices_of(part)
+                    view.density[place] = grey_alpha[..., 0]
+                    np.not_equal(grey_alpha[..., 1], 0, out=view.observed[place])
+
+            for _ in in_order(
+                draw, self.evidence.pictures(view.window, matrices, level), request.jobs
+            ):
+                pass
         return level is not None
 
     def cell_source(self, request: Request) -> tuple[CellSource, float]:
@@ -81,13 +98,15 @@ class MapContent:
         own = request._replace(lattice=self.header.lattice, window=by.under(request.window))
         if isinstance(by, Multiple):
             base, multiple = self.own_cells(own, groups, by.factor)
-            return Larger(base, Multiple(groups, multiple)), multiple
+            return LargerCells(base, Multiple(groups, multiple)), multiple
         folded = self.session_source(request, groups)
         if not request.beyond_density:
             return folded, 1
         touched = tuple(group for group in groups if follows_from_touched(group))
         base, _ = self.own_cells(own, touched, 1)
-        return FoldedOverBase(folded, Larger(base, by._replace(groups=touched)), groups), by.factor
+        return FoldedOverBase(
+            folded, LargerCells(base, by._replace(groups=touched)), groups
+        ), by.factor
 
     def own_cells(
         self, request: Request, groups: tuple[ChannelGroup, ...], multiple: int = 1
@@ -107,8 +126,7 @@ class MapContent:
         if names is None:
             names = tuple(info.name for info in self.evidence.active())
         if request.lattice == self.header.lattice and _stored(self.header, request, groups):
-            tables = self._tables(groups)
-            return StoredSessions(tables, self.evidence.session_ids(names), groups)
+            return StoredSessions(self._tables(groups), self.evidence.session_ids(names), groups)
         near = request.lattice.bounds(whole_blocks(request.window, request.lattice))
         frames = self.evidence.accepted(near, names, request.frame_filter)
         _check_cells(request.lattice, frames)
@@ -125,26 +143,6 @@ class MapContent:
             return None
         level = by.factor.bit_length() - 1
         return level if by.factor == 1 << level and level <= self.evidence.levels() else None
-
-    def _draw_pictures(self, view: MapView, level: int, jobs: int | None) -> None:
-        """Fill a view from the pictures of a level: they hold just the mean and the mask, and are
-        read several times as fast as the sums that they were drawn from."""
-        matrices = TileMatrixSet(self.header.lattice)
-
-        def draw(picture: tuple[object, ...]) -> None:
-            tile, blob = picture
-            cells = tile_window(tile)  # type: ignore[arg-type]
-            part = cells.intersect(view.window)
-            if part is not None:
-                # Its first row is the northernmost.
-                grey_alpha = decode_png(blob, f"picture of tile {tuple(tile)}")[::-1]  # type: ignore[arg-type]
-                grey_alpha = grey_alpha[cells.slices_of(part)]
-                place = view.window.slices_of(part)
-                view.density[place] = grey_alpha[..., 0]
-                np.not_equal(grey_alpha[..., 1], 0, out=view.observed[place])
-
-        for _ in in_order(draw, self.evidence.pictures(view.window, matrices, level), jobs):
-            pass
 
     def seen_cells(self) -> int:
         """How many of the map's own cells any frame observed: the uppermost tiles have the sum."""
@@ -234,11 +232,6 @@ def sessions_at(evidence: EvidenceTables, at: str | int, path: Path) -> tuple[st
             f"{path} has no session {when}; `fieldgrid sessions` lists the dates of its drives."
         )
     return found
-
-
-def extent_of(evidence: EvidenceTables, header: MapHeader) -> Bounds:
-    """The observed cells' outer edges; MapError when there are none."""
-    return header.lattice.bounds(evidence.data_window())
 
 
 def _check_cells(lattice: Lattice, frames: list[FrameRecord]) -> None:

@@ -162,15 +162,10 @@ def clear_journal(path: Path) -> None:
     with suppress(sqlite3.Error), closing(sqlite3.connect(path, isolation_level=None)) as found:
         found.execute("BEGIN EXCLUSIVE")  # which plays back one that is complete
         # SQLite takes one that begins with 0 for one that was never needed, and leaves it.
-        with suppress(OSError):
-            if _first_byte(journal) in (b"", b"\0"):
+        with suppress(OSError), journal.open("rb") as opened:
+            if opened.read(1) in (b"", b"\0"):
                 journal.unlink()
         found.execute("ROLLBACK")
-
-
-def _first_byte(file: Path) -> bytes:
-    with file.open("rb") as opened:
-        return opened.read(1)
 
 
 @contextmanager

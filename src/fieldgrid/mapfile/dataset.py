@@ -86,8 +86,7 @@ def masked(values: AnyArray, observed: Bool, nodata: float | None) -> AnyArray:
     """Values in which an unseen cell is NaN; as they are where the layer has a value for it."""
     if nodata is not None:
         return values
-    floats: AnyArray = np.where(observed, values, np.float32(np.nan))
-    return floats
+    return np.asarray(np.where(observed, values, np.float32(np.nan)))
 
 
 def _stored(values: AnyArray, observed: Bool, nodata: float | None) -> tuple[AnyArray, Any]:

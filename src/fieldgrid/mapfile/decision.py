@@ -46,7 +46,7 @@ class Decision(NamedTuple):
     keepout: Bool | None = None
 
 
-class Partly(NamedTuple):
+class PartlyFree(NamedTuple):
     """Cells of a view of which only a part is marked as free [n]: their rows and columns, the worst
     that the rest of them holds by layer, the share that was seen, what is marked included, and how
     far the ground falls away in the rest."""
@@ -62,7 +62,7 @@ class MarkedCells(NamedTuple):
     """The flags of a view's cells, `FREE` only where all of a cell is, and those partly free."""
 
     flags: UInt8
-    partly: tuple[Partly, ...] = ()
+    partly: tuple[PartlyFree, ...] = ()
 
     def decide(
         self, layer: str, worst: UInt8, seen: Float32, drop_m: Float32, least_drop_m: float
@@ -114,16 +114,13 @@ def marked_cells(marks: Iterable[Mark], lattice: Lattice, window: Window) -> UIn
             edges = [
                 edge
                 for ring in mark.rings
-                for edge in _edges(np.array(ring) * lattice.cells_per_m - (band.i0, band.j0))
+                for corners in (np.array(ring) * lattice.cells_per_m - (band.i0, band.j0),)
+                for edge in zip(corners, np.roll(corners, -1, axis=0), strict=True)
             ]
             inside, edge = _inside(edges, band.shape), _crossed(edges, band.shape)
             covered = inside & ~edge if mark.kind is MarkKind.FREE else inside | edge
             flags[window.slices_of(band)][covered] |= flag
     return flags
-
-
-def _edges(corners: Float64) -> Iterable[_Edge]:
-    return zip(corners, np.roll(corners, -1, axis=0), strict=True)
 
 
 def _inside(edges: Iterable[_Edge], shape: tuple[int, int]) -> Bool:
@@ -137,8 +134,7 @@ def _inside(edges: Iterable[_Edge], shape: tuple[int, int]) -> Bool:
         if row.size:
             x = x0 + (y[row] - y0) * ((x1 - x0) / (y1 - y0))
             crossings[row, np.clip(np.ceil(x - 0.5), 0, width).astype(np.intp)] ^= 1
-    inside: Bool = np.bitwise_xor.accumulate(crossings, axis=1)[:, :-1].astype(np.bool_)
-    return inside
+    return np.asarray(np.bitwise_xor.accumulate(crossings, axis=1)[:, :-1], np.bool_)
 
 
 def _crossed(edges: Iterable[_Edge], shape: tuple[int, int]) -> Bool:
@@ -160,5 +156,4 @@ def _crossed(edges: Iterable[_Edge], shape: tuple[int, int]) -> Bool:
         entered = column < beyond
         np.add.at(steps, (row[entered], column[entered]), 1)
         np.add.at(steps, (row[entered], beyond[entered]), -1)
-    crossed: Bool = steps.cumsum(axis=1)[:, :-1] > 0
-    return crossed
+    return np.asarray(steps.cumsum(axis=1)[:, :-1] > 0)

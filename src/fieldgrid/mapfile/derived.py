@@ -10,7 +10,6 @@ import sqlite3
 from collections.abc import Collection, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 from fieldgrid.errors import MapError
 from fieldgrid.lattice import TileIndex
@@ -25,15 +24,14 @@ from fieldgrid.mapfile.pyramid import Pyramid
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.schema import NOW_SQL
 from fieldgrid.mapfile.styles import drop_styles, refresh_styles
-from fieldgrid.mapfile.subject import Subject
+from fieldgrid.mapfile.subject import PickledByArguments, Subject
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import TileMatrixSet
 
 
 def tables_of(connection: sqlite3.Connection, header: MapHeader, path: Path) -> TileTables:
     """The tile tables of a map that is to be changed."""
-    matrices = TileMatrixSet(header.lattice)
-    return TileTables(connection, matrices, header.writable_groups(path))
+    return TileTables(connection, TileMatrixSet(header.lattice), header.writable_groups(path))
 
 
 def show(
@@ -84,20 +82,7 @@ def settle(connection: sqlite3.Connection, header: MapHeader, path: Path) -> Non
     Pyramid(connection, tables_of(connection, header, path)).settle()
 
 
-def fold_evidence(
-    connection: sqlite3.Connection,
-    header: MapHeader,
-    session_id: int,
-    path: Path,
-    jobs: int | None = None,
-) -> SessionTiles:
-    """The tiles of a session from its stored frames; to be closed."""
-    frames = placed_frames(frames_of(connection, session_id))
-    groups = header.writable_groups(path)
-    return SessionTiles.folded(frames, header.lattice, header.transfer, groups, jobs)
-
-
-class SessionFold:
+class SessionFold(PickledByArguments):
     """Folds squares of a session, from its stored frames, to encoded tiles. Pickled it is where the
     map lies: each worker of a cluster reads there."""
 
@@ -105,9 +90,6 @@ class SessionFold:
         self._of = subject, session_id
         self._groups = subject.header.writable_groups(subject.path)
         self.squares = squares_of(subject, session_id, self._groups)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._of
 
     def __call__(self, place: tuple[int, int]) -> list[tuple[TileIndex, dict[str, bytes]]]:
         """The tiles of a square that the frames observed."""
@@ -139,7 +121,6 @@ def touch(connection: sqlite3.Connection) -> None:
 def rebuild(subject: Subject) -> None:
     """Make all that follows from the evidence, its tiles with the channel groups of the header."""
     connection, path, header, run, _ = subject
-    assert run is not None
     for table in (*schema.DERIVED_TABLES, "density"):
         connection.execute(f"DELETE FROM {table}")
     schema.renew_features(connection)

@@ -166,8 +166,7 @@ class EvidenceTables:
 
     def session_ids(self, names: Collection[str]) -> dict[int, str]:
         """The names of sessions by their row ids, in the order in which they are given."""
-        rows = self.connection.execute("SELECT name, id FROM fieldgrid_session")
-        ids = dict(rows.fetchall())
+        ids = dict(self.connection.execute("SELECT name, id FROM fieldgrid_session").fetchall())
         try:
             return {int(ids[name]): name for name in names}
         except (KeyError, TypeError, ValueError) as error:

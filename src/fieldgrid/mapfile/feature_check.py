@@ -26,8 +26,9 @@ def check_features(subject: Subject) -> Iterator[str]:
             metadata = find(connection, path, header.datum, name).metadata
             show_features(scratch, session_id, metadata, evidence=connection)
         refresh_styles(scratch, evidence=connection)
-        is_old = header.version < schema.FORMAT_VERSION
-        for what, query in _OLD if is_old else _ANNOUNCED + _FEATURES:
+        for what, query in (
+            _OLD if header.version < schema.FORMAT_VERSION else _ANNOUNCED + _FEATURES
+        ):
             yield from _differences(what, connection.execute(query), scratch.execute(query))
     check_plane(connection, path, header.datum)
 
@@ -147,4 +148,4 @@ _OLD = tuple(
     for what, query in _ANNOUNCED + _FEATURES
     if "layer_styles" not in query
 )
-"""The same of format 2, which has neither styles nor the time of a feature as text."""
+"""The queries for format 2, which has neither styles nor the time of a feature as text."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sqlite3
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,11 +32,8 @@ FEATURE_LAYERS = tuple(_COLUMNS)
 """The layers of features, each with the name of its session."""
 
 
-class _Feature(NamedTuple):
-    """A row of a layer; `corners` is what its geometry is made of."""
-
-    corners: tuple[tuple[float, float], ...]
-    attributes: tuple[Any, ...]
+_Feature = tuple[tuple[tuple[float, float], ...], tuple[Any, ...]]
+"""A row of a layer: the corners that its geometry is made of, and its attributes."""
 
 
 def show_session(
@@ -74,13 +71,13 @@ def _fixes(name: str, track: Trajectory | None) -> Iterator[_Feature]:
     verdicts = zip(gears, track.quality.tolist(), track.status, track.reason, strict=True)
     places = zip(track.east_m.tolist(), track.north_m.tolist(), strict=True)
     for place, row, verdict in zip(places, rows, verdicts, strict=True):
-        yield _Feature((place,), (name, *row, *verdict))
+        yield (place,), (name, *row, *verdict)
 
 
 def _positions(frames: list[FrameRecord]) -> Iterator[_Feature]:
     for frame in frames:
         pose = frame.pose
-        yield _Feature(
+        yield (
             ((pose.east_m, pose.north_m),),
             (
                 frame.session, frame.frame_id, pose.time_ns, _moment(pose.time_ns),
@@ -98,7 +95,7 @@ def _footprints(frames: list[FrameRecord]) -> Iterator[_Feature]:
             east, north = to_universal(x, y, frame.pose)
         else:
             east = north = np.full(4, math.nan)
-        yield _Feature(
+        yield (
             tuple(zip(east.tolist(), north.tolist(), strict=True)),
             (
                 frame.session, frame.frame_id, frame.pose.time_ns, _moment(frame.pose.time_ns),
@@ -124,13 +121,11 @@ def _insert(
     places = ", ?" * (columns.count(",") + 1)
     is_point = GEOMETRIES[layer] == "POINT"
     rows, corners = [], list[tuple[float, float]]()
-    for feature in features:
-        geometry = (
-            encode_point(*feature.corners[0]) if is_point else encode_polygon(feature.corners)
-        )
-        rows.append((geometry, *feature.attributes))
+    for place, attributes in features:
+        geometry = encode_point(*place[0]) if is_point else encode_polygon(place)
+        rows.append((geometry, *attributes))
         if geometry is not None:
-            corners += feature.corners
+            corners += place
     connection.executemany(f"INSERT INTO {layer} (geom, {columns}) VALUES (?{places})", rows)
     if corners:
         east, north = np.array(corners).T

@@ -6,19 +6,19 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any
 
 from fieldgrid.errors import shortened
 from fieldgrid.mapfile import schema
 from fieldgrid.mapfile.header import MapHeader
-from fieldgrid.mapfile.marks import create_marks, has_marks
+from fieldgrid.mapfile.marks import create_marks
 from fieldgrid.mapfile.root import meddling_triggers
-from fieldgrid.mapfile.row_sums import create_sums, has_sums
+from fieldgrid.mapfile.row_sums import create_sums
 from fieldgrid.mapfile.subject import Subject
 from fieldgrid.mapfile.tiling import TileMatrixSet
 
 MAX_PROBLEMS = 100
-"""Problems that are listed; a map with so many needs no longer list."""
+"""The largest number of problems that are listed."""
 
 _STORED = {
     "INTEGER": ("integer", "a whole number"),
@@ -62,7 +62,7 @@ def check_pages(subject: Subject) -> Iterator[str]:
 
 def check_layout(subject: Subject) -> Iterator[str]:
     """The tables, their indexes, and triggers that change them."""
-    connection, known = subject.connection, _layout(subject).schema
+    connection, (known, _) = subject.connection, _layout(subject)
     ours = set(
         connection.execute(
             "SELECT type, name, tbl_name, sql FROM sqlite_schema WHERE sql IS NOT NULL"
@@ -72,7 +72,11 @@ def check_layout(subject: Subject) -> Iterator[str]:
     for kind, name, _, _ in sorted(known - ours):
         yield f"The {kind} {name} is not laid out as in a map."
     for kind, name, table, _ in sorted(ours - known):
-        if kind == "index" and table in tables and not _takes_any_row(connection, table, name):
+        if (
+            kind == "index"
+            and table in tables
+            and connection.execute(_TAKES_ANY_ROW, (table, name)).fetchall() != [(1,)]
+        ):
             yield f"The index {name} of {table} may refuse new rows; drop it."
     for name, table in meddling_triggers(connection):
         yield f"A trigger {name} of {table} changes the map behind its back; drop it."
@@ -83,14 +87,10 @@ def check_layout(subject: Subject) -> Iterator[str]:
     yield from _sequences(connection)
 
 
-def _takes_any_row(connection: sqlite3.Connection, table: str, index: str) -> bool:
-    return bool(connection.execute(_TAKES_ANY_ROW, (table, index)).fetchall() == [(1,)])
-
-
 def check_types(subject: Subject) -> Iterator[str]:
     """What each column of each table holds, which SQLite itself does not enforce."""
-    connection = subject.connection
-    for table, column, declared, is_needed in _layout(subject).columns:
+    connection, (_, columns) = subject.connection, _layout(subject)
+    for table, column, declared, is_needed in columns:
         held, called = _STORED.get(declared, ("blob", "a blob"))
         allowed = f"'{held}'" if is_needed else f"'{held}', 'null'"
         for row_id, found in connection.execute(
@@ -147,18 +147,16 @@ def renew_file(connection: sqlite3.Connection) -> None:
         )
 
 
-class _Layout(NamedTuple):
-    """What a map has for tables, and for columns: table, column, type, and whether it is needed."""
-
-    schema: frozenset[tuple[str, str, str, str]]
-    columns: tuple[tuple[str, str, str, int], ...]
+_Layout = tuple[frozenset[tuple[Any, ...]], tuple[tuple[str, str, str, int], ...]]
+"""The tables of a map (type, name, table, statement), and their columns (table, column, type, and
+whether it is needed)."""
 
 
 def _layout(subject: Subject) -> _Layout:
     """The layout of a new map with the tables that the map has."""
     connection = subject.connection
-    header = subject.header._replace(groups=())
-    return _empty(header, has_marks(connection), has_sums(connection))
+    marks, sums = (schema.has_table(connection, f"fieldgrid_{name}") for name in ("mark", "sum"))
+    return _empty(subject.header._replace(groups=()), marks, sums)
 
 
 @lru_cache(maxsize=8)
@@ -175,4 +173,4 @@ def _empty(header: MapHeader, marks: bool, sums: bool) -> _Layout:
             "JOIN pragma_table_info(t.name) AS c WHERE t.type = 'table' "
             "AND t.name NOT LIKE 'sqlite_%' ORDER BY 1, c.cid"
         )
-        return _Layout(frozenset(made.execute(query)), tuple(columns))
+        return frozenset(made.execute(query)), tuple(columns)

@@ -50,8 +50,8 @@ class MapHeader(NamedTuple):
         return tuple(GROUPS[name] for name in self.groups if name in GROUPS)
 
     def writable_groups(self, path: Path) -> tuple[ChannelGroup, ...]:
-        """The same for a change, which must bring all of them up to date; ConfigError when one is
-        unknown."""
+        """The channel groups of the map's tiles, all of which a change must bring up to date;
+        ConfigError when this program does not know one."""
         unknown = [name for name in self.groups if name not in GROUPS]
         if unknown:
             raise ConfigError(
@@ -109,7 +109,13 @@ def read_header(connection: sqlite3.Connection, path: Path) -> MapHeader:
     if application_id != schema.APPLICATION_ID or "fieldgrid_meta" not in tables:
         kind = "a GeoPackage of something else" if "gpkg_contents" in tables else "another database"
         raise MapError(f"{path} is not a fieldgrid map but {kind}. Check the name.")
-    _check_whole(connection, path)
+    pages, page_bytes, mode = (
+        connection.execute(f"PRAGMA {name}").fetchone()[0]
+        for name in ("page_count", "page_size", "journal_mode")
+    )
+    # With a write-ahead log the last pages may be in the log, and SQLite looks after them.
+    if mode != "wal" and (found := path.stat().st_size) < pages * page_bytes:
+        raise cut_short(path, found, pages * page_bytes)
     meta = dict(connection.execute("SELECT key, value FROM fieldgrid_meta").fetchall())
     with _explained(path):
         version, groups = _format_of(meta, path)
@@ -189,17 +195,6 @@ def check_plane(connection: sqlite3.Connection, path: Path, datum: Datum) -> Non
             f"The datum of {path} is {datum.described()}, which is not that of its plane in "
             f"gpkg_spatial_ref_sys ({name}): one of them has been changed. Restore a copy."
         )
-
-
-def _check_whole(connection: sqlite3.Connection, path: Path) -> None:
-    """Raise MapError for a file that lost its end: SQLite overlooks a part of the last page."""
-    pages, page_bytes, mode = (
-        connection.execute(f"PRAGMA {name}").fetchone()[0]
-        for name in ("page_count", "page_size", "journal_mode")
-    )
-    # With a write-ahead log the last pages may be in the log, and SQLite looks after them.
-    if mode != "wal" and (found := path.stat().st_size) < pages * page_bytes:
-        raise cut_short(path, found, pages * page_bytes)
 
 
 def cut_short(path: Path, found: int, whole: int) -> MapError:

@@ -66,8 +66,8 @@ def first_page(file: BinaryIO, size: int) -> bytes | None:
 
 
 def damage(file: BinaryIO, size: int, now: bytes) -> str:
-    """What is wrong with a journal of so many bytes; empty where nothing is, or it has nothing to
-    undo. `now` is the beginning of the map's first page as it is."""
+    """What is wrong with a journal of `size` bytes; empty where nothing is wrong, or nothing is to
+    be undone. `now` is the beginning of the map's first page as it is."""
     file.seek(0)
     head = file.read(_HEADER.size)
     if len(head) < _HEADER.size or head[0] == 0:

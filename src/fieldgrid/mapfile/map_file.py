@@ -279,9 +279,9 @@ class MapFile(MapReader):
         without `keep`, ClusterError where none answers or its workers cannot read the copy.
         """
         with repairers(jobs, scheduler, keep) as by, self._changing(trusting=False, keep=keep):
-            repaired = repair(self._connection, self.path, self._header, by)
-        self._header = self._header._replace(groups=repaired.groups)
-        return repaired.problems
+            groups, problems = repair(self._connection, self.path, self._header, by)
+        self._header = self._header._replace(groups=groups)
+        return problems
 
     def upgrade(self) -> bool:
         """Bring a map of an older format, or with retired channel groups, up to date, at once or

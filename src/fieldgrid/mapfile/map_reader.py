@@ -19,7 +19,7 @@ from fieldgrid.mapfile.arrays import Array
 from fieldgrid.mapfile.blocks import MapBlocks, blocks_of
 from fieldgrid.mapfile.change import ChangeView
 from fieldgrid.mapfile.codec import EncodedChannel
-from fieldgrid.mapfile.content import MapContent, extent_of, read_change, sessions_at
+from fieldgrid.mapfile.content import MapContent, read_change, sessions_at
 from fieldgrid.mapfile.database import reading
 from fieldgrid.mapfile.evidence import EvidenceTables, loader, reaches
 from fieldgrid.mapfile.header import MapHeader, check_plane
@@ -251,13 +251,10 @@ class MapReader:
         tells of drops, where any drive does, and `DECISION_LAYERS` where they are larger than the
         map's own."""
         is_own = self._header.lattice_of(cell_m) == self._header.lattice
-        drops = DROP_LAYERS if self._tells_of_drops() else ()
-        return drops if is_own else (*DECISION_LAYERS, *drops)
-
-    def _tells_of_drops(self) -> bool:
-        """Whether the tiles of the map, or any of its frames, may."""
         with reading(self._connection, self.path):
-            return "drop" in self._header.groups or self._evidence.has_channel(DROP_CHANNEL)
+            tells = "drop" in self._header.groups or self._evidence.has_channel(DROP_CHANNEL)
+        drops = DROP_LAYERS if tells else ()
+        return drops if is_own else (*DECISION_LAYERS, *drops)
 
     @contextmanager
     def read_blocks(
@@ -281,8 +278,7 @@ class MapReader:
         names = check_layers(layers)
         with runner(1, scheduler) as run, reading(self._connection, self.path):
             request = self._request(bounds, cell_m, None)
-            sessions = self._chosen(at, None)
-            request = request._replace(sessions=sessions, layers=names, jobs=jobs)
+            request = request._replace(sessions=self._chosen(at, None), layers=names, jobs=jobs)
             yield blocks_of(self._content, request, run)
 
     @contextmanager
@@ -338,7 +334,7 @@ class MapReader:
         self, bounds: Bounds | None, cell_m: float | None, transfer: Transfer | None
     ) -> Request:
         lattice = self._header.lattice_of(cell_m)
-        extent = extent_of(self._evidence, self._header)
+        extent = self._header.lattice.bounds(self._evidence.data_window())
         return Request(lattice, lattice.window(bounds or extent), transfer or self.transfer)
 
     def _chosen(

@@ -42,6 +42,9 @@ CREATE VIEW mark AS SELECT id AS fid, geom, kind, name, note, author, created
     FROM fieldgrid_mark WHERE removed IS NULL
 """
 
+TABLE = "fieldgrid_mark"
+"""Which a map has from its first mark on."""
+
 _COLUMNS = "id, kind, geom, name, note, author, created, removed"
 
 
@@ -169,7 +172,7 @@ def read_marks(connection: sqlite3.Connection, *, removed: bool = False) -> tupl
 
     Raises MapError for one that is damaged.
     """
-    if not has_marks(connection):
+    if not schema.has_table(connection, TABLE):
         return ()
     which = "" if removed else "WHERE removed IS NULL"
     rows = connection.execute(
@@ -201,14 +204,6 @@ def _mark(row: tuple[Any, ...]) -> Mark:
     return mark._replace(id=int(number))
 
 
-def has_marks(connection: sqlite3.Connection) -> bool:
-    """Whether a map ever had a mark: its first one brings the table."""
-    found = connection.execute(
-        "SELECT 1 FROM sqlite_schema WHERE type = 'table' AND name = 'fieldgrid_mark'"
-    ).fetchone()
-    return found is not None
-
-
 def create_marks(connection: sqlite3.Connection) -> None:
     """Lay out the table of marks, which a map has from its first one on, and the view of those in
     force, which a GIS can show and not change."""
@@ -217,16 +212,16 @@ def create_marks(connection: sqlite3.Connection) -> None:
     announce_marks(connection)
 
 
-LISTED_MARKS = [
+_LISTED = [
     (
         *("features", "mark", "What people said of places", None, None, None, None, schema.SRS_ID),
         *("geom", "GEOMETRY", schema.SRS_ID, 0, 0),
     )
 ]
-"""What `listed_marks` gives of a map that is right."""
+"""What `_listed` gives of a map that is right."""
 
 
-def listed_marks(connection: sqlite3.Connection) -> list[tuple[object, ...]]:
+def _listed(connection: sqlite3.Connection) -> list[tuple[object, ...]]:
     """What a GIS is told of the layer of marks."""
     return connection.execute(
         "SELECT data_type, identifier, description, min_x, min_y, max_x, max_y, c.srs_id, "
@@ -255,13 +250,13 @@ def check_marks(subject: Subject) -> Iterator[str]:
     """Every mark, and whether a GIS is told of them."""
     connection = subject.connection
     read_marks(connection, removed=True)
-    if has_marks(connection) and listed_marks(connection) != LISTED_MARKS:
+    if schema.has_table(connection, TABLE) and _listed(connection) != _LISTED:
         yield "The layer mark is not listed as it should be; repair the map."
 
 
 def insert_marks(connection: sqlite3.Connection, marks: Sequence[Mark]) -> tuple[int, ...]:
     """Add marks within the caller's transaction; returns their numbers."""
-    if not has_marks(connection):
+    if not schema.has_table(connection, TABLE):
         create_marks(connection)
     (count,) = connection.execute("SELECT count(*) FROM fieldgrid_mark").fetchone()
     if count + len(marks) > MAX_MARKS:

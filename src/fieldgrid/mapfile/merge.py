@@ -28,7 +28,7 @@ from fieldgrid.transfer import Transfer
 
 
 @dataclass(frozen=True, slots=True)
-class Merged:
+class MergedSession:
     """A session that came into the new map.
 
     `source` is the file it came from, `name` what it is called now, `was` what it was called
@@ -51,7 +51,7 @@ def merge_maps(
     datum: Datum | None = None,
     overwrite: bool = False,
     patience: Callable[[Path], Patience] | None = None,
-) -> list[Merged]:
+) -> list[MergedSession]:
     """Make the map `out` of all active sessions and marks of some maps; with one, a copy.
 
     The cells and the rule are those of the first map unless given: every frame is folded anew.
@@ -85,7 +85,7 @@ def merge_maps(
                 overwrite=overwrite,
             )
         )
-        merged: list[Merged] = []
+        merged: list[MergedSession] = []
         taken = dict[str, Twin]()
         for universal in maps:
             merged += _take_all(universal, target, taken)
@@ -132,7 +132,7 @@ def _same_place(one: Mark, other: Mark) -> bool:
     )
 
 
-class _Coming(NamedTuple):
+class _SessionToMerge(NamedTuple):
     """A session of a map that is taken: what it is called in the new one, and whether that has the
     same drive already; its first frame as driven; where it was placed, and is now, as `Beside`
     tells it."""
@@ -144,47 +144,44 @@ class _Coming(NamedTuple):
     was_placed: str
     placed: str
 
-    @property
-    def info(self) -> SessionInfo:
-        """The session of the map that it comes from."""
-        return self.twin.info
 
-
-def _take_all(universal: MapFile, target: MapFile, taken: dict[str, Twin]) -> list[Merged]:
+def _take_all(universal: MapFile, target: MapFile, taken: dict[str, Twin]) -> list[MergedSession]:
     """Copy the active sessions of a map, but for those that the new one has."""
     moved = None
     if not universal.has_datum(target.datum):
         moved = Redatum(universal.datum, target.datum)
-    coming = list[_Coming]()
+    coming = list[_SessionToMerge]()
     for info in universal.sessions():
         if info.active:
             before = taken | {one.name: one.twin for one in coming if not one.is_taken}
-            coming.append(_coming(universal, info, moved, before))
+            coming.append(_session_to_merge(universal, info, moved, before))
     # All names first: alignments speak of sessions that come later, too.
-    names = {one.info.name: one.name for one in coming}
+    names = {one.twin.info.name: one.name for one in coming}
     placings = {one.was_placed: one.placed for one in coming}
     for one in coming:
         if one.is_taken:
             continue
-        metadata = universal.metadata(one.info.name)
+        metadata = universal.metadata(one.twin.info.name)
         if moved is not None and one.first is not None:
             metadata = moved.metadata(metadata, one.first)
         transform = metadata.transform.speaking_of(names, placings)
         metadata = metadata._replace(name=one.name, transform=transform)
         with target.add_session_of(metadata) as session:
-            for frame in universal.frames(one.info.name, with_grid=True):
+            for frame in universal.frames(one.twin.info.name, with_grid=True):
                 driven = frame.driven if moved is None else moved.pose(frame.driven)
                 session.add_staged(frame.staged(), driven, quality=frame.quality)
         taken[one.name] = one.twin
     return [
-        Merged(universal.path, one.info.name, one.name, one.name if one.is_taken else None)
+        MergedSession(
+            universal.path, one.twin.info.name, one.name, one.name if one.is_taken else None
+        )
         for one in coming
     ]
 
 
-def _coming(
+def _session_to_merge(
     universal: MapFile, info: SessionInfo, moved: Redatum | None, taken: Mapping[str, Twin]
-) -> _Coming:
+) -> _SessionToMerge:
     """A session as it comes into a map that has others, by their names there."""
     twin = twin_of(universal, info, moved)
     name = next((name for name, other in taken.items() if other.is_drive(twin)), None)
@@ -199,7 +196,7 @@ def _coming(
     was_placed = placed = placing(info.transform, driven)
     if moved is not None and first is not None:
         placed = placing(moved.transform(info.transform, first), map(moved.pose, driven))
-    return _Coming(
+    return _SessionToMerge(
         twin,
         name or free_name(info.name, universal.path.stem, taken),
         name is not None,

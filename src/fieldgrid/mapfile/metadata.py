@@ -118,7 +118,7 @@ def find(connection: sqlite3.Connection, path: Path, datum: Datum, name: str) ->
 
 def row_of(connection: sqlite3.Connection, path: Path, name: str) -> tuple[Any, ...]:
     """What a session's own row says; ConfigError when there is none of that name."""
-    row = connection.execute(
+    row: tuple[Any, ...] | None = connection.execute(
         "SELECT id, removed, config, source, source_sha256, software_version, heading_source, "
         "created, transform FROM fieldgrid_session WHERE name = CAST(? AS TEXT)",
         # Of a command line the name may be no UTF-8, which SQLite takes as bytes alone.
@@ -130,8 +130,7 @@ def row_of(connection: sqlite3.Connection, path: Path, name: str) -> tuple[Any, 
             f"{path} has no session {name!r}; it has "
             f"{', '.join(repr(other) for (other,) in known) or 'none'}."
         )
-    found: tuple[Any, ...] = row
-    return found
+    return row
 
 
 def put_arrays(

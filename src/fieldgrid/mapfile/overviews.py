@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from fieldgrid.mapfile.reading import (
 )
 from fieldgrid.mapfile.sharing import check_known
 from fieldgrid.mapfile.sources import FOR_KERNELS, assembled
+from fieldgrid.mapfile.subject import PickledByArguments
 from fieldgrid.transfer import mean_density
 from fieldgrid.workers.order import Runner
 
@@ -73,12 +74,14 @@ def read_overviews(
         for row in range(0, whole.height, side)
         for column in range(0, whole.width, side)
     ]
-    squares = run.in_order(_Halving(content, request, own), places)
-    for (row, column), halved in zip(places, squares, strict=True):
+    for (row, column), halved in zip(
+        places, run.in_order(_Halving(content, request, own), places), strict=True
+    ):
         if halved is not None:
-            yield from halved.blocks
+            blocks, top = halved
+            yield from blocks
             if levels > own:
-                tops.append((Window(column >> own, row >> own, 1, 1), halved.top))
+                tops.append((Window(column >> own, row >> own, 1, 1), top))
     if tops:
         yield from _above(tops, request, levels - own, own)
 
@@ -86,7 +89,7 @@ def read_overviews(
 def _above(
     tops: list[tuple[Window, Cells]], request: Request, levels: int, below: int
 ) -> Iterator[OverviewBlock]:
-    """So many levels above those of the squares, of the one cell of each; rows go southward."""
+    """The `levels` above those of the squares, from their single cells; rows go southward."""
     whole, multiple = request.window, 1 << levels
     height, width = (-(-size >> below) + multiple - 1 for size in whole.shape)
     filled = Window(0, 0, width // multiple * multiple, height // multiple * multiple)
@@ -103,17 +106,11 @@ def _groups(request: Request) -> tuple[ChannelGroup, ...]:
     return tuple(GROUPS[name] for name in groups_of(request.layers))
 
 
-class _Halved(NamedTuple):
-    """The overviews of a square, and its one cell of the uppermost level."""
-
-    blocks: list[OverviewBlock]
-    top: Cells
-
-
-class _Halving:
+class _Halving(PickledByArguments):
     """Makes the overviews of squares of a view. Pickled it is where the map lies."""
 
     def __init__(self, content: Content, request: Request, levels: int) -> None:
+        check_known((), request.layers)
         self._of = content, request, levels
         self._groups = _groups(request)
         self._source, self._factor = content.cell_source(request)
@@ -121,11 +118,9 @@ class _Halving:
         reach = reach_cells(request)
         self._margin = max(2, 1 << math.ceil(math.log2(reach))) if reach >= 1.0 else 0
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _arrived, self._of
-
-    def __call__(self, place: tuple[int, int]) -> _Halved | None:
-        """The overviews of the square at a row and a column; None where nothing was observed."""
+    def __call__(self, place: tuple[int, int]) -> tuple[list[OverviewBlock], Cells] | None:
+        """The overviews of the square at a row and a column, and its one cell of the uppermost
+        level; None where nothing was observed."""
         (row, column), (_, request, levels) = place, self._of
         whole, side = request.window, 1 << SQUARE_LEVELS
         square = Window(whole.i0 + column, whole.j0 + whole.height - row - side, side, side)
@@ -137,7 +132,11 @@ class _Halving:
         for level in range(1, levels + 1):
             if level > 1:
                 if edge % 2:  # larger cells than the reach need no neighbours
-                    cells, edge = _without_edge(cells, edge), 0
+                    kept = {
+                        name: np.pad(values[edge:, edge:], (0, edge))
+                        for name, values in cells.items()
+                    }
+                    cells, edge = Cells(kept, cells.base_cells), 0
                 cells, edge = coarser(self._groups, cells, 2), edge // 2
             inside = (
                 slice(edge, edge - (-own_height >> level)),
@@ -146,7 +145,7 @@ class _Halving:
             cell_m = request.lattice.cell_m * (1 << level)
             blocks.append(_block(level, row, column, cells, request.layers, inside, cell_m))
         one = (slice(edge, edge + 1),) * 2
-        return _Halved(blocks, Cells({k: v[one] for k, v in cells.items()}, cells.base_cells))
+        return blocks, Cells({k: v[one] for k, v in cells.items()}, cells.base_cells)
 
     def _half_of(self, square: Window, multiple: int) -> Cells | None:
         """Cells of twice the side of the part of a square that lies in the view, with row 0 in the
@@ -203,14 +202,9 @@ def _gather(
         (np.maximum if rule is Combine.MAX else np.add)(place, values, out=place)
 
 
-def _arrived(content: Content, request: Request, levels: int) -> _Halving:
-    check_known((), request.layers)
-    return _Halving(content, request, levels)
-
-
 def _northward(cells: Cells, rows: int, columns: int) -> Cells:
-    """The cells with row 0 in the north, after so many rows and columns of nothing, filled up to an
-    even number of both."""
+    """The cells with row 0 in the north, behind `rows` and `columns` that hold nothing, filled up
+    to an even number of rows and of columns."""
 
     def turned(values: UInt64) -> UInt64:
         beyond = [
@@ -221,12 +215,6 @@ def _northward(cells: Cells, rows: int, columns: int) -> Cells:
         return nothing(tuple(sum(one) + n for one, n in zip(beyond, values.shape, strict=True)))
 
     return Cells({name: turned(values) for name, values in cells.items()}, cells.base_cells)
-
-
-def _without_edge(cells: Cells, edge: int) -> Cells:
-    """The cells without their first rows and columns, filled up again at the other end."""
-    kept = {name: np.pad(values[edge:, edge:], (0, edge)) for name, values in cells.items()}
-    return Cells(kept, cells.base_cells)
 
 
 def _block(

@@ -81,7 +81,7 @@ class TileSquares:
         transfer: Transfer,
         groups: Sequence[ChannelGroup],
     ) -> None:
-        self._frames, self._recent = frames, _Recent(frames)
+        self._frames, self._recent = frames, _FrameCache(frames)
         self._rule = lattice, transfer, groups
         self._footprints = [footprint(frame.spec, frame.pose, lattice) for frame in frames]
         self._whole = _tiles_under(self._footprints)
@@ -147,7 +147,7 @@ def _square_of(whole: Window) -> tuple[int, int]:
     return width * TILE_CELLS, most // width * TILE_CELLS
 
 
-class _Recent:
+class _FrameCache:
     """Frames decoded once where the next square wants them again."""
 
     def __init__(self, frames: Sequence[PlacedFrame]) -> None:

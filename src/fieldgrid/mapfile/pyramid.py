@@ -40,7 +40,7 @@ _SETTLED_TILES = 2
 With all channels they take up to 20 MB each."""
 
 
-class _Encoded(NamedTuple):
+class _EncodedTile(NamedTuple):
     """A tile as it is to be stored: no blobs where nothing is observed. `seen` is the extent of
     the observed cells."""
 
@@ -68,7 +68,7 @@ class Pyramid:
         before = self._tables.session_tiles(session_id)
         after = set() if new is None else new.tiles
 
-        def work(tile: TileIndex) -> tuple[dict[str, bytes], _Encoded, Cells]:
+        def work(tile: TileIndex) -> tuple[dict[str, bytes], _EncodedTile, Cells]:
             leaving = self._tables.session_cells(session_id, tile) if tile in before else None
             joining = new.cells(tile) if new is not None and tile in after else None
             blobs = new.blobs(tile) if new is not None and tile in after else {}
@@ -92,7 +92,7 @@ class Pyramid:
         rows = self._tables.rows("SELECT DISTINCT ty, tx FROM fieldgrid_session_tile ORDER BY 1, 2")
         tiles = [TileIndex(*row) for row in rows]
 
-        def remade(tile: TileIndex) -> _Encoded:
+        def remade(tile: TileIndex) -> _EncodedTile:
             return self._encoded(tile, self.merged(tile), self._groups)
 
         for encoded in in_order(remade, tiles, self._jobs):
@@ -167,8 +167,7 @@ class Pyramid:
         ]
         if leaving is not None and maxima:
             # What is expected of the others is made of the density.
-            groups = tuple(dict.fromkeys((self._groups[0], *maxima)))
-            stay = self.merged(tile, session_id, groups)
+            stay = self.merged(tile, session_id, tuple(dict.fromkeys((self._groups[0], *maxima))))
         for of, channel in ((group, one) for group in self._groups for one in group.channels):
             name, by_sum = channel.name, channel.sessions is Combine.SUM
             if leaving is not None and by_sum and not is_nothing(leaving[name]):
@@ -207,7 +206,7 @@ class Pyramid:
                 level: int = zoom,
                 changed: Mapping[TileIndex, Cells | None] = changed,
                 below: Mapping[TileIndex, Mapping[TileIndex, Cells | None]] = below,
-            ) -> tuple[_Encoded, Cells]:
+            ) -> tuple[_EncodedTile, Cells]:
                 parts = {
                     child: changed[child]
                     if changed.get(child) is not None
@@ -243,17 +242,18 @@ class Pyramid:
         cells: Cells | None,
         groups: Sequence[ChannelGroup],
         known: Mapping[str, bytes] = _NO_BLOBS,
-    ) -> _Encoded:
+    ) -> _EncodedTile:
         """A tile as it is to be stored; `known` has the blobs of groups that are there already."""
         if cells is None or not cells["weight"].any():
-            return _Encoded(tile, {}, b"", None)
+            return _EncodedTile(tile, {}, b"", None)
         box = box_of(cells["weight"])
         lacking = [group for group in groups if group.name not in known]
         blobs = {**known, **encode_groups(lacking, cells, base=cells.base_cells == 1, box=box)}
-        picture = encode_png(*mean_density(cells["weight"], cells["sum"]))
-        return _Encoded(tile, blobs, picture, box)
+        return _EncodedTile(
+            tile, blobs, encode_png(*mean_density(cells["weight"], cells["sum"])), box
+        )
 
-    def _put(self, zoom: int, encoded: _Encoded) -> None:
+    def _put(self, zoom: int, encoded: _EncodedTile) -> None:
         self._tables.put(zoom, encoded.tile, encoded.blobs, encoded.picture)
         if zoom == self._base and encoded.seen is not None:
             self._seen = union(self._seen, _placed(encoded.tile, encoded.seen))
@@ -313,8 +313,4 @@ def _window_of(text: str) -> Window:
 
 def union(a: Window | None, b: Window | None) -> Window | None:
     """The smallest window that holds both, as far as there are such."""
-    if a is None or b is None:
-        return b if a is None else a
-    i0, j0 = min(a.i0, b.i0), min(a.j0, b.j0)
-    i1, j1 = max(a.i0 + a.width, b.i0 + b.width), max(a.j0 + a.height, b.j0 + b.height)
-    return Window(i0, j0, i1 - i0, j1 - j0)
+    return a.union(b) if a and b else a or b

@@ -15,7 +15,7 @@ from fieldgrid.mapfile.feature_check import check_announced
 from fieldgrid.mapfile.file_check import check_layout, check_pages, orphans
 from fieldgrid.mapfile.marks import check_marks
 from fieldgrid.mapfile.records import SESSION_SQL, session_info
-from fieldgrid.mapfile.root import read_root
+from fieldgrid.mapfile.root import check_digest
 from fieldgrid.mapfile.row_digest import of_rows
 from fieldgrid.mapfile.row_sums import SUMMED_TABLES, fits, kept_sums
 from fieldgrid.mapfile.shared_sums import sharing_sums
@@ -29,15 +29,14 @@ _LONG = ("fieldgrid_grid", "fieldgrid_tile", "fieldgrid_session_tile")
 
 def is_as_written(subject: Subject) -> bool:
     """Whether a map that keeps sums is what its writers made of it."""
-    connection, runner = subject.connection, subject.runner
-    assert runner is not None
+    connection = subject.connection
     tables = (*_LONG, *(table for table in SUMMED_TABLES if table not in _LONG))
     try:
         kept = kept_sums(connection)
         if not kept:
             return False
         # While texts are read as bytes, no other thread may read them.
-        with alone(connection), sharing_sums(connection, tables, runner.here) as sums:
+        with alone(connection), sharing_sums(connection, tables, subject.runner.here) as sums:
             return all(next(check(subject), None) is None for check in _CHECKS) and all(
                 fits(kept.get(table), total) for table, total in sums.finish().items()
             )
@@ -56,21 +55,12 @@ def check_sums(subject: Subject) -> Iterator[str]:
             )
 
 
-def _check_root(subject: Subject) -> Iterator[str]:
-    if not read_root(subject.connection).sound:
-        yield "The root digest is another."
-
-
 def _check_references(subject: Subject) -> Iterator[str]:
     """References of rows that no sum is kept of; those of the others are as they were written."""
     query = "SELECT name FROM sqlite_schema WHERE type = 'table'"
     for (table,) in subject.connection.execute(query).fetchall():
         if table not in SUMMED_TABLES:
             yield from orphans(subject.connection, f"'{table.replace(chr(39), chr(39) * 2)}'")
-
-
-def _check_stored(subject: Subject) -> Iterator[str]:
-    return check_stored(subject.connection)
 
 
 def _check_sessions(subject: Subject) -> Iterator[str]:
@@ -83,9 +73,9 @@ _CHECKS: tuple[Callable[[Subject], Iterator[str]], ...] = (
     check_pages,
     _check_references,
     check_layout,
-    _check_root,
+    check_digest,
     check_marks,
-    _check_stored,
+    check_stored,
     _check_sessions,
     check_announced,
     check_extent,

@@ -57,7 +57,7 @@ class Readable(Protocol):
         at: str | int | None = None,
         jobs: int | None = None,
     ) -> MapView:
-        """The cells within bounds as arrays, read by so many threads."""
+        """The cells within bounds as arrays, read by `jobs` threads."""
 
     def read_blocks(
         self,
@@ -69,7 +69,7 @@ class Readable(Protocol):
         jobs: int | None = None,
         scheduler: str | Client | None = None,
     ) -> AbstractContextManager[MapBlocks]:
-        """The same in views of some million cells."""
+        """The cells within bounds in views of some million cells."""
 
     def overviews(
         self,
@@ -82,7 +82,7 @@ class Readable(Protocol):
         jobs: int | None = None,
         scheduler: str | Client | None = None,
     ) -> AbstractContextManager[Iterator[OverviewBlock]]:
-        """The same with cells of 2, 4, ... 2^levels times the side."""
+        """The cells within bounds in cells of 2, 4, ... 2^levels times the side."""
 
 
 class DrivenMap(Readable, Protocol):

@@ -12,7 +12,7 @@ import numpy as np
 
 from fieldgrid.array_types import AnyArray, Bool
 from fieldgrid.cost import DENSITIES
-from fieldgrid.lattice import TILE_CELLS, Lattice, Window
+from fieldgrid.lattice import TILE_CELLS, Lattice, Window, aligned_parts
 from fieldgrid.layers import LAYERS, Cells, Layer
 from fieldgrid.mapfile.base_cells import enlarged
 from fieldgrid.mapfile.decision import (
@@ -20,7 +20,7 @@ from fieldgrid.mapfile.decision import (
     KEEPOUT,
     OBSTACLE,
     MarkedCells,
-    Partly,
+    PartlyFree,
     cells_under,
     deciding,
     marked_cells,
@@ -105,7 +105,7 @@ def read_view(content: Content, request: Request) -> MapView:
     return replace(view, marked=MarkedCells(flags, tuple(partly)))
 
 
-def _partly_free(content: Content, request: Request, chunk: Window, cells: Bool) -> Partly:
+def _partly_free(content: Content, request: Request, chunk: Window, cells: Bool) -> PartlyFree:
     """What the map's own cells say of those larger ones of which a part is marked as free."""
     j, i = np.nonzero(cells)
     i0, j0 = int(i.min()), int(j.min())
@@ -126,7 +126,7 @@ def _partly_free(content: Content, request: Request, chunk: Window, cells: Bool)
     # In whole centimetres, as drops are stored.
     drop_cm = np.rint(100.0 * np.where(free, 0.0, np.minimum(base.drop_m, 2.55)))
     drop_m = by.highest(drop_cm.astype(np.uint8), part)[inside].astype(np.float32) / 100.0
-    return Partly(*place, worst, seen, drop_m)
+    return PartlyFree(*place, worst, seen, drop_m)
 
 
 def _read(content: Content, request: Request) -> MapView:
@@ -141,14 +141,18 @@ def _read(content: Content, request: Request) -> MapView:
     if content.fill(view, request):
         return view
     reach = math.floor(reach_cells(request))
-    wide = request._replace(window=request.window.grown(reach))
-    source, factor = content.cell_source(wide)
+    source, factor = content.cell_source(request._replace(window=request.window.grown(reach)))
 
     def fill(chunk: Window) -> None:
         looked = chunk.grown(reach)
         cells = source.merged(looked)
         if cells is not None:
-            _write(view, chunk, looked, cells)
+            place, inside = view.window.slices_of(chunk), looked.slices_of(chunk)
+            view.density[place], view.observed[place] = mean_density(
+                cells["weight"][inside], cells["sum"][inside]
+            )
+            for name, array in view.layers.items():
+                array[place] = layer_values(LAYERS[name], cells, view.lattice.cell_m)[inside]
 
     for _ in in_order(fill, chunks(request.window, factor), request.jobs):
         pass
@@ -163,17 +167,6 @@ def reach_cells(request: Request) -> float:
     )
 
 
-def _write(view: MapView, chunk: Window, looked: Window, cells: Cells) -> None:
-    """Fill a part of a view, and of its layers, from the channels of the cells of a window about
-    it."""
-    place, inside = view.window.slices_of(chunk), looked.slices_of(chunk)
-    view.density[place], view.observed[place] = mean_density(
-        cells["weight"][inside], cells["sum"][inside]
-    )
-    for name, array in view.layers.items():
-        array[place] = layer_values(LAYERS[name], cells, view.lattice.cell_m)[inside]
-
-
 def layer_values(layer: Layer, cells: Cells, cell_m: float) -> AnyArray:
     """What a layer says of cells of a window, and what stands for those of which nothing was
     observed."""
@@ -186,11 +179,5 @@ def layer_values(layer: Layer, cells: Cells, cell_m: float) -> AnyArray:
 def chunks(window: Window, factor: float) -> Iterator[Window]:
     """A window cut into squares of about a quarter of a million stored cells, `factor` along the
     side of one of its own; where tiles begin, if that is a small whole number."""
-    side = max(1, int(_CHUNK_CELLS / factor))
-    if factor in (3, 5):
-        side = TILE_CELLS
-    for j0 in range(window.j0 // side * side, window.j0 + window.height, side):
-        for i0 in range(window.i0 // side * side, window.i0 + window.width, side):
-            chunk = window.intersect(Window(i0, j0, side, side))
-            assert chunk is not None
-            yield chunk
+    side = TILE_CELLS if factor in (3, 5) else max(1, int(_CHUNK_CELLS / factor))
+    return aligned_parts(window, side, side)

@@ -50,8 +50,7 @@ class Redatum:
         """What headings turn by at places of the old plane: the heading of the old north."""
         east, north, _ = self.places(east_m, north_m, 0.0)
         ahead_east, ahead_north, _ = self.places(east_m, np.asarray(north_m) + 1.0, 0.0)
-        turned: Float64 = np.degrees(np.arctan2(ahead_east - east, ahead_north - north))
-        return turned
+        return np.asarray(np.degrees(np.arctan2(ahead_east - east, ahead_north - north)))
 
     def pose(self, pose: Pose) -> Pose:
         """A pose as driven."""

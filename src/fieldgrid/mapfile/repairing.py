@@ -16,7 +16,7 @@ from fieldgrid.mapfile import derived, schema
 from fieldgrid.mapfile.database import connect
 from fieldgrid.mapfile.file_check import MAX_PROBLEMS, damaged_pages, orphans, renew_file
 from fieldgrid.mapfile.header import MapHeader, read_header
-from fieldgrid.mapfile.marks import announce_marks, has_marks, read_marks
+from fieldgrid.mapfile.marks import TABLE, announce_marks, read_marks
 from fieldgrid.mapfile.metadata import count_frames
 from fieldgrid.mapfile.root import read_root, seal
 from fieldgrid.mapfile.row_sums import begin_sums, drop_sums
@@ -53,18 +53,13 @@ def repairers(
         yield Repairers(found, None if scheduler is None else keep)
 
 
-class Repaired(NamedTuple):
-    """The channel groups that the tiles hold now, and what is still wrong with the evidence of
-    sessions that were taken out, of which nothing is read, and with features that were found."""
-
-    groups: tuple[str, ...]
-    problems: tuple[str, ...]
-
-
 def repair(
     connection: sqlite3.Connection, path: Path, header: MapHeader, by: Repairers
-) -> Repaired:
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Rebuild everything that follows from the evidence, within the caller's transaction.
+
+    Returns the channel groups that the tiles hold now, and what is still wrong with the evidence
+    of sessions that were taken out, of which nothing is read, and with features that were found.
 
     Raises MapError when the evidence itself is damaged, of which nothing can be made, and when
     `verify` would still find something else; ConfigError when the workers of a cluster cannot read
@@ -82,11 +77,13 @@ def repair(
         return _repair(Subject(connection, path, header, by.runner, copy))
 
 
-def _repair(subject: Subject) -> Repaired:
+def _repair(subject: Subject) -> tuple[tuple[str, ...], tuple[str, ...]]:
     connection, path, header, run, _ = subject
-    assert run is not None
     if not read_root(connection).trusted:
-        _renew_rows(connection, header)
+        # Rows that follow from others, although the root digest covers them.
+        _replace_systems(connection, schema.reference_systems(header.datum)[-1:])
+        for (session_id,) in connection.execute("SELECT id FROM fieldgrid_session").fetchall():
+            count_frames(connection, session_id)
         if not read_root(connection).trusted:
             raise MapError(
                 f"{path} is not as it was written, and cannot be repaired: its settings, plane, "
@@ -110,7 +107,7 @@ def _repair(subject: Subject) -> Repaired:
         )
     # The map's own plane is under the root digest: another PROJ may word it in another way.
     _replace_systems(connection, schema.reference_systems(header.datum)[:-1])
-    if has_marks(connection):
+    if schema.has_table(connection, TABLE):
         read_marks(connection, removed=True)
         announce_marks(connection)
     derived.rebuild(subject._replace(header=header._replace(groups=stored_groups())))
@@ -118,14 +115,11 @@ def _repair(subject: Subject) -> Repaired:
     seal(connection)
     begin_sums(connection)
     # What was made is seen here only, until it is committed.
-    left = _left(Subject(connection, path, _with_stored(header), Threads(run.here)))
+    renewed = header._replace(groups=stored_groups(), version=schema.FORMAT_VERSION)
+    left = _left(Subject(connection, path, renewed, Threads(run.here)))
     if left:  # which sums would call sound
         drop_sums(connection)
-    return Repaired(stored_groups(), (*left, *check_stored(connection)))
-
-
-def _with_stored(header: MapHeader) -> MapHeader:
-    return header._replace(groups=stored_groups(), version=schema.FORMAT_VERSION)
+    return stored_groups(), (*left, *check_stored(subject))
 
 
 def _left(subject: Subject) -> tuple[str, ...]:
@@ -134,8 +128,7 @@ def _left(subject: Subject) -> tuple[str, ...]:
     removed = islice(check_evidence(subject, "WHERE removed IS NOT NULL"), MAX_PROBLEMS)
     known = dict.fromkeys(shortened(one, LONGEST_PROBLEM) for one in removed)
     grids = {shortened(one, LONGEST_PROBLEM) for one in orphans(connection, "fieldgrid_grid")}
-    stored = {shortened(one, LONGEST_PROBLEM) for one in check_stored(connection)}
-    assert run is not None
+    stored = {shortened(one, LONGEST_PROBLEM) for one in check_stored(subject)}
     problems = verify(connection, path, header, run, deep=True, rebuilt=True).problems
     found = [problem for problem in problems if problem not in stored]
     for problem in found:
@@ -145,14 +138,6 @@ def _left(subject: Subject) -> tuple[str, ...]:
                 f"evidence: {problem} Nothing was changed; restore a copy of the map."
             )
     return tuple(dict.fromkeys((*known, *found)))
-
-
-def _renew_rows(connection: sqlite3.Connection, header: MapHeader) -> None:
-    """Bring rows up to date that follow from others, although the root digest covers them."""
-    *_, own_plane = schema.reference_systems(header.datum)
-    _replace_systems(connection, [own_plane])
-    for (session_id,) in connection.execute("SELECT id FROM fieldgrid_session").fetchall():
-        count_frames(connection, session_id)
 
 
 def _replace_systems(

@@ -28,6 +28,7 @@ from fieldgrid.mapfile.metadata import (
     row_of,
     sum_up,
 )
+from fieldgrid.mapfile.placing import SessionTiles
 from fieldgrid.mapfile.records import check_pose, frame_values
 from fieldgrid.mapfile.schema import NOW_SQL
 from fieldgrid.mapfile.transform import IDENTITY, Transform, transform_of
@@ -173,7 +174,9 @@ def _place_again(
     connection: sqlite3.Connection, path: Path, header: MapHeader, found: FoundSession
 ) -> None:
     """Place the stored frames of a session anew."""
-    with derived.fold_evidence(connection, header, found.session_id, path) as tiles:
+    frames = derived.placed_frames(frames_of(connection, found.session_id))
+    groups = header.writable_groups(path)
+    with SessionTiles.folded(frames, header.lattice, header.transfer, groups) as tiles:
         derived.show(connection, header, found.session_id, found.metadata, tiles, path)
 
 

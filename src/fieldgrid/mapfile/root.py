@@ -10,15 +10,16 @@ from __future__ import annotations
 import hashlib
 import re
 import sqlite3
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
 from fieldgrid.errors import MapError, shortened
 from fieldgrid.mapfile.digest import as_json
-from fieldgrid.mapfile.marks import has_marks
-from fieldgrid.mapfile.schema import COUNTED_TABLES, GEOPACKAGE_TABLES, SRS_ID
+from fieldgrid.mapfile.schema import COUNTED_TABLES, GEOPACKAGE_TABLES, SRS_ID, has_table
 from fieldgrid.mapfile.stored_features import FOUND_KEY
+from fieldgrid.mapfile.subject import Subject
 
 _KEY = "root_sha256"
 _OTHERS = ("data_window", FOUND_KEY, _KEY)
@@ -35,7 +36,7 @@ _NAMES_OURS = re.compile(rf"fieldgrid_|\b({'|'.join(COUNTED_TABLES)})\b", re.IGN
 _DRIVES = "The drives in this map"
 
 
-class Root(NamedTuple):
+class RootDigest(NamedTuple):
     """The root digest as the map's content gives it, and as it is kept in the two places."""
 
     of_content: str
@@ -53,7 +54,7 @@ class Root(NamedTuple):
         return self.of_content in (self.in_meta, self.in_contents)
 
 
-def read_root(connection: sqlite3.Connection) -> Root:
+def read_root(connection: sqlite3.Connection) -> RootDigest:
     """The root digest of a map, from its content and from where it is kept."""
     hashed = hashlib.sha256()
     for query in (
@@ -67,7 +68,7 @@ def read_root(connection: sqlite3.Connection) -> Root:
         for row in connection.execute(query):
             hashed.update(_line(*row))
         hashed.update(b"\n")
-    if has_marks(connection):
+    if has_table(connection, "fieldgrid_mark"):
         for row in connection.execute("SELECT * FROM fieldgrid_mark ORDER BY id"):
             hashed.update(as_json([_plain(value) for value in row]))
         hashed.update(b"\n")
@@ -75,11 +76,23 @@ def read_root(connection: sqlite3.Connection) -> Root:
         "SELECT description FROM gpkg_contents WHERE table_name = 'fieldgrid_session'"
     ).fetchone()
     noted = None if contents is None else str(contents[0])
-    return Root(
+    return RootDigest(
         hashed.hexdigest(),
         root_in_meta(connection),
         noted if noted is None else noted.removeprefix(f"{_DRIVES} (SHA-256 ").removesuffix(")"),
     )
+
+
+def check_digest(subject: Subject) -> Iterator[str]:
+    """Settings, plane and sessions against the root digest in both of its places."""
+    root = read_root(subject.connection)
+    if not root.trusted:
+        yield (
+            "The settings, the plane, the list of sessions or the marks are not as they were "
+            f"written: their root digest is {root.of_content}, and {root.in_meta} was kept."
+        )
+    elif not root.sound:
+        yield "One of the two copies of the root digest is damaged; repair the map."
 
 
 def root_in_meta(connection: sqlite3.Connection) -> str | None:

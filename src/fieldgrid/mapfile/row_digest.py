@@ -14,18 +14,10 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 GREETING = "sums of rows\n"
 """By which who starts this program knows that it is this one."""
-
-
-class _Form(NamedTuple):
-    """How a row of values of some types is hashed: a line of values, then the blobs."""
-
-    line: str
-    blobs: tuple[int, ...]
-    texts: tuple[int, ...]
 
 
 _AS_WRITTEN: Mapping[type, str] = {
@@ -39,12 +31,13 @@ _AS_WRITTEN: Mapping[type, str] = {
 
 
 @lru_cache
-def _form_of(types: tuple[type, ...]) -> _Form:
-    """Rows of one table have few forms, and a map has many rows."""
+def _form_of(types: tuple[type, ...]) -> tuple[str, tuple[int, ...], tuple[int, ...]]:
+    """How a row of values of some types is hashed: its line, and which values are blobs and texts.
+    Rows of one table have few forms, and a map has many rows."""
     line = ",".join(_AS_WRITTEN[kind] for kind in types)
     blobs = tuple(k for k, kind in enumerate(types) if kind is bytes)
     texts = tuple(k for k, kind in enumerate(types) if kind is bytearray)
-    return _Form(f"[{line}]\n", blobs, texts)
+    return f"[{line}]\n", blobs, texts
 
 
 def of_row(row: Sequence[Any]) -> int:

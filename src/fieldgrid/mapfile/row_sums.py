@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from itertools import product
 from typing import Any
 
 from fieldgrid.mapfile.root import root_in_meta
 from fieldgrid.mapfile.row_digest import of_row, of_rows
-from fieldgrid.mapfile.schema import DERIVED_TABLES, EVIDENCE_TABLES, GEOMETRIES
+from fieldgrid.mapfile.schema import DERIVED_TABLES, EVIDENCE_TABLES, GEOMETRIES, has_table
 
 SUMMED_TABLES = (*EVIDENCE_TABLES, *DERIVED_TABLES, "density", *GEOMETRIES)
 """What commits change row by row. The root digest covers the rest, or it is made again in no time:
@@ -37,17 +38,9 @@ _EVENTS: Mapping[str, Mapping[str, int]] = {"INSERT": _NEW, "DELETE": _OLD, "UPD
 """The rows that each takes from a sum, or adds to it."""
 
 
-def has_sums(connection: sqlite3.Connection) -> bool:
-    """Whether a map keeps sums: those of before there were any do not."""
-    found = connection.execute(
-        "SELECT 1 FROM sqlite_schema WHERE type = 'table' AND name = 'fieldgrid_sum'"
-    ).fetchone()
-    return found is not None
-
-
 def kept_sums(connection: sqlite3.Connection) -> dict[str, str]:
     """The sums that are kept, by table; none where they are those of another state."""
-    if not has_sums(connection):
+    if not has_table(connection, "fieldgrid_sum"):
         return {}
     kept = dict(connection.execute("SELECT rows_of, sum FROM fieldgrid_sum").fetchall())
     return kept if kept.pop(_ROOT, None) == root_in_meta(connection) else {}
@@ -94,9 +87,6 @@ class RowCounter:
     @contextmanager
     def counting(self) -> Iterator[None]:
         """Within the caller's transaction, at whose end the map is sealed: its sums follow."""
-        if not has_sums(self._connection):
-            yield
-            return
         if not kept_sums(self._connection):
             drop_sums(self._connection)  # what happened since is not known
             yield
@@ -106,7 +96,15 @@ class RowCounter:
         yield
         for table, change in self._changes.items():
             if change:
-                self._add(table, change)
+                row = self._connection.execute(
+                    "SELECT sum FROM fieldgrid_sum WHERE rows_of = ?", (table,)
+                ).fetchone()
+                # What is no number stays so, and no sum fits.
+                with suppress(TypeError, ValueError):
+                    self._connection.execute(
+                        "UPDATE fieldgrid_sum SET sum = ? WHERE rows_of = ?",
+                        (_written(int(row[0], 16) + change), table),
+                    )
         _note_root(self._connection)
 
     def _watch(self) -> None:
@@ -116,14 +114,22 @@ class RowCounter:
         there = {name for (name,) in self._connection.execute(query)}
         if len(there) == len(SUMMED_TABLES) * len(_EVENTS):
             return
-        for table, columns in _columns(self._connection, SUMMED_TABLES).items():
-            for event, rows in _EVENTS.items():
-                if (name := f"{table}_{event}") in there:
-                    continue
+        rows = self._connection.execute(
+            "SELECT t.name, c.name FROM sqlite_schema AS t JOIN pragma_table_info(t.name) AS c "
+            "WHERE t.type = 'table' AND t.name IN (SELECT value FROM json_each(?)) "
+            "ORDER BY 1, c.cid",
+            (json.dumps(SUMMED_TABLES),),
+        )
+        columns: dict[str, list[str]] = {}
+        for table, column in rows:
+            columns.setdefault(table, []).append(column)
+        for table, event in product(columns, _EVENTS):
+            name = f"{table}_{event}"
+            if name not in there:
                 counted = (
                     f"fieldgrid_count('{table}', {sign}, "
-                    f"{', '.join(_hashable(f'{row}.{column}') for column in columns)})"
-                    for row, sign in rows.items()
+                    f"{', '.join(_hashable(f'{row}.{column}') for column in columns[table])})"
+                    for row, sign in _EVENTS[event].items()
                 )
                 self._connection.execute(
                     f"CREATE TEMP TRIGGER {name} AFTER {event} ON main.{table} "
@@ -133,35 +139,11 @@ class RowCounter:
     def _count(self, table: str, sign: int, *row: Any) -> None:
         self._changes[table] += sign * of_row(row)
 
-    def _add(self, table: str, change: int) -> None:
-        row = self._connection.execute(
-            "SELECT sum FROM fieldgrid_sum WHERE rows_of = ?", (table,)
-        ).fetchone()
-        # What is no number stays so, and no sum fits.
-        with suppress(TypeError, ValueError):
-            self._connection.execute(
-                "UPDATE fieldgrid_sum SET sum = ? WHERE rows_of = ?",
-                (_written(int(row[0], 16) + change), table),
-            )
-
 
 def _note_root(connection: sqlite3.Connection) -> None:
     connection.execute(
         "INSERT OR REPLACE INTO fieldgrid_sum VALUES (?, ?)", (_ROOT, root_in_meta(connection))
     )
-
-
-def _columns(connection: sqlite3.Connection, tables: Sequence[str]) -> Mapping[str, Sequence[str]]:
-    """The columns of tables, in their order."""
-    rows = connection.execute(
-        "SELECT t.name, c.name FROM sqlite_schema AS t JOIN pragma_table_info(t.name) AS c "
-        "WHERE t.type = 'table' AND t.name IN (SELECT value FROM json_each(?)) ORDER BY 1, c.cid",
-        (json.dumps(tables),),
-    )
-    columns: dict[str, list[str]] = {}
-    for table, column in rows:
-        columns.setdefault(table, []).append(column)
-    return columns
 
 
 def _hashable(column: str) -> str:

@@ -11,7 +11,7 @@ import sqlite3
 from collections.abc import Sequence
 
 from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import TILE_CELLS, Lattice
+from fieldgrid.lattice import TILE_CELLS
 from fieldgrid.mapfile.tiling import TileMatrixSet
 from fieldgrid.transfer import CELL_WEIGHT, Transfer
 from fieldgrid.version import software_version
@@ -286,7 +286,19 @@ def create(
     announce_layers(connection, matrices)
     connection.executemany(
         "INSERT INTO fieldgrid_meta VALUES (?, ?)",
-        _meta(datum, matrices.lattice, transfer, groups).items(),
+        # repr gives the shortest text that reads back as the same number.
+        {
+            "format_version": str(FORMAT_VERSION),
+            "software_version": software_version(),
+            "datum_lat_deg": repr(float(datum.lat_deg)),
+            "datum_lon_deg": repr(float(datum.lon_deg)),
+            "datum_height_m": repr(float(datum.height_m)),
+            "cell_m": repr(float(matrices.lattice.cell_m)),
+            "transfer": transfer.value,
+            "tile_cells": str(TILE_CELLS),
+            "cell_weight": str(CELL_WEIGHT),
+            "channel_groups": json.dumps(list(groups)),
+        }.items(),
     )
 
 
@@ -339,6 +351,12 @@ def zoom_levels(
     ]
 
 
+def has_table(connection: sqlite3.Connection, name: str) -> bool:
+    """Whether a map has a table, of those that not every map has."""
+    query = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE type = 'table' AND name = ?)"
+    return bool(connection.execute(query, (name,)).fetchone()[0])
+
+
 def set_groups(connection: sqlite3.Connection, groups: Sequence[str]) -> None:
     """Note which channel groups the tiles hold."""
     connection.execute(
@@ -362,21 +380,3 @@ def reference_systems(datum: Datum) -> tuple[tuple[str, int, str, int, str, str]
             "metres east and north in the tangent plane of the map's datum",
         ),
     )
-
-
-def _meta(
-    datum: Datum, lattice: Lattice, transfer: Transfer, groups: Sequence[str]
-) -> dict[str, str]:
-    # repr gives the shortest text that reads back as the same number.
-    return {
-        "format_version": str(FORMAT_VERSION),
-        "software_version": software_version(),
-        "datum_lat_deg": repr(float(datum.lat_deg)),
-        "datum_lon_deg": repr(float(datum.lon_deg)),
-        "datum_height_m": repr(float(datum.height_m)),
-        "cell_m": repr(float(lattice.cell_m)),
-        "transfer": transfer.value,
-        "tile_cells": str(TILE_CELLS),
-        "cell_weight": str(CELL_WEIGHT),
-        "channel_groups": json.dumps(list(groups)),
-    }

@@ -34,7 +34,7 @@ from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import check_cell_sizes
 
 
-class _Waiting(NamedTuple):
+class _PendingFrame(NamedTuple):
     """A frame to be added: where it is staged, its pose as driven, the quality of its fix, and its
     cells where they are still at hand."""
 
@@ -71,7 +71,7 @@ class Session:
         self._on_end = on_end
         self._spec: GridSpec | None = None
         self._own = StageFile.temporary(path)
-        self._frames: dict[str, _Waiting] = {}
+        self._frames: dict[str, _PendingFrame] = {}
         self._open = True
         self._committed = False
 
@@ -118,8 +118,7 @@ class Session:
             images_sha256=images_sha256,
             channels=channels,
         )
-        at_hand = len(self._frames) < RECENT_FRAMES
-        cells = as_decoded(grid, channels or {}) if at_hand else None
+        cells = as_decoded(grid, channels or {}) if len(self._frames) < RECENT_FRAMES else None
         self._take(self._own, self._own.append(frame), frame, pose, None, cells)
 
     def add_staged(
@@ -135,12 +134,10 @@ class Session:
 
         `quality` is that of its fix, taken from the trajectory when not given. Errors as in `add`.
         """
-        if isinstance(source, StagedFrame):
-            self._check(source.frame_id, source.spec, pose)
-            self._take(self._own, self._own.append(source), source, pose, quality)
-            return
-        frame = source[index]
+        frame = source if isinstance(source, StagedFrame) else source[index]
         self._check(frame.frame_id, frame.spec, pose)
+        if isinstance(source, StagedFrame):
+            source, index = self._own, self._own.append(frame)
         self._take(source, index, frame, pose, quality)
 
     def discard(self) -> None:
@@ -161,7 +158,7 @@ class Session:
     ) -> None:
         if quality is None:
             quality = quality_at(self._metadata.trajectory, pose.time_ns)
-        self._frames[frame.frame_id] = _Waiting(source, index, pose, quality, cells)
+        self._frames[frame.frame_id] = _PendingFrame(source, index, pose, quality, cells)
         self._spec = frame.spec
 
     def _check(self, frame_id: str, spec: GridSpec, pose: Pose) -> None:
@@ -193,7 +190,8 @@ class Session:
                 groups = header.writable_groups(self._path)
                 tiles = stack.enter_context(self._folded(frames, groups))
             session_id = self._insert_session()
-            self._insert_frames(session_id)
+            for pending in self._frames.values():
+                self._insert_frame(session_id, pending)
             put_arrays(self._connection, session_id, self._metadata.arrays)
             sum_up(self._connection, session_id, self._metadata)
             derived.show(self._connection, header, session_id, self._metadata, tiles, self._path)
@@ -204,25 +202,24 @@ class Session:
         with explained(self._path, writing=True):
             return SessionTiles.folded(frames, self._header.lattice, self._header.transfer, groups)
 
-    def _insert_frames(self, session_id: int) -> None:
-        for waiting in self._frames.values():
-            frame = waiting.stage[waiting.number]
-            values = frame_values(
-                replace(waiting.pose, time_ns=frame.time_ns),
-                frame.frame_id,
-                waiting.quality,
-                frame.images,
-                frame.images_sha256,
-                frame.cells_sha256,
-            )
-            cursor = self._connection.execute(
-                f"INSERT INTO fieldgrid_frame VALUES (NULL, ?{', ?' * 16})",
-                (session_id, *values, frame_digest(values)),
-            )
-            self._connection.executemany(
-                "INSERT INTO fieldgrid_grid VALUES (?, ?, ?, ?)",
-                [(cursor.lastrowid, *channel) for channel in frame.channels],
-            )
+    def _insert_frame(self, session_id: int, pending: _PendingFrame) -> None:
+        frame = pending.stage[pending.number]
+        values = frame_values(
+            replace(pending.pose, time_ns=frame.time_ns),
+            frame.frame_id,
+            pending.quality,
+            frame.images,
+            frame.images_sha256,
+            frame.cells_sha256,
+        )
+        cursor = self._connection.execute(
+            f"INSERT INTO fieldgrid_frame VALUES (NULL, ?{', ?' * 16})",
+            (session_id, *values, frame_digest(values)),
+        )
+        self._connection.executemany(
+            "INSERT INTO fieldgrid_grid VALUES (?, ?, ?, ?)",
+            [(cursor.lastrowid, *channel) for channel in frame.channels],
+        )
 
     def _insert_session(self) -> int:
         metadata, spec = self._metadata, self._spec
@@ -250,8 +247,8 @@ class Session:
         return cursor.lastrowid
 
 
-def _cells_of(waiting: _Waiting) -> Callable[[], FrameCells]:
-    return lambda: waiting.cells or waiting.stage[waiting.number].cells()
+def _cells_of(frame: _PendingFrame) -> Callable[[], FrameCells]:
+    return lambda: frame.cells or frame.stage[frame.number].cells()
 
 
 def _described(spec: GridSpec) -> str:

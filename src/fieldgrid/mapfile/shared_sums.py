@@ -18,7 +18,6 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import NamedTuple
 
 from fieldgrid.mapfile import row_digest
 
@@ -31,11 +30,8 @@ GREETING_S = 2.0
 _PIECES = 64
 
 
-class _Piece(NamedTuple):
-    """Rows of a table: those from a first to a last row id, or all."""
-
-    table: str
-    rows: tuple[int, int] | None = None
+_Piece = tuple[str, tuple[int, int] | None]
+"""Rows of a table: those from a first to a last row id, or all."""
 
 
 @contextmanager
@@ -59,7 +55,7 @@ def sharing_sums(
 
 
 class SharedSums:
-    """Sums that are being made, piece by piece, by this process and so many others."""
+    """Sums that are being made, piece by piece, by this process and a number of `others`."""
 
     def __init__(self, connection: sqlite3.Connection, file: Path, others: int) -> None:
         self._connection, self._file, self._others = connection, file, others
@@ -73,7 +69,7 @@ class SharedSums:
             if self._others > 0:
                 self._pieces += _pieces(self._connection, table)
             else:
-                self._pieces.append(_Piece(table))
+                self._pieces.append((table, None))
         for _ in range(self._others):
             thread = threading.Thread(target=self._share, name="fieldgrid-sums", daemon=True)
             self._threads.append(thread)
@@ -100,8 +96,7 @@ class SharedSums:
 
     def _work(self) -> None:
         while piece := self._next():
-            part = row_digest.of_rows(self._connection, piece.table, piece.rows)
-            self._done.append((piece.table, part))
+            self._done.append((piece[0], row_digest.of_rows(self._connection, *piece)))
 
     def _next(self) -> _Piece | None:
         with suppress(IndexError):
@@ -123,15 +118,16 @@ class SharedSums:
             if not _greets(process.stdout.fileno()):
                 process.kill()
                 return
-            while (piece := self._next()) and piece.rows is not None:
+            while (piece := self._next()) and piece[1] is not None:
+                table, (first, last) = piece[0], piece[1]
                 try:
-                    process.stdin.write(f"{piece.table} {piece.rows[0]} {piece.rows[1]}\n")
+                    process.stdin.write(f"{table} {first} {last}\n")
                     part = int(process.stdout.readline())
                 except (OSError, ValueError):
                     # It could not read the map, which a writer may be waiting for.
                     self._pieces.append(piece)
                     return
-                self._done.append((piece.table, part))
+                self._done.append((table, part))
 
 
 def _has_python() -> bool:
@@ -165,8 +161,8 @@ def _greets(output: int) -> bool:
 def _pieces(connection: sqlite3.Connection, table: str) -> Iterator[_Piece]:
     first, last = connection.execute(f"SELECT min(rowid), max(rowid) FROM {table}").fetchone()
     if first is None:
-        yield _Piece(table, (0, 0))
+        yield table, (0, 0)
         return
     step = max((last - first) // _PIECES, 100)
     for start in range(first, last + 1, step):
-        yield _Piece(table, (start, min(start + step - 1, last)))
+        yield table, (start, min(start + step - 1, last))

@@ -19,7 +19,7 @@ from fieldgrid.layers.window import (
     merge_sessions,
     with_overviews,
 )
-from fieldgrid.mapfile.base_cells import Multiple, Touching
+from fieldgrid.mapfile.base_cells import Multiple, Resampling
 from fieldgrid.mapfile.records import FrameRecord
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.transfer import Transfer, footprint
@@ -139,10 +139,10 @@ class FoldedFrames:
                 yield name, fold.cells()
 
 
-class Larger:
+class LargerCells:
     """Cells that follow from the map's own, which another source has."""
 
-    def __init__(self, source: CellSource, by: Multiple | Touching) -> None:
+    def __init__(self, source: CellSource, by: Multiple | Resampling) -> None:
         self._source, self._by = source, by
 
     def merged(self, window: Window) -> Cells | None:
@@ -155,7 +155,9 @@ class FoldedOverBase:
     """Frames folded anew into cells that are no whole multiple of the map's own, where maxima and
     overviews are those of the map's own cells: a new fold would blur what these tell apart."""
 
-    def __init__(self, folded: CellSource, base: Larger, groups: Sequence[ChannelGroup]) -> None:
+    def __init__(
+        self, folded: CellSource, base: LargerCells, groups: Sequence[ChannelGroup]
+    ) -> None:
         self._folded, self._base, self._groups = folded, base, groups
 
     def merged(self, window: Window) -> Cells | None:

@@ -129,8 +129,7 @@ def create_map(
         with explained(path, writing=True):
             keep_one_file(connection, durable=False)  # it is synced once, before it is published
         with writing(connection, path):
-            matrices = TileMatrixSet(lattice)
-            schema.create(connection, datum, matrices, header.transfer, header.groups)
+            schema.create(connection, datum, TileMatrixSet(lattice), header.transfer, header.groups)
             refresh_styles(connection)
             seal(connection)
             begin_sums(connection)

@@ -16,6 +16,7 @@ from fieldgrid.errors import MapError, shortened
 from fieldgrid.mapfile.geometry import encode_shape, shape_of
 from fieldgrid.mapfile.row_digest import of_rows
 from fieldgrid.mapfile.schema import SRS_ID
+from fieldgrid.mapfile.subject import Subject
 from fieldgrid.vectors import Feature
 
 FOUND_KEY = "found_sha256"
@@ -53,9 +54,10 @@ def keep_features(
         connection.execute("INSERT INTO fieldgrid_meta VALUES (?, ?)", (FOUND_KEY, digest))
 
 
-def check_stored(connection: sqlite3.Connection) -> Iterator[str]:
+def check_stored(subject: Subject) -> Iterator[str]:
     """The stored layers against their digest; those of maps of before there was one are not told
     of."""
+    connection = subject.connection
     kept = connection.execute(
         "SELECT value FROM fieldgrid_meta WHERE key = ?", (FOUND_KEY,)
     ).fetchone()

@@ -10,7 +10,16 @@ from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.mapfile.sharing import SharedMap, check_known, known_groups, opened, shared
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import TileMatrixSet
-from fieldgrid.workers.order import Runner
+from fieldgrid.workers.order import Runner, Threads
+
+
+class PickledByArguments:
+    """What is pickled as its arguments, of which it is made again where it arrives."""
+
+    _of: tuple[Any, ...]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._of
 
 
 class Subject(NamedTuple):
@@ -20,8 +29,7 @@ class Subject(NamedTuple):
     connection: sqlite3.Connection
     path: Path
     header: MapHeader
-    runner: Runner | None = None
-    """None where it has arrived."""
+    runner: Runner = Threads(1)
     copy: sqlite3.Connection | None = None
     """A copy that is read where it arrives, of a map that is being changed here."""
 

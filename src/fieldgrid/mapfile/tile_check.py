@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import chain
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from fieldgrid.mapfile.derived import active, squares_of
 from fieldgrid.mapfile.placing import stored_of_session
 from fieldgrid.mapfile.png import decode_png
 from fieldgrid.mapfile.pyramid import Pyramid
-from fieldgrid.mapfile.subject import Subject
+from fieldgrid.mapfile.subject import PickledByArguments, Subject
 from fieldgrid.mapfile.tile_codec import stored_channels
 from fieldgrid.mapfile.tiles import TileTables
 from fieldgrid.mapfile.tiling import parent
@@ -64,11 +63,9 @@ def _top_zoom(tables: TileTables) -> int:
 
 def _session_tiles(subject: Subject, session_id: int, name: str) -> Iterator[str]:
     header, tables, runner = subject.header, subject.tables, subject.runner
-    assert runner is not None
     check = _SquareCheck(subject, session_id, name)
     left = tables.session_tiles(session_id)
-    results = runner.in_order(check, check.squares.places())
-    for tile, problem in chain.from_iterable(results):
+    for tile, problem in chain.from_iterable(runner.in_order(check, check.squares.places())):
         if tile not in left:
             yield f"The map lacks {check.what(tile)}."
             continue
@@ -87,7 +84,7 @@ def _session_tiles(subject: Subject, session_id: int, name: str) -> Iterator[str
             yield f"The map has channels {group!r} of session {name!r} that it should not have."
 
 
-class _SquareCheck:
+class _SquareCheck(PickledByArguments):
     """Folds squares of a session anew, and compares its tiles."""
 
     def __init__(self, subject: Subject, session_id: int, name: str) -> None:
@@ -96,9 +93,6 @@ class _SquareCheck:
         groups = self._tables.groups
         self._names = [c.name for g in stored_of_session(groups) for c in g.channels]
         self.squares = squares_of(subject, session_id, groups)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._of
 
     def __call__(self, place: tuple[int, int]) -> list[tuple[TileIndex, str]]:
         return self.squares.fold(place, self._compare)
@@ -119,7 +113,6 @@ class _SquareCheck:
 def _level(subject: Subject, zoom: int, tiles: set[TileIndex]) -> Iterator[str]:
     """The tiles and pictures of a zoom level against what is below them."""
     tables, runner = subject.tables, subject.runner
-    assert runner is not None
     pictures = {
         tables.matrices.tile(zoom, column, row)
         for column, row in tables.rows(
@@ -138,7 +131,7 @@ def _level(subject: Subject, zoom: int, tiles: set[TileIndex]) -> Iterator[str]:
             yield problem
 
 
-class _LevelCheck:
+class _LevelCheck(PickledByArguments):
     """Makes tiles of a level anew of what is below them, and compares them and their pictures."""
 
     def __init__(self, subject: Subject, zoom: int) -> None:
@@ -148,9 +141,6 @@ class _LevelCheck:
         self._pyramid = Pyramid(subject.connection, self._tables)
         groups = self._tables.groups
         self._names = [n for g in groups for n, _ in stored_channels(g, base=self._is_base)]
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._of
 
     def __call__(self, tile: TileIndex) -> str:
         _, zoom = self._of

@@ -197,24 +197,16 @@ def decode_tile(
 def stored_box(group: ChannelGroup, blob: object, what: str) -> Box:
     """The box of a blob of the base level, of which nothing is unpacked: that of a group without
     blocks is the extent of the cells that were observed."""
-    return _head(blob, len(stored_channels(group, base=True)), TILE_CELLS, what).box
+    return _head(blob, len(stored_channels(group, base=True)), TILE_CELLS, what)[0]
 
 
-class _Head(NamedTuple):
-    """What a blob begins with, and the planes that follow, still packed."""
-
-    box: Box
-    shifts: bytes
-    counts: bytes
-    packed: bytes
-
-
-def _head(blob: object, channels: int, side: int, what: str) -> _Head:
-    """The head of a blob of so many channels, `side` values along a tile. MapError for others."""
+def _head(blob: object, channels: int, side: int, what: str) -> tuple[Box, bytes, bytes, bytes]:
+    """The box, shifts and counts of a blob of `channels`, and its planes, which are still packed.
+    A tile has `side` values along its side. MapError for another blob."""
     end = 5 + 2 * channels
     if not isinstance(blob, bytes) or len(blob) < end or blob[0] != channels:
         raise damaged(what, "its header does not fit its channels")
     box, shifts, counts = Box(*blob[1:5]), blob[5:end:2], blob[6:end:2]
     if min(box.shape) < 1 or max(box) >= side or max(shifts) > 63 or max(counts) > _WORD_BYTES:
         raise damaged(what, f"its header is {tuple(blob[:end])}")
-    return _Head(box, shifts, counts, blob[end:])
+    return box, shifts, counts, blob[end:]

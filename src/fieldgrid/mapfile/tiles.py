@@ -127,7 +127,7 @@ class TileTables:
         return stored_box(density, blob, f"{density.name} of tile {tuple(tile)} of level 0")
 
     def block(self, levels: int) -> int:
-        """Cells along the side of a block, so many levels above the base."""
+        """Cells along the side of a block in tiles that lie `levels` above the base."""
         return max(block_side(self.matrices.lattice) >> levels, 1)
 
     def kept(self, levels: int) -> Sequence[ChannelGroup]:
@@ -177,7 +177,11 @@ class TileTables:
             for name, values in arrays.items():
                 part = nothing(values.shape) if halved is None else halved[name]
                 if not is_nothing(values) or not is_nothing(part):
-                    arrays[name] = _with_quadrant(values, child, part)
+                    made = np.zeros(values.shape, np.uint64) if is_nothing(values) else values
+                    half = len(values) // 2
+                    j, i = half * (child.ty & 1), half * (child.tx & 1)
+                    made[j : j + half, i : i + half] = 0 if is_nothing(part) else part
+                    arrays[name] = made
         return Cells(arrays, 1 << 2 * levels, block)
 
     def unsettled(self) -> list[tuple[int, TileIndex, set[str]]]:
@@ -230,8 +234,7 @@ class TileTables:
     def put(self, zoom: int, tile: TileIndex, blobs: dict[str, bytes], picture: bytes) -> None:
         """Replace a tile over all sessions and its picture; nothing when there are no blobs."""
         with self._lock:
-            where = "zoom = ? AND ty = ? AND tx = ?"
-            self._replace("fieldgrid_tile", where, (zoom, *tile), blobs)
+            self._replace("fieldgrid_tile", "zoom = ? AND ty = ? AND tx = ?", (zoom, *tile), blobs)
             place = (zoom, *self.matrices.column_row(zoom, tile))
             if not blobs:
                 self._connection.execute(
@@ -284,17 +287,3 @@ def _index(ty: object, tx: object) -> TileIndex:
     if not (isinstance(ty, int) and isinstance(tx, int) and max(abs(ty), abs(tx)) < _FARTHEST):
         raise MapError(f"A tile lies at {ty!r}, {tx!r}, which is no place; try `fieldgrid repair`.")
     return TileIndex(ty, tx)
-
-
-def _with_quadrant(values: UInt64, child: TileIndex, part: UInt64) -> UInt64:
-    """The values of a tile with those of a tile below it in their place; changed where they are,
-    unless they are `nothing`."""
-    made = np.zeros(values.shape, np.uint64) if is_nothing(values) else values
-    made[quadrant_of(child, len(values) // 2)] = 0 if is_nothing(part) else part
-    return made
-
-
-def quadrant_of(child: TileIndex, half: int) -> tuple[slice, slice]:
-    """Where a tile lies in an array of the one above it, which has sides of twice `half`."""
-    j, i = half * (child.ty & 1), half * (child.tx & 1)
-    return slice(j, j + half), slice(i, i + half)

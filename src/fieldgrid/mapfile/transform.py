@@ -29,13 +29,13 @@ MOST_DEG = 180.0
 
 
 WORSE_TIMES = 2.0
-"""Poses that state more than so many times what their drive usually does are as unsure after an
-alignment as before: one error for a whole drive says nothing of them."""
+"""A pose that states more than `WORSE_TIMES` the usual error of its drive keeps that error when the
+drive is aligned: the one error of the whole drive does not hold for it."""
 
 _ROUNDING_M = 1e-6
 
 
-class Beside(NamedTuple):
+class RelativeError(NamedTuple):
     """How sure a session lies beside another one, which may be surer than where either lies: the
     1-sigma error of the shift between them, as long as the other is where it was (`placing`)."""
 
@@ -45,7 +45,7 @@ class Beside(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Aligned:
+class AlignmentRecord:
     """What a transform that was estimated rests on: its 1-sigma errors, the sessions that it was
     aligned to, and the transform that the session had before, as it was stored. The errors are None
     where the poses have been estimated anew since: it was found for others. `beside` has those of
@@ -56,7 +56,7 @@ class Aligned:
     turn_sigma_deg: float | None
     to: tuple[str, ...]
     before: str | None = None
-    beside: tuple[Beside, ...] = ()
+    beside: tuple[RelativeError, ...] = ()
     stated_m: float | None = None
 
     def __post_init__(self) -> None:
@@ -86,7 +86,7 @@ class Transform:
     pivot_east_m: float = 0.0
     pivot_north_m: float = 0.0
     wander: Wander | None = None
-    aligned: Aligned | None = None
+    aligned: AlignmentRecord | None = None
     heights: HeightCorrection | None = None
 
     def __post_init__(self) -> None:
@@ -206,8 +206,8 @@ class Transform:
     def speaking_of(
         self, names: Mapping[str, str], placings: Mapping[str, str] | None = None
     ) -> Transform:
-        """The same where other sessions that it speaks of have got other names, all at once, and
-        what tells where they lie has changed with the plane."""
+        """The transform with new names of the other sessions that it names, and with new digests of
+        where they lie, which change with the plane."""
         if self.aligned is None:
             return self
         others = tuple(names.get(one, one) for one in self.aligned.to)
@@ -225,10 +225,9 @@ class Transform:
         if self.is_identity and self.aligned is None:
             return None
         kinds: dict[str, object] = {_RIGID: self._rigid()}
-        if self.wander is not None:
-            kinds[_WANDER] = asdict(self.wander)
-        if self.heights is not None:
-            kinds[_HEIGHTS] = asdict(self.heights)
+        for name, part in ((_WANDER, self.wander), (_HEIGHTS, self.heights)):
+            if part is not None:
+                kinds[name] = asdict(part)
         if self.aligned is not None:
             beside = [one._asdict() for one in self.aligned.beside]
             kinds[_ALIGNED] = asdict(self.aligned) | {"beside": beside}
@@ -268,12 +267,11 @@ def transform_of(text: str | None) -> Transform:
         rigid = kinds[_RIGID]
         if set(rigid) != set(_RIGID_FIELDS) or not all(_is_number(v) for v in rigid.values()):
             raise TypeError(f"it says {rigid}")
-        return Transform(
-            **rigid,
-            wander=_wander(kinds.get(_WANDER)),
-            aligned=_aligned(kinds.get(_ALIGNED)),
-            heights=_heights(kinds.get(_HEIGHTS)),
-        )
+        readers = {_WANDER: _wander, _ALIGNED: _aligned, _HEIGHTS: _heights}
+        parts: dict[str, Any] = {
+            name: read(kinds[name]) for name, read in readers.items() if kinds.get(name) is not None
+        }
+        return Transform(**rigid, **parts)
     except (TypeError, ValueError, KeyError, AttributeError, ConfigError) as error:
         if isinstance(error, MapError):
             raise
@@ -286,18 +284,14 @@ def _is_number(value: object) -> bool:
     return abs(value) <= sys.float_info.max  # JSON has whole numbers beyond it
 
 
-def _wander(stored: Mapping[str, list[Any]] | None) -> Wander | None:
-    if stored is None:
-        return None
+def _wander(stored: Mapping[str, list[Any]]) -> Wander:
     times, east, north = (tuple(stored[name]) for name in ("time_ns", "east_m", "north_m"))
     if not (all(type(t) is int for t in times) and all(map(_is_number, (*east, *north)))):
         raise TypeError("its wander is not of numbers")
     return Wander(times, east, north)
 
 
-def _heights(stored: Mapping[str, Any] | None) -> HeightCorrection | None:
-    if stored is None:
-        return None
+def _heights(stored: Mapping[str, Any]) -> HeightCorrection:
     times, up_m, least = (
         tuple(stored["time_ns"]), tuple(stored["up_m"]), stored["least_sigma_m"],
     )  # fmt: skip
@@ -306,9 +300,7 @@ def _heights(stored: Mapping[str, Any] | None) -> HeightCorrection | None:
     return HeightCorrection(times, up_m, least)
 
 
-def _aligned(stored: Mapping[str, Any] | None) -> Aligned | None:
-    if stored is None:
-        return None
+def _aligned(stored: Mapping[str, Any]) -> AlignmentRecord:
     sigma_m, turn_sigma_deg, before = (
         stored["sigma_m"], stored["turn_sigma_deg"], stored["before"],
     )  # fmt: skip
@@ -319,10 +311,10 @@ def _aligned(stored: Mapping[str, Any] | None) -> Aligned | None:
         raise TypeError("what it was before is no text")
     # Maps that were aligned before this was kept have none.
     beside = tuple(
-        Beside(str(one["name"]), one["sigma_m"], str(one["placing"]))
+        RelativeError(str(one["name"]), one["sigma_m"], str(one["placing"]))
         for one in stored.get("beside", ())
     )
     if not all(_is_number(one.sigma_m) for one in beside):
         raise TypeError("its errors beside other sessions are no numbers")
     to = tuple(str(name) for name in stored["to"])
-    return Aligned(sigma_m, turn_sigma_deg, to, before, beside, stated_m)
+    return AlignmentRecord(sigma_m, turn_sigma_deg, to, before, beside, stated_m)

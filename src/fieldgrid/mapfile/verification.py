@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any
 
 from fieldgrid.errors import ClusterError, FieldgridError, MapError, shortened
 from fieldgrid.layers import GROUPS, RETIRED_GROUPS
@@ -34,11 +33,11 @@ from fieldgrid.mapfile.header import MapHeader
 from fieldgrid.mapfile.marks import check_marks
 from fieldgrid.mapfile.metadata import digest_of, find
 from fieldgrid.mapfile.quick_check import check_sums, is_as_written
-from fieldgrid.mapfile.records import SESSION_SQL, FrameRecord, frame_values, session_info
-from fieldgrid.mapfile.root import read_root
+from fieldgrid.mapfile.records import SESSION_SQL, frame_values, session_info
+from fieldgrid.mapfile.root import check_digest
 from fieldgrid.mapfile.row_sums import kept_sums
 from fieldgrid.mapfile.stored_features import check_stored
-from fieldgrid.mapfile.subject import Subject
+from fieldgrid.mapfile.subject import PickledByArguments, Subject
 from fieldgrid.mapfile.tile_check import check_tiles
 from fieldgrid.mapfile.upgrade import upgraded, upgraded_copy
 from fieldgrid.workers.order import Runner, Threads
@@ -91,9 +90,8 @@ def verify(
         if is_as_written(subject):
             return HealthReport((), (), *_counts(connection), False)
         notes += _why_deep(connection)
-    checks: tuple[Callable[[Subject], Iterator[str]], ...]
-    checks = (
-        *(check_file, check_layout, check_types, _root, check_marks, _stored),
+    checks: tuple[Callable[[Subject], Iterator[str]], ...] = (
+        *(check_file, check_layout, check_types, check_digest, check_marks, check_stored),
         *(() if rebuilt else (check_evidence,)),
         *(check_features, partial(check_tiles, folded=rebuilt)),
         *(() if rebuilt else (check_sums,)),
@@ -167,26 +165,9 @@ def _counted(connection: sqlite3.Connection, table: str) -> int:
         return 0
 
 
-def _root(subject: Subject) -> Iterator[str]:
-    """Settings, plane and sessions against the root digest in both of its places."""
-    root = read_root(subject.connection)
-    if not root.trusted:
-        yield (
-            "The settings, the plane, the list of sessions or the marks are not as they were "
-            f"written: their root digest is {root.of_content}, and {root.in_meta} was kept."
-        )
-    elif not root.sound:
-        yield "One of the two copies of the root digest is damaged; repair the map."
-
-
-def _stored(subject: Subject) -> Iterator[str]:
-    return check_stored(subject.connection)
-
-
 def check_evidence(subject: Subject, which: str = "") -> Iterator[str]:
     """Every frame and session, or those of `which`, against its own digest."""
     connection, path, header, runner, _ = subject
-    assert runner is not None
     sessions = connection.execute(
         "SELECT id, name, digest, frames, accepted, first_time_ns, last_time_ns, grid_width_m, "
         f"grid_length_m, grid_cell_m, heading_source FROM fieldgrid_session {which} ORDER BY id"
@@ -234,7 +215,6 @@ def _upgraded(subject: Subject) -> Iterator[str]:
     """The evidence of a map of an older format, and its pictures, which are all that is read of
     what follows from that."""
     connection, path, header, runner, _ = subject
-    assert runner is not None
     with closing(upgraded_copy(connection, path, header)) as copy:
         anew = Subject(copy, path, upgraded(header), Threads(runner.here))
         wrong = list(islice(chain(check_types(anew), check_evidence(anew)), MAX_PROBLEMS))
@@ -249,37 +229,32 @@ def _upgraded(subject: Subject) -> Iterator[str]:
             yield from check_tiles(anew)
 
 
-class _FrameCheck:
+class _FrameCheck(PickledByArguments):
     """Compares frames of a session, by their numbers, with their digests."""
 
     def __init__(self, subject: Subject, session_id: int) -> None:
         self._of = subject, session_id
         self.records = frames_of(subject.connection, session_id)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), self._of
-
     def __call__(self, number: int) -> str:
-        return _frame_problem(self.records[number])
-
-
-def _frame_problem(record: FrameRecord) -> str:
-    """What is wrong with a frame; empty when it is as it was stored."""
-    values = frame_values(
-        record.driven,
-        record.frame_id,
-        record.quality,
-        record.images,
-        record.images_sha256,
-        record.cells_sha256,
-    )
-    try:
-        if frame_digest(values) != record.digest or (
-            cells_sha256(record.cells()) != record.cells_sha256
-        ):
-            return (
-                f"Frame {record.frame_id!r} of session {record.session!r} is not as it was stored."
-            )
-    except MapError as error:
-        return f"Session {record.session!r}: {error}"
-    return ""
+        """What is wrong with a frame; empty when it is as it was stored."""
+        record = self.records[number]
+        values = frame_values(
+            record.driven,
+            record.frame_id,
+            record.quality,
+            record.images,
+            record.images_sha256,
+            record.cells_sha256,
+        )
+        try:
+            if frame_digest(values) != record.digest or (
+                cells_sha256(record.cells()) != record.cells_sha256
+            ):
+                return (
+                    f"Frame {record.frame_id!r} of session {record.session!r} is not as it was "
+                    "stored."
+                )
+        except MapError as error:
+            return f"Session {record.session!r}: {error}"
+        return ""

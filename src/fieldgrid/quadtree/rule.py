@@ -16,15 +16,15 @@ from fieldgrid.geodesy import MAX_DISTANCE_M
 from fieldgrid.lattice import Bounds, Lattice, Window
 
 LOSS = 16.0
-"""By how much the density of a cell may differ from the mean of its square, of 255."""
+"""Largest difference between the density of a cell and the mean of its square, of 255."""
 
 MAX_LEVEL = 8
 """The largest squares are 2^8 cells wide, as tiles are: the blocks of a map cut none of them."""
 
 
 class Near(NamedTuple):
-    """Where squares are as small as cells: within so many metres of a line, float [n, 2] east and
-    north, such as a route, or of one point, such as a vehicle."""
+    """Where squares are as small as cells: within `within_m` metres of a line, float [n, 2] east
+    and north, such as a route, or of one point, such as a vehicle."""
 
     line_m: npt.ArrayLike
     within_m: float
@@ -118,8 +118,7 @@ def close_cells(near: tuple[Float64, float], lattice: Lattice, window: Window) -
     low, high = np.minimum(starts, ends) - within_m, np.maximum(starts, ends) + within_m
     edges = lattice.bounds(window)
     # Of a long line few segments come near a window.
-    reaching = ((low < edges[2:]) & (high > edges[:2])).all(axis=1)
-    for k in np.flatnonzero(reaching):
+    for k in np.flatnonzero(((low < edges[2:]) & (high > edges[:2])).all(axis=1)):
         start, end = starts[k], ends[k]
         reach = lattice.window(Bounds(*low[k].tolist(), *(high[k] + lattice.cell_m).tolist()))
         part = reach.intersect(window)

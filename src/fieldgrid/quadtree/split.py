@@ -51,7 +51,7 @@ class Squares(NamedTuple):
     state: UInt8
 
 
-class _Level(NamedTuple):
+class _SquareStats(NamedTuple):
     """What all squares of one side hold, arrays [rows, columns]: observed cells, the sum of their
     densities, the lowest (255 for none) and the highest, the sum of the shares that were seen, the
     least state of known cells (255 for none) and the highest, and whether a cell is to stand alone.
@@ -66,9 +66,9 @@ class _Level(NamedTuple):
     most: UInt8
     alone: Bool
 
-    def doubled(self) -> _Level:
-        """The same of squares of twice the side."""
-        return _Level(
+    def doubled(self) -> _SquareStats:
+        """What the squares of twice the side hold."""
+        return _SquareStats(
             _halved(self.observed, np.add),
             _halved(self.total, np.add),
             _halved(self.lowest, np.minimum),
@@ -79,11 +79,11 @@ class _Level(NamedTuple):
             _halved(self.alone, np.logical_or),
         )
 
-    def within(self, shape: tuple[int, int], place: tuple[slice, slice]) -> _Level:
-        """The same in a larger window, with nothing about it."""
+    def within(self, shape: tuple[int, int], place: tuple[slice, slice]) -> _SquareStats:
+        """What the squares of a larger window hold, which is nothing outside of these squares."""
         if self.observed.shape == shape:
             return self
-        wide = _Level._make(np.zeros(shape, one.dtype) for one in self)
+        wide = _SquareStats._make(np.zeros(shape, one.dtype) for one in self)
         wide.lowest[:] = wide.least[:] = _NONE
         for name in self._fields:
             getattr(wide, name)[place] = getattr(self, name)
@@ -98,19 +98,17 @@ class _Level(NamedTuple):
     @property
     def known(self) -> Bool:
         """Where there is anything to tell."""
-        found: Bool = (self.observed > 0) | (self.most > State.UNSEEN)
-        return found
+        return np.asarray((self.observed > 0) | (self.most > State.UNSEEN))
 
     def whole(self, rule: Rule, cells: int) -> Bool:
-        """Which squares, each of so many cells, lose no more than is allowed."""
+        """Which squares, of `cells` cells each, lose no more density than the rule allows."""
         # Judged by the very mean that is kept, so that the bound holds exactly.
         mean = self.mean.astype(np.float64)
         near = (self.highest - mean <= rule.loss) & (mean - self.lowest <= rule.loss)
         alike = (self.least == self.most) & (self.seen >= rule.least_seen * cells)
-        found: Bool = (
+        return np.asarray(
             (near | (self.observed == 0)) & (alike | (self.most == State.UNSEEN)) & ~self.alone
         )
-        return found
 
 
 def _halved(fine: AnyArray, join: Callable[[AnyArray, AnyArray], AnyArray]) -> AnyArray:
@@ -144,13 +142,13 @@ def squares_of(view: MapView, rule: Rule, layer: str) -> Iterator[Squares]:
         yield _split(cells.within(chunk.shape, chunk.slices_of(part)), rule, chunk)
 
 
-def _cells(observed: Bool, density: UInt8, seen: Float32, cost: UInt8) -> _Level:
+def _cells(observed: Bool, density: UInt8, seen: Float32, cost: UInt8) -> _SquareStats:
     """The cells of a window as squares of level 0."""
     state = np.full(cost.shape, State.DOUBT, dtype=np.uint8)
     for value, means in ((0, State.FREE), (LETHAL, State.OBSTACLE), (UNKNOWN_COST, State.UNSEEN)):
         state[cost == value] = means
     highest = np.where(observed, density, np.uint8(0))
-    return _Level(
+    return _SquareStats(
         observed.astype(np.uint32),
         highest.astype(np.uint32),
         np.where(observed, density, _NONE),
@@ -162,7 +160,7 @@ def _cells(observed: Bool, density: UInt8, seen: Float32, cost: UInt8) -> _Level
     )
 
 
-def _split(cells: _Level, rule: Rule, window: Window) -> Squares:
+def _split(cells: _SquareStats, rule: Rule, window: Window) -> Squares:
     """The squares of a window: the largest that may stay whole, and in the rest smaller ones."""
     levels = [cells]
     for _ in range(rule.levels[-1]):
@@ -180,7 +178,7 @@ def _split(cells: _Level, rule: Rule, window: Window) -> Squares:
     return joined(found)
 
 
-def _taken(of: _Level, level: int, window: Window, which: Bool) -> Squares:
+def _taken(of: _SquareStats, level: int, window: Window, which: Bool) -> Squares:
     """Some squares of a level of a window."""
     j, i = np.nonzero(which)
     count = of.observed[which]

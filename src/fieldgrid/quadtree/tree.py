@@ -76,8 +76,7 @@ class Quadtree:
             )
         window = whole_squares(lattice.window(bounds or universal.bounds), rule.levels[-1])
         layers = tuple(dict.fromkeys((layer, *universal.deciding(cell_m))))
-        whole = lattice.bounds(window)
-        with universal.read_blocks(whole, cell_m, layers=layers, at=at) as blocks:
+        with universal.read_blocks(lattice.bounds(window), cell_m, layers=layers, at=at) as blocks:
             return cls._of(blocks, universal.datum, rule, layer)
 
     @classmethod
