@@ -114,7 +114,8 @@ def vertical_shifts(left: UInt8, right: UInt8, camera: StereoCamera) -> Float64:
     row and shift. In a rectified pair all shifts are 0."""
     height, width = left.shape
     reach = max(4, round(SEARCH_SHARE * height))
-    far, near = _disparities(camera)
+    nearest = min(camera.focal_baseline_px_m / 2.0, camera.width_px / 3.0)
+    far, near = round(camera.disparity_offset_px) - 2, round(camera.disparity_offset_px + nearest)
     found = []
     for column, row in _corners(left):
         x, y = round(float(column)), round(float(row))
@@ -137,12 +138,6 @@ def _corners(image: UInt8) -> Float64:
     apart_px = max(6.0, image.shape[0] / 40.0)
     found = cv2.goodFeaturesToTrack(image, MOST_SEARCHED, 0.01, apart_px)
     return np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(np.float64)
-
-
-def _disparities(camera: StereoCamera) -> tuple[int, int]:
-    """The least and the largest disparity that is looked for, as in the odometry."""
-    nearest = min(camera.focal_baseline_px_m / 2.0, camera.width_px / 3.0)
-    return round(camera.disparity_offset_px) - 2, round(camera.disparity_offset_px + nearest)
 
 
 def _found(scores: Float32) -> float | None:

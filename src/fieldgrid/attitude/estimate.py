@@ -89,10 +89,9 @@ def estimate_attitude(
     if not axes:
         return _estimate(*said, ())
     without = _estimate(*said, ())
-    found = agreed(axes, [without.rise_at(axis) for axis in axes])
-    attitude = _estimate(*said, found.axes) if found.axes else without
-    bodies = frozenset(axis.body for axis in found.axes)
-    return attitude._replace(notes=found.notes, bodies=bodies)
+    kept, notes = agreed(axes, [without.rise_at(axis) for axis in axes])
+    attitude = _estimate(*said, kept) if kept else without
+    return attitude._replace(notes=notes, bodies=frozenset(axis.body for axis in kept))
 
 
 def _estimate(
@@ -158,22 +157,16 @@ def _estimated(
     blocks, _ = covariances(_system(x, seen, antenna_m, ground, axes, robust))
     roll, pitch = roll_pitch_deg(x.R)
     variance = np.stack([blocks[:, 7, 7], blocks[:, 6, 6]])  # about the forward axis, the right one
-    pushed, misfit = _misfit(x, seen, antenna_m, ground)
-    sigma = np.hypot(np.degrees(np.sqrt(variance)) * misfit, LEAST_SIGMA_DEG)
-    return np.vstack([roll, pitch, sigma, heading_rad(x.R), x.position_m[:, 2]])[:, own], pushed
-
-
-def _misfit(
-    x: States, seen: AttitudeMeasurements, antenna_m: Float64, ground: ExpectedGround
-) -> tuple[Float64, float]:
-    """How many sigmas each push of the accelerometer is off, and how much less sure than by the
-    sigmas of its measurements all of a stretch is: pushes with all their outliers, as those of
-    wrong axes are, fixes without."""
+    # How many sigmas each push of the accelerometer is off, and how much less sure than by the
+    # sigmas of its measurements all of a stretch is: pushes with all their outliers, as those of
+    # wrong axes are, fixes without.
     push, *_ = _moves(x, seen, robust=False)
     fix, *_ = _at_nodes(x, seen, antenna_m, ground, robust=False)
     pushed = (np.sqrt(push.weight) * push.residual)[:, :3]
     misfit = max(_rms(pushed), _rms(np.sqrt(_student(fix).weight) * fix.residual))
-    return pushed, misfit if misfit > USUAL_MISFIT else 1.0
+    misfit = misfit if misfit > USUAL_MISFIT else 1.0
+    sigma = np.hypot(np.degrees(np.sqrt(variance)) * misfit, LEAST_SIGMA_DEG)
+    return np.vstack([roll, pitch, sigma, heading_rad(x.R), x.position_m[:, 2]])[:, own], pushed
 
 
 def _rms(values: Float64) -> float:
@@ -218,8 +211,18 @@ def _system(
     robust: bool,
 ) -> AttitudeEquations:
     """The normal equations of all that is known, linearised at `x`."""
-    between = [*_turns(x, seen), *_moves(x, seen, robust)]
-    laws = [*between, *_at_nodes(x, seen, antenna_m, ground, robust), *_rises(x, seen, axes)]
+    moved = seen.moved
+    at, hidden = np.flatnonzero(moved.turned), np.flatnonzero(~moved.turned)
+    terrain = 1.0 / (TERRAIN_NOISE_RAD**2 * np.diff(seen.time_s)[hidden, None])
+    still = np.zeros((len(hidden), 3))
+    weight = moved.turn_sigma_rad[at] ** -2.0
+    laws = [
+        model.turns(x, at, moved.turn_rad[at], weight, moved.gyro_s[at]),
+        model.turns(x, hidden, still, terrain, np.zeros(len(hidden))),
+        *_moves(x, seen, robust),
+        *_at_nodes(x, seen, antenna_m, ground, robust),
+        *_rises(x, seen, axes),
+    ]
     return normal_equations(laws, len(seen.time_s), x.shared, _lasting_sigma(axes))
 
 
@@ -229,17 +232,6 @@ def _rises(x: States, seen: AttitudeMeasurements, axes: Sequence[AxisTilt]) -> I
         at = np.flatnonzero(np.isfinite(sigma))
         framed = axis.frame_sigma_deg > 0.0  # one frame leans, and not what gravity levels
         yield model.rises(x, at, axis.direction, sine[at], sigma[at] ** -2.0, own, framed)
-
-
-def _turns(x: States, seen: AttitudeMeasurements) -> list[Law]:
-    moved = seen.moved
-    at, hidden = np.flatnonzero(moved.turned), np.flatnonzero(~moved.turned)
-    terrain = 1.0 / (TERRAIN_NOISE_RAD**2 * np.diff(seen.time_s)[hidden, None])
-    still = np.zeros((len(hidden), 3))
-    return [
-        model.turns(x, at, moved.turn_rad[at], moved.turn_sigma_rad[at] ** -2.0, moved.gyro_s[at]),
-        model.turns(x, hidden, still, terrain, np.zeros(len(hidden))),
-    ]
 
 
 def _moves(x: States, seen: AttitudeMeasurements, robust: bool) -> list[Law]:

@@ -243,7 +243,12 @@ def _nodes(
     no node is of use: fixes there say where the antenna was at its ends.
     """
     first_ns, last_ns = int(track.time_ns[0]), int(track.time_ns[-1])
-    fixes_ns = _thinned(track.time_ns)
+    # Instants at least `LEAST_STEP_NS` apart.
+    kept, k = [0], 0
+    while k < len(track.time_ns):
+        kept.append(k)
+        k = int(np.searchsorted(track.time_ns, track.time_ns[k] + LEAST_STEP_NS))
+    fixes_ns = track.time_ns[kept[1:]]
     wanted_ns = wanted_ns[(wanted_ns >= first_ns) & (wanted_ns <= last_ns)]
     if steps is not None:
         ends_ns = np.union1d(steps.start_ns, steps.stop_ns)
@@ -261,15 +266,6 @@ def _nodes(
     at, of = np.searchsorted(node_ns, fixes_ns), np.searchsorted(track.time_ns, fixes_ns)
     fix_m[at], sigma_m[at] = track.enu_m[of], track.noise_m[of]
     return node_ns, fix_m, sigma_m
-
-
-def _thinned(time_ns: Int64) -> Int64:
-    """Instants at least `LEAST_STEP_NS` apart."""
-    kept, k = [0], 0
-    while k < len(time_ns):
-        kept.append(k)
-        k = int(np.searchsorted(time_ns, time_ns[k] + LEAST_STEP_NS))
-    return time_ns[kept[1:]]
 
 
 def _within(time_ns: Int64, steps: Steps) -> Bool:

@@ -154,24 +154,20 @@ def _cut(track: GearEvidence) -> list[int]:
     part = np.cumsum(track.gap_s > 0.0, dtype=np.int64)
     before, after = (first_beyond(points, reach_m, step, part) for step in (-1, 1))
     turn = turn_between(points, before, after)
-    turning = np.maximum(np.abs(turn), _slip_deg(turn, track.turned_deg, before, after))
+    # How differently from the path the gyro saw the vehicle turn, from the middle of the way to
+    # each point to that of the way on; 0 where it did not see all.
+    at = np.flatnonzero((before >= 0) & (after >= 0))
+    first, last = (before[at] + at) // 2, (at + after[at]) // 2
+    blind, in_all_deg = np.cumsum(~np.isfinite(track.turned_deg)), np.nancumsum(track.turned_deg)
+    slip = np.abs(wrap_deg(turn[at] - in_all_deg[last] + in_all_deg[first]))
+    seen = np.where(blind[last] == blind[first], slip, 0.0)
+    turning = np.maximum(np.abs(turn), np.bincount(at, seen, len(turn)).astype(np.float64))
     sharp = turning > CUT_DEG
     starts = {0, *np.flatnonzero(track.gap_s).tolist()}
     runs = np.flatnonzero(np.diff(np.concatenate([[False], sharp, [False]]).astype(np.int8)))
     for first, last in zip(runs[::2], runs[1::2], strict=True):
         starts |= set(_tips(points, turning, int(first), int(last), reach_m))
     return sorted(starts)
-
-
-def _slip_deg(turn: Float64, turned_deg: Float64, before: Int64, after: Int64) -> Float64:
-    """How differently from the path's `turn` [n] the gyro saw the vehicle turn, degrees, from the
-    middle of the way to each point to that of the way on; 0 where it did not see all."""
-    at = np.flatnonzero((before >= 0) & (after >= 0))
-    first, last = (before[at] + at) // 2, (at + after[at]) // 2
-    blind, in_all_deg = np.cumsum(~np.isfinite(turned_deg)), np.nancumsum(turned_deg)
-    slip = np.abs(wrap_deg(turn[at] - in_all_deg[last] + in_all_deg[first]))
-    seen = np.where(blind[last] == blind[first], slip, 0.0)
-    return np.bincount(at, seen, len(turn)).astype(np.float64)
 
 
 def _tips(points: Float64, turning: Float64, first: int, last: int, reach_m: float) -> list[int]:
@@ -217,14 +213,12 @@ def turn_between(points, before, after):  # type: ignore[no-untyped-def]
     return turning
 
 
-def _length_m(points: Float64) -> float:
-    return float(np.hypot(*np.diff(points, axis=0).T).sum()) if len(points) > 1 else 0.0
-
-
 def _leg_weights(track: GearEvidence, start: int, stop: int, habits: Habits) -> Float64:
     """Log weights [h, 2] of a leg, forward and in reverse: by its length, and by what wheels or
     camera saw."""
-    habit = habits.leg(_length_m(track.points_m[start:stop]), REVERSE_CAP_NATS)
+    points = track.points_m[start:stop]
+    length_m = float(np.hypot(*np.diff(points, axis=0).T).sum()) if len(points) > 1 else 0.0
+    habit = habits.leg(length_m, REVERSE_CAP_NATS)
     return habit + np.array([0.5, -0.5]) * float(track.forward_nats[start + 1 : stop].sum())
 
 

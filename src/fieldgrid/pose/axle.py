@@ -9,7 +9,7 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.motion import Steps
 from fieldgrid.rig import Rig, VehicleGeometry, with_antenna_ahead
-from fieldgrid.smoother import Constant, Smoothed
+from fieldgrid.smoother import Constant, SmoothedDrive
 from fieldgrid.travel import LEAST_STEP_M, MOST_TURN_DEG, Ways, travel
 
 UNNAMED_AXLE_M = 0.5
@@ -100,7 +100,7 @@ def ways_of(steps: Steps) -> Ways:
     )
 
 
-def unsure_heading_rad(smoothed: Smoothed, sigma_m: float) -> Float64:
+def unsure_heading_rad(smoothed: SmoothedDrive, sigma_m: float) -> Float64:
     """1-sigma error of the headings [n] by an axle whose place is unsure by `sigma_m`: in a turn
     the antenna's path is not that of the axle."""
     off_rad = np.abs(smoothed.response.per_ahead_m)

@@ -19,7 +19,7 @@ from fieldgrid.pose.clock_search import (
     MOST_SIGMA_S,
     ClockOffset,
     ClockSearch,
-    DeniedMotions,
+    MotionContradiction,
 )
 from fieldgrid.pose.drive import DriveEstimate, smooth_drive
 from fieldgrid.pose.gears import NO_HINTS, GearHints
@@ -39,7 +39,7 @@ class ClockFindings(NamedTuple):
     within the drive. None where it does not tell."""
 
     offset: ClockOffset | None = None
-    contradiction: DeniedMotions | None = None
+    contradiction: MotionContradiction | None = None
     change: ClockChange | None = None
 
     def offset_s(self, time_ns: Int64) -> Float64:

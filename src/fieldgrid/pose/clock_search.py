@@ -81,7 +81,7 @@ class ClockOffset(NamedTuple):
         return abs(self.offset_s) >= max(3.0 * self.sigma_s, LEAST_OFFSET_S)
 
 
-class DeniedMotions(NamedTuple):
+class MotionContradiction(NamedTuple):
     """Of `steps` motions of the camera where the drive is sure of itself, `off` are not those of
     the drive, at any offset of the clock that was found, and count as `weight` that are far off.
     With `gyro_too` the gyro turns as the images do, so it is the fixes that are of other
@@ -120,7 +120,7 @@ class ClockSearch:
             return float("inf")
         return float(self._squared(steps, offset_s).mean())
 
-    def contradiction(self, offset_s: float) -> DeniedMotions:
+    def contradiction(self, offset_s: float) -> MotionContradiction:
         """How many steps are not of the drive with this offset, whatever its own errors and the
         camera's scale."""
         steps = self._in_metres(self._inside(offset_s, 0.0), offset_s)
@@ -133,7 +133,7 @@ class ClockSearch:
         sure = heading_deg < SURE_TURN_DEG
         off = sure & (squared > OFF_SIGMAS**2)
         weight = np.minimum(squared[off] / FULL_SIGMAS**2, 1.0).sum()
-        return DeniedMotions(int(off.sum()), float(weight), int(sure.sum()))
+        return MotionContradiction(int(off.sum()), float(weight), int(sure.sum()))
 
     def by_step(self, offsets_s: Float64) -> tuple[Steps, Float64]:
         """The steps that lie within the drive at all of these offsets [o], and the squared distance
@@ -155,7 +155,15 @@ class ClockSearch:
         at = int(np.argmin(coarse))
         if at in (0, len(coarse) - 1):
             return None
-        sigmas = self._sigmas(steps, float(offsets_s[at]))
+        # How far these steps and the drive differ along an axis and in the turn, by medians.
+        ahead, right, turn = self._differences(steps, float(offsets_s[at]))
+        distance_m = 1.4826 * float(np.median(np.abs(np.concatenate([ahead, right]))))
+        turn_deg = 1.4826 * float(np.median(np.abs(turn)))
+        # Larger ones than usual are no reason to believe the drive more in other respects.
+        sigmas = (
+            max(distance_m, DISTANCE_SIGMA_M),
+            min(max(turn_deg, LEAST_TURN_DEG), TURN_SIGMA_DEG),
+        )
         fine_s = offsets_s[at] + np.arange(-FINE_REACH_S, FINE_REACH_S + FINE_S / 2.0, FINE_S)
         fine = np.array([self._squared(steps, offset, *sigmas) for offset in fine_s])
         lowest = _lowest(fine_s, fine.sum(axis=1))
@@ -207,14 +215,6 @@ class ClockSearch:
         first, last = times_ns[0] + margin_ns, times_ns[-1] - margin_ns
         keep = (steps.start_ns + shift_ns >= first) & (steps.stop_ns + shift_ns <= last)
         return Steps(*(column[keep] for column in steps))
-
-    def _sigmas(self, steps: Steps, offset_s: float) -> tuple[float, float]:
-        """How far these steps and the drive differ along an axis and in the turn, by medians."""
-        ahead, right, turn = self._differences(steps, offset_s)
-        distance_m = 1.4826 * float(np.median(np.abs(np.concatenate([ahead, right]))))
-        turn_deg = 1.4826 * float(np.median(np.abs(turn)))
-        # Larger ones than usual are no reason to believe the drive more in other respects.
-        return max(distance_m, DISTANCE_SIGMA_M), min(max(turn_deg, LEAST_TURN_DEG), TURN_SIGMA_DEG)
 
     def _drive_sigmas(self, steps: Steps, offset_s: float) -> tuple[Float64, Float64]:
         """How far each step and the drive may differ by the drive's own errors at its two ends, and

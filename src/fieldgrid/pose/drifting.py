@@ -17,7 +17,7 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.clock import ClockFindings
-from fieldgrid.pose.denied import FAR_M, Denied, sees_way
+from fieldgrid.pose.denied import FAR_M, DriveContradiction, sees_way
 from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.imu_turn import ImuTurn
 from fieldgrid.pose.table import PoseTable
@@ -60,14 +60,22 @@ class Drifts(NamedTuple):
 
 
 def drifts(
-    drive: DriveEstimate, axle: Axle, denied: Denied, clocks: ClockFindings, turned: ImuTurn | None
+    drive: DriveEstimate,
+    axle: Axle,
+    denied: DriveContradiction,
+    clocks: ClockFindings,
+    turned: ImuTurn | None,
 ) -> Drifts:
     """By how much the fixes of a drive drift beside its camera's way; nothing is found where a
     wrong declaration or clock, or an IMU that is `turned`, explains what does not fit."""
     slow, seen = None, Drifts()
     if sees_way(drive):
         slow = slow_drift(drive.smoothed, drive.measured, *axle.frame())
-        seen = Drifts(None, _is_shown(slow, drive))
+        # Whether the drive denies a drift of :data:`FAR_M` from one end of it to the other, beyond
+        # what the receiver states.
+        stated_m = float(np.median(drive.measured.bias_m))
+        open_m = 2.0 * math.sqrt(max(slow.sigma_m**2 - stated_m**2, 0.0))
+        seen = Drifts(None, CLEAR_MISFIT * open_m < FAR_M)
     certain = clocks.contradiction is not None and clocks.contradiction.is_certain
     if denied.clear or certain or clocks.change is not None:
         return seen
@@ -98,14 +106,6 @@ def _is_told(slow: SlowDrift, drive: DriveEstimate) -> bool:
 
 def _is_large(extent_m: float, drive: DriveEstimate) -> bool:
     return extent_m > max(LEAST_M, STATED_TIMES * float(np.median(drive.measured.bias_m)))
-
-
-def _is_shown(slow: SlowDrift, drive: DriveEstimate) -> bool:
-    """Whether the drive denies a drift of :data:`FAR_M` from one end of it to the other, beyond
-    what the receiver states."""
-    stated_m = float(np.median(drive.measured.bias_m))
-    open_m = 2.0 * math.sqrt(max(slow.sigma_m**2 - stated_m**2, 0.0))
-    return CLEAR_MISFIT * open_m < FAR_M
 
 
 def unsure_drift(table: PoseTable, drive: DriveEstimate, drifts: Drifts) -> PoseTable:

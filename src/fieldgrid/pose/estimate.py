@@ -19,12 +19,12 @@ from fieldgrid.pose.camera_yaw import CameraYaw, camera_yaw
 from fieldgrid.pose.clock import ClockFindings, check_clock
 from fieldgrid.pose.clock_jump import clock_jump
 from fieldgrid.pose.convention import FEW_TURNED_SHARE, Comparison
-from fieldgrid.pose.denied import Denied, denied_by, unsure_declared, with_whole_place
+from fieldgrid.pose.denied import DriveContradiction, denied_by, unsure_declared, with_whole_place
 from fieldgrid.pose.drifting import Drifts, drift_notes, drifts, unsure_drift
 from fieldgrid.pose.drive import DriveEstimate, with_recorded
-from fieldgrid.pose.excused import Excused, excused
+from fieldgrid.pose.excused import GyroExcuse, excused
 from fieldgrid.pose.explained import explained
-from fieldgrid.pose.fused import Fused, conditioned, counted_twice_note, fuse
+from fieldgrid.pose.fused import Fusion, conditioned, counted_twice_note, fuse
 from fieldgrid.pose.given import CLEAR_OFFSET_DEG, place_poses
 from fieldgrid.pose.levelled import leaning, tells_attitude, unsure_lean
 from fieldgrid.pose.measured import RecordedHeadings
@@ -152,18 +152,18 @@ def estimate_poses(
 class _Checks(NamedTuple):
     clocks: ClockFindings
     yaw: CameraYaw | None
-    denied: Denied
+    denied: DriveContradiction
     drifts: Drifts
-    excused: Excused | None
+    excused: GyroExcuse | None
 
-    def gyro_notes(self, found: Fused) -> tuple[str, ...]:
+    def gyro_notes(self, found: Fusion) -> tuple[str, ...]:
         """Why the gyro was changed or left out; of one that is excused, what it denies says so."""
         excuses = self.excused is not None and self.denied.clear
         return () if found.gyro_note is None or excuses else (found.gyro_note,)
 
 
 def _checked(
-    found: Fused,
+    found: Fusion,
     drive: DriveEstimate,
     declared: VehicleGeometry | None,
     source: HeadingSource,
@@ -194,7 +194,9 @@ def _checked(
     return _Checks(clocks, yaw, denied, seen, excuse)
 
 
-def _with_recorded(found: Fused, recorded: RecordedHeadings, ahead_m: float = 0.0) -> DriveEstimate:
+def _with_recorded(
+    found: Fusion, recorded: RecordedHeadings, ahead_m: float = 0.0
+) -> DriveEstimate:
     """The drive by its recorded headings, too, with the antenna so much farther ahead."""
     if not np.isfinite(recorded.heading_deg).any():
         return found.drive
@@ -258,7 +260,7 @@ def _of_given(
 
 
 def _recorded(
-    fused: Fused, source: HeadingSource, settings: PoseSettings
+    fused: Fusion, source: HeadingSource, settings: PoseSettings
 ) -> tuple[Float64, Comparison | None, list[str]]:
     """Headings of the vehicle that were recorded with the accepted fixes, NaN where none can be
     used; raises when they contradict the drive."""

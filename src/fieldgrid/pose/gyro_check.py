@@ -68,7 +68,7 @@ CHECK = (
 GEARS_UNSURE = f"Or the gears are wrong, which are in doubt: {TELL_GEARS}."
 
 
-class Trusted(NamedTuple):
+class GyroVerdict(NamedTuple):
     """A drive and its motion with a gyro that fits, or without one; what was wrong with it, None
     where nothing was. `unsure_deg` [n] is how far the headings with it and without it are apart at
     the nodes where nobody knows which of them is right, else 0."""
@@ -83,7 +83,7 @@ class Trusted(NamedTuple):
         return np.asarray(np.interp(time_ns, self.drive.time_ns, self.unsure_deg))
 
 
-class Ratio(NamedTuple):
+class TurnRatio(NamedTuple):
     """What the path turns for each radian of the gyro, with its 1-sigma error."""
 
     value: float
@@ -97,7 +97,7 @@ class Ratio(NamedTuple):
         return related and abs(self.value - 1.0) > max(WRONG_RATIO, WRONG_SIGMAS * self.sigma)
 
 
-def turn_ratio(fixes: AcceptedFixes, gyro: Gyro) -> Ratio | None:
+def turn_ratio(fixes: AcceptedFixes, gyro: Gyro) -> TurnRatio | None:
     """The turns of the path beside those of the gyro, whose bias is free; in reverse the two turn
     alike. None where there are too few."""
     if len(fixes.time_ns) < 2:
@@ -138,7 +138,7 @@ def turn_ratio(fixes: AcceptedFixes, gyro: Gyro) -> Ratio | None:
         return None  # straight on there is only the gyro's noise
     # Neighbours share their chords.
     sigma = scale * np.sqrt(overlap * np.linalg.pinv(normal)[0, 0])
-    return Ratio(float(line[0]), float(sigma))
+    return TurnRatio(float(line[0]), float(sigma))
 
 
 def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, str | None]:
@@ -197,10 +197,10 @@ def with_trusted_gyro(
     motion: Motion,
     axle: Axle,
     hints: GearHints,
-) -> Trusted:
+) -> GyroVerdict:
     """The drive with a gyro that fits, with its scale corrected if need be, or without it."""
     found = drive.smoothed.declared
-    fits = Trusted(drive, motion, np.zeros(len(drive.time_ns)))
+    fits = GyroVerdict(drive, motion, np.zeros(len(drive.time_ns)))
     wanders = float(np.median(fixes.sigma_m)) > STEADY_M
     if not drive.at.has_gyro() or not found.contradicts:
         return fits
@@ -220,7 +220,7 @@ def with_trusted_gyro(
                 "Calibrate its scale."
             )
             unusual = float(wanders) * min(abs(scale.value) / UNUSUAL_SCALE, 1.0) ** 2
-            return Trusted(again, corrected, apart_deg(again, rest) * unusual, note)
+            return GyroVerdict(again, corrected, apart_deg(again, rest) * unusual, note)
     # What the camera confirms without the gyro was spoilt by it.
     if not found.blames_gyro and not (rest.turns_seen and not rest.smoothed.declared.contradicts):
         return fits
@@ -233,7 +233,7 @@ def with_trusted_gyro(
     if moves.any() and float(np.mean(drive.doubt[moves] > DOUBT)) > DOUBTFUL_SHARE:
         either = True
         note += f" {GEARS_UNSURE}"
-    return Trusted(rest, without, apart_deg(rest, drive) * float(either), note)
+    return GyroVerdict(rest, without, apart_deg(rest, drive) * float(either), note)
 
 
 def scale_explains(corrected: DeclaredCorrection, found: DeclaredCorrection) -> bool:

@@ -46,7 +46,12 @@ def seen_leaps(
     """
     if steps is None or len(fixes.time_ns) < 3:
         return ()
-    at = _suspected(fixes)
+    # The fixes after which a leap may lie.
+    every = np.arange(1, len(fixes.time_ns) - 2)
+    off_m, hole = _by_fixes(fixes, every)
+    noise_m = np.maximum(fixes.noise.across_m[every], fixes.noise.across_m[every + 1])
+    large = np.hypot(*off_m.T) > np.maximum(LEAST_M / 2.0, WORTH_SIGMAS * noise_m)
+    at = every[hole | large]
     if not len(at):
         return ()
     path = _CameraPath(fixes, drive, steps, antenna)
@@ -64,15 +69,6 @@ def seen_leaps(
             time_ns = int(fixes.time_ns[k + 1])
             found.append(SeenLeap(time_ns, float(leap_m[0]), float(leap_m[1]), sigma_m))
     return tuple(found)
-
-
-def _suspected(fixes: AcceptedFixes) -> Int64:
-    """The fixes after which a leap may lie."""
-    every = np.arange(1, len(fixes.time_ns) - 2)
-    off_m, hole = _by_fixes(fixes, every)
-    noise_m = np.maximum(fixes.noise.across_m[every], fixes.noise.across_m[every + 1])
-    large = np.hypot(*off_m.T) > np.maximum(LEAST_M / 2.0, WORTH_SIGMAS * noise_m)
-    return np.asarray(every[hole | large])
 
 
 def _by_fixes(fixes: AcceptedFixes, at: Int64) -> tuple[Float64, Bool]:

@@ -13,7 +13,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from fieldgrid.array_types import Bool, Float64
+from fieldgrid.array_types import Float64
 from fieldgrid.fixes import least_sigma_m, position_sigma_m
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import names_axle
@@ -173,14 +173,10 @@ def _believed_m(fixes: AcceptedFixes) -> Float64:
 def _least_m(fixes: AcceptedFixes) -> Float64:
     """The least error along one axis, metres [n]. Float positions near fixed ones are believed:
     those vouch for them."""
-    vouched = (fixes.quality == Quality.RTK_FLOAT) & _near_fixed(fixes)
-    return np.where(vouched, 0.0, least_sigma_m(fixes.quality))
-
-
-def _near_fixed(fixes: AcceptedFixes) -> Bool:
-    """Which fixes [n] come within :data:`FIXED_NEAR_S` of a fixed solution."""
+    # Which fixes [n] come within :data:`FIXED_NEAR_S` of a fixed solution.
     fixed_ns = fixes.time_ns[fixes.quality == Quality.RTK_FIXED]
     near_ns = round(FIXED_NEAR_S * 1e9)
     first = np.searchsorted(fixed_ns, fixes.time_ns - near_ns)
     stop = np.searchsorted(fixed_ns, fixes.time_ns + near_ns, side="right")
-    return np.asarray(stop > first)
+    vouched = (fixes.quality == Quality.RTK_FLOAT) & (stop > first)
+    return np.where(vouched, 0.0, least_sigma_m(fixes.quality))

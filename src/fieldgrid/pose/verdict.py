@@ -124,8 +124,7 @@ def jumps(
 
     The paper's indicator: a few isolated jumps corrupt a map, so their grids are discarded.
     """
-    n = len(heading_deg)
-    found = np.zeros(n, dtype=np.bool_)
+    found = np.zeros(len(heading_deg), dtype=np.bool_)
     known = np.flatnonzero(np.isfinite(heading_deg) & np.isfinite(sigma_deg))
     if known.size < 3:
         return found

@@ -8,7 +8,7 @@ import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.smoother import model
-from fieldgrid.smoother.batch import Smoothed
+from fieldgrid.smoother.batch import SmoothedDrive
 from fieldgrid.smoother.declared import unverified_nats
 from fieldgrid.smoother.equations import CONSTANTS
 from fieldgrid.smoother.measurements import Measurements
@@ -56,7 +56,7 @@ class WanderTest(NamedTuple):
 
 
 def wander(
-    known: Smoothed, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
+    known: SmoothedDrive, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
 ) -> WanderTest:
     """What an estimate `known` from the same measurements says of the wander of its fixes: its
     likelihood beside that of a slow error that goes on from the stated one at random. Steps that
