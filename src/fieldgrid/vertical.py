@@ -22,12 +22,12 @@ SEARCH_SHARE, MOST_SEARCHED = 0.05, 160
 """Of an image's height: how far up and down a patch is looked for. Of how many patches."""
 
 ALIKE, LEAD = 0.8, 0.05
-"""A patch is found where it correlates so well, and better by so much than elsewhere."""
+"""A patch is found where its correlation is at least this, and larger by this than elsewhere."""
 
 FEWEST_SHIFTS = 40
 
 PARTS, FEWEST_PAIRS = 5, 2
-"""A drive is split between so many parts, and a side of it looked at with so many pairs."""
+"""Number of parts between which a drive may be split, and the least number of pairs on a side."""
 
 SHIFT_SIGMA_PX = (1e6, 30.0, 30.0)
 """Nothing is known of the shift itself, and little of how it grows across the image: enough to

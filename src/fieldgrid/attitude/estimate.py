@@ -63,8 +63,8 @@ LEAST_SIGMA_DEG = 0.08
 """What no measurement shows: axes of sensors that are not quite square."""
 
 USUAL_MISFIT = 1.5
-"""Where measurements lie farther from the estimate than so many of their sigmas, root mean square,
-it is as much less sure."""
+"""Where the root mean square distance of measurements from the estimate, in sigmas, is larger than
+this, the sigmas of the estimate are multiplied by it."""
 
 
 def estimate_attitude(
@@ -195,9 +195,7 @@ def _first_guess(seen: AttitudeMeasurements, antenna_m: Float64, shared: int) ->
     for axis in range(3 if known.any() else 0):
         place[:, axis] = np.interp(seen.time_s, seen.time_s[known], seen.fix_m[known, axis])
     place = place - R @ antenna_m
-    speed = np.zeros((n, 3))
-    if n > 1:
-        speed = np.asarray(np.gradient(place, seen.time_s, axis=0))
+    speed = np.asarray(np.gradient(place, seen.time_s, axis=0)) if n > 1 else np.zeros((n, 3))
     since_s = seen.time_s - (seen.time_s[0] + seen.time_s[-1]) / 2.0
     return States(place, speed, R, np.zeros(shared), since_s)
 

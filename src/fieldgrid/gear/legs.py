@@ -36,7 +36,7 @@ NOSE_TURN_DEG = 30.0
 """How far a nose turns within a tangent's reach of a cut: 1.5 m at a radius of 3 m."""
 
 GYRO_TURN_DEG = 12.0
-"""The same, beyond what a gyro saw it turn."""
+"""How far a nose turns within a tangent's reach of a cut, beyond what a gyro saw it turn."""
 
 LEAST_TURN_DPS, MOST_TURN_DPS, USUAL_TURN_DPS = 10.0, 45.0, 20.0
 """How fast a vehicle may turn while nobody sees it, degrees a second: as fast as the fastest of
@@ -70,7 +70,7 @@ WANDER_M, WANDER_SIGMAS = 0.5, 15.0
 """A standing vehicle's positions wander about this far; such a leg may be skipped."""
 
 MAX_SKIPPED, SKIP_CAP_NATS = 4, 12.0
-"""So many legs in a row may be skipped, at so much cost together."""
+"""Largest number of legs in a row that may be skipped, and the largest cost of skipping them."""
 
 REVERSE_CAP_NATS = 15.0
 """What a single leg's length can say at most of its gear."""
@@ -201,7 +201,8 @@ def turning_deg(points: Float64, part: Int64, reach_m: float) -> Float64:
 
 @kernel
 def turn_between(points, before, after):  # type: ignore[no-untyped-def]
-    """The same between points of two indices for each, of which -1 is none."""
+    """By how much the path turns at each point, degrees, between the points `before` and `after`
+    it; an index of -1 is none."""
     turning = np.empty(points.shape[0])
     for k in range(points.shape[0]):
         turning[k] = 0.0

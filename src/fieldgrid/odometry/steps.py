@@ -23,7 +23,7 @@ MAX_STEP_M = 5.0
 MIN_FEATURES = 30
 MIN_INLIERS = 12
 MIN_SHARE = 0.07
-"""Of the points that a motion puts into the other image, so many must be found there. True
+"""Least share of the points that a motion puts into the other image to be found there. True
 steps of two drives had 0.18 and more, wrong ones between unrelated images 0.05 and less."""
 
 CLEAR_INLIERS, RIVAL_SHARE = 60, 0.6

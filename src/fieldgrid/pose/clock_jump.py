@@ -17,7 +17,7 @@ from fieldgrid.motion import Gyro, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
 
 LEAST_JUMP_S = 0.15
-"""Stamps of the gyro that are so much farther apart than usual leave a hole."""
+"""Stamps of the gyro that are farther apart than usual by this time leave a hole."""
 
 MOST_HOLES = 50
 """More holes than these are how the stream is, and no clock that jumped."""

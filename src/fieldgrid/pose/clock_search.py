@@ -19,7 +19,7 @@ WIDEST_S, COARSE_S = 2.5, 0.05
 """Offsets are tried up to the widest, this far apart; a wider scan may ask for more."""
 
 FINE_S, FINE_REACH_S = 0.01, 0.3
-"""About the best of them offsets are tried so far apart, up to so far away."""
+"""About the best of them offsets are tried at this distance, up to this far away."""
 
 DISTANCE_SIGMA_M, TURN_SIGMA_DEG = 0.05, 0.5
 """How far the drive and a camera's step differ with the best of clocks, before that is known."""
@@ -29,7 +29,7 @@ LEAST_TURN_DEG = 0.05
 
 PARTS = 8
 """Neighbouring steps share the errors of the drive, so the scatter of the offset is taken from
-what it would be without each of so many stretches."""
+what it would be without each of this number of stretches."""
 
 OUTLIER_FREEDOM = 4.0
 """Of Student's distribution, which a step is taken to differ by."""
@@ -41,13 +41,14 @@ MOST_SIGMA_S = 0.1
 """A drive that does not tell the offset better than this does not tell it."""
 
 CLEAR_LEAD = 16.0
-"""By so much the sum of squares must be larger at every other offset: four sigmas. On an even
-drive, noise alone makes a lowest place."""
+"""Least increase of the sum of squares at every other offset: four sigmas. On an even drive, noise
+alone makes a lowest place."""
 
 OFF_SIGMAS, FULL_SIGMAS, CONTRADICTED_SHARE, CONTRADICTED_LEAST = 3.0, 5.0, 0.1, 3
 """A step of the camera counts against the drive from the first of these distances on, in sigmas,
-with its square, and in full from the second on. Images are not of their stamps when in all so many
-steps count, and such a share. In honest drives, KITTI and the rendered ones, none does."""
+with its square, and in full from the second on. Images are not of their stamps when this share of
+the steps counts, and this number of them. In honest drives, KITTI and the rendered ones, none
+does."""
 
 SURE_TURN_DEG = 4.0
 """Where the drive does not know its turn over a step better than this, it contradicts no camera."""

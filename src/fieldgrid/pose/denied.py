@@ -21,10 +21,10 @@ from fieldgrid.rig import Rig, VehicleGeometry
 from fieldgrid.smoother import AHEAD, LATE, Constant, DeclaredCorrection
 
 CLEAR_SIGMAS = 4.0
-"""A drive denies what was declared only by so many sigmas."""
+"""A drive denies what was declared beyond this number of sigmas."""
 
 FAR_M = 1.0
-"""A fault that is denied only from an error of so much on is not seen."""
+"""A drive that denies a fault only beyond this error does not see it."""
 
 LEAST_LEVER_M, LEAST_DELAY_S = 0.3, 0.05
 """Smaller contradictions of the antenna's place and of the fixes' stamps are not worth a word."""
@@ -70,8 +70,7 @@ def denied_by(
     """What a drive denies of its vehicle as it was declared, and of the clock of its images."""
     speed_mps = np.abs(drive.speed_mps)
     by_clock_m = speed_mps * np.abs(clocks.offset_s(drive.time_ns))
-    by_heading = names_axle(vehicle) and drive.headings_recorded
-    if not sees_turns(drive) and not by_heading:
+    if not sees_turns(drive) and not (names_axle(vehicle) and drive.headings_recorded):
         return DriveContradiction(None, None, None, by_clock_m)
     found = drive.smoothed.declared
     places = moving_places(drive, vehicle)
@@ -119,10 +118,10 @@ def moving_places(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tupl
 def with_whole_place(
     denied: DriveContradiction, placed: Callable[[float], DriveEstimate]
 ) -> DriveContradiction:
-    """The same with all of how far the antenna sits ahead, where recorded headings tell it.
+    """The contradiction with the whole distance by which recorded headings have the antenna ahead.
 
     The headings that a wrong place contradicts most have little weight, so that the drive shows a
-    part of it at once. `placed` is the drive with the antenna so much farther ahead than declared.
+    part of it at once. `placed` estimates the drive with the antenna moved ahead, in metres.
     """
     if denied.ahead_m is None:
         return denied
@@ -172,7 +171,8 @@ def _value(one: Constant | None) -> float:
 def unsure_declared(
     table: PoseTable, drive: DriveEstimate, denied: DriveContradiction
 ) -> PoseTable:
-    """The same poses, their positions as unsure as they would be off. Neighbours share it."""
+    """The poses with positions as unsure as the contradicted declarations move them. Neighbours
+    share this error."""
     node = np.clip(np.searchsorted(drive.time_ns, table.time_ns), 0, len(denied.off_m) - 1)
     sigma_m = np.hypot(table.position_sigma_m, denied.off_m[node] / np.sqrt(2.0))
     return table._replace(position_sigma_m=sigma_m)

@@ -24,12 +24,12 @@ from fieldgrid.pose.table import PoseTable
 from fieldgrid.smoother import SlowDrift, slow_drift, wander
 
 CLEAR_NATS = 8.0
-"""Fixes drift only where that is likelier by so much: where the fixes of rendered drives are right,
+"""Fixes drift only where that is likelier by this: where the fixes of rendered drives are right,
 it is less likely by 5 at least."""
 
 EXPLAINED_NATS = 2.0
-"""It is no drift what an antenna, stamps and a gyro's scale that are off by what is usual explain
-by so much better, as an antenna does that an IMU, tilted by 5°, leans."""
+"""No drift is what usual errors of the antenna's place, of stamps and of a gyro's scale explain
+better by this, as an antenna does that an IMU, tilted by 5°, leans."""
 
 CLEAR_MISFIT = 5.5
 """Six numbers that are right are more sigmas away once in 20,000 drives."""
@@ -39,7 +39,7 @@ MOST_LEFT = 5.0
 with a drive, or not all of it. Simulated drives whose fixes drift have 1.4 to 2.1 left."""
 
 STATED_TIMES, LEAST_M = 3.0, 0.2
-"""A drift by less than so many times the stated error, or by this, is not worth a word: the camera
+"""A drift of less than this multiple of the stated error, or than this, is not reported: the camera
 itself makes as much."""
 
 
@@ -76,12 +76,10 @@ def drifts(
         stated_m = float(np.median(drive.measured.bias_m))
         open_m = 2.0 * math.sqrt(max(slow.sigma_m**2 - stated_m**2, 0.0))
         seen = Drifts(None, CLEAR_MISFIT * open_m < FAR_M)
-    certain = clocks.contradiction is not None and clocks.contradiction.is_certain
-    if denied.clear or certain or clocks.change is not None:
-        return seen
-    if clocks.offset is not None and clocks.offset.is_certain:
-        return seen
-    if turned is not None and turned.is_off:
+    by_clock = (clocks.contradiction, clocks.offset)
+    certain = any(one is not None and one.is_certain for one in by_clock)
+    imu_off = turned is not None and turned.is_off
+    if denied.clear or certain or imu_off or clocks.change is not None:
         return seen
     if len(drive.measured.step) and (found := _wandering(drive, axle)) is not None:
         return seen._replace(found=found)
@@ -109,7 +107,7 @@ def _is_large(extent_m: float, drive: DriveEstimate) -> bool:
 
 
 def unsure_drift(table: PoseTable, drive: DriveEstimate, drifts: Drifts) -> PoseTable:
-    """The same poses, as unsure as the fixes drift: nobody knows where these were right, so
+    """The poses, as unsure as the fixes drift: nobody knows where these were right, so
     positions by half of the drift along each axis."""
     found = drifts.found
     if found is None:

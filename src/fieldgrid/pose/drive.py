@@ -149,7 +149,7 @@ def with_recorded(
     recorded: RecordedHeadings,
     hints: GearHints,
 ) -> DriveEstimate:
-    """The same drive by its recorded headings, too: only what they change is estimated again,
+    """The drive by its recorded headings, too: only what they change is estimated again,
     unless they turn a gear around."""
     resting = drive.resting[np.flatnonzero(drive.fix >= 0)]
     found = station_gears(

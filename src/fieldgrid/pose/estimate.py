@@ -118,6 +118,8 @@ def estimate_poses(
     if lean is not None:
         trajectory = leaning(trajectory, lean, level_grids=level_grids)
     clocks = checks.clocks
+    # A contradiction by a gyro that is excused says itself why the gyro was left out.
+    silent = found.gyro_note is None or (checks.excused is not None and checks.denied.clear)
     report = PoseReport(
         conditioning=summarise(log.fixes, log.verdicts),
         attitude=None if lean is None else lean.attitude,
@@ -134,7 +136,7 @@ def estimate_poses(
         wheel_scale=drive.smoothed.wheel_scale,
         unseen=unseen_faults(drive, rig, drift_shown=checks.drifts.is_shown),
         notes=(
-            *checks.gyro_notes(found),
+            *(() if silent else (found.gyro_note,)),
             *(*found.notes, *notes),
             *(unsure_notes(log.accepted) if settings.accuracy_m is None else ()),
             *slope_notes(slope, axle.vehicle),
@@ -155,11 +157,6 @@ class _Checks(NamedTuple):
     denied: DriveContradiction
     drifts: Drifts
     excused: GyroExcuse | None
-
-    def gyro_notes(self, found: Fusion) -> tuple[str, ...]:
-        """Why the gyro was changed or left out; of one that is excused, what it denies says so."""
-        excuses = self.excused is not None and self.denied.clear
-        return () if found.gyro_note is None or excuses else (found.gyro_note,)
 
 
 def _checked(
@@ -188,9 +185,7 @@ def _checked(
         excuse = excused(found, declared)
     if excuse is not None:
         denied = excuse.denied
-    seen = Drifts()
-    if smooth:
-        seen = drifts(drive, found.axle, denied, clocks, found.imu_turn)
+    seen = drifts(drive, found.axle, denied, clocks, found.imu_turn) if smooth else Drifts()
     return _Checks(clocks, yaw, denied, seen, excuse)
 
 
@@ -324,9 +319,8 @@ def _carried(table: PoseTable, rig: VehicleGeometry | None, source: HeadingSourc
     """Rows carried to the grid origin."""
     if rig is None:
         return table
-    point = rig.antenna
-    if source.kind == "smooth":
-        point = LeverArm(0.0, axle_forward_m(rig), 0.0)
+    axle = LeverArm(0.0, axle_forward_m(rig), 0.0)
+    point = axle if source.kind == "smooth" else rig.antenna
     east_m, north_m = carry_lever(table.east_m, table.north_m, table.heading_deg, point)
     return table._replace(east_m=east_m, north_m=north_m, up_m=table.up_m - rig.antenna.up_m)
 

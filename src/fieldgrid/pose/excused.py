@@ -31,12 +31,12 @@ MOST_NODES = 3_000
 """Of a longer drive the part that turns most is tried first, since there are up to 50 estimates."""
 
 FAR_OFF, MORE_FAR_OFF = 5.0, 0.01
-"""A fix that lies beside the drive by so many times its noise does not fit it. With a gyro that is
-right no larger share of them does than without it, and with one that is wrong 0.03 to 0.9 more: it
-fits a drive that leaves the fixes."""
+"""A fix that lies beside the drive by this multiple of its noise does not fit it. With a gyro that
+is right no larger share of them does than without it, and with one that is wrong 0.03 to 0.9 more:
+it fits a drive that leaves the fixes."""
 
 LEFT_SHARE = 0.25
-"""At most so much is left of what the gyro contradicted."""
+"""Largest share that is left of what the gyro contradicted."""
 
 
 class GyroExcuse(NamedTuple):
@@ -48,7 +48,7 @@ class GyroExcuse(NamedTuple):
     unsure_deg: Float64
 
     def unsure_at(self, time_ns: Int64) -> Float64:
-        """The same at other instants."""
+        """By how much headings are unsure at other instants, degrees."""
         return np.asarray(np.interp(time_ns, self.time_ns, self.unsure_deg))
 
 

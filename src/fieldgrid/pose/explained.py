@@ -40,7 +40,7 @@ many times as many with the scale as it is. Random drives (`benchmarks.late_fixe
 left by the one, 3 to 80 by the other."""
 
 SLIGHT = 0.5
-"""What is no more than such a share of the least that is named is as it seems in one step: there a
+"""A correction of at most this share of the least that is named is taken from one step: there a
 path hardly bends."""
 
 LEAST_MPS = 0.1
@@ -116,9 +116,8 @@ def explained(
     either. Where neither does, nothing is clearly denied, and positions stay as unsure. Positions
     of a log alone are the antenna's, wherever on the `vehicle` that sits."""
     declared = drive.smoothed.declared
-    if found.has_camera() or drive.headings_recorded or not drive.at.has_gyro():
-        return denied
-    if declared.misfit_but_scale < MOST_MISFIT:
+    by_gyro = drive.at.has_gyro() and not found.has_camera() and not drive.headings_recorded
+    if not by_gyro or declared.misfit_but_scale < MOST_MISFIT:
         return denied
     tried = _slight(declared, vehicle) or explanation(found._replace(drive=drive), vehicle)
     if tried is None:
@@ -136,7 +135,7 @@ def explained(
 
 
 def _slight(declared: DeclaredCorrection, vehicle: VehicleGeometry | None) -> Explanation | None:
-    """What explains a contradiction by so little that no other estimate is needed; None where
+    """A small correction that explains a contradiction without another estimate; None where
     nothing does, or what may be it is more than that."""
     one_step = {LATE: (declared.late_s.sigma, LEAST_DELAY_S)}
     if names_axle(vehicle):
@@ -167,10 +166,9 @@ def explanation(
     if usual_mps < LEAST_MPS:
         return None
     delay = UNTOLD if late_s is None else _delay(found, usual_mps, late_s)
-    place = UNTOLD
     # Where nobody says how far ahead of the axle the antenna sits, its place is free already.
-    if ahead_m is not None and names_axle(vehicle):
-        place = _place(found, ahead_m)
+    free = not names_axle(vehicle)
+    place = UNTOLD if ahead_m is None or free else _place(found, ahead_m)
     return Explanation(place, delay)
 
 

@@ -257,7 +257,7 @@ def conditioned(
 def conditioned_again(
     log: ConditionedLog, settings: PoseSettings, strays: Mapping[int, str]
 ) -> ConditionedLog:
-    """The same log judged without `strays`, as in `condition`."""
+    """The log judged again without the fixes `strays`, as in `condition`."""
     verdicts = condition(log.fixes, settings.gnss, strays, log.twice)
     if not verdicts.ok.any():
         raise GnssError(no_fix_sentence(log.fixes, verdicts))

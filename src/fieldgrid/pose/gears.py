@@ -32,14 +32,15 @@ WINDING_NS = 2_000_000_000
 """Between courses that are farther apart a vehicle may turn by more than half a circle."""
 
 WINDING_DEG = 90.0
-"""A vehicle that turns by so much along a chord does so on the spot, maybe by more than half a
-circle, and the chord is no course."""
+"""A vehicle that turns by more than this along a chord does so on the spot, maybe by more than half
+a circle, and the chord is no course."""
 
 STEP_NATS, WHEEL_NATS, RECORDED_NATS = 8.0, 2.0, 4.0
 """How strongly a camera's step, a wheel's and a compass's sign speak of the gear."""
 
 UNSIGNED_NATS = 0.3
-"""The same of wheels that never turn back: they may not know how."""
+"""How strongly the sign of wheels that never turn back speaks of the gear: they may not know
+how."""
 
 TELL_GEARS = "say --starts forward or --starts reverse, or give --gear FILE with spans"
 

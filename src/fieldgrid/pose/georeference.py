@@ -25,7 +25,7 @@ FREEDOM, ROUNDS = 4.0, 50
 """Of Student's distribution, by which fixes err; and rounds of reweighting."""
 
 SLOW_S = 300.0
-"""The slow error of a receiver changes in so many seconds (as in the batch estimate)."""
+"""Time in which the slow error of a receiver changes (as in the batch estimate)."""
 
 WINDOWS_M = (20.0, 40.0, 80.0, 160.0, 320.0, 640.0)
 """Ways over which the turn of the poses against the fixes is measured, to see it drift: the

@@ -293,9 +293,8 @@ def _at_origin(
         return table
     down_m = np.array([0.0, 0.0, -rig.mount.height_m])
     level = R_level_vehicle(poses.roll_deg, poses.pitch_deg)
-    moved = np.broadcast_to(down_m, (len(table.time_ns), 3))
-    if not level_grids:
-        moved = (R_enu_level(table.heading_deg) @ level) @ down_m
+    own = (R_enu_level(table.heading_deg) @ level) @ down_m
+    moved = np.broadcast_to(down_m, own.shape) if level_grids else own
     return table._replace(
         east_m=table.east_m + moved[:, 0],
         north_m=table.north_m + moved[:, 1],

@@ -22,14 +22,14 @@ MOST_SCALE = 0.25
 """No gyro's scale is off by a larger share; what is has wrong axes or units."""
 
 REACH_M, REACH_NOISES, MOST_S = 1.5, 10.0, 10.0
-"""The path's turn is that between chords of this length, or of so many times the noise, driven in
-at most this time each."""
+"""The path's turn is that between chords of this length, or of this multiple of the noise, driven
+in at most this time each."""
 
 LEAST_TURN_RAD = np.radians(3.0)
 """Turns that scatter by less tell nothing."""
 
 MOST_PERIODS = 2.5
-"""Fixes that are farther apart than so many usual ones have a hole between them."""
+"""Fixes that are farther apart than this number of usual periods have a hole between them."""
 
 LEAST_UP_MPS2 = 5.0
 """An accelerometer that is the right way up feels twice as much of gravity."""
@@ -38,24 +38,24 @@ MOST_TURN_RAD = np.radians(60.0)
 """A path that turns by more within two chords has a cusp."""
 
 WRONG_RATIO, WRONG_SIGMAS, RELATED_SIGMAS = 0.4, 5.0, 2.5
-"""A gyro that tells another share of the path's turns, by more than this and by so many sigmas, has
+"""A gyro that differs from the path's turns by more than this share and this number of sigmas has
 wrong axes or units: an antenna ahead of the axle or a scale make less."""
 
 FEWEST_TURNS, HUBER, ROUNDS = 6, 1.5, 8
 
 UNUSUAL_SCALE = 0.12
-"""A scale that is off by so much, three times what is usual, is as likely another fault of the
+"""A scale that is off by this, three times what is usual, is as likely another fault of the
 gyro, or of the fixes; one that is off by half of it a quarter of that."""
 
 PLAUSIBLE_RATIO = 0.3
-"""A gyro that tells the path's turns but for such a share has the right axes and units."""
+"""A gyro that differs from the path's turns by at most this share has the right axes and units."""
 
 STEADY_M = 0.1
 """Fixes that state less do not wander: the gyro is wrong."""
 
 DOUBT, DOUBTFUL_SHARE = 0.02, 0.1
-"""Where a gear is in more doubt in more than such a share of the drive, it may be wrong, which
-contradicts a gyro as well."""
+"""Where the doubt of gears is larger than the first in more than the second as a share of the
+drive, gears may be wrong, which contradicts a gyro as well."""
 
 NEAR_S = 2.0
 """Two headings that cross agree for a moment; how far they are apart is the most around it."""
@@ -79,7 +79,7 @@ class GyroVerdict(NamedTuple):
     note: str | None = None
 
     def unsure_at(self, time_ns: Int64) -> Float64:
-        """The same at other instants."""
+        """By how much headings are unsure at other instants, degrees."""
         return np.asarray(np.interp(time_ns, self.drive.time_ns, self.unsure_deg))
 
 
@@ -91,7 +91,8 @@ class TurnRatio(NamedTuple):
 
     @property
     def is_wrong(self) -> bool:
-        """Whether no gyro with the right axes and units is so far off."""
+        """Whether the ratio is farther from 1 than that of any gyro with the right axes and
+        units."""
         # Turns that have nothing to do with each other are of other moments: a clock is wrong.
         related = abs(self.value) > RELATED_SIGMAS * self.sigma
         return related and abs(self.value - 1.0) > max(WRONG_RATIO, WRONG_SIGMAS * self.sigma)
@@ -255,7 +256,7 @@ def apart_deg(one: DriveEstimate, other: DriveEstimate) -> Float64:
 
 
 def scaled(motion: Motion, size: float) -> Motion:
-    """The same with the rates of the IMU times `size`."""
+    """The motion with the rates of the IMU times `size`."""
     gyro, sensed = motion.gyro, motion.inertial
     if gyro is not None:
         gyro = gyro._replace(rate_rad_s=size * gyro.rate_rad_s)

@@ -19,11 +19,11 @@ from fieldgrid.pose.leaps import usual_period_s
 from fieldgrid.pose.nodes import GYRO_HOLE_NS
 
 LEAST_CHORD_M, CHORD_NOISES, MOST_CHORD_S = 1.0, 6.0, 10.0
-"""A line is that between fixes so far apart, and by so many times their noise, in at most this
-time."""
+"""A line joins two fixes that are farther apart than this, and than this multiple of their noise,
+within this time."""
 
 MOST_PERIODS = 2.5
-"""Fixes that are farther apart than so many usual ones have a hole between them."""
+"""Fixes that are farther apart than this number of usual periods have a hole between them."""
 
 STRETCH_S, MOST_LINES, FEWEST_LINES = 40.0, 60, 3
 """Lines are compared within stretches, over which a gyro's bias is constant."""
@@ -40,7 +40,8 @@ _BIASES = np.radians(np.linspace(-2.0, 2.0, 21))
 _LINES = np.radians(np.arange(0.0, 180.0, 5.0))
 
 CLEAR_NATS, ENOUGH_NATS = 4.0, 30.0
-"""The sense is known when one is likelier by so much; by the other nobody looks further."""
+"""The sense is known from the first log likelihood ratio on; from the second on no further evidence
+is sought."""
 
 LITTLE_TURN_RAD, LITTLE_TURN_S = np.radians(10.0), 10.0
 """Where a gyro never turns by more in this time, its sense hardly matters."""

@@ -103,7 +103,7 @@ def measurements(
 def with_headings(
     measured: Measurements, fixes: AcceptedFixes, at: Nodes, recorded: RecordedHeadings
 ) -> Measurements:
-    """The same with the headings that were recorded with the fixes."""
+    """The measurements with the headings that were recorded with the fixes."""
     has = at.fix >= 0
     heading = np.full(len(at.time_ns), np.nan)
     sigma = heading.copy()

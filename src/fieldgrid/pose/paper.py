@@ -19,7 +19,7 @@ STANDING_MPS = 0.1
 
 
 def constant_heading(count: int, heading_deg: float) -> Course:
-    """The same heading everywhere."""
+    """A constant heading at `count` fixes."""
     return _known(np.full(count, heading_deg), np.full(count, CONSTANT_SIGMA_DEG))
 
 

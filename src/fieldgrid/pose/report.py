@@ -115,7 +115,7 @@ class PoseReport:
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    """The same with None for NaN."""
+    """The values with None in place of NaN."""
     return {name: None if value != value else value for name, value in values.items()}
 
 

@@ -20,12 +20,12 @@ LEAST_M = 0.1
 """A smaller leap is none."""
 
 FREE_SIGMAS = 3.0
-"""What motion and noise may do at a leap is so many sigmas of how well its size is known."""
+"""Largest step that motion and noise explain at a leap, in sigmas of its size."""
 
 RETURN_TRUST, MOST_RETURNS = 10.0, 3.0
 """A solution is right with the probability of its share of the drive, but one that a drive comes
-back to from another is so much the likelier for each return, up to so many: a wrong one is seldom
-found twice."""
+back to from another is likelier by this factor for each return, up to this number of returns: a
+wrong one is seldom found twice."""
 
 SAME_SHARE = 0.3
 """Solutions are the same when they lie apart by this share of the usual leap between them."""

@@ -19,11 +19,11 @@ from fieldgrid.pose.seams import LEAST_M, SeenLeap
 from fieldgrid.rig import LeverArm
 
 CLEAR_SIGMAS, STATED_SIGMAS = 5.0, 3.0
-"""A leap is larger than so many sigmas of what the camera tells, and of what fixes state."""
+"""Least size of a leap in sigmas of what the camera tells, and in sigmas that fixes state."""
 
 WORTH_SIGMAS = 4.0
-"""Between fixes that follow each other only what is larger than so many sigmas of their noise is
-looked at, and it counts where the camera says the same."""
+"""Between fixes that follow each other, only steps of more than this number of sigmas of their
+noise are examined; they count where the camera says the same."""
 
 SAME_SHARE = 0.5
 """What fixes and camera make of a leap differs by no more than this share of it."""

@@ -19,8 +19,8 @@ from fieldgrid.pose.nodes import seconds
 from fieldgrid.pose.table import ConditionedLog
 
 STRAY_SIGMAS, STRAY_M = 10.0, 0.3
-"""A fix lies beside the drive when it is off by so many sigmas of its noise, and by so much; by so
-much it also leaves it, and comes back."""
+"""A fix lies beside the drive when it is off by this number of sigmas of its noise, and by this
+distance; by as much the fixes leave the drive, and come back."""
 
 LONGEST_S = 3.0
 """Of fixes that are off for longer it is not known who is wrong."""

@@ -29,7 +29,7 @@ class ErrorBudget(NamedTuple):
 
 
 OFFSET_SIGMAS, LEAST_OFFSET_M = 2.0, 0.1
-"""Poses may lie from their fixes by so many times what these state, and by this in any case."""
+"""Poses may lie from their fixes by this multiple of what these state, and by this in any case."""
 
 
 def refusals(table: PoseTable, settings: PoseSettings, budget: ErrorBudget | None) -> list[str]:

@@ -98,7 +98,7 @@ def smooth(
 def refine(
     known: SmoothedDrive, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
 ) -> SmoothedDrive:
-    """The same drive by other measurements at its nodes, with the steering that was learnt."""
+    """The drive by other measurements at its nodes, with the steering that was learnt."""
     problem = SmoothingProblem.of(measured, lever_m, step_ahead_m)
     weights = stated_weights(measured, known.steering)
     found = converged(problem, known.state, np.zeros(CONSTANTS), weights)

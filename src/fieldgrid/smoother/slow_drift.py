@@ -27,7 +27,7 @@ from fieldgrid.smoother.rounds import (
 )
 
 SHAPES = 3
-"""The cosines of so many halves of a period over the drive: there, there and back, and once more.
+"""Number of cosines, of 1, 2 and 3 halves of a period over the drive.
 What changes faster is that of a solution that converges."""
 
 DRIFT_SIGMA_M = 5.0
