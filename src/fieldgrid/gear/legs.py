@@ -258,20 +258,21 @@ def _joined(
     # A cut belongs to the later leg and ends the earlier one; a gap has two sides.
     end = one[1] if gap_s else one[1] + 1
     before, after = track.points_m[one[0] : end], track.points_m[two[0] : two[1]]
-    out, into = _chord_deg(before[::-1]), _chord_deg(after)
+    chords = _chord_deg(before[::-1]), _chord_deg(after)
+    (out, out_m, back), (into, into_m, on) = chords
     hole_m, carried = 0.0, 0.0
     if gap_s:
         hole_m = seen.usual_mps * gap_s
-        carried = _carried_nats(track, (one[0], end - 1, two[0]), (out, into), seen)
-    if min(out.length_m, into.length_m) == 0.0:
+        carried = _carried_nats(track, (one[0], end - 1, two[0]), chords, seen)
+    if min(out_m, into_m) == 0.0:
         return _Join(*pair, skipped, skipped, hole_m, carried)
     # A chord has the direction of its middle.
-    turned = float(track.turned_deg[end - out.to // 2 : two[0] + into.to // 2 + 1].sum())
+    turned = float(track.turned_deg[end - back // 2 : two[0] + on // 2 + 1].sum())
     known = bool(np.isfinite(turned))
-    noise_deg = np.degrees(1.5 * track.sigma_m[two[0]] / min(out.length_m, into.length_m))
+    noise_deg = np.degrees(1.5 * track.sigma_m[two[0]] / min(out_m, into_m))
     unseen_deg = 0.0 if known else UNSEEN_TURN_SHARE * seen.fastest_dps * gap_s
     sigma = np.hypot(np.hypot(GYRO_TURN_DEG if known else NOSE_TURN_DEG, noise_deg), unseen_deg)
-    beyond_deg = into.bearing_deg - (out.bearing_deg + 180.0) - (turned if known else 0.0)
+    beyond_deg = into - (out + 180.0) - (turned if known else 0.0)
 
     def cost(nose_turn_deg: float) -> float:
         return min(0.5 * (float(wrap_deg(nose_turn_deg)) / float(sigma)) ** 2, TURN_COST_CAP)
@@ -284,7 +285,7 @@ def _joined(
 def _carried_nats(
     track: GearEvidence,
     edge: tuple[int, int, int],
-    chords: tuple[_Chord, _Chord],
+    chords: tuple[tuple[float, float, int], tuple[float, float, int]],
     seen: TurningSeen,
 ) -> float:
     """The nats by which positions say that a vehicle drove on in a hole: `edge` is where the leg
@@ -347,21 +348,13 @@ def turning_seen(track: GearEvidence) -> TurningSeen:
     )
 
 
-class _Chord(NamedTuple):
-    """The bearing and the length of a leg's first or last piece, and the point where it ends."""
-
-    bearing_deg: float
-    length_m: float
-    to: int
-
-
-def _chord_deg(points: Float64) -> _Chord:
+def _chord_deg(points: Float64) -> tuple[float, float, int]:
     """Direction from the first of the points to the first beyond a tangent's reach (or to the
     farthest), degrees, how far that is, and which point it is."""
     away = np.hypot(*(points - points[0]).T)
     beyond = np.flatnonzero(away >= TANGENT_REACH_M)
     to = int(beyond[0]) if beyond.size else int(np.argmax(away))
-    return _Chord(float(heading_deg(*(points[to] - points[0]))), float(away[to]), to)
+    return float(heading_deg(*(points[to] - points[0]))), float(away[to]), to
 
 
 def _likeliest(own: Float64, joins: list[_Join], habits: Habits) -> tuple[Int64, Float64, Bool]:

@@ -106,7 +106,8 @@ class ClockSearch:
         """The path of `drive` as it is without its camera. `steps` holds at least one."""
         found, (lever_m, ahead_m) = drive.smoothed, axle.frame()
         if len(drive.measured.step):
-            found = refine(found, drive.measured.without_steps(), lever_m, ahead_m)
+            no_steps = np.zeros(len(drive.measured.step), np.bool_)
+            found = refine(found, drive.measured.with_steps(no_steps), lever_m, ahead_m)
         self._steps, self._ahead_m = steps, ahead_m
         self._time_ns = drive.time_ns
         self._east_m, self._north_m, self._phi_rad = found.state[:, : model.PHI + 1].T

@@ -90,10 +90,11 @@ def drifts(
 
 def _wandering(drive: DriveEstimate, axle: Axle) -> Drift | None:
     """A drift at random, faster than the slow ones."""
-    found = wander(drive.smoothed, drive.measured, *axle.frame())
-    likely = found.nats > CLEAR_NATS and found.unexplained_nats > -EXPLAINED_NATS
-    large = _is_large(found.extent_m, drive)
-    return Drift(found.extent_m, found.turned_rad) if large and likely else None
+    nats, unexplained_nats, extent_m, turned_rad = wander(
+        drive.smoothed, drive.measured, *axle.frame()
+    )
+    likely = nats > CLEAR_NATS and unexplained_nats > -EXPLAINED_NATS
+    return Drift(extent_m, turned_rad) if likely and _is_large(extent_m, drive) else None
 
 
 def _is_told(slow: SlowDrift, drive: DriveEstimate) -> bool:

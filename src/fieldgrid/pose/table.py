@@ -13,7 +13,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import CountedTwice, Verdicts
 from fieldgrid.pose.accepted import AcceptedFixes, fix_offsets
 from fieldgrid.pose.drive import DriveEstimate
-from fieldgrid.pose.paper import constant_heading, course_heading, recorded_heading
+from fieldgrid.pose.paper import CONSTANT_SIGMA_DEG, course_heading, stated_heading
 from fieldgrid.pose.settings import HeadingSource
 from fieldgrid.pose.verdict import jumps
 from fieldgrid.quality import Quality
@@ -83,9 +83,10 @@ def pose_table(
     if source.kind == "course":
         found = course_heading(log.accepted, rig, settings)
     elif source.kind == "recorded":
-        found = recorded_heading(recorded_deg, log.accepted.recorded_sigma_deg)
+        found = stated_heading(recorded_deg, log.accepted.recorded_sigma_deg)
     else:
-        found = constant_heading(len(log.accepted.time_ns), source.constant_deg)
+        constant_deg = np.full(len(log.accepted.time_ns), source.constant_deg)
+        found = stated_heading(constant_deg, np.full_like(constant_deg, CONSTANT_SIGMA_DEG))
     rows = _paper_table(log, drive, found, settings)
     return rows, np.arange(len(log.fixes), dtype=np.int64)
 

@@ -157,15 +157,10 @@ def _told(
 ) -> tuple[Float64, Float64, Float64]:
     """Response, information and right side of the tested declarations: see :func:`told_by`."""
     measured = problem.measured
-    tested = couplings(
-        found.x,
-        measured.fix_m,
-        found.weights.fix,
-        problem.lever_m,
-        measured.turned_rad,
-        np.diff(measured.time_s),
+    fixes = measured.fix_m, found.weights.fix, problem.lever_m
+    return told_by(
+        linear, *couplings(found.x, *fixes, measured.turned_rad, np.diff(measured.time_s))
     )
-    return told_by(linear, *tested)
 
 
 def told_by(
