@@ -98,7 +98,7 @@ class Explanation(NamedTuple):
         if not moves and self.is_place:
             late_s = None  # it may as well be the place, which is not to be told here
         # How far the vehicle is at each node from where it is by the gyro's clock, by which its
-        # fixes are later. If it starts in between, that is farther than its speed tells.
+        # fixes are late. Where it starts in between, that is farther than its speed tells.
         later_ns = drive.time_ns + round(by_stamps_s * 1e9)
         of = (np.interp(later_ns, drive.time_ns, one) for one in (drive.east_m, drive.north_m))
         apart_m = np.hypot(

@@ -198,7 +198,7 @@ def first_guess(
         # From one course to the next nobody turns by more than half a circle, but in a hole or on
         # the spot. The gyro's bias, a degree a second, leaves no doubt which way it was.
         # By how much the vehicle was seen to turn until each node [n], counted only in long gaps
-        # between the instants, and there where all of it was seen (`turned_rad` [n - 1], NaN: not).
+        # between the instants, and there where all of it was seen (`seen_rad` [n - 1], NaN: not).
         gap = np.searchsorted(times, at.time_ns[:-1], side="right")
         unseen = np.bincount(gap[np.isnan(seen_rad)], minlength=len(times) + 1)
         length_ns = np.diff(times, prepend=times[:1], append=times[-1:])

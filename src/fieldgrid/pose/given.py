@@ -87,19 +87,7 @@ def place_poses(
     `tilt` says how the vehicle leans, as far as that is known. Raises GnssError where fixes and
     poses do not fit together or nothing tells where these lie, ConfigError for half a declaration.
     """
-    # The poses, and between them one for each accepted fix.
-    fix_ns = np.zeros(0, dtype=np.int64) if log is None else log.accepted.time_ns
-    inside = _within(fix_ns, poses.time_ns)
-    time_ns = np.union1d(poses.time_ns, fix_ns[inside])
-    fix = np.full(len(time_ns), -1, dtype=np.int64)
-    fix[np.searchsorted(time_ns, fix_ns[inside])] = np.flatnonzero(inside)
-    first_ns = poses.time_ns[0]
-    columns = poses._replace(heading_deg=np.unwrap(poses.heading_deg, period=360.0))[1:]
-    joint = GivenPoses._make(
-        [time_ns, *(np.interp(time_ns - first_ns, poses.time_ns - first_ns, c) for c in columns)]
-    )
-    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(joint.x_m), np.diff(joint.y_m)))])
-    rows = GivenRows(joint, way_m, fix)
+    rows = _with_fixes(poses, log)
     pairs = _pairs(rows, log, rig)
     # Where the frame lies, and whether the body's forward axis is the vehicle's.
     found = _georeference(poses, pairs, log, datum, settings)
@@ -125,6 +113,22 @@ def place_poses(
             "estimated from fixes and motion."
         )
     return PlacedPoses(trajectory, fix_row, found, attitude, pairs, tuple(notes))
+
+
+def _with_fixes(poses: GivenPoses, log: ConditionedLog | None) -> GivenRows:
+    """The poses, and between them one for each accepted fix."""
+    fix_ns = np.zeros(0, dtype=np.int64) if log is None else log.accepted.time_ns
+    inside = _within(fix_ns, poses.time_ns)
+    time_ns = np.union1d(poses.time_ns, fix_ns[inside])
+    fix = np.full(len(time_ns), -1, dtype=np.int64)
+    fix[np.searchsorted(time_ns, fix_ns[inside])] = np.flatnonzero(inside)
+    first_ns = poses.time_ns[0]
+    columns = poses._replace(heading_deg=np.unwrap(poses.heading_deg, period=360.0))[1:]
+    joint = GivenPoses._make(
+        [time_ns, *(np.interp(time_ns - first_ns, poses.time_ns - first_ns, c) for c in columns)]
+    )
+    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(joint.x_m), np.diff(joint.y_m)))])
+    return GivenRows(joint, way_m, fix)
 
 
 def _within(wanted_ns: Int64, pose_ns: Int64) -> Bool:
