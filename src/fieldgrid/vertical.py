@@ -90,7 +90,7 @@ def misalignment(pairs: Sequence[Float64], size_px: tuple[int, int]) -> Misalign
 
 
 def drive_misalignment(pairs: Sequence[Float64], size_px: tuple[int, int]) -> Misalignment | None:
-    """That of the pairs of a drive, in order of time, together; or of those before or after some
+    """Misalignment of all pairs of a drive, in order of time; or of those before or after some
     moment where only these are so far off that matching fails, since a camera was pushed."""
     whole = misalignment(pairs, size_px)
     if whole is not None and whole.residual_px > SHIFT_ERROR_PX:

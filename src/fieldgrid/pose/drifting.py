@@ -21,7 +21,7 @@ from fieldgrid.pose.denied import FAR_M, DriveContradiction, sees_way
 from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.imu_turn import ImuTurn
 from fieldgrid.pose.table import PoseTable
-from fieldgrid.smoother import SlowDrift, slow_drift, wander
+from fieldgrid.smoother import slow_drift, wander
 
 CLEAR_NATS = 8.0
 """Fixes drift only where that is likelier by this: where the fixes of rendered drives are right,
@@ -83,7 +83,9 @@ def drifts(
         return seen
     if len(drive.measured.step) and (found := _wandering(drive, axle)) is not None:
         return seen._replace(found=found)
-    if slow is not None and _is_told(slow, drive):
+    # A slow drift that is there, and explains what does not fit.
+    clear = slow is not None and slow.misfit > CLEAR_MISFIT and slow.left < MOST_LEFT
+    if slow is not None and clear and _is_large(slow.extent_m, drive):
         return seen._replace(found=Drift(slow.extent_m, slow.turned_rad))
     return seen
 
@@ -95,12 +97,6 @@ def _wandering(drive: DriveEstimate, axle: Axle) -> Drift | None:
     )
     likely = nats > CLEAR_NATS and unexplained_nats > -EXPLAINED_NATS
     return Drift(extent_m, turned_rad) if likely and _is_large(extent_m, drive) else None
-
-
-def _is_told(slow: SlowDrift, drive: DriveEstimate) -> bool:
-    """Whether a slow drift is there, and explains what does not fit."""
-    clear = slow.misfit > CLEAR_MISFIT and slow.left < MOST_LEFT
-    return clear and _is_large(slow.extent_m, drive)
 
 
 def _is_large(extent_m: float, drive: DriveEstimate) -> bool:

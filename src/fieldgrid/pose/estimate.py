@@ -192,7 +192,7 @@ def _checked(
 def _with_recorded(
     found: Fusion, recorded: RecordedHeadings, ahead_m: float = 0.0
 ) -> DriveEstimate:
-    """The drive by its recorded headings, too, with the antenna so much farther ahead."""
+    """The drive by its recorded headings, too, with the antenna `ahead_m` farther ahead."""
     if not np.isfinite(recorded.heading_deg).any():
         return found.drive
     axle = with_antenna_moved(found.axle, ahead_m) if ahead_m else found.axle

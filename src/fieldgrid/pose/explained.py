@@ -100,10 +100,8 @@ class Explanation(NamedTuple):
         # How far the vehicle is at each node from where it is by the gyro's clock, by which its
         # fixes are late. Where it starts in between, that is farther than its speed tells.
         later_ns = drive.time_ns + round(by_stamps_s * 1e9)
-        of = (np.interp(later_ns, drive.time_ns, one) for one in (drive.east_m, drive.north_m))
-        apart_m = np.hypot(
-            *(one - was for one, was in zip(of, (drive.east_m, drive.north_m), strict=True))
-        )
+        places = (drive.east_m, drive.north_m)
+        apart_m = np.hypot(*(np.interp(later_ns, drive.time_ns, one) - one for one in places))
         off_m = np.maximum(by_place_m, np.maximum(apart_m, np.abs(by_stamps_s * drive.speed_mps)))
         either = ahead_m is not None and late_s is not None
         return DriveContradiction(None, ahead_m, late_s, off_m, either)
