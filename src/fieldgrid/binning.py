@@ -63,7 +63,7 @@ def bin_pixels(  # type: ignore[no-untyped-def]
 
 @kernel
 def bin_points(points, R_level_sensor, height_m, ground_m, cell_m, bottom_m, top_m):  # type: ignore[no-untyped-def]
-    """The same of points float32 [n, 3] in the sensor's frame, `height_m` above the ground's plane.
+    """Bin points float32 [n, 3] in the sensor's frame, `height_m` above the ground's plane.
 
     Points come in any order, so a processor guesses badly which of them are counted. Those inside
     are moved together, and those beyond the slice are counted in a place that nobody reads.

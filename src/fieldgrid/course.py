@@ -117,13 +117,8 @@ def cusps(points: Float64, sigma_m: Float64, baseline_m: float) -> list[int]:
         while k < len(points) and turning[k] > CUSP_DEG:
             k += 1
         feet = (points[before[run]] + points[after[k - 1]]) / 2.0
-        found.append(run + _farthest(points[run:k], feet))
+        found.append(run + int(np.argmax(np.hypot(*(points[run:k] - feet).T))))
     return found
-
-
-def _farthest(points: Float64, feet: Float64) -> int:
-    """The tip of a path that turns back: of these points the one farthest from its feet."""
-    return int(np.argmax(np.hypot(*(points - feet).T)))
 
 
 def _legs(points: Float64, sigma_m: Float64, baseline_m: float) -> list[tuple[int, int]]:
@@ -202,15 +197,11 @@ def _direction(
     )
     tangent_deg = float(np.degrees(np.arctan(slope)))
     noise_deg = np.degrees(slope_sigma / (1.0 + slope * slope))
-    sigma_deg = float(np.hypot(noise_deg, TURN_SHARE * _turn_deg(window)))
-    return float(heading_deg(*chord)) + tangent_deg, sigma_deg, span_m
-
-
-def _turn_deg(window: Float64) -> float:
-    """By how much the path turns between the halves of a window, degrees, >= 0."""
     middle = len(window) // 2
     first, second = window[middle] - window[0], window[-1] - window[middle]
-    return abs(float(wrap_deg(heading_deg(*second) - heading_deg(*first))))
+    turn_deg = abs(float(wrap_deg(heading_deg(*second) - heading_deg(*first))))
+    sigma_deg = float(np.hypot(noise_deg, TURN_SHARE * turn_deg))
+    return float(heading_deg(*chord)) + tangent_deg, sigma_deg, span_m
 
 
 def _slope_at_zero(

@@ -15,11 +15,13 @@ from fieldgrid.array_types import AnyArray, Bool, Float64
 from fieldgrid.kernel import kernel
 
 WIDEST_GAP, GAP_RISE_M = 8, 0.1
-"""A step is looked for between patches that are at most so many apart, as a drop of 1 m hides 4 m
-of ground. It is at least as steep as the line of sight past its edge, which is 1:5 at 10 m."""
+"""Largest number of patches between the two sides of a step, and its least rise: a drop of 1 m
+hides 4 m of ground. It is at least as steep as the line of sight past its edge, which is 1:5 at 10
+m."""
 
 LEAST_DROP_M = 0.1
-"""Ground that falls so much from one patch to the next is a drop: 15 cm read as 11 to 13."""
+"""Ground that falls by more than this from one patch to the next is a drop: 15 cm read as 11 to
+13."""
 
 STEEPEST = math.tan(math.radians(15.0))
 """What is less steep is no drop. Past an edge ground shows where the line of sight meets it, so if
@@ -33,7 +35,7 @@ EVEN_M = 0.04
 more than this."""
 
 RIM_PATCHES, RIMS, DROPS = 2, 2, 4
-"""An edge is taken to go on for so many patches where it was not found. Within as many of each
+"""An edge is continued by this number of patches where it was not found. Within as many of each
 other lie two patches before an edge and four at it, or it is noise."""
 
 

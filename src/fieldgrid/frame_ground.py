@@ -23,7 +23,7 @@ from fieldgrid.grids import (
 from fieldgrid.ground import PATCH_M, GroundPlane
 
 MOST_ABOVE_M = 100.0
-"""No ground is seen that lies so much higher or lower than the vehicle."""
+"""No ground is seen that lies farther above or below the vehicle than this."""
 
 TERRAIN_M = 0.2
 """Heights of the ground, which is followed in patches of half a metre, are kept for blocks of this

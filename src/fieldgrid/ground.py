@@ -55,7 +55,7 @@ BANK_M = 0.1
 
 DROP_M, WIDEST_DITCH = 0.15, 4
 """Ground that falls more than this from one patch to the next may rise again as much behind a ditch
-of at most so many patches: a slope of 15° falls 0.13 m."""
+of at most this number of patches: a slope of 15° falls 0.13 m."""
 
 STANDING_M, STANDING_SHARE, NEAR = 0.10, 0.05, 2
 """A patch with more than this share of its points so far above all ground of the patches up to the
@@ -225,7 +225,7 @@ def collect_heights(disparity, row_start, depth_m, ray, du, dv, offset_m, half_w
 
 @kernel
 def collect_point_heights(points, R_level_sensor, height_m, half_width_m, counts):  # type: ignore[no-untyped-def]
-    """The same of points float32 [n, 3] of the sensor's frame, all of them."""
+    """Collect the heights of all points float32 [n, 3] in the sensor's frame."""
     ny, nx, _ = counts.shape
     per_patch, per_bin = np.float32(1.0 / PATCH_M), np.float32(1.0 / BIN_M)
     deepest = np.float32(BINS / 2 - DEEP_M / BIN_M)

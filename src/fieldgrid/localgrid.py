@@ -191,23 +191,7 @@ class LocalGridder:
         ground_m = local_ground(patches, spec, self._within)
         counts = self._count(seen, plane, ground_m)
         density, observed = scale_density(counts, self._gain, self._needed)
-        tops_dm, feet_dm = self._standing(seen, plane, ground_m)
-        ground = _summary(plane)._replace(
-            steps_cm=steps_cm(edges.steps, spec, self._tells_steps),
-            drops_cm=drops_cm(edges, spec, self._step_range_m),
-            tops_dm=tops_dm,
-            feet_dm=feet_dm,
-        )
-        if tilt is not None and tilt.sigma_deg <= SURE_TILT_DEG:
-            mounted_m, on_ground = self.rig.mount.height_m, counts[0] >= self._needed[0]
-            heights_cm = ground_heights_cm(plane, mounted_m, spec, ground_m, on_ground)
-            ground = ground._replace(heights_cm=heights_cm)
-        return LocalGrid(spec, density, observed), ground
-
-    def _standing(
-        self, seen: CodedDepth | Cloud, plane: GroundPlane, ground_m: Float32
-    ) -> tuple[UInt8, UInt8]:
-        """How high what stands at cells reaches, and how low it begins: see `reach_dm`."""
+        # How high what stands at cells reaches, and how low it begins: see `reach_dm`.
         bottom_m = np.float32(self.settings.slice_bottom_m)
         top_m = np.float32(self.settings.slice_top_m)
         bins = math.ceil(BINS_PER_M * self.settings.slice_top_m - 1e-6)
@@ -220,7 +204,18 @@ class LocalGridder:
             A_grid_sensor = plane.A_grid_sensor.astype(np.float32)
             stack_points(seen, A_grid_sensor, plane.height_m, *above)
         top, foot = reach_dm(stacks, np.stack([self._blocks.middle(one) for one in self._needed]))
-        return self._blocks.at_cells(top), self._blocks.at_cells(foot)
+        tops_dm, feet_dm = self._blocks.at_cells(top), self._blocks.at_cells(foot)
+        ground = _summary(plane)._replace(
+            steps_cm=steps_cm(edges.steps, spec, self._tells_steps),
+            drops_cm=drops_cm(edges, spec, self._step_range_m),
+            tops_dm=tops_dm,
+            feet_dm=feet_dm,
+        )
+        if tilt is not None and tilt.sigma_deg <= SURE_TILT_DEG:
+            mounted_m, on_ground = self.rig.mount.height_m, counts[0] >= self._needed[0]
+            heights_cm = ground_heights_cm(plane, mounted_m, spec, ground_m, on_ground)
+            ground = ground._replace(heights_cm=heights_cm)
+        return LocalGrid(spec, density, observed), ground
 
     def _count(self, seen: CodedDepth | Cloud, plane: GroundPlane, ground_m: Float32) -> Int32:
         """Points on the ground and in the slice of each cell, [2, n_y, n_x]."""

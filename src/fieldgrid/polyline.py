@@ -19,7 +19,7 @@ def lengths(line: Float64) -> Float64:
 
 
 def resampled(line: Float64, step_m: float) -> Float64:
-    """The same line by points at equal distances of about `step_m`, its ends included."""
+    """The line as points at equal distances of about `step_m`, with its ends."""
     s = lengths(line)
     at = np.linspace(0.0, s[-1], max(2, round(float(s[-1]) / step_m) + 1))
     return np.column_stack([np.interp(at, s, line[:, 0]), np.interp(at, s, line[:, 1])])

@@ -140,8 +140,20 @@ def rectify_by_pose(
     _check_rotation(R, "the rotation between the cameras", source)
     T = np.asarray(T, dtype=np.float64).ravel()
     _check_places(R, T, source)
-    if _is_rectified(left, right, R, T):
-        projections = _as_projections(left, right, T)
+    # Whether two pinholes share orientation, rows and focal length as they are.
+    bare = left.model is right.model is LensModel.NONE
+    turned = float(np.abs(R - np.eye(3)).max()) * left.fx_px
+    apart_px = np.array(
+        [right.fx_px - left.fx_px, right.fy_px - left.fy_px, right.cy_px - left.cy_px]
+    )
+    aside_px = np.abs(T[1:]) / abs(T[0]) * max(left.size_px)
+    if (
+        bare
+        and left.fx_px == left.fy_px
+        and max(turned, np.abs(apart_px).max(), aside_px.max()) < _NOTHING_PX
+    ):
+        shift = np.array([[right.fx_px * T[0]], [0.0], [0.0]])
+        projections = (np.hstack([left.K, np.zeros((3, 1))]), np.hstack([right.K, shift]))
         return rectify_by_projections(left, right, (np.eye(3), np.eye(3)), projections, source)
     fisheye = {camera.model is LensModel.EQUIDISTANT for camera in (left, right)}
     if len(fisheye) != 1:
@@ -151,27 +163,6 @@ def rectify_by_pose(
         )
     rotations, projections = _aligned(left, right, R, T, source, *fisheye)
     return rectify_by_projections(left, right, rotations, projections, source)
-
-
-def _is_rectified(left: RawCamera, right: RawCamera, R: Float64, T: Float64) -> bool:
-    """Whether two pinholes share orientation, rows and focal length as they are."""
-    bare = left.model is right.model is LensModel.NONE
-    turned = float(np.abs(R - np.eye(3)).max()) * left.fx_px
-    apart_px = np.array(
-        [right.fx_px - left.fx_px, right.fy_px - left.fy_px, right.cy_px - left.cy_px]
-    )
-    aside_px = np.abs(T[1:]) / abs(T[0]) * max(left.size_px)
-    return bool(
-        bare
-        and left.fx_px == left.fy_px
-        and max(turned, np.abs(apart_px).max(), aside_px.max()) < _NOTHING_PX
-    )
-
-
-def _as_projections(left: RawCamera, right: RawCamera, T: Float64) -> tuple[Float64, Float64]:
-    """P1 and P2 of a pair that is rectified already."""
-    shift = np.array([[right.fx_px * T[0]], [0.0], [0.0]])
-    return np.hstack([left.K, np.zeros((3, 1))]), np.hstack([right.K, shift])
 
 
 def _aligned(

@@ -278,12 +278,10 @@ class Carrier:
 
 
 def with_antenna_ahead(vehicle: VehicleGeometry | None, ahead_m: float) -> Rig | Carrier:
-    """The same vehicle with its axle `ahead_m` behind the antenna; None is a log alone."""
+    """The vehicle with its axle `ahead_m` behind the antenna; None is a log alone."""
     if isinstance(vehicle, Rig):
         return replace(vehicle, rear_axle_forward_m=vehicle.antenna.forward_m - ahead_m)
-    if isinstance(vehicle, Carrier):
-        return replace(vehicle, ahead_m=ahead_m)
-    return Carrier(ahead_m)
+    return replace(vehicle, ahead_m=ahead_m) if isinstance(vehicle, Carrier) else Carrier(ahead_m)
 
 
 def check_offset(offset_deg: float | None) -> None:

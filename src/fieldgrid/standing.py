@@ -55,7 +55,7 @@ def stack_pixels(  # type: ignore[no-untyped-def]
 
 @kernel
 def stack_points(points, R_level_sensor, height_m, ground_m, block_m, bottom_m, top_m, counts):  # type: ignore[no-untyped-def]
-    """The same of points float32 [n, 3] in the sensor's frame, `height_m` above the ground's plane;
+    """Stack points float32 [n, 3] in the sensor's frame, `height_m` above the ground's plane;
     all of them."""
     n_y, n_x = ground_m.shape
     per_block, per_m = np.float32(1.0 / block_m), np.float32(BINS_PER_M)

@@ -218,6 +218,16 @@ def summarise_track(estimate: Estimate) -> TrackSummary:
     refused = (k for k in at.tolist() if track.status[k] is Status.REJECTED)
     used = at[track.accepted[at]]
     first_ns, last_ns = track.time_ns[at].min(), track.time_ns[at].max()
+    # Times in each gear, over the poses that follow each other closely; an estimate that is too
+    # unsure for a map, or stands for a rejected fix, still tells the gear.
+    known = np.isfinite(track.heading_deg)
+    time_ns, gear = track.time_ns[known], track.gear[known]
+    step_ns = np.diff(time_ns)
+    step_s = np.where(step_ns <= MAX_GAP_NS, step_ns / 1e9, 0.0)
+    forward_s, reverse_s, standing_s = (
+        float(step_s[gear[:-1] == wanted].sum()) for wanted in (1, -1, 0)
+    )
+    moving = gear[gear != 0]
     return TrackSummary(
         datum=track.datum,
         heading_source=track.heading_source,
@@ -227,7 +237,7 @@ def summarise_track(estimate: Estimate) -> TrackSummary:
         reasons=tuple(grouped_reasons(Counter(track.reason[k] for k in refused))),
         duration_s=float(last_ns - first_ns) / 1e9,
         distance_m=track.length_m(),
-        gears=_gears(track),
+        gears=GearTimes(forward_s, reverse_s, standing_s, int(np.count_nonzero(np.diff(moving)))),
         heading_sigma_deg=_spread(track.heading_sigma_deg[used]),
         position_sigma_m=_spread(track.position_sigma_m[used]),
         report=estimate.report,
@@ -239,17 +249,3 @@ def _spread(values: Float64) -> Spread | None:
     if known.size == 0:
         return None
     return Spread(float(np.median(known)), float(np.percentile(known, 95.0)))
-
-
-def _gears(track: Trajectory) -> GearTimes:
-    """Times in each gear, over the poses that follow each other closely; an estimate that is
-    too unsure for a map, or stands for a rejected fix, still tells the gear."""
-    known = np.isfinite(track.heading_deg)
-    time_ns, gear = track.time_ns[known], track.gear[known]
-    step_ns = np.diff(time_ns)
-    step_s = np.where(step_ns <= MAX_GAP_NS, step_ns / 1e9, 0.0)
-    forward_s, reverse_s, standing_s = (
-        float(step_s[gear[:-1] == wanted].sum()) for wanted in (1, -1, 0)
-    )
-    moving = gear[gear != 0]
-    return GearTimes(forward_s, reverse_s, standing_s, int(np.count_nonzero(np.diff(moving))))

@@ -22,12 +22,12 @@ SEARCH_SHARE, MOST_SEARCHED = 0.05, 160
 """Of an image's height: how far up and down a patch is looked for. Of how many patches."""
 
 ALIKE, LEAD = 0.8, 0.05
-"""A patch is found where it correlates so well, and better by so much than elsewhere."""
+"""A patch is found where its correlation is at least this, and larger by this than elsewhere."""
 
 FEWEST_SHIFTS = 40
 
 PARTS, FEWEST_PAIRS = 5, 2
-"""A drive is split between so many parts, and a side of it looked at with so many pairs."""
+"""Number of parts between which a drive may be split, and the least number of pairs on a side."""
 
 SHIFT_SIGMA_PX = (1e6, 30.0, 30.0)
 """Nothing is known of the shift itself, and little of how it grows across the image: enough to
@@ -90,7 +90,7 @@ def misalignment(pairs: Sequence[Float64], size_px: tuple[int, int]) -> Misalign
 
 
 def drive_misalignment(pairs: Sequence[Float64], size_px: tuple[int, int]) -> Misalignment | None:
-    """That of the pairs of a drive, in order of time, together; or of those before or after some
+    """Misalignment of all pairs of a drive, in order of time; or of those before or after some
     moment where only these are so far off that matching fails, since a camera was pushed."""
     whole = misalignment(pairs, size_px)
     if whole is not None and whole.residual_px > SHIFT_ERROR_PX:
@@ -114,7 +114,8 @@ def vertical_shifts(left: UInt8, right: UInt8, camera: StereoCamera) -> Float64:
     row and shift. In a rectified pair all shifts are 0."""
     height, width = left.shape
     reach = max(4, round(SEARCH_SHARE * height))
-    far, near = _disparities(camera)
+    nearest = min(camera.focal_baseline_px_m / 2.0, camera.width_px / 3.0)
+    far, near = round(camera.disparity_offset_px) - 2, round(camera.disparity_offset_px + nearest)
     found = []
     for column, row in _corners(left):
         x, y = round(float(column)), round(float(row))
@@ -137,12 +138,6 @@ def _corners(image: UInt8) -> Float64:
     apart_px = max(6.0, image.shape[0] / 40.0)
     found = cv2.goodFeaturesToTrack(image, MOST_SEARCHED, 0.01, apart_px)
     return np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(np.float64)
-
-
-def _disparities(camera: StereoCamera) -> tuple[int, int]:
-    """The least and the largest disparity that is looked for, as in the odometry."""
-    nearest = min(camera.focal_baseline_px_m / 2.0, camera.width_px / 3.0)
-    return round(camera.disparity_offset_px) - 2, round(camera.disparity_offset_px + nearest)
 
 
 def _found(scores: Float32) -> float | None:

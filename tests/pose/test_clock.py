@@ -11,7 +11,7 @@ import pytest
 from fieldgrid.motion import Motion, Steps
 from fieldgrid.pose import ClockOffset, ClockSearch, PoseReport, conditioned, estimate_poses
 from fieldgrid.pose.axle import Axle
-from fieldgrid.pose.clock_search import DeniedMotions
+from fieldgrid.pose.clock_search import MotionContradiction
 from fieldgrid.pose.drive import smooth_drive
 from fieldgrid.rig import LeverArm
 from fieldgrid.settings import PoseSettings
@@ -139,7 +139,7 @@ def exchanged(steps: Steps, order: Sequence[int]) -> Steps:
 
 def contradiction(
     drive: Drive, steps: Steps, noise_m: float = 0.02, *, seed: int = 8
-) -> DeniedMotions:
+) -> MotionContradiction:
     fixes = fixes_of(drive, 0.2, noise_m, seed=seed)
     motion = Motion(gyro_of(drive, noise_dps=0.1), steps=steps)
     found = estimate_poses(fixes, None, DATUM, motion=motion).report.contradiction

@@ -14,7 +14,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.motion import Gyro, Motion
 from fieldgrid.pose import Estimate, conditioned, estimate_poses, excused
 from fieldgrid.pose.explained import Explanation, explanation
-from fieldgrid.pose.fused import Fused
+from fieldgrid.pose.fused import Fusion
 from fieldgrid.pose.gyro_check import without_wrong_gyro
 from fieldgrid.rig import Carrier, LeverArm, VehicleGeometry
 from fieldgrid.settings import PoseSettings
@@ -127,7 +127,7 @@ def test_of_a_long_drive_a_part_tells_whether_to_go_on(
     drive = simulate(TIGHT * 6, 35.0)
     sizes: list[int] = []
 
-    def sized(found: Fused, *how: Any) -> Explanation | None:
+    def sized(found: Fusion, *how: Any) -> Explanation | None:
         sizes.append(len(found.drive.time_ns))
         return explanation(found, *how)
 

@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.angles import wrap_deg
-from fieldgrid.smoother import STATES, Measurements, Smoothed, edges, smooth, steering
+from fieldgrid.smoother import STATES, Measurements, SmoothedDrive, edges, smooth, steering
 from fieldgrid.smoother.equations import CONSTANTS
 from fieldgrid.smoother.holes import Unseen
 from fieldgrid.smoother.model import GYRO
@@ -88,11 +88,11 @@ def steps_between(drive: Drive, every: int, ahead_m: float = 0.0) -> dict[str, A
     }
 
 
-def heading_error_deg(found: Smoothed, drive: Drive) -> _Float64:
+def heading_error_deg(found: SmoothedDrive, drive: Drive) -> _Float64:
     return np.abs(wrap_deg(np.degrees(found.state[:, 2] - drive.heading_rad)))
 
 
-def position_error_m(found: Smoothed, drive: Drive) -> _Float64:
+def position_error_m(found: SmoothedDrive, drive: Drive) -> _Float64:
     return np.hypot(found.state[:, 0] - drive.east_m, found.state[:, 1] - drive.north_m)
 
 
@@ -562,7 +562,7 @@ def test_learning_makes_the_sightings_likelier(
         assert gains.sum() > 4.0
 
 
-def solution(found: Smoothed) -> Solution:
+def solution(found: SmoothedDrive) -> Solution:
     """The states of an estimate, as the search for the steering takes them."""
     nothing = Weights(*[np.zeros(0)] * len(Weights._fields))
     return Solution(found.state, np.zeros(CONSTANTS), nothing, 0, np.zeros(0))

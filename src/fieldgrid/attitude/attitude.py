@@ -76,8 +76,8 @@ class Attitude(NamedTuple):
         )
 
     def if_late(self, late_s: float) -> Attitude:
-        """The same by sensors whose stamps may be so late: as unsure as a vehicle leans otherwise
-        after that time, root mean square."""
+        """The attitude by sensors whose stamps may be `late_s` late: as unsure as a vehicle leans
+        otherwise after that time, root mean square."""
         if len(self.time_ns) < 2:
             return self
         time_s = (self.time_ns - self.time_ns[0]) / 1e9

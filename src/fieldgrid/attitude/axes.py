@@ -152,17 +152,12 @@ def axes_of_fixes(fixes: FixColumns, offset_deg: float) -> tuple[AxisTilt, ...]:
     return tuple(found)
 
 
-class Agreed(NamedTuple):
-    """Axes that agree with the rest of a drive, as sure as they do, and notes on those that do
-    not."""
-
-    axes: tuple[AxisTilt, ...]
-    notes: tuple[str, ...]
-
-
-def agreed(axes: Sequence[AxisTilt], others: Sequence[tuple[Float64, Float64]]) -> Agreed:
-    """What of `axes` agrees with `others`: the rise of each at its own instants by the rest of the
-    drive with its sigma, degrees, [n] each. An axis that contradicts takes all of its body along:
+def agreed(
+    axes: Sequence[AxisTilt], others: Sequence[tuple[Float64, Float64]]
+) -> tuple[tuple[AxisTilt, ...], tuple[str, ...]]:
+    """The `axes` that agree with `others`, as sure as they agree, and notes on those that do not.
+    `others` is the rise of each axis at its own instants by the rest of the drive with its sigma,
+    degrees, [n] each. An axis that contradicts takes all of its body along:
     the roll of an IMU that is mounted backward shows it before its pitch does."""
     usual = [
         float(np.percentile(_away(axis, *other), 68.0))
@@ -191,7 +186,7 @@ def agreed(axes: Sequence[AxisTilt], others: Sequence[tuple[Float64, Float64]]) 
             f"pitch by the {axes[k].body} were not used; see that heading_offset_deg says where "
             "the antennas point, or imu_axes how the IMU sits."
         )
-    return Agreed(tuple(kept), tuple(notes))
+    return tuple(kept), tuple(notes)
 
 
 def _away(axis: AxisTilt, rise_deg: Float64, sigma_deg: Float64) -> Float64:

@@ -63,8 +63,8 @@ LEAST_SIGMA_DEG = 0.08
 """What no measurement shows: axes of sensors that are not quite square."""
 
 USUAL_MISFIT = 1.5
-"""Where measurements lie farther from the estimate than so many of their sigmas, root mean square,
-it is as much less sure."""
+"""Where the root mean square distance of measurements from the estimate, in sigmas, is larger than
+this, the sigmas of the estimate are multiplied by it."""
 
 
 def estimate_attitude(
@@ -89,10 +89,9 @@ def estimate_attitude(
     if not axes:
         return _estimate(*said, ())
     without = _estimate(*said, ())
-    found = agreed(axes, [without.rise_at(axis) for axis in axes])
-    attitude = _estimate(*said, found.axes) if found.axes else without
-    bodies = frozenset(axis.body for axis in found.axes)
-    return attitude._replace(notes=found.notes, bodies=bodies)
+    kept, notes = agreed(axes, [without.rise_at(axis) for axis in axes])
+    attitude = _estimate(*said, kept) if kept else without
+    return attitude._replace(notes=notes, bodies=frozenset(axis.body for axis in kept))
 
 
 def _estimate(
@@ -158,22 +157,16 @@ def _estimated(
     blocks, _ = covariances(_system(x, seen, antenna_m, ground, axes, robust))
     roll, pitch = roll_pitch_deg(x.R)
     variance = np.stack([blocks[:, 7, 7], blocks[:, 6, 6]])  # about the forward axis, the right one
-    pushed, misfit = _misfit(x, seen, antenna_m, ground)
-    sigma = np.hypot(np.degrees(np.sqrt(variance)) * misfit, LEAST_SIGMA_DEG)
-    return np.vstack([roll, pitch, sigma, heading_rad(x.R), x.position_m[:, 2]])[:, own], pushed
-
-
-def _misfit(
-    x: States, seen: AttitudeMeasurements, antenna_m: Float64, ground: ExpectedGround
-) -> tuple[Float64, float]:
-    """How many sigmas each push of the accelerometer is off, and how much less sure than by the
-    sigmas of its measurements all of a stretch is: pushes with all their outliers, as those of
-    wrong axes are, fixes without."""
+    # How many sigmas each push of the accelerometer is off, and how much less sure than by the
+    # sigmas of its measurements all of a stretch is: pushes with all their outliers, as those of
+    # wrong axes are, fixes without.
     push, *_ = _moves(x, seen, robust=False)
     fix, *_ = _at_nodes(x, seen, antenna_m, ground, robust=False)
     pushed = (np.sqrt(push.weight) * push.residual)[:, :3]
     misfit = max(_rms(pushed), _rms(np.sqrt(_student(fix).weight) * fix.residual))
-    return pushed, misfit if misfit > USUAL_MISFIT else 1.0
+    misfit = misfit if misfit > USUAL_MISFIT else 1.0
+    sigma = np.hypot(np.degrees(np.sqrt(variance)) * misfit, LEAST_SIGMA_DEG)
+    return np.vstack([roll, pitch, sigma, heading_rad(x.R), x.position_m[:, 2]])[:, own], pushed
 
 
 def _rms(values: Float64) -> float:
@@ -202,9 +195,7 @@ def _first_guess(seen: AttitudeMeasurements, antenna_m: Float64, shared: int) ->
     for axis in range(3 if known.any() else 0):
         place[:, axis] = np.interp(seen.time_s, seen.time_s[known], seen.fix_m[known, axis])
     place = place - R @ antenna_m
-    speed = np.zeros((n, 3))
-    if n > 1:
-        speed = np.asarray(np.gradient(place, seen.time_s, axis=0))
+    speed = np.asarray(np.gradient(place, seen.time_s, axis=0)) if n > 1 else np.zeros((n, 3))
     since_s = seen.time_s - (seen.time_s[0] + seen.time_s[-1]) / 2.0
     return States(place, speed, R, np.zeros(shared), since_s)
 
@@ -218,8 +209,18 @@ def _system(
     robust: bool,
 ) -> AttitudeEquations:
     """The normal equations of all that is known, linearised at `x`."""
-    between = [*_turns(x, seen), *_moves(x, seen, robust)]
-    laws = [*between, *_at_nodes(x, seen, antenna_m, ground, robust), *_rises(x, seen, axes)]
+    moved = seen.moved
+    at, hidden = np.flatnonzero(moved.turned), np.flatnonzero(~moved.turned)
+    terrain = 1.0 / (TERRAIN_NOISE_RAD**2 * np.diff(seen.time_s)[hidden, None])
+    still = np.zeros((len(hidden), 3))
+    weight = moved.turn_sigma_rad[at] ** -2.0
+    laws = [
+        model.turns(x, at, moved.turn_rad[at], weight, moved.gyro_s[at]),
+        model.turns(x, hidden, still, terrain, np.zeros(len(hidden))),
+        *_moves(x, seen, robust),
+        *_at_nodes(x, seen, antenna_m, ground, robust),
+        *_rises(x, seen, axes),
+    ]
     return normal_equations(laws, len(seen.time_s), x.shared, _lasting_sigma(axes))
 
 
@@ -229,17 +230,6 @@ def _rises(x: States, seen: AttitudeMeasurements, axes: Sequence[AxisTilt]) -> I
         at = np.flatnonzero(np.isfinite(sigma))
         framed = axis.frame_sigma_deg > 0.0  # one frame leans, and not what gravity levels
         yield model.rises(x, at, axis.direction, sine[at], sigma[at] ** -2.0, own, framed)
-
-
-def _turns(x: States, seen: AttitudeMeasurements) -> list[Law]:
-    moved = seen.moved
-    at, hidden = np.flatnonzero(moved.turned), np.flatnonzero(~moved.turned)
-    terrain = 1.0 / (TERRAIN_NOISE_RAD**2 * np.diff(seen.time_s)[hidden, None])
-    still = np.zeros((len(hidden), 3))
-    return [
-        model.turns(x, at, moved.turn_rad[at], moved.turn_sigma_rad[at] ** -2.0, moved.gyro_s[at]),
-        model.turns(x, hidden, still, terrain, np.zeros(len(hidden))),
-    ]
 
 
 def _moves(x: States, seen: AttitudeMeasurements, robust: bool) -> list[Law]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Bool, Float32, Float64, Int64
+from fieldgrid.array_types import Float32, Float64, Int64
 from fieldgrid.motion import Inertial
 
 HOLE_NS = 250_000_000
@@ -40,7 +40,14 @@ def increments(sensed: Inertial, node_ns: Int64) -> Increments:
     # Nodes join the samples, so that every interval is a whole number of steps.
     inside = node_ns[(node_ns > sensed.time_ns[0]) & (node_ns < sensed.time_ns[-1])]
     times_ns = np.union1d(sensed.time_ns, inside)
-    known = _without_holes(sensed.time_ns, node_ns) & (np.diff(node_ns) <= LONGEST_NS)
+    # Intervals between nodes that lie within samples without a hole.
+    holes = np.concatenate([[0], np.cumsum(np.diff(sensed.time_ns) > HOLE_NS)])
+    before = np.searchsorted(sensed.time_ns, node_ns, side="right") - 1
+    after = np.searchsorted(sensed.time_ns, node_ns)
+    inside = (before >= 0) & (after < len(sensed.time_ns))
+    before, after = np.maximum(before, 0), np.minimum(after, len(sensed.time_ns) - 1)
+    whole = inside[1:] & inside[:-1] & (holes[after[1:]] == holes[before[:-1]])
+    known = whole & (np.diff(node_ns) <= LONGEST_NS)
     time_s = (times_ns - times_ns[0]) / 1e9
     at_s = (sensed.time_ns - times_ns[0]) / 1e9
     rate = _at(time_s, at_s, sensed.rate_rad_s)
@@ -71,23 +78,12 @@ def _at(time_s: Float64, at_s: Float64, values: Float32) -> Float64:
 
 def _since(total: Float64, first: Int64) -> Float64:
     """Running sums [m, 3] counted from the start of the interval that each step lies in."""
-    padded = np.vstack([np.zeros((1, 3)), total])
-    return np.asarray(total - padded[first])
+    return np.asarray(total - np.vstack([np.zeros((1, 3)), total])[first])
 
 
 def _sums(steps: Float64, first: Int64, stop: Int64) -> Float64:
     total = np.vstack([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
     return np.asarray(total[stop] - total[first])
-
-
-def _without_holes(sample_ns: Int64, node_ns: Int64) -> Bool:
-    """Intervals between nodes that lie within samples without a hole."""
-    holes = np.concatenate([[0], np.cumsum(np.diff(sample_ns) > HOLE_NS)])
-    before = np.searchsorted(sample_ns, node_ns, side="right") - 1
-    after = np.searchsorted(sample_ns, node_ns)
-    inside = (before >= 0) & (after < len(sample_ns))
-    before, after = np.maximum(before, 0), np.minimum(after, len(sample_ns) - 1)
-    return np.asarray(inside[1:] & inside[:-1] & (holes[after[1:]] == holes[before[:-1]]))
 
 
 def sample_noise(values: Float32, time_ns: Int64) -> float:

@@ -32,17 +32,17 @@ GYRO_NOISE = np.radians(0.05)
 
 GYRO_SQUARENESS = 0.004
 """By how much the axes of gyro and accelerometer are out of square, and the gyro's scale off: in
-a turn by a radian, so much of it seems to be a tilt."""
+a turn by a radian, this share of it seems to be a tilt."""
 
 FORCE_NOISE = 0.02
-"""The same of an accelerometer, (m/s²)·√s."""
+"""White noise of an accelerometer, (m/s²)·√s."""
 
 STEP_TURN_SIGMA, STEP_WAY_SHARE = np.radians(0.015), 0.004
 """What the covariance of a camera's step does not know: errors of calibration and mounting."""
 
 FIT_NS, FIT_FIXES = 700_000_000, 6
-"""The antenna at a frame is found from so many fixes around it, within this time or three of the
-receiver's periods."""
+"""The antenna at a frame is found from this number of fixes around it, within this time or three of
+the receiver's periods."""
 
 TILT_S = 30.0
 """For how long the error of a recorded roll and pitch stays the same."""
@@ -210,7 +210,7 @@ def _moved(sensed: Inertial | None, node_ns: Int64, wander_m: Float64) -> NodeMo
 
 
 def _with_steps(moved: NodeMotion, steps: Steps, node_ns: Int64) -> NodeMotion:
-    """The same with the camera's motion between the nodes that a step joins."""
+    """The motion between nodes, with the camera's motion between the nodes that a step joins."""
     start, stop = (np.searchsorted(node_ns, ends) for ends in (steps.start_ns, steps.stop_ns))
     joins = (stop == start + 1) & (stop < len(node_ns)) & np.isfinite(steps.up_m)
     joins &= node_ns[np.minimum(start, len(node_ns) - 1)] == steps.start_ns
@@ -243,7 +243,12 @@ def _nodes(
     no node is of use: fixes there say where the antenna was at its ends.
     """
     first_ns, last_ns = int(track.time_ns[0]), int(track.time_ns[-1])
-    fixes_ns = _thinned(track.time_ns)
+    # Instants at least `LEAST_STEP_NS` apart.
+    kept, k = [0], 0
+    while k < len(track.time_ns):
+        kept.append(k)
+        k = int(np.searchsorted(track.time_ns, track.time_ns[k] + LEAST_STEP_NS))
+    fixes_ns = track.time_ns[kept[1:]]
     wanted_ns = wanted_ns[(wanted_ns >= first_ns) & (wanted_ns <= last_ns)]
     if steps is not None:
         ends_ns = np.union1d(steps.start_ns, steps.stop_ns)
@@ -261,15 +266,6 @@ def _nodes(
     at, of = np.searchsorted(node_ns, fixes_ns), np.searchsorted(track.time_ns, fixes_ns)
     fix_m[at], sigma_m[at] = track.enu_m[of], track.noise_m[of]
     return node_ns, fix_m, sigma_m
-
-
-def _thinned(time_ns: Int64) -> Int64:
-    """Instants at least `LEAST_STEP_NS` apart."""
-    kept, k = [0], 0
-    while k < len(time_ns):
-        kept.append(k)
-        k = int(np.searchsorted(time_ns, time_ns[k] + LEAST_STEP_NS))
-    return time_ns[kept[1:]]
 
 
 def _within(time_ns: Int64, steps: Steps) -> Bool:

@@ -25,8 +25,9 @@ STANDING_M, DRIVEN_SHARE = 0.5, 0.2
 may be longer."""
 
 JUMPED_SPREADS, JUMPED_MPS2 = 4.0, 1.0
-"""Who comes farther than its speed makes by so many times that, and by what it can gain by speeding
-up, did not drive there: the positions have jumped, and their distance tells nothing."""
+"""A vehicle that comes farther than this multiple of what its speed makes, and than this
+acceleration explains, did not drive there: the positions have jumped, and their distance tells
+nothing."""
 
 EDGE_S = 0.5
 """The speed at the very edge of a hole is that over so long."""

@@ -36,7 +36,7 @@ NOSE_TURN_DEG = 30.0
 """How far a nose turns within a tangent's reach of a cut: 1.5 m at a radius of 3 m."""
 
 GYRO_TURN_DEG = 12.0
-"""The same, beyond what a gyro saw it turn."""
+"""How far a nose turns within a tangent's reach of a cut, beyond what a gyro saw it turn."""
 
 LEAST_TURN_DPS, MOST_TURN_DPS, USUAL_TURN_DPS = 10.0, 45.0, 20.0
 """How fast a vehicle may turn while nobody sees it, degrees a second: as fast as the fastest of
@@ -70,7 +70,7 @@ WANDER_M, WANDER_SIGMAS = 0.5, 15.0
 """A standing vehicle's positions wander about this far; such a leg may be skipped."""
 
 MAX_SKIPPED, SKIP_CAP_NATS = 4, 12.0
-"""So many legs in a row may be skipped, at so much cost together."""
+"""Largest number of legs in a row that may be skipped, and the largest cost of skipping them."""
 
 REVERSE_CAP_NATS = 15.0
 """What a single leg's length can say at most of its gear."""
@@ -154,24 +154,20 @@ def _cut(track: GearEvidence) -> list[int]:
     part = np.cumsum(track.gap_s > 0.0, dtype=np.int64)
     before, after = (first_beyond(points, reach_m, step, part) for step in (-1, 1))
     turn = turn_between(points, before, after)
-    turning = np.maximum(np.abs(turn), _slip_deg(turn, track.turned_deg, before, after))
+    # How differently from the path the gyro saw the vehicle turn, from the middle of the way to
+    # each point to that of the way on; 0 where it did not see all.
+    at = np.flatnonzero((before >= 0) & (after >= 0))
+    first, last = (before[at] + at) // 2, (at + after[at]) // 2
+    blind, in_all_deg = np.cumsum(~np.isfinite(track.turned_deg)), np.nancumsum(track.turned_deg)
+    slip = np.abs(wrap_deg(turn[at] - in_all_deg[last] + in_all_deg[first]))
+    seen = np.where(blind[last] == blind[first], slip, 0.0)
+    turning = np.maximum(np.abs(turn), np.bincount(at, seen, len(turn)).astype(np.float64))
     sharp = turning > CUT_DEG
     starts = {0, *np.flatnonzero(track.gap_s).tolist()}
     runs = np.flatnonzero(np.diff(np.concatenate([[False], sharp, [False]]).astype(np.int8)))
     for first, last in zip(runs[::2], runs[1::2], strict=True):
         starts |= set(_tips(points, turning, int(first), int(last), reach_m))
     return sorted(starts)
-
-
-def _slip_deg(turn: Float64, turned_deg: Float64, before: Int64, after: Int64) -> Float64:
-    """How differently from the path's `turn` [n] the gyro saw the vehicle turn, degrees, from the
-    middle of the way to each point to that of the way on; 0 where it did not see all."""
-    at = np.flatnonzero((before >= 0) & (after >= 0))
-    first, last = (before[at] + at) // 2, (at + after[at]) // 2
-    blind, in_all_deg = np.cumsum(~np.isfinite(turned_deg)), np.nancumsum(turned_deg)
-    slip = np.abs(wrap_deg(turn[at] - in_all_deg[last] + in_all_deg[first]))
-    seen = np.where(blind[last] == blind[first], slip, 0.0)
-    return np.bincount(at, seen, len(turn)).astype(np.float64)
 
 
 def _tips(points: Float64, turning: Float64, first: int, last: int, reach_m: float) -> list[int]:
@@ -205,7 +201,8 @@ def turning_deg(points: Float64, part: Int64, reach_m: float) -> Float64:
 
 @kernel
 def turn_between(points, before, after):  # type: ignore[no-untyped-def]
-    """The same between points of two indices for each, of which -1 is none."""
+    """By how much the path turns at each point, degrees, between the points `before` and `after`
+    it; an index of -1 is none."""
     turning = np.empty(points.shape[0])
     for k in range(points.shape[0]):
         turning[k] = 0.0
@@ -217,14 +214,12 @@ def turn_between(points, before, after):  # type: ignore[no-untyped-def]
     return turning
 
 
-def _length_m(points: Float64) -> float:
-    return float(np.hypot(*np.diff(points, axis=0).T).sum()) if len(points) > 1 else 0.0
-
-
 def _leg_weights(track: GearEvidence, start: int, stop: int, habits: Habits) -> Float64:
     """Log weights [h, 2] of a leg, forward and in reverse: by its length, and by what wheels or
     camera saw."""
-    habit = habits.leg(_length_m(track.points_m[start:stop]), REVERSE_CAP_NATS)
+    points = track.points_m[start:stop]
+    length_m = float(np.hypot(*np.diff(points, axis=0).T).sum()) if len(points) > 1 else 0.0
+    habit = habits.leg(length_m, REVERSE_CAP_NATS)
     return habit + np.array([0.5, -0.5]) * float(track.forward_nats[start + 1 : stop].sum())
 
 
@@ -263,20 +258,21 @@ def _joined(
     # A cut belongs to the later leg and ends the earlier one; a gap has two sides.
     end = one[1] if gap_s else one[1] + 1
     before, after = track.points_m[one[0] : end], track.points_m[two[0] : two[1]]
-    out, into = _chord_deg(before[::-1]), _chord_deg(after)
+    chords = _chord_deg(before[::-1]), _chord_deg(after)
+    (out, out_m, back), (into, into_m, on) = chords
     hole_m, carried = 0.0, 0.0
     if gap_s:
         hole_m = seen.usual_mps * gap_s
-        carried = _carried_nats(track, (one[0], end - 1, two[0]), (out, into), seen)
-    if min(out.length_m, into.length_m) == 0.0:
+        carried = _carried_nats(track, (one[0], end - 1, two[0]), chords, seen)
+    if min(out_m, into_m) == 0.0:
         return _Join(*pair, skipped, skipped, hole_m, carried)
     # A chord has the direction of its middle.
-    turned = float(track.turned_deg[end - out.to // 2 : two[0] + into.to // 2 + 1].sum())
+    turned = float(track.turned_deg[end - back // 2 : two[0] + on // 2 + 1].sum())
     known = bool(np.isfinite(turned))
-    noise_deg = np.degrees(1.5 * track.sigma_m[two[0]] / min(out.length_m, into.length_m))
+    noise_deg = np.degrees(1.5 * track.sigma_m[two[0]] / min(out_m, into_m))
     unseen_deg = 0.0 if known else UNSEEN_TURN_SHARE * seen.fastest_dps * gap_s
     sigma = np.hypot(np.hypot(GYRO_TURN_DEG if known else NOSE_TURN_DEG, noise_deg), unseen_deg)
-    beyond_deg = into.bearing_deg - (out.bearing_deg + 180.0) - (turned if known else 0.0)
+    beyond_deg = into - (out + 180.0) - (turned if known else 0.0)
 
     def cost(nose_turn_deg: float) -> float:
         return min(0.5 * (float(wrap_deg(nose_turn_deg)) / float(sigma)) ** 2, TURN_COST_CAP)
@@ -289,7 +285,7 @@ def _joined(
 def _carried_nats(
     track: GearEvidence,
     edge: tuple[int, int, int],
-    chords: tuple[_Chord, _Chord],
+    chords: tuple[tuple[float, float, int], tuple[float, float, int]],
     seen: TurningSeen,
 ) -> float:
     """The nats by which positions say that a vehicle drove on in a hole: `edge` is where the leg
@@ -352,21 +348,13 @@ def turning_seen(track: GearEvidence) -> TurningSeen:
     )
 
 
-class _Chord(NamedTuple):
-    """The bearing and the length of a leg's first or last piece, and the point where it ends."""
-
-    bearing_deg: float
-    length_m: float
-    to: int
-
-
-def _chord_deg(points: Float64) -> _Chord:
+def _chord_deg(points: Float64) -> tuple[float, float, int]:
     """Direction from the first of the points to the first beyond a tangent's reach (or to the
     farthest), degrees, how far that is, and which point it is."""
     away = np.hypot(*(points - points[0]).T)
     beyond = np.flatnonzero(away >= TANGENT_REACH_M)
     to = int(beyond[0]) if beyond.size else int(np.argmax(away))
-    return _Chord(float(heading_deg(*(points[to] - points[0]))), float(away[to]), to)
+    return float(heading_deg(*(points[to] - points[0]))), float(away[to]), to
 
 
 def _likeliest(own: Float64, joins: list[_Join], habits: Habits) -> tuple[Int64, Float64, Bool]:

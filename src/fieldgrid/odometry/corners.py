@@ -16,7 +16,7 @@ from fieldgrid.odometry.sparse import row_disparities
 from fieldgrid.rig import StereoCamera
 
 CELLS = 1200
-"""At most one corner is kept in each of about so many cells of the image, at each scale, so
+"""Approximate number of cells of the image; each keeps at most one corner at each scale, so
 that corners cover the far view, which tells the turn, and the ground, which tells the way."""
 
 EDGE_PX = 8
@@ -26,7 +26,7 @@ MIN_CORNER = 2e-5
 """OpenCV's smaller eigenvalue, of 8-bit images scaled to 0..1, below which a spot is flat."""
 
 DENOISE_PX = 1.5
-"""A corner that outlives so much smoothing is no grain of the sensor, and is found again from
+"""A corner that outlives smoothing by this sigma is no grain of the sensor, and is found again from
 nearer."""
 
 NEAREST_M = 2.0
@@ -36,7 +36,7 @@ FARTHEST_DISPARITY_PX = 1.0
 """Of points beyond, the depth is a guess, and with it how much of their motion is parallax."""
 
 PATCH_M = 0.2
-"""Half the side of the described patch is no less than so many metres, so that a stone looks the
+"""Half the side of the described patch is no less than this, metres, so that a stone looks the
 same from 8 m and from 6 m."""
 
 

@@ -61,7 +61,7 @@ class RigidMotion(NamedTuple):
     t_stop_start_m: Float64
 
 
-class Refined(NamedTuple):
+class RefinedMotion(NamedTuple):
     """A refined motion.
 
     `covariance` [6, 6] is that of a small rotation w (rad) and translation d (m) in the camera
@@ -101,7 +101,7 @@ def refine(
     stop_px: Float64,
     blur_px: Float64,
     lens: Lens,
-) -> Refined | None:
+) -> RefinedMotion | None:
     """The most likely motion near one, by Gauss-Newton with Tukey's weights; None if singular.
 
     `blur_px` [n, 2] is the size of a pixel in which each corner was found, start and stop.
@@ -118,7 +118,7 @@ def refine(
     # 2.37 is the median of the squared distance (chi squared, 3 degrees) were the sigmas true.
     scale = float(np.median(squared[inliers])) / 2.37
     covariance = np.asarray(np.linalg.inv(H) * max(scale, 1.0), dtype=np.float64)
-    return Refined(RigidMotion(R, t), covariance, inliers)
+    return RefinedMotion(RigidMotion(R, t), covariance, inliers)
 
 
 @kernel

@@ -13,7 +13,7 @@ from fieldgrid.array_types import Float64
 from fieldgrid.motion import Steps
 from fieldgrid.odometry.corners import EDGE_PX, Features, nearest_disparity_px
 from fieldgrid.odometry.matching import Matches, match_anywhere, match_near
-from fieldgrid.odometry.rigid import Lens, Refined, RigidMotion, predicted, refine, search
+from fieldgrid.odometry.rigid import Lens, RefinedMotion, RigidMotion, predicted, refine, search
 from fieldgrid.rig import Rig
 from fieldgrid.rotations import roll_pitch_deg
 
@@ -23,7 +23,7 @@ MAX_STEP_M = 5.0
 MIN_FEATURES = 30
 MIN_INLIERS = 12
 MIN_SHARE = 0.07
-"""Of the points that a motion puts into the other image, so many must be found there. True
+"""Least share of the points that a motion puts into the other image to be found there. True
 steps of two drives had 0.18 and more, wrong ones between unrelated images 0.05 and less."""
 
 CLEAR_INLIERS, RIVAL_SHARE = 60, 0.6
@@ -97,7 +97,7 @@ def camera_motion(start: Features, stop: Features, rig: Rig) -> RigidMotion | Re
     return found if isinstance(found, Refusal) else found.motion
 
 
-def _motion(start: Features, stop: Features, rig: Rig) -> Refined | Refusal:
+def _motion(start: Features, stop: Features, rig: Rig) -> RefinedMotion | Refusal:
     """The motion of the camera, or why it is not to be believed."""
     if min(len(start.blur_px), len(stop.blur_px)) < MIN_FEATURES:
         return Refusal.FEW_POINTS
@@ -112,7 +112,7 @@ def _motion(start: Features, stop: Features, rig: Rig) -> Refined | Refusal:
     )
 
 
-def _solved(matches: Matches, start: Features, stop: Features, lens: Lens) -> Refined | None:
+def _solved(matches: Matches, start: Features, stop: Features, lens: Lens) -> RefinedMotion | None:
     """The motion most matches agree with, matched again near it; None when there is none."""
     motion = search(
         start.points_m[matches.start],
@@ -138,7 +138,9 @@ def _solved(matches: Matches, start: Features, stop: Features, lens: Lens) -> Re
     return refined
 
 
-def _doubt(found: Refined, start: Features, stop: Features, rig: Rig, lens: Lens) -> Refusal | None:
+def _doubt(
+    found: RefinedMotion, start: Features, stop: Features, rig: Rig, lens: Lens
+) -> Refusal | None:
     """Why a motion is not to be believed, None when it is."""
     inliers = int(found.inliers.sum())
     if inliers < MIN_INLIERS:
@@ -157,7 +159,7 @@ def _doubt(found: Refined, start: Features, stop: Features, rig: Rig, lens: Lens
 
 
 def _rival(
-    found: Refined, matches: Matches, start: Features, stop: Features, lens: Lens
+    found: RefinedMotion, matches: Matches, start: Features, stop: Features, lens: Lens
 ) -> Refusal | None:
     """A refusal when what does not fit the motion fits another one nearly as well."""
     inliers = int(found.inliers.sum())
@@ -212,7 +214,7 @@ def _lean_rad(motion: RigidMotion, rig: Rig) -> tuple[float, float]:
     return math.atan2(vertical[0], vertical[2]), math.atan2(vertical[1], vertical[2])
 
 
-def _in_vehicle_frame(found: Refined, rig: Rig) -> CameraStep:
+def _in_vehicle_frame(found: RefinedMotion, rig: Rig) -> CameraStep:
     """The motion of the point below the middle of the baseline, seen from above."""
     right_m, forward_m, up_m = _displacement_m(found.motion, rig)
     turned = _turn_of_vehicle(found.motion, rig)
@@ -234,7 +236,7 @@ def _in_vehicle_frame(found: Refined, rig: Rig) -> CameraStep:
     )
 
 
-def _random_errors(found: Refined, rig: Rig) -> tuple[float, float, float]:
+def _random_errors(found: RefinedMotion, rig: Rig) -> tuple[float, float, float]:
     """1-sigma of displacement (metres, the worse direction), turn and tilt (degrees, the worse
     axis) by covariance.
 

@@ -75,6 +75,8 @@ def accepted_fixes(
     # Digits that a log cuts off instead of rounding leave all fixes half a step south and west.
     cut_m = quantum / math.sqrt(12.0)
     heading_sigma = used.heading_sigma_deg
+    refused = np.array([gate in _BY_MOTION for gate in verdicts.gate], dtype=np.bool_)
+    before = np.concatenate([[0], np.cumsum(refused & ~verdicts.ok)])[:-1][verdicts.ok]
     return AcceptedFixes(
         used.time_ns,
         east,
@@ -88,7 +90,7 @@ def accepted_fixes(
         used.speed_mps,
         np.asarray(wrap_deg(used.heading_deg)),
         np.where(np.isnan(heading_sigma), UNSTATED_HEADING_SIGMA_DEG, heading_sigma),
-        _disputed(verdicts),
+        np.diff(before, prepend=0) > 0,
     )
 
 
@@ -113,18 +115,10 @@ def _seam_doubt(
         denied[rows],
         {int(np.searchsorted(fit.time_ns, leap.time_ns)): leap for leap in seen},
     )
-    return found._replace(sigma_m=found.sigma_m[ok], lasting_s=_least_until(found.lasting_s, ok))
-
-
-def _least_until(values: Float64, ok: Bool) -> Float64:
-    """Of each accepted row the least value from it to before the next accepted one."""
-    return np.asarray(np.minimum.reduceat(values, np.flatnonzero(ok)))
-
-
-def _disputed(verdicts: Verdicts) -> Bool:
-    refused = np.array([gate in _BY_MOTION for gate in verdicts.gate], dtype=np.bool_)
-    before = np.concatenate([[0], np.cumsum(refused & ~verdicts.ok)])[:-1][verdicts.ok]
-    return np.diff(before, prepend=0) > 0
+    return found._replace(
+        sigma_m=found.sigma_m[ok],
+        lasting_s=np.asarray(np.minimum.reduceat(found.lasting_s, np.flatnonzero(ok))),
+    )
 
 
 OFFSET_S = 20.0

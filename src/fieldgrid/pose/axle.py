@@ -9,7 +9,7 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.motion import Steps
 from fieldgrid.rig import Rig, VehicleGeometry, with_antenna_ahead
-from fieldgrid.smoother import Constant, Smoothed
+from fieldgrid.smoother import Constant, SmoothedDrive
 from fieldgrid.travel import LEAST_STEP_M, MOST_TURN_DEG, Ways, travel
 
 UNNAMED_AXLE_M = 0.5
@@ -58,9 +58,7 @@ def axle_forward_m(vehicle: VehicleGeometry) -> float:
 
 def axle_of(vehicle: VehicleGeometry | None, steps: Steps | None) -> Axle:
     """The axle as it is declared, or as the camera sees the vehicle turn about it."""
-    if names_axle(vehicle):
-        return Axle(vehicle)
-    if not isinstance(vehicle, Rig):
+    if names_axle(vehicle) or not isinstance(vehicle, Rig):
         return Axle(vehicle)
     ahead = None if steps is None else travel(ways_of(steps)).ahead_m
     if ahead is None or ahead.sigma > SURE_AXLE_M:
@@ -70,7 +68,7 @@ def axle_of(vehicle: VehicleGeometry | None, steps: Steps | None) -> Axle:
 
 
 def with_antenna_moved(axle: Axle, ahead_m: float) -> Axle:
-    """The same with the antenna so much farther ahead of the axle."""
+    """The axle with the antenna `ahead_m` farther ahead of it."""
     (_, was_m), _ = axle.frame()
     return axle._replace(vehicle=with_antenna_ahead(axle.vehicle, was_m + ahead_m))
 
@@ -100,7 +98,7 @@ def ways_of(steps: Steps) -> Ways:
     )
 
 
-def unsure_heading_rad(smoothed: Smoothed, sigma_m: float) -> Float64:
+def unsure_heading_rad(smoothed: SmoothedDrive, sigma_m: float) -> Float64:
     """1-sigma error of the headings [n] by an axle whose place is unsure by `sigma_m`: in a turn
     the antenna's path is not that of the axle."""
     off_rad = np.abs(smoothed.response.per_ahead_m)

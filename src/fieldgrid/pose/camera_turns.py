@@ -15,12 +15,12 @@ GYRO_TURN_SIGMA_DEG = 0.3
 """How far the turns of a gyro and of a camera differ when their clocks agree."""
 
 CLEAR_SIGMAS, BETTER_SHARE = 5.0, 0.5
-"""A step turns otherwise by more than so many of these; another clock must fit better by so much
-to be believed."""
+"""A step turns otherwise than the gyro beyond this number of sigmas; another clock is believed
+where its misfit is less than this share."""
 
 LEAST_TURNING_DEG, SLIPPED_SHARE = 90.0, 0.05
-"""A gyro vouches for the images of a drive that turns by so much in all, when no more of the steps
-turn otherwise."""
+"""A gyro vouches for the images of a drive that turns by at least this in all, where no more than
+this share of the steps turns otherwise."""
 
 
 def goes_with(steps: Steps, gyro: Gyro, offset_s: float) -> bool:

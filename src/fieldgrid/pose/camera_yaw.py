@@ -62,9 +62,7 @@ def camera_yaw(steps: Steps | None, axle: Axle) -> CameraYaw | None:
         return None
     ways, ahead_m = ways_of(steps), axle.frame()[1]
     yaw = travel(ways, ahead_m).yaw_deg
-    if yaw is None:
-        return None
-    return CameraYaw(yaw.value, yaw.sigma, _moved(ways, steps, ahead_m))
+    return None if yaw is None else CameraYaw(yaw.value, yaw.sigma, _moved(ways, steps, ahead_m))
 
 
 def yaw_notes(yaw: CameraYaw) -> Iterator[str]:
@@ -126,7 +124,4 @@ def _clearest(ways: Ways, ahead_m: float, places: Float64) -> tuple[int, float, 
 
 
 def _part(ways: Ways, part: slice) -> Ways:
-    stop, forward_m, direction_deg, turn_deg, curvature_per_m = ways
-    return Ways(
-        stop[part], forward_m[part], direction_deg[part], turn_deg[part], curvature_per_m[part]
-    )
+    return Ways._make(column[part] for column in ways)

@@ -19,15 +19,15 @@ from fieldgrid.pose.clock_search import (
     MOST_SIGMA_S,
     ClockOffset,
     ClockSearch,
-    DeniedMotions,
+    MotionContradiction,
 )
 from fieldgrid.pose.drive import DriveEstimate, smooth_drive
 from fieldgrid.pose.gears import NO_HINTS, GearHints
 
 POOR_MISFIT, NEAR_SHARE, BETTER_SHARE = 4.0, 0.5, 0.3
 """A drive and its camera fit badly when steps are off by more than two usual sigmas; then another
-offset must be better by so much to be believed, near or far: a drive that repeats itself fits
-somewhat at the offset of one repetition, too."""
+offset is believed where its misfit is less than these shares, near or far: a drive that repeats
+itself fits somewhat at the offset of one repetition, too."""
 
 MOST_ROUNDS = 6
 """In which the offset of camera and gyro beside the fixes settles."""
@@ -39,7 +39,7 @@ class ClockFindings(NamedTuple):
     within the drive. None where it does not tell."""
 
     offset: ClockOffset | None = None
-    contradiction: DeniedMotions | None = None
+    contradiction: MotionContradiction | None = None
     change: ClockChange | None = None
 
     def offset_s(self, time_ns: Int64) -> Float64:

@@ -27,8 +27,8 @@ FITTING = 4.0
 not, something else is wrong."""
 
 SUSPECT_GAIN, CLEAR_GAIN = 1.0, 7.0
-"""By so much the sum of squares of two offsets is less than that of the best single one, in mean
-squares of a step: to look closer, and to be told. Of 240 stretches of drives with one clock
+"""Least gain of two offsets over the best single one, to look closer and to be told: the decrease
+of the sum of squares, in mean squares of a step. Of 240 stretches of drives with one clock
 none reaches the latter (`benchmarks.stretches`)."""
 
 

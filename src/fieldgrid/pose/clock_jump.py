@@ -13,12 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Float64
 from fieldgrid.motion import Gyro, Steps
 from fieldgrid.pose.accepted import AcceptedFixes
 
 LEAST_JUMP_S = 0.15
-"""Stamps of the gyro that are so much farther apart than usual leave a hole."""
+"""Stamps of the gyro that are farther apart than usual by this time leave a hole."""
 
 MOST_HOLES = 50
 """More holes than these are how the stream is, and no clock that jumped."""
@@ -99,7 +98,10 @@ def _jump(fixes: AcceptedFixes, seen: _Way, after_ns: int, jump_ns: int) -> Cloc
     if seen.stop_ns > fixes.time_ns[-1] or seen.start_ns < fixes.time_ns[0]:
         return None
     instants_ns = (seen.start_ns, seen.stop_ns, seen.stop_ns - jump_ns)
-    here, there, earlier = (_place(fixes, at_ns) for at_ns in instants_ns)
+    east_m, north_m = (
+        np.interp(instants_ns, fixes.time_ns, along) for along in (fixes.east_m, fixes.north_m)
+    )
+    here, there, earlier = np.stack([east_m, north_m], axis=1)
     with_hole_m = float(np.hypot(*(there - here)))
     without_m = float(np.hypot(*(earlier - here)))
     noise_m = max(STEP_SIGMA_M, float(np.median(fixes.noise.across_m)))
@@ -114,13 +116,3 @@ def _jump(fixes: AcceptedFixes, seen: _Way, after_ns: int, jump_ns: int) -> Cloc
     ):
         return None
     return ClockJump(after_ns, jump_ns / 1e9, seen.distance_m, with_hole_m)
-
-
-def _place(fixes: AcceptedFixes, at_ns: int) -> Float64:
-    """East and north of the antenna, metres."""
-    return np.array(
-        [
-            np.interp(at_ns, fixes.time_ns, fixes.east_m),
-            np.interp(at_ns, fixes.time_ns, fixes.north_m),
-        ]
-    )

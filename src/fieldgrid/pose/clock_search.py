@@ -19,7 +19,7 @@ WIDEST_S, COARSE_S = 2.5, 0.05
 """Offsets are tried up to the widest, this far apart; a wider scan may ask for more."""
 
 FINE_S, FINE_REACH_S = 0.01, 0.3
-"""About the best of them offsets are tried so far apart, up to so far away."""
+"""About the best of them offsets are tried at this distance, up to this far away."""
 
 DISTANCE_SIGMA_M, TURN_SIGMA_DEG = 0.05, 0.5
 """How far the drive and a camera's step differ with the best of clocks, before that is known."""
@@ -29,7 +29,7 @@ LEAST_TURN_DEG = 0.05
 
 PARTS = 8
 """Neighbouring steps share the errors of the drive, so the scatter of the offset is taken from
-what it would be without each of so many stretches."""
+what it would be without each of this number of stretches."""
 
 OUTLIER_FREEDOM = 4.0
 """Of Student's distribution, which a step is taken to differ by."""
@@ -41,13 +41,14 @@ MOST_SIGMA_S = 0.1
 """A drive that does not tell the offset better than this does not tell it."""
 
 CLEAR_LEAD = 16.0
-"""By so much the sum of squares must be larger at every other offset: four sigmas. On an even
-drive, noise alone makes a lowest place."""
+"""Least increase of the sum of squares at every other offset: four sigmas. On an even drive, noise
+alone makes a lowest place."""
 
 OFF_SIGMAS, FULL_SIGMAS, CONTRADICTED_SHARE, CONTRADICTED_LEAST = 3.0, 5.0, 0.1, 3
 """A step of the camera counts against the drive from the first of these distances on, in sigmas,
-with its square, and in full from the second on. Images are not of their stamps when in all so many
-steps count, and such a share. In honest drives, KITTI and the rendered ones, none does."""
+with its square, and in full from the second on. Images are not of their stamps when this share of
+the steps counts, and this number of them. In honest drives, KITTI and the rendered ones, none
+does."""
 
 SURE_TURN_DEG = 4.0
 """Where the drive does not know its turn over a step better than this, it contradicts no camera."""
@@ -81,7 +82,7 @@ class ClockOffset(NamedTuple):
         return abs(self.offset_s) >= max(3.0 * self.sigma_s, LEAST_OFFSET_S)
 
 
-class DeniedMotions(NamedTuple):
+class MotionContradiction(NamedTuple):
     """Of `steps` motions of the camera where the drive is sure of itself, `off` are not those of
     the drive, at any offset of the clock that was found, and count as `weight` that are far off.
     With `gyro_too` the gyro turns as the images do, so it is the fixes that are of other
@@ -105,7 +106,8 @@ class ClockSearch:
         """The path of `drive` as it is without its camera. `steps` holds at least one."""
         found, (lever_m, ahead_m) = drive.smoothed, axle.frame()
         if len(drive.measured.step):
-            found = refine(found, drive.measured.without_steps(), lever_m, ahead_m)
+            no_steps = np.zeros(len(drive.measured.step), np.bool_)
+            found = refine(found, drive.measured.with_steps(no_steps), lever_m, ahead_m)
         self._steps, self._ahead_m = steps, ahead_m
         self._time_ns = drive.time_ns
         self._east_m, self._north_m, self._phi_rad = found.state[:, : model.PHI + 1].T
@@ -120,7 +122,7 @@ class ClockSearch:
             return float("inf")
         return float(self._squared(steps, offset_s).mean())
 
-    def contradiction(self, offset_s: float) -> DeniedMotions:
+    def contradiction(self, offset_s: float) -> MotionContradiction:
         """How many steps are not of the drive with this offset, whatever its own errors and the
         camera's scale."""
         steps = self._in_metres(self._inside(offset_s, 0.0), offset_s)
@@ -133,7 +135,7 @@ class ClockSearch:
         sure = heading_deg < SURE_TURN_DEG
         off = sure & (squared > OFF_SIGMAS**2)
         weight = np.minimum(squared[off] / FULL_SIGMAS**2, 1.0).sum()
-        return DeniedMotions(int(off.sum()), float(weight), int(sure.sum()))
+        return MotionContradiction(int(off.sum()), float(weight), int(sure.sum()))
 
     def by_step(self, offsets_s: Float64) -> tuple[Steps, Float64]:
         """The steps that lie within the drive at all of these offsets [o], and the squared distance
@@ -155,7 +157,15 @@ class ClockSearch:
         at = int(np.argmin(coarse))
         if at in (0, len(coarse) - 1):
             return None
-        sigmas = self._sigmas(steps, float(offsets_s[at]))
+        # How far these steps and the drive differ along an axis and in the turn, by medians.
+        ahead, right, turn = self._differences(steps, float(offsets_s[at]))
+        distance_m = 1.4826 * float(np.median(np.abs(np.concatenate([ahead, right]))))
+        turn_deg = 1.4826 * float(np.median(np.abs(turn)))
+        # Larger ones than usual are no reason to believe the drive more in other respects.
+        sigmas = (
+            max(distance_m, DISTANCE_SIGMA_M),
+            min(max(turn_deg, LEAST_TURN_DEG), TURN_SIGMA_DEG),
+        )
         fine_s = offsets_s[at] + np.arange(-FINE_REACH_S, FINE_REACH_S + FINE_S / 2.0, FINE_S)
         fine = np.array([self._squared(steps, offset, *sigmas) for offset in fine_s])
         lowest = _lowest(fine_s, fine.sum(axis=1))
@@ -207,14 +217,6 @@ class ClockSearch:
         first, last = times_ns[0] + margin_ns, times_ns[-1] - margin_ns
         keep = (steps.start_ns + shift_ns >= first) & (steps.stop_ns + shift_ns <= last)
         return Steps(*(column[keep] for column in steps))
-
-    def _sigmas(self, steps: Steps, offset_s: float) -> tuple[float, float]:
-        """How far these steps and the drive differ along an axis and in the turn, by medians."""
-        ahead, right, turn = self._differences(steps, offset_s)
-        distance_m = 1.4826 * float(np.median(np.abs(np.concatenate([ahead, right]))))
-        turn_deg = 1.4826 * float(np.median(np.abs(turn)))
-        # Larger ones than usual are no reason to believe the drive more in other respects.
-        return max(distance_m, DISTANCE_SIGMA_M), min(max(turn_deg, LEAST_TURN_DEG), TURN_SIGMA_DEG)
 
     def _drive_sigmas(self, steps: Steps, offset_s: float) -> tuple[Float64, Float64]:
         """How far each step and the drive may differ by the drive's own errors at its two ends, and

@@ -19,8 +19,8 @@ LONG_S = 5.0
 """A shorter run spoils no heading."""
 
 FEWEST_LINES, IN_A_ROW, OFF_RAD = 6, 3, np.radians(30.0)
-"""Of so many lines of the path, which are good to 14° each, so many in a row lie off: between two
-rows of a field there are no more."""
+"""Least number of lines of the path, which are good to 14° each; the number of them in a row that
+are off, since between two rows of a field there are no more; and by how much they are off."""
 
 
 def without_dead_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, str | None]:

@@ -21,10 +21,10 @@ from fieldgrid.rig import Rig, VehicleGeometry
 from fieldgrid.smoother import AHEAD, LATE, Constant, DeclaredCorrection
 
 CLEAR_SIGMAS = 4.0
-"""A drive denies what was declared only by so many sigmas."""
+"""A drive denies what was declared beyond this number of sigmas."""
 
 FAR_M = 1.0
-"""A fault that is denied only from an error of so much on is not seen."""
+"""A drive that denies a fault only beyond this error does not see it."""
 
 LEAST_LEVER_M, LEAST_DELAY_S = 0.3, 0.05
 """Smaller contradictions of the antenna's place and of the fixes' stamps are not worth a word."""
@@ -40,7 +40,7 @@ LEAST_DOUBT_DEG, LEAST_OFF_M = 1.0, 0.1
 """What does not fit together and moves no heading or position by more is not worth a word."""
 
 
-class Denied(NamedTuple):
+class DriveContradiction(NamedTuple):
     """What the drive would add to the place of the antenna (to the right and ahead, metres) and to
     how late the fixes are stamped (seconds); None of what it does not clearly deny.
 
@@ -66,13 +66,12 @@ class Denied(NamedTuple):
 
 def denied_by(
     drive: DriveEstimate, vehicle: VehicleGeometry | None, clocks: ClockFindings
-) -> Denied:
+) -> DriveContradiction:
     """What a drive denies of its vehicle as it was declared, and of the clock of its images."""
     speed_mps = np.abs(drive.speed_mps)
     by_clock_m = speed_mps * np.abs(clocks.offset_s(drive.time_ns))
-    by_heading = names_axle(vehicle) and drive.headings_recorded
-    if not sees_turns(drive) and not by_heading:
-        return Denied(None, None, None, by_clock_m)
+    if not sees_turns(drive) and not (names_axle(vehicle) and drive.headings_recorded):
+        return DriveContradiction(None, None, None, by_clock_m)
     found = drive.smoothed.declared
     places = moving_places(drive, vehicle)
     right_m = _clear(found.right_m, LEAST_LEVER_M) if places[0] else None
@@ -82,7 +81,7 @@ def denied_by(
     tells_delay = sees_turns(drive) and (names_axle(vehicle) or found.explains(LATE))
     late_s = _clear(found.late_s, LEAST_DELAY_S) if tells_delay else None
     off_m = np.hypot(math.hypot(_value(right_m), _value(ahead_m)), _value(late_s) * speed_mps)
-    denied = Denied(right_m, ahead_m, late_s, off_m)
+    denied = DriveContradiction(right_m, ahead_m, late_s, off_m)
     if not denied.clear:
         off_m = off_if_alone_m(found, vehicle, speed_mps, places)
     return denied._replace(off_m=np.maximum(off_m, by_clock_m))
@@ -116,11 +115,13 @@ def moving_places(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tupl
     return placed and sees_speed(drive), placed and names_axle(vehicle)
 
 
-def with_whole_place(denied: Denied, placed: Callable[[float], DriveEstimate]) -> Denied:
-    """The same with all of how far the antenna sits ahead, where recorded headings tell it.
+def with_whole_place(
+    denied: DriveContradiction, placed: Callable[[float], DriveEstimate]
+) -> DriveContradiction:
+    """The contradiction with the whole distance by which recorded headings have the antenna ahead.
 
     The headings that a wrong place contradicts most have little weight, so that the drive shows a
-    part of it at once. `placed` is the drive with the antenna so much farther ahead than declared.
+    part of it at once. `placed` estimates the drive with the antenna moved ahead, in metres.
     """
     if denied.ahead_m is None:
         return denied
@@ -167,14 +168,17 @@ def _value(one: Constant | None) -> float:
     return 0.0 if one is None else one.value
 
 
-def unsure_declared(table: PoseTable, drive: DriveEstimate, denied: Denied) -> PoseTable:
-    """The same poses, their positions as unsure as they would be off. Neighbours share it."""
+def unsure_declared(
+    table: PoseTable, drive: DriveEstimate, denied: DriveContradiction
+) -> PoseTable:
+    """The poses with positions as unsure as the contradicted declarations move them. Neighbours
+    share this error."""
     node = np.clip(np.searchsorted(drive.time_ns, table.time_ns), 0, len(denied.off_m) - 1)
     sigma_m = np.hypot(table.position_sigma_m, denied.off_m[node] / np.sqrt(2.0))
     return table._replace(position_sigma_m=sigma_m)
 
 
-def denied_notes(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
+def denied_notes(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[str]:
     """A sentence on each thing that is denied, or one on what does not fit together."""
     yield from _denied_notes(drive, denied)
     if denied.gyro_unused and denied.clear:
@@ -184,7 +188,7 @@ def denied_notes(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
         )
 
 
-def _denied_notes(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
+def _denied_notes(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[str]:
     if denied.either and denied.ahead_m is not None and denied.late_s is not None:
         (ahead_m, _), (late_s, _) = denied.ahead_m, denied.late_s
         yield (
@@ -225,7 +229,7 @@ def _turn_sensors(drive: DriveEstimate) -> list[str]:
     return [name for has, name in seen if has]
 
 
-def _unfit_note(drive: DriveEstimate, denied: Denied) -> Iterator[str]:
+def _unfit_note(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[str]:
     """That something does not fit together, and what would explain it alone."""
     found = drive.smoothed.declared
     moving = drive.gear != 0

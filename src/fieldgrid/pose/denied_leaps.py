@@ -15,7 +15,7 @@ from fieldgrid.pose.leaps import holes
 from fieldgrid.pose.seams import LEAST_M, SeenLeap
 
 CLEAR_SIGMAS, STATED_SIGMAS = 10.0, 3.0
-"""A leap is larger than so many sigmas of the steps of this drive, and of what fixes state."""
+"""Least size of a leap in sigmas of the steps of this drive, and in sigmas that fixes state."""
 
 ALONE_SHARE = 0.5
 """The steps beside a leap differ from the estimate by no more than this share of it: what is spread

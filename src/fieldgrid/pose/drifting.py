@@ -17,19 +17,19 @@ import numpy as np
 from fieldgrid.array_types import Float64
 from fieldgrid.pose.axle import Axle
 from fieldgrid.pose.clock import ClockFindings
-from fieldgrid.pose.denied import FAR_M, Denied, sees_way
+from fieldgrid.pose.denied import FAR_M, DriveContradiction, sees_way
 from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.imu_turn import ImuTurn
 from fieldgrid.pose.table import PoseTable
-from fieldgrid.smoother import SlowDrift, slow_drift, wander
+from fieldgrid.smoother import slow_drift, wander
 
 CLEAR_NATS = 8.0
-"""Fixes drift only where that is likelier by so much: where the fixes of rendered drives are right,
+"""Fixes drift only where that is likelier by this: where the fixes of rendered drives are right,
 it is less likely by 5 at least."""
 
 EXPLAINED_NATS = 2.0
-"""It is no drift what an antenna, stamps and a gyro's scale that are off by what is usual explain
-by so much better, as an antenna does that an IMU, tilted by 5°, leans."""
+"""No drift is what usual errors of the antenna's place, of stamps and of a gyro's scale explain
+better by this, as an antenna does that an IMU, tilted by 5°, leans."""
 
 CLEAR_MISFIT = 5.5
 """Six numbers that are right are more sigmas away once in 20,000 drives."""
@@ -39,7 +39,7 @@ MOST_LEFT = 5.0
 with a drive, or not all of it. Simulated drives whose fixes drift have 1.4 to 2.1 left."""
 
 STATED_TIMES, LEAST_M = 3.0, 0.2
-"""A drift by less than so many times the stated error, or by this, is not worth a word: the camera
+"""A drift of less than this multiple of the stated error, or than this, is not reported: the camera
 itself makes as much."""
 
 
@@ -60,56 +60,51 @@ class Drifts(NamedTuple):
 
 
 def drifts(
-    drive: DriveEstimate, axle: Axle, denied: Denied, clocks: ClockFindings, turned: ImuTurn | None
+    drive: DriveEstimate,
+    axle: Axle,
+    denied: DriveContradiction,
+    clocks: ClockFindings,
+    turned: ImuTurn | None,
 ) -> Drifts:
     """By how much the fixes of a drive drift beside its camera's way; nothing is found where a
     wrong declaration or clock, or an IMU that is `turned`, explains what does not fit."""
     slow, seen = None, Drifts()
     if sees_way(drive):
         slow = slow_drift(drive.smoothed, drive.measured, *axle.frame())
-        seen = Drifts(None, _is_shown(slow, drive))
-    certain = clocks.contradiction is not None and clocks.contradiction.is_certain
-    if denied.clear or certain or clocks.change is not None:
-        return seen
-    if clocks.offset is not None and clocks.offset.is_certain:
-        return seen
-    if turned is not None and turned.is_off:
+        # Whether the drive denies a drift of :data:`FAR_M` from one end of it to the other, beyond
+        # what the receiver states.
+        stated_m = float(np.median(drive.measured.bias_m))
+        open_m = 2.0 * math.sqrt(max(slow.sigma_m**2 - stated_m**2, 0.0))
+        seen = Drifts(None, CLEAR_MISFIT * open_m < FAR_M)
+    by_clock = (clocks.contradiction, clocks.offset)
+    certain = any(one is not None and one.is_certain for one in by_clock)
+    imu_off = turned is not None and turned.is_off
+    if denied.clear or certain or imu_off or clocks.change is not None:
         return seen
     if len(drive.measured.step) and (found := _wandering(drive, axle)) is not None:
         return seen._replace(found=found)
-    if slow is not None and _is_told(slow, drive):
+    # A slow drift that is there, and explains what does not fit.
+    clear = slow is not None and slow.misfit > CLEAR_MISFIT and slow.left < MOST_LEFT
+    if slow is not None and clear and _is_large(slow.extent_m, drive):
         return seen._replace(found=Drift(slow.extent_m, slow.turned_rad))
     return seen
 
 
 def _wandering(drive: DriveEstimate, axle: Axle) -> Drift | None:
     """A drift at random, faster than the slow ones."""
-    found = wander(drive.smoothed, drive.measured, *axle.frame())
-    likely = found.nats > CLEAR_NATS and found.unexplained_nats > -EXPLAINED_NATS
-    large = _is_large(found.extent_m, drive)
-    return Drift(found.extent_m, found.turned_rad) if large and likely else None
-
-
-def _is_told(slow: SlowDrift, drive: DriveEstimate) -> bool:
-    """Whether a slow drift is there, and explains what does not fit."""
-    clear = slow.misfit > CLEAR_MISFIT and slow.left < MOST_LEFT
-    return clear and _is_large(slow.extent_m, drive)
+    nats, unexplained_nats, extent_m, turned_rad = wander(
+        drive.smoothed, drive.measured, *axle.frame()
+    )
+    likely = nats > CLEAR_NATS and unexplained_nats > -EXPLAINED_NATS
+    return Drift(extent_m, turned_rad) if likely and _is_large(extent_m, drive) else None
 
 
 def _is_large(extent_m: float, drive: DriveEstimate) -> bool:
     return extent_m > max(LEAST_M, STATED_TIMES * float(np.median(drive.measured.bias_m)))
 
 
-def _is_shown(slow: SlowDrift, drive: DriveEstimate) -> bool:
-    """Whether the drive denies a drift of :data:`FAR_M` from one end of it to the other, beyond
-    what the receiver states."""
-    stated_m = float(np.median(drive.measured.bias_m))
-    open_m = 2.0 * math.sqrt(max(slow.sigma_m**2 - stated_m**2, 0.0))
-    return CLEAR_MISFIT * open_m < FAR_M
-
-
 def unsure_drift(table: PoseTable, drive: DriveEstimate, drifts: Drifts) -> PoseTable:
-    """The same poses, as unsure as the fixes drift: nobody knows where these were right, so
+    """The poses, as unsure as the fixes drift: nobody knows where these were right, so
     positions by half of the drift along each axis."""
     found = drifts.found
     if found is None:

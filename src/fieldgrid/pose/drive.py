@@ -8,7 +8,7 @@ import numpy as np
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Bool, Float64, Int64
-from fieldgrid.motion import Motion, Steps
+from fieldgrid.motion import Motion
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import Axle, names_axle, unsure_heading_rad
 from fieldgrid.pose.gears import (
@@ -23,7 +23,7 @@ from fieldgrid.pose.measured import RecordedHeadings, measurements, with_heading
 from fieldgrid.pose.nodes import Nodes, nodes, seconds
 from fieldgrid.pose.rest import at_rest
 from fieldgrid.quality import Quality
-from fieldgrid.smoother import Measurements, Smoothed, refine, smooth, unstated_wander
+from fieldgrid.smoother import Measurements, SmoothedDrive, refine, smooth, unstated_wander
 
 LEAST_HEADING_SIGMA_DEG = 0.3
 """What no measurement shows: an axle out of line, a vehicle that crabs on a side slope."""
@@ -61,7 +61,7 @@ class DriveEstimate(NamedTuple):
     at: Nodes
     measured: Measurements
     stations: StationGears
-    smoothed: Smoothed
+    smoothed: SmoothedDrive
     east_m: Float64
     north_m: Float64
     heading_deg: Float64
@@ -117,12 +117,22 @@ def smooth_drive(
     """
     at = nodes(fixes.time_ns, all_ns, motion)
     standing = _standing(fixes)
-    resting = standing & ~_turning(at, fixes.time_ns)
+    # Where the gyro sees a vehicle turn on the spot, which its position does not show.
+    rate = np.nan_to_num(at.turned_rad) / np.maximum(np.diff(at.time_ns) / 1e9, 1e-3)
+    node = np.clip(np.searchsorted(at.time_ns, fixes.time_ns), 0, max(len(rate) - 1, 0))
+    resting = standing & ~(np.abs(rate[node]) > TURNING_RAD_S) if len(rate) else standing
     recorded = recorded or RecordedHeadings(np.full(len(fixes.time_ns), np.nan))
     found = station_gears(fixes, at, standing, resting, motion, recorded.heading_deg, hints)
     # Between two fixes it rests only where it does at both; beyond them nobody knows.
     rest = np.interp(at.time_ns, fixes.time_ns, resting.astype(np.float64), left=0.0, right=0.0)
-    node_rest = (rest > 0.99) & ~_driven(at.time_ns, motion.steps)
+    # Nodes during a step of the camera that shows motion do not rest.
+    change = np.zeros(len(at.time_ns) + 1, dtype=np.int64)
+    if motion.steps is not None:
+        distance_m = np.hypot(motion.steps.forward_m, motion.steps.right_m)
+        real = distance_m > np.maximum(DRIVEN_M, 4.0 * motion.steps.sigma_m)
+        np.add.at(change, np.searchsorted(at.time_ns, motion.steps.start_ns[real]), 1)
+        np.add.at(change, np.searchsorted(at.time_ns, motion.steps.stop_ns[real], side="right"), -1)
+    node_rest = (rest > 0.99) & (np.cumsum(change[:-1]) <= 0)
     measured = measurements(fixes, at, node_rest, motion, _assigned(at, found)[0], axle.vehicle)
     measured = with_headings(measured, fixes, at, recorded)
     lever_m, step_ahead_m = axle.frame()
@@ -139,7 +149,7 @@ def with_recorded(
     recorded: RecordedHeadings,
     hints: GearHints,
 ) -> DriveEstimate:
-    """The same drive by its recorded headings, too: only what they change is estimated again,
+    """The drive by its recorded headings, too: only what they change is estimated again,
     unless they turn a gear around."""
     resting = drive.resting[np.flatnonzero(drive.fix >= 0)]
     found = station_gears(
@@ -159,24 +169,6 @@ def _standing(fixes: AcceptedFixes) -> Bool:
     )
 
 
-def _turning(at: Nodes, time_ns: Int64) -> Bool:
-    """Where the gyro sees a vehicle turn on the spot, which its position does not show."""
-    rate = np.nan_to_num(at.turned_rad) / np.maximum(np.diff(at.time_ns) / 1e9, 1e-3)
-    node = np.clip(np.searchsorted(at.time_ns, time_ns), 0, max(len(rate) - 1, 0))
-    return np.abs(rate[node]) > TURNING_RAD_S if len(rate) else np.zeros(len(time_ns), np.bool_)
-
-
-def _driven(time_ns: Int64, steps: Steps | None) -> Bool:
-    """Nodes during a step of the camera that is one."""
-    change = np.zeros(len(time_ns) + 1, dtype=np.int64)
-    if steps is not None:
-        distance_m = np.hypot(steps.forward_m, steps.right_m)
-        real = distance_m > np.maximum(DRIVEN_M, 4.0 * steps.sigma_m)
-        np.add.at(change, np.searchsorted(time_ns, steps.start_ns[real]), 1)
-        np.add.at(change, np.searchsorted(time_ns, steps.stop_ns[real], side="right"), -1)
-    return np.asarray(np.cumsum(change[:-1]) > 0)
-
-
 def _assigned(at: Nodes, found: StationGears) -> tuple[Int64, Float64]:
     """Gear and doubt of the station at or before each node."""
     fix = np.maximum.accumulate(at.fix)
@@ -189,7 +181,7 @@ def _drive(
     at: Nodes,
     measured: Measurements,
     found: StationGears,
-    smoothed: Smoothed,
+    smoothed: SmoothedDrive,
     axle: Axle,
 ) -> DriveEstimate:
     assigned, doubt = _assigned(at, found)
@@ -248,7 +240,7 @@ def _drive(
 
 
 def _position_sigma_m(
-    fixes: AcceptedFixes, at: Nodes, measured: Measurements, smoothed: Smoothed
+    fixes: AcceptedFixes, at: Nodes, measured: Measurements, smoothed: SmoothedDrive
 ) -> Float64:
     """Absolute position sigmas [n]. For how long the error of a float solution lasts is a guess; if
     it lasts, no mean over the drive makes it smaller than stated."""

@@ -19,12 +19,12 @@ from fieldgrid.pose.camera_yaw import CameraYaw, camera_yaw
 from fieldgrid.pose.clock import ClockFindings, check_clock
 from fieldgrid.pose.clock_jump import clock_jump
 from fieldgrid.pose.convention import FEW_TURNED_SHARE, Comparison
-from fieldgrid.pose.denied import Denied, denied_by, unsure_declared, with_whole_place
+from fieldgrid.pose.denied import DriveContradiction, denied_by, unsure_declared, with_whole_place
 from fieldgrid.pose.drifting import Drifts, drift_notes, drifts, unsure_drift
 from fieldgrid.pose.drive import DriveEstimate, with_recorded
-from fieldgrid.pose.excused import Excused, excused
+from fieldgrid.pose.excused import GyroExcuse, excused
 from fieldgrid.pose.explained import explained
-from fieldgrid.pose.fused import Fused, conditioned, counted_twice_note, fuse
+from fieldgrid.pose.fused import Fusion, conditioned, counted_twice_note, fuse
 from fieldgrid.pose.given import CLEAR_OFFSET_DEG, place_poses
 from fieldgrid.pose.levelled import leaning, tells_attitude, unsure_lean
 from fieldgrid.pose.measured import RecordedHeadings
@@ -118,6 +118,8 @@ def estimate_poses(
     if lean is not None:
         trajectory = leaning(trajectory, lean, level_grids=level_grids)
     clocks = checks.clocks
+    # A contradiction by a gyro that is excused says itself why the gyro was left out.
+    silent = found.gyro_note is None or (checks.excused is not None and checks.denied.clear)
     report = PoseReport(
         conditioning=summarise(log.fixes, log.verdicts),
         attitude=None if lean is None else lean.attitude,
@@ -134,7 +136,7 @@ def estimate_poses(
         wheel_scale=drive.smoothed.wheel_scale,
         unseen=unseen_faults(drive, rig, drift_shown=checks.drifts.is_shown),
         notes=(
-            *checks.gyro_notes(found),
+            *(() if silent else (found.gyro_note,)),
             *(*found.notes, *notes),
             *(unsure_notes(log.accepted) if settings.accuracy_m is None else ()),
             *slope_notes(slope, axle.vehicle),
@@ -152,18 +154,13 @@ def estimate_poses(
 class _Checks(NamedTuple):
     clocks: ClockFindings
     yaw: CameraYaw | None
-    denied: Denied
+    denied: DriveContradiction
     drifts: Drifts
-    excused: Excused | None
-
-    def gyro_notes(self, found: Fused) -> tuple[str, ...]:
-        """Why the gyro was changed or left out; of one that is excused, what it denies says so."""
-        excuses = self.excused is not None and self.denied.clear
-        return () if found.gyro_note is None or excuses else (found.gyro_note,)
+    excused: GyroExcuse | None
 
 
 def _checked(
-    found: Fused,
+    found: Fusion,
     drive: DriveEstimate,
     declared: VehicleGeometry | None,
     source: HeadingSource,
@@ -188,14 +185,14 @@ def _checked(
         excuse = excused(found, declared)
     if excuse is not None:
         denied = excuse.denied
-    seen = Drifts()
-    if smooth:
-        seen = drifts(drive, found.axle, denied, clocks, found.imu_turn)
+    seen = drifts(drive, found.axle, denied, clocks, found.imu_turn) if smooth else Drifts()
     return _Checks(clocks, yaw, denied, seen, excuse)
 
 
-def _with_recorded(found: Fused, recorded: RecordedHeadings, ahead_m: float = 0.0) -> DriveEstimate:
-    """The drive by its recorded headings, too, with the antenna so much farther ahead."""
+def _with_recorded(
+    found: Fusion, recorded: RecordedHeadings, ahead_m: float = 0.0
+) -> DriveEstimate:
+    """The drive by its recorded headings, too, with the antenna `ahead_m` farther ahead."""
     if not np.isfinite(recorded.heading_deg).any():
         return found.drive
     axle = with_antenna_moved(found.axle, ahead_m) if ahead_m else found.axle
@@ -258,7 +255,7 @@ def _of_given(
 
 
 def _recorded(
-    fused: Fused, source: HeadingSource, settings: PoseSettings
+    fused: Fusion, source: HeadingSource, settings: PoseSettings
 ) -> tuple[Float64, Comparison | None, list[str]]:
     """Headings of the vehicle that were recorded with the accepted fixes, NaN where none can be
     used; raises when they contradict the drive."""
@@ -322,9 +319,8 @@ def _carried(table: PoseTable, rig: VehicleGeometry | None, source: HeadingSourc
     """Rows carried to the grid origin."""
     if rig is None:
         return table
-    point = rig.antenna
-    if source.kind == "smooth":
-        point = LeverArm(0.0, axle_forward_m(rig), 0.0)
+    axle = LeverArm(0.0, axle_forward_m(rig), 0.0)
+    point = axle if source.kind == "smooth" else rig.antenna
     east_m, north_m = carry_lever(table.east_m, table.north_m, table.heading_deg, point)
     return table._replace(east_m=east_m, north_m=north_m, up_m=table.up_m - rig.antenna.up_m)
 

@@ -16,10 +16,10 @@ import numpy as np
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.motion import Gyro
-from fieldgrid.pose.denied import CLEAR_SIGMAS, Denied, sees_turns
+from fieldgrid.pose.denied import CLEAR_SIGMAS, DriveContradiction, sees_turns
 from fieldgrid.pose.drive import DriveEstimate
-from fieldgrid.pose.explained import MOST_LEFT, UNTOLD, Explanation, PutRight, explanation
-from fieldgrid.pose.fused import Fused
+from fieldgrid.pose.explained import MOST_LEFT, UNTOLD, Correction, Explanation, explanation
+from fieldgrid.pose.fused import Fusion
 from fieldgrid.pose.gyro_check import apart_deg, scaled, turn_ratio
 from fieldgrid.rig import VehicleGeometry
 
@@ -31,28 +31,28 @@ MOST_NODES = 3_000
 """Of a longer drive the part that turns most is tried first, since there are up to 50 estimates."""
 
 FAR_OFF, MORE_FAR_OFF = 5.0, 0.01
-"""A fix that lies beside the drive by so many times its noise does not fit it. With a gyro that is
-right no larger share of them does than without it, and with one that is wrong 0.03 to 0.9 more: it
-fits a drive that leaves the fixes."""
+"""A fix that lies beside the drive by this multiple of its noise does not fit it. With a gyro that
+is right no larger share of them does than without it, and with one that is wrong 0.03 to 0.9 more:
+it fits a drive that leaves the fixes."""
 
 LEFT_SHARE = 0.25
-"""At most so much is left of what the gyro contradicted."""
+"""Largest share that is left of what the gyro contradicted."""
 
 
-class Excused(NamedTuple):
+class GyroExcuse(NamedTuple):
     """What such a gyro denies of antenna and stamps, and how far headings by it, with these put
     right, are from those without it at the nodes of the drive [n]."""
 
-    denied: Denied
+    denied: DriveContradiction
     time_ns: Int64
     unsure_deg: Float64
 
     def unsure_at(self, time_ns: Int64) -> Float64:
-        """The same at other instants."""
+        """By how much headings are unsure at other instants, degrees."""
         return np.asarray(np.interp(time_ns, self.time_ns, self.unsure_deg))
 
 
-def excused(found: Fused, vehicle: VehicleGeometry | None) -> Excused | None:
+def excused(found: Fusion, vehicle: VehicleGeometry | None) -> GyroExcuse | None:
     """What excuses the gyro that the drive was estimated without; None where nothing does. A
     camera shows by itself what was declared wrongly."""
     drive, gyro = found.drive, found.gyro
@@ -71,10 +71,10 @@ def excused(found: Fused, vehicle: VehicleGeometry | None) -> Excused | None:
     fitting = [one.drive for may_be, one in either if may_be and one.drive is not None]
     unsure_deg = np.max([apart_deg(drive, one) for one in fitting], axis=0)
     denied = tried.denies(drive, vehicle)._replace(gyro_unused=True)
-    return Excused(denied, drive.time_ns, unsure_deg)
+    return GyroExcuse(denied, drive.time_ns, unsure_deg)
 
 
-def _most_turning(found: Fused) -> Fused:
+def _most_turning(found: Fusion) -> Fusion:
     """The part of a drive in which it turns most, or all of a short one."""
     drive, log = found.drive, found.log
     at_fix = np.flatnonzero(drive.fix >= 0)
@@ -91,7 +91,7 @@ def _most_turning(found: Fused) -> Fused:
     return found.again(log=log._replace(fixes=log.fixes[within], accepted=accepted))
 
 
-def _is_of_other_size(without: Fused, gyro: Gyro) -> bool:
+def _is_of_other_size(without: Fusion, gyro: Gyro) -> bool:
     """Whether a gyro fits once it turns by as much as the path does: then its axes or its unit are
     wrong, and nothing else."""
     ratio = turn_ratio(without.log.accepted, gyro)
@@ -102,7 +102,7 @@ def _is_of_other_size(without: Fused, gyro: Gyro) -> bool:
 
 
 def _fitting(
-    without: Fused,
+    without: Fusion,
     gyro: Gyro,
     vehicle: VehicleGeometry | None,
     starts: Sequence[tuple[float | None, float | None]],
@@ -116,7 +116,7 @@ def _fitting(
     noise_m = without.log.accepted.noise.across_m
     most_far_off = _far_off(without.drive, noise_m) + MORE_FAR_OFF
 
-    def fits(one: PutRight) -> bool:
+    def fits(one: Correction) -> bool:
         is_clear = abs(one.value.value) > CLEAR_SIGMAS * one.value.sigma
         return one.drive is not None and is_clear and _far_off(one.drive, noise_m) <= most_far_off
 

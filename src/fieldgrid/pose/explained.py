@@ -14,17 +14,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Float64
 from fieldgrid.pose.axle import names_axle, with_antenna_moved
 from fieldgrid.pose.denied import (
     LEAST_DELAY_S,
     LEAST_LEVER_M,
-    Denied,
+    DriveContradiction,
     moving_places,
     off_if_alone_m,
 )
 from fieldgrid.pose.drive import DriveEstimate
-from fieldgrid.pose.fused import Fused
+from fieldgrid.pose.fused import Fusion
 from fieldgrid.rig import Rig, VehicleGeometry
 from fieldgrid.smoother import AHEAD, LATE, MOST_MISFIT, Constant, DeclaredCorrection
 
@@ -41,14 +40,14 @@ many times as many with the scale as it is. Random drives (`benchmarks.late_fixe
 left by the one, 3 to 80 by the other."""
 
 SLIGHT = 0.5
-"""What is no more than such a share of the least that is named is as it seems in one step: there a
+"""A correction of at most this share of the least that is named is taken from one step: there a
 path hardly bends."""
 
 LEAST_MPS = 0.1
 """A slower vehicle tells no clock from a place."""
 
 
-class PutRight(NamedTuple):
+class Correction(NamedTuple):
     """One of the two put right: by how much, how many sigmas are left, in all and beside a gyro's
     scale that is wrong, too, and the drive then."""
 
@@ -57,21 +56,21 @@ class PutRight(NamedTuple):
     left: float
     drive: DriveEstimate | None
 
-    def rules_out(self, other: PutRight) -> bool:
+    def rules_out(self, other: Correction) -> bool:
         """Whether the drive fits this, and not the other, whatever the scale, or clearly better as
         it is."""
         worse = other.misfit > max(RULED_OUT, CLEARLY_WORSE * self.misfit)
         return self.left < MOST_LEFT and (other.left > RULED_OUT or worse)
 
 
-UNTOLD = PutRight(Constant(0.0, np.inf), np.inf, np.inf, None)
+UNTOLD = Correction(Constant(0.0, np.inf), np.inf, np.inf, None)
 
 
 class Explanation(NamedTuple):
     """The antenna's place ahead of the axle put right, and instead of it the stamps."""
 
-    place: PutRight
-    delay: PutRight
+    place: Correction
+    delay: Correction
 
     @property
     def left(self) -> float:
@@ -88,7 +87,7 @@ class Explanation(NamedTuple):
         """Whether the stamps may be it."""
         return not self.place.rules_out(self.delay)
 
-    def denies(self, drive: DriveEstimate, vehicle: VehicleGeometry | None) -> Denied:
+    def denies(self, drive: DriveEstimate, vehicle: VehicleGeometry | None) -> DriveContradiction:
         """What that says of a vehicle and of stamps as they were declared, where one of them
         explains all; how far positions are off at the nodes of a drive."""
         moves = isinstance(vehicle, Rig)
@@ -98,32 +97,43 @@ class Explanation(NamedTuple):
         late_s = self.delay.value if abs(by_stamps_s) > LEAST_DELAY_S else None
         if not moves and self.is_place:
             late_s = None  # it may as well be the place, which is not to be told here
-        off_m = np.maximum(by_place_m, _driven_m(drive, by_stamps_s))
+        # How far the vehicle is at each node from where it is by the gyro's clock, by which its
+        # fixes are late. Where it starts in between, that is farther than its speed tells.
+        later_ns = drive.time_ns + round(by_stamps_s * 1e9)
+        places = (drive.east_m, drive.north_m)
+        apart_m = np.hypot(*(np.interp(later_ns, drive.time_ns, one) - one for one in places))
+        off_m = np.maximum(by_place_m, np.maximum(apart_m, np.abs(by_stamps_s * drive.speed_mps)))
         either = ahead_m is not None and late_s is not None
-        return Denied(None, ahead_m, late_s, off_m, either)
+        return DriveContradiction(None, ahead_m, late_s, off_m, either)
 
 
 def explained(
-    denied: Denied, found: Fused, drive: DriveEstimate, vehicle: VehicleGeometry | None
-) -> Denied:
+    denied: DriveContradiction, found: Fusion, drive: DriveEstimate, vehicle: VehicleGeometry | None
+) -> DriveContradiction:
     """What a gyro denies of a drive without a camera, by the mistake that explains it, or by
     either. Where neither does, nothing is clearly denied, and positions stay as unsure. Positions
     of a log alone are the antenna's, wherever on the `vehicle` that sits."""
     declared = drive.smoothed.declared
-    if found.has_camera() or drive.headings_recorded or not drive.at.has_gyro():
-        return denied
-    if declared.misfit_but_scale < MOST_MISFIT:
+    by_gyro = drive.at.has_gyro() and not found.has_camera() and not drive.headings_recorded
+    if not by_gyro or declared.misfit_but_scale < MOST_MISFIT:
         return denied
     tried = _slight(declared, vehicle) or explanation(found._replace(drive=drive), vehicle)
     if tried is None:
         return denied
     if tried.left > MOST_LEFT:
-        return _neither(denied, declared, drive, vehicle)
+        # Nothing ahead or late is denied, since neither explains the drive.
+        off_m = denied.off_m
+        if not names_axle(vehicle):
+            # A delay and the place ahead of an axle that nobody names cancel in one step.
+            places = moving_places(drive, vehicle)
+            off_m = off_if_alone_m(declared, vehicle, np.abs(drive.speed_mps), places)
+            off_m = np.hypot(off_m, 0.0 if denied.right_m is None else denied.right_m.value)
+        return denied._replace(ahead_m=None, late_s=None, off_m=off_m)
     return tried.denies(drive, vehicle)
 
 
 def _slight(declared: DeclaredCorrection, vehicle: VehicleGeometry | None) -> Explanation | None:
-    """What explains a contradiction by so little that no other estimate is needed; None where
+    """A small correction that explains a contradiction without another estimate; None where
     nothing does, or what may be it is more than that."""
     one_step = {LATE: (declared.late_s.sigma, LEAST_DELAY_S)}
     if names_axle(vehicle):
@@ -135,12 +145,12 @@ def _slight(declared: DeclaredCorrection, vehicle: VehicleGeometry | None) -> Ex
             continue
         if abs(value) > SLIGHT * least:
             return None
-        found[k] = PutRight(Constant(value, sigma), left, left, None)
+        found[k] = Correction(Constant(value, sigma), left, left, None)
     return Explanation(found.get(AHEAD, UNTOLD), found.get(LATE, UNTOLD)) if found else None
 
 
 def explanation(
-    found: Fused,
+    found: Fusion,
     vehicle: VehicleGeometry | None,
     ahead_m: float | None = 0.0,
     late_s: float | None = 0.0,
@@ -154,41 +164,13 @@ def explanation(
     if usual_mps < LEAST_MPS:
         return None
     delay = UNTOLD if late_s is None else _delay(found, usual_mps, late_s)
-    place = UNTOLD
     # Where nobody says how far ahead of the axle the antenna sits, its place is free already.
-    if ahead_m is not None and names_axle(vehicle):
-        place = _place(found, ahead_m)
+    free = not names_axle(vehicle)
+    place = UNTOLD if ahead_m is None or free else _place(found, ahead_m)
     return Explanation(place, delay)
 
 
-def _neither(
-    denied: Denied,
-    declared: DeclaredCorrection,
-    drive: DriveEstimate,
-    vehicle: VehicleGeometry | None,
-) -> Denied:
-    """Nothing ahead or late is denied, since neither explains the drive."""
-    off_m = denied.off_m
-    if not names_axle(vehicle):
-        # A delay and the place ahead of an axle that nobody names cancel each other in one step.
-        places = moving_places(drive, vehicle)
-        off_m = off_if_alone_m(declared, vehicle, np.abs(drive.speed_mps), places)
-        off_m = np.hypot(off_m, 0.0 if denied.right_m is None else denied.right_m.value)
-    return denied._replace(ahead_m=None, late_s=None, off_m=off_m)
-
-
-def _driven_m(drive: DriveEstimate, late_s: float) -> Float64:
-    """How far the vehicle is at each node [n] from where it is by the gyro's clock: there its fixes
-    are stamped so much later. If it starts in between, that is farther than its speed tells."""
-    later_ns = drive.time_ns + round(late_s * 1e9)
-    of = (np.interp(later_ns, drive.time_ns, one) for one in (drive.east_m, drive.north_m))
-    apart_m = np.hypot(
-        *(one - was for one, was in zip(of, (drive.east_m, drive.north_m), strict=True))
-    )
-    return np.maximum(apart_m, np.abs(late_s * drive.speed_mps))
-
-
-def _place(found: Fused, start_m: float) -> PutRight:
+def _place(found: Fusion, start_m: float) -> Correction:
     """How much farther ahead the antenna sits, if that explains all."""
 
     def moved(ahead_m: float) -> DriveEstimate:
@@ -198,7 +180,7 @@ def _place(found: Fused, start_m: float) -> PutRight:
     return _settled(first, start_m, moved, lambda one: one.ahead_m, (SETTLED_M, FARTHEST_M))
 
 
-def _delay(found: Fused, usual_mps: float, start_s: float) -> PutRight:
+def _delay(found: Fusion, usual_mps: float, start_s: float) -> Correction:
     """How late the fixes are stamped, if that explains all."""
     log = found.log
 
@@ -224,7 +206,7 @@ def _settled(
     put_right: Callable[[float], DriveEstimate],
     left: Callable[[DeclaredCorrection], Constant],
     limits: tuple[float, float],
-) -> PutRight:
+) -> Correction:
     """Put one of them right until there is nothing `left` to add, beginning with a drive that has a
     `total`; infinitely many sigmas are left where that leads nowhere."""
     least, most = limits
@@ -237,4 +219,4 @@ def _settled(
             break
     declared = drive.smoothed.declared
     value = Constant(total, left(declared).sigma)
-    return PutRight(value, declared.misfit, declared.misfit_but_scale, drive)
+    return Correction(value, declared.misfit, declared.misfit_but_scale, drive)

@@ -25,7 +25,7 @@ from fieldgrid.pose.dead_gyro import without_dead_gyro
 from fieldgrid.pose.denied_leaps import denied_leaps
 from fieldgrid.pose.drive import DriveEstimate, smooth_drive
 from fieldgrid.pose.gears import GearHints, gear_hints
-from fieldgrid.pose.gyro_check import Trusted, with_trusted_gyro, without_wrong_gyro
+from fieldgrid.pose.gyro_check import GyroVerdict, with_trusted_gyro, without_wrong_gyro
 from fieldgrid.pose.gyro_faults import without_faulty_samples
 from fieldgrid.pose.imu_turn import ImuTurn, imu_turn
 from fieldgrid.pose.levelled import (
@@ -39,32 +39,32 @@ from fieldgrid.pose.levelled import (
 from fieldgrid.pose.recorded_leaps import recorded_leaps
 from fieldgrid.pose.seen_leaps import seen_leaps
 from fieldgrid.pose.stray import MOST_ROUNDS, stray_fixes
-from fieldgrid.pose.table import Conditioned
+from fieldgrid.pose.table import ConditionedLog
 from fieldgrid.pose.wheel_sense import with_right_wheels
 from fieldgrid.rig import VehicleGeometry, nose_heading_deg
 from fieldgrid.settings import PoseSettings
 
 
-class Fused(NamedTuple):
+class Fusion(NamedTuple):
     """A drive, and what it was estimated from: fixes and motion, of a vehicle that stands level
     where `lean` tells its attitude; its axle, and the gears that are known. `gyro` is the one that
     was recorded, used or not, `trusted` what became of it, and `gyro_note` says why it was changed
     or left out. `imu_turn` is how an IMU is turned about the vertical against what was declared.
     `notes` say which other sensors were changed or left out."""
 
-    log: Conditioned
+    log: ConditionedLog
     drive: DriveEstimate
     motion: Motion
     axle: Axle
     hints: GearHints
     gyro: Gyro | None
-    trusted: Trusted
+    trusted: GyroVerdict
     lean: Lean | None = None
     imu_turn: ImuTurn | None = None
     gyro_note: str | None = None
     notes: tuple[str, ...] = ()
 
-    def again(self, **changes: Any) -> Fused:
+    def again(self, **changes: Any) -> Fusion:
         """The drive estimated again, with other fixes, motion or axle."""
         new = self._replace(**changes)
         fixes, at_ns = new.log.accepted, new.log.fixes.time_ns
@@ -100,12 +100,12 @@ class Fused(NamedTuple):
 
 
 def fuse(
-    log: Conditioned,
+    log: ConditionedLog,
     rig: VehicleGeometry | None,
     motion: Motion,
     settings: PoseSettings,
     frame_ns: Int64 | None,
-) -> Fused:
+) -> Fusion:
     """One estimate of a drive from its fixes and all that its sensors say of its motion.
 
     A first estimate shows which fixes are strays, whether the gyro fits, where the axle is and how
@@ -129,7 +129,7 @@ def fuse(
     # A gyro that contradicts the drive; of one that fits, where an undeclared axle is.
     trusted = _with_trusted_gyro(drive, log, motion, axle, hints, frame_ns)
     notes = (counted_twice_note(log), faulty_gyro, dead_gyro, turned_wheels)
-    found = Fused(
+    found = Fusion(
         *(log, trusted.drive, trusted.motion, axle, hints, gyro, trusted),
         imu_turn=imu_turn(trusted.motion.steps, trusted.motion.inertial),
         gyro_note=wrong_gyro or trusted.note,
@@ -166,7 +166,7 @@ def fuse(
     return found
 
 
-def counted_twice_note(log: Conditioned) -> str | None:
+def counted_twice_note(log: ConditionedLog) -> str | None:
     """That the log counts some seconds twice, and what it means."""
     if not log.spans:
         return None
@@ -182,12 +182,12 @@ def counted_twice_note(log: Conditioned) -> str | None:
 
 def _with_trusted_gyro(
     drive: DriveEstimate,
-    log: Conditioned,
+    log: ConditionedLog,
     motion: Motion,
     axle: Axle,
     hints: GearHints,
     frame_ns: Int64 | None,
-) -> Trusted:
+) -> GyroVerdict:
     """The drive with a gyro that fits. On hills antenna and gyro lean with the vehicle, so that
     good ones do not fit each other: what seems wrong counts only if it does on a vehicle that is
     levelled by this very IMU, too."""
@@ -206,10 +206,10 @@ def _with_trusted_gyro(
     again = smooth_drive(fixes, at_ns, level, axle, hints=hints)
     if with_trusted_gyro(again, fixes, at_ns, level, axle, hints).note is not None:
         return trusted
-    return Trusted(again, motion, np.zeros(len(again.time_ns)))
+    return GyroVerdict(again, motion, np.zeros(len(again.time_ns)))
 
 
-def _stated_axes(found: Fused, settings: PoseSettings) -> tuple[AxisTilt, ...]:
+def _stated_axes(found: Fusion, settings: PoseSettings) -> tuple[AxisTilt, ...]:
     """The axes whose rise the receiver states beside its heading. Where they point is what the
     heading shows: none, where it is none of the vehicle or was not compared with the drive."""
     offset_deg = _heading_offset_deg(found, settings)
@@ -220,7 +220,7 @@ def _stated_axes(found: Fused, settings: PoseSettings) -> tuple[AxisTilt, ...]:
     return axes_of_fixes(found.log.fixes[found.log.verdicts.ok], declared_deg + offset_deg)
 
 
-def _heading_offset_deg(found: Fused, settings: PoseSettings) -> float | None:
+def _heading_offset_deg(found: Fusion, settings: PoseSettings) -> float | None:
     """What recorded headings have more than the nose; None where they are none of the vehicle or
     were not compared with the drive."""
     heading = found.compared()
@@ -236,7 +236,7 @@ def _heading_offset_deg(found: Fused, settings: PoseSettings) -> float | None:
 
 def conditioned(
     fixes: FixColumns, settings: PoseSettings, datum: Datum | None = None
-) -> Conditioned:
+) -> ConditionedLog:
     """Fixes in order of time with what the settings declare of them, judged, and the accepted
     ones in the plane. Raises GnssError when none can be used."""
     twice, spans = counted_twice(fixes)
@@ -251,13 +251,13 @@ def conditioned(
         raise GnssError(no_fix_sentence(fixes, verdicts))
     datum = datum or datum_of(fixes, verdicts)
     accepted = accepted_fixes(fixes, verdicts, datum)
-    return Conditioned(fixes, verdicts, datum, accepted, twice, spans)
+    return ConditionedLog(fixes, verdicts, datum, accepted, twice, spans)
 
 
 def conditioned_again(
-    log: Conditioned, settings: PoseSettings, strays: Mapping[int, str]
-) -> Conditioned:
-    """The same log judged without `strays`, as in `condition`."""
+    log: ConditionedLog, settings: PoseSettings, strays: Mapping[int, str]
+) -> ConditionedLog:
+    """The log judged again without the fixes `strays`, as in `condition`."""
     verdicts = condition(log.fixes, settings.gnss, strays, log.twice)
     if not verdicts.ok.any():
         raise GnssError(no_fix_sentence(log.fixes, verdicts))

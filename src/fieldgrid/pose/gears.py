@@ -32,14 +32,15 @@ WINDING_NS = 2_000_000_000
 """Between courses that are farther apart a vehicle may turn by more than half a circle."""
 
 WINDING_DEG = 90.0
-"""A vehicle that turns by so much along a chord does so on the spot, maybe by more than half a
-circle, and the chord is no course."""
+"""A vehicle that turns by more than this along a chord does so on the spot, maybe by more than half
+a circle, and the chord is no course."""
 
 STEP_NATS, WHEEL_NATS, RECORDED_NATS = 8.0, 2.0, 4.0
 """How strongly a camera's step, a wheel's and a compass's sign speak of the gear."""
 
 UNSIGNED_NATS = 0.3
-"""The same of wheels that never turn back: they may not know how."""
+"""How strongly the sign of wheels that never turn back speaks of the gear: they may not know
+how."""
 
 TELL_GEARS = "say --starts forward or --starts reverse, or give --gear FILE with spans"
 
@@ -150,8 +151,7 @@ def _forward_nats(
     nats = np.zeros(len(time_ns))
     steps, wheels = motion.steps, motion.wheels
     if steps is not None:
-        middle = (steps.start_ns + steps.stop_ns) // 2
-        to = np.searchsorted(time_ns, middle)
+        to = np.searchsorted(time_ns, (steps.start_ns + steps.stop_ns) // 2)
         inside = (to > 0) & (to < len(time_ns))
         told = np.clip(steps.forward_m / (3.0 * steps.sigma_m), -1.0, 1.0) * STEP_NATS
         np.add.at(nats, to[inside], told[inside])
@@ -197,24 +197,20 @@ def first_guess(
         turns = np.asarray(wrap_deg(np.diff(heading[known])))
         # From one course to the next nobody turns by more than half a circle, but in a hole or on
         # the spot. The gyro's bias, a degree a second, leaves no doubt which way it was.
-        seen_deg = _turned_in_holes_deg(at.time_ns, times, seen_rad)
+        # By how much the vehicle was seen to turn until each node [n], counted only in long gaps
+        # between the instants, and there where all of it was seen (`seen_rad` [n - 1], NaN: not).
+        gap = np.searchsorted(times, at.time_ns[:-1], side="right")
+        unseen = np.bincount(gap[np.isnan(seen_rad)], minlength=len(times) + 1)
+        length_ns = np.diff(times, prepend=times[:1], append=times[-1:])
+        counts = (length_ns >= WINDING_NS) & (unseen == 0)
+        turned = np.append(0.0, np.cumsum(np.where(counts[gap], seen_rad, 0.0)))
+        seen_deg = np.asarray(np.degrees(turned))
         turns_seen = np.diff(seen_deg[np.searchsorted(at.time_ns, times)])
         turns = turns_seen + wrap_deg(turns - turns_seen)
         angle_deg = heading[known[0]] + np.concatenate([[0.0], np.cumsum(turns - turns_seen)])
         guess[:, 2] = np.radians(np.interp(at.time_ns, times, angle_deg) + seen_deg)
         guess[:, 3] = np.interp(at.time_ns, times, (speed * found.gear)[known])
     return guess
-
-
-def _turned_in_holes_deg(node_ns: Int64, time_ns: Int64, turned_rad: Float64) -> Float64:
-    """By how much the vehicle was seen to turn until each node [n], counted only in long gaps
-    between the instants, and there where all of it was seen (`turned_rad` [n - 1], NaN: not)."""
-    gap = np.searchsorted(time_ns, node_ns[:-1], side="right")
-    unseen = np.bincount(gap[np.isnan(turned_rad)], minlength=len(time_ns) + 1)
-    length_ns = np.diff(time_ns, prepend=time_ns[:1], append=time_ns[-1:])
-    counts = (length_ns >= WINDING_NS) & (unseen == 0)
-    turned = np.append(0.0, np.cumsum(np.where(counts[gap], turned_rad, 0.0)))
-    return np.asarray(np.degrees(turned))
 
 
 def _chords(

@@ -25,7 +25,7 @@ FREEDOM, ROUNDS = 4.0, 50
 """Of Student's distribution, by which fixes err; and rounds of reweighting."""
 
 SLOW_S = 300.0
-"""The slow error of a receiver changes in so many seconds (as in the batch estimate)."""
+"""Time in which the slow error of a receiver changes (as in the batch estimate)."""
 
 WINDOWS_M = (20.0, 40.0, 80.0, 160.0, 320.0, 640.0)
 """Ways over which the turn of the poses against the fixes is measured, to see it drift: the
@@ -126,10 +126,13 @@ def by_fixes(pairs: Pairs, heading_deg: float | None) -> Georeference:
     duration_s = float(np.ptp(fixes.time_ns)) / 1e9
     own, slow = _turn_sigma_rad(scatter_m, independent, slow_m, duration_s, max(spread_m, 1e-6))
     sigma_rad = float(np.hypot(own, slow))
-    scale = _scale(p - pivot_p, q - pivot_q, weight, turn_rad)
-    scale_sigma = _check_scale(scale, p - pivot_p, residual, turn_rad, weight, slow, spread_m)
-    _check_hand(p - pivot_p, q - pivot_q, weight, residual, slow_m)
-    origin = pivot_q - pivot_p @ R_enu_level(np.degrees(turn_rad))[:2, :2].T
+    pc, qc = p - pivot_p, q - pivot_q
+    R = R_enu_level(np.degrees(turn_rad))[:2, :2]
+    along = weight @ ((pc @ R.T) * qc).sum(axis=1)
+    scale = float(along / max(weight @ (pc**2).sum(axis=1), 1e-12))
+    scale_sigma = _check_scale(scale, pc, residual, turn_rad, weight, slow, spread_m)
+    _check_hand(pc, qc, weight, residual, slow_m)
+    origin = pivot_q - pivot_p @ R.T
     up_m = float(np.median(fixes.up_m - pairs.frame_m[:, 2]))
     heading = float(np.degrees(turn_rad) + 90.0)
     free = heading_deg is None
@@ -225,12 +228,6 @@ def _turn_rad(pc: Float64, qc: Float64, weight: Float64) -> float:
     along = weight @ (pc * qc).sum(axis=1)
     across = weight @ (pc[:, 1] * qc[:, 0] - pc[:, 0] * qc[:, 1])
     return float(np.arctan2(across, along))
-
-
-def _scale(pc: Float64, qc: Float64, weight: Float64, turn_rad: float) -> float:
-    """By how much the fixes' way is longer than that of the poses."""
-    turned = pc @ R_enu_level(np.degrees(turn_rad))[:2, :2].T
-    return float(weight @ (turned * qc).sum(axis=1) / max(weight @ (pc**2).sum(axis=1), 1e-12))
 
 
 def _scatter(residual: Float64, weight: Float64) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from fieldgrid.motion import GivenPoses, RecordedTilt
 from fieldgrid.pose.accepted import fix_offsets
 from fieldgrid.pose.georeference import CLEAR_SIGMAS, Georeference, Pairs, by_fixes, declared
 from fieldgrid.pose.given_motion import Chords, chords_of, course_off_heading_deg, resting
-from fieldgrid.pose.table import Conditioned, PoseTable
+from fieldgrid.pose.table import ConditionedLog, PoseTable
 from fieldgrid.pose.unseen import unsure_fit_m, unsure_notes
 from fieldgrid.pose.verdict import ErrorBudget, judged
 from fieldgrid.quality import Quality
@@ -48,7 +48,7 @@ POSE_SIGMA_M = 0.05
 """From pose to pose a trajectory errs by this at most: beyond it, it jumps."""
 
 
-class Given(NamedTuple):
+class GivenRows(NamedTuple):
     """Rows of poses, in order of time: those that were given, and between them accepted fixes.
 
     `way_m` is the way from the first one. `fix` is the accepted fix of a row, or -1.
@@ -74,7 +74,7 @@ class PlacedPoses(NamedTuple):
 def place_poses(
     poses: GivenPoses,
     tilt: RecordedTilt | None,
-    log: Conditioned | None,
+    log: ConditionedLog | None,
     rig: VehicleGeometry | None,
     datum: Datum,
     settings: PoseSettings,
@@ -115,7 +115,7 @@ def place_poses(
     return PlacedPoses(trajectory, fix_row, found, attitude, pairs, tuple(notes))
 
 
-def _with_fixes(poses: GivenPoses, log: Conditioned | None) -> Given:
+def _with_fixes(poses: GivenPoses, log: ConditionedLog | None) -> GivenRows:
     """The poses, and between them one for each accepted fix."""
     fix_ns = np.zeros(0, dtype=np.int64) if log is None else log.accepted.time_ns
     inside = _within(fix_ns, poses.time_ns)
@@ -124,11 +124,11 @@ def _with_fixes(poses: GivenPoses, log: Conditioned | None) -> Given:
     fix[np.searchsorted(time_ns, fix_ns[inside])] = np.flatnonzero(inside)
     first_ns = poses.time_ns[0]
     columns = poses._replace(heading_deg=np.unwrap(poses.heading_deg, period=360.0))[1:]
-    rows = GivenPoses._make(
+    joint = GivenPoses._make(
         [time_ns, *(np.interp(time_ns - first_ns, poses.time_ns - first_ns, c) for c in columns)]
     )
-    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(rows.x_m), np.diff(rows.y_m)))])
-    return Given(rows, way_m, fix)
+    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(joint.x_m), np.diff(joint.y_m)))])
+    return GivenRows(joint, way_m, fix)
 
 
 def _within(wanted_ns: Int64, pose_ns: Int64) -> Bool:
@@ -139,13 +139,9 @@ def _within(wanted_ns: Int64, pose_ns: Int64) -> Bool:
     return np.asarray(between | np.isin(wanted_ns, pose_ns))
 
 
-def _axes(poses: GivenPoses) -> Float64:
-    """The vehicle's axes in the frame of the poses [n, 3, 3]."""
-    level = R_level_vehicle(poses.roll_deg, poses.pitch_deg)
-    return np.asarray(R_enu_level(poses.heading_deg) @ level)
-
-
-def _pairs(rows: Given, log: Conditioned | None, rig: VehicleGeometry | None) -> Pairs | None:
+def _pairs(
+    rows: GivenRows, log: ConditionedLog | None, rig: VehicleGeometry | None
+) -> Pairs | None:
     """The accepted fixes that poses were given for; None without any."""
     at = rows.fix >= 0
     if log is None or not at.any():
@@ -154,14 +150,16 @@ def _pairs(rows: Given, log: Conditioned | None, rig: VehicleGeometry | None) ->
     antenna_m = np.stack([poses.x_m, poses.y_m, poses.z_m], axis=1)
     if isinstance(rig, Rig):
         right_m, forward_m, up_m = rig.antenna.right_m, rig.antenna.forward_m, rig.antenna.up_m
-        antenna_m = antenna_m + _axes(poses) @ [right_m, forward_m, up_m - rig.mount.height_m]
+        level = R_level_vehicle(poses.roll_deg, poses.pitch_deg)
+        axes = np.asarray(R_enu_level(poses.heading_deg) @ level)
+        antenna_m = antenna_m + axes @ [right_m, forward_m, up_m - rig.mount.height_m]
     return Pairs(log.accepted.part(rows.fix[at]), antenna_m)
 
 
 def _georeference(
     poses: GivenPoses,
     pairs: Pairs | None,
-    log: Conditioned | None,
+    log: ConditionedLog | None,
     datum: Datum,
     settings: PoseSettings,
 ) -> Georeference:
@@ -206,8 +204,8 @@ def _georeference(
 
 
 def _table(
-    rows: Given,
-    log: Conditioned | None,
+    rows: GivenRows,
+    log: ConditionedLog | None,
     pairs: Pairs | None,
     found: Georeference,
     chords: Chords,
@@ -299,9 +297,8 @@ def _at_origin(
         return table
     down_m = np.array([0.0, 0.0, -rig.mount.height_m])
     level = R_level_vehicle(poses.roll_deg, poses.pitch_deg)
-    moved = np.broadcast_to(down_m, (len(table.time_ns), 3))
-    if not level_grids:
-        moved = (R_enu_level(table.heading_deg) @ level) @ down_m
+    own = (R_enu_level(table.heading_deg) @ level) @ down_m
+    moved = np.broadcast_to(down_m, own.shape) if level_grids else own
     return table._replace(
         east_m=table.east_m + moved[:, 0],
         north_m=table.north_m + moved[:, 1],
@@ -334,7 +331,7 @@ def _jumping(table: PoseTable, datum: Datum, limits: GateLimits) -> PoseTable:
 
 
 def _with_other_fixes(
-    table: PoseTable, own: Int64, log: Conditioned | None
+    table: PoseTable, own: Int64, log: ConditionedLog | None
 ) -> tuple[PoseTable, Int64]:
     """The rows, and beside them every fix that has none (`own` is the accepted fix of a row, or
     -1), rejected, with the pose of its time; and the row of each fix. Without fixes, all rows."""

@@ -22,14 +22,14 @@ MOST_SCALE = 0.25
 """No gyro's scale is off by a larger share; what is has wrong axes or units."""
 
 REACH_M, REACH_NOISES, MOST_S = 1.5, 10.0, 10.0
-"""The path's turn is that between chords of this length, or of so many times the noise, driven in
-at most this time each."""
+"""The path's turn is that between chords of this length, or of this multiple of the noise, driven
+in at most this time each."""
 
 LEAST_TURN_RAD = np.radians(3.0)
 """Turns that scatter by less tell nothing."""
 
 MOST_PERIODS = 2.5
-"""Fixes that are farther apart than so many usual ones have a hole between them."""
+"""Fixes that are farther apart than this number of usual periods have a hole between them."""
 
 LEAST_UP_MPS2 = 5.0
 """An accelerometer that is the right way up feels twice as much of gravity."""
@@ -38,24 +38,24 @@ MOST_TURN_RAD = np.radians(60.0)
 """A path that turns by more within two chords has a cusp."""
 
 WRONG_RATIO, WRONG_SIGMAS, RELATED_SIGMAS = 0.4, 5.0, 2.5
-"""A gyro that tells another share of the path's turns, by more than this and by so many sigmas, has
+"""A gyro that differs from the path's turns by more than this share and this number of sigmas has
 wrong axes or units: an antenna ahead of the axle or a scale make less."""
 
 FEWEST_TURNS, HUBER, ROUNDS = 6, 1.5, 8
 
 UNUSUAL_SCALE = 0.12
-"""A scale that is off by so much, three times what is usual, is as likely another fault of the
+"""A scale that is off by this, three times what is usual, is as likely another fault of the
 gyro, or of the fixes; one that is off by half of it a quarter of that."""
 
 PLAUSIBLE_RATIO = 0.3
-"""A gyro that tells the path's turns but for such a share has the right axes and units."""
+"""A gyro that differs from the path's turns by at most this share has the right axes and units."""
 
 STEADY_M = 0.1
 """Fixes that state less do not wander: the gyro is wrong."""
 
 DOUBT, DOUBTFUL_SHARE = 0.02, 0.1
-"""Where a gear is in more doubt in more than such a share of the drive, it may be wrong, which
-contradicts a gyro as well."""
+"""Where the doubt of gears is larger than the first in more than the second as a share of the
+drive, gears may be wrong, which contradicts a gyro as well."""
 
 NEAR_S = 2.0
 """Two headings that cross agree for a moment; how far they are apart is the most around it."""
@@ -68,7 +68,7 @@ CHECK = (
 GEARS_UNSURE = f"Or the gears are wrong, which are in doubt: {TELL_GEARS}."
 
 
-class Trusted(NamedTuple):
+class GyroVerdict(NamedTuple):
     """A drive and its motion with a gyro that fits, or without one; what was wrong with it, None
     where nothing was. `unsure_deg` [n] is how far the headings with it and without it are apart at
     the nodes where nobody knows which of them is right, else 0."""
@@ -79,11 +79,11 @@ class Trusted(NamedTuple):
     note: str | None = None
 
     def unsure_at(self, time_ns: Int64) -> Float64:
-        """The same at other instants."""
+        """By how much headings are unsure at other instants, degrees."""
         return np.asarray(np.interp(time_ns, self.drive.time_ns, self.unsure_deg))
 
 
-class Ratio(NamedTuple):
+class TurnRatio(NamedTuple):
     """What the path turns for each radian of the gyro, with its 1-sigma error."""
 
     value: float
@@ -91,13 +91,14 @@ class Ratio(NamedTuple):
 
     @property
     def is_wrong(self) -> bool:
-        """Whether no gyro with the right axes and units is so far off."""
+        """Whether the ratio is farther from 1 than that of any gyro with the right axes and
+        units."""
         # Turns that have nothing to do with each other are of other moments: a clock is wrong.
         related = abs(self.value) > RELATED_SIGMAS * self.sigma
         return related and abs(self.value - 1.0) > max(WRONG_RATIO, WRONG_SIGMAS * self.sigma)
 
 
-def turn_ratio(fixes: AcceptedFixes, gyro: Gyro) -> Ratio | None:
+def turn_ratio(fixes: AcceptedFixes, gyro: Gyro) -> TurnRatio | None:
     """The turns of the path beside those of the gyro, whose bias is free; in reverse the two turn
     alike. None where there are too few."""
     if len(fixes.time_ns) < 2:
@@ -138,7 +139,7 @@ def turn_ratio(fixes: AcceptedFixes, gyro: Gyro) -> Ratio | None:
         return None  # straight on there is only the gyro's noise
     # Neighbours share their chords.
     sigma = scale * np.sqrt(overlap * np.linalg.pinv(normal)[0, 0])
-    return Ratio(float(line[0]), float(sigma))
+    return TurnRatio(float(line[0]), float(sigma))
 
 
 def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, str | None]:
@@ -197,10 +198,10 @@ def with_trusted_gyro(
     motion: Motion,
     axle: Axle,
     hints: GearHints,
-) -> Trusted:
+) -> GyroVerdict:
     """The drive with a gyro that fits, with its scale corrected if need be, or without it."""
     found = drive.smoothed.declared
-    fits = Trusted(drive, motion, np.zeros(len(drive.time_ns)))
+    fits = GyroVerdict(drive, motion, np.zeros(len(drive.time_ns)))
     wanders = float(np.median(fixes.sigma_m)) > STEADY_M
     if not drive.at.has_gyro() or not found.contradicts:
         return fits
@@ -220,7 +221,7 @@ def with_trusted_gyro(
                 "Calibrate its scale."
             )
             unusual = float(wanders) * min(abs(scale.value) / UNUSUAL_SCALE, 1.0) ** 2
-            return Trusted(again, corrected, apart_deg(again, rest) * unusual, note)
+            return GyroVerdict(again, corrected, apart_deg(again, rest) * unusual, note)
     # What the camera confirms without the gyro was spoilt by it.
     if not found.blames_gyro and not (rest.turns_seen and not rest.smoothed.declared.contradicts):
         return fits
@@ -233,7 +234,7 @@ def with_trusted_gyro(
     if moves.any() and float(np.mean(drive.doubt[moves] > DOUBT)) > DOUBTFUL_SHARE:
         either = True
         note += f" {GEARS_UNSURE}"
-    return Trusted(rest, without, apart_deg(rest, drive) * float(either), note)
+    return GyroVerdict(rest, without, apart_deg(rest, drive) * float(either), note)
 
 
 def scale_explains(corrected: DeclaredCorrection, found: DeclaredCorrection) -> bool:
@@ -255,7 +256,7 @@ def apart_deg(one: DriveEstimate, other: DriveEstimate) -> Float64:
 
 
 def scaled(motion: Motion, size: float) -> Motion:
-    """The same with the rates of the IMU times `size`."""
+    """The motion with the rates of the IMU times `size`."""
     gyro, sensed = motion.gyro, motion.inertial
     if gyro is not None:
         gyro = gyro._replace(rate_rad_s=size * gyro.rate_rad_s)

@@ -27,7 +27,16 @@ def without_faulty_samples(motion: Motion) -> tuple[Motion, str | None]:
     gyro = motion.gyro
     if gyro is None or len(gyro.time_ns) < 2:
         return motion, None
-    wild, stuck = _wild(gyro.rate_rad_s), _stuck(gyro.time_ns, gyro.rate_rad_s)
+    wild = np.abs(gyro.rate_rad_s) > MOST_RATE_RAD_S
+    wild &= bool(wild.mean() < FEW)
+    # Runs of equal values that last, of a gyro that is not used to say the same twice.
+    first, last = runs_of_equal_rates(gyro.rate_rad_s)
+    long = (gyro.time_ns[last] - gyro.time_ns[first]) / 1e9 > STUCK_S
+    brief = ~long
+    again = float((last - first)[brief].sum()) / max(float((last - first + 1)[brief].sum()), 1.0)
+    stuck = np.repeat(long, last - first + 1)
+    # A gyro without noise, of a simulator, says the same along each straight row.
+    stuck &= bool(again < FEW and stuck.mean() < MOST_STUCK)
     faulty = wild | stuck
     if not faulty.any():
         return motion, None
@@ -60,19 +69,3 @@ def runs_of_equal_rates(rate_rad_s: Float64) -> tuple[Int64, Int64]:
     """The first and the last sample [r] of each run of samples that say the same."""
     edges = np.flatnonzero(np.concatenate([[True], np.diff(rate_rad_s) != 0.0, [True]]))
     return edges[:-1], edges[1:] - 1
-
-
-def _wild(rate_rad_s: Float64) -> Bool:
-    wild = np.abs(rate_rad_s) > MOST_RATE_RAD_S
-    return wild & bool(wild.mean() < FEW)
-
-
-def _stuck(time_ns: Int64, rate_rad_s: Float64) -> Bool:
-    """Runs of equal values that last, of a gyro that is not used to say the same twice."""
-    first, last = runs_of_equal_rates(rate_rad_s)
-    long = (time_ns[last] - time_ns[first]) / 1e9 > STUCK_S
-    brief = ~long
-    again = float((last - first)[brief].sum()) / max(float((last - first + 1)[brief].sum()), 1.0)
-    stuck = np.repeat(long, last - first + 1)
-    # A gyro without noise, of a simulator, says the same along each straight row.
-    return stuck & bool(again < FEW and stuck.mean() < MOST_STUCK)

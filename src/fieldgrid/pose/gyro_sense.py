@@ -19,11 +19,11 @@ from fieldgrid.pose.leaps import usual_period_s
 from fieldgrid.pose.nodes import GYRO_HOLE_NS
 
 LEAST_CHORD_M, CHORD_NOISES, MOST_CHORD_S = 1.0, 6.0, 10.0
-"""A line is that between fixes so far apart, and by so many times their noise, in at most this
-time."""
+"""A line joins two fixes that are farther apart than this, and than this multiple of their noise,
+within this time."""
 
 MOST_PERIODS = 2.5
-"""Fixes that are farther apart than so many usual ones have a hole between them."""
+"""Fixes that are farther apart than this number of usual periods have a hole between them."""
 
 STRETCH_S, MOST_LINES, FEWEST_LINES = 40.0, 60, 3
 """Lines are compared within stretches, over which a gyro's bias is constant."""
@@ -40,13 +40,14 @@ _BIASES = np.radians(np.linspace(-2.0, 2.0, 21))
 _LINES = np.radians(np.arange(0.0, 180.0, 5.0))
 
 CLEAR_NATS, ENOUGH_NATS = 4.0, 30.0
-"""The sense is known when one is likelier by so much; by the other nobody looks further."""
+"""The sense is known from the first log likelihood ratio on; from the second on no further evidence
+is sought."""
 
 LITTLE_TURN_RAD, LITTLE_TURN_S = np.radians(10.0), 10.0
 """Where a gyro never turns by more in this time, its sense hardly matters."""
 
 
-class Sense(NamedTuple):
+class GyroSense(NamedTuple):
     """How much likelier the drive is with the gyro as it is than with it upside down (the logarithm
     of the ratio), and whether the gyro turns at all."""
 
@@ -69,7 +70,7 @@ class Sense(NamedTuple):
         return self.turns and abs(self.nats) < CLEAR_NATS
 
 
-class _Turned(NamedTuple):
+class _GyroAngle(NamedTuple):
     """The angle of a gyro since its first sample, and the integral of that."""
 
     time_s: Float64
@@ -77,7 +78,7 @@ class _Turned(NamedTuple):
     integral: Float64
 
     @classmethod
-    def of(cls, gyro: Gyro) -> _Turned:
+    def of(cls, gyro: Gyro) -> _GyroAngle:
         time_s = (gyro.time_ns - gyro.time_ns[0]) / 1e9
         step_s = np.diff(time_s)
         angle = np.concatenate([[0.0], np.cumsum(step_s * _between(gyro.rate_rad_s))])
@@ -91,19 +92,19 @@ def _between(values: Float64) -> Float64:
     return (values[1:] + values[:-1]) / 2.0
 
 
-def gyro_sense(fixes: AcceptedFixes, steps: Steps | None, gyro: Gyro) -> Sense:
+def gyro_sense(fixes: AcceptedFixes, steps: Steps | None, gyro: Gyro) -> GyroSense:
     """What fixes and camera say of the way in which a gyro of two samples or more turns."""
-    turned = _Turned.of(gyro)
+    turned = _GyroAngle.of(gyro)
     nats = 0.0 if steps is None else _by_steps(steps, gyro, turned)
     if abs(nats) < ENOUGH_NATS:
         nats += _by_lines(fixes, gyro, turned)
     rate_bias = float(np.median(gyro.rate_rad_s))
     later = np.minimum(turned.time_s + LITTLE_TURN_S, turned.time_s[-1])
     by = turned.at(later, turned.angle) - turned.angle - rate_bias * (later - turned.time_s)
-    return Sense(nats, bool(np.abs(by).max() > LITTLE_TURN_RAD))
+    return GyroSense(nats, bool(np.abs(by).max() > LITTLE_TURN_RAD))
 
 
-def _by_steps(steps: Steps, gyro: Gyro, turned: _Turned) -> float:
+def _by_steps(steps: Steps, gyro: Gyro, turned: _GyroAngle) -> float:
     start_s, stop_s = ((ns - gyro.time_ns[0]) / 1e9 for ns in (steps.start_ns, steps.stop_ns))
     inside = (start_s >= 0.0) & (stop_s <= turned.time_s[-1])
     told = turned.at(stop_s, turned.angle) - turned.at(start_s, turned.angle)
@@ -131,7 +132,7 @@ def _noisy_chords(fixes: AcceptedFixes, points: Float64, time_s: Float64) -> tup
     return _chords(points, time_s, max(LEAST_CHORD_M, CHORD_NOISES * noise_m))
 
 
-def _by_lines(fixes: AcceptedFixes, gyro: Gyro, turned: _Turned) -> float:
+def _by_lines(fixes: AcceptedFixes, gyro: Gyro, turned: _GyroAngle) -> float:
     points, time_s = fixes.points_m(), (fixes.time_ns - gyro.time_ns[0]) / 1e9
     noise_m = float(np.median(fixes.noise.across_m))
     a, b = _noisy_chords(fixes, points, time_s)

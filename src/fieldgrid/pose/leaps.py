@@ -9,8 +9,8 @@ import numpy as np
 from fieldgrid.array_types import Bool, Float64
 
 HOLE_S, HOLE_PERIODS = 2.0, 2.5
-"""Longer without a fix, and over so many of a receiver's periods, a vehicle may have stopped and
-turned back unseen."""
+"""Longer without a fix, and over this number of a receiver's periods, a vehicle may have stopped
+and turned back unseen."""
 
 TORN_S, TORN_SIGMAS, TORN_MPS2 = 2.0, 15.0, 1.0
 """Between two fixes the positions have jumped when the step differs by more than this many sigmas
@@ -39,8 +39,8 @@ class Leaps(NamedTuple):
 def leaps(
     points_m: Float64, time_s: Float64, noise_m: Float64, disputed: Bool, least_m: float
 ) -> Leaps:
-    """How n fixes [n, 2] with so much noise follow each other; `disputed` [n] marks those that
-    one side of the step to them denies. What is less than `least_m` is no leap."""
+    """How n fixes [n, 2] with noise `noise_m` [n] follow each other; `disputed` [n] marks those
+    that one side of the step to them denies. What is less than `least_m` is no leap."""
     n, step_s = len(points_m), np.diff(time_s)
     if n < 2:
         return Leaps(np.zeros(0, dtype=np.bool_), np.zeros((0, 2)), np.zeros(0))
@@ -68,5 +68,5 @@ def usual_period_s(step_s: Float64) -> float:
 
 
 def holes(step_s: Float64) -> Bool:
-    """Which steps between fixes are so long that a vehicle may have turned back unseen."""
+    """Which steps between fixes last long enough for a vehicle to turn back unseen."""
     return np.asarray(step_s > max(HOLE_S, HOLE_PERIODS * usual_period_s(step_s)))

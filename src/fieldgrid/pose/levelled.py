@@ -35,16 +35,16 @@ from fieldgrid.rotations import R_enu_level, R_level_vehicle, heading_rad
 from fieldgrid.trajectory import Trajectory
 
 SUSPECT_PUSH_MISFIT, MOST_PUSH_MISFIT = 0.45, 8.0
-"""An accelerometer that is so many sigmas from the motion of the fixes may be mounted sideways,
-where it is at 0.3 to 12; good ones are at 0.1 to 0.4, on real vehicles at up to 1.7, with shocks at
-up to 7. From the second on it contradicts them anyhow."""
+"""An accelerometer that is this number of sigmas from the motion of the fixes may be mounted
+sideways, where it is at 0.3 to 12; good ones are at 0.1 to 0.4, on real vehicles at up to 1.7, with
+shocks at up to 7. From the second on it contradicts them anyhow."""
 
 LEAST_TRIED_S = 30.0
 """A shorter drive tells too little of how an IMU is mounted."""
 
 TWICE, CLEARLY, FITTING = 0.5, 0.75, 0.6
 """An IMU is mounted as it fits best, where it fits twice as well there, or fits clearly better and
-is then no more than so many sigmas off."""
+is then no more than this number of sigmas off."""
 
 DENIED_IMU = "The accelerometer contradicts"
 """How a note on such an IMU begins."""
@@ -291,7 +291,7 @@ def leaning(trajectory: Trajectory, lean: Lean, *, level_grids: bool) -> Traject
 
 
 def unsure_lean(table: PoseTable, lean: Lean, *, level_grids: bool) -> PoseTable:
-    """The same poses with what an unsure lean of the antenna above the origin adds to their
+    """The poses with what an unsure lean of the antenna above the origin adds to their
     sigmas."""
     at = lean.attitude.at(table.time_ns)
     above_m = abs(float(lean.antenna_m[2]) - (float(lean.sensor_m[2]) if level_grids else 0.0))

@@ -70,20 +70,23 @@ def measurements(
         column[has] = values[fix]
         return column
 
+    up_m = 0.0 if rig is None else rig.antenna.up_m
     # What comes and goes within a second is no more than is seen over one.
-    brief_m = np.minimum(np.hypot(BRIEF_SHARE * fixes.sigma_m, _sway_m(rig)), fixes.noise.second_m)
+    sway_m = (up_m if up_m > 0.0 else USUAL_ANTENNA_M) * float(np.radians(SWAY_DEG))
+    brief_m = np.minimum(np.hypot(BRIEF_SHARE * fixes.sigma_m, sway_m), fixes.noise.second_m)
     noise_m = np.hypot(fixes.noise.across_m, brief_m) * _repetition(fixes.time_ns)
     late_m = fixes.noise.late_s * _pace_mps(fixes)
     bias_m = np.interp(at.time_ns, fixes.time_ns, fixes.sigma_m)
     ends, step, step_sigma = _steps(at.time_ns, motion.steps)
     speed, speed_sigma = _wheel_speeds(at.time_ns, motion.wheels, gear)
     unknown = np.full(len(at.time_ns), np.nan)
+    last_fix = np.searchsorted(fixes.time_ns, at.time_ns, side="right") - 1
     return Measurements(
         time_s=seconds(at.time_ns),
         fix_m=np.stack([at_nodes(fixes.east_m), at_nodes(fixes.north_m)], axis=1),
         fix_sigma_m=np.stack([at_nodes(np.hypot(noise_m, late_m)), at_nodes(noise_m)], axis=1),
         bias_m=bias_m,
-        bias_s=_bias_s(fixes)[_last_before(at.time_ns, fixes.time_ns)],
+        bias_s=_bias_s(fixes)[np.maximum(last_fix, 0)],
         heading_rad=unknown,
         heading_sigma_rad=unknown,
         speed_mps=speed,
@@ -100,7 +103,7 @@ def measurements(
 def with_headings(
     measured: Measurements, fixes: AcceptedFixes, at: Nodes, recorded: RecordedHeadings
 ) -> Measurements:
-    """The same with the headings that were recorded with the fixes."""
+    """The measurements with the headings that were recorded with the fixes."""
     has = at.fix >= 0
     heading = np.full(len(at.time_ns), np.nan)
     sigma = heading.copy()
@@ -132,16 +135,6 @@ def _pace_mps(fixes: AcceptedFixes) -> Float64:
     last = np.maximum(last, np.minimum(k + 1, len(time_s) - 1))
     moved = np.hypot(*(fixes.points_m()[last] - fixes.points_m()[first]).T)
     return np.asarray(moved / np.maximum(time_s[last] - time_s[first], 0.1))
-
-
-def _last_before(time_ns: Int64, sorted_ns: Int64) -> Int64:
-    """For each instant the last of `sorted_ns` at or before it, else the first."""
-    return np.asarray(np.maximum(np.searchsorted(sorted_ns, time_ns, side="right") - 1, 0))
-
-
-def _sway_m(rig: VehicleGeometry | None) -> float:
-    up_m = 0.0 if rig is None else rig.antenna.up_m
-    return (up_m if up_m > 0.0 else USUAL_ANTENNA_M) * float(np.radians(SWAY_DEG))
 
 
 def _repetition(time_ns: Int64) -> Float64:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.motion import Motion, Steps
+from fieldgrid.motion import Motion
 
 FILL_NS = 250_000_000
 """No two nodes are farther apart: the vehicle turns on between the fixes of a slow receiver."""
@@ -44,26 +44,22 @@ def nodes(accepted_ns: Int64, all_ns: Int64, motion: Motion) -> Nodes:
     wanted = [accepted_ns, all_ns]
     if motion.steps is not None:
         wanted += [motion.steps.start_ns, motion.steps.stop_ns]
-        first_ns, last_ns = _followed(motion.steps, first_ns, last_ns)
+        # How far a chain of steps leads beyond the first and the last fix, but not too far.
+        earliest_ns, latest_ns = first_ns - UNSEEN_NS, last_ns + UNSEEN_NS
+        chain = list(
+            zip(motion.steps.start_ns.tolist(), motion.steps.stop_ns.tolist(), strict=True)
+        )
+        for start, stop in chain:
+            if earliest_ns <= start and start <= last_ns < stop <= latest_ns:
+                last_ns = stop
+        for start, stop in reversed(chain):
+            if stop <= latest_ns and earliest_ns <= start < first_ns <= stop:
+                first_ns = start
     times = np.unique(np.concatenate(wanted))
     times = _filled(times[(times >= first_ns) & (times <= last_ns)])
     fix = np.full(len(times), -1, dtype=np.int64)
     fix[np.searchsorted(times, accepted_ns)] = np.arange(len(accepted_ns))
     return Nodes(times, fix, _turned(times, motion))
-
-
-def _followed(steps: Steps, first_ns: int, last_ns: int) -> tuple[int, int]:
-    """How far a chain of steps leads beyond the first and the last fix, but not too far."""
-    earliest_ns, latest_ns = first_ns - UNSEEN_NS, last_ns + UNSEEN_NS
-    for start, stop in zip(steps.start_ns.tolist(), steps.stop_ns.tolist(), strict=True):
-        if earliest_ns <= start and start <= last_ns < stop <= latest_ns:
-            last_ns = stop
-    for start, stop in zip(
-        steps.start_ns[::-1].tolist(), steps.stop_ns[::-1].tolist(), strict=True
-    ):
-        if stop <= latest_ns and earliest_ns <= start < first_ns <= stop:
-            first_ns = start
-    return first_ns, last_ns
 
 
 def _filled(times: Int64) -> Int64:

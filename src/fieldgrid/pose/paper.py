@@ -18,19 +18,9 @@ STANDING_MPS = 0.1
 """Below this speed, as the receiver measured it, a vehicle stands and its positions wander."""
 
 
-def constant_heading(count: int, heading_deg: float) -> Course:
-    """The same heading everywhere."""
-    return _known(np.full(count, heading_deg), np.full(count, CONSTANT_SIGMA_DEG))
-
-
-def recorded_heading(vehicle_heading_deg: Float64, sigma_deg: Float64) -> Course:
-    """The headings that the log holds, NaN where it does not."""
-    unknown = np.isnan(vehicle_heading_deg)
-    return _known(vehicle_heading_deg, np.where(unknown, np.inf, sigma_deg))
-
-
-def _known(heading_deg: Float64, sigma_deg: Float64) -> Course:
-    n = len(heading_deg)
+def stated_heading(heading_deg: Float64, sigma_deg: Float64) -> Course:
+    """Headings that the log or the user states, with their sigmas; NaN where they do not."""
+    n, sigma_deg = len(heading_deg), np.where(np.isnan(heading_deg), np.inf, sigma_deg)
     return Course(heading_deg, sigma_deg, np.ones(n, dtype=np.int64), np.zeros(n))
 
 

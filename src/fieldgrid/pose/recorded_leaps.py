@@ -16,7 +16,7 @@ from fieldgrid.pose.leaps import TORN_MPS2, holes
 from fieldgrid.pose.seams import LEAST_M, SeenLeap
 
 CLEAR_SIGMAS, STATED_SIGMAS = 10.0, 3.0
-"""A leap is larger than so many sigmas of the steps of this drive, and of what fixes state."""
+"""Least size of a leap in sigmas of the steps of this drive, and in sigmas that fixes state."""
 
 ALONE_SHARE = 0.5
 """The steps beside a leap go to the side by no more than this share of it: a vehicle that slips on

@@ -17,9 +17,9 @@ from fieldgrid.pose.axle import Axle, names_axle
 from fieldgrid.pose.camera_yaw import CameraYaw, yaw_notes
 from fieldgrid.pose.clock_change import ClockChange
 from fieldgrid.pose.clock_jump import ClockJump
-from fieldgrid.pose.clock_search import ClockOffset, DeniedMotions
+from fieldgrid.pose.clock_search import ClockOffset, MotionContradiction
 from fieldgrid.pose.convention import Comparison
-from fieldgrid.pose.denied import Denied, denied_notes
+from fieldgrid.pose.denied import DriveContradiction, denied_notes
 from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.gears import TELL_GEARS
 from fieldgrid.pose.georeference import Georeference
@@ -78,7 +78,7 @@ class PoseReport:
     wheel_scale: Constant | None
     notes: tuple[str, ...]
     georeference: Georeference | None = None
-    contradiction: DeniedMotions | None = None
+    contradiction: MotionContradiction | None = None
     jump: ClockJump | None = None
     clock_change: ClockChange | None = None
     camera_yaw: CameraYaw | None = None
@@ -115,7 +115,7 @@ class PoseReport:
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    """The same with None for NaN."""
+    """The values with None in place of NaN."""
     return {name: None if value != value else value for name, value in values.items()}
 
 
@@ -140,7 +140,7 @@ def drive_notes(
     fixes: AcceptedFixes,
     rig: VehicleGeometry | None,
     axle: Axle,
-    denied: Denied,
+    denied: DriveContradiction,
     source: HeadingSource,
     settings: PoseSettings,
     clock: ClockOffset | None,
@@ -150,8 +150,25 @@ def drive_notes(
 ) -> Iterator[str]:
     """Remarks on a drive, a sentence each; `rig` as it was declared."""
     yield from _constant_note(source, drive, settings)
-    yield from _gear_note(settings, fixes)
-    yield from _leap_note(fixes)
+    # That the gears that the user knows are those of another time.
+    first_ns, last_ns = (int(ns) for ns in fixes.time_ns[[0, -1]])
+    spans = settings.gear_spans
+    if spans and all(one.stop_ns < first_ns or one.start_ns > last_ns for one in spans):
+        yield (
+            "The known gears are all of a time before or after this drive, and were not used; "
+            f"their times are UTC, and it lasts from {utc_text(first_ns)} to {utc_text(last_ns)}."
+        )
+    # That the receiver's solution leaps, and what its positions count as.
+    leaps = _leaps(fixes)
+    if len(leaps):
+        first_s = (fixes.time_ns[leaps[0]] - fixes.time_ns[0]) / 1e9
+        often = "once" if len(leaps) == 1 else f"{len(leaps)} times"
+        yield (
+            f"The receiver's solution leaps {often} by more than it states (first "
+            f"{first_s:.0f} s after the start), and nothing tells which side is right: its "
+            f"positions count as good to {np.median(fixes.sigma_m):.2f} m. If you know, leave out "
+            "the fixes of the wrong one."
+        )
     yield from clock_notes(clock)
     if yaw is not None:
         yield from yaw_notes(yaw)
@@ -178,34 +195,9 @@ def _constant_note(
         )
 
 
-def _gear_note(settings: PoseSettings, fixes: AcceptedFixes) -> Iterator[str]:
-    """That the gears that the user knows are those of another time."""
-    first_ns, last_ns = (int(ns) for ns in fixes.time_ns[[0, -1]])
-    spans = settings.gear_spans
-    if spans and all(one.stop_ns < first_ns or one.start_ns > last_ns for one in spans):
-        yield (
-            "The known gears are all of a time before or after this drive, and were not used; "
-            f"their times are UTC, and it lasts from {utc_text(first_ns)} to {utc_text(last_ns)}."
-        )
-
-
 def _leaps(fixes: AcceptedFixes) -> Int64:
     """The fixes after which the solution goes on elsewhere."""
     return np.flatnonzero(fixes.lasting_s <= LEAP_S)
-
-
-def _leap_note(fixes: AcceptedFixes) -> Iterator[str]:
-    """That the receiver's solution leaps, and what its positions count as."""
-    leaps = _leaps(fixes)
-    if len(leaps):
-        first_s = (fixes.time_ns[leaps[0]] - fixes.time_ns[0]) / 1e9
-        often = "once" if len(leaps) == 1 else f"{len(leaps)} times"
-        yield (
-            f"The receiver's solution leaps {often} by more than it states (first "
-            f"{first_s:.0f} s after the start), and nothing tells which side is right: its "
-            f"positions count as good to {np.median(fixes.sigma_m):.2f} m. If you know, leave out "
-            "the fixes of the wrong one."
-        )
 
 
 def clock_notes(clock: ClockOffset | None) -> Iterator[str]:

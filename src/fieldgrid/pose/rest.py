@@ -30,25 +30,19 @@ def at_rest(
     moved_m = np.hypot(east_m[last] - east_m[first], north_m[last] - north_m[first])
     long_enough = span_s >= 0.7 * HALF_WINDOW_S
     slow = long_enough & (moved_m < np.maximum(REST_MPS * span_s, 2.0 * noise_m))
-    slow |= _stays(time_s, east_m, north_m)
-    if not _believable(speed_mps, moved_m, span_s):
-        return slow
-    said = np.nan_to_num(speed_mps, nan=np.inf) < REST_MPS
-    near = moved_m < np.maximum(WANDER_MPS * span_s, 4.0 * noise_m)
-    unsaid = np.isnan(speed_mps)
-    return np.asarray(np.where(unsaid, slow, said & near))
-
-
-def _stays(time_s: Float64, east_m: Float64, north_m: Float64) -> Bool:
-    """Which fixes have all of their neighbours in time near them."""
+    # Which fixes have all of their neighbours in time near them.
     near = np.ones(len(time_s), dtype=np.bool_)
     seen_s = np.zeros(len(time_s))
     for offset_s in np.linspace(-STAY_S, STAY_S, 9):
         at = np.clip(np.searchsorted(time_s, time_s + offset_s), 0, len(time_s) - 1)
-        away_m = np.hypot(east_m[at] - east_m, north_m[at] - north_m)
-        near &= away_m < STAY_MPS * STAY_S
+        near &= np.hypot(east_m[at] - east_m, north_m[at] - north_m) < STAY_MPS * STAY_S
         seen_s = np.maximum(seen_s, np.abs(time_s[at] - time_s))
-    return np.asarray(near & (seen_s > 0.7 * STAY_S))
+    slow |= near & (seen_s > 0.7 * STAY_S)
+    if not _believable(speed_mps, moved_m, span_s):
+        return slow
+    said = np.nan_to_num(speed_mps, nan=np.inf) < REST_MPS
+    near = moved_m < np.maximum(WANDER_MPS * span_s, 4.0 * noise_m)
+    return np.asarray(np.where(np.isnan(speed_mps), slow, said & near))
 
 
 def _believable(speed_mps: Float64, moved_m: Float64, span_s: Float64) -> bool:

@@ -20,12 +20,12 @@ LEAST_M = 0.1
 """A smaller leap is none."""
 
 FREE_SIGMAS = 3.0
-"""What motion and noise may do at a leap is so many sigmas of how well its size is known."""
+"""Largest step that motion and noise explain at a leap, in sigmas of its size."""
 
 RETURN_TRUST, MOST_RETURNS = 10.0, 3.0
 """A solution is right with the probability of its share of the drive, but one that a drive comes
-back to from another is so much the likelier for each return, up to so many: a wrong one is seldom
-found twice."""
+back to from another is likelier by this factor for each return, up to this number of returns: a
+wrong one is seldom found twice."""
 
 SAME_SHARE = 0.3
 """Solutions are the same when they lie apart by this share of the usual leap between them."""
@@ -177,25 +177,22 @@ def _same(
         last = found[k]
         if time_s[one.first] - time_s[last.stop - 1] > most_s:
             return None
-        across_m = _across(points_m, time_s, last.first, last.stop - 1, one.first)
+        # East and north by which this solution lies beside the way that the motion on both sides
+        # of what lies between makes.
+        end = last.stop - 1
+        early = max(last.first, int(np.searchsorted(time_s, time_s[end] - TORN_S)))
+        late = int(np.searchsorted(time_s, time_s[one.first] + TORN_S, side="right")) - 1
+        pace = [
+            (points_m[b] - points_m[a]) / (time_s[b] - time_s[a])
+            for a, b in ((early, end), (one.first, late))
+            if time_s[b] > time_s[a]  # a log may stamp several fixes alike
+        ]
+        way_m = np.mean(pace, axis=0) * (time_s[one.first] - time_s[end]) if pace else np.zeros(2)
+        across_m = np.asarray(points_m[one.first] - points_m[end] - way_m)
         off_m = min(np.hypot(*(one.place_m - last.place_m)), np.hypot(*across_m))
         if off_m <= FREE_SIGMAS * np.sqrt(one.unsure_m2 - last.unsure_m2):
             return k
     return None
-
-
-def _across(points_m: Float64, time_s: Float64, begin: int, end: int, start: int) -> Float64:
-    """East and north by which the fix `start` lies beside the way that the motion on both sides of
-    what lies between makes; the rows from `begin` to `end` lead to it."""
-    early = max(begin, int(np.searchsorted(time_s, time_s[end] - TORN_S)))
-    late = int(np.searchsorted(time_s, time_s[start] + TORN_S, side="right")) - 1
-    pace = [
-        (points_m[b] - points_m[a]) / (time_s[b] - time_s[a])
-        for a, b in ((early, end), (start, late))
-        if time_s[b] > time_s[a]  # a log may stamp several fixes alike
-    ]
-    way_m = np.mean(pace, axis=0) * (time_s[start] - time_s[end]) if pace else np.zeros(2)
-    return np.asarray(points_m[start] - points_m[end] - way_m)
 
 
 def _returns(steps: Leaps, torn: Bool, time_s: Float64) -> Bool:

@@ -19,11 +19,11 @@ from fieldgrid.pose.seams import LEAST_M, SeenLeap
 from fieldgrid.rig import LeverArm
 
 CLEAR_SIGMAS, STATED_SIGMAS = 5.0, 3.0
-"""A leap is larger than so many sigmas of what the camera tells, and of what fixes state."""
+"""Least size of a leap in sigmas of what the camera tells, and in sigmas that fixes state."""
 
 WORTH_SIGMAS = 4.0
-"""Between fixes that follow each other only what is larger than so many sigmas of their noise is
-looked at, and it counts where the camera says the same."""
+"""Between fixes that follow each other, only steps of more than this number of sigmas of their
+noise are examined; they count where the camera says the same."""
 
 SAME_SHARE = 0.5
 """What fixes and camera make of a leap differs by no more than this share of it."""
@@ -46,7 +46,12 @@ def seen_leaps(
     """
     if steps is None or len(fixes.time_ns) < 3:
         return ()
-    at = _suspected(fixes)
+    # The fixes after which a leap may lie.
+    every = np.arange(1, len(fixes.time_ns) - 2)
+    off_m, hole = _by_fixes(fixes, every)
+    noise_m = np.maximum(fixes.noise.across_m[every], fixes.noise.across_m[every + 1])
+    large = np.hypot(*off_m.T) > np.maximum(LEAST_M / 2.0, WORTH_SIGMAS * noise_m)
+    at = every[hole | large]
     if not len(at):
         return ()
     path = _CameraPath(fixes, drive, steps, antenna)
@@ -64,15 +69,6 @@ def seen_leaps(
             time_ns = int(fixes.time_ns[k + 1])
             found.append(SeenLeap(time_ns, float(leap_m[0]), float(leap_m[1]), sigma_m))
     return tuple(found)
-
-
-def _suspected(fixes: AcceptedFixes) -> Int64:
-    """The fixes after which a leap may lie."""
-    every = np.arange(1, len(fixes.time_ns) - 2)
-    off_m, hole = _by_fixes(fixes, every)
-    noise_m = np.maximum(fixes.noise.across_m[every], fixes.noise.across_m[every + 1])
-    large = np.hypot(*off_m.T) > np.maximum(LEAST_M / 2.0, WORTH_SIGMAS * noise_m)
-    return np.asarray(every[hole | large])
 
 
 def _by_fixes(fixes: AcceptedFixes, at: Int64) -> tuple[Float64, Bool]:

@@ -113,7 +113,7 @@ def _wide(round_: int, residuals: Float64) -> float:
 def unsure_slope(
     table: PoseTable, slope: Slope, rig: VehicleGeometry, *, turns_seen: bool
 ) -> PoseTable:
-    """The same poses with what an unknown lean of the antenna above the ground adds to their
+    """The poses with what an unknown lean of the antenna above the ground adds to their
     sigmas. Of their positions it is common to neighbours; a heading that gyro or camera saw turn
     does not hang on the antenna's track."""
     above_m = abs(rig.antenna.up_m)

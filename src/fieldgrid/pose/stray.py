@@ -16,11 +16,11 @@ from fieldgrid.array_types import Bool, Float64
 from fieldgrid.pose.drive import DriveEstimate
 from fieldgrid.pose.gears import breaks
 from fieldgrid.pose.nodes import seconds
-from fieldgrid.pose.table import Conditioned
+from fieldgrid.pose.table import ConditionedLog
 
 STRAY_SIGMAS, STRAY_M = 10.0, 0.3
-"""A fix lies beside the drive when it is off by so many sigmas of its noise, and by so much; by so
-much it also leaves it, and comes back."""
+"""A fix lies beside the drive when it is off by this number of sigmas of its noise, and by this
+distance; by as much the fixes leave the drive, and come back."""
 
 LONGEST_S = 3.0
 """Of fixes that are off for longer it is not known who is wrong."""
@@ -36,7 +36,7 @@ MOST_SHARE = 0.1
 """A drive that would deny more of its fixes at once is itself in doubt, and denies none of them."""
 
 
-def stray_fixes(drive: DriveEstimate, log: Conditioned) -> dict[int, str]:
+def stray_fixes(drive: DriveEstimate, log: ConditionedLog) -> dict[int, str]:
     """The accepted fixes that are short excursions from the drive that the others tell: rows of
     the log's fixes, and why."""
     has = drive.fix >= 0
@@ -74,7 +74,7 @@ def _far(off_m: Float64, sigma_m: Float64) -> Bool:
     )
 
 
-def _excursions(beside: Bool, log: Conditioned) -> Iterator[tuple[int, int, bool]]:
+def _excursions(beside: Bool, log: ConditionedLog) -> Iterator[tuple[int, int, bool]]:
     """From where to where fixes lie beside the drive, and whether jumps say so: all that is short
     between a jump and the next jump or hole, since an estimate may be drawn over to it.
 

@@ -13,7 +13,7 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import CountedTwice, Verdicts
 from fieldgrid.pose.accepted import AcceptedFixes, fix_offsets
 from fieldgrid.pose.drive import DriveEstimate
-from fieldgrid.pose.paper import constant_heading, course_heading, recorded_heading
+from fieldgrid.pose.paper import CONSTANT_SIGMA_DEG, course_heading, stated_heading
 from fieldgrid.pose.settings import HeadingSource
 from fieldgrid.pose.verdict import jumps
 from fieldgrid.quality import Quality
@@ -55,7 +55,7 @@ class PoseTable(NamedTuple):
         )
 
 
-class Conditioned(NamedTuple):
+class ConditionedLog(NamedTuple):
     """All fixes of a drive in order of time with their verdicts, and the accepted ones in the
     plane of the datum; `twice` are those whose seconds the log counts twice, if there are any, and
     `spans` these seconds."""
@@ -70,7 +70,7 @@ class Conditioned(NamedTuple):
 
 def pose_table(
     source: HeadingSource,
-    log: Conditioned,
+    log: ConditionedLog,
     drive: DriveEstimate,
     recorded_deg: Float64,
     rig: VehicleGeometry | None,
@@ -83,14 +83,15 @@ def pose_table(
     if source.kind == "course":
         found = course_heading(log.accepted, rig, settings)
     elif source.kind == "recorded":
-        found = recorded_heading(recorded_deg, log.accepted.recorded_sigma_deg)
+        found = stated_heading(recorded_deg, log.accepted.recorded_sigma_deg)
     else:
-        found = constant_heading(len(log.accepted.time_ns), source.constant_deg)
+        constant_deg = np.full(len(log.accepted.time_ns), source.constant_deg)
+        found = stated_heading(constant_deg, np.full_like(constant_deg, CONSTANT_SIGMA_DEG))
     rows = _paper_table(log, drive, found, settings)
     return rows, np.arange(len(log.fixes), dtype=np.int64)
 
 
-def _smooth_table(log: Conditioned, drive: DriveEstimate) -> tuple[PoseTable, Int64]:
+def _smooth_table(log: ConditionedLog, drive: DriveEstimate) -> tuple[PoseTable, Int64]:
     """The nodes of the drive, each judged by what is known there, and beside them every
     rejected fix with the estimate of its time: a bad fix does not spoil the pose."""
     ok, reason = log.verdicts.ok, log.verdicts.reason
@@ -137,7 +138,7 @@ def _smooth_table(log: Conditioned, drive: DriveEstimate) -> tuple[PoseTable, In
     ), fix_row
 
 
-def _positions(log: Conditioned, rows: Int64) -> tuple[Float64, Float64, Float64]:
+def _positions(log: ConditionedLog, rows: Int64) -> tuple[Float64, Float64, Float64]:
     """East, north and up as some of the fixes have them, rejected or not."""
     some = log.fixes[rows]
     with np.errstate(invalid="ignore"):  # rejected fixes may hold anything
@@ -145,7 +146,7 @@ def _positions(log: Conditioned, rows: Int64) -> tuple[Float64, Float64, Float64
 
 
 def _paper_table(
-    log: Conditioned, drive: DriveEstimate, found: Course, settings: PoseSettings
+    log: ConditionedLog, drive: DriveEstimate, found: Course, settings: PoseSettings
 ) -> PoseTable:
     """A row a fix, at its own position, with a heading of the paper's kind."""
     ok, used = log.verdicts.ok, log.accepted

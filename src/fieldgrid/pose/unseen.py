@@ -13,7 +13,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from fieldgrid.array_types import Bool, Float64
+from fieldgrid.array_types import Float64
 from fieldgrid.fixes import least_sigma_m, position_sigma_m
 from fieldgrid.pose.accepted import AcceptedFixes
 from fieldgrid.pose.axle import names_axle
@@ -30,11 +30,11 @@ FIXED_NEAR_S = 60.0
 """A float solution so near in time to a fixed one is hardly worse than it states."""
 
 _CLEARLY, _VISIBLY_M, _LEAST_SHARE = 1.5, 0.02, 0.05
-"""Fixes that count as so many times and as so much less sure than stated are reported, where they
-are so many. No map shows the half centimetre of RTK."""
+"""Fixes whose sigmas are larger than stated by this factor and this distance are reported where
+they are at least this share. No map shows the half centimetre of RTK."""
 
 _NEARLY_ALL = 0.95
-"""What may be declared of all fixes is named where so many are of one quality."""
+"""What may be declared of all fixes is named where this share of them is of one quality."""
 
 SLOW_ERRORS = "A receiver's own figure does not contain its slow errors"
 """How the note on such fixes begins."""
@@ -122,7 +122,7 @@ def unseen_sentence(faults: Sequence[UnseenFault]) -> str:
 
 
 def unsure_receiver(table: PoseTable, fixes: AcceptedFixes) -> PoseTable:
-    """The same poses, their positions as unsure as if the receiver had stated at least
+    """The poses, their positions as unsure as if the receiver had stated at least
     :func:`~fieldgrid.fixes.least_sigma_m`. Neighbours share it.
 
     The missing variance is added, and is linear in time from one fix to the next: in a gap the
@@ -173,14 +173,10 @@ def _believed_m(fixes: AcceptedFixes) -> Float64:
 def _least_m(fixes: AcceptedFixes) -> Float64:
     """The least error along one axis, metres [n]. Float positions near fixed ones are believed:
     those vouch for them."""
-    vouched = (fixes.quality == Quality.RTK_FLOAT) & _near_fixed(fixes)
-    return np.where(vouched, 0.0, least_sigma_m(fixes.quality))
-
-
-def _near_fixed(fixes: AcceptedFixes) -> Bool:
-    """Which fixes [n] come within :data:`FIXED_NEAR_S` of a fixed solution."""
+    # Which fixes [n] come within :data:`FIXED_NEAR_S` of a fixed solution.
     fixed_ns = fixes.time_ns[fixes.quality == Quality.RTK_FIXED]
     near_ns = round(FIXED_NEAR_S * 1e9)
     first = np.searchsorted(fixed_ns, fixes.time_ns - near_ns)
     stop = np.searchsorted(fixed_ns, fixes.time_ns + near_ns, side="right")
-    return np.asarray(stop > first)
+    vouched = (fixes.quality == Quality.RTK_FLOAT) & (stop > first)
+    return np.where(vouched, 0.0, least_sigma_m(fixes.quality))

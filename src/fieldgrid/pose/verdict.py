@@ -29,7 +29,7 @@ class ErrorBudget(NamedTuple):
 
 
 OFFSET_SIGMAS, LEAST_OFFSET_M = 2.0, 0.1
-"""Poses may lie from their fixes by so many times what these state, and by this in any case."""
+"""Poses may lie from their fixes by this multiple of what these state, and by this in any case."""
 
 
 def refusals(table: PoseTable, settings: PoseSettings, budget: ErrorBudget | None) -> list[str]:
@@ -124,8 +124,7 @@ def jumps(
 
     The paper's indicator: a few isolated jumps corrupt a map, so their grids are discarded.
     """
-    n = len(heading_deg)
-    found = np.zeros(n, dtype=np.bool_)
+    found = np.zeros(len(heading_deg), dtype=np.bool_)
     known = np.flatnonzero(np.isfinite(heading_deg) & np.isfinite(sigma_deg))
     if known.size < 3:
         return found

@@ -11,10 +11,11 @@ FEWEST_STEPS, LEAST_STEP_M = 8, 0.3
 """How many steps of the camera tell the sense of the wheels, each at least so long."""
 
 TURNED_SHARE = 0.8
-"""Of the steps that wheels and camera tell, so many go the other way when a sign is turned."""
+"""Share of the steps told by wheels and camera that go the other way when a sign is turned."""
 
 BACKING_SHARE, LEAST_WAY_M = 0.8, 50.0
-"""Without a camera: of a drive at least so long hardly any vehicle backs up over such a share."""
+"""Without a camera: hardly any vehicle backs up over this share of a drive of at least this
+length."""
 
 
 def with_right_wheels(motion: Motion) -> tuple[Motion, str | None]:

@@ -1,6 +1,6 @@
 """The batch estimate of a drive: position, heading, signed speed and slow errors, with sigmas."""
 
-from fieldgrid.smoother.batch import Smoothed, refine, smooth
+from fieldgrid.smoother.batch import SmoothedDrive, refine, smooth
 from fieldgrid.smoother.declared import AHEAD, LATE, MOST_MISFIT, Constant, DeclaredCorrection
 from fieldgrid.smoother.envelope import STATES
 from fieldgrid.smoother.measurements import Measurements
@@ -16,7 +16,7 @@ __all__ = [
     "DeclaredCorrection",
     "Measurements",
     "SlowDrift",
-    "Smoothed",
+    "SmoothedDrive",
     "refine",
     "slow_drift",
     "smooth",

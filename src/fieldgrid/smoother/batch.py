@@ -14,7 +14,6 @@ from fieldgrid.smoother.measurements import Measurements
 from fieldgrid.smoother.rounds import (
     Covariances,
     CurvatureChange,
-    Linear,
     SmoothingProblem,
     Solution,
     converged,
@@ -34,7 +33,7 @@ GYRO_SHARE = 0.9
 """With a gyro over more of the drive than this, nothing needs to be expected of its steering."""
 
 
-class Smoothed(NamedTuple):
+class SmoothedDrive(NamedTuple):
     """The estimate at n nodes: `state` [n, 8] as in :mod:`fieldgrid.smoother.model`.
 
     `position_sigma_m` is absolute, `relative_sigma_m` that within the receiver's own frame:
@@ -69,7 +68,7 @@ def smooth(
     start: Float64,
     lever_m: tuple[float, float] = (0.0, 0.0),
     step_ahead_m: float = 0.0,
-) -> Smoothed:
+) -> SmoothedDrive:
     """The likeliest drive from a first guess `start` [n, 8] that has its gears right.
 
     `lever_m` is the antenna's place (right, ahead) and `step_ahead_m` that of the point whose
@@ -97,16 +96,16 @@ def smooth(
 
 
 def refine(
-    known: Smoothed, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
-) -> Smoothed:
-    """The same drive by other measurements at its nodes, with the steering that was learnt."""
+    known: SmoothedDrive, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
+) -> SmoothedDrive:
+    """The drive by other measurements at its nodes, with the steering that was learnt."""
     problem = SmoothingProblem.of(measured, lever_m, step_ahead_m)
     weights = stated_weights(measured, known.steering)
     found = converged(problem, known.state, np.zeros(CONSTANTS), weights)
     return _with_sigmas(problem, found, known.steers)
 
 
-def _with_sigmas(problem: SmoothingProblem, found: Solution, steers: Steering) -> Smoothed:
+def _with_sigmas(problem: SmoothingProblem, found: Solution, steers: Steering) -> SmoothedDrive:
     """The estimate with its sigmas; where it has not settled, what still changes counts too."""
     linear, off = linearized(problem, found.x, found.constants, found.weights, held=False)
     declared, response = tested(problem, found, linear)
@@ -119,8 +118,14 @@ def _with_sigmas(problem: SmoothingProblem, found: Solution, steers: Steering) -
     moved, turned = found.last_change[:, : model.PHI], found.last_change[:, model.PHI]
     unsettled = (moved**2).sum(axis=1)
     absolute = known.own(east, east) + known.own(north, north)
-    constants = _constants(found, linear)
-    return Smoothed(
+    constants: list[Constant | None] = [None] * CONSTANTS
+    if len(linear.active):
+        variances = np.diagonal(inverse(linear.schur))
+        # Of fixes that contradict each other wildly, rounding leaves nothing known.
+        sigmas = np.sqrt(np.where(variances > 0.0, variances, np.inf))
+        for k, sigma in zip(linear.active.tolist(), sigmas.tolist(), strict=True):
+            constants[k] = Constant(float(found.constants[k]), sigma)
+    return SmoothedDrive(
         found.x,
         np.sqrt((np.maximum(absolute, 0.0) + unsettled) / 2.0),
         np.sqrt((np.maximum(relative, 0.0) + unsettled) / 2.0),
@@ -136,14 +141,3 @@ def _with_sigmas(problem: SmoothingProblem, found: Solution, steers: Steering) -
         steers,
         found.rounds,
     )
-
-
-def _constants(found: Solution, linear: Linear) -> list[Constant | None]:
-    constants: list[Constant | None] = [None] * CONSTANTS
-    if len(linear.active):
-        variances = np.diagonal(inverse(linear.schur))
-        # Of fixes that contradict each other wildly, rounding leaves nothing known.
-        sigmas = np.sqrt(np.where(variances > 0.0, variances, np.inf))
-        for k, sigma in zip(linear.active.tolist(), sigmas.tolist(), strict=True):
-            constants[k] = Constant(float(found.constants[k]), sigma)
-    return constants

@@ -144,42 +144,38 @@ def tested(
     by_gyro = heading[:, LATE:].copy()
     by_gyro[:, 0] -= turned  # in the clock of the fixes
     variance = np.einsum("na,ab,nb->n", by_gyro, second_moment, by_gyro)
-    unverified = np.sqrt(_most_near(np.maximum(variance, 0.0), measured.time_s))
+    # At each node the largest variance within :data:`TURN_EDGE_S` of it.
+    values = np.maximum(variance, 0.0)
+    near_s = np.linspace(-TURN_EDGE_S, TURN_EDGE_S, 9)
+    at = np.searchsorted(measured.time_s, measured.time_s + near_s[:, None], side="right") - 1
+    unverified = np.sqrt(np.max(values[np.clip(at, 0, len(values) - 1)], axis=0))
     return declared, HeadingResponse(heading[:, 1], at_most, unverified)
 
 
-class Told(NamedTuple):
-    """How all states [states, k] follow k numbers that are tested, what the drive tells of these as
-    a matrix [k, k], and the right side [k]."""
-
-    followed: Float64
-    information: Float64
-    right: Float64
-
-
-def _told(problem: SmoothingProblem, found: Solution, linear: Linear) -> Told:
+def _told(
+    problem: SmoothingProblem, found: Solution, linear: Linear
+) -> tuple[Float64, Float64, Float64]:
+    """Response, information and right side of the tested declarations: see :func:`told_by`."""
     measured = problem.measured
-    tested = couplings(
-        found.x,
-        measured.fix_m,
-        found.weights.fix,
-        problem.lever_m,
-        measured.turned_rad,
-        np.diff(measured.time_s),
+    fixes = measured.fix_m, found.weights.fix, problem.lever_m
+    return told_by(
+        linear, *couplings(found.x, *fixes, measured.turned_rad, np.diff(measured.time_s))
     )
-    return told_by(linear, *tested)
 
 
-def told_by(linear: Linear, border: Float64, corner: Float64, right: Float64) -> Told:
-    """What a drive tells of numbers that are tested, by their coupling with its states [states, k],
-    the corner [k, k] and the right side [k] of their residuals."""
+def told_by(
+    linear: Linear, border: Float64, corner: Float64, right: Float64
+) -> tuple[Float64, Float64, Float64]:
+    """Response of all states [states, k] to k tested numbers, the information matrix [k, k] of
+    these numbers, and their right side [k]; from the coupling of the numbers with the states
+    [states, k], and the corner [k, k] and right side [k] of their residuals."""
     followed = border.copy()
     solve(linear.system.shape, linear.system.values, followed)
     if len(linear.active):
         shared = linear.coupling.T @ border
         followed -= linear.coupling @ (inverse(linear.schur) @ shared)
     information = corner - border.T @ followed
-    return Told(followed, information, right - followed.T @ linear.system.right)
+    return followed, information, right - followed.T @ linear.system.right
 
 
 def unverified_nats(problem: SmoothingProblem, found: Solution, linear: Linear) -> float:
@@ -198,13 +194,6 @@ def _rates(heading_rad: Float64, time_s: Float64) -> Float64:
     if len(time_s) < 2:
         return np.zeros(len(time_s))
     return np.asarray(np.gradient(heading_rad, time_s))
-
-
-def _most_near(values: Float64, time_s: Float64) -> Float64:
-    """The largest of the values [n] within :data:`TURN_EDGE_S` of each."""
-    near_s = np.linspace(-TURN_EDGE_S, TURN_EDGE_S, 9)
-    at = np.searchsorted(time_s, time_s + near_s[:, None], side="right") - 1
-    return np.asarray(np.max(values[np.clip(at, 0, len(values) - 1)], axis=0))
 
 
 def couplings(

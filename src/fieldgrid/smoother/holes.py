@@ -20,14 +20,15 @@ BLIND_S = 0.75
 """Farther in time from every fix, steering is not measured, and any is expected."""
 
 HOLE_S, HOLE_PERIODS = 2.0, 2.5
-"""Longer without a fix, and over so many of a receiver's periods, at least the usual steering is
-expected, from the first moment on: what a vehicle does in a hole, the others do not show."""
+"""Longer without a fix, and over this number of a receiver's periods, at least the usual steering
+is expected, from the first moment on: what a vehicle does in a hole, the others do not show."""
 
 BENDS = 64
-"""In so many equal parts of its way the curvatures of a drive are sorted."""
+"""Number of equal parts of a drive's way into which its curvatures are sorted."""
 
 DOUBT_M = 10.0
-"""On so much more way a drive might have shown the usual curvatures: a short one shows few."""
+"""Length of way, added to that of a drive, on which the usual curvatures are assumed: a short drive
+shows few."""
 
 USUAL_FIFTHS = np.array([0.146, 0.394, 0.683, 1.052, 1.803])
 """A normal distribution's absolute values, in sigmas: the root mean squares of its fifths."""
@@ -121,7 +122,7 @@ def seen_way_m(measured: Measurements, x: Float64) -> Float64:
 def leaving(
     change: CurvatureChange, exits: Int64, inside: Float64, outside: Float64
 ) -> CurvatureChange:
-    """The same change of the curvature, but for the steps `exits` [m] out of holes: from curvatures
+    """The change of the curvature, but for the steps `exits` [m] out of holes: from curvatures
     with a sigma of `inside` [m] to those of `outside` [m].
 
     Forward and backward in time the same is said, and on each side the curvature has its own sigma:

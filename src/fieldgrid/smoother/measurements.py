@@ -81,7 +81,3 @@ class Measurements(NamedTuple):
             step=self.step[kept],
             step_sigma=self.step_sigma[kept],
         )
-
-    def without_steps(self) -> Measurements:
-        """All but the relative motions."""
-        return self.with_steps(np.zeros(len(self.step), np.bool_))

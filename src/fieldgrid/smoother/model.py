@@ -29,7 +29,8 @@ TURN_NOISE = np.radians(0.3)
 """Turning that neither speed nor curvature explains, rad/√s: slip."""
 
 FREE_TURN_NOISE = np.radians(20.0)
-"""The same where a gyro sees it: some vehicles turn on the spot."""
+"""Turning that neither speed nor curvature explains where a gyro sees it, rad/√s: some vehicles
+turn on the spot."""
 
 STANDING_TURN_NOISE = np.radians(0.05)
 """How a standing vehicle's heading may creep, rad/√s."""

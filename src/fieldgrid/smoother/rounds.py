@@ -17,8 +17,8 @@ ENOUGH_M, ENOUGH_RAD = 3e-3, 1e-3
 """Rounds end when no node moves or turns by more."""
 
 SETTLED_SHARE, SETTLING_ROUNDS = 0.998, 5
-"""After so many rounds it is enough that so many of the nodes move no more: where nothing tells a
-heading, it may go to and fro forever, and its sigma says so."""
+"""After this number of rounds it is enough that this share of the nodes moves no more: where
+nothing tells a heading, it may go to and fro forever, and its sigma says so."""
 
 HELD, NOT_HELD = (1.0 / 3.0**2, 1.0 / 0.3**2), (0.0, 0.0)
 """From round to round a node keeps to where it was by 3 m and 0.3 rad (as weights), or a heading
@@ -122,13 +122,12 @@ def converged(
     constants: Float64,
     weights: Weights,
     *,
-    most_rounds: int = MOST_ROUNDS,
     enough: float = 1.0,
 ) -> Solution:
     """Rounds of least squares until nothing moves by more than `enough` times the usual, each
     with the weights of the one before."""
     found = Solution(start, constants, weights, 0, np.zeros_like(start))
-    for rounds in range(1, most_rounds + 1):
+    for rounds in range(1, MOST_ROUNDS + 1):
         linear, off = linearized(problem, found.x, found.constants, found.weights)
         found = improved(problem, found, linear, off)
         del linear, off  # a long drive's equations are large, and the next round makes its own

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64
-from fieldgrid.smoother.batch import Smoothed
+from fieldgrid.smoother.batch import SmoothedDrive
 from fieldgrid.smoother.declared import SCALE, UNVERIFIED_SIGMAS, couplings, told_by
 from fieldgrid.smoother.envelope import STATES
 from fieldgrid.smoother.equations import CONSTANTS
@@ -27,7 +27,7 @@ from fieldgrid.smoother.rounds import (
 )
 
 SHAPES = 3
-"""The cosines of so many halves of a period over the drive: there, there and back, and once more.
+"""Number of cosines, of 1, 2 and 3 halves of a period over the drive.
 What changes faster is that of a solution that converges."""
 
 DRIFT_SIGMA_M = 5.0
@@ -52,7 +52,7 @@ class SlowDrift(NamedTuple):
 
 
 def slow_drift(
-    known: Smoothed, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
+    known: SmoothedDrive, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
 ) -> SlowDrift:
     """What an estimate `known` from the same measurements says of a slow drift of its fixes: one
     step of Gauss and Newton, with all states and what was declared following."""
@@ -62,7 +62,9 @@ def slow_drift(
     weights = stated_weights(measured, known.steering)
     found = converged(problem, known.state, np.zeros(CONSTANTS), weights)
     linear, _ = linearized(problem, found.x, found.constants, found.weights, held=False)
-    shapes = _shapes(measured.time_s)
+    time_s = measured.time_s
+    share = (time_s - time_s[0]) / max(float(time_s[-1] - time_s[0]), 1e-9)
+    shapes = np.cos(np.pi * np.outer(share, np.arange(1, SHAPES + 1)))
     followed, information, right = told_by(linear, *_couplings(problem, found, shapes))
     declared, drifts = slice(None, _DECLARED), slice(_DECLARED, None)
     priors = [*UNVERIFIED_SIGMAS, *SHAPES * _AXES * [DRIFT_SIGMA_M]]
@@ -87,12 +89,6 @@ def slow_drift(
         np.asarray(-followed[PHI::STATES, drifts] @ drift),
         float(1.0 / np.sqrt(alone.min())),
     )
-
-
-def _shapes(time_s: Float64) -> Float64:
-    """The shapes of a drift at instants [n, SHAPES]."""
-    share = (time_s - time_s[0]) / max(float(time_s[-1] - time_s[0]), 1e-9)
-    return np.cos(np.pi * np.outer(share, np.arange(1, SHAPES + 1)))
 
 
 def _couplings(

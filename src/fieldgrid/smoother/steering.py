@@ -40,7 +40,7 @@ TIGHT_SHARE = 0.98
 """So much of its way a vehicle bends less than in its tightest turns."""
 
 ENOUGH_TURN = np.radians(120.0)
-"""A drive that never turned by so much does not show how tightly its vehicle can turn."""
+"""A drive that never turned by this does not show how tightly its vehicle can turn."""
 
 ALWAYS_SHARE = 0.5
 """Of the expected steering, what is due to what the vehicle always does."""
@@ -52,18 +52,18 @@ STEERING_S = 2.0
 """Steering at one moment makes more of it likely for about a second before and after."""
 
 ADAPTATIONS = 6
-"""In so many rounds the expected steering is brought up to date. More of it makes rows straighter,
+"""Number of rounds that update the expected steering. More of them make rows straighter,
 and hides steering where noise could."""
 
 CLEAR_NATS = 2.0
 """A drive is taken for a calm one only when its fixes clearly say so."""
 
 ROUGHLY = 10.0
-"""Before the steering is learnt, the rounds may end when nodes still move by so many times what
+"""Before the steering is learnt, the rounds may end when nodes still move by this multiple of what
 is enough."""
 
 STRETCHES, STRETCH_NODES = 4, 1000
-"""A longer drive is looked at in so many places, to learn how much it steers."""
+"""Number of places, and nodes in each, by which a longer drive shows how much it steers."""
 
 
 class Steering(NamedTuple):
@@ -241,7 +241,7 @@ def likelihood_of(problem: SmoothingProblem, solution: Solution) -> float:
 
 
 def likelihood_by(linear: Linear) -> float:
-    """The same by the normal equations of a solution, whose nodes are not held."""
+    """Log likelihood by the normal equations of a solution, whose nodes are not held."""
     _, schur = np.linalg.slogdet(linear.schur)
     squared, log_weights = linear.system.total
     return 0.5 * float(log_weights - squared - linear.log_determinant - schur)

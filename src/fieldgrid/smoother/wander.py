@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from fieldgrid.array_types import Float64
 from fieldgrid.smoother import model
-from fieldgrid.smoother.batch import Smoothed
+from fieldgrid.smoother.batch import SmoothedDrive
 from fieldgrid.smoother.declared import unverified_nats
 from fieldgrid.smoother.equations import CONSTANTS
 from fieldgrid.smoother.measurements import Measurements
@@ -43,24 +41,16 @@ FEWEST_PAIRS = 10
 """Of fewer nodes so far apart a mean says nothing."""
 
 
-class WanderTest(NamedTuple):
-    """How much likelier the drive is when its fixes wander, `nats`, and the same beside
-    declarations that may be off by what is usual, `unexplained_nats`; how far apart the slow errors
-    of its nodes lie then, `extent_m`; and by how much its headings [n] differ from those of fixes
-    that do not wander, `turned_rad`."""
-
-    nats: float
-    unexplained_nats: float
-    extent_m: float
-    turned_rad: Float64
-
-
 def wander(
-    known: Smoothed, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
-) -> WanderTest:
-    """What an estimate `known` from the same measurements says of the wander of its fixes: its
-    likelihood beside that of a slow error that goes on from the stated one at random. Steps that
-    are outliers are left out."""
+    known: SmoothedDrive, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
+) -> tuple[float, float, float, Float64]:
+    """What an estimate `known` from the same measurements says of the wander of its fixes: a slow
+    error that goes on from the stated one at random. Steps that are outliers are left out.
+
+    Returns how much likelier the drive is when its fixes wander, nats; the same beside declarations
+    that may be off by what is usual; how far apart the slow errors of its nodes lie then, metres;
+    and by how much its headings [n] differ from those of fixes that do not wander, radians.
+    """
     off = np.abs(known.step_off) / measured.step_sigma[:, [0, 0, 1]]
     measured = measured.with_steps(off.max(axis=1) < OUTLIER_SIGMAS)
 
@@ -89,7 +79,7 @@ def wander(
     free = found(FREE_RATE_M)[1].x
     extent_m = float(np.hypot(*np.ptp(free[:, model.BIAS_E :], axis=0)))
     turned = free[:, model.PHI] - known.state[:, model.PHI]
-    return WanderTest(nats[0], nats[1], extent_m, np.asarray(turned))
+    return nats[0], nats[1], extent_m, np.asarray(turned)
 
 
 def unstated_wander(state: Float64, measured: Measurements) -> float:
