@@ -165,7 +165,7 @@ class FixColumns:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def replace(self, **columns: AnyArray) -> Self:
-        """The same fixes with other values in some columns."""
+        """These fixes with other values in some columns."""
         return replace(self, **columns)
 
     def in_order(self) -> Self:

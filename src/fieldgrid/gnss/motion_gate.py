@@ -50,7 +50,7 @@ class MotionEnvelope(NamedTuple):
     seam_price: float
 
 
-class Followed(NamedTuple):
+class GateResult(NamedTuple):
     """Rows that are kept, and those of them at which the solution has moved."""
 
     kept: Bool
@@ -116,7 +116,7 @@ def motion_envelope(
     )
 
 
-def follow(envelope: MotionEnvelope) -> Followed:
+def follow(envelope: MotionEnvelope) -> GateResult:
     """The sequence of rows that keeps the most of them with the least strain."""
     n = len(envelope.time_ns)
     kept, seam = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
@@ -127,7 +127,7 @@ def follow(envelope: MotionEnvelope) -> Followed:
         while row >= 0:
             kept[row], seam[row] = True, moved[row]
             row = int(before[row])
-    return Followed(kept, seam)
+    return GateResult(kept, seam)
 
 
 def transition(envelope: MotionEnvelope, a: int, b: int) -> Transition:

@@ -56,7 +56,7 @@ class _Listing(NamedTuple):
 
     @property
     def version(self) -> str:
-        """The same as of the manifest of a copy that has all of it."""
+        """Digest of the versions of all files; equals that of the manifest of a complete copy."""
         return digest_of({name: file.version for name, file in self.files.items()})
 
 

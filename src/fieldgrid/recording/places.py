@@ -49,7 +49,7 @@ class Places(NamedTuple):
         return (lat * 1e-7, lon * 1e-7) if self.units == "e7" else (lat, lon)
 
     def settled(self) -> tuple[Places, tuple[str, ...]]:
-        """The same with the units that the first rows show, and a note on what was found.
+        """These columns with the units that the first rows show, and a note on what was found.
 
         RecordingError names the values, and what to say of them, where they are no degrees.
         """

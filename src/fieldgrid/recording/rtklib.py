@@ -165,7 +165,7 @@ def _read_header(lines: Iterator[str]) -> tuple[_Columns, str]:
 
 
 def _with_remark(found: _Columns, line: str) -> _Columns:
-    """The same with what a further line of remarks says."""
+    """The columns `found`, completed by what a further line of remarks says."""
     frame = re.search(r"lat/lon/height=(\w+)/(\w+)", line)
     if frame is not None:
         found = found._replace(datum=frame[1], heights=frame[2])

@@ -195,7 +195,7 @@ def _finest(found: list[TimeColumn]) -> TimeColumn:
 
 
 def _noted(time: TimeColumn, said: bool) -> TimeColumn:
-    """The same with a note on what was guessed."""
+    """The column `time` with a note on what was guessed."""
     name = time.table.header[time.place]
     if name in _OWN or (said and time.scale.places is not None):
         return time

@@ -165,7 +165,7 @@ class Connections:
             self._known[number] = connection._replace(definition=definition)
 
     def _taken(self, definition: Definition | None) -> Definition | None:
-        """The same definition for all connections that have it."""
+        """One shared definition object for all connections whose definition is equal."""
         if definition is None or len(definition.text) > MAX_DEFINITION_CHARS:
             return None
         if definition not in self._definitions:

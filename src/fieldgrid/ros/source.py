@@ -52,7 +52,7 @@ class BoundedFile(Closing):
         return self.size - self.offset
 
     def take(self, count: int) -> bytes:
-        """The next `count` bytes; raises Torn where the file has not so many, or that is absurd."""
+        """The next `count` bytes; raises Torn if the file has fewer, or `count` is absurd."""
         if count > self.left or count > limits().piece_bytes:
             raise Torn
         return self.rest(count)
@@ -70,7 +70,7 @@ class BoundedFile(Closing):
         return data
 
     def skip(self, count: int) -> None:
-        """Pass over the next `count` bytes; raises Torn where the file has not so many."""
+        """Pass over the next `count` bytes; raises Torn if the file has fewer."""
         if count > self.left:
             raise Torn
         self.go(self.offset + count)

@@ -42,7 +42,7 @@ class OrderedMessages(NamedTuple):
     timeless: int
 
 
-class Paired(NamedTuple):
+class PairMatch(NamedTuple):
     """Which of `left` belongs to which of `right`, both increasing; how far apart they are at
     most, and how many of either are left over."""
 
@@ -106,7 +106,7 @@ def ordered(time_ns: Int64) -> OrderedMessages:
     return OrderedMessages(columns[:, 0], columns[:, 1], len(times_ns) - len(kept), timeless)
 
 
-def pair(left_ns: Int64, right_ns: Int64) -> Paired:
+def pair(left_ns: Int64, right_ns: Int64) -> PairMatch:
     """Moments of two cameras, increasing each, that are one: equal stamps first, then the
     nearest of the rest within a quarter of the usual interval and :data:`MAX_APART_NS`."""
     _, left, right = np.intersect1d(left_ns, right_ns, assume_unique=True, return_indices=True)
@@ -120,7 +120,7 @@ def pair(left_ns: Int64, right_ns: Int64) -> Paired:
     left = np.sort(np.concatenate([left, near_left[ahead]]))
     right = np.sort(np.concatenate([right, near_right[ahead]]))
     apart = np.abs(left_ns[left] - right_ns[right])
-    return Paired(
+    return PairMatch(
         left,
         right,
         int(apart.max()) if len(apart) else 0,

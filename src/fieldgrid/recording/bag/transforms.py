@@ -38,7 +38,8 @@ class Transforms:
                 self._parents[child] = (parent, place)
 
     def add_unmoved(self, message: Any) -> None:
-        """The same, for :meth:`unmoved`: a frame that moves, or changes its parent, is noted."""
+        """Add the transforms of a message, and note for :meth:`unmoved` the frames that move or
+        change their parent."""
         for _, (child, parent, place) in told(message):
             known = self._parents.get(child)
             if known is None and len(self._parents) < _MAX_FRAMES:
