@@ -30,6 +30,7 @@ from fieldgrid.convert import convert_recording
 from fieldgrid.depth import CodedDepth
 from fieldgrid.errors import FieldgridError
 from fieldgrid.evaluation import read_truth
+from fieldgrid.grids import GridSpec
 from fieldgrid.live import Live, LiveGrid, LiveOptions, LiveResult, LiveWindow, replay
 from fieldgrid.live.fixed_lag import FixedLagSmoother, pose_at, unknown_pose
 from fieldgrid.live.points_file import PointsFile, packed
@@ -214,8 +215,8 @@ def points() -> None:
         log = None if folder == KITTI else "gnss_rtk.nmea"
         spent: list[tuple[float, float, float]] = []
         with open_recording(folder, gnss=log) as recording, tempfile.TemporaryDirectory() as place:
-            gridder = LocalGridder(recording.rig, settings.grid.spec())
-            reach_m, file = settings.grid.spec().reach_m, PointsFile(Path(place) / "points")
+            gridder = LocalGridder(recording.rig, GridSpec.of(settings.grid))
+            reach_m, file = GridSpec.of(settings.grid).reach_m, PointsFile(Path(place) / "points")
             for frame in recording.frames():
                 assert isinstance(frame, StereoFrame)
                 seen = gridder.coded(*gridder.matcher.disparity(*frame.images()))

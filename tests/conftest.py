@@ -96,17 +96,16 @@ WHOLE_RUN = 1000
 
 
 def _compile_a_share() -> None:
-    """Two workers compile what frames and the map need and what poses need, one each, before both
-    need all."""
-    from fieldgrid.cli.warming import compile_ahead
+    """Two workers compile what frames need and what poses need, one each, before both need all."""
+    from fieldgrid.live.pushed import warm_up
     from fieldgrid.live.warming import warm_up_poses
+    from fieldgrid.localgrid import LocalGridder
     from fieldgrid.settings import BuildSettings
     from tests.scenes import paper_rig
 
     worker = os.environ.get("PYTEST_XDIST_WORKER")
     if worker == "gw0":
-        with tempfile.TemporaryDirectory() as folder:
-            compile_ahead(folder)
+        warm_up(LocalGridder(paper_rig()), odometry=True)
     elif worker == "gw1":
         warm_up_poses(paper_rig(), BuildSettings())
 

@@ -22,7 +22,7 @@ LAYERS = (
         *("documents", "errors", "quality", "geodesy", "angles", "rotations", "kernel", "palette"),
         *("plane_fit", "plugins", "publish", "measured", "reasons", "utc"),
     ),
-    ("lon_lat", "notebook", "workers"),
+    ("lon_lat", "notebook", "settings", "workers"),
     (
         "fixes",
         "lattice",
@@ -35,7 +35,6 @@ LAYERS = (
         "curves",
         "vectors",
     ),
-    ("settings",),
     ("cloud", "depth", "edges", "lens", "sweep", "travel"),
     (
         "gnss",

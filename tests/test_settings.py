@@ -44,7 +44,7 @@ def test_a_flag_beats_the_file_and_the_file_beats_the_default(tmp_path: Path) ->
         "[stereo]\nmatcher = 'bm'\n[map]\ntransfer = 'area'\n",
     )
     settings = resolve(path, {"grid": {"length_m": 12.0}, "stereo": {"matcher": "sgbm"}})
-    assert settings.grid.spec() == GridSpec(6.65, 12.0, 0.05)
+    assert GridSpec.of(settings.grid) == GridSpec(6.65, 12.0, 0.05)
     assert settings.stereo.matcher is MatcherKind.SGBM
     assert settings.density.max_range_m == 9.0
     assert settings.map.transfer is Transfer.AREA

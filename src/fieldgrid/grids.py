@@ -9,11 +9,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fieldgrid.array_types import Bool, Float64, UInt8
 from fieldgrid.errors import ConfigError
+from fieldgrid.limits import check_local_grid
+
+if TYPE_CHECKING:
+    from fieldgrid.settings import GridSettings
 
 OBSTACLE_ABOVE = 100
 """3D density above which the paper calls a cell a potential obstacle."""
@@ -56,26 +61,12 @@ class GridSpec:
     cell_m: float = 0.05
 
     def __post_init__(self) -> None:
-        if not 0.01 <= self.cell_m <= 5.0:
-            raise ConfigError(
-                f"A local cell of {self.cell_m} m is outside 0.01..5 m; 0.05 is the paper's."
-            )
-        for name, value in (("width", self.width_m), ("length", self.length_m)):
-            if not (math.isfinite(value) and self.cell_m <= value <= 200.0):
-                raise ConfigError(
-                    f"A local grid's {name} of {value} m is outside {self.cell_m}..200 m; "
-                    "6.65 x 14 and 10 x 15 are usual."
-                )
-            if abs(value / self.cell_m - round(value / self.cell_m)) > 1e-6:
-                raise ConfigError(
-                    f"A local grid's {name} of {value} m is not a whole number of cells of "
-                    f"{self.cell_m} m; change one of them."
-                )
-        if self.n_x * self.n_y > 4_000_000:
-            raise ConfigError(
-                f"A local grid of {self.n_x} x {self.n_y} cells is over 4 million cells; "
-                "take larger cells or a smaller grid."
-            )
+        check_local_grid(self.width_m, self.length_m, self.cell_m)
+
+    @classmethod
+    def of(cls, settings: GridSettings) -> GridSpec:
+        """The grid of these settings."""
+        return cls(settings.width_m, settings.length_m, settings.cell_m)
 
     @property
     def n_x(self) -> int:

@@ -15,7 +15,6 @@ import gc
 import threading
 from collections.abc import Callable
 from functools import update_wrapper
-from pathlib import Path
 from typing import Any
 
 _COMPILING = threading.RLock()
@@ -70,14 +69,6 @@ class Kernel:
     def cache_folder(self) -> str | None:
         """Where the machine code is kept, None where there is no place for it."""
         return getattr(self.compiled().stats, "cache_path", None)
-
-    def is_kept(self) -> bool:
-        """Whether machine code of this version of the kernel is kept."""
-        folder, source = self.cache_folder(), Path(self._function.__code__.co_filename)
-        if folder is None:
-            return False
-        kept = Path(folder).glob(f"{source.stem}.{self._function.__name__}-*.nbi")
-        return any(one.stat().st_mtime_ns >= source.stat().st_mtime_ns for one in kept)
 
 
 def when_compiling(tell: Callable[[], None]) -> None:

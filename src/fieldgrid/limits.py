@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import io
+import math
 import os
 import stat
 from collections.abc import Iterable, Iterator
@@ -160,4 +161,27 @@ def check_document(size_bytes: int, name: object, error: type[FieldgridError]) -
         raise error(
             f"{name} has {size_bytes >> 20} MiB, more than the {most} that are read at once; cut "
             f"it to what is needed, or set {PREFIX}DOCUMENT_MIB={4 * most} and try again."
+        )
+
+
+def check_local_grid(width_m: float, length_m: float, cell_m: float) -> None:
+    """Raise ConfigError for a local grid that is too large, or no whole number of cells."""
+    if not 0.01 <= cell_m <= 5.0:
+        raise ConfigError(f"A local cell of {cell_m} m is outside 0.01..5 m; 0.05 is the paper's.")
+    for name, value in (("width", width_m), ("length", length_m)):
+        if not (math.isfinite(value) and cell_m <= value <= 200.0):
+            raise ConfigError(
+                f"A local grid's {name} of {value} m is outside {cell_m}..200 m; "
+                "6.65 x 14 and 10 x 15 are usual."
+            )
+        if abs(value / cell_m - round(value / cell_m)) > 1e-6:
+            raise ConfigError(
+                f"A local grid's {name} of {value} m is not a whole number of cells of "
+                f"{cell_m} m; change one of them."
+            )
+    across, ahead = round(width_m / cell_m), round(length_m / cell_m)
+    if across * ahead > 4_000_000:
+        raise ConfigError(
+            f"A local grid of {across} x {ahead} cells is over 4 million cells; "
+            "take larger cells or a smaller grid."
         )

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.errors import ConfigError
-from fieldgrid.live import Feed, feed, parse_feed
+from fieldgrid.live import Feed, feed, open_feed, parse_feed
 from tests.live.sources import TIMEOUT_S
 from tests.live.windows import documented_readers, window
 
@@ -126,8 +126,7 @@ def test_clients_come_and_go() -> None:
     "wrong",
     [
         "7007",
-        "udp://127.0.0.1:0",
-        "udp://127.0.0.1",
+        "udp://127.0.0.1:7007",
         "ws://a:1",
         "tcp://:1",
         "tcp://a",
@@ -137,13 +136,15 @@ def test_clients_come_and_go() -> None:
     ],
 )
 def test_what_is_no_feed(wrong: str) -> None:
-    with pytest.raises(ConfigError, match=r"is no feed; give tcp://127.0.0.1:PORT, or udp:"):
+    with pytest.raises(ConfigError, match=r"is no feed; give a TCP address, such as tcp:"):
         parse_feed(wrong)
 
 
 def test_places_of_a_feed() -> None:
-    assert parse_feed("tcp://127.0.0.1:0") == ("tcp", "127.0.0.1", 0)
-    assert parse_feed("tcp://[::1]:7007") == ("tcp", "::1", 7007)
-    assert parse_feed("udp://field.lan:7007/") == ("udp", "field.lan", 7007)
+    assert parse_feed("tcp://127.0.0.1:0") == ("127.0.0.1", 0)
+    assert parse_feed("tcp://[::1]:7007") == ("::1", 7007)
+    assert parse_feed("tcp://field.lan:7007/") == ("field.lan", 7007)
+    with open_feed("tcp://127.0.0.1:0") as made:
+        assert isinstance(made, Feed)
     with pytest.raises(ConfigError, match=r"cannot be at tcp://nowhere\.invalid:1"):
         Feed("nowhere.invalid", 1)

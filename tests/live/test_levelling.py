@@ -17,6 +17,7 @@ from fieldgrid.attitude import Attitude
 from fieldgrid.build import Progress, add_recording, build_map, estimate_drive, local_grid
 from fieldgrid.convert import convert_recording
 from fieldgrid.errors import ConfigError
+from fieldgrid.grids import GridSpec
 from fieldgrid.live import (
     LiveGrid,
     LiveOptions,
@@ -272,7 +273,7 @@ def test_points_of_a_drive_that_tells_its_lean_are_kept(part: str, tmp_path: Pat
 def test_points_come_back_as_they_were(leaning_drive: Path, tmp_path: Path) -> None:
     random = np.random.default_rng(1)
     with open_recording(leaning_drive) as recording:
-        gridder = LocalGridder(recording.rig, BuildSettings().grid.spec())
+        gridder = LocalGridder(recording.rig, GridSpec.of(BuildSettings().grid))
     codes = random.integers(-16, 2048, (40, 64)).astype(np.int16)
     points = (20.0 * random.normal(size=(500, 3))).astype(np.float32)
     after = random.normal(size=500).astype(np.float32)

@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from fieldgrid.grids import GridSpec
 from fieldgrid.live.pushed import warm_up
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.rig import Rig
@@ -17,6 +18,7 @@ from tests.scenes import depth_rig, lidar_rig, paper_rig
 KERNELS_LEFT = """
 import sys
 from fieldgrid.build.staging import stage_frame
+from fieldgrid.grids import GridSpec
 from fieldgrid.kernel import Kernel
 from fieldgrid.live.pushed import warm_up
 from fieldgrid.localgrid import LocalGridder
@@ -33,7 +35,7 @@ def noted(kernel):
     return compiled(kernel)
 
 with open_recording(sys.argv[1], gnss="gnss_rtk.nmea") as recording:
-    gridder = LocalGridder(recording.rig, BuildSettings().grid.spec())
+    gridder = LocalGridder(recording.rig, GridSpec.of(BuildSettings().grid))
     warm_up(gridder, odometry=True)
     warm_up_poses(recording.rig, BuildSettings())
     Kernel.compiled = noted
@@ -50,7 +52,7 @@ with open_recording(sys.argv[1], gnss="gnss_rtk.nmea") as recording:
 def test_a_frame_of_level_ground_goes_all_the_way(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    gridder = LocalGridder(rig, BuildSettings().grid.spec())
+    gridder = LocalGridder(rig, GridSpec.of(BuildSettings().grid))
     made: list[int] = []
     for name in ("from_coded", "from_cloud"):
         real = getattr(LocalGridder, name)

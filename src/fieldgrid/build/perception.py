@@ -18,7 +18,7 @@ from fieldgrid.array_types import Float32
 from fieldgrid.attitude import Attitude
 from fieldgrid.depth import CodedDepth
 from fieldgrid.frame_ground import FrameGround
-from fieldgrid.grids import LocalGrid
+from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import CameraStep, Features, Refusal, features, step, steps_of
@@ -252,7 +252,7 @@ def carried(sweep: Sweep, time_ns: int, rig: Rig, way: OriginTrack | None) -> Fl
 
 @lru_cache(maxsize=8)
 def _gridder(rig: Rig, settings: BuildSettings) -> LocalGridder:
-    return LocalGridder(rig, settings.grid.spec(), settings.stereo, settings.density)
+    return LocalGridder(rig, GridSpec.of(settings.grid), settings.stereo, settings.density)
 
 
 def local_grid(

@@ -21,6 +21,7 @@ from fieldgrid.errors import (
     RecordingError,
 )
 from fieldgrid.geodesy import MAX_DISTANCE_M, Datum
+from fieldgrid.grids import GridSpec
 from fieldgrid.localgrid import reliable_range_m
 from fieldgrid.motion import Steps
 from fieldgrid.pose import ClockOffset, ErrorBudget, Estimate, estimate_poses, levelling_attitude
@@ -129,7 +130,7 @@ MISPLACED_M = 0.25
 def cell_budget(rig: Rig, settings: BuildSettings) -> ErrorBudget:
     """How far off a cell may be where the local grid's farthest points land."""
     asked = settings.pose.cell_budget_m
-    reach_m = reliable_range_m(rig, settings.grid.spec(), settings.stereo, settings.density)
+    reach_m = reliable_range_m(rig, GridSpec.of(settings.grid), settings.stereo, settings.density)
     return ErrorBudget(asked or max(settings.universal_cell_m, USUAL_BUDGET_M), reach_m)
 
 

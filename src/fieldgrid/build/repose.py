@@ -18,6 +18,7 @@ from fieldgrid.build.poses import cell_budget, no_ground
 from fieldgrid.build.rig_config import rig_from_config
 from fieldgrid.build.stuck import StuckCamera
 from fieldgrid.errors import ConfigError, FieldgridError
+from fieldgrid.grids import GridSpec
 from fieldgrid.mapfile import MapFile, Patience, SessionInfo, open_map
 from fieldgrid.pose import Estimate, estimate_poses
 from fieldgrid.rig import Lidar, Rig
@@ -141,7 +142,7 @@ def _of_sweeps(
     """What the new poses change of the motion within a sweep, whose points the map does not have
     any more."""
     ways = OriginTrack.of(old), OriginTrack.of(new)
-    reach_m, cell_m = settings.grid.spec().reach_m, settings.grid.cell_m
+    reach_m, cell_m = GridSpec.of(settings.grid).reach_m, settings.grid.cell_m
     sides = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], dtype=np.float32)
     ends = Sweep(np.float32(reach_m) * sides, np.full(3, SWEEP_S, dtype=np.float32))
     off_m = 0.0

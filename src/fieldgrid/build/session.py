@@ -60,6 +60,7 @@ from fieldgrid.build.staging import DriveWork, Frames, Staged, stage_all
 from fieldgrid.build.stuck import StuckCamera
 from fieldgrid.errors import CalibrationError, ConfigError, RecordingError
 from fieldgrid.geodesy import Datum
+from fieldgrid.grids import GridSpec
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import MapFile, Session, StageFile
 from fieldgrid.mapfile.metadata import check_name
@@ -167,7 +168,7 @@ class NewSession:
         if known is not None and has_sweeps(recording):
             self._way = OriginTrack.of(known)
         self._gridder = LocalGridder(
-            recording.rig, settings.grid.spec(), settings.stereo, settings.density
+            recording.rig, GridSpec.of(settings.grid), settings.stereo, settings.density
         )
         self.report = SessionReport(
             session=self.name,

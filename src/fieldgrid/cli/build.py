@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fieldgrid.cli import options, output, progress, warming
+from fieldgrid.cli import options, output, progress
 from fieldgrid.cli.build_report import report_drives, report_remarks, report_session
 from fieldgrid.cli.drive_options import Drive
 from fieldgrid.cli.new_drives import compare, report_offsets
@@ -184,10 +184,7 @@ def command(
     partly: PartlyBuiltError | None = None
     paths = [progress.fetched_or_url(recording) for recording in recordings]
     try:
-        with (
-            warming.half_ahead(here=scheduler is None),
-            progress.building(out, wait_s) as tell,
-        ):
+        with progress.building(out, wait_s) as tell:
             reports = build_map(
                 paths,
                 out,

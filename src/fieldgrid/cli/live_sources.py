@@ -100,9 +100,9 @@ class SourceFlags(NamedTuple):
         str | None,
         typer.Option(
             "--feed",
-            metavar="tcp|udp://HOST:PORT",
-            help="Send the costmap around the vehicle: tcp to every client that connects (HOST "
-            "127.0.0.1: from this machine only); udp to HOST.",
+            metavar="tcp://HOST:PORT",
+            help="Send the costmap around the vehicle to every client that connects (HOST "
+            "127.0.0.1: from this machine only).",
             rich_help_panel=_PANEL,
         ),
     ] = None

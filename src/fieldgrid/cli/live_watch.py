@@ -10,21 +10,20 @@ from fieldgrid.cli import output
 
 if TYPE_CHECKING:
     from fieldgrid.build import Progress
-    from fieldgrid.live import Counts, DatagramFeed, Feed, Live, LiveResult, LiveWindow
+    from fieldgrid.live import Counts, Feed, Live, LiveResult, LiveWindow
     from fieldgrid.live_servers import FoxgloveServer, LivePage
 
 _DROPS_S = 5.0
 """Dropped frames are told so often at most."""
 
 
-def open_feed_at(text: str, watch: Watch) -> Feed | DatagramFeed:
+def open_feed_at(text: str, watch: Watch) -> Feed:
     """The feed at an address, which tells what it has to say through the session."""
-    from fieldgrid.live import Feed, open_feed
+    from fieldgrid.live import open_feed
 
     feed = open_feed(text, watch.tell)
     host, port = feed.address
-    to = "every client of tcp" if isinstance(feed, Feed) else "udp"
-    output.message(f"the costmap is sent to {to}://{host}:{port}")
+    output.message(f"the costmap is sent to every client of tcp://{host}:{port}")
     return feed
 
 
@@ -52,7 +51,7 @@ class Watch:
 
     def __init__(self, line: Any, *, as_json: bool) -> None:
         self.live: Live | None = None
-        self.feed: Feed | DatagramFeed | None = None
+        self.feed: Feed | None = None
         self.servers: list[LivePage | FoxgloveServer] = []
         self._line, self._as_json = line, as_json
         self._said_s = -math.inf

@@ -32,6 +32,7 @@ from fieldgrid.build.poses import (
 )
 from fieldgrid.build.report import SessionReport
 from fieldgrid.choices import StopCode
+from fieldgrid.grids import GridSpec
 from fieldgrid.inspection.clocks import clock_findings, clock_unknown
 from fieldgrid.inspection.coverage import coverage, coverage_findings
 from fieldgrid.inspection.findings import Finding, error, info, warning
@@ -123,7 +124,7 @@ def with_frames(
             check_images(recording, fixes_alone.trajectory)
     with noted(findings):
         gridder = LocalGridder(
-            recording.rig, settings.grid.spec(), settings.stereo, settings.density
+            recording.rig, GridSpec.of(settings.grid), settings.stereo, settings.density
         )
         seen, found = _looked(recording, settings, gridder, fixes_alone, found, findings, tell)
         if fixes_alone is not None:
@@ -285,7 +286,7 @@ def _with_map(
                 images_ns,
                 track,
                 recording.rig,
-                settings.grid.spec(),
+                GridSpec.of(settings.grid),
                 gridder.max_range_m,
                 settings.stereo.disparity_sigma_px,
             ),

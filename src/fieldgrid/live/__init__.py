@@ -1,7 +1,6 @@
 """Live: local grids, poses and a costmap while the vehicle drives, the map at the end."""
 
 from fieldgrid.live.camera import StereoDevices, parse_devices
-from fieldgrid.live.datagrams import DatagramFeed
 from fieldgrid.live.feed import Feed
 from fieldgrid.live.feeds import open_feed, parse_feed
 from fieldgrid.live.finish import discard_session, finish_from, finish_session
@@ -26,7 +25,6 @@ from fieldgrid.live.results import (
 
 __all__ = [
     "Counts",
-    "DatagramFeed",
     "Feed",
     "ImageFolder",
     "Live",

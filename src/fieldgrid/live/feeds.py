@@ -3,39 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple
 from urllib.parse import urlsplit
 
 from fieldgrid.errors import ConfigError
-from fieldgrid.live.datagrams import DatagramFeed
 from fieldgrid.live.feed import Feed
 
 
-class FeedAddress(NamedTuple):
-    """Where a feed is (tcp), or what it sends to (udp)."""
-
-    kind: Literal["tcp", "udp"]
-    host: str
-    port: int
-
-
-def parse_feed(text: str) -> FeedAddress:
-    """The address of `tcp://HOST:PORT` or `udp://HOST:PORT`; ConfigError for others."""
+def parse_feed(text: str) -> tuple[str, int]:
+    """Host and port of `tcp://HOST:PORT`; ConfigError for other addresses."""
     try:
         parts = urlsplit(text)
         host, port = parts.hostname, parts.port
     except ValueError:
         host, port, parts = None, None, urlsplit("")
-    kind: Literal["tcp", "udp"] = "udp" if parts.scheme == "udp" else "tcp"
-    is_wrong = parts.scheme != kind or not host or port is None or (kind == "udp" and port == 0)
-    if is_wrong or not host or port is None or parts.path.strip("/") or parts.query:
-        raise ConfigError(
-            f"{text!r} is no feed; give tcp://127.0.0.1:PORT, or udp://HOST:PORT to send to."
-        )
-    return FeedAddress(kind, host, port)
+    if parts.scheme != "tcp" or not host or port is None or parts.path.strip("/") or parts.query:
+        raise ConfigError(f"{text!r} is no feed; give a TCP address, such as tcp://127.0.0.1:PORT.")
+    return host, port
 
 
-def open_feed(text: str, tell: Callable[[str], None] | None = None) -> Feed | DatagramFeed:
+def open_feed(text: str, tell: Callable[[str], None] | None = None) -> Feed:
     """The feed of an address; ConfigError where there can be none."""
-    kind, host, port = parse_feed(text)
-    return (Feed if kind == "tcp" else DatagramFeed)(host, port, tell)
+    return Feed(*parse_feed(text), tell)

@@ -14,6 +14,7 @@ from fieldgrid.build import BadFrame, Progress
 from fieldgrid.build.perception import carried, side_by_side
 from fieldgrid.build.staging import Found, Staged
 from fieldgrid.depth import CodedDepth
+from fieldgrid.grids import GridSpec
 from fieldgrid.live.kept_drive import PushedDrive
 from fieldgrid.live.points_file import Seen
 from fieldgrid.live.session_folder import SessionFolder
@@ -59,7 +60,9 @@ def gridded_again(
     if attitude is None and not is_swept and not any(frame.is_level for frame in drive.frames):
         return GriddedAgain(staged, ())
     settings = drive.about.settings
-    gridder = LocalGridder(drive.about.rig, settings.grid.spec(), settings.stereo, settings.density)
+    gridder = LocalGridder(
+        drive.about.rig, GridSpec.of(settings.grid), settings.stereo, settings.density
+    )
 
     def make(number: int) -> _Made:
         frame, was = drive.frames[number], staged.frames[number]

@@ -18,6 +18,7 @@ from fieldgrid.errors import ConfigError, RecordingError
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import NmeaStream
+from fieldgrid.grids import GridSpec
 from fieldgrid.live.disk_state import DiskState
 from fieldgrid.live.finish import check_begin, finish
 from fieldgrid.live.fixed_lag import GIVEN_KEPT_S
@@ -81,7 +82,7 @@ class Live(Closing):
             *(name, rig, settings, datum, datum_hint, append, source, source_sha256, notes),
             None if poses is None else check_body(poses),
         )
-        gridder = LocalGridder(rig, settings.grid.spec(), settings.stereo, settings.density)
+        gridder = LocalGridder(rig, GridSpec.of(settings.grid), settings.stereo, settings.density)
         check_begin(Path(map_path), about)
         odometry = follows_camera(rig, settings) and poses is None
         warm_up(gridder, odometry=odometry)
@@ -134,9 +135,8 @@ class Live(Closing):
         newest_ns = max((fix.time_ns for fix in drive.fixes), default=0)
         self._tell(LiveEvent(What.SESSION, text, newest_ns))
         since_ns = newest_ns - round(GIVEN_KEPT_S * 1e9)
-        for fix in drive.fixes:
-            if fix.time_ns >= since_ns:
-                self._poser.put(fix)
+        for fix in (fix for fix in drive.fixes if fix.time_ns >= since_ns):
+            self._poser.put(fix)
         for part, chunks in drive.parts.items():
             for rows in chunks:
                 new = rows.where(rows.time_ns >= since_ns)
@@ -271,8 +271,8 @@ class Live(Closing):
     ) -> None:
         """Roll and pitch by what is not calibrated to the vehicle, as `motion.Orientation`: they
         may be off by the same all the time."""
-        columns = roll_deg, pitch_deg, sigma_deg, frame_sigma_deg
-        self.push_rows("orientation", rows_of("orientation", time_ns, *columns))
+        rows = rows_of("orientation", time_ns, roll_deg, pitch_deg, sigma_deg, frame_sigma_deg)
+        self.push_rows("orientation", rows)
 
     def push_pose(
         self, time_ns: npt.ArrayLike, position_m: npt.ArrayLike, quaternion_xyzw: npt.ArrayLike
@@ -377,13 +377,13 @@ class Live(Closing):
             )
         self._newest_pose_ns = check_order(rows, self._newest_pose_ns, self._most_late_ns)
 
-    def _note_disk(self, taken: bool, time_ns: int) -> None:
-        if text := self._disk.changed(taken=taken, lost=self._kept.lost):
-            self._tell(LiveEvent(What.DISK, text, time_ns))
-
     def _sync(self) -> None:
         while not self._stopping.wait(SYNC_S):
             self._kept.sync()
+
+    def _note_disk(self, taken: bool, time_ns: int) -> None:
+        if text := self._disk.changed(taken=taken, lost=self._kept.lost):
+            self._tell(LiveEvent(What.DISK, text, time_ns))
 
     def _tell(self, result: LiveResult) -> None:
         if isinstance(result, LiveEvent) and result.what is What.FRAME_BAD:

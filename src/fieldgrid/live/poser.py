@@ -24,6 +24,7 @@ from fieldgrid.errors import FieldgridError
 from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Gate
+from fieldgrid.grids import GridSpec
 from fieldgrid.live.dead_reckoning import DeadReckoning
 from fieldgrid.live.estimator import Estimated, Estimator, estimated
 from fieldgrid.live.fixed_lag import Asked, FixedLagSmoother, last_known_ns, pose_at, unknown_pose
@@ -85,7 +86,7 @@ class Poser:
         self._trailing = FixedLagSmoother(rig, settings, datum, options.window_s, body)
         self._window = RollingWindow(
             *(settings.universal_cell_m, settings.map.transfer or Transfer.CENTRE),
-            *(options.map_side_m, settings.grid.spec().reach_m),
+            *(options.map_side_m, GridSpec.of(settings.grid).reach_m),
         )
         self.going = DeadReckoning(rig.rear_axle_forward_m)
         """How the vehicle goes just now."""

@@ -13,11 +13,9 @@ from fieldgrid.array_types import Float32, Float64
 from fieldgrid.build.staging import stage_frame
 from fieldgrid.errors import RecordingError
 from fieldgrid.localgrid import LocalGridder
-from fieldgrid.mapfile import StagedFrame
 from fieldgrid.odometry import step
 from fieldgrid.recording import CloudFrame, DepthFrame, Frame, StereoFrame
 from fieldgrid.rig import DepthCamera, Rig, StereoCamera
-from fieldgrid.rotations import Tilt
 from fieldgrid.sweep import Sweep
 
 _WALL_M = 30.0
@@ -72,15 +70,13 @@ class PushedImage(Pushed):
         )
 
 
-def warm_up(gridder: LocalGridder, *, odometry: bool, tilt: Tilt | None = None) -> StagedFrame:
-    """Stage a frame of level ground with noise on it, with the heights of its ground if its `tilt`
-    is given: what a frame goes through is compiled or loaded then, which takes seconds, and the
-    first frames need not wait for it."""
+def warm_up(gridder: LocalGridder, *, odometry: bool) -> None:
+    """Stage a frame of level ground with noise on it: what a frame goes through is compiled or
+    loaded then, which takes seconds, and the first frames need not wait for it."""
     frame = _of_level_ground(gridder.rig)
-    seen, staged = stage_frame(frame, gridder, odometry=odometry, tilt=tilt)
+    seen, _ = stage_frame(frame, gridder, odometry=odometry)
     if seen.features is not None:
         step(seen.features, seen.features, gridder.rig)
-    return staged
 
 
 def _of_level_ground(rig: Rig) -> Frame:

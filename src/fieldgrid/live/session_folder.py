@@ -25,6 +25,7 @@ from fieldgrid.build.staging import Staged
 from fieldgrid.closing import Closing
 from fieldgrid.errors import ConfigError, MapError, MapWriteError, counted
 from fieldgrid.fixes import Fix, FixColumns
+from fieldgrid.grids import GridSpec
 from fieldgrid.live.frame_names import told_apart
 from fieldgrid.live.given import GIVEN_ROWS, NO_POSES, body_poses
 from fieldgrid.live.journal import Journal, read_journal
@@ -143,7 +144,7 @@ class SessionFolder(Closing):
         """The points of the frames that are there already, and room for others."""
         drive = self.drive
         first_ns = self.stage.entries[drive.frames[0].number].time_ns if drive.frames else None
-        reach_m = drive.about.settings.grid.spec().reach_m
+        reach_m = GridSpec.of(drive.about.settings.grid).reach_m
         try:
             points = KeptPoints(self.folder / POINTS, reach_m, most_bytes, first_ns, drive.frames)
         except OSError as error:

@@ -11,7 +11,7 @@ from fieldgrid.costmap import Costmap
 from fieldgrid.errors import FieldgridError
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
-from fieldgrid.grids import LocalGrid
+from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.live.fixed_lag import FixedLagSmoother
 from fieldgrid.live.sensor_rows import rows_of
 from fieldgrid.live.window import PlacedGrid, RollingWindow
@@ -42,7 +42,7 @@ def warm_up_poses(rig: Rig, settings: BuildSettings) -> None:
     with suppress(FieldgridError):  # what asks for more than this drive tells, such as a heading
         trailing.estimate(trailing.newest_ns)
     pose = Pose(trailing.newest_ns, 0.0, 0.0, 0.0, 0.0, 0.1, 0.5, _SPEED_MPS)
-    spec = settings.grid.spec()
+    spec = GridSpec.of(settings.grid)
     seen = LocalGrid(spec, np.zeros(spec.shape, np.uint8), np.ones(spec.shape, np.bool_))
     transfer = settings.map.transfer or Transfer.CENTRE
     window = RollingWindow(settings.universal_cell_m, transfer, 4.0, spec.reach_m)

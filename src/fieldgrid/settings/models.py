@@ -5,17 +5,12 @@ Numbers are metres, degrees, seconds, pixels or metres a second, as their names 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from pydantic import Field, field_validator, model_validator
 
 from fieldgrid.choices import GearName, MatcherKind, StopCode, Transfer
 from fieldgrid.errors import ConfigError
 from fieldgrid.quality import NOT_FROM_SATELLITES, Quality
 from fieldgrid.settings.declare import Flag, Settings, setting
-
-if TYPE_CHECKING:
-    from fieldgrid.grids import GridSpec
 
 _GRID = Flag("--grid", "WxL", "x", "local grid in metres: across and ahead")
 _SLICE = Flag("--slice", "BOTTOM:TOP", ":", "heights above the local ground that count, metres")
@@ -27,12 +22,6 @@ class GridSettings(Settings):
     width_m: float = setting(10.0, "local grid: metres across, centred on the vehicle", flag=_GRID)
     length_m: float = setting(15.0, "local grid: metres ahead", flag=_GRID)
     cell_m: float = setting(0.05, "local cell, L_L", flag=Flag("--local-cell", "M"))
-
-    def spec(self) -> GridSpec:
-        """The validated geometry."""
-        from fieldgrid.grids import GridSpec  # late: the command line asks for flags only
-
-        return GridSpec(self.width_m, self.length_m, self.cell_m)
 
 
 class MapSettings(Settings):

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from fieldgrid.documents import MAX_BYTES, parse_toml
 from fieldgrid.errors import ConfigError
-from fieldgrid.limits import file_bytes
+from fieldgrid.limits import check_local_grid, file_bytes
 from fieldgrid.settings.declare import SettingsProblem, declared, first_problem
 from fieldgrid.settings.models import BuildSettings
 
@@ -36,7 +36,7 @@ def resolve(path: str | Path | None, overrides: Overrides) -> BuildSettings:
         settings = BuildSettings.model_validate(tables)
     except ValidationError as error:
         raise ConfigError(_sentence(first_problem(error), path, flagged)) from error
-    settings.grid.spec()
+    check_local_grid(settings.grid.width_m, settings.grid.length_m, settings.grid.cell_m)
     return settings
 
 
