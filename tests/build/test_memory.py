@@ -143,11 +143,15 @@ def test_few_frames_are_in_memory_however_long_the_drive(
         report = add_recording(
             universal,
             drive,
-            None if odometry else trajectory,
             jobs=jobs,
             progress=lambda now: ahead.append(drive.drawn - now.frames_done - 5),
             # The images of a few frames come again and again.
-            settings=BuildSettings.model_validate({"checks": {"accept": ["frames-misplaced"]}}),
+            settings=BuildSettings.model_validate(
+                {
+                    "pose": {"visual_odometry": odometry},
+                    "checks": {"accept": ["frames-misplaced"]},
+                }
+            ),
         )
     # Each is read once, and five pairs before, for whether their rows match.
     assert drive.drawn == FRAMES + 5

@@ -25,7 +25,6 @@ from fieldgrid.build import (
 from fieldgrid.build.format_hints import format_hints
 from fieldgrid.build.poses import no_ground
 from fieldgrid.build.repose import repose_map
-from fieldgrid.build.rig_config import rig_to_config
 from fieldgrid.errors import CalibrationError, GnssError
 from fieldgrid.evaluation import ObstacleScores, evaluate, read_truth
 from fieldgrid.evaluation.scores import _view_points
@@ -340,7 +339,7 @@ def test_the_budget_of_poses_goes_as_far_as_points_do() -> None:
 
 
 def view(rig: Rig, max_range_m: float = 15.0) -> tuple[Points, Points]:
-    config = {"rig": rig_to_config(rig), "max_range_m": max_range_m}
+    config = {"rig": rig.as_dict(), "max_range_m": max_range_m}
     return _view_points(GridSpec(10.0, 15.0, 0.05), config, 0.1)
 
 

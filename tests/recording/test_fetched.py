@@ -634,7 +634,7 @@ def work_on(here: Path) -> DriveWork:
     with open_drive(here, DriveOptions()) as opened:
         recording = opened.recording()
         trajectory = estimate_drive(recording, BuildSettings(), None).trajectory
-        session = NewSession(recording, BuildSettings(), None, None, "june", 1, known=trajectory)
+        session = NewSession(recording, BuildSettings(), None, "june", known=trajectory)
         return session.work(recording.source)
 
 

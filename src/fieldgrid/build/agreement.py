@@ -65,13 +65,10 @@ def opposed_share(frames: StagedFrames, placed: Sequence[Placed]) -> float | Non
     where too little is.
     """
 
-    @cache
-    def look(k: int) -> SeenCells:
-        return SeenCells.of(frames[k].grid())
-
+    seen_by = cache(lambda k: SeenCells.of(frames[k].grid()))
     denied, cells = 0, 0
     for (k, pose), (near, near_pose) in opposed(placed, OPPOSED_APART_M, OPPOSED_PAIRS):
-        found = look(k).denied(pose, look(near), near_pose)
+        found = seen_by(k).denied(pose, seen_by(near), near_pose)
         denied, cells = denied + found[0], cells + found[1]
     return denied / cells if cells >= FEWEST_OPPOSED else None
 
@@ -92,9 +89,8 @@ def agreement_notes(share: float | None, rig: Rig) -> Iterator[str]:
 
 def opposed_notes(share: float | None, position_sigma_m: float | None) -> Iterator[str]:
     """What a build says of lanes that contradict each other more than their receiver lets them."""
-    if share is None or share <= OPPOSED_WARN:
-        return
-    if position_sigma_m is None or position_sigma_m > SURE_M:
+    is_sure = position_sigma_m is not None and position_sigma_m <= SURE_M
+    if share is None or share <= OPPOSED_WARN or not is_sure:
         return
     yield (
         f"In lanes driven in opposite directions, frames of one lane call {100.0 * share:.0f} % of "

@@ -34,13 +34,13 @@ CLIMB_OVER_M = 16.0
 """The way over which a slope is taken from heights, so that their noise makes none."""
 
 FLAT_SHARE = 0.02
-"""A slope of 11 degrees, which nothing tells without heights, makes the camera's way so much longer
-than its plan. Four times as much is one of 22 degrees."""
+"""The share by which a slope of 11 degrees, which nothing tells without heights, makes the camera's
+way longer than its plan. Four times this share is a slope of 22 degrees."""
 
 
 class CameraScale(NamedTuple):
-    """The way by the camera over the way by the fixes, with its 1-sigma error, over so many
-    metres."""
+    """The way by the camera over the way by the fixes, its 1-sigma error, and the length of the way
+    in metres."""
 
     ratio: float
     sigma: float
@@ -53,7 +53,8 @@ class CameraScale(NamedTuple):
 
     @property
     def stops(self) -> bool:
-        """Whether it is certainly so far from 1 that the map would be wrong."""
+        """Whether it certainly differs from 1 by more than `SCALE_ERROR`: the map would be
+        wrong."""
         return self.is_off and abs(self.ratio - 1.0) > SCALE_ERROR
 
 
@@ -111,8 +112,8 @@ def _slope(place_m: Float64) -> Float64:
     way_m = np.concatenate([[0.0], np.cumsum(apart_m)])
     ends_m = np.clip(way_m + np.array([[-0.5], [0.5]]) * CLIMB_OVER_M, 0.0, way_m[-1])
     before_m, after_m = (np.interp(end, way_m, place_m[:, 2]) for end in ends_m)
-    climbed: Float64 = (after_m - before_m) / np.maximum(ends_m[1] - ends_m[0], CLIMB_OVER_M / 2.0)
-    return climbed
+    over_m = np.maximum(ends_m[1] - ends_m[0], CLIMB_OVER_M / 2.0)
+    return np.asarray((after_m - before_m) / over_m)
 
 
 def scale_told(scale: CameraScale, rig: Rig) -> str:
@@ -133,7 +134,8 @@ def scale_told(scale: CameraScale, rig: Rig) -> str:
 
 
 def scale_notes(scale: CameraScale | None, rig: Rig) -> tuple[str, ...]:
-    """That the camera's way is not that of the fixes, though not by so much that a build stops."""
+    """The remark on a camera's way that differs from that of the fixes by less than stops a
+    build."""
     if scale is None or not scale.is_off or scale.stops or not _has_scale(rig):
         return ()
     return (scale_told(scale, rig),)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from pathlib import Path
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from fieldgrid.build.executor import DriveOrder, Event, Failed, Shared, StagingProgress
 from fieldgrid.build.parts import Share, keep_part
@@ -19,11 +18,6 @@ if TYPE_CHECKING:
     from distributed import Client
 
 
-class _Drive(NamedTuple):
-    name: str
-    folder: Path
-
-
 class Stagers(Closing):
     """The workers of a Dask cluster (a :class:`~fieldgrid.build.executor.Executor`). The drive of
     a share that ends them is left out."""
@@ -31,7 +25,7 @@ class Stagers(Closing):
     def __init__(self, client: Client) -> None:
         self.events: SimpleQueue[Event] = SimpleQueue()
         self._lock = threading.Lock()
-        self._drives: dict[int, _Drive] = {}
+        self._drives: dict[int, DriveOrder] = {}
         self._cluster = Cluster(
             client, "fieldgrid.build.remote:stage_share", self._take, self._fail
         )
@@ -40,7 +34,7 @@ class Stagers(Closing):
         """Stage these shares of a drive, after those that were added before."""
         place = tuple(place_of(order.recording))
         with self._lock:
-            self._drives[order.drive] = _Drive(order.name, order.folder)
+            self._drives[order.drive] = order
         self._cluster.begin(order.drive, packed(order.work))
         self._cluster.add(
             [Task(order.drive, share.name, (tuple(share), place)) for share in order.shares]
@@ -60,7 +54,11 @@ class Stagers(Closing):
         with self._lock:
             drive = self._drives[number]
         if isinstance(ended.error, WorkersDied):
-            self._fail(number, _killing(share, drive))
+            problem = RecordingError(
+                f"Frames {share.first} to {share.last - 1} of {drive.name} have ended every Dask "
+                "worker that staged them; leave the recording out, or give the workers more memory."
+            )
+            self._fail(number, problem)
         elif ended.error is not None:
             self._fail(number, ended.error)
         else:
@@ -76,10 +74,3 @@ class Stagers(Closing):
 
     def _fail(self, number: int, error: BaseException) -> None:
         self.events.put(Failed(number, error))
-
-
-def _killing(share: Share, drive: _Drive) -> RecordingError:
-    return RecordingError(
-        f"Frames {share.first} to {share.last - 1} of {drive.name} have ended every Dask "
-        "worker that staged them; leave the recording out, or give the workers more memory."
-    )

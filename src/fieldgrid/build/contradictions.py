@@ -20,7 +20,7 @@ NEAR_M = 0.2
 in the wind, and the noise of the range."""
 
 TRIED = 240
-"""All over the drive, so many frames are looked at for another beside them."""
+"""Number of frames, all over the drive, for which another frame beside them is looked for."""
 
 OPPOSED_DEG = 30.0
 
@@ -52,7 +52,7 @@ class SeenCells:
         return cls(grid.spec, right_m[columns], ahead_m[rows], state.astype(np.uint8))
 
     def flipped(self) -> SeenCells:
-        """The same with left and right exchanged."""
+        """What the frame saw, with left and right exchanged."""
         state = np.ascontiguousarray(self.state[:, ::-1])
         return replace(self, right_m=-self.right_m, state=state)
 
@@ -70,16 +70,16 @@ class SeenCells:
 def following(
     placed: Sequence[Placed], apart_m: tuple[float, float], most: int
 ) -> Iterator[tuple[Placed, Placed]]:
-    """Frames all over a drive, each with the next that is so far from it at least, if that is no
-    farther than so at most."""
+    """At most `most` frames all over a drive, each with the next one that is at least `apart_m[0]`
+    from it, if that is at most `apart_m[1]` away."""
     tried = _all_over(placed)
     near = [pair for k in tried if (pair := _beside(placed, k, apart_m)) is not None]
     return _some(near, most)
 
 
 def opposed(placed: Sequence[Placed], apart_m: float, most: int) -> Iterator[tuple[Placed, Placed]]:
-    """Frames all over a drive, each with those that look the other way, within `OPPOSED_DEG` of it,
-    from no farther than so: as of the two lanes beside a row."""
+    """At most `most` pairs of frames all over a drive that look in opposite directions, within
+    `OPPOSED_DEG`, from at most `apart_m` apart: those of the two lanes beside a row."""
     tried = [placed[k] for k in _all_over(placed)]
     east_m, north_m, heading_deg = np.array(
         [(pose.east_m, pose.north_m, pose.heading_deg) for _, pose in tried]
@@ -95,15 +95,13 @@ def _all_over(placed: Sequence[Placed]) -> list[int]:
     """Frames by the way, so that a vehicle that stands for an hour is looked at there once."""
     at_m = np.array([(pose.east_m, pose.north_m) for _, pose in placed]).reshape(-1, 2)
     way_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(at_m, axis=0).T)))
-    tried: list[int] = np.unique(
-        np.searchsorted(way_m, np.linspace(0.0, way_m[-1], TRIED))
-    ).tolist()
-    return tried
+    tried = np.searchsorted(way_m, np.linspace(0.0, way_m[-1], TRIED))
+    return list(np.unique(tried).tolist())
 
 
 def _some(pairs: Sequence[tuple[Placed, Placed]], most: int) -> Iterator[tuple[Placed, Placed]]:
-    """At most so many of them from all along, each frame now as the one that is asked, now as the
-    one that denies."""
+    """At most `most` of the pairs, from all along, each frame now as the one that is asked, now as
+    the one that denies."""
     chosen = np.linspace(0, len(pairs) - 1, min(len(pairs), most)).round().astype(int)
     for at in np.unique(chosen).tolist():
         one, other = pairs[at]

@@ -24,15 +24,15 @@ from fieldgrid.sweep import FEWEST_TIMES
 from fieldgrid.vertical import SHIFT_ERROR_PX, drive_misalignment, vertical_shifts
 
 GROUND_SHARE, STEP_SHARE, FEWEST_STEPS = 1 / 3, 0.1, 5
-"""Ground in fewer of the frames and steps in fewer of the pairs than this, of at least so many,
-are no camera of this calibration. Two drives had ground and steps everywhere; with left and right
-swapped, ground in 12 % and 4 % of the frames and no step. Fog takes both in the same frames and
-leaves the steps of the others."""
+"""Ground in fewer of the frames and steps in fewer of the pairs than these shares, of at least
+`FEWEST_STEPS` pairs, are no camera of this calibration. Two drives had ground and steps everywhere;
+with left and right swapped, ground in 12 % and 4 % of the frames and no step. Fog takes both in the
+same frames and leaves the steps of the others."""
 
 PROBES = 5
 SWAPPED_TIMES, SWAPPED_POINTS = 3.0, 30
-"""Disparities are negative when a pair, exchanged, shows so many times as many points with depth,
-and so many at all: swapped, it was 10 and more times as many, of a right pair it is a tenth. A
+"""Disparities are negative when a pair, exchanged, shows `SWAPPED_TIMES` as many points with depth,
+and `SWAPPED_POINTS` at least: swapped, it was 10 and more times as many, of a right pair a tenth. A
 principal point that is far off does the same, so both are named."""
 
 HINT_SHARE = 0.05
@@ -42,13 +42,13 @@ HINT_SHARE = 0.05
 def doubted_cameras(
     recording: Recording, report: SessionReport, ground: int, every: int
 ) -> Doubted | None:
-    """That a drive which was perceived is not of its calibration's cameras.
+    """The doubt that a drive which was perceived is of its calibration's cameras.
 
     `ground` counts the frames in which the ground was found.
     """
     frames = len(range(0, recording.frame_count, every))
     is_pair = isinstance(recording.rig.sensor, StereoCamera)
-    if is_pair and 2 * ground < frames and swapped(recording, frames, every):
+    if is_pair and 2 * ground < frames and swapped(recording, every):
         return _swapped(recording.name)
     tried = report.camera_steps + report.camera_refusals
     blind = tried >= FEWEST_STEPS and report.camera_steps < STEP_SHARE * tried
@@ -79,9 +79,8 @@ def doubted_rows(recording: Recording, every: int) -> Doubted | None:
     if not isinstance(recording.rig.sensor, StereoCamera):
         return None
     camera = recording.rig.sensor
-    frames = len(range(0, recording.frame_count, every))
     shifts = []
-    for frame in probes(recording, frames, every):
+    for frame in probes(recording, every):
         try:
             shifts.append(vertical_shifts(*frame.images(), camera))
         except FieldgridError:
@@ -89,7 +88,7 @@ def doubted_rows(recording: Recording, every: int) -> Doubted | None:
     found = drive_misalignment(shifts, (camera.width_px, camera.height_px))
     if found is None or found.residual_px <= SHIFT_ERROR_PX:
         return None
-    if swapped(recording, frames, every):  # what matches then, does by chance
+    if swapped(recording, every):  # what matches then, does by chance
         return _swapped(recording.name)
     error = CalibrationError(
         f"The right images of {recording.name} are {found.median_px:+.1f} pixels lower than the "
@@ -108,10 +107,11 @@ def camera_notes(recording: Recording, report: SessionReport) -> Iterator[str]:
     missing = report.reasons[no_ground(rig)]
     if missing > HINT_SHARE * report.frames:
         what = "lidar" if isinstance(rig.sensor, Lidar) else "camera"
-        fits = " Visual odometry succeeded, so the calibration fits."
+        fits = ""
+        if report.camera_steps > report.camera_refusals:
+            fits = " Visual odometry succeeded, so the calibration fits."
         yield (
-            f"No ground was found in {missing} of {report.frames} frames."
-            f"{fits if report.camera_steps > report.camera_refusals else ''} Check the {what}'s "
+            f"No ground was found in {missing} of {report.frames} frames.{fits} Check the {what}'s "
             f"height of {mount.height_m:g} m and tilt of {mount.tilt_deg:g}° in the mounting."
         )
     if blind:
@@ -146,7 +146,7 @@ def sweep_notes(recording: Recording, every: int, *, is_carried: bool) -> Iterat
     """What becomes of the motion within a sweep, by one of the clouds that can be read."""
     if not has_sweeps(recording):
         return
-    for frame in probes(recording, len(range(0, recording.frame_count, every)), every):
+    for frame in probes(recording, every):
         assert isinstance(frame, CloudFrame)
         try:
             points_m, after_s = frame.source.sweep()
@@ -173,11 +173,11 @@ def sweep_notes(recording: Recording, every: int, *, is_carried: bool) -> Iterat
         return
 
 
-def swapped(recording: Recording, frames: int, every: int) -> bool:
+def swapped(recording: Recording, every: int) -> bool:
     """Whether some frames of a drive, over all of it, show more with left and right exchanged."""
     camera = recording.rig.camera
     as_is, exchanged = [], []
-    for frame in probes(recording, frames, every):
+    for frame in probes(recording, every):
         try:
             left, right = frame.images()
         except RecordingError:  # it was left out of the drive, too
@@ -188,7 +188,8 @@ def swapped(recording: Recording, frames: int, every: int) -> bool:
     return points >= SWAPPED_POINTS and points > SWAPPED_TIMES * float(np.median(as_is))
 
 
-def probes(recording: Recording, frames: int, every: int) -> Iterator[Frame]:
-    """Some frames from all over a drive, of `frames` that are every so many-th."""
+def probes(recording: Recording, every: int) -> Iterator[Frame]:
+    """At most `PROBES` frames from all over a drive, of every `every`-th."""
+    frames = len(range(0, recording.frame_count, every))
     for k in np.linspace(0, frames - 1, min(frames, PROBES)).round().astype(int).tolist():
         yield from recording.frames(k * every, k * every + 1)

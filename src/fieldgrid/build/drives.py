@@ -19,7 +19,7 @@ from queue import Empty
 from typing import TYPE_CHECKING
 
 from fieldgrid.build.cluster import Stagers
-from fieldgrid.build.executor import DriveOrder, Event, Executor, Failed, Shared, StagingProgress
+from fieldgrid.build.executor import DriveOrder, Event, Executor, Failed, Shared
 from fieldgrid.build.part_key import part_key
 from fieldgrid.build.parts import (
     SHARE_FRAMES,
@@ -220,7 +220,6 @@ class _Build:
                 drive.session = NewSession(
                     recording,
                     self.settings,
-                    None,
                     attitude,
                     drive.name,
                     self.every,
@@ -282,21 +281,26 @@ class _Build:
 
     def _begin(self, drive: _Drive, universal: MapFile, taken: list[str]) -> None:
         """Let the drive be staged, when it is its turn."""
-        parts = drive.parts
         try:
             if drive.name not in taken:
                 drive.session.check(universal)
         except _OF_A_DRIVE as error:
             self._fail(drive, error)
             return
+        parts = drive.parts
         drive.tell = Telling(drive.session, self.progress)
         if parts.frames_done:
             drive.tell(parts.moved_m, parts.frames_done)
         if self.executor is not None:
-            work = drive.session.work(drive.recording.source)
-            where = drive.recording.path
             self.executor.add(
-                DriveOrder(drive.number, drive.name, where, work, parts.folder, parts.missing())
+                DriveOrder(
+                    drive.number,
+                    drive.name,
+                    drive.recording.path,
+                    drive.session.work(drive.recording.source),
+                    parts.folder,
+                    parts.missing(),
+                )
             )
 
     def _finish(
@@ -336,8 +340,7 @@ class _Build:
 
     def _stage(self, drive: _Drive) -> None:
         """Stage in threads of this process what is missing of a drive."""
-        session, parts = drive.session, drive.parts
-        work = session.work()
+        parts, work = drive.parts, drive.session.work()
         for run in parts.runs():
             with closing(stage_frames(work, run[0].first, run[-1].last, self.jobs)) as looks:
                 for share in run:
@@ -372,7 +375,7 @@ class _Build:
             except RecordingError as error:
                 self._fail(drive, error)
         else:
-            if isinstance(event, StagingProgress) and drive.began_s is None:
+            if drive.began_s is None:
                 drive.began_s = event.at_s
             drive.tell(event.moved_m, event.frames)
 

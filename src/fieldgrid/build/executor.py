@@ -14,7 +14,8 @@ from fieldgrid.build.staging import DriveWork
 
 
 class StagingProgress(NamedTuple):
-    """Frames of a drive are staged; at `at_s`, on `time.perf_counter`, it was in work."""
+    """Frames of a drive are staged; at `at_s`, on `time.perf_counter`, it was in work. Both numbers
+    are negative where a process died: frames that were done are to be done again."""
 
     drive: int
     moved_m: float
@@ -36,15 +37,7 @@ class Failed(NamedTuple):
     error: BaseException
 
 
-class Undone(NamedTuple):
-    """A process died: frames that were done are to be done again; both numbers are negative."""
-
-    drive: int
-    frames: int
-    moved_m: float
-
-
-Event = StagingProgress | Shared | Failed | Undone
+Event = StagingProgress | Shared | Failed
 
 
 class DriveOrder(NamedTuple):

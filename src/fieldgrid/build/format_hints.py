@@ -10,7 +10,6 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
-from typing import NamedTuple
 
 import numpy as np
 
@@ -33,18 +32,11 @@ DISPARITY_SCALES_PX = (1.0, 1 / 2, 1 / 4, 1 / 8, 1 / 16, 1 / 32, 1 / 64, 1 / 128
 CLOUD_SCALES_M = (1.0, 0.1, 0.01, 0.001, 0.0001)
 
 MOST = 0.8
-"""The ground must be found in such a share of the frames that are tried."""
+"""The share of the frames tried in which the ground must be found."""
 
 LIKE_THE_BEST = 0.5
-"""And show such a share of the free ground that the best reading shows: walls and crowns that are
-taken for ground show a fifth of it."""
-
-
-class FormatHint(NamedTuple):
-    """A setting of recording.toml, and a frame as it is read with it."""
-
-    says: str
-    frame: Frame
+"""The share of the free ground of the best reading that a reading must show: walls and crowns that
+are taken for ground show a fifth of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +67,7 @@ def format_hints(recording: Recording, gridder: LocalGridder, every: int) -> lis
     reader = _FreeGround(gridder)
     found = defaultdict[str, list[int]](list)
     tried = 0
-    for frame in probes(recording, len(range(0, recording.frame_count, every)), every):
+    for frame in probes(recording, every):
         tried += 1
         for says, other in _hints(frame):
             try:
@@ -89,29 +81,27 @@ def format_hints(recording: Recording, gridder: LocalGridder, every: int) -> lis
 
 def hint_sentence(readings: Sequence[str]) -> str:
     """The remedy as a sentence."""
-    if len(readings) == 1:
-        return f"With {readings[0]} in recording.toml it is where the mounting says; set it there."
-    listed = f"{', '.join(readings[:-1])} or {readings[-1]}"
-    return (
-        f"With {listed} in recording.toml it is where the mounting says; set the right one there."
-    )
+    listed = " or ".join(filter(None, (", ".join(readings[:-1]), readings[-1])))
+    which = "it" if len(readings) == 1 else "the right one"
+    return f"With {listed} in recording.toml it is where the mounting says; set {which} there."
 
 
-def _hints(frame: Frame) -> Iterator[FormatHint]:
+def _hints(frame: Frame) -> Iterator[tuple[str, Frame]]:
+    """Settings of recording.toml, and the frame as it is read with each."""
     if isinstance(frame, DepthFrame) and isinstance(frame.source, DepthFile):
         is_depth = frame.source.format.role == "depth"
         for unit in DEPTH_SCALES_M if is_depth else DISPARITY_SCALES_PX:
             source = replace(frame.source, format=replace(frame.source.format, unit=unit))
             says = f"[depth] scale_m = {unit:g}" if is_depth else f"[disparity] scale_px = {unit:g}"
-            yield FormatHint(says, replace(frame, source=source))
+            yield says, replace(frame, source=source)
     elif isinstance(frame, CloudFrame) and isinstance(frame.source, CloudFile):
         cloud = frame.source
         for scale_m in CLOUD_SCALES_M:
             says = f"[cloud] scale_m = {scale_m:g}"
-            yield FormatHint(says, replace(frame, source=replace(cloud, scale_m=scale_m)))
+            yield says, replace(frame, source=replace(cloud, scale_m=scale_m))
         for axes in _AXES:
             says = f'[cloud] axes = "{axes}"'
-            yield FormatHint(says, replace(frame, source=replace(cloud, axes=axes)))
+            yield says, replace(frame, source=replace(cloud, axes=axes))
 
 
 def _right_handed() -> Iterator[str]:

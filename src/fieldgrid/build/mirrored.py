@@ -8,7 +8,7 @@ or gear explains what is left: a map of it is wrong everywhere and says so nowhe
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -41,54 +41,44 @@ def doubted_mirror(
     recording: Recording, trajectory: Trajectory, steps: Steps | None
 ) -> Doubted | None:
     """That the fixes turn left where the camera turns right, over the whole drive."""
-    if steps is None:
+    off = None if steps is None else _misfit(steps, trajectory)
+    if steps is None or off is None:
         return None
-    datum = trajectory.datum
-    off = _misfit(steps, trajectory)
-    if (
-        off is None
-        or off.as_is_m < OFF_M
-        or min(off.mirrored_m, off.exchanged_m) > (SHARE * off.as_is_m)
-    ):
+    as_is_m, mirrored_m, exchanged_m = off
+    if as_is_m < OFF_M or min(mirrored_m, exchanged_m) > SHARE * as_is_m:
         return None
     told = (
         "The path of the fixes is a mirror image of the camera's path: the two are "
-        f"{off.as_is_m:.2f} m apart"
+        f"{as_is_m:.2f} m apart"
     )
+    datum = trajectory.datum
     first = f"latitude {datum.lat_deg:.6f}, longitude {datum.lon_deg:.6f}"
     gyro = recording.motion().gyro
-    if off.exchanged_m < off.mirrored_m:
+    if exchanged_m < mirrored_m:
         why = (
-            f", and {off.exchanged_m:.2f} m with latitude and longitude exchanged; the drive is at "
+            f", and {exchanged_m:.2f} m with latitude and longitude exchanged; the drive is at "
             f"{first}: if that is not the field, exchange the two; for a table, name "
             f"its columns: {how_to_say(lat='COLUMN', lon='COLUMN')}"
         )
     elif gyro is not None and _turns_against(steps, gyro):
         why = (
-            f", and {off.mirrored_m:.2f} m with left and right exchanged, and the gyro turns as "
+            f", and {mirrored_m:.2f} m with left and right exchanged, and the gyro turns as "
             "the fixes do, so the images were flipped: store them as the camera sees"
         )
     else:
         as_too = "" if gyro is None else ", and the gyro turns as the camera does"
         why = (
-            f", and {off.mirrored_m:.2f} m with left and right exchanged{as_too}; the drive is at "
+            f", and {mirrored_m:.2f} m with left and right exchanged{as_too}; the drive is at "
             f"{first}: if that is not the field, a sign (a minus, a W or an S) was lost in the "
             "log: put it before each longitude or latitude"
         )
     return Doubted(StopCode.MIRRORED, GnssError(f"{told}{why}."))
 
 
-class Misfit(NamedTuple):
-    """How far the camera's path lies off that of the fixes, root mean square: as they are, with
-    left and right exchanged, and with latitude and longitude exchanged."""
-
-    as_is_m: float
-    mirrored_m: float
-    exchanged_m: float
-
-
-def _misfit(steps: Steps, trajectory: Trajectory) -> Misfit | None:
-    """None where too little of the two paths is known."""
+def _misfit(steps: Steps, trajectory: Trajectory) -> tuple[float, float, float] | None:
+    """The distance of the camera's path from that of the fixes, root mean square, metres: as they
+    are, with left and right exchanged, and with latitude and longitude exchanged. None where too
+    little of the two paths is known."""
     placed = trajectory.accepted
     time_ns = trajectory.time_ns[placed]
     if len(time_ns) < 2:
@@ -109,7 +99,10 @@ def _misfit(steps: Steps, trajectory: Trajectory) -> Misfit | None:
         count += int(known.sum())
         pairs = ((fixed, seen[known]), (fixed, np.conj(seen[known])), (other, seen[known]))
         squares += [_squares(path, way) for path, way in pairs]
-    return Misfit(*np.sqrt(squares / count).tolist()) if count else None
+    if not count:
+        return None
+    as_is_m, mirrored_m, exchanged_m = np.sqrt(squares / count).tolist()
+    return as_is_m, mirrored_m, exchanged_m
 
 
 def _chains(steps: Steps) -> list[tuple[int, int]]:

@@ -11,7 +11,6 @@ import numpy as np
 
 from fieldgrid.build.inputs import Inputs, to_arrays
 from fieldgrid.build.parts import SHARE_FRAMES
-from fieldgrid.build.rig_config import rig_to_config
 from fieldgrid.build.session import NewSession
 from fieldgrid.geodesy import Datum
 from fieldgrid.recording.stored import StoredFrames
@@ -36,7 +35,7 @@ def part_key(session: NewSession, datum: Datum) -> str:
         "version": software_version(),
         "path": str(recording.path),
         "settings": session.settings.model_dump(mode="json", exclude={"checks"}),
-        "rig": rig_to_config(recording.rig),
+        "rig": recording.rig.as_dict(),
         "datum": repr(datum),
         "frames": [session.total, session.every, SHARE_FRAMES],
         "files": [_state(file) for file in files],

@@ -13,9 +13,10 @@ import math
 import secrets
 import shutil
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,12 +51,10 @@ class Share(NamedTuple):
 
 
 class PartsInfo(NamedTuple):
-    """What is known of the parts of a drive without its recording."""
+    """The parts of a drive as they are found without its recording: their folder, and its name."""
 
     key: str
     name: str
-    recording: str
-    parts: int
 
 
 def shares_of(count: int) -> list[Share]:
@@ -82,16 +81,15 @@ def left_behind(out: Path) -> list[PartsInfo]:
                 about = parse_json((drive / _ABOUT).read_text(encoding="utf-8"))
                 done = sum(1 for _ in drive.glob("????????-????????.json"))
                 if free and done:
-                    found.append(
-                        PartsInfo(drive.name, str(about["name"]), about["recording"], done)
-                    )
+                    found.append(PartsInfo(drive.name, str(about["name"])))
         except (OSError, ValueError, KeyError, TypeError):
-            found.append(PartsInfo(drive.name, "a drive", "", 0))
+            found.append(PartsInfo(drive.name, "a drive"))
     return found
 
 
 def settle_left_behind(out: Path, resume: bool | None) -> None:
-    """Refuse to build where an earlier build has left parts, unless it is said what to do."""
+    """Refuse to build where an earlier build has left parts, unless it is said what to do. The
+    folders of builds that were killed before their first part are removed."""
     left = left_behind(out)
     if left and resume is None:
         names = ", ".join(about.name for about in left[:3]) + (", ..." if len(left) > 3 else "")
@@ -101,11 +99,6 @@ def settle_left_behind(out: Path, resume: bool | None) -> None:
         )
     if resume is False:
         remove_parts(out, [about.key for about in left])
-    _remove_empty(out)
-
-
-def _remove_empty(out: Path) -> None:
-    """Remove the folders of builds that were killed before their first part."""
     for about in parts_folder(out).glob(f"*/{_ABOUT}"):
         with suppress(OSError), holding(about) as free:
             # A build that begins at this moment does not hold its folder yet.
@@ -167,20 +160,16 @@ class DriveParts(Closing):
             )
         return part
 
-    @property
-    def bad(self) -> list[BadFrame]:
-        """The frames that could not be read, of the parts that are done, in order."""
-        return [bad for _, part in sorted(self._parts.items()) for bad in part.bad]
-
     def check_bad(self, skip_bad: int | float) -> None:
         """Raise RecordingError when more frames are bad than may be: so many or, below 1, such a
         share of the drive's."""
         most = int(skip_bad * self._count) if isinstance(skip_bad, float) else skip_bad
         if self.bad_count > most:
+            first = next(bad for _, part in sorted(self._parts.items()) for bad in part.bad)
             raise RecordingError(
                 f"{self.bad_count} of {self._count} frames of {self._name} cannot be read, and "
                 f"--skip-bad allows {most}; allow more, or copy the recording again. "
-                f"First: {self.bad[0].reason}"
+                f"First: {first.reason}"
             )
 
     @property
@@ -194,18 +183,25 @@ class DriveParts(Closing):
 
     def runs(self) -> Iterator[list[Share]]:
         """The shares that are missing, those together that follow each other."""
-        run: list[Share] = []
-        for share in self.missing():
-            if run and run[-1].last != share.first:
-                yield run
-                run = []
-            run.append(share)
-        if run:
-            yield run
+        missing = enumerate(self.missing())
+        # Along a run, the number of a share and its place among those missing grow alike.
+        for _, run in groupby(missing, lambda one: one[1].first // SHARE_FRAMES - one[0]):
+            yield [share for _, share in run]
 
     def staged(self) -> Staged:
         """The whole drive, once no share is missing."""
-        return joined([self._parts[share] for share in self.shares])
+        paths: list[Path] = []
+        entries: list[StageEntry] = []
+        whole = Staged(_Files(paths, entries), entries)
+        for share in self.shares:
+            part = self._parts[share]
+            assert isinstance(part.frames, _Files)
+            paths += part.frames.paths
+            entries += part.entries
+            whole.found += part.found
+            whole.bad += part.bad
+            whole.times.add(part.times)
+        return whole
 
     def remove(self) -> None:
         """Remove the parts of a drive that is given up."""
@@ -225,32 +221,10 @@ class _Files:
     """Staged frames that lie in several files."""
 
     def __init__(self, paths: list[Path], entries: list[StageEntry]) -> None:
-        self._paths, self._entries = paths, entries
+        self.paths, self._entries = paths, entries
 
     def __getitem__(self, index: int) -> StagedFrame:
-        return read_staged(self._paths[index], self._entries[index])
-
-
-def joined(parts: Sequence[Staged]) -> Staged:
-    """The parts of a drive, in their order, as one."""
-    paths: list[Path] = []
-    entries: list[StageEntry] = []
-    whole = Staged(_Files(paths, entries), entries)
-    for part in parts:
-        assert isinstance(part.frames, _Files)
-        paths += part.frames._paths
-        entries += part.entries
-        whole.found += part.found
-        whole.bad += part.bad
-        whole.times.add(part.times)
-    return whole
-
-
-class PartBytes(NamedTuple):
-    """What is in the two files of a part."""
-
-    grids: bytes
-    info: bytes
+        return read_staged(self.paths[index], self._entries[index])
 
 
 def write_part(folder: Path, out: Path, share: Share, looks: Iterable[Looked], tell: Tell) -> None:
@@ -271,16 +245,16 @@ def write_part(folder: Path, out: Path, share: Share, looks: Iterable[Looked], t
         draft.replace(folder / f"{share.name}.json")
 
 
-def part_bytes(folder: Path, share: Share) -> PartBytes:
-    """A part that was written, for another machine to keep."""
+def part_bytes(folder: Path, share: Share) -> tuple[bytes, bytes]:
+    """The two files of a part that was written, for another machine to keep."""
     grids, info = ((folder / f"{share.name}.{kind}").read_bytes() for kind in ("grids", "json"))
-    return PartBytes(grids, info)
+    return grids, info
 
 
-def keep_part(folder: Path, share: Share, part: PartBytes) -> None:
+def keep_part(folder: Path, share: Share, part: tuple[bytes, bytes]) -> None:
     """Write a part that another machine has made. MapWriteError on a full disk."""
     with _draft_of(folder, share) as draft:
-        for kind, data in (("grids", part.grids), ("json", part.info)):
+        for kind, data in zip(("grids", "json"), part, strict=True):
             draft.write_bytes(data)
             draft.replace(folder / f"{share.name}.{kind}")
 

@@ -5,17 +5,16 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple, TypeVar
 
 import cv2
 
 from fieldgrid.array_types import Float32
-from fieldgrid.attitude import Attitude
 from fieldgrid.depth import CodedDepth
 from fieldgrid.frame_ground import FrameGround
 from fieldgrid.grids import GridSpec, LocalGrid
@@ -61,23 +60,10 @@ def perceive(
     frames: Iterable[Frame],
     gridder: LocalGridder,
     jobs: int,
-    *,
-    odometry: bool = False,
-    attitude: Attitude | None = None,
-    way: OriginTrack | None = None,
 ) -> Generator[Perceived, None, None]:
     """Local grids of frames, in order, `jobs` at a time; few more are ever held in memory. Close it
-    when it is not taken to its end: its threads end then.
-
-    With the vehicle's `attitude` their columns are vertical; by its `way` the points of a sweep are
-    carried to its stamp.
-    """
-
-    def look(frame: Frame) -> Perceived:
-        tilt = None if attitude is None else attitude.tilt_at(taken_ns(frame, gridder.rig))
-        return perceive_frame(frame, gridder, odometry=odometry, tilt=tilt, way=way)
-
-    return side_by_side(look, frames, jobs)
+    when it is not taken to its end: its threads end then."""
+    return side_by_side(partial(perceive_frame, gridder=gridder), frames, jobs)
 
 
 def taken_ns(frame: Frame, rig: Rig) -> int:
@@ -89,13 +75,14 @@ def perceive_frame(
     frame: Frame,
     gridder: LocalGridder,
     *,
-    odometry: bool,
-    tilt: Tilt | None,
-    way: OriginTrack | None,
+    odometry: bool = False,
+    tilt: Tilt | None = None,
+    way: OriginTrack | None = None,
     gridded: Gridded | None = None,
 ) -> Perceived:
     """One frame, read and perceived here; RecordingError where it cannot be read. With the
-    vehicle's `tilt` the columns of its grid are vertical."""
+    vehicle's `tilt` the columns of its grid are vertical; by its `way` the points of a sweep are
+    carried to its stamp."""
     return frame.read(_Stages(frame, gridder, odometry, tilt, way, gridded))
 
 
@@ -107,8 +94,7 @@ def follows_camera(rig: Rig, settings: BuildSettings) -> bool:
 class CameraMotion:
     """Visual odometry over a drive: give it the frames in order, and take the steps.
 
-    `refusals` counts why no step could be told between neighbouring frames; `distance_m` is how
-    far the camera went so far.
+    `distance_m` is the distance that the camera has moved until now.
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -116,7 +102,6 @@ class CameraMotion:
         self._last: Features | None = None
         self._times_ns: list[int] = []
         self._found: list[CameraStep | Refusal] = []
-        self.refusals: Counter[str] = Counter()
         self.distance_m = 0.0
 
     def add(self, time_ns: int, seen: Features) -> CameraStep | Refusal | None:
@@ -126,9 +111,7 @@ class CameraMotion:
         if self._last is not None:
             found = step(self._last, seen, self._rig)
             self._found.append(found)
-            if isinstance(found, Refusal):
-                self.refusals[found.value] += 1
-            else:
+            if isinstance(found, CameraStep):
                 self.distance_m += math.hypot(found.forward_m, found.right_m)
         self._times_ns.append(time_ns)
         self._last = seen
@@ -140,7 +123,7 @@ class CameraMotion:
         return len(self._found)
 
     def steps(self) -> Steps:
-        """The steps between the frames so far."""
+        """The steps between the frames that were given."""
         return steps_of(self._times_ns, self._found)
 
 
@@ -190,7 +173,7 @@ class _Stages:
         odometry: bool,
         tilt: Tilt | None,
         way: OriginTrack | None,
-        gridded: Gridded | None = None,
+        gridded: Gridded | None,
     ) -> None:
         self._frame, self._gridder, self._odometry = frame, gridder, odometry
         self._tilt, self._way, self._tell = tilt, way, gridded or (lambda *_: None)
@@ -267,4 +250,4 @@ def local_grid(
     `trajectory` the points of a sweep that have times are carried to its stamp."""
     gridder = _gridder(rig, settings or BuildSettings())
     way = None if trajectory is None else OriginTrack.of(trajectory)
-    return frame.read(_Stages(frame, gridder, odometry=False, tilt=tilt, way=way)).grid
+    return perceive_frame(frame, gridder, tilt=tilt, way=way).grid

@@ -17,19 +17,10 @@ from collections import Counter, deque
 from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
-from typing import NamedTuple
 
-from fieldgrid.build.executor import DriveOrder, Event, Failed, Shared, StagingProgress, Undone
+from fieldgrid.build.executor import DriveOrder, Event, Failed, Shared, StagingProgress
 from fieldgrid.build.parts import Share
-from fieldgrid.build.worker import (
-    Answer,
-    Defect,
-    FrameDone,
-    ShareDone,
-    ShareFailed,
-    ShareOrder,
-    not_importable,
-)
+from fieldgrid.build.worker import Answer, ShareOrder, not_importable
 from fieldgrid.closing import Closing
 from fieldgrid.errors import ConfigError, FieldgridError, RecordingError
 
@@ -45,15 +36,8 @@ _ONE_THREAD = {
 }
 
 
-class _Task(NamedTuple):
-    drive: int
-    share: Share
-
-
-class _Drive(NamedTuple):
-    name: str
-    work: bytes
-    folder: Path
+_Task = tuple[int, Share]
+"""The number of a drive, and a share of it."""
 
 
 class Pool(Closing):
@@ -63,7 +47,7 @@ class Pool(Closing):
     def __init__(self, count: int, out: Path) -> None:
         self.events: SimpleQueue[Event] = SimpleQueue()
         self._out = out
-        self._drives: dict[int, _Drive] = {}
+        self._drives: dict[int, tuple[DriveOrder, bytes]] = {}
         self._tasks: deque[_Task] = deque()
         self._deaths: Counter[_Task] = Counter()
         self._changed = threading.Condition()
@@ -83,14 +67,14 @@ class Pool(Closing):
         except (pickle.PicklingError, TypeError, AttributeError) as error:
             raise not_importable(error) from error
         with self._changed:
-            self._drives[order.drive] = _Drive(order.name, packed, order.folder)
-            self._tasks += [_Task(order.drive, share) for share in order.shares]
+            self._drives[order.drive] = order, packed
+            self._tasks += [(order.drive, share) for share in order.shares]
             self._changed.notify_all()
 
     def drop(self, drive: int) -> None:
         """Stage no more shares of a drive."""
         with self._changed:
-            self._tasks = deque(task for task in self._tasks if task.drive != drive)
+            self._tasks = deque(task for task in self._tasks if task[0] != drive)
 
     def close(self) -> None:
         """End all processes, whatever they are at."""
@@ -104,8 +88,7 @@ class Pool(Closing):
 
     def _next(self) -> _Task | None:
         with self._changed:
-            while not self._tasks and not self._closed:
-                self._changed.wait()
+            self._changed.wait_for(lambda: self._tasks or self._closed)
             return None if self._closed else self._tasks.popleft()
 
     def _serve(self) -> None:
@@ -119,7 +102,7 @@ class Pool(Closing):
                 if process is None:
                     process, known = self._start(), -1
                 self._do(process, task, known)
-                known = task.drive
+                known = task[0]
             except (OSError, EOFError, pickle.UnpicklingError) as error:
                 status = None if process is None else self._end(process)
                 process = None
@@ -128,7 +111,7 @@ class Pool(Closing):
                 if process is not None:
                     self._end(process)
                 process = None
-                self.events.put(Failed(task.drive, error))
+                self.events.put(Failed(task[0], error))
         if process is not None:
             self._end(process)
 
@@ -169,31 +152,25 @@ class Pool(Closing):
     def _do(self, process: subprocess.Popen[bytes], task: _Task, known: int) -> None:
         assert process.stdin is not None
         assert process.stdout is not None
-        drive = self._drives[task.drive]
-        work = b"" if known == task.drive else drive.work
-        pickle.dump(
-            ShareOrder(task.drive, work, task.share, drive.folder, self._out), process.stdin
-        )
+        drive, share = task
+        order, work = self._drives[drive]
+        sent = b"" if known == drive else work
+        pickle.dump(ShareOrder(drive, sent, share, order.folder, self._out), process.stdin)
         process.stdin.flush()
         frames, moved_m = 0, 0.0
         try:
             while True:
                 answer: Answer = pickle.load(process.stdout)
-                if isinstance(answer, FrameDone):
-                    frames, moved_m = frames + 1, moved_m + answer.moved_m
+                if not isinstance(answer, float):
                     self.events.put(
-                        StagingProgress(task.drive, answer.moved_m, time.perf_counter())
+                        Shared(drive, share) if answer is None else Failed(drive, answer)
                     )
-                    continue
-                if isinstance(answer, ShareDone):
-                    self.events.put(Shared(task.drive, task.share))
-                elif isinstance(answer, ShareFailed):
-                    self.events.put(Failed(task.drive, answer.error))
-                elif isinstance(answer, Defect):
-                    self.events.put(Failed(task.drive, RuntimeError(answer.text)))
-                return
+                    return
+                frames, moved_m = frames + 1, moved_m + answer
+                self.events.put(StagingProgress(drive, answer, time.perf_counter()))
         except (OSError, EOFError, pickle.UnpicklingError):
-            self.events.put(Undone(task.drive, -frames, -moved_m))
+            if frames:
+                self.events.put(StagingProgress(drive, -moved_m, time.perf_counter(), -frames))
             raise
 
     def _died(self, task: _Task, status: int | None, error: Exception) -> None:
@@ -206,16 +183,17 @@ class Pool(Closing):
                 self._tasks.appendleft(task)
                 self._changed.notify_all()
                 return
-        self.events.put(Failed(task.drive, self._gave_up(task, status, error)))
-
-    def _gave_up(self, task: _Task, status: int | None, error: Exception) -> FieldgridError:
+        drive, share = task
+        problem: FieldgridError
         if status is None:
-            return ConfigError(
+            problem = ConfigError(
                 f"The processes of the build cannot be started ({error}); give --jobs 1."
             )
-        how = f"signal {-status}" if status < 0 else f"exit status {status}"
-        return RecordingError(
-            f"Frames {task.share.first} to {task.share.last - 1} of "
-            f"{self._drives[task.drive].name} have ended {DEATHS} processes of the build ({how}); "
-            "leave the recording out, or give fewer --jobs if the memory was full."
-        )
+        else:
+            how = f"signal {-status}" if status < 0 else f"exit status {status}"
+            problem = RecordingError(
+                f"Frames {share.first} to {share.last - 1} of {self._drives[drive][0].name} have "
+                f"ended {DEATHS} processes of the build ({how}); leave the recording out, or give "
+                "fewer --jobs if the memory was full."
+            )
+        self.events.put(Failed(drive, problem))

@@ -173,7 +173,7 @@ def _advice(recording: Recording, images: Int64, fixes: Int64) -> str:
 
 
 def _offset_words(recording: Recording, fixed: Span, shift_s: float) -> str:
-    """How to move images by so much against the fixes: where a gyro overlaps no fix either, it
+    """How to move images by `shift_s` against the fixes: where a gyro overlaps no fix either, it
     goes with the images, and the fixes are moved the other way."""
     gyro = recording.motion().gyro
     if gyro is not None and (gyro.time_ns[-1] < fixed.first_ns or gyro.time_ns[0] > fixed.last_ns):
@@ -208,8 +208,7 @@ def settle(doubted: Doubted | None, settings: BuildSettings) -> tuple[str, ...]:
 
 
 def doubted_clock(recording: Recording, estimate: Estimate) -> Doubted | None:
-    """That the images are certainly not of the times that they are stamped, by so much that the
-    map would be wrong."""
+    """The doubt about stamps of images that are certainly wrong, by more than a map can bear."""
     clock, trajectory = estimate.report.clock, estimate.trajectory
     if clock is None or not clock.is_certain:
         return None
@@ -232,7 +231,7 @@ def doubted_jump(recording: Recording, estimate: Estimate) -> Doubted | None:
     if jump is None:
         if change is None:
             return None
-        return Doubted(StopCode.CLOCK_JUMP, RecordingError(_change_sentence(recording, change)))
+        return Doubted(StopCode.CLOCK_JUMP, _change_error(recording, change))
     error = RecordingError(
         f"The clock of images and gyro of {recording.name} jumps ahead by {jump.jump_s:.2f} s at "
         f"{utc_text(jump.time_ns)}: over that gap in their stamps the camera moved "
@@ -242,13 +241,13 @@ def doubted_jump(recording: Recording, estimate: Estimate) -> Doubted | None:
     return Doubted(StopCode.CLOCK_JUMP, error)
 
 
-def _change_sentence(recording: Recording, change: ClockChange) -> str:
+def _change_error(recording: Recording, change: ClockChange) -> RecordingError:
     whose, beside, sign, option = (
         ("fixes", "images and gyro", 1.0, "--gnss-offset")
         if change.gyro_too
         else ("images", "fixes", -1.0, "--time-offset")
     )
-    return (
+    return RecordingError(
         f"The {whose} of {recording.name} are stamped {sign * change.before_s:+.2f} s against the "
         f"{beside} up to {utc_text(change.time_ns)} and {sign * change.after_s:+.2f} s from there "
         f"on, as {change.steps} visual odometry steps show: a clock was set during the drive, two "
@@ -266,13 +265,16 @@ def doubted_frames(recording: Recording, estimate: Estimate) -> Doubted | None:
         f"{found.off} of {found.steps} visual odometry steps of {recording.name} do not match the "
         "fixes, and no clock offset explains it"
     )
+    apart_ns = np.diff(recording.frame_times_ns())
+    # Not those of a camera that is triggered each so many seconds.
+    whole_seconds = (apart_ns % 1_000_000_000 == 0).all() and len(np.unique(apart_ns)) > 1
     if found.gyro_too:
         why = (
             "The gyro agrees with the images, so the fixes are of another drive, of another clock, "
             "or far less accurate than reported; check the log, and if it is the clock, give "
             "--gnss-offset."
         )
-    elif _whole_seconds(recording.frame_times_ns()):
+    elif whole_seconds:
         why = (
             "The images are stamped in whole seconds, so each is up to a second late; let the "
             "recorder write milliseconds, or take the stamps from the files' names or times if "
@@ -287,16 +289,9 @@ def doubted_frames(recording: Recording, estimate: Estimate) -> Doubted | None:
     return Doubted(StopCode.FRAMES_MISPLACED, RecordingError(f"{told}. {why}"))
 
 
-def _whole_seconds(time_ns: Int64) -> bool:
-    """Whether stamps [n] lie whole seconds apart, though not as those of a camera that is
-    triggered each so many seconds."""
-    apart_ns = np.diff(time_ns)
-    return bool((apart_ns % 1_000_000_000 == 0).all() and len(np.unique(apart_ns)) > 1)
-
-
 def doubted_yaw(recording: Recording, estimate: Estimate) -> Doubted | None:
-    """That the camera certainly looks elsewhere than declared, by so much that the map would be
-    wrong."""
+    """The doubt about a camera that certainly looks elsewhere than declared, by `ASKEW_DEG` or
+    more: the map would be wrong."""
     yaw = estimate.report.camera_yaw
     if yaw is None or not yaw.is_off or abs(yaw.off_deg) < ASKEW_DEG or yaw.moved is not None:
         return None
@@ -310,8 +305,8 @@ def doubted_yaw(recording: Recording, estimate: Estimate) -> Doubted | None:
 
 
 def doubted_imu(estimate: Estimate) -> Doubted | None:
-    """That the IMU is turned against what is declared, by so much that the vehicle would lean the
-    wrong way."""
+    """The doubt about an IMU that is turned against what is declared, by `TURNED_DEG` or more: the
+    vehicle would lean the wrong way."""
     turn = estimate.report.imu_turn
     if turn is None or not turn.is_off or abs(turn.off_deg) < TURNED_DEG:
         return None
@@ -350,8 +345,7 @@ def clock_remedy(recording: Recording, clock: ClockOffset) -> str:
 def usual_speed_mps(trajectory: Trajectory) -> float:
     """The median speed of a drive while it moves."""
     speed = np.abs(trajectory.speed_mps[trajectory.accepted])
-    moving = speed[speed > 0.1]
-    return float(np.median(moving)) if moving.size else 0.0
+    return float(np.median(speed[speed > 0.1])) if (speed > 0.1).any() else 0.0
 
 
 def misplaced(offset_s: float, trajectory: Trajectory, before: str) -> str:
@@ -372,9 +366,8 @@ def check_poses(recording: Recording, trajectory: Trajectory) -> None:
             f"{commonest_reason(trajectory.reason)}; choose another log with --gnss or another "
             "--heading."
         )
-    poses = (trajectory.at(time_ns) for time_ns in images.tolist())
     reasons: Counter[str] = Counter()
-    for pose in poses:
+    for pose in map(trajectory.at, images.tolist()):
         if pose.status is Status.OK:
             return
         reasons[pose.reason] += 1

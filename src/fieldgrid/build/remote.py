@@ -9,16 +9,16 @@ import platform
 import re
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fieldgrid.build.parts import PartBytes, Share, part_bytes, write_part
+from fieldgrid.build.parts import Share, part_bytes, write_part
 from fieldgrid.build.staging import DriveWork, Looked, stage_frames
-from fieldgrid.build.worker import not_importable
+from fieldgrid.build.worker import not_importable, unpacked
 from fieldgrid.errors import ClusterError, FieldgridError, MapWriteError, quoted
 from fieldgrid.recording.copies import (
     cache_folder,
@@ -51,7 +51,7 @@ class RecordingPlace(NamedTuple):
 class Made(NamedTuple):
     """A share that is staged: its part, how far the camera went, metres, and how long it took."""
 
-    part: PartBytes
+    part: tuple[bytes, bytes]
     moved_m: float
     took_s: float
 
@@ -148,20 +148,17 @@ def _fetch(place: RecordingPlace, work: DriveWork, share: Share) -> None:
             raise ClusterError(f"The worker on {platform.node()} has no copy: {error}") from error
         manifest = read_manifest(copy)
         if manifest.version != version:
-            raise ClusterError(_of_another_version(url, manifest.unlisted))
+            told = f"{url} has changed since this build began; build it again when it is at rest."
+            if manifest.unlisted:
+                told += (
+                    f" The worker on {platform.node()} may not list "
+                    f"{quoted(', '.join(manifest.unlisted), 200)} there; if other machines may, "
+                    "allow it for all."
+                )
+            raise ClusterError(told)
         _fetched.add((url, version))
     if manifest.unlisted and digest_of(manifest.kept()) != place.kept:
         _check_listed(place, manifest.unlisted, _files_of(work, share))
-
-
-def _of_another_version(url: str, unlisted: Sequence[str]) -> str:
-    told = f"{url} has changed since this build began; build it again when it is at rest."
-    if not unlisted:
-        return told
-    return (
-        f"{told} The worker on {platform.node()} may not list {quoted(', '.join(unlisted), 200)} "
-        "there; if other machines may, allow it for all."
-    )
 
 
 def _check_listed(place: RecordingPlace, unlisted: Iterable[str], files: set[Path]) -> None:
@@ -176,17 +173,11 @@ def _check_listed(place: RecordingPlace, unlisted: Iterable[str], files: set[Pat
             )
 
 
-@lru_cache(maxsize=2)
-def _unpacked(work: bytes) -> DriveWork:
-    try:
-        found: DriveWork = pickle.loads(work)
-    except (AttributeError, ImportError) as error:
-        raise not_importable(error, _AT_HOME) from error
-    return found
+_unpacked = lru_cache(maxsize=2)(partial(unpacked, remedy=_AT_HOME))
 
 
 def _as_given(looks: Iterable[Looked], place: RecordingPlace) -> Iterator[Looked]:
-    """The same, with paths as they were given: a map names images by them."""
+    """The frames with their paths as they were given: a map names images by them."""
     here, given = place.given_from, ""
     if place.url:
         here, given = str(copy_of(place.url).parent), str(Path(place.path).parent)

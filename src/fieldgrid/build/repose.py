@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -78,53 +78,40 @@ def repose_map(
         return [_repose(universal, session, pose_settings or {}) for session in sessions]
 
 
-class Attitudes(NamedTuple):
-    """Roll and pitch by session, and why those of others cannot be estimated."""
-
-    by_session: dict[str, Attitude]
-    left_out: dict[str, str]
-
-
-def attitudes_of(universal: MapFile) -> Attitudes:
+def attitudes_of(universal: MapFile) -> tuple[dict[str, Attitude], dict[str, str]]:
     """Roll and pitch of the active sessions that tell them, estimated again from what the map
-    keeps. Sessions without their fixes are passed over; one that cannot be estimated again, as of
-    settings that this version does not take, is left out, and the reason given."""
-    found = Attitudes({}, {})
+    keeps, and why those of others cannot be estimated, both by session. Sessions without their
+    fixes are passed over; one that cannot be estimated again, as of settings that this version does
+    not take, is left out, and the reason given."""
+    by_session, left_out = dict[str, Attitude](), dict[str, str]()
     for session in universal.sessions():
-        if not session.active:
-            continue
         try:
-            attitude = _attitude(universal, session)
+            arrays = universal.session_inputs(session.name) if session.active else {}
+            if "fix.time_ns" in arrays:
+                inputs, settings = from_arrays(arrays), _settings(session, {})
+                attitude = _estimate(universal, session, inputs, settings).report.attitude
+                if attitude is not None:
+                    by_session[session.name] = attitude
         except FieldgridError as error:
-            found.left_out[session.name] = str(error)
-        else:
-            if attitude is not None:
-                found.by_session[session.name] = attitude
-    return found
-
-
-def _attitude(universal: MapFile, session: SessionInfo) -> Attitude | None:
-    arrays = universal.session_inputs(session.name)
-    if "fix.time_ns" not in arrays:
-        return None
-    inputs = from_arrays(arrays)
-    rig = rig_from_config(session.config.get("rig", {}), session.name)
-    settings = _settings(session, {})
-    return _estimate(universal, session, inputs, rig, settings).report.attitude
+            left_out[session.name] = str(error)
+    return by_session, left_out
 
 
 def _repose(
     universal: MapFile, session: SessionInfo, pose_settings: Mapping[str, Any]
 ) -> ReposeReport:
     settings = _settings(session, pose_settings)
-    rig = rig_from_config(session.config.get("rig", {}), session.name)
     inputs = from_arrays(universal.session_inputs(session.name))
-    estimate = _estimate(universal, session, inputs, rig, settings)
+    rig = _rig(session)
+    estimate = _estimate(universal, session, inputs, settings)
     found = dict(zip(inputs.frame_ns.tolist(), inputs.ground_found.tolist(), strict=True))
     before, after, camera = {}, {}, StuckCamera()
     for frame in sorted(universal.frames(session.name), key=lambda frame: frame.driven.time_ns):
         before[frame.frame_id] = frame.driven
-        pose = _pose(estimate, frame.driven.time_ns, found, rig)
+        time_ns = frame.driven.time_ns
+        pose = estimate.trajectory.at(time_ns)
+        if pose.status is Status.OK and not found.get(time_ns, True):
+            pose = replace(pose, status=Status.REJECTED, reason=no_ground(rig))
         camera, after[frame.frame_id] = camera.judged(frame.images_sha256, pose)
     config = {**session.config, "settings": settings.model_dump(mode="json")}
     notes = estimate.report.notes
@@ -171,10 +158,14 @@ def _settings(session: SessionInfo, pose_settings: Mapping[str, Any]) -> BuildSe
         ) from error
 
 
+def _rig(session: SessionInfo) -> Rig:
+    return rig_from_config(session.config.get("rig", {}), session.name)
+
+
 def _estimate(
-    universal: MapFile, session: SessionInfo, inputs: Inputs, rig: Rig, settings: BuildSettings
+    universal: MapFile, session: SessionInfo, inputs: Inputs, settings: BuildSettings
 ) -> Estimate:
-    motion = inputs.motion
+    motion, rig = inputs.motion, _rig(session)
     if not settings.pose.uses_camera:
         motion = motion._replace(steps=None)
     return estimate_poses(
@@ -187,13 +178,6 @@ def _estimate(
         frame_ns=inputs.frame_ns,
         level_grids=bool(session.config.get("level_grids", False)),
     )
-
-
-def _pose(estimate: Estimate, time_ns: int, ground_found: Mapping[int, bool], rig: Rig) -> Pose:
-    pose = estimate.trajectory.at(time_ns)
-    if pose.status is Status.OK and not ground_found.get(time_ns, True):
-        return replace(pose, status=Status.REJECTED, reason=no_ground(rig))
-    return pose
 
 
 def _report(

@@ -1,4 +1,4 @@
-"""The rig as it is kept with a session: a table of plain values, and back."""
+"""The rig of a session, by the table of plain values that is kept with it."""
 
 from __future__ import annotations
 
@@ -7,11 +7,6 @@ from typing import Any
 
 from fieldgrid.errors import CalibrationError, MapError
 from fieldgrid.rig import Rig
-
-
-def rig_to_config(rig: Rig) -> dict[str, Any]:
-    """The fields of a rig; its sensor stands under a key that says which kind it is."""
-    return rig.as_dict()
 
 
 def rig_from_config(config: Mapping[str, Any], session: str) -> Rig:

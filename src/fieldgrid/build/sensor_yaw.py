@@ -35,11 +35,12 @@ FEWEST_PAIRS, FEWEST_CELLS = 16, 1000
 """Fewer pairs, or fewer obstacle cells that were seen by both, tell nothing."""
 
 CONTRAST = 0.4
-"""Frames agree at an angle at which at most so much is denied as at most angles: rendered rows 2 to
-16 %, as depths, clouds and pairs, KITTI's street 36; what is seen in a mirror 53 to 72 %."""
+"""Frames agree at an angle at which at most this share is denied of what is denied at most angles:
+rendered rows 2 to 16 %, as depths, clouds and pairs, KITTI's street 36; what is seen in a mirror 53
+to 72 %."""
 
 BLOCKS = 8
-"""The error is that of leaving out one after the other of so many parts of the drive."""
+"""Number of parts of the drive: the error is that of leaving out one after the other."""
 
 CLEAR_SIGMAS, TOLD_DEG = 4.0, 1.2
 """A yaw is told when it is by more than both. Of rendered drives whose sensor looks where it is
@@ -70,7 +71,11 @@ class SensorYaw(NamedTuple):
 def sensor_yaw(frames: StagedFrames, placed: Sequence[Placed]) -> SensorYaw | None:
     """Estimate the yaw error from the frames of a drive; `placed` are the accepted ones in order
     of time. None if too few of them saw the same obstacles, or they agree at no angle."""
-    pairs = [pair for pair in following(placed, APART_M, PAIRS) if _look_alike(*pair)]
+    pairs = [
+        (one, other)
+        for one, other in following(placed, APART_M, PAIRS)
+        if abs(wrap_deg(other[1].heading_deg - one[1].heading_deg)) <= ALIKE_DEG
+    ]
     seen = {k: SeenCells.of(frames[k].grid()) for pair in pairs for k, _ in pair}
     counts = _counts(pairs, seen)
     if len(pairs) < FEWEST_PAIRS or counts[:, len(TURNS_DEG) // 2, 1].sum() < FEWEST_CELLS:
@@ -86,8 +91,8 @@ def sensor_yaw(frames: StagedFrames, placed: Sequence[Placed]) -> SensorYaw | No
 
 
 def doubted_sensor_yaw(found: SensorYaw | None, rig: Rig) -> Doubted | None:
-    """That the sensor certainly looks elsewhere than declared, by so much that the map would be
-    wrong, or sees left what is right."""
+    """The doubt about a sensor that certainly looks elsewhere than declared, by `ASKEW_DEG` or
+    more, or that sees left what is right."""
     if found is None:
         return None
     if found.is_mirrored:
@@ -113,10 +118,6 @@ def _sentence(found: SensorYaw, rig: Rig) -> str:
         "and correct camera_yaw_deg in mounting.json, or, if headings are recorded or given, "
         "their offset."
     )
-
-
-def _look_alike(one: Placed, other: Placed) -> bool:
-    return bool(abs(wrap_deg(other[1].heading_deg - one[1].heading_deg)) <= ALIKE_DEG)
 
 
 def _counts(pairs: Sequence[tuple[Placed, Placed]], seen: Mapping[int, SeenCells]) -> Float64:

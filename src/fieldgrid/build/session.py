@@ -12,6 +12,7 @@ import os
 import time
 from array import array
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -54,9 +55,8 @@ from fieldgrid.build.poses import (
     settle,
 )
 from fieldgrid.build.report import BadFrame, Progress, SessionReport
-from fieldgrid.build.rig_config import rig_to_config
 from fieldgrid.build.sensor_yaw import doubted_sensor_yaw, sensor_yaw, sensor_yaw_notes
-from fieldgrid.build.staging import DriveWork, Frames, Staged, stage_all
+from fieldgrid.build.staging import DriveWork, Frames, Staged, collect, stage_frames
 from fieldgrid.build.stuck import StuckCamera
 from fieldgrid.errors import CalibrationError, ConfigError, RecordingError
 from fieldgrid.geodesy import Datum
@@ -70,7 +70,7 @@ from fieldgrid.recording import Recording
 from fieldgrid.rig import Rig, StereoCamera
 from fieldgrid.settings import BuildSettings
 from fieldgrid.sweep import OriginTrack
-from fieldgrid.trajectory import Pose, Status, Trajectory
+from fieldgrid.trajectory import Status, Trajectory
 from fieldgrid.transfer import check_cell_sizes
 
 BAD_KEPT = 1000
@@ -80,36 +80,33 @@ BAD_KEPT = 1000
 def add_recording(
     universal: MapFile,
     recording: Recording,
-    trajectory: Trajectory | None = None,
     settings: BuildSettings | None = None,
     *,
     name: str | None = None,
-    every: int = 1,
     jobs: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> SessionReport:
     """Add one drive to an open map as a session: all of it, or nothing.
 
-    Without a `trajectory` it is estimated here, from all that the drive carries and, if the
-    settings ask for it, from the motion that the camera saw. Takes every `every`-th frame. The
-    map's bits do not depend on `jobs`, the number of threads that decode and match (all cores
-    if None).
+    Its trajectory is estimated from all that the drive carries and, if the settings ask for it,
+    from the motion that the camera saw. The map's bits do not depend on `jobs`, the number of
+    threads that decode and match (all cores if None).
     """
     settings = settings or BuildSettings()
     started = time.perf_counter()
-    attitude, known = None, trajectory
-    if trajectory is None and (
-        tells_attitude(recording.motion(), recording.fixes().time_ns) or has_sweeps(recording)
-    ):
+    attitude, known = None, None
+    if tells_attitude(recording.motion(), recording.fixes().time_ns) or has_sweeps(recording):
         estimate = estimate_drive(recording, settings, universal.datum)
         known = estimate.trajectory
         attitude = attitude_of_grids(recording, estimate)
-    session = NewSession(recording, settings, trajectory, attitude, name, every, known=known)
+    session = NewSession(recording, settings, attitude, name, known=known)
     session.check(universal)
-    with StageFile.temporary(universal.path) as file:
-        tell = Telling(session, progress)
-        staged = stage_all(session.work(), file, jobs or os.cpu_count() or 1, tell)
-        session.add(universal, staged)
+    work, threads = session.work(), jobs or os.cpu_count() or 1
+    with (
+        StageFile.temporary(universal.path) as file,
+        closing(stage_frames(work, 0, work.total, threads)) as looks,
+    ):
+        session.add(universal, collect(looks, file, Telling(session, progress)))
     session.report.wall_s = time.perf_counter() - started
     return session.report
 
@@ -139,20 +136,18 @@ class Telling:
 class NewSession:
     """A recording on its way into a map, as a session of its own.
 
-    Its frames are staged by whoever likes (`work`), and then placed (`add`). Without a
-    `trajectory` it is estimated, of local grids that are levelled by the `attitude`. By `known`,
-    the trajectory as it is known before a frame is staged, the points of sweeps are carried to
-    their stamps.
+    Its frames are staged by whoever likes (`work`), and then placed (`add`) by a trajectory that is
+    estimated, of local grids that are levelled by the `attitude`. By `known`, the trajectory as it
+    is known before a frame is staged, the points of sweeps are carried to their stamps.
     """
 
     def __init__(
         self,
         recording: Recording,
         settings: BuildSettings,
-        trajectory: Trajectory | None,
         attitude: Attitude | None,
         name: str | None,
-        every: int,
+        every: int = 1,
         *,
         skips_bad: bool = False,
         known: Trajectory | None = None,
@@ -160,10 +155,8 @@ class NewSession:
         self.recording, self.settings = recording, settings
         self.name = recording.name if name is None else name
         self.total = len(range(0, recording.frame_count, every))
-        self.odometry = trajectory is None and follows_camera(recording.rig, settings)
-        self.odometry = self.odometry and not recording.pose_name
-        self._trajectory, self._attitude, self.every = trajectory, attitude, every
-        self._skips_bad = skips_bad
+        self.odometry = follows_camera(recording.rig, settings) and not recording.pose_name
+        self._attitude, self.every, self._skips_bad = attitude, every, skips_bad
         self._way = None
         if known is not None and has_sweeps(recording):
             self._way = OriginTrack.of(known)
@@ -224,11 +217,7 @@ class NewSession:
                 f"heights above it are not known. {hint_sentence(readings)}"
             )
         report.notes += settle(doubted_cameras(recording, report, found, self.every), settings)
-        trajectory = self._trajectory
-        if trajectory is None:
-            trajectory = self._estimated(universal.datum, steps)
-        else:
-            report.fixes, report.fixes_accepted = _fixes_in(recording, trajectory)
+        trajectory = self._estimated(universal.datum, steps)
         report.heading_source = trajectory.heading_source
         with universal.add_session(
             self.name,
@@ -244,7 +233,14 @@ class NewSession:
             ),
             source=recording.gnss_source,
             source_sha256=recording.gnss_sha256(),
-            inputs=to_arrays(_inputs(recording, steps, staged)),
+            inputs=to_arrays(
+                Inputs(
+                    recording.fixes(),
+                    recording.motion()._replace(steps=steps),
+                    np.array([entry.time_ns for entry in staged.entries], dtype=np.int64),
+                    np.array([entry.ground_found for entry in staged.entries], dtype=np.bool_),
+                )
+            ),
         ) as session:
             accepted = _place(staged, session, trajectory, recording.rig, report)
             report.denied_share = denied_share(staged.frames, accepted)
@@ -269,8 +265,7 @@ class NewSession:
         report.notes += estimate.report.notes
         report.fixes = len(estimate.fix_row)
         report.fixes_accepted = int(estimate.trajectory.accepted[estimate.fix_row].sum())
-        mirrored = doubted_mirror(recording, estimate.trajectory, steps)
-        report.notes += settle(mirrored, self.settings)
+        report.notes += settle(doubted_mirror(recording, estimate.trajectory, steps), self.settings)
         heights = tells_heights(recording.fixes())
         scale = camera_scale(steps, estimate.trajectory, heights_told=heights)
         for doubted in (doubted_jump, doubted_clock, doubted_frames, doubted_yaw):
@@ -280,14 +275,6 @@ class NewSession:
         report.notes += settle(doubted_imu(estimate), self.settings) + imu_notes(estimate)
         check_poses(recording, estimate.trajectory)
         return estimate.trajectory
-
-
-def _fixes_in(recording: Recording, trajectory: Trajectory) -> tuple[int, int]:
-    """How many fixes a drive has, and how many of them a trajectory accepts: it has rows of
-    other instants, too."""
-    times_ns = recording.fixes().time_ns
-    accepted_ns = trajectory.time_ns[trajectory.accepted]
-    return len(times_ns), int(np.isin(accepted_ns, times_ns).sum())
 
 
 def _place(
@@ -310,7 +297,11 @@ def _place(
             report.reasons[pose.reason] += 1
             continue
         report.used += 1
-        report.distance_m += _step_m(accepted[-1][1], pose) if accepted else 0.0
+        if accepted:
+            last = accepted[-1][1]
+            report.distance_m += float(
+                np.hypot(pose.east_m - last.east_m, pose.north_m - last.north_m)
+            )
         heading_sigma_deg.append(pose.heading_sigma_deg)
         position_sigma_m.append(pose.position_sigma_m)
         accepted.append((k, pose))
@@ -320,13 +311,6 @@ def _place(
     report.position_sigma_m = _median(position_sigma_m)
     report.stages.map_s += time.thread_time() - start
     return accepted
-
-
-def _inputs(recording: Recording, steps: Steps | None, staged: Staged) -> Inputs:
-    motion = recording.motion()._replace(steps=steps)
-    times_ns = np.array([entry.time_ns for entry in staged.entries], dtype=np.int64)
-    found = np.array([entry.ground_found for entry in staged.entries], dtype=np.bool_)
-    return Inputs(recording.fixes(), motion, times_ns, found)
 
 
 def session_config(
@@ -345,7 +329,7 @@ def session_config(
     searched = isinstance(rig.sensor, StereoCamera)
     return {
         "settings": settings.model_dump(mode="json"),
-        "rig": rig_to_config(rig),
+        "rig": rig.as_dict(),
         "max_range_m": gridder.max_range_m,
         **({"search": gridder.region._asdict()} if searched else {}),
         "every": every,
@@ -357,10 +341,6 @@ def session_config(
 
 def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if values else None
-
-
-def _step_m(last: Pose, pose: Pose) -> float:
-    return float(np.hypot(pose.east_m - last.east_m, pose.north_m - last.north_m))
 
 
 def check_output(path: Path, *, append: bool, overwrite: bool) -> None:

@@ -84,14 +84,6 @@ class Staged:
     bad: list[BadFrame] = field(default_factory=list)
     times: StageTimes = field(default_factory=StageTimes)
 
-    def take(self, looked: Looked) -> None:
-        """What else is known of the next frame, beside what is staged of it."""
-        self.times.add(looked.times)
-        if looked.bad is not None:
-            self.bad.append(looked.bad)
-        else:
-            self.found.append(looked.found)
-
     def steps(self) -> tuple[Steps, Counter[str]]:
         """The camera's steps, and why there is none between other neighbours."""
         found = [one for one in self.found[1:] if one is not None]
@@ -103,20 +95,18 @@ Tell = Callable[[float], None]
 """Is told of each frame that is done, with how far the camera went since the one before, metres."""
 
 
-def stage_all(work: DriveWork, file: StageFile, jobs: int, tell: Tell) -> Staged:
-    """Stage the whole drive into a file, `jobs` frames at a time."""
-    with closing(stage_frames(work, 0, work.total, jobs)) as looks:
-        return collect(looks, file, tell)
-
-
 def collect(looks: Iterable[Looked], file: StageFile, tell: Tell) -> Staged:
     """Write frames to a file as they come."""
     staged = Staged(file, file.entries)
     for looked in looks:
         start = time.thread_time()
+        staged.times.add(looked.times)
         if looked.staged is not None:
             file.append(looked.staged)
-        staged.take(looked)
+        if looked.bad is not None:
+            staged.bad.append(looked.bad)
+        else:
+            staged.found.append(looked.found)
         staged.times.map_s += time.thread_time() - start
         tell(looked.moved_m)
     return staged

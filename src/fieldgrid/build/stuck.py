@@ -16,7 +16,7 @@ from fieldgrid.angles import wrap_deg
 from fieldgrid.trajectory import Pose, Status
 
 MOVED_M, TURNED_DEG = 0.25, 3.0
-"""A grid may be so far off: the paper's cell, and the most that a heading's sigma may be."""
+"""How far off a grid may be: the paper's cell, and the most that a heading's sigma may be."""
 
 REPEATED = (
     "its image or cloud is identical to that of the previous frame, although the vehicle moved"
@@ -45,8 +45,13 @@ class StuckCamera(NamedTuple):
             for k, one in enumerate(again)
         )
         after = StuckCamera(tuple(images_sha256), since)
-        moved_m = max((_moved_m(at, pose) for at in since), default=0.0)
-        turned_deg = max((_turned_deg(at, pose) for at in since), default=0.0)
+        moved_m = max(
+            (math.hypot(pose.east_m - at.east_m, pose.north_m - at.north_m) for at in since),
+            default=0.0,
+        )
+        turned_deg = max(
+            (abs(float(wrap_deg(pose.heading_deg - at.heading_deg))) for at in since), default=0.0
+        )
         if pose.status is Status.REJECTED or (moved_m <= MOVED_M and turned_deg <= TURNED_DEG):
             return after, pose
         return after, replace(pose, status=Status.REJECTED, reason=REPEATED)
@@ -62,11 +67,3 @@ class StuckCamera(NamedTuple):
 
 def _is_known(pose: Pose) -> bool:
     return math.isfinite(pose.east_m + pose.north_m + pose.heading_deg)
-
-
-def _moved_m(one: Pose, other: Pose) -> float:
-    return math.hypot(other.east_m - one.east_m, other.north_m - one.north_m)
-
-
-def _turned_deg(one: Pose, other: Pose) -> float:
-    return abs(float(wrap_deg(other.heading_deg - one.heading_deg)))

@@ -32,29 +32,10 @@ class ShareOrder(NamedTuple):
     out: Path
 
 
-class FrameDone(NamedTuple):
-    """A frame is staged; the camera went so far since the one before."""
-
-    moved_m: float
-
-
-class ShareDone(NamedTuple):
-    """The share is staged, and its part written."""
-
-
-class ShareFailed(NamedTuple):
-    """The share cannot be staged."""
-
-    error: FieldgridError
-
-
-class Defect(NamedTuple):
-    """An error that nothing foresaw, with its traceback."""
-
-    text: str
-
-
-Answer = FrameDone | ShareDone | ShareFailed | Defect
+Answer = float | FieldgridError | RuntimeError | None
+"""A frame is staged: the distance of the camera since the frame before, metres. Then, for the
+share: None where its part is written, or why it cannot be staged, a RuntimeError with the traceback
+of what nobody foresaw."""
 
 
 def main() -> None:
@@ -75,19 +56,26 @@ def main() -> None:
         order = orders.get()
         try:
             if order.work:
-                works = {order.drive: _unpacked(order.work)}
+                works = {order.drive: unpacked(order.work)}
             work = works[order.drive]
             with closing(stage_frames(work, *order.share, jobs=1)) as looks:
-                write_part(
-                    order.folder, order.out, order.share, looks, lambda m: answer(FrameDone(m))
-                )
-            answer(ShareDone())
+                write_part(order.folder, order.out, order.share, looks, answer)
+            answer(None)
         except BrokenPipeError:
             os._exit(1)
         except FieldgridError as error:
-            answer(ShareFailed(error))
+            answer(error)
         except Exception:  # noqa: BLE001 - the build raises it
-            answer(Defect(traceback.format_exc()))
+            answer(RuntimeError(traceback.format_exc()))
+
+
+def unpacked(work: bytes, remedy: str = "give --jobs 1") -> DriveWork:
+    """The work on a drive that was pickled; ConfigError where this Python lacks a class of it."""
+    try:
+        found: DriveWork = pickle.loads(work)
+    except (AttributeError, ImportError) as error:
+        raise not_importable(error, remedy) from error
+    return found
 
 
 def not_importable(error: Exception, remedy: str = "give --jobs 1") -> ConfigError:
@@ -96,14 +84,6 @@ def not_importable(error: Exception, remedy: str = "give --jobs 1") -> ConfigErr
         f"The frames of this drive cannot be given to other processes ({error}); define their "
         f"classes in a module that can be imported, or {remedy}."
     )
-
-
-def _unpacked(work: bytes) -> DriveWork:
-    try:
-        found: DriveWork = pickle.loads(work)
-    except (AttributeError, ImportError) as error:
-        raise not_importable(error) from error
-    return found
 
 
 def _listen(stream: BinaryIO, orders: SimpleQueue[Any]) -> None:

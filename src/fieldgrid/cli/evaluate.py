@@ -77,22 +77,21 @@ def command(
         if is_survey:
             _survey(universal, truth, within, crop, things, as_json)
             return
-        from fieldgrid.build.repose import Attitudes, attitudes_of
+        from fieldgrid.build.repose import attitudes_of
         from fieldgrid.evaluation import evaluate, read_truth
         from fieldgrid.evaluation.scores import OBSERVABLE_PIXELS
 
         true = read_truth(truth)
         has_attitude = any(math.isfinite(pose.roll_deg) for pose in true.poses)
-        attitudes = attitudes_of(universal) if has_attitude else Attitudes({}, {})
+        attitudes, left_out = attitudes_of(universal) if has_attitude else ({}, {})
         result = evaluate(
             universal,
             true,
             observable_pixels=min_pixels or OBSERVABLE_PIXELS,
-            attitudes=attitudes.by_session,
+            attitudes=attitudes,
         )
     notes = [
-        f"roll and pitch of {name} are not compared: {reason}"
-        for name, reason in attitudes.left_out.items()
+        f"roll and pitch of {name} are not compared: {reason}" for name, reason in left_out.items()
     ]
     if as_json:
         output.print_json({**result.as_dict(), "notes": notes})

@@ -15,7 +15,7 @@ from fieldgrid.trajectory import Trajectory
 
 
 def clock_unknown(followed: int) -> Finding:
-    """That the camera's motion in so many frames does not tell its clock."""
+    """The finding that the camera's motion in `followed` frames does not tell its clock."""
     return info(
         "clock-unknown",
         f"The clock offset of the images cannot be estimated from {followed} frames: the drive is "
@@ -31,9 +31,8 @@ def clock_findings(
     far_m = abs(clock.offset_s) * usual_speed_mps(trajectory)
     why = explanation(clock.offset_s, int(trajectory.time_ns[0]))
     wrong = far_m > MISPLACED_M or abs(clock.offset_s) > WIDEST_S
-    tell = error if wrong else warning
     remedy = clock_remedy(recording, clock)
-    yield tell(
+    yield (error if wrong else warning)(
         StopCode.CLOCK_OFFSET.value,
         f"The images are stamped {-clock.offset_s:+.3f} ± {clock.sigma_s:.3f} s against the fixes, "
         f"by {clock.steps} steps of the camera{f' ({why})' if why else ''}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,10 +42,6 @@ class ExpectedMap(NamedTuple):
     heading_error_m: float
     range_error_m: float | None
     cell_m: float | None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return self._asdict()
 
 
 def coverage(
@@ -88,9 +84,9 @@ def coverage(
 
 def nearest_m(rig: Rig) -> float:
     """Where the ground comes into view ahead of the grid origin, metres: 0 for all-round views."""
-    if not isinstance(rig.sensor, StereoCamera):
-        return 0.0
     camera = rig.sensor
+    if not isinstance(camera, StereoCamera):
+        return 0.0
     below = math.atan((camera.height_px - camera.cy_px) / camera.focal_px)
     down = math.radians(rig.mount.tilt_deg) + below
     return rig.mount.height_m / math.tan(down) if 0.0 < down < math.pi / 2.0 else 0.0
@@ -117,17 +113,17 @@ def coverage_findings(found: ExpectedMap | None, cell_m: float, asked: bool) -> 
         )
     supported_m = found.cell_m
     if supported_m is None or supported_m > cell_m:
-        most = "coarser than 5 m" if supported_m is None else f"{supported_m:g} m"
-        level = warning if asked else info
-        yield level(
+        most, remedy = "coarser than 5 m", "Use better fixes."
+        if supported_m is not None:
+            most = f"{supported_m:g} m"
+            remedy = f"For planning read the map with --cell {supported_m:g}."
+        yield (warning if asked else info)(
             "cell-size",
             f"At the far end a cell is off by {found.position_sigma_m:.2f} m for the position, "
             f"{found.heading_error_m:.2f} m for the heading"
             + (f", {found.range_error_m:.2f} m for the range" if found.range_error_m else "")
             + f", 1-sigma: that supports cells of {most}, and they will be {cell_m:g} m.",
-            f"For planning read the map with --cell {supported_m:g}."
-            if supported_m is not None
-            else "Use better fixes.",
+            remedy,
         )
 
 

@@ -21,6 +21,7 @@ from fieldgrid.build.format_hints import format_hints, hint_sentence
 from fieldgrid.build.mirrored import doubted_mirror
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import (
+    Doubted,
     check_images,
     check_poses,
     doubted_frames,
@@ -129,7 +130,9 @@ def with_frames(
         seen, found = _looked(recording, settings, gridder, fixes_alone, found, findings, tell)
         if fixes_alone is not None:
             found = _with_poses(recording, settings, gridder, fixes_alone, seen, found, findings)
-        found = _with_mount(recording, seen, found, findings)
+        ground = ground_seen(seen.grounds, recording.rig.mount)
+        findings += mount_findings(ground, recording.rig.mount, found.scale)
+        found = replace(found, ground=ground)
     return found
 
 
@@ -155,9 +158,8 @@ def _looked(
     looked = len(seen.grounds)
     findings += unread_findings(seen.unread, looked + len(seen.unread))
     findings += image_findings(seen.looks)
-    rows = None
-    if isinstance(recording.rig.sensor, StereoCamera):
-        camera = recording.rig.sensor
+    rows, camera = None, recording.rig.sensor
+    if isinstance(camera, StereoCamera):
         rows = drive_misalignment(
             [look.shifts for look in seen.looks], (camera.width_px, camera.height_px)
         )
@@ -226,15 +228,13 @@ def _with_poses(
     if with_camera is not None:
         mirrored = doubted_mirror(recording, with_camera.trajectory, seen.steps)
     if mirrored is not None:  # what else the camera contradicts follows from that
-        findings.append(refusal(mirrored.error, mirrored.doubt.value))
+        findings += _refusals(mirrored)
     elif seen.steps is not None:
         off_ns = round(clock.offset_s * 1e9) if clock is not None and off else 0
         heights = tells_heights(recording.fixes())
         track = fixes_alone.trajectory
         by_way = camera_scale(seen.steps, track, off_ns, heights_told=heights)
-        doubted = doubted_scale(by_way, recording.rig)
-        if doubted is not None:
-            findings.append(refusal(doubted.error, doubted.doubt.value))
+        findings += _refusals(doubted_scale(by_way, recording.rig))
         notes = scale_notes(by_way, recording.rig)
         findings += [_with_remedy(warning, StopCode.SCALE.value, note) for note in notes]
     if with_camera is not None and mirrored is None:
@@ -301,27 +301,21 @@ def _with_map(
     return found
 
 
+def _refusals(*doubts: Doubted | None) -> list[Finding]:
+    return [refusal(one.error, one.doubt.value) for one in doubts if one is not None]
+
+
 def _told_by_camera(recording: Recording, estimate: Estimate, findings: list[Finding]) -> None:
     """A clock that jumps, images of other moments than stamped, a camera that looks elsewhere."""
-    stopping = (
+    askew = doubted_yaw(recording, estimate)
+    findings += _refusals(
         doubted_jump(recording, estimate),
         doubted_frames(recording, estimate),
         doubted_imu(estimate),
-        doubted_yaw(recording, estimate),
+        askew,
     )
-    for doubted in stopping:
-        if doubted is not None:
-            findings.append(refusal(doubted.error, doubted.doubt.value))
     findings += [warning(StopCode.IMU_TURNED.value, note) for note in imu_notes(estimate)]
     yaw = estimate.report.camera_yaw
-    if yaw is not None and stopping[-1] is None:
+    if yaw is not None and askew is None:
         code = StopCode.CAMERA_YAW.value if yaw.moved is None else "camera-moved"
         findings += [warning(code, note) for note in yaw_notes(yaw)]
-
-
-def _with_mount(
-    recording: Recording, seen: FramePass, found: Inspection, findings: list[Finding]
-) -> Inspection:
-    ground = ground_seen(seen.grounds, recording.rig.mount)
-    findings += mount_findings(ground, recording.rig.mount, found.scale)
-    return replace(found, ground=ground)

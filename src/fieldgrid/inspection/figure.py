@@ -83,16 +83,14 @@ def _draw_images(axes: Axes, found: Inspection) -> None:
     axes.plot(time_s, [look.blur for look in looks], ".-", label="blur")
     shifts = [np.nan if look.shift_px is None else look.shift_px for look in looks]
     axes.plot(time_s, shifts, ".-", color=STATED, label="rows off (px)")
-    axes.set_ylim(*_limits(shifts))
+    known = [shift for shift in shifts if np.isfinite(shift)]
+    axes.set_ylim(
+        min([-0.6, *(shift - 0.2 for shift in known)]), max([1.0, *(s + 0.2 for s in known)])
+    )
     axes.set_xlabel("time since the first image (s)")
     axes.set_title(f"{len(looks)} pairs of {found.frames}")
     axes.legend(loc="best", fontsize="small")
     axes.grid(linewidth=0.3)
-
-
-def _limits(shifts: list[float]) -> tuple[float, float]:
-    known = [shift for shift in shifts if np.isfinite(shift)]
-    return min([-0.6, *(shift - 0.2 for shift in known)]), max([1.0, *(s + 0.2 for s in known)])
 
 
 def _draw_track(axes: Axes, found: Inspection) -> None:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.build.perception import CameraMotion, perceive, side_by_side
+from fieldgrid.build.perception import CameraMotion, perceive_frame, side_by_side
 from fieldgrid.errors import CalibrationError, FieldgridError
 from fieldgrid.frame_ground import FrameGround
 from fieldgrid.inspection.measures import Look, blur, exposure
@@ -85,7 +85,11 @@ def _pairs(
     def work(item: tuple[int, Frame]) -> _Found | Unread:
         index, frame = item
         try:
-            return _found(frame, gridder, index in run_of, index in close)
+            left, right = frame.images()
+            seen = features(gridder.rig.camera, left, right)
+            points = len(seen.blur_px)
+            look = _look(frame, left, right, points, gridder) if index in close else None
+            return _Found(frame.time_ns, seen if index in run_of else None, look)
         except FieldgridError as problem:
             return Unread(frame.frame_id, str(problem), isinstance(problem, CalibrationError))
 
@@ -107,7 +111,10 @@ def _pairs(
             if found.features is not None:  # what is made of the frames comes in their order
                 motions[run_of[wanted[done]]].add(found.time_ns + offset_ns, found.features)
                 followed += 1
-    steps = _joined([motion.steps() for motion in motions]) if motions else None
+    steps = None
+    if motions:
+        parts = zip(*(motion.steps() for motion in motions), strict=True)
+        steps = Steps(*(np.concatenate(columns) for columns in parts))
     return FramePass(
         looks=tuple(looks),
         grounds=tuple(look.ground for look in looks),
@@ -117,13 +124,6 @@ def _pairs(
         tried=sum(motion.tried for motion in motions),
         followed=followed,
     )
-
-
-def _found(frame: Frame, gridder: LocalGridder, follow: bool, close: bool) -> _Found:
-    left, right = frame.images()
-    seen = features(gridder.rig.camera, left, right)
-    look = _look(frame, left, right, len(seen.blur_px), gridder) if close else None
-    return _Found(frame.time_ns, seen if follow else None, look)
 
 
 def _look(frame: Frame, left: Image, right: Image, points: int, gridder: LocalGridder) -> Look:
@@ -152,7 +152,7 @@ def _others(recording: Recording, gridder: LocalGridder, every: int) -> FramePas
         if index % every:
             continue
         try:
-            (seen,) = perceive([frame], gridder, 1)
+            seen = perceive_frame(frame, gridder)
         except FieldgridError as problem:
             unread.append(
                 Unread(frame.frame_id, str(problem), isinstance(problem, CalibrationError))
@@ -161,8 +161,3 @@ def _others(recording: Recording, gridder: LocalGridder, every: int) -> FramePas
         grounds.append(seen.ground)
         observed.append(float(seen.grid.observed.mean()))
     return FramePass((), tuple(grounds), tuple(observed), tuple(unread), None, 0, 0)
-
-
-def _joined(parts: Sequence[Steps]) -> Steps:
-    """The steps of stretches that follow each other."""
-    return Steps(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))

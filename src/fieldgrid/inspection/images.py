@@ -83,9 +83,10 @@ def image_findings(looks: Sequence[Look]) -> Iterator[Finding]:
         )
     blurred = share(lambda look: not _is_dark(look) and look.blur > BLURRED)
     if blurred:
+        worst = max(look.blur for look in looks if not _is_dark(look))
         yield warning(
             "images-blurred",
-            f"{blurred} of {count} examined pairs are blurred: {_worst_blur(looks):.2f} "
+            f"{blurred} of {count} examined pairs are blurred: {worst:.2f} "
             f"by Crete's measure, where sharp images have 0.2 to 0.3 and {BLURRED:g} is a blur of "
             "1.5 pixels.",
             "Focus and clean the lenses, and shorten the exposure.",
@@ -138,10 +139,6 @@ def misalignment_findings(found: Misalignment | None) -> Iterator[Finding]:
 
 def _is_dark(look: Look) -> bool:
     return look.dark_share > DARK_SHARE or min(look.brightness) < DARK_MEAN
-
-
-def _worst_blur(looks: Sequence[Look]) -> float:
-    return max(look.blur for look in looks if not _is_dark(look))
 
 
 def _ratio(look: Look) -> float:

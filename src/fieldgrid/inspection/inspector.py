@@ -9,7 +9,7 @@ from pathlib import Path
 from fieldgrid.build import estimate_drive
 from fieldgrid.errors import CalibrationError, FieldgridError, NoFramesError, RecordingError
 from fieldgrid.inspection.drive import pose_notes, with_fixes, with_frames
-from fieldgrid.inspection.findings import Finding, error, in_order, info, warning
+from fieldgrid.inspection.findings import error, in_order, info, warning
 from fieldgrid.inspection.frame_pass import Tell
 from fieldgrid.inspection.refusals import noted, refusal
 from fieldgrid.inspection.report import Inspection
@@ -83,30 +83,17 @@ def _inspected(
         message = f"{drive.name} holds no frame, and a map is made of frames."
         findings.append(error("no-images", message, "`fieldgrid track` needs none."))
     if recording is None or recording.frame_count == 0:
-        found = _without_images(drive, settings, found, findings)
+        times_ns = drive.fixes().time_ns
+        with noted(findings):
+            estimate = estimate_drive(drive, settings)
+            found = with_fixes(found, estimate, drive, findings)
+            findings += pose_notes(estimate)
     else:
+        times_ns = recording.frame_times_ns()
         found = with_frames(recording, settings, found, findings, tell)
     findings += [info("note", note) for note in drive.notes]
     return replace(
         found,
-        duration_s=_duration_s(drive, recording),
+        duration_s=float(times_ns.max() - times_ns.min()) / 1e9 if len(times_ns) else None,
         findings=in_order(list(dict.fromkeys(findings))),
     )
-
-
-def _duration_s(drive: Drive, recording: Recording | None) -> float | None:
-    """From the first image, or fix, to the last, by their stamps."""
-    images_ns = None if recording is None else recording.frame_times_ns()
-    times_ns = drive.fixes().time_ns if images_ns is None or not len(images_ns) else images_ns
-    return float(times_ns.max() - times_ns.min()) / 1e9 if len(times_ns) else None
-
-
-def _without_images(
-    drive: Drive, settings: BuildSettings, found: Inspection, findings: list[Finding]
-) -> Inspection:
-    """The fixes of a drive that has nothing else."""
-    with noted(findings):
-        estimate = estimate_drive(drive, settings)
-        found = with_fixes(found, estimate, drive, findings)
-        findings += pose_notes(estimate)
-    return found

@@ -45,7 +45,6 @@ class Look(NamedTuple):
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        ground = self.ground
         return {
             "frame_id": self.frame_id,
             "time_ns": self.time_ns,
@@ -56,8 +55,8 @@ class Look(NamedTuple):
             "blur": self.blur,
             "points_with_depth": self.points,
             "vertical_shift_px": self.shift_px,
-            "ground_found": ground.refined,
-            "camera_height_m": ground.camera_height_m if ground.refined else None,
+            "ground_found": self.ground.refined,
+            "camera_height_m": self.ground.camera_height_m if self.ground.refined else None,
             "observed_share": self.observed_share,
         }
 

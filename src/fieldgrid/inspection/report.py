@@ -68,7 +68,7 @@ class Inspection:
         return self.frames - self.reasons.total()
 
     def count(self, severity: Severity) -> int:
-        """How many findings are so bad."""
+        """Number of findings of this severity."""
         return sum(finding.severity is severity for finding in self.findings)
 
     def as_dict(self) -> dict[str, Any]:
@@ -80,9 +80,11 @@ class Inspection:
             "builds": self.builds,
             "findings": [finding.as_dict() for finding in self.findings],
             "duration_s": self.duration_s,
-            "streams": [stream.as_dict() for stream in self.streams],
+            "streams": [stream._asdict() for stream in self.streams],
             "gnss": self.gnss_source,
-            "rig": None if self.rig is None else _rig(self.rig),
+            "rig": None
+            if self.rig is None
+            else {"sensor_kind": type(self.rig.sensor).__name__, **asdict(self.rig)},
             "frames": self.frames,
             "frames_looked_at": self.looked,
             "frames_followed": self.followed,
@@ -96,20 +98,16 @@ class Inspection:
             "frames_rejected": dict(self.reasons.most_common()),
             "images": [look.as_dict() for look in self.looks],
             "vertical": None if self.misalignment is None else self.misalignment.as_dict(),
-            "ground": None if self.ground is None else self.ground.as_dict(),
+            "ground": None if self.ground is None else self.ground._asdict(),
             "scale": None if self.scale is None else self.scale._asdict(),
-            "coverage": None if self.coverage is None else self.coverage.as_dict(),
+            "coverage": None if self.coverage is None else self.coverage._asdict(),
         }
         known: dict[str, Any] = _known(values)
         return known
 
 
-def _rig(rig: Rig) -> dict[str, Any]:
-    return {"sensor_kind": type(rig.sensor).__name__, **asdict(rig)}
-
-
 def _known(value: Any) -> Any:
-    """The same without numbers that JSON does not have."""
+    """A value for JSON, with None in place of numbers that JSON does not have."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):

@@ -22,7 +22,7 @@ NARROWEST_DEG, WIDEST_DEG = 15.0, 150.0
 
 HEIGHT_SHARE, LEAN_DEG, CLEAR_SIGMAS = 0.08, 1.5, 4.0
 """A mounting disagrees with the ground when height, tilt or roll is off by more than these, and
-by more than so many errors of the mean: the ground ahead is not the one under the wheels."""
+by more than `CLEAR_SIGMAS` errors of the mean: the ground ahead is not the one under the wheels."""
 
 FEWEST_GROUNDS = 5
 
@@ -37,10 +37,6 @@ class GroundSeen(NamedTuple):
     roll_deg: float
     roll_sigma_deg: float
     frames: int
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return self._asdict()
 
 
 def rig_findings(rig: Rig) -> Iterator[Finding]:

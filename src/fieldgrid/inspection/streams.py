@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,8 @@ APART_S = 0.1
 exposure, transport and a busy disk take."""
 
 DRIFT_PPM, DRIFT_S, DRIFT_OVER_S = 100.0, 0.05, 60.0
-"""Quartz is good for 50 ppm. A drift is one when it is faster, comes to so much over the drive,
-and was seen for a minute."""
+"""Quartz is good for 50 ppm. A drift is one when it is faster than `DRIFT_PPM`, comes to `DRIFT_S`
+over the drive, and was seen for `DRIFT_OVER_S`."""
 
 JUMP_S = 0.5
 """A delay that changes by more than this, and stays, is a clock that was set."""
@@ -56,10 +56,6 @@ class StreamSummary(NamedTuple):
     unstamped: int
     delay_s: float | None
     drift_ppm: float | None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return self._asdict()
 
 
 def summarise_stream(stream: Stream) -> StreamSummary:
@@ -103,8 +99,7 @@ def stream_findings(streams: Sequence[Stream]) -> Iterator[Finding]:
 
 def _order_findings(stream: Stream, summary: StreamSummary) -> Iterator[Finding]:
     if summary.backward:
-        steps_ns = np.diff(stream.stamp_ns[stream.stamp_ns > 0])
-        farthest_s = float(-steps_ns.min()) / 1e9
+        farthest_s = float(-np.diff(stream.stamp_ns[stream.stamp_ns > 0]).min()) / 1e9
         yield warning(
             "backward-stamps",
             f"{summary.backward} stamps of {stream.name} are earlier than the one before, by up "
@@ -159,16 +154,16 @@ class _Delay(NamedTuple):
 def _delay_s(stream: Stream) -> _Delay | None:
     if stream.receive_ns is None or len(stream.receive_ns) != len(stream.stamp_ns):
         return None
-    known = stream.stamp_ns > 0
-    if not known.any():
+    stamped = stream.stamp_ns > 0
+    stamps, received = stream.stamp_ns[stamped], stream.receive_ns[stamped]
+    if not len(stamps):
         return None
-    stamps, received = stream.stamp_ns[known], stream.receive_ns[known]
     return _Delay((received - received[0]) / 1e9, (received - stamps) / 1e9)
 
 
-def _lower_envelope(delay: _Delay, parts: int = 20) -> _Delay:
-    """The least delay of each part of the drive: waiting only adds to it."""
-    groups = [g for g in np.array_split(np.arange(len(delay.time_s)), parts) if g.size]
+def _lower_envelope(delay: _Delay) -> _Delay:
+    """The least delay of each twentieth of the drive: waiting only adds to it."""
+    groups = [g for g in np.array_split(np.arange(len(delay.time_s)), 20) if g.size]
     least = np.array([g[np.argmin(delay.delay_s[g])] for g in groups], dtype=np.intp)
     return _Delay(delay.time_s[least], delay.delay_s[least])
 
@@ -190,8 +185,7 @@ def _drift_ppm(delay: _Delay) -> float | None:
 def _jumps(delay: _Delay) -> list[tuple[float, float]]:
     """When, in seconds since the first, and by how much the delay changed for good."""
     found: list[tuple[float, float]] = []
-    change = np.abs(np.diff(delay.delay_s))
-    for k in np.flatnonzero(change > JUMP_S).tolist():
+    for k in np.flatnonzero(np.abs(np.diff(delay.delay_s)) > JUMP_S).tolist():
         before = delay.delay_s[max(k + 1 - JUMP_OVER, 0) : k + 1]
         after = delay.delay_s[k + 1 : k + 1 + JUMP_OVER]
         # Waiting adds to the least delay of neither side.
@@ -213,28 +207,23 @@ def _delay_findings(stream: Stream, delay: _Delay) -> Iterator[Finding]:
             "Do not set the clock during a drive; use only the part before or after the jump.",
         )
         return
-    drift_ppm = _drift_ppm(delay)
-    over_s = float(delay.time_s[-1] - delay.time_s[0])
-    if (
-        drift_ppm is not None
-        and abs(drift_ppm) > DRIFT_PPM
-        and abs(drift_ppm) * 1e-6 * over_s > DRIFT_S
-    ):
+    drift_ppm = _drift_ppm(delay) or 0.0
+    drift_s = abs(drift_ppm) * 1e-6 * float(delay.time_s[-1] - delay.time_s[0])
+    if abs(drift_ppm) > DRIFT_PPM and drift_s > DRIFT_S:
         yield warning(
             "clock-drift",
             f"The stamps of {stream.name} drift by {-drift_ppm:+.0f} ppm against the time of "
-            f"receipt, {abs(drift_ppm) * 1e-6 * over_s:.3f} s over the drive.",
+            f"receipt, {drift_s:.3f} s over the drive.",
             "Synchronise the clock of that sensor (PTP, NTP, PPS); an offset cannot fix drift.",
         )
 
 
 def _apart_findings(used: Sequence[Stream]) -> Iterator[Finding]:
     """Images and fixes whose stamps are of different clocks, by when both were written down."""
-    images = _first_delay(used, ("left", "depth", "disparity", "cloud", "right"))
-    fixes = _first_delay(used, ("fix", "nmea"))
-    if images is None or fixes is None:
+    image, image_s = _first_delay(used, ("left", "depth", "disparity", "cloud", "right"))
+    fix, fix_s = _first_delay(used, ("fix", "nmea"))
+    if image is None or fix is None:
         return
-    (image, image_s), (fix, fix_s) = images, fixes
     apart_s = image_s - fix_s
     # Beyond what an offset can be, stamps count from when a sensor was switched on; the recorder's
     # times stand for them.
@@ -248,10 +237,10 @@ def _apart_findings(used: Sequence[Stream]) -> Iterator[Finding]:
         )
 
 
-def _first_delay(used: Sequence[Stream], roles: Sequence[str]) -> tuple[Stream, float] | None:
-    for role in roles:
-        for stream in used:
-            delay = _delay_s(stream) if stream.role == role else None
-            if delay is not None:
-                return stream, float(np.median(_lower_envelope(delay).delay_s))
-    return None
+def _first_delay(used: Sequence[Stream], roles: Sequence[str]) -> tuple[Stream | None, float]:
+    """The first stream of these roles whose delay is known, and its delay; None where none is."""
+    for stream in (stream for role in roles for stream in used if stream.role == role):
+        delay = _delay_s(stream)
+        if delay is not None:
+            return stream, float(np.median(_lower_envelope(delay).delay_s))
+    return None, 0.0

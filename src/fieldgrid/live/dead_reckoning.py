@@ -6,27 +6,19 @@ An estimate is always some tenths of a second old and lacks the newest measureme
 from __future__ import annotations
 
 import math
-import threading
-from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.live.sensor_rows import Rows
+from fieldgrid.live.sensor_rows import KEPT_NS, RecentRows
 from fieldgrid.odometry import CameraStep
 from fieldgrid.sweep import LONGEST_S, OriginTrack
 from fieldgrid.trajectory import Trajectory
 
-KEPT_S = 15.0
-"""Rows are kept for so long; over as much of an estimate the gyro's bias is told."""
-
-HELD_S = 0.3
-"""A rate or a speed of sensors holds for so long after the last that was said."""
-
 KNOWN_S, ROLLED_S = 1.5, 1.0
-"""The speed of an estimate holds for so long where there are no wheels; and for so long a frame is
-placed by it and the gyro."""
+"""The time for which the speed of an estimate holds where there are no wheels, and the time over
+which a frame is placed by it and the gyro."""
 
 LEAST_BIAS_S = 5.0
 """Of less, the bias of a gyro is not told."""
@@ -40,42 +32,8 @@ slides on a metre, 1 sigma: the smoother's."""
 
 TICK_S = 0.02
 
-MOST_NEW = 1000
-"""So many pushes wait to be put in order until something is asked."""
 
-
-class _Track(NamedTuple):
-    """Values of one sensor in order of time."""
-
-    time_ns: Int64
-    value: Float64
-
-    def with_rows(self, time_ns: Int64, value: Float64) -> _Track:
-        """These and others, without those that are old."""
-        times, first = np.unique(np.concatenate([self.time_ns, time_ns]), return_index=True)
-        values = np.concatenate([self.value, value])[first]
-        recent = times >= times[-1] - round(KEPT_S * 1e9)
-        return _Track(times[recent], values[recent])
-
-    def at(self, time_ns: Int64) -> Float64:
-        """The values at some instants; beyond the ends those there."""
-        origin = self.time_ns[0]
-        known_s = (self.time_ns - origin) / 1e9
-        return np.asarray(np.interp((time_ns - origin) / 1e9, known_s, self.value))
-
-    def holds(self, from_ns: int, to_ns: int) -> bool:
-        """Whether it says something of all of this."""
-        held_ns = round(HELD_S * 1e9)
-        inside = (self.time_ns >= from_ns - held_ns) & (self.time_ns <= to_ns + held_ns)
-        known = self.time_ns[inside]
-        around = np.concatenate([[from_ns - held_ns], known, [to_ns + held_ns]])
-        return bool(len(known)) and int(np.diff(around).max()) <= 2 * held_ns
-
-
-_NOTHING = _Track(np.zeros(0, np.int64), np.zeros(0))
-
-
-class _Known(NamedTuple):
+class _EstimateEnd(NamedTuple):
     """The end of an estimate: when, the speed then, and the gyro's bias."""
 
     time_ns: int
@@ -83,42 +41,14 @@ class _Known(NamedTuple):
     bias_rad_s: float
 
 
-class DeadReckoning:
+class DeadReckoning(RecentRows):
     """Takes gyro and wheel rows and estimates, and gives short motions of the grid origin. Can be
     used from any thread."""
 
     def __init__(self, rear_axle_forward_m: float | None) -> None:
+        super().__init__({"gyro": 1, "wheels": 1})
         self._axle_m = rear_axle_forward_m or 0.0
-        self._lock = threading.Lock()
-        self._tracks = {"gyro": _NOTHING, "wheels": _NOTHING}
-        self._new: dict[str, list[Rows]] = {part: [] for part in self._tracks}
-        self._known: _Known | None = None
-
-    def add_rows(self, part: str, rows: Rows) -> None:
-        """Rows of any part; those of others say nothing here."""
-        if part not in self._tracks or not len(rows.time_ns):
-            return
-        with self._lock:
-            self._new[part].append(rows)
-            if len(self._new[part]) >= MOST_NEW:
-                self._merge()
-
-    def forget(self, sources: Collection[str]) -> None:
-        """Forget what some sources said: it was of another time."""
-        with self._lock:
-            for part in self._tracks.keys() & set(sources):
-                self._tracks[part] = _NOTHING
-                self._new[part].clear()
-
-    def _merge(self) -> tuple[_Track, _Track]:
-        """The values of gyro and wheels, with what is new of them; under the lock."""
-        for part, new in self._new.items():
-            if new:
-                time_ns = np.concatenate([rows.time_ns for rows in new])
-                value = np.concatenate([rows.columns[0] for rows in new])
-                self._tracks[part] = self._tracks[part].with_rows(time_ns, value)
-                new.clear()
-        return self._tracks["gyro"], self._tracks["wheels"]
+        self._known: _EstimateEnd | None = None
 
     def know(self, track: Trajectory) -> None:
         """The latest estimate."""
@@ -126,24 +56,20 @@ class DeadReckoning:
         if not ok.any():
             return
         time_ns, speed_mps = track.time_ns[ok], float(track.speed_mps[ok][-1])
-        since = time_ns >= time_ns[-1] - round(KEPT_S * 1e9)
+        since = time_ns >= time_ns[-1] - KEPT_NS
         time_ns, heading = time_ns[since], np.unwrap(np.radians(track.heading_deg[ok][since]))
-        with self._lock:
-            gyro, _ = self._merge()
-        bias_rad_s = 0.0
+        gyro, bias_rad_s = self.track("gyro"), 0.0
         took_s = (time_ns[-1] - time_ns[0]) / 1e9
         if took_s >= LEAST_BIAS_S and gyro.holds(int(time_ns[0]), int(time_ns[-1])):
             ticks = _ticks(int(time_ns[0]), int(time_ns[-1]))
-            turned = float(_summed(gyro.at(ticks), ticks)[-1])
+            turned = float(_summed(gyro.at(ticks)[:, 0], ticks)[-1])
             bias_rad_s = (turned - float(heading[-1] - heading[0])) / took_s
-        with self._lock:
-            self._known = _Known(int(time_ns[-1]), speed_mps, bias_rad_s)
+        self._known = _EstimateEnd(int(time_ns[-1]), speed_mps, bias_rad_s)
 
     def around(self, time_ns: int) -> OriginTrack | None:
         """The way around an instant, as far as a sweep may reach; None where nothing tells how
         the vehicle goes then."""
-        half_ns = round(LONGEST_S * 1e9)
-        return self._way(time_ns, time_ns, half_ns)
+        return self._way(time_ns, time_ns, round(LONGEST_S * 1e9))
 
     def step(self, from_ns: int, to_ns: int) -> CameraStep | None:
         """The motion from one instant to a later one; None where that is long or nothing tells
@@ -153,11 +79,9 @@ class DeadReckoning:
         if way is None:
             return None
         right_m, forward_m = float(way.east_m[-1]), float(way.north_m[-1])
-        with self._lock:
-            by_wheels = self._merge()[1].holds(from_ns, to_ns)
         gone_m = math.hypot(right_m, forward_m)
         along_m = ACCELERATION_MPS2 * math.sqrt(took_s**3 / 3.0)
-        if by_wheels:
+        if self.track("wheels").holds(from_ns, to_ns):
             along_m = WHEEL_SHARE * gone_m
         return CameraStep(
             *(forward_m, right_m, math.degrees(float(way.heading_rad[-1]))),
@@ -168,20 +92,19 @@ class DeadReckoning:
         )
 
     def _way(self, from_ns: int, to_ns: int, beyond_ns: int) -> OriginTrack | None:
-        """The way from one instant to another and so far beyond both, which begins at 0, 0 with
-        the heading 0."""
-        with self._lock:
-            (gyro, wheels), known = self._merge(), self._known
+        """The way from one instant to another and `beyond_ns` beyond both, which begins at 0, 0
+        with the heading 0."""
+        gyro, wheels, known = self.track("gyro"), self.track("wheels"), self._known
         if not gyro.holds(from_ns, to_ns):
             return None
         ticks = _ticks(from_ns - beyond_ns, to_ns + beyond_ns)
         if wheels.holds(from_ns, to_ns):
-            speed_mps = wheels.at(ticks)
+            speed_mps = wheels.at(ticks)[:, 0]
         elif known is not None and abs(to_ns - known.time_ns) <= KNOWN_S * 1e9:
             speed_mps = np.full(len(ticks), known.speed_mps)
         else:
             return None
-        rate_rad_s = gyro.at(ticks) - (known.bias_rad_s if known is not None else 0.0)
+        rate_rad_s = gyro.at(ticks)[:, 0] - (known.bias_rad_s if known is not None else 0.0)
         heading_rad = _summed(rate_rad_s, ticks)
         # The axle goes straight ahead; the origin, which lies off it, slides in turns.
         across_mps = -self._axle_m * rate_rad_s

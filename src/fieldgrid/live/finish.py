@@ -250,7 +250,7 @@ def _placed(
         # that is not possible, readers do without.
         with suppress(MapError):
             open_map(out, writable=True, patience=patience).close()
-        session = NewSession(recording, settings, None, None, about.name, 1)
+        session = NewSession(recording, settings, None, about.name)
         session.report.notes += ("The drive was in the map already.",)
         session.report.frames = len(drive.frames) - left_out
         return _Placed(session.report, left_out)
@@ -266,7 +266,7 @@ def _placed(
         check_poses(recording, trajectory)
     told = attitude_of_grids(recording, estimate)
     attitude = told if kept.points.is_levelling else None
-    session = NewSession(recording, settings, None, attitude, about.name, 1, skips_bad=True)
+    session = NewSession(recording, settings, attitude, about.name, skips_bad=True)
     if told is not None and attitude is None:
         session.report.notes += (NOT_LEVELLED,)
     datum = datum or trajectory.datum

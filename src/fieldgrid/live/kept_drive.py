@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from fieldgrid.build import BadFrame
 from fieldgrid.build.parts import found_from_json
 from fieldgrid.build.report import StageTimes
-from fieldgrid.build.rig_config import rig_from_config, rig_to_config
+from fieldgrid.build.rig_config import rig_from_config
 from fieldgrid.build.staging import Found
 from fieldgrid.errors import MapError
 from fieldgrid.fixes import Fix
@@ -68,7 +68,7 @@ class SessionStart:
         """As a value that JSON has."""
         return {
             "name": self.name,
-            "rig": rig_to_config(self.rig),
+            "rig": self.rig.as_dict(),
             "settings": self.settings.model_dump(mode="json"),
             "datum": _datum_to_json(self.datum),
             "datum_hint": _datum_to_json(self.datum_hint),

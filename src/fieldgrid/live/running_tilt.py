@@ -7,18 +7,16 @@ An estimate is always some tenths of a second older than the frame that is gridd
 from __future__ import annotations
 
 import math
-import threading
-from collections import deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Float64, Int64
+from fieldgrid.array_types import Float64
 from fieldgrid.attitude import Attitude
-from fieldgrid.live.sensor_rows import Rows
+from fieldgrid.live.sensor_rows import RecentRows, SensorTrack
 from fieldgrid.rotations import (
     R_enu_level,
     R_level_vehicle,
@@ -29,17 +27,11 @@ from fieldgrid.rotations import (
 )
 from fieldgrid.trajectory import Pose
 
-KEPT_NS = 15_000_000_000
-"""Rows are kept for so long."""
-
 BIAS_S, PIECE_NS, LEAST_PIECES = 10.0, 1_000_000_000, 3
 """Over the last seconds of an estimate the bias of the rates is told, in pieces, and of no less."""
 
 CARRIED_S = 5.0
-"""So long after the estimate the lean is known."""
-
-HELD_NS = 300_000_000
-"""The rate or the angle of a sensor holds for so long."""
+"""Time after the end of the estimate for which the lean is known."""
 
 DRIFT_DEG = 0.2
 """How far carried angles are off after a second, 1 sigma."""
@@ -49,48 +41,25 @@ _COLUMNS = {"inertial": 1, "tilt": 2, "orientation": 2}
 """Of the parts that tell how the lean changes, how many of their columns do."""
 
 
-class _Known(NamedTuple):
+class _LatestEstimate(NamedTuple):
     """The latest estimate, and the bias of the rates by it, rad/s [3]."""
 
     attitude: Attitude
     bias_rad_s: Float64
 
 
-class RunningTilt:
+class RunningTilt(RecentRows):
     """Takes rows and estimates, and gives the tilt of the vehicle. Safe from any thread."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._rows: dict[str, deque[tuple[Int64, Float64]]] = {part: deque() for part in _COLUMNS}
-        self._known: _Known | None = None
-
-    def add_rows(self, part: str, rows: Rows) -> None:
-        """Rows of any part; those of others say nothing here."""
-        if part not in _COLUMNS or not len(rows.time_ns):
-            return
-        values = np.column_stack(rows.columns[: _COLUMNS[part]]).astype(np.float64)
-        known = np.isfinite(values).all(axis=1)
-        if not known.any():
-            return
-        with self._lock:
-            chunks = self._rows[part]
-            times_ns = rows.time_ns[known]
-            chunks.append((times_ns, values[known]))
-            while chunks and chunks[0][0][-1] < times_ns[-1] - KEPT_NS:
-                chunks.popleft()
-
-    def forget(self, sources: Collection[str]) -> None:
-        """Forget what some sources said: it was of another time."""
-        with self._lock:
-            for part in self._rows.keys() & set(sources):
-                self._rows[part].clear()
+        super().__init__(_COLUMNS)
+        self._known: _LatestEstimate | None = None
 
     def know(self, attitude: Attitude | None) -> None:
         """The latest estimate; None where nothing tells how the vehicle leans."""
-        if attitude is None:
-            self._known = None
-            return
-        self._known = _Known(attitude, self._bias_rad_s(attitude))
+        self._known = None
+        if attitude is not None:
+            self._known = _LatestEstimate(attitude, self._bias_rad_s(attitude))
 
     def _bias_rad_s(self, attitude: Attitude) -> Float64:
         """How far the rates are off by an estimate over its last seconds, [3]; 0 where they are
@@ -98,14 +67,14 @@ class RunningTilt:
         until_ns = int(attitude.time_ns[-1])
         since_ns = max(int(attitude.time_ns[0]), until_ns - round(BIAS_S * 1e9))
         pieces = int((until_ns - since_ns) // PIECE_NS)
-        track = self._track("inertial", since_ns, until_ns)
-        if track is None or pieces < LEAST_PIECES:
+        track = self.track("inertial")
+        if pieces < LEAST_PIECES or not track.holds(since_ns, until_ns):
             return np.zeros(3)
         edges_ns = until_ns - PIECE_NS * np.arange(pieces, -1, -1)
         ends = attitude.at(edges_ns)
         R = R_enu_level(ends.heading_deg) @ R_level_vehicle(ends.roll_deg, ends.pitch_deg)
         # Piece by piece: over more, a turn moves the bias from one axis to another.
-        by_rates = [_turned(*track, *edges) for edges in pairwise(edges_ns.tolist())]
+        by_rates = [_turned(track, *edges) for edges in pairwise(edges_ns.tolist())]
         off_rad = to_vectors(
             np.stack(by_rates).transpose(0, 2, 1) @ R[:-1].transpose(0, 2, 1) @ R[1:]
         )
@@ -125,39 +94,25 @@ class RunningTilt:
             return None
         roll, pitch, sigma = attitude.tilt_at(end_ns)
         sigma = math.hypot(sigma, DRIFT_DEG * late_s)
-        told = self._track("tilt", end_ns, time_ns) or self._track("orientation", end_ns, time_ns)
-        if told is not None:
-            (roll_0, pitch_0), (roll_1, pitch_1) = _at(np.array([end_ns, time_ns]), *told)
-            return Tilt(float(roll + roll_1 - roll_0), float(pitch + pitch_1 - pitch_0), sigma)
-        track = self._track("inertial", end_ns, time_ns)
-        if track is None:
+        for told in (self.track("tilt"), self.track("orientation")):
+            if told.holds(end_ns, time_ns):
+                (roll_0, pitch_0), (roll_1, pitch_1) = told.at(np.array([end_ns, time_ns]))
+                return Tilt(float(roll + roll_1 - roll_0), float(pitch + pitch_1 - pitch_0), sigma)
+        track = self.track("inertial")
+        if not track.holds(end_ns, time_ns):
             return attitude.tilt_at(time_ns)
-        turned = _turned(track[0], track[1] - known.bias_rad_s, end_ns, time_ns)
+        unbiased = track._replace(values=track.values - known.bias_rad_s)
+        turned = _turned(unbiased, end_ns, time_ns)
         roll_deg, pitch_deg = roll_pitch_deg(R_level_vehicle(roll, pitch) @ turned)
         return Tilt(float(roll_deg), float(pitch_deg), sigma)
 
-    def _track(self, part: str, from_ns: int, to_ns: int) -> tuple[Int64, Float64] | None:
-        """Times [n] and values [n, k] of a part, in order of time; None where they do not say
-        something of all of this."""
-        with self._lock:
-            chunks = list(self._rows[part])
-        if not chunks:
-            return None
-        times, values = (np.concatenate(columns) for columns in zip(*chunks, strict=True))
-        times, first = np.unique(times, return_index=True)
-        inside = times[(times >= from_ns - HELD_NS) & (times <= to_ns + HELD_NS)]
-        around = np.concatenate([[from_ns - HELD_NS], inside, [to_ns + HELD_NS]])
-        if not len(inside) or int(np.diff(around).max()) > 2 * HELD_NS:
-            return None
-        return times, values[first]
 
-
-def _turned(time_ns: Int64, rate_rad_s: Float64, from_ns: int, to_ns: int) -> Float64:
+def _turned(rates: SensorTrack, from_ns: int, to_ns: int) -> Float64:
     """The vehicle's axes at the later instant, seen from those at the earlier one [3, 3], by rates
-    [n, 3] at times [n]."""
+    of turn [n, 3]."""
     count = math.ceil((to_ns - from_ns) / 1e9 / _TICK_S)
     edges_ns = from_ns + np.rint(np.linspace(0, to_ns - from_ns, count + 1)).astype(np.int64)
-    middle = _at((edges_ns[1:] + edges_ns[:-1]) // 2, time_ns, rate_rad_s)
+    middle = rates.at((edges_ns[1:] + edges_ns[:-1]) // 2)
     R = from_vectors(middle * (np.diff(edges_ns) / 1e9)[:, None])
     while len(R) > 1:  # the product in order, neighbours first
         even = np.concatenate([R, np.eye(3)[None]]) if len(R) % 2 else R
@@ -165,24 +120,18 @@ def _turned(time_ns: Int64, rate_rad_s: Float64, from_ns: int, to_ns: int) -> Fl
     return np.asarray(R[0])
 
 
-def _at(wanted_ns: Int64, time_ns: Int64, values: Float64) -> Float64:
-    """Values [n, k] at other instants [m, k]; beyond the ends those there."""
-    at_s, known_s = (wanted_ns - time_ns[0]) / 1e9, (time_ns - time_ns[0]) / 1e9
-    return np.stack([np.interp(at_s, known_s, column) for column in values.T], axis=1)
-
-
 def square_to_ground(pose: Pose, tilt: Tilt, sensor_m: float) -> Pose:
-    """The pose of a level grid's origin, vertically below a sensor so high, as that of a grid that
-    is perpendicular to the ground: below the sensor along the vehicle's own axis."""
+    """The pose of a level grid's origin, vertically below a sensor `sensor_m` high, as that of a
+    grid that is perpendicular to the ground: below the sensor along the vehicle's own axis."""
     R = R_level_vehicle(tilt.roll_deg, tilt.pitch_deg)
     east, north, _ = R_enu_level(pose.heading_deg) @ (np.eye(3) - R) @ [0.0, 0.0, sensor_m]
     return replace(pose, east_m=pose.east_m + float(east), north_m=pose.north_m + float(north))
 
 
 def lean_advice(attitude: Attitude | None, time_ns: int, antenna_m: float, most_m: float) -> str:
-    """What helps where poses are in doubt most of all since nothing but the camera tells the lean
-    (`attitude`), by which an antenna so high may be off, of `most_m` that a cell may be; else
-    empty."""
+    """The advice where poses are in doubt mainly because nothing but the camera tells the lean: the
+    uncertainty of the `attitude` moves an antenna of `antenna_m` height by more than its part of
+    `most_m`, the error that a cell may have. Empty otherwise."""
     sigma_deg = 0.0 if attitude is None else attitude.tilt_at(time_ns).sigma_deg
     off_m = abs(antenna_m) * math.radians(sigma_deg)
     if off_m <= most_m / math.sqrt(2.0):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.array_types import AnyArray, Bool, Int64
+from fieldgrid.array_types import AnyArray, Bool, Float64, Int64
 from fieldgrid.errors import ConfigError
 from fieldgrid.fixes import Fix
 from fieldgrid.motion import Gyro, Inertial, Motion, Orientation, RecordedTilt, WheelSpeed
@@ -36,6 +37,15 @@ _WIDE = {"inertial": (3, 3), "poses": (3, 9)}
 
 MOST_NS = 1 << 62
 
+KEPT_NS = 15_000_000_000
+"""Recent rows are kept for this time before the newest one."""
+
+HELD_NS = 300_000_000
+"""The rate, speed or angle of a sensor holds for this time after the last value."""
+
+MOST_NEW = 1000
+"""Number of pushes that wait to be put in order until something is asked."""
+
 
 class Rows(NamedTuple):
     """Some rows of one sensor: the times, and a column for each further field of its part."""
@@ -46,6 +56,73 @@ class Rows(NamedTuple):
     def where(self, taken: Bool) -> Rows:
         """Those that are taken [n]."""
         return Rows(self.time_ns[taken], tuple(column[taken] for column in self.columns))
+
+
+class SensorTrack(NamedTuple):
+    """Values [n, k] of one sensor in order of time."""
+
+    time_ns: Int64
+    values: Float64
+
+    def at(self, time_ns: Int64) -> Float64:
+        """The values at some instants [m, k]; beyond the ends those there."""
+        origin = self.time_ns[0]
+        at_s, known_s = (time_ns - origin) / 1e9, (self.time_ns - origin) / 1e9
+        return np.stack([np.interp(at_s, known_s, column) for column in self.values.T], axis=1)
+
+    def holds(self, from_ns: int, to_ns: int) -> bool:
+        """Whether it has values all the way from one instant to another."""
+        inside = (self.time_ns >= from_ns - HELD_NS) & (self.time_ns <= to_ns + HELD_NS)
+        around = np.concatenate([[from_ns - HELD_NS], self.time_ns[inside], [to_ns + HELD_NS]])
+        return bool(inside.any()) and int(np.diff(around).max()) <= 2 * HELD_NS
+
+
+class RecentRows:
+    """The first columns of the rows of some parts, over the last seconds; safe from any thread."""
+
+    def __init__(self, columns: Mapping[str, int]) -> None:
+        """`columns` are how many columns of each part are kept."""
+        self._columns = columns
+        self._rows_lock = threading.Lock()
+        self._new: dict[str, list[SensorTrack]] = {part: [] for part in columns}
+        self._tracks: dict[str, SensorTrack] = {}
+
+    def add_rows(self, part: str, rows: Rows) -> None:
+        """Rows of any part; those of other parts are ignored."""
+        if part not in self._columns or not len(rows.time_ns):
+            return
+        values = np.column_stack(rows.columns[: self._columns[part]]).astype(np.float64)
+        known = np.isfinite(values).all(axis=1)
+        with self._rows_lock:
+            self._new[part].append(SensorTrack(rows.time_ns[known], values[known]))
+            if len(self._new[part]) >= MOST_NEW:
+                self._merge(part)
+
+    def forget(self, sources: Collection[str]) -> None:
+        """Forget what some sources said: it was of another time."""
+        with self._rows_lock:
+            for part in self._columns.keys() & set(sources):
+                self._tracks.pop(part, None)
+                self._new[part].clear()
+
+    def track(self, part: str) -> SensorTrack:
+        """The values of a part, with those that were added last."""
+        with self._rows_lock:
+            return self._merge(part)
+
+    def _merge(self, part: str) -> SensorTrack:
+        """Put what is new of a part in order, without rows that are old; under the lock."""
+        pieces = [self._tracks[part]] if part in self._tracks else []
+        pieces += self._new[part]
+        if not pieces:
+            return SensorTrack(np.zeros(0, np.int64), np.zeros((0, self._columns[part])))
+        if self._new[part]:
+            times, values = (np.concatenate(column) for column in zip(*pieces, strict=True))
+            times, first = np.unique(times, return_index=True)
+            recent = times >= times.max(initial=0) - KEPT_NS
+            self._tracks[part] = SensorTrack(times[recent], values[first][recent])
+            self._new[part].clear()
+        return self._tracks[part]
 
 
 def check_time(what: str, time_ns: int) -> None:
@@ -104,7 +181,7 @@ def rows_to_json(part: str, rows: Rows) -> Any:
 
 
 def rows_from_json(value: Any) -> tuple[str, Rows]:
-    """The same again."""
+    """The part and the rows of such a value."""
     part, time_ns, *columns = value
     return part, rows_of(part, time_ns, *columns)
 
@@ -115,10 +192,7 @@ def fix_to_json(fix: Fix) -> Any:
 
 
 def fix_from_json(value: Any) -> Fix:
-    """The same again; what an earlier version did not keep was not said."""
+    """The fix of such a value; what an earlier version did not keep was not said."""
     fix = Fix(*value)
-    heading = fix.heading_quality
-    return fix._replace(
-        quality=Quality(fix.quality),
-        heading_quality=None if heading is None else Quality(heading),
-    )
+    heading = None if fix.heading_quality is None else Quality(fix.heading_quality)
+    return fix._replace(quality=Quality(fix.quality), heading_quality=heading)

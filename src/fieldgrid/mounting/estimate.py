@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -21,10 +21,10 @@ from fieldgrid.mounting.frame_probe import FrameProbe, FrameSample
 from fieldgrid.mounting.gnss_check import GnssCheck, check_against_gnss, remarks
 from fieldgrid.mounting.ground_steps import ground_steps
 from fieldgrid.mounting.ground_under_vehicle import MountSamples, ground_under_vehicle
-from fieldgrid.mounting.plane import SensorGround
+from fieldgrid.mounting.plane import SensorGround, median_plane
 from fieldgrid.mounting.selection import stretches, usual_every
 from fieldgrid.odometry import Refusal, RigidMotion, camera_motion
-from fieldgrid.recording import DriveOptions, Frame, Recording, open_drive
+from fieldgrid.recording import DriveOptions, Recording, open_drive
 from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
 from fieldgrid.travel import LEAST_WAY_M, Travel, Ways, travel
 
@@ -39,7 +39,8 @@ HEIGHT_FLOOR_M, HEIGHT_FLOOR_SHARE = 0.01, 0.006
 side of a lane is not like the other."""
 
 AHEAD_ANGLE_DEG, AHEAD_HEIGHT_SHARE = 0.6, 0.02
-"""The same where only the ground ahead was seen: it is seldom the plane that the vehicle is on."""
+"""What all frames share where only the ground ahead was seen: it is seldom the plane that the
+vehicle is on."""
 
 UNDER, AHEAD = "ground under the vehicle", "ground ahead"
 
@@ -47,7 +48,7 @@ HEIGHT, TILT = "camera_height_above_ground_m", "camera_tilt_down_deg"
 ROLL, YAW, AXLE = "camera_roll_deg", "camera_yaw_deg", "camera_ahead_of_rear_axle_m"
 
 DISAGREES = 3.0
-"""What is stated disagrees with what was measured when it is so many sigmas off."""
+"""Number of sigmas from which on a stated value disagrees with what was measured."""
 
 
 class Compared(NamedTuple):
@@ -128,10 +129,9 @@ class MountEstimate:
 
     def compared(self) -> list[Compared]:
         """What was measured beside what the recording states; empty when it states nothing."""
-        rig = self.stated
-        if rig is None:
+        if self.stated is None:
             return []
-        mount, axle_m = rig.mount, rig.rear_axle_forward_m
+        mount, axle_m = self.stated.mount, self.stated.rear_axle_forward_m
         stated = {
             HEIGHT: mount.height_m,
             TILT: mount.tilt_deg,
@@ -211,7 +211,7 @@ def _estimated(
             f"{FEWEST_PLANES} are needed to tell how its sensor is mounted; take a drive over open "
             "ground, or measure the mounting."
         )
-    rough = _middle(planes)
+    rough = median_plane(planes)
     motions = _motions(looks, joined, rig, rough)
     found, plane = ground_under_vehicle([look.patches for look in looks], motions, rough)
     steps = ground_steps(motions, plane)
@@ -259,23 +259,13 @@ def _look(
     starts = {stretch[0] for stretch in chosen if stretch}
     order = sorted(wanted)
     looks: list[FrameSample] = []
-    picked = _picked(recording.frames(), wanted)
+    picked = (frame for k, frame in enumerate(recording.frames()) if k in wanted)
     with closing(side_by_side(FrameProbe(recording.rig), picked, jobs)) as probed:
         for look in probed:
             looks.append(look)
             if progress is not None:
                 progress(len(looks), len(order))
     return looks, [k not in starts for k in order[: len(looks)]]
-
-
-def _picked(frames: Iterable[Frame], wanted: set[int]) -> Iterator[Frame]:
-    return (frame for k, frame in enumerate(frames) if k in wanted)
-
-
-def _middle(planes: Sequence[SensorGround]) -> SensorGround:
-    up = np.median([plane.up for plane in planes], axis=0)
-    height_m = float(np.median([plane.height_m for plane in planes]))
-    return SensorGround(up / np.linalg.norm(up), height_m)
 
 
 def _motions(
@@ -290,23 +280,22 @@ def _motions(
     middle = np.array([camera.baseline_m / 2.0, 0.0, 0.0])
     motions: list[RigidMotion | None] = []
     for (start, stop), follows in zip(pairwise(looks), joined[1:], strict=True):
-        if not follows or start.features is None or stop.features is None:
+        motion: RigidMotion | Refusal | None = None
+        if follows and start.features is not None and stop.features is not None:
+            motion = camera_motion(start.features, stop.features, roughly)
+        if isinstance(motion, RigidMotion):
+            R, t = motion
+            motions.append(RigidMotion(R, R @ middle + t - middle))
+        else:
             motions.append(None)
-            continue
-        motion = camera_motion(start.features, stop.features, roughly)
-        if isinstance(motion, Refusal):
-            motions.append(None)
-            continue
-        R, t = motion
-        motions.append(RigidMotion(R, R @ middle + t - middle))
     return motions
 
 
 def _ahead(looks: Sequence[FrameSample]) -> MountSamples:
     """The planes ahead, for want of better."""
-    planes = [(k, look.ahead) for k, look in enumerate(looks) if look.ahead is not None]
-    rows = np.array([(k, p.tilt_deg, p.roll_deg, p.height_m) for k, p in planes])
-    return MountSamples(rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2], rows[:, 3])
+    return MountSamples.of(
+        (k, look.ahead) for k, look in enumerate(looks) if look.ahead is not None
+    )
 
 
 def _means(found: MountSamples, under: bool) -> tuple[Measured, Measured, Measured]:

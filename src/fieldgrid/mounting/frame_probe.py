@@ -57,9 +57,8 @@ class _Seen(NamedTuple):
 class FrameProbe:
     """Looks at the frames of one rig, of whose mount it knows nothing; safe in threads."""
 
-    def __init__(self, rig: Rig, stereo: StereoSettings | None = None) -> None:
-        self._rig = rig
-        self._settings = stereo or StereoSettings()
+    def __init__(self, rig: Rig) -> None:
+        self._rig, self._settings = rig, StereoSettings()
         self._patch_m = SPARSE_PATCH_M if isinstance(rig.sensor, Lidar) else PATCH_M
         if isinstance(rig.sensor, StereoCamera):
             self._matcher = _matcher(rig.sensor, self._settings)

@@ -28,7 +28,7 @@ RUN_M = 8.0
 FEWEST_RUNS = 3
 SCALE_FLOOR = 0.003
 WRONG_SCALE, WRONG_SIGMAS = 0.02, 3.0
-"""A scale that is off by so much and so many sigmas is worth a word."""
+"""A scale that is off by this share and by more than this number of sigmas is worth a remark."""
 
 
 class GnssCheck(NamedTuple):
@@ -58,14 +58,10 @@ def check_against_gnss(recording: Recording, time_ns: Int64, steps: Ways) -> Gns
         return f"Nothing was compared with the fixes: {problem}"
     ratios = _ratios(estimate, time_ns, steps)
     scale = mean_of(ratios, SCALE_FLOOR) if len(ratios) >= FEWEST_RUNS else None
-    return GnssCheck(scale, _course_off(estimate))
-
-
-def _course_off(estimate: Estimate) -> Measured | None:
-    recorded = estimate.report.recorded
-    if recorded is None or recorded.mirrored or recorded.course or recorded.flips:
-        return None
-    return Measured(-recorded.offset_deg, max(recorded.offset_sigma_deg, 0.02))
+    recorded, course_off = estimate.report.recorded, None
+    if recorded is not None and not (recorded.mirrored or recorded.course or recorded.flips):
+        course_off = Measured(-recorded.offset_deg, max(recorded.offset_sigma_deg, 0.02))
+    return GnssCheck(scale, course_off)
 
 
 def _ratios(estimate: Estimate, time_ns: Int64, steps: Ways) -> Float64:
@@ -77,12 +73,12 @@ def _ratios(estimate: Estimate, time_ns: Int64, steps: Ways) -> Float64:
     distance_m, turned_rad, right_m, forward_m = 0.0, 0.0, 0.0, 0.0
     first, last = -1, -1
     for stop, step_m, direction, turn, curvature in zip(*steps, strict=True):
-        if stop != last + 1 or abs(curvature) > STRAIGHT_PER_M:
-            first, distance_m, turned_rad, right_m, forward_m = stop - 1, 0.0, 0.0, 0.0, 0.0
-        last = stop
         if abs(curvature) > STRAIGHT_PER_M:
             last = -1
             continue
+        if stop != last + 1:
+            first, distance_m, turned_rad, right_m, forward_m = stop - 1, 0.0, 0.0, 0.0, 0.0
+        last = stop
         bearing = turned_rad + math.radians(direction + turn / 2.0)
         right_m += step_m * math.sin(bearing)
         forward_m += step_m * math.cos(bearing)

@@ -9,13 +9,13 @@ is also surely ground, and no canopy.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.mounting.plane import SensorGround
+from fieldgrid.mounting.plane import SensorGround, median_plane
 from fieldgrid.odometry import RigidMotion
 from fieldgrid.plane_fit import robust_plane
 
@@ -53,6 +53,13 @@ class MountSamples(NamedTuple):
     roll_deg: Float64
     height_m: Float64
 
+    @classmethod
+    def of(cls, planes: Iterable[tuple[int, SensorGround]]) -> Self:
+        """The planes of some frames."""
+        rows = np.array([(k, p.tilt_deg, p.roll_deg, p.height_m) for k, p in planes])
+        frame, tilt_deg, roll_deg, height_m = rows.reshape(-1, 4).T
+        return cls(frame.astype(np.int64), tilt_deg, roll_deg, height_m)
+
 
 def ground_under_vehicle(
     seen: Sequence[Patches], motions: Sequence[RigidMotion | None], start: SensorGround
@@ -63,15 +70,13 @@ def ground_under_vehicle(
     `start` is roughly the plane.
     """
     under = [_brought(k, seen, motions) for k in range(len(seen))]
-    plane, rows = start, np.zeros((0, 4))
+    plane = start
     for _ in range(ROUNDS):
         found = [(k, plane_k) for k, there in enumerate(under) if (plane_k := _fit(there, plane))]
-        rows = np.array([(k, p.tilt_deg, p.roll_deg, p.height_m) for k, p in found]).reshape(-1, 4)
         if not found:
             break
-        up = np.median([p.up for _, p in found], axis=0)
-        plane = SensorGround(up / np.linalg.norm(up), float(np.median(rows[:, 3])))
-    return MountSamples(rows[:, 0].astype(np.int64), rows[:, 1], rows[:, 2], rows[:, 3]), plane
+        plane = median_plane([plane_k for _, plane_k in found])
+    return MountSamples.of(found), plane
 
 
 def _brought(k: int, seen: Sequence[Patches], motions: Sequence[RigidMotion | None]) -> Patches:
@@ -79,10 +84,7 @@ def _brought(k: int, seen: Sequence[Patches], motions: Sequence[RigidMotion | No
     points, sigmas = [], []
     for direction in (-1, 1):
         R, t, j, distance_m = np.eye(3), np.zeros(3), k, 0.0
-        while True:
-            step = _step(j, direction, motions)
-            if step is None:
-                break
+        while (step := _step(j, direction, motions)) is not None:
             R, t = R @ step.R_stop_start, R @ step.t_stop_start_m + t
             distance_m += float(np.linalg.norm(step.t_stop_start_m))
             j += direction
@@ -109,14 +111,12 @@ def _step(j: int, direction: int, motions: Sequence[RigidMotion | None]) -> Rigi
 def _fit(there: Patches, plane: SensorGround) -> SensorGround | None:
     """The plane under the vehicle; None when too little of it was seen."""
     level = plane.level(there.points_m)
-    x, y, z = level.T
-    below = (np.abs(x) < HALF_WIDTH_M) & (y > BACK_M) & (y < AHEAD_M)
+    below = (np.abs(level[:, 0]) < HALF_WIDTH_M) & (level[:, 1] > BACK_M) & (level[:, 1] < AHEAD_M)
     if np.count_nonzero(below) < FEWEST:
         return None
-    if np.ptp(x[below]) < SPREAD * 2.0 * HALF_WIDTH_M:
+    x, y, z = level[below].T
+    if np.ptp(x) < SPREAD * 2.0 * HALF_WIDTH_M or np.ptp(y) < SPREAD * (AHEAD_M - BACK_M):
         return None
-    if np.ptp(y[below]) < SPREAD * (AHEAD_M - BACK_M):
-        return None
-    c, agreeing = robust_plane(x[below], y[below], z[below], there.sigma_m[below])
+    c, agreeing = robust_plane(x, y, z, there.sigma_m[below])
     found = plane.corrected(c)
     return found if agreeing >= FEWEST and found.can_be() else None

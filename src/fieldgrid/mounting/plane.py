@@ -8,6 +8,7 @@ of a canopy fills more of an image than the lane.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -63,8 +64,7 @@ class SensorGround(NamedTuple):
 
     def level(self, points_m: Float64) -> Float64:
         """Points [n, 3] of the sensor's frame: right, ahead, above the ground."""
-        there: Float64 = points_m @ self.rotation().T + [0.0, 0.0, self.height_m]
-        return there
+        return np.asarray(points_m @ self.rotation().T + [0.0, 0.0, self.height_m])
 
     def corrected(self, c: Float64) -> SensorGround:
         """The plane z = c0 + c1·x + c2·y of this one's level frame."""
@@ -79,6 +79,13 @@ class SensorGround(NamedTuple):
             and TILTS_DEG[0] < self.tilt_deg < TILTS_DEG[1]
             and abs(self.roll_deg) < MOST_ROLL_DEG
         )
+
+
+def median_plane(planes: Sequence[SensorGround]) -> SensorGround:
+    """The median of planes, each coordinate of `up` by itself."""
+    up = np.median([plane.up for plane in planes], axis=0)
+    height_m = float(np.median([plane.height_m for plane in planes]))
+    return SensorGround(up / np.linalg.norm(up), height_m)
 
 
 def rough_plane(points_m: Float64, range_sigma_m: Float64) -> SensorGround | None:
@@ -158,5 +165,4 @@ def low_patches(
     patches = np.column_stack([means[0], means[1], low, np.hypot(means[2], 0.03)])
     ahead_m = np.hypot(patches[:, 0], patches[:, 1])
     kept = (counts >= MIN_SAMPLES) & (np.abs(low) < NEAR_M + NEAR_SHARE * ahead_m)
-    found: Float64 = patches[kept]
-    return found
+    return np.asarray(patches[kept])

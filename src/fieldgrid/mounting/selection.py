@@ -14,7 +14,7 @@ APART_M = 1.0
 """Nearer frames say the same again; over a longer way the camera's motion is harder to tell."""
 
 STRETCHES, OF_FRAMES = 8, 60
-"""Of a longer drive, so many stretches of so many frames each, spread over it."""
+"""Number of stretches of a longer drive, spread over it, and of the frames in each."""
 
 MOVING_MPS = 0.2
 PAIR_NS = 1_000_000_000

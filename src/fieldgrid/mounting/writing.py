@@ -32,8 +32,7 @@ def write_estimate(
             f"{url} is only read, so its mounting was not written; write what was measured into "
             "its mounting.json there, or give --mounting FILE.json."
         )
-    place, rig = mounting_path(Path(recording)), estimate.stated
-    mount = _rounded(estimate)
+    place, rig, mount = mounting_path(Path(recording)), estimate.stated, _rounded(estimate)
     if antenna_flu_m is not None:
         forward_m, left_m, up_m = antenna_flu_m
         antenna = LeverArm(-left_m + 0.0, forward_m, mount.height_m + up_m)
@@ -67,10 +66,10 @@ def write_estimate(
 
 def _rounded(estimate: MountEstimate) -> Mount:
     """The mount without digits that mean nothing; a yaw that was not told stays as stated."""
-    mount, rig = estimate.mount, estimate.stated
+    mount = estimate.mount
     yaw_deg = mount.yaw_deg
-    if estimate.yaw_deg is None and rig is not None:
-        yaw_deg = rig.mount.yaw_deg
+    if estimate.yaw_deg is None and estimate.stated is not None:
+        yaw_deg = estimate.stated.mount.yaw_deg
     return Mount(
         round(mount.height_m, _HEIGHT_DIGITS),
         round(mount.tilt_deg, _ANGLE_DIGITS),
