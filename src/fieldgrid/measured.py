@@ -10,7 +10,7 @@ import numpy as np
 from fieldgrid.array_types import Bool, Float64
 
 OUTLIER = 5.0
-"""Values farther off than so many scatters are left out."""
+"""Values that are farther off than this number of scatters are left out."""
 
 
 class Measured(NamedTuple):
@@ -27,8 +27,7 @@ class Measured(NamedTuple):
 def kept(values: Float64) -> Bool:
     """Mask of the values [n] that are no outliers, by the median of their distances."""
     off = np.abs(values - np.median(values))
-    kept_: Bool = off <= OUTLIER * max(1.4826 * float(np.median(off)), 1e-9)
-    return kept_
+    return np.asarray(off <= OUTLIER * max(1.4826 * float(np.median(off)), 1e-9))
 
 
 def repeated(residuals: Float64) -> float:

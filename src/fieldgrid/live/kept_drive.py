@@ -30,7 +30,7 @@ JOURNAL, GRIDS, POINTS = "journal", "frames.grids", "frames.points"
 """The files in a session's folder."""
 
 PIECES = 1000
-"""So many pieces of rows are joined to one."""
+"""Number of pieces of rows that are joined to one."""
 
 
 _IN_WORDS = {
@@ -92,7 +92,8 @@ class SessionStart:
 
     @classmethod
     def from_json(cls, value: dict[str, Any]) -> SessionStart:
-        """The same again."""
+        """The start of a session of such a value."""
+        poses = value.get("poses")
         return cls(
             value["name"],
             rig_from_config(value["rig"], value["name"]),
@@ -103,16 +104,9 @@ class SessionStart:
             value["source"],
             value["source_sha256"],
             tuple(value["notes"]),
-            _body_from_json(value.get("poses")),
+            # None, too, of a session that was begun before there were any.
+            None if poses is None else PoseBody(*poses[:2], poses[2] and tuple(poses[2])),
         )
-
-
-def _body_from_json(value: list[Any] | None) -> PoseBody | None:
-    """None, too, of a session that was begun before there were any."""
-    if value is None:
-        return None
-    name, axes, point = value
-    return PoseBody(name, axes, None if point is None else tuple(point))
 
 
 def _datum_to_json(datum: Datum | None) -> list[float] | None:
@@ -131,7 +125,7 @@ class KeptFrame(NamedTuple):
     is_timed: bool = False
 
     def is_within(self, end: int) -> bool:
-        """Whether a file of points that is so long has those of the frame."""
+        """Whether a file of points of `end` bytes has those of the frame."""
         return self.points is None or self.points.start + self.points.size <= end
 
 

@@ -22,14 +22,14 @@ from fieldgrid.localgrid import LocalGridder
 from fieldgrid.sweep import Sweep
 
 UNTOLD_NS = 60_000_000_000
-"""For so long from the first frame on, by stamps and by the clock of the machine, points are kept
-of a drive that does not tell how its vehicle leans: what tells it may come later."""
+"""The time from the first frame on, by stamps and by the clock of the machine, for which points
+are kept of a drive that does not tell how its vehicle leans: what tells it may come later."""
 
 RESERVE_BYTES = 1_000_000_000
 """With less free on their disk no points are kept: grids, journal and the map need the room."""
 
 AGAIN_BYTES = 1_100_000_000
-"""With so much free again they are, where that was the reason."""
+"""With this number of bytes free again points are kept, where that was the reason."""
 
 _AS_DRIVEN = (
     "are not kept: their grids stay as they were made while driving, level by the roll and pitch "
@@ -127,9 +127,8 @@ class KeptPoints(Closing):
             if self._first_ns is None:
                 self._first_ns, self._since_ns = time_ns, time.monotonic_ns()
             # Stamps alone may jump, or run ahead in a replay.
-            is_long = time_ns - self._first_ns > UNTOLD_NS
-            is_long = is_long and time.monotonic_ns() - self._since_ns > UNTOLD_NS
-            if not self._is_needed and is_long:
+            took_ns = min(time_ns - self._first_ns, time.monotonic_ns() - self._since_ns)
+            if not self._is_needed and took_ns > UNTOLD_NS:
                 self._give_up()
             if record is None or self._file is None or self._is_full:
                 return None

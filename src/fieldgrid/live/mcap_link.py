@@ -25,7 +25,7 @@ class LinkBytes:
         self.has_ended = False
 
     def read(self, count: int) -> bytes:
-        """The next bytes, so many; LinkDoneError where there are no more."""
+        """The next `count` bytes; LinkDoneError where there are no more."""
         while len(self._held) < count:
             if self._intake.stop.is_set():
                 raise LinkDoneError

@@ -139,7 +139,7 @@ def points_end(path: Path) -> int | None:
 
 def packed(seen: Seen, reach_m: float) -> bytes:
     """A record of what a grid is made of. Points of a cloud that cannot lie in a grid that reaches
-    so far, however it leans, are NaN in it."""
+    `reach_m`, however it leans, are NaN in it."""
     row_start, arrays = 0, list[AnyArray]()
     if isinstance(seen, CodedDepth):
         row_start, arrays = seen.row_start, [seen.codes]
@@ -148,7 +148,10 @@ def packed(seen: Seen, reach_m: float) -> bytes:
         arrays += [] if seen.after_s is None else [seen.after_s]
     arrays = [a.astype(a.dtype.newbyteorder("="), copy=False) for a in arrays]
     # One after the other along rows: neighbours differ little, and so do bytes of equal weight.
-    kinds = [(str(a.dtype), list(a.shape), _is_by_columns(a)) for a in arrays]
+    kinds = [
+        (str(a.dtype), list(a.shape), a.flags.f_contiguous and not a.flags.c_contiguous)
+        for a in arrays
+    ]
     header = json.dumps([isinstance(seen, CodedDepth), row_start, kinds]).encode()
     raw = b"".join(
         _differences(a)
@@ -203,10 +206,6 @@ def _near(points_m: AnyArray, reach_m: float) -> AnyArray:
     found = points_m.copy(order="K")
     found[~near] = np.nan
     return found
-
-
-def _is_by_columns(array: AnyArray) -> bool:
-    return bool(array.flags.f_contiguous and not array.flags.c_contiguous)
 
 
 def _differences(codes: AnyArray) -> bytes:

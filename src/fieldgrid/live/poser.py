@@ -12,7 +12,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -45,26 +44,19 @@ from fieldgrid.trajectory import Pose, Status, Trajectory
 from fieldgrid.transfer import Transfer
 
 EVERY_S = 0.2
-"""Without a new frame poses are estimated so often."""
+"""Period of estimates without a new frame."""
 
 SILENT_S = 3.0
 """Without a frame or a pose for longer, the window is not to be trusted."""
 
 GIVEN_UP_S = 12.0
-"""A frame without fixes after it waits for them for so long."""
+"""Time for which a frame without fixes after it waits for them."""
 
 MOST_INBOX = 100_000
 SAID_AGAIN_S = 5.0
 
 
 _Said = Fix | PerceivedFrame | Estimated | tuple[str, Rows]
-
-
-class _Frames(NamedTuple):
-    """Frames whose pose is good enough: for good, and such as may still move."""
-
-    settled: list[PlacedGrid]
-    moving: list[PlacedGrid]
 
 
 class Poser:
@@ -252,17 +244,17 @@ class Poser:
 
     def _prepare(self) -> None:
         """Place all frames anew by an estimate, so that the next one finds that done."""
-        placed = self._placed(self._why)
+        settled, moving = self._placed(self._why)
         if self._estimate is not None:
             pose, *_ = self._pose_now(self._estimate.trajectory)
             self._window.follow(pose, MOVES_M / 2.0)
-        self._window.settle(placed.settled)
-        self._window.place(placed.moving)
+        self._window.settle(settled)
+        self._window.place(moving)
 
     def _tell_all(self, still_s: float) -> None:
-        """Place what was seen, and tell; nothing was pushed for so long."""
+        """Place what was seen, and tell; nothing was pushed for `still_s`."""
         doubt, code = self._why, WindowDoubt.NO_FIXES
-        placed = self._placed(doubt)
+        settled, moving = self._placed(doubt)
         if self._estimate is not None:
             self._pose, self._gear, doubt = self._pose_now(self._estimate.trajectory)
             code = WindowDoubt.POSE if doubt else WindowDoubt.NONE
@@ -281,9 +273,9 @@ class Poser:
                 doubt, code = f"no {what} for {silent_s:.1f} s", WindowDoubt.NO_FRAMES
         if still_s > SILENT_S and not doubt:
             doubt, code = f"nothing was pushed for {still_s:.0f} s", WindowDoubt.SILENT
-        self._window.settle(placed.settled)
+        self._window.settle(settled)
         if self._trailing.datum is not None:
-            self._show(self._trailing.datum, placed.moving, doubt, code)
+            self._show(self._trailing.datum, moving, doubt, code)
         if bool(doubt) != bool(self._doubt) or self._doubt is None:
             how = f"is not to be trusted: {doubt}" if doubt else "can be trusted."
             self._say(What.POSE, f"The window around the vehicle {how}")
@@ -292,10 +284,10 @@ class Poser:
     def _pose_now(self, track: Trajectory) -> tuple[Pose, int, str]:
         return pose_now(track, self._latest, self._trailing.newest_ns, self._trailing.told_ns)
 
-    def _placed(self, doubt: str) -> _Frames:
-        """Tell the poses of the frames that wait, and what becomes of their grids."""
-        still: list[PerceivedFrame] = []
-        found = _Frames([], [])
+    def _placed(self, doubt: str) -> tuple[list[PlacedGrid], list[PlacedGrid]]:
+        """Tell the poses of the frames that wait; the grids of those whose pose is good enough:
+        for good, and such as may still move."""
+        still, settled, moving = list[PerceivedFrame](), list[PlacedGrid](), list[PlacedGrid]()
         # It is the estimate that must have fixes after a frame, and the frame's own step.
         # Nor is a frame given up before an estimate was made of what came while it waited.
         answered_ns, before, repeats = self._answered_ns, self._before, self._repeats
@@ -320,14 +312,14 @@ class Poser:
                     tilt = self._attitude.tilt_at(seen.time_ns)
                     pose = square_to_ground(pose, tilt, self._rig.mount.height_m)
                 frame = PlacedGrid(seen.grid, pose, seen.time_ns, sigma_m)
-                (found.settled if is_settled else found.moving).append(frame)
+                (settled if is_settled else moving).append(frame)
             if is_settled:
                 self._told.discard(seen.time_ns)
                 self._before = before
             else:
                 still.append(seen)
         self._waiting, self._latest = still, before
-        return found
+        return settled, moving
 
     def _pose_of(
         self, seen: PerceivedFrame, before: PropagatedPose | None, doubt: str

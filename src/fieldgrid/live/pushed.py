@@ -53,7 +53,7 @@ class Pushed:
 
 
 class PushedImage(Pushed):
-    """The same of a grey image. Reading raises RecordingError for what is none."""
+    """A grey image in memory. Reading raises RecordingError for what is none."""
 
     __slots__ = ()
 
@@ -102,7 +102,7 @@ def _of_level_ground(rig: Rig) -> Frame:
 
 
 def _nearness_1pm(rig: Rig, down: Float64) -> Float64:
-    """1 / depth of level ground along rays that go `down` so much for each metre ahead; a far wall
+    """1 / depth of level ground along rays that go `down` metres for each metre ahead; a far wall
     where they do not come down to it."""
     tilt = math.radians(rig.mount.tilt_deg)
     falling = (down * math.cos(tilt) + math.sin(tilt)) / rig.mount.height_m

@@ -16,20 +16,21 @@ from fieldgrid.live.sensor_rows import Rows
 FIXES, FRAMES = "fixes", "frames"
 
 OFF_S, FRAME_OFF_S = 10.0, 3.0
-"""Stamps so far ahead of all else are refused. Frames are by less, where other sources speak: one
-that is taken makes all that are stamped before it too late."""
+"""Stamps that are further ahead of all else are refused. Frames are by less, where other sources
+speak: one that is taken makes all that are stamped before it too late."""
 
 TIMES_OFF = 10
-"""After so many fixes in a row of another time the clock of the receiver is followed."""
+"""Number of fixes in a row of another time after which the clock of the receiver is followed."""
 
 FOLLOWED_S = 1.5
-"""The same of another source, when it has gone on for so long with nobody at the old time."""
+"""Time after which another source is followed that goes on at another time, with nobody at the old
+one."""
 
 BLIND_S = 60.0
-"""Fixes that are so far behind another source count for no pose: it is that source that is off."""
+"""Fixes that are further behind another source count for no pose: it is that source that is off."""
 
 SAID_AGAIN_S = 5.0
-"""What goes on being refused is said again after so long."""
+"""Time after which it is said again that something goes on being refused."""
 
 
 class Judged(NamedTuple):

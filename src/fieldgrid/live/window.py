@@ -109,7 +109,8 @@ class RollingWindow:
         """Place frames that are not settled yet, in place of those of before. Those that are where
         they were cost nothing, if others only follow them."""
         count = len(self._moving)
-        if len(frames) < count or any(map(_differs, self._moving, frames)):
+        pairs = zip(self._moving, frames, strict=False)
+        if len(frames) < count or any(a.grid is not b.grid or a[1:] != b[1:] for a, b in pairs):
             count = 0
         if not count and frames:
             self._shown.take(self._cells)
@@ -153,7 +154,3 @@ def lay(  # type: ignore[no-untyped-def]
                 totals[k] += unit * np.uint64(values[r >> shift, c >> shift])
                 if seen_ns[k] <= time_ns:
                     seen_ns[k], sigmas_m[k] = time_ns, sigma_m
-
-
-def _differs(one: PlacedGrid, other: PlacedGrid) -> bool:
-    return one.grid is not other.grid or one[1:] != other[1:]

@@ -122,9 +122,8 @@ class _Client:
         """What is to be sent next; small things before grids."""
         if self._waiting:
             return self._waiting.popleft()
-        for channel in sorted(self._newest, reverse=True):
-            return channel, self._newest.pop(channel)
-        return None
+        channel = max(self._newest, default=None)
+        return None if channel is None else (channel, self._newest.pop(channel))
 
 
 class FoxgloveServer(Closing):
@@ -143,7 +142,14 @@ class FoxgloveServer(Closing):
         session: str = "",
         tell: Callable[[str], None] | None = None,
     ) -> None:
-        _check_installed()
+        try:
+            import foxglove_schemas_protobuf  # noqa: F401
+            import websockets  # noqa: F401
+        except ImportError as error:
+            raise ConfigError(
+                "Foxglove needs libraries that are not installed; run: "
+                "pip install 'fieldgrid[foxglove]'."
+            ) from error
         self._session, self._tell = session, tell or (lambda _: None)
         self._listening = listen(host, port)
         self.address: tuple[str, int] = self._listening.getsockname()[:2]
@@ -259,7 +265,13 @@ class FoxgloveServer(Closing):
         self._clients.append(client)
         sending = asyncio.create_task(_send(connection, client))
         try:
-            await connection.send(json.dumps(self._server_info()))
+            info = {
+                "op": "serverInfo",
+                "name": f"fieldgrid live {self._session}".rstrip(),
+                "capabilities": [],
+                "sessionId": str(time.time_ns()),
+            }
+            await connection.send(json.dumps(info))
             await connection.send(json.dumps({"op": "advertise", "channels": _channels()}))
             async for text in connection:
                 wrong = self._asked(client, text)
@@ -280,15 +292,6 @@ class FoxgloveServer(Closing):
                     f"A client of Foxglove missed {client.missed} messages, which gave way to "
                     "newer ones."
                 )
-
-    def _server_info(self) -> dict[str, Any]:
-        name = f"fieldgrid live {self._session}".rstrip()
-        return {
-            "op": "serverInfo",
-            "name": name,
-            "capabilities": [],
-            "sessionId": str(time.time_ns()),
-        }
 
     def _asked(self, client: _Client, text: str | bytes) -> str:
         """Do what a client asks for; returns why it is not done, or nothing."""
@@ -317,7 +320,7 @@ async def _send(connection: ServerConnection, client: _Client) -> None:
     """Send what waits for a client as fast as it takes it."""
     from websockets.exceptions import ConnectionClosed
 
-    try:
+    with suppress(ConnectionClosed):
         while True:
             await client.changed.wait()
             client.changed.clear()
@@ -327,8 +330,6 @@ async def _send(connection: ServerConnection, client: _Client) -> None:
                 number = client.wants.get(channel)
                 if number is not None:
                     await connection.send(_DATA.pack(_DATA_OP, number, message.time_ns) + data)
-    except ConnectionClosed:
-        pass
 
 
 def _channels() -> list[dict[str, Any]]:
@@ -343,14 +344,3 @@ def _channels() -> list[dict[str, Any]]:
         }
         for number, channel in enumerate(CHANNELS)
     ]
-
-
-def _check_installed() -> None:
-    try:
-        import foxglove_schemas_protobuf  # noqa: F401
-        import websockets  # noqa: F401
-    except ImportError as error:
-        raise ConfigError(
-            "Foxglove needs libraries that are not installed; run: "
-            "pip install 'fieldgrid[foxglove]'."
-        ) from error
