@@ -13,7 +13,7 @@ OUTLIER = 5.0
 """Values that are farther off than this number of scatters are left out."""
 
 
-class Measured(NamedTuple):
+class MeasuredValue(NamedTuple):
     """A value and its 1-sigma error, in the unit that the name says that holds it."""
 
     value: float
@@ -48,9 +48,9 @@ def repeated(residuals: Float64) -> float:
     return total
 
 
-def mean_of(values: Float64, floor: float) -> Measured:
+def mean_of(values: Float64, floor: float) -> MeasuredValue:
     """The mean of a series [n >= 2] without its outliers; `floor` is the error that all share."""
     used = values[kept(values)]
     spread = float(np.std(used, ddof=1)) if len(used) > 1 else 0.0
     sigma = spread * math.sqrt(min(repeated(used) / len(used), 1.0))
-    return Measured(float(used.mean()), math.hypot(sigma, floor))
+    return MeasuredValue(float(used.mean()), math.hypot(sigma, floor))

@@ -73,7 +73,7 @@ def _not_imported(found: EntryPoint, problem: Exception) -> str:
     )
 
 
-class Registered(Mapping[str, _Entry]):
+class PluginRegistry(Mapping[str, _Entry]):
     """What is registered by name, with what the modules of a group add; it cannot be changed."""
 
     def __init__(self, entries: Mapping[str, _Entry], group: Group) -> None:

@@ -17,7 +17,7 @@ from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.live.estimator import Estimator
-from fieldgrid.live.fixed_lag import KEPT_S, Asked, FixedLagSmoother
+from fieldgrid.live.fixed_lag import KEPT_S, EstimateInputs, FixedLagSmoother
 from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiver import PerceivedFrame
 from fieldgrid.live.poser import Poser
@@ -370,7 +370,7 @@ def test_a_window_is_told_before_the_estimate_that_has_its_frame(
     told, poser = watched()
     asked_of: list[tuple[str, bool]] = []
 
-    def asking(_self: Estimator, asked: Asked) -> None:
+    def asking(_self: Estimator, asked: EstimateInputs) -> None:
         name = f"{(asked.frame_ns[-1] - START_NS) / 1e9:.1f}"
         asked_of.append((name, is_shown(told, name)))
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64
-from fieldgrid.build.poses import Doubted
+from fieldgrid.build.poses import BuildDoubt
 from fieldgrid.choices import StopCode
 from fieldgrid.errors import CalibrationError
 from fieldgrid.fixes import FixColumns
@@ -141,11 +141,11 @@ def scale_notes(scale: CameraScale | None, rig: Rig) -> tuple[str, ...]:
     return (scale_told(scale, rig),)
 
 
-def doubted_scale(scale: CameraScale | None, rig: Rig) -> Doubted | None:
+def doubted_scale(scale: CameraScale | None, rig: Rig) -> BuildDoubt | None:
     """That all distances of the grids are certainly wrong by a twentieth and more."""
     if scale is None or not scale.stops or not _has_scale(rig):
         return None
-    return Doubted(StopCode.SCALE, CalibrationError(scale_told(scale, rig)))
+    return BuildDoubt(StopCode.SCALE, CalibrationError(scale_told(scale, rig)))
 
 
 def _has_scale(rig: Rig) -> bool:

@@ -18,7 +18,7 @@ BLUR_PX = 9
 """Width of the strong smoothing that an image is compared with."""
 
 
-class Look(NamedTuple):
+class PairMeasures(NamedTuple):
     """One pair that was looked at closely.
 
     Brightness is the mean of 255; shares are of the pixels of the darker, or brighter, image.

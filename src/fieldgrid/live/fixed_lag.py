@@ -44,7 +44,7 @@ FEWEST_FIXES = 3
 """Of fewer fixes nothing follows."""
 
 
-class Asked(NamedTuple):
+class EstimateInputs(NamedTuple):
     """What an estimate is made of; nothing that is pushed later changes it."""
 
     fixes: FixColumns
@@ -161,7 +161,7 @@ class FixedLagSmoother:
         self.datum = found.trajectory.datum
         return found
 
-    def asked(self, oldest_ns: int, *, level_grids: bool = True) -> Asked:
+    def asked(self, oldest_ns: int, *, level_grids: bool = True) -> EstimateInputs:
         """What such an estimate is made of. GnssError where there is too little."""
         known_ns = self.told_ns
         if known_ns is None:
@@ -177,7 +177,7 @@ class FixedLagSmoother:
         if self._needs_fixes and len(fixes) < FEWEST_FIXES:
             silent_s = (self.newest_ns - known_ns) / 1e9
             raise GnssError(f"There was no fix for {silent_s:.0f} s; wait for the receiver.")
-        return Asked(
+        return EstimateInputs(
             FixColumns.of_rows(fixes),
             self._rig,
             self.datum,
@@ -241,4 +241,5 @@ def last_known_ns(trajectory: Trajectory) -> int | None:
 
 def unknown_pose(time_ns: int, reason: str) -> Pose:
     """A pose of which nothing is known, and why."""
-    return Pose(time_ns, *[math.nan] * 7, Status.REJECTED, reason)
+    nan = math.nan
+    return Pose(time_ns, nan, nan, nan, nan, nan, nan, nan, Status.REJECTED, reason)

@@ -11,11 +11,11 @@ from dataclasses import replace
 from fieldgrid.attitude import Attitude
 from fieldgrid.build import BadFrame, Progress
 from fieldgrid.build.perception import carried, side_by_side
-from fieldgrid.build.staging import Found, Staged
+from fieldgrid.build.staging import StagedDrive, StepOutcome
 from fieldgrid.depth import CodedDepth
 from fieldgrid.grids import GridSpec
 from fieldgrid.live.kept_drive import PushedDrive
-from fieldgrid.live.points_file import Seen
+from fieldgrid.live.points_file import GridInput
 from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import StagedFrame, StageFile, stage
@@ -33,7 +33,7 @@ def gridded_again(
     attitude: Attitude | None,
     way: OriginTrack,
     progress: Callable[[Progress], None] | None = None,
-) -> tuple[Staged, tuple[str, ...], int]:
+) -> tuple[StagedDrive, tuple[str, ...], int]:
     """The frames of a session, of what was read of it, with grids that are level by the `attitude`,
     perpendicular to the ground ahead where that is None, of sweeps carried by the vehicle's `way`;
     those that had to be made again are in the `file`. `progress` is called after each of them.
@@ -59,7 +59,7 @@ def gridded_again(
             return _again(was, seen, gridder, tilt, way), False
         return was if frame.is_level == (tilt is not None) else None, True
 
-    found: list[Found] = []
+    found: list[StepOutcome] = []
     bad, as_driven, notes = list(staged.bad), 0, tuple[str, ...]()
     with closing(side_by_side(make, range(len(drive.frames)), os.cpu_count() or 1)) as all_made:
         lost = False
@@ -90,7 +90,7 @@ def gridded_again(
 
 
 def _again(
-    was: StagedFrame, seen: Seen, gridder: LocalGridder, tilt: Tilt | None, way: OriginTrack
+    was: StagedFrame, seen: GridInput, gridder: LocalGridder, tilt: Tilt | None, way: OriginTrack
 ) -> StagedFrame:
     if isinstance(seen, CodedDepth):
         grid, ground = gridder.from_coded(seen, tilt)

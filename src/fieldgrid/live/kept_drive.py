@@ -13,7 +13,7 @@ from fieldgrid.build import BadFrame
 from fieldgrid.build.parts import found_from_json
 from fieldgrid.build.report import StageTimes
 from fieldgrid.build.rig_config import rig_from_config
-from fieldgrid.build.staging import Found
+from fieldgrid.build.staging import StepOutcome
 from fieldgrid.errors import MapError
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
@@ -93,7 +93,9 @@ class SessionStart:
     @classmethod
     def from_json(cls, value: dict[str, Any]) -> SessionStart:
         """The start of a session of such a value."""
-        poses = value.get("poses")
+        # A session that was begun by an earlier version has no entry of poses.
+        name, axes, point = value.get("poses") or (None, "", None)
+        body = None if name is None else PoseBody(name, axes, point and tuple(point))
         return cls(
             value["name"],
             rig_from_config(value["rig"], value["name"]),
@@ -104,8 +106,7 @@ class SessionStart:
             value["source"],
             value["source_sha256"],
             tuple(value["notes"]),
-            # None, too, of a session that was begun before there were any.
-            None if poses is None else PoseBody(*poses[:2], poses[2] and tuple(poses[2])),
+            body,
         )
 
 
@@ -119,7 +120,7 @@ class KeptFrame(NamedTuple):
     whose points have times."""
 
     number: int
-    found: Found
+    found: StepOutcome
     points: RecordSpan | None = None
     is_level: bool = False
     is_timed: bool = False

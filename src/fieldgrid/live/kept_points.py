@@ -16,7 +16,7 @@ import numpy as np
 from fieldgrid.closing import Closing
 from fieldgrid.live.given import GIVEN_ROWS
 from fieldgrid.live.kept_drive import POINTS, KeptFrame
-from fieldgrid.live.points_file import PointsFile, RecordSpan, Seen, packed, points_end
+from fieldgrid.live.points_file import GridInput, PointsFile, RecordSpan, packed, points_end
 from fieldgrid.live.sensor_rows import Rows
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.sweep import Sweep
@@ -105,7 +105,7 @@ class KeptPoints(Closing):
                 if not self.is_levelling and not self.is_lost:
                     self._warning = _TOO_LATE
 
-    def record(self, seen: Seen) -> bytes | None:
+    def record(self, seen: GridInput) -> bytes | None:
         """A frame's points as `add` takes them; None where they are not kept or cannot be."""
         with self._lock:
             if isinstance(seen, Sweep) and seen.after_s is not None:
@@ -184,7 +184,7 @@ class KeptPoints(Closing):
             warning, self._warning = self._warning, ""
         return warning
 
-    def read(self, at: RecordSpan | None, gridder: LocalGridder) -> Seen | None:
+    def read(self, at: RecordSpan | None, gridder: LocalGridder) -> GridInput | None:
         """The points of a frame that are there; None where they were not kept or are damaged."""
         return None if at is None or self._file is None else self._file.read(at, gridder)
 

@@ -28,7 +28,7 @@ from fieldgrid.live.kept_drive import SessionStart
 from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiver import Perceiver
 from fieldgrid.live.poser import Poser
-from fieldgrid.live.pushed import Pushed, PushedImage, warm_up
+from fieldgrid.live.pushed import PushedImage, PushedSource, warm_up
 from fieldgrid.live.results import Counts, Deliverer, LiveEvent, LiveResult, Outbox, What
 from fieldgrid.live.sensor_rows import Rows, rows_of
 from fieldgrid.live.session_folder import SessionFolder
@@ -192,7 +192,7 @@ class Live(Closing):
         in `push_pair`."""
         name, camera = self._frame_id(frame_id), self.rig.depth_camera
         size_px = (camera.width_px, camera.height_px)
-        frame = DepthFrame(name, int(time_ns), Pushed(f"{name}/depth", depth_m), size_px)
+        frame = DepthFrame(name, int(time_ns), PushedSource(f"{name}/depth", depth_m), size_px)
         return self.push_frame(frame, wait=wait)
 
     def push_cloud(
@@ -207,7 +207,7 @@ class Live(Closing):
         """Points [n, 3] of the sensor's frame (x right, y down, z forward), metres, and by how much
         later than `time_ns` each was taken, seconds [n]; the rest as in `push_pair`."""
         name = self._frame_id(frame_id)
-        frame = CloudFrame(name, int(time_ns), Pushed(f"{name}/cloud", points_m, after_s))
+        frame = CloudFrame(name, int(time_ns), PushedSource(f"{name}/cloud", points_m, after_s))
         return self.push_frame(frame, wait=wait)
 
     def push_frame(self, frame: Frame, *, wait: bool = False) -> bool:

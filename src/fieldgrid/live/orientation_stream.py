@@ -45,7 +45,7 @@ RECORDED: dict[str, tuple[str, type[RecordedTilt | Orientation]]] = {
 """Topics of converted drives: the part of the motion that they hold, and its rows."""
 
 
-class _Chosen(NamedTuple):
+class _AttitudeSource(NamedTuple):
     """The source that tells roll and pitch, and from its axes to the vehicle's, upward [3, 3]."""
 
     role: str
@@ -70,7 +70,7 @@ class OrientationStream:
         self._imus, self._is_of_imu = {"imu"}, {"imu"}
         self._held: dict[str, Leans] = {}
         self._bodies: dict[str, str] = {}
-        self._chosen: _Chosen | None = None
+        self._chosen: _AttitudeSource | None = None
         self._since_ns: int | None = None
         self._last_ns = 0
         self._next_try = 2
@@ -172,7 +172,7 @@ class OrientationStream:
         if isinstance(found, Orientation):
             R_vehicle_body = R_VEHICLE_FLU @ R_flu_body
             upward = np.sign(float((values[:, :3] @ R_vehicle_body.T)[:, 2].mean()))
-            self._chosen = _Chosen(role, upward * R_vehicle_body)
+            self._chosen = _AttitudeSource(role, upward * R_vehicle_body)
         return found
 
     def _next(self, message: Any, time_ns: int) -> list[tuple[str, Rows]]:

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from fieldgrid.build.perception import Perceived, perceive_frame
+from fieldgrid.build.perception import Perception, perceive_frame
 from fieldgrid.build.report import StageTimes
-from fieldgrid.build.staging import Found, encoded
+from fieldgrid.build.staging import StepOutcome, encoded
 from fieldgrid.choices import MatcherKind
 from fieldgrid.errors import FieldgridError, MapWriteError
 from fieldgrid.frame_ground import FrameGround
@@ -51,7 +51,7 @@ class PerceivedFrame(NamedTuple):
     is_level: bool = False
 
 
-class _Waiting(NamedTuple):
+class _QueuedFrame(NamedTuple):
     """`is_again`: it is the last frame before a restart, pushed again."""
 
     frame: Frame
@@ -87,7 +87,7 @@ class Perceiver:
         self._pushing = threading.Lock()
         self._held: list[tuple[Frame, str]] = []
         self._refuted = 0
-        self._queue: deque[_Waiting] = deque()
+        self._queue: deque[_QueuedFrame] = deque()
         self._changed = threading.Condition()
         self._closed = False
         self._taken = self._done = 0
@@ -160,7 +160,7 @@ class Perceiver:
                 if len(self._queue) >= self._most:
                     dropped = self._queue.popleft().frame
                     self.dropped += 1
-                self._queue.append(_Waiting(frame, time.monotonic(), is_again))
+                self._queue.append(_QueuedFrame(frame, time.monotonic(), is_again))
                 self._newest_ns, self._again_ns = time_ns, None
                 self._changed.notify_all()
         if is_late:
@@ -238,7 +238,7 @@ class Perceiver:
             if pair is not None:
                 self._keep_pair(pair, waiting.frame)
 
-    def _look(self, waiting: _Waiting, turn: int) -> tuple[Perceived, bool]:
+    def _look(self, waiting: _QueuedFrame, turn: int) -> tuple[Perception, bool]:
         """Perceive a frame, beside others; also whether its grid is level."""
         frame, kept = waiting.frame, self._kept
         time_ns = self._time_ns(frame)
@@ -258,7 +258,9 @@ class Perceiver:
         with self._changed:
             self._changed.wait_for(lambda: self._done == turn)
 
-    def _gridded(self, waiting: _Waiting, turn: int, grid: LocalGrid, ground: FrameGround) -> None:
+    def _gridded(
+        self, waiting: _QueuedFrame, turn: int, grid: LocalGrid, ground: FrameGround
+    ) -> None:
         """Tell a grid once those before it are told and kept, and before the rest of its frame is
         looked at: whoever drives by it need not wait for that."""
         self._await(turn)
@@ -268,7 +270,7 @@ class Perceiver:
             latency_s = time.monotonic() - waiting.pushed_s
             self._tell(LiveGrid(frame.frame_id, time_ns, grid, ground.refined, latency_s))
 
-    def _finish(self, waiting: _Waiting, seen: Perceived, is_level: bool) -> int | None:
+    def _finish(self, waiting: _QueuedFrame, seen: Perception, is_level: bool) -> int | None:
         """Pass a frame on, and then keep it: no window waits until it is encoded and written. Its
         number where its images are to be kept, too."""
         # Behind it the stage file may have frames of which the journal does not know.
@@ -296,12 +298,14 @@ class Perceiver:
         times = StageTimes(seen.decode_s, seen.match_s, seen.grid_s, odometry_s)
         return self._keep(seen, is_level, found, times)
 
-    def _step(self, last: Features | None, seen: Perceived) -> Found:
+    def _step(self, last: Features | None, seen: Perception) -> StepOutcome:
         if last is None or seen.features is None:
             return None
         return step(last, seen.features, self._gridder.rig)
 
-    def _keep(self, seen: Perceived, is_level: bool, found: Found, times: StageTimes) -> int | None:
+    def _keep(
+        self, seen: Perception, is_level: bool, found: StepOutcome, times: StageTimes
+    ) -> int | None:
         """Keep a frame, to which the camera's step from the last one that is kept was `found`."""
         kept, frame, number = self._kept, seen.frame, None
         time_ns = self._time_ns(frame)

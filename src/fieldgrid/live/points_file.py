@@ -27,7 +27,7 @@ from fieldgrid.limits import UnfoldBudget
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.sweep import Sweep
 
-Seen = CodedDepth | Sweep
+GridInput = CodedDepth | Sweep
 """What a grid is made of: an image of depths, or points."""
 
 MAGIC = b"fieldgrid points 1\n"
@@ -90,7 +90,7 @@ class PointsFile(Closing):
                 os.ftruncate(self._file, place.start)
                 self.size = place.start
 
-    def read(self, place: RecordSpan, gridder: LocalGridder) -> Seen | None:
+    def read(self, place: RecordSpan, gridder: LocalGridder) -> GridInput | None:
         """The points of the record there; None where it is cut off or damaged."""
         parts = self._parts(place)
         if parts is None:
@@ -137,7 +137,7 @@ def points_end(path: Path) -> int | None:
         return None
 
 
-def packed(seen: Seen, reach_m: float) -> bytes:
+def packed(seen: GridInput, reach_m: float) -> bytes:
     """A record of what a grid is made of. Points of a cloud that cannot lie in a grid that reaches
     `reach_m`, however it leans, are NaN in it."""
     row_start, arrays = 0, list[AnyArray]()
@@ -164,7 +164,7 @@ def packed(seen: Seen, reach_m: float) -> bytes:
     return _RECORD.pack(_MARK, len(header), len(data), check) + header + data
 
 
-def _unpacked(header: bytes, data: bytes, gridder: LocalGridder) -> Seen:
+def _unpacked(header: bytes, data: bytes, gridder: LocalGridder) -> GridInput:
     is_coded, row_start, kinds = parse_json(header)
     if any(length < 0 for _, shape, _ in kinds for length in shape):
         raise ValueError("a length is below 0")

@@ -25,8 +25,14 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Gate
 from fieldgrid.grids import GridSpec
 from fieldgrid.live.dead_reckoning import DeadReckoning
-from fieldgrid.live.estimator import Estimated, Estimator, estimated
-from fieldgrid.live.fixed_lag import Asked, FixedLagSmoother, last_known_ns, pose_at, unknown_pose
+from fieldgrid.live.estimator import EstimateResult, Estimator, estimate_now
+from fieldgrid.live.fixed_lag import (
+    EstimateInputs,
+    FixedLagSmoother,
+    last_known_ns,
+    pose_at,
+    unknown_pose,
+)
 from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiver import PerceivedFrame
 from fieldgrid.live.propagation import PropagatedPose, pose_now
@@ -34,7 +40,7 @@ from fieldgrid.live.repeats import Repeats
 from fieldgrid.live.results import LiveEvent, LivePose, LiveResult, LiveWindow, What, WindowDoubt
 from fieldgrid.live.running_tilt import RunningTilt, lean_advice, square_to_ground
 from fieldgrid.live.sensor_rows import Rows
-from fieldgrid.live.stamps import Judged, Stamps
+from fieldgrid.live.stamps import Stamps, StampVerdict
 from fieldgrid.live.window import MOVES_M, PlacedGrid, RollingWindow
 from fieldgrid.pose import Estimate
 from fieldgrid.recording.pose_source import PoseBody
@@ -56,7 +62,7 @@ MOST_INBOX = 100_000
 SAID_AGAIN_S = 5.0
 
 
-_Said = Fix | PerceivedFrame | Estimated | tuple[str, Rows]
+_PoserInput = Fix | PerceivedFrame | EstimateResult | tuple[str, Rows]
 
 
 class Poser:
@@ -88,7 +94,7 @@ class Poser:
         self.stamps = Stamps()
         """Whether what is pushed is of the time of all else."""
         self._budget, self._settings = cell_budget(rig, settings), settings.pose
-        self._inbox: deque[_Said | Judged] = deque(maxlen=MOST_INBOX)
+        self._inbox: deque[_PoserInput | StampVerdict] = deque(maxlen=MOST_INBOX)
         self._changed = threading.Condition()
         self._closed = self._has_frame = False
         self._estimate: Estimate | None = None
@@ -116,15 +122,15 @@ class Poser:
         self._thread = threading.Thread(target=self._run, name="fieldgrid-poses", daemon=True)
         self._thread.start()
 
-    def put(self, said: _Said) -> None:
+    def put(self, said: _PoserInput) -> None:
         """Take what was pushed, or what was estimated of it; it never blocks."""
-        judged = Judged()
+        judged = StampVerdict()
         if isinstance(said, Fix):
             judged = self.stamps.fix(said.time_ns)
             if judged.why:
                 self._tell(LiveEvent(What.FIX_REFUSED, judged.why, said.time_ns))
                 return
-        elif not isinstance(said, PerceivedFrame | Estimated):
+        elif not isinstance(said, PerceivedFrame | EstimateResult):
             part, rows = said
             taken, judged = self.stamps.rows(part, rows)
             if judged.is_first:
@@ -140,9 +146,9 @@ class Poser:
             if judged.lost:
                 self._inbox.append(judged)
             self._inbox.append(said)
-            if not isinstance(said, Estimated):
+            if not isinstance(said, EstimateResult):
                 self._heard_s = time.monotonic()
-            if isinstance(said, PerceivedFrame | Estimated):
+            if isinstance(said, PerceivedFrame | EstimateResult):
                 self._has_frame = True
                 self._changed.notify()
 
@@ -172,53 +178,53 @@ class Poser:
         """Show the window if that is new, and let an estimate be made of what was said."""
         still_s = 0.0 if said else time.monotonic() - self._heard_s
         # What comes while an estimate is made, or just after a window, counts in the next one.
-        self._is_asked &= all(isinstance(one, Estimated) for one in said)
+        self._is_asked &= all(isinstance(one, EstimateResult) for one in said)
         self._is_shown &= not said
         if closed:
             self._estimator.close()
-            self._ask(estimated)
+            self._ask(estimate_now)
         is_due = time.monotonic() - self._shown_s >= EVERY_S
         is_due &= not self._is_shown or still_s > SILENT_S
         is_due |= any(isinstance(one, PerceivedFrame) for one in said)
-        is_due |= not self._is_newest_in and any(isinstance(one, Estimated) for one in said)
+        is_due |= not self._is_newest_in and any(isinstance(one, EstimateResult) for one in said)
         if closed or is_due:
             self._tell_all(still_s)
             self._shown_s, self._is_shown = time.monotonic(), True
-        elif any(isinstance(one, Estimated) for one in said):
+        elif any(isinstance(one, EstimateResult) for one in said):
             self._prepare()
         # Not before: an estimate that begins would take turns with what is shown.
         if not closed and self._estimator.is_free and (not self._is_asked or still_s > SILENT_S):
             self._ask(self._estimator.ask)
             self._is_asked = True
 
-    def _ask(self, ask: Callable[[Asked], Estimated | None]) -> None:
+    def _ask(self, ask: Callable[[EstimateInputs], EstimateResult | None]) -> None:
         """Ask for an estimate; one that is made at once is taken at once."""
         newest_ns = self._asked_ns = self._trailing.newest_ns
         try:
             oldest_ns = min((w.time_ns for w in self._waiting), default=newest_ns)
             asked = self._trailing.asked(oldest_ns, level_grids=self._is_levelling())
         except FieldgridError as error:
-            self._take_estimate(Estimated(None, None, str(error)))
+            self._take_estimate(EstimateResult(None, None, str(error)))
             return
         made = ask(asked)
         if made is not None:
             self._take_estimate(made)
 
-    def _take(self, said: _Said | Judged) -> None:
+    def _take(self, said: _PoserInput | StampVerdict) -> None:
         if isinstance(said, Fix):
             self._trailing.add_fix(said)
-        elif isinstance(said, Judged):
+        elif isinstance(said, StampVerdict):
             self._trailing.forget(said.lost, said.back_ns)
         elif isinstance(said, PerceivedFrame):
             seen = self._newest = self._repeats.taken(said)
             self._trailing.add_frame(seen.time_ns, seen.step)
             self._waiting.append(seen)
-        elif isinstance(said, Estimated):
+        elif isinstance(said, EstimateResult):
             self._take_estimate(said)
         else:
             self._trailing.add_rows(*said)
 
-    def _take_estimate(self, made: Estimated) -> None:
+    def _take_estimate(self, made: EstimateResult) -> None:
         """Let an estimate, or that there is none, take the place of the one before."""
         self._estimate, self._why = made.estimate, made.why
         self._answered_ns, self._is_shown = self._asked_ns, False

@@ -19,7 +19,7 @@ import numpy as np
 
 from fieldgrid.build.parts import found_to_json
 from fieldgrid.build.report import StageTimes
-from fieldgrid.build.staging import Staged
+from fieldgrid.build.staging import StagedDrive
 from fieldgrid.closing import Closing
 from fieldgrid.errors import ConfigError, MapError, MapWriteError, counted
 from fieldgrid.fixes import Fix, FixColumns
@@ -231,7 +231,7 @@ class SessionFolder(Closing):
         self.unreadable = len(drive.unreadable)
         return drive
 
-    def staged(self, read: PushedDrive | None = None) -> Staged:
+    def staged(self, read: PushedDrive | None = None) -> StagedDrive:
         """The frames, as a build has them of its drive; of what was `read`, if that was done."""
         drive = read or self.read()
         numbers = [frame.number for frame in drive.frames]
@@ -242,8 +242,8 @@ class SessionFolder(Closing):
         found = [one or Refusal.NOT_COMPARED if k else one for k, one in enumerate(found)]
         if not isinstance(drive.about.rig.sensor, StereoCamera):
             found = [None] * len(numbers)
-        return Staged(
-            _Numbered(self.stage, numbers, names),
+        return StagedDrive(
+            _NamedFrames(self.stage, numbers, names),
             [e._replace(frame_id=name) for e, name in zip(entries, names, strict=True)],
             found,
             [bad for _, bad in drive.bad],
@@ -336,7 +336,7 @@ def _remove(folder: Path) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class _Numbered:
+class _NamedFrames:
     """Some of the frames of a stage file, in their order, and what they are called."""
 
     stage: StageFile

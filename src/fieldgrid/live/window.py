@@ -34,7 +34,7 @@ class PlacedGrid(NamedTuple):
     sigma_m: float
 
 
-class _Cells(NamedTuple):
+class _WindowCells(NamedTuple):
     """What is known of the cells of a window [rows, columns]: the sums of the mean [2, ...], when
     each was last seen, and how sure the place of that frame was."""
 
@@ -74,7 +74,7 @@ class RollingWindow:
         self._window = Window(-self._side // 2, -self._side // 2, self._side, self._side)
         shape = self._window.shape
         # What is there for good; and that with the frames that may still move, if there are any.
-        self._cells, self._shown = _Cells.empty(shape), _Cells.empty(shape)
+        self._cells, self._shown = _WindowCells.empty(shape), _WindowCells.empty(shape)
         self._moving: list[PlacedGrid] = []
         self.frames = 0
         """Frames that were placed for good."""
@@ -131,7 +131,7 @@ class RollingWindow:
         view = MapView(self.lattice, self._window, density, observed, datum, is_base=True)
         return view, age_s, cells.sigma_m.copy()
 
-    def _add(self, cells: _Cells, frame: PlacedGrid) -> None:
+    def _add(self, cells: _WindowCells, frame: PlacedGrid) -> None:
         landing = land(frame.grid, frame.pose, self.lattice, self._window, self._transfer)
         lay(
             *(frame.grid.density, *landing, np.uint64(landing.unit), frame.time_ns),

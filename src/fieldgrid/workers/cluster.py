@@ -50,7 +50,7 @@ class WorkersDied(Exception):  # noqa: N818 - it tells what became of a task, an
     """Every worker that did a task has died, also with nothing beside it."""
 
 
-class Ended(NamedTuple):
+class TaskResult(NamedTuple):
     """What became of a task: what the function returned, or the error that it ended with, which
     is a FieldgridError that the function raised, WorkersDied, or a RuntimeError with the traceback
     of what nobody foresaw."""
@@ -74,7 +74,7 @@ class Cluster(Closing):
         self,
         client: Client,
         function: str,
-        tell: Callable[[Ended], None],
+        tell: Callable[[TaskResult], None],
         lose: Callable[[int, BaseException], None],
     ) -> None:
         self._client, self._function = client, function
@@ -218,7 +218,7 @@ class Cluster(Closing):
         error = future.exception() if future.status == "error" else None
         if isinstance(error, KilledWorker):
             if was_alone:
-                self._tell(Ended(task, error=WorkersDied()))
+                self._tell(TaskResult(task, error=WorkersDied()))
             else:
                 self._suspects.append(task)
         elif error is not None:
@@ -235,7 +235,7 @@ class Cluster(Closing):
         return str(self._client.scheduler.address)
 
 
-def _ended(task: Task, how: str, told: Any) -> Ended:
+def _ended(task: Task, how: str, told: Any) -> TaskResult:
     if how == "unable":
         host, what = told
         raise ClusterError(
@@ -243,8 +243,8 @@ def _ended(task: Task, how: str, told: Any) -> Ended:
             f"{versions()['fieldgrid']} with its requirements."
         )
     if how == "done":
-        return Ended(task, told)
-    return Ended(task, error=RuntimeError(told) if how == "defect" else told)
+        return TaskResult(task, told)
+    return TaskResult(task, error=RuntimeError(told) if how == "defect" else told)
 
 
 def _travelling() -> Callable[..., Any]:

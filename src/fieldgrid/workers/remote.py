@@ -14,7 +14,7 @@ from uuid import uuid4
 
 from fieldgrid.closing import Closing
 from fieldgrid.errors import ClusterError, FieldgridError
-from fieldgrid.workers.cluster import Cluster, Ended, Task, WorkersDied
+from fieldgrid.workers.cluster import Cluster, Task, TaskResult, WorkersDied
 from fieldgrid.workers.order import cores
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class OnCluster(Closing):
     def __init__(self, client: Client) -> None:
         self.here = cores()
         self._groups = count()
-        self._ended: dict[int, SimpleQueue[Ended | BaseException]] = {}
+        self._ended: dict[int, SimpleQueue[TaskResult | BaseException]] = {}
         self._cluster = Cluster(
             client,
             f"{__name__}:do_batch",
@@ -60,7 +60,7 @@ class OnCluster(Closing):
         """The results of work on items, in their order. What work raises of items ends it; so does
         ClusterError where workers cannot do it."""
         group = next(self._groups)
-        ended = self._ended[group] = SimpleQueue[Ended | BaseException]()
+        ended = self._ended[group] = SimpleQueue[TaskResult | BaseException]()
         name, left, numbers = type(work).__name__.lower(), iter(items), count()
         done: dict[int, list[Any]] = {}
         waiting: deque[int] = deque()
@@ -86,7 +86,7 @@ class OnCluster(Closing):
             self._cluster.drop(group)
             del self._ended[group]
 
-    def _told(self, group: int, what: Ended | BaseException) -> None:
+    def _told(self, group: int, what: TaskResult | BaseException) -> None:
         ended = self._ended.get(group)
         if ended is not None:  # else the group was dropped meanwhile
             ended.put(what)
@@ -96,7 +96,7 @@ class OnCluster(Closing):
         self._cluster.close()
 
 
-def _next(ended: SimpleQueue[Ended | BaseException]) -> tuple[int, list[Any]]:
+def _next(ended: SimpleQueue[TaskResult | BaseException]) -> tuple[int, list[Any]]:
     """The next batch that is done, by its number."""
     while True:
         try:
