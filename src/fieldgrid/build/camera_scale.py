@@ -112,8 +112,7 @@ def _slope(place_m: Float64) -> Float64:
     way_m = np.concatenate([[0.0], np.cumsum(apart_m)])
     ends_m = np.clip(way_m + np.array([[-0.5], [0.5]]) * CLIMB_OVER_M, 0.0, way_m[-1])
     before_m, after_m = (np.interp(end, way_m, place_m[:, 2]) for end in ends_m)
-    over_m = np.maximum(ends_m[1] - ends_m[0], CLIMB_OVER_M / 2.0)
-    return np.asarray((after_m - before_m) / over_m)
+    return np.asarray((after_m - before_m) / np.maximum(ends_m[1] - ends_m[0], CLIMB_OVER_M / 2.0))
 
 
 def scale_told(scale: CameraScale, rig: Rig) -> str:

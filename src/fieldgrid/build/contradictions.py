@@ -53,8 +53,7 @@ class SeenCells:
 
     def flipped(self) -> SeenCells:
         """What the frame saw, with left and right exchanged."""
-        state = np.ascontiguousarray(self.state[:, ::-1])
-        return replace(self, right_m=-self.right_m, state=state)
+        return replace(self, right_m=-self.right_m, state=np.ascontiguousarray(self.state[:, ::-1]))
 
     def denied(self, pose: Pose, other: SeenCells, other_pose: Pose) -> tuple[int, int]:
         """Of the obstacle cells at a pose, how many the other calls free, and how many it saw."""

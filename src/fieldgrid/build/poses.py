@@ -100,8 +100,7 @@ def _check_reach(drive: Drive, datum: Datum) -> None:
     fixes = drive.fixes()
     # The chord: beyond the horizon, metres east and north are fewer again.
     enu_m = datum.to_enu(fixes.lat_deg, fixes.lon_deg, np.nan_to_num(fixes.height_m))
-    away_m = np.linalg.norm(enu_m, axis=0)
-    nearest_m = float(np.fmin.reduce(away_m, initial=np.inf))
+    nearest_m = float(np.fmin.reduce(np.linalg.norm(enu_m, axis=0), initial=np.inf))
     if MAX_DISTANCE_M < nearest_m < np.inf:
         raise DatumError(
             f"The fixes of {drive.name} are {nearest_m / 1000:.0f} km from the datum "

@@ -83,6 +83,5 @@ def blur(image: UInt8) -> float:
         smoothed = np.abs(np.diff(cv2.blur(grey, size), axis=axis))
         total = float(change.sum())
         if total > 0.0:
-            lost = float(np.maximum(change - smoothed, 0.0).sum())
-            worst = max(worst, 1.0 - lost / total)
+            worst = max(worst, 1.0 - float(np.maximum(change - smoothed, 0.0).sum()) / total)
     return worst

@@ -43,8 +43,7 @@ def encode_window(window: LiveWindow, number: int) -> bytes:
     costs, pose, datum = window.costmap.costs, window.pose, window.costmap.datum
     west_m, south_m = window.costmap.bounds[:2]
     height, width = costs.shape
-    nan = math.nan
-    where = (nan,) * 6
+    where = (math.nan,) * 6
     if pose is not None:
         sigmas = pose.position_sigma_m, pose.heading_sigma_deg
         where = (pose.east_m, pose.north_m, pose.heading_deg, *sigmas, pose.speed_mps)

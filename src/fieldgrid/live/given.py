@@ -42,8 +42,7 @@ def pose_rows(
             "x, y, z, w of each."
         )
     turned = turned.reshape(-1, 4)
-    length = np.linalg.norm(turned, axis=1)
-    wrong = ~(np.abs(length - 1.0) < OFF_UNIT)
+    wrong = ~(np.abs(np.linalg.norm(turned, axis=1) - 1.0) < OFF_UNIT)
     if wrong.any():
         value = ", ".join(f"{part:g}" for part in turned[int(np.argmax(wrong))])
         raise ConfigError(

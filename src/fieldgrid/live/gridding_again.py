@@ -95,8 +95,7 @@ def _again(
     if isinstance(seen, CodedDepth):
         grid, ground = gridder.from_coded(seen, tilt)
     else:
-        points_m = carried(seen, was.time_ns, gridder.rig, way)
-        grid, ground = gridder.from_cloud(points_m, tilt)
+        grid, ground = gridder.from_cloud(carried(seen, was.time_ns, gridder.rig, way), tilt)
     return stage(
         grid,
         was.frame_id,

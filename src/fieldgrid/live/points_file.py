@@ -73,8 +73,7 @@ class PointsFile(Closing):
         start, left = self.size, memoryview(record)
         try:
             while left:  # a disk that fills up takes a part first
-                written = os.pwrite(self._file, left, start + len(record) - len(left))
-                left = left[written:]
+                left = left[os.pwrite(self._file, left, start + len(record) - len(left)) :]
         except OSError:
             with suppress(OSError):
                 os.ftruncate(self._file, start)  # other files need the room
@@ -217,5 +216,4 @@ def _differences(codes: AnyArray) -> bytes:
 
 def _planes(values: AnyArray) -> bytes:
     """The first bytes of all values, then the second ones, and so on."""
-    size = values.dtype.itemsize
-    return values.view(np.uint8).reshape(-1, size).T.tobytes()
+    return values.view(np.uint8).reshape(-1, values.dtype.itemsize).T.tobytes()

@@ -73,8 +73,7 @@ class PushedImage(PushedSource):
 def warm_up(gridder: LocalGridder, *, odometry: bool) -> None:
     """Stage a frame of level ground with noise on it: what a frame goes through is compiled or
     loaded then, which takes seconds, and the first frames need not wait for it."""
-    frame = _of_level_ground(gridder.rig)
-    seen, _ = stage_frame(frame, gridder, odometry=odometry)
+    seen, _ = stage_frame(_of_level_ground(gridder.rig), gridder, odometry=odometry)
     if seen.features is not None:
         step(seen.features, seen.features, gridder.rig)
 

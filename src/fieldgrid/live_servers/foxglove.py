@@ -213,8 +213,7 @@ class FoxgloveServer(Closing):
 
     def _put(self, channel: int, time_ns: int, make: Callable[[], messages.Raw]) -> None:
         if not self._is_closed:
-            message = _EncodedMessage(time_ns, make)
-            self._loop.call_soon_threadsafe(self._offer, channel, message)
+            self._loop.call_soon_threadsafe(self._offer, channel, _EncodedMessage(time_ns, make))
 
     def _offer(self, channel: int, message: _EncodedMessage) -> None:
         self._latest[channel] = message

@@ -106,8 +106,7 @@ class FrameProbe:
 
 def _matcher(camera: StereoCamera, settings: StereoSettings) -> StereoMatcher:
     nearest_px = camera.focal_baseline_px_m / NEAREST_M + camera.disparity_offset_px
-    searched = min(nearest_px, camera.width_px / 4.0)
-    number = max(16, 16 * round(searched / 16.0))
+    number = max(16, 16 * round(min(nearest_px, camera.width_px / 4.0) / 16.0))
     return StereoMatcher(camera, settings, whole_image(camera, number))
 
 
