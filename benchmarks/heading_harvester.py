@@ -188,7 +188,7 @@ def count(found: Estimate, rows: _Int64, gear: int) -> Count:
     )
 
 
-class Measured(NamedTuple):
+class MeasuredValue(NamedTuple):
     working: Count
     both: Count
     loose: Count
@@ -196,7 +196,7 @@ class Measured(NamedTuple):
     """Pieces of `both` and how many are mostly right; the same of `loose`."""
 
 
-def measure(log: Log, found: Estimate) -> Measured:
+def measure(log: Log, found: Estimate) -> MeasuredValue:
     drives = moving(log)
     working = count(found, np.flatnonzero(drives & log.work), +1)
     counts, pieces = {True: NONE, False: NONE}, [0, 0, 0, 0]
@@ -208,7 +208,7 @@ def measure(log: Log, found: Estimate) -> Measured:
         kind = 0 if piece.both else 2
         pieces[kind] += 1
         pieces[kind + 1] += one.right * 2 > one.epochs
-    return Measured(working, counts[True], counts[False], tuple(pieces))
+    return MeasuredValue(working, counts[True], counts[False], tuple(pieces))
 
 
 def beside_rows(log: Log, found: Estimate) -> tuple[_Float64, _Float64]:
@@ -240,7 +240,7 @@ HEAD = (
 )
 
 
-def _line(name: str, one: Measured, loose: bool) -> str:
+def _line(name: str, one: MeasuredValue, loose: bool) -> str:
     back, pieces = (one.loose, one.pieces[2:]) if loose else (one.both, one.pieces[:2])
     return f"{name:<34}{one.working!s:>44}{back!s:>44}{f'{pieces[1]}/{pieces[0]}':>10}"
 
@@ -289,10 +289,10 @@ def _rows_line(label: str, drives: list[tuple[Log, Estimate]]) -> str:
     )
 
 
-def pool(many: list[Measured]) -> Measured:
-    total = Measured(NONE, NONE, NONE, (0, 0, 0, 0))
+def pool(many: list[MeasuredValue]) -> MeasuredValue:
+    total = MeasuredValue(NONE, NONE, NONE, (0, 0, 0, 0))
     for one in many:
-        total = Measured(
+        total = MeasuredValue(
             total.working + one.working,
             total.both + one.both,
             total.loose + one.loose,

@@ -91,7 +91,7 @@ def read_log(path: Path) -> Log:
     )
 
 
-class Measured(NamedTuple):
+class MeasuredValue(NamedTuple):
     """Epochs with a truth while moving, at rest, and at rest by the stricter measure."""
 
     moving: Scores
@@ -100,7 +100,7 @@ class Measured(NamedTuple):
     time_ns: _Int64
 
 
-def measure(log: Log, truth: Log | None = None) -> Measured:
+def measure(log: Log, truth: Log | None = None) -> MeasuredValue:
     """The estimate from a log's positions, beside the truth of the same or of another log."""
     truth = truth or log
     fixes = make_fixes(log.time_ns, log.lat_deg, log.lon_deg, log.quality)
@@ -113,7 +113,7 @@ def measure(log: Log, truth: Log | None = None) -> Measured:
     offset = circular_median_deg(off[telling]) if telling.sum() >= FEWEST_MOVING else 0.0
     error = np.asarray(wrap_deg(off - offset))
     scores = Scores(error, poses.sigma_deg, poses.accepted, poses.gear, truth.true_gear[rows])
-    return Measured(
+    return MeasuredValue(
         scores.of(speed > MOVING_MPS),
         scores.of(speed <= RESTING_MPS),
         scores.of(speed <= SURELY_RESTING_MPS),
@@ -228,8 +228,8 @@ def _within_stops_deg(heading_deg: _Float64, resting: npt.NDArray[np.bool_]) -> 
     ]
 
 
-def pool(many: list[Measured]) -> Measured:
-    return Measured(
+def pool(many: list[MeasuredValue]) -> MeasuredValue:
+    return MeasuredValue(
         pooled(one.moving for one in many),
         pooled(one.resting for one in many),
         pooled(one.surely for one in many),
@@ -244,7 +244,7 @@ def asked_line() -> str:
     )
 
 
-def _line(name: str, one: Measured) -> str:
+def _line(name: str, one: MeasuredValue) -> str:
     rests = []
     for resting in (one.resting, one.surely):
         used = resting.of(resting.accepted)

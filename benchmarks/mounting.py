@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks import EXAMPLE
 from benchmarks.odometry import ROAD, ROAD_FIRST
 from benchmarks.rectified import VINEYARD
-from fieldgrid.mounting import Measured, MountEstimate, estimate_mount
+from fieldgrid.mounting import MeasuredValue, MountEstimate, estimate_mount
 from fieldgrid.recording import Recording, open_recording
 from fieldgrid.rig import Mount
 from tests.mounting.drives import MemoryFrames, rendered
@@ -49,7 +49,7 @@ class Value(NamedTuple):
     what: str
     unit: tuple[str, int]
     truth: float
-    measured: Measured
+    measured: MeasuredValue
     asked: float
 
     @property

@@ -29,7 +29,7 @@ TILES, CLICKS, FIRST_TILES = 200, 40, 20
 SEED = 17
 
 
-class Asked:
+class EstimateInputs:
     """A running viewer, how long its answers take, and what it uses."""
 
     def __init__(self, process: subprocess.Popen[str], address: str) -> None:
@@ -63,7 +63,7 @@ class Asked:
 
 
 @contextmanager
-def running(path: Path) -> Iterator[Asked]:
+def running(path: Path) -> Iterator[EstimateInputs]:
     command = "from fieldgrid.cli import main; main()"
     process = subprocess.Popen(
         [sys.executable, "-c", command, "view", str(path), "--no-browser"],
@@ -72,7 +72,7 @@ def running(path: Path) -> Iterator[Asked]:
     )
     try:
         assert process.stdout is not None
-        yield Asked(process, process.stdout.readline().split()[1])
+        yield EstimateInputs(process, process.stdout.readline().split()[1])
     finally:
         process.terminate()
         process.wait(30)
@@ -91,7 +91,7 @@ def tile_paths(about: dict[str, Any], layer: str, count: int) -> list[str]:
     return found
 
 
-def told(name: str, asked: Asked, paths: list[str]) -> None:
+def told(name: str, asked: EstimateInputs, paths: list[str]) -> None:
     """Ask, and print the median, the worst, and the processor time of the median's kind."""
     before = asked.cpu_ms()
     times = sorted(asked.ms(path) for path in paths)
@@ -102,7 +102,7 @@ def told(name: str, asked: Asked, paths: list[str]) -> None:
     )
 
 
-def first_picture(asked: Asked) -> None:
+def first_picture(asked: EstimateInputs) -> None:
     """What the page asks for before it draws: itself, the map, the tiles of the whole field."""
     before, start = asked.cpu_ms(), time.perf_counter()
     for name in ("/", "/viewer.js", "/viewer.css"):

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from fieldgrid.workers.cluster import Ended
+from fieldgrid.workers.cluster import TaskResult
 from fieldgrid.workers.remote import OnCluster
 
 
@@ -49,12 +49,12 @@ class Cluster:
         self._killed.append(self.pids[0])
         return self.pids[0]
 
-    def kill_one(self, monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, Ended]]:
+    def kill_one(self, monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, TaskResult]]:
         """Kills a worker when the first task has ended; the tasks that end, with their groups."""
-        told, ended = OnCluster._told, list[tuple[int, Ended]]()
+        told, ended = OnCluster._told, list[tuple[int, TaskResult]]()
 
         def kill_one(found: OnCluster, group: int, what: Any) -> None:
-            if isinstance(what, Ended):
+            if isinstance(what, TaskResult):
                 if not ended:
                     self.kill()
                 ended.append((group, what))

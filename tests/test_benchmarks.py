@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks import clock, mounting, random_drives, reading
 from fieldgrid.motion import Steps
-from fieldgrid.mounting import Measured
+from fieldgrid.mounting import MeasuredValue
 from fieldgrid.pose import ClockOffset
 from fieldgrid.quality import Quality
 from tests.conftest import TWO_LANES
@@ -61,7 +61,7 @@ def test_a_mount_beside_its_truth(
 
 
 def test_an_error_is_what_was_measured_less_the_truth() -> None:
-    tilt = mounting.Value("drive", "tilt", mounting.DEGREES, 16.0, Measured(15.5, 0.25), 0.2)
+    tilt = mounting.Value("drive", "tilt", mounting.DEGREES, 16.0, MeasuredValue(15.5, 0.25), 0.2)
     assert tilt.error == -0.5
     assert tilt.line().split()[2:] == [
         "16.00",

@@ -34,55 +34,42 @@ def lock_within(descriptor: int, wait_s: float) -> bool:
     thread waits. One that is given up waits on, with the open file to itself, and lets go at once;
     the caller, too, calls `let_go` then: the thread may have had the lock in that moment.
     """
-    try:
+    with suppress(BlockingIOError):
         lock(descriptor, wait=False)
-    except BlockingIOError:
-        waiting = _Waiting(os.dup(descriptor))
-        try:
-            waiting.start()
-        except RuntimeError:  # no more threads
-            waiting.close()
-            raise
-        try:
-            waiting.join(wait_s)
-        finally:
-            if waiting.is_alive():
-                waiting.give_up()
-        return waiting.has_it()
-    return True
+        return True
+    waiting = _LockThread(os.dup(descriptor))
+    try:
+        waiting.start()
+    except RuntimeError:  # no more threads
+        os.close(waiting.descriptor)
+        raise
+    try:
+        waiting.join(wait_s)
+    finally:
+        if waiting.is_alive():
+            waiting.is_given_up = True
+    if waiting.problem is not None:
+        raise waiting.problem
+    return not waiting.is_given_up
 
 
-class _Waiting(threading.Thread):
+class _LockThread(threading.Thread):
     """Waits for a lock by a descriptor of its own, which it closes. The lock stays with other
     descriptors of the same open file, as long as there are any."""
 
     def __init__(self, descriptor: int) -> None:
         super().__init__(name="fieldgrid-lock", daemon=True)
-        self._descriptor = descriptor
-        self._problem: OSError | None = None
-        self._is_given_up = False
+        self.descriptor = descriptor
+        self.problem: OSError | None = None
+        """Why there can be no lock."""
+        self.is_given_up = False
+        """Nobody waits for the lock any more."""
 
     def run(self) -> None:
         try:
-            lock(self._descriptor, wait=True)
+            lock(self.descriptor, wait=True)
         except OSError as error:
-            self._problem = error
+            self.problem = error
         finally:
-            self.close()
-
-    def close(self) -> None:
-        """Close its descriptor, and unlock the file where nobody waits for it any more."""
-        if self._is_given_up:
-            let_go(self._descriptor)
-        else:
-            os.close(self._descriptor)
-
-    def give_up(self) -> None:
-        """Nobody waits for the lock any more."""
-        self._is_given_up = True
-
-    def has_it(self) -> bool:
-        """Whether the lock was had in time. OSError where it cannot be."""
-        if self._problem is not None:
-            raise self._problem
-        return not self._is_given_up
+            # Where nobody waits for it any more, the file is unlocked.
+            (let_go if self.is_given_up else os.close)(self.descriptor)

@@ -62,8 +62,9 @@ class Kernel:
                 try:
                     self._compiled = numba.njit(**self._options)(self._function)
                 except RuntimeError:  # no place for the machine code
-                    options = self._options | {"cache": False}
-                    self._compiled = numba.njit(**options)(self._function)
+                    self._compiled = numba.njit(**(self._options | {"cache": False}))(
+                        self._function
+                    )
             return self._compiled
 
     def cache_folder(self) -> str | None:

@@ -102,8 +102,7 @@ class UnfoldBudget:
         now = limits()
         self._variable = "LOG_FACTOR" if is_log else "FACTOR"
         self._factor = now.log_factor if is_log else now.factor
-        self._most = max(self._factor * packed_bytes, now.free_mib << 20)
-        self._left = self._most
+        self._left = self._most = max(self._factor * packed_bytes, now.free_mib << 20)
 
     def spend(self, count: int) -> None:
         """Count unfolded bytes. Raises LimitError beyond the limit."""

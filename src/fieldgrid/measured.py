@@ -10,10 +10,10 @@ import numpy as np
 from fieldgrid.array_types import Bool, Float64
 
 OUTLIER = 5.0
-"""Values farther off than so many scatters are left out."""
+"""Values that are farther off than this number of scatters are left out."""
 
 
-class Measured(NamedTuple):
+class MeasuredValue(NamedTuple):
     """A value and its 1-sigma error, in the unit that the name says that holds it."""
 
     value: float
@@ -27,8 +27,7 @@ class Measured(NamedTuple):
 def kept(values: Float64) -> Bool:
     """Mask of the values [n] that are no outliers, by the median of their distances."""
     off = np.abs(values - np.median(values))
-    kept_: Bool = off <= OUTLIER * max(1.4826 * float(np.median(off)), 1e-9)
-    return kept_
+    return np.asarray(off <= OUTLIER * max(1.4826 * float(np.median(off)), 1e-9))
 
 
 def repeated(residuals: Float64) -> float:
@@ -49,9 +48,9 @@ def repeated(residuals: Float64) -> float:
     return total
 
 
-def mean_of(values: Float64, floor: float) -> Measured:
+def mean_of(values: Float64, floor: float) -> MeasuredValue:
     """The mean of a series [n >= 2] without its outliers; `floor` is the error that all share."""
     used = values[kept(values)]
     spread = float(np.std(used, ddof=1)) if len(used) > 1 else 0.0
     sigma = spread * math.sqrt(min(repeated(used) / len(used), 1.0))
-    return Measured(float(used.mean()), math.hypot(sigma, floor))
+    return MeasuredValue(float(used.mean()), math.hypot(sigma, floor))

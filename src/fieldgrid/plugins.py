@@ -50,7 +50,10 @@ def load(group: Group) -> None:
         _begun.add(group)
         try:
             for found in plugins(group):
-                _import(found)
+                try:
+                    found.load()
+                except Exception as problem:
+                    raise ConfigError(_not_imported(found, problem)) from problem
             _done.add(group)
         finally:
             _begun.discard(group)
@@ -61,19 +64,16 @@ def plugins(group: Group) -> list[EntryPoint]:
     return sorted(entry_points(group=group), key=lambda one: (one.name, one.value))
 
 
-def _import(found: EntryPoint) -> None:
-    try:
-        found.load()
-    except Exception as problem:
-        whose = "a package" if found.dist is None else f"the package {found.dist.name}"
-        why = printable(f"{type(problem).__name__}: {problem}").removesuffix(".")
-        raise ConfigError(
-            f"{found.value}, which {whose} adds to fieldgrid ({found.group}), cannot be imported: "
-            f"{why}; install a version that works with this fieldgrid, or uninstall it."
-        ) from problem
+def _not_imported(found: EntryPoint, problem: Exception) -> str:
+    whose = "a package" if found.dist is None else f"the package {found.dist.name}"
+    why = printable(f"{type(problem).__name__}: {problem}").removesuffix(".")
+    return (
+        f"{found.value}, which {whose} adds to fieldgrid ({found.group}), cannot be imported: "
+        f"{why}; install a version that works with this fieldgrid, or uninstall it."
+    )
 
 
-class Registered(Mapping[str, _Entry]):
+class PluginRegistry(Mapping[str, _Entry]):
     """What is registered by name, with what the modules of a group add; it cannot be changed."""
 
     def __init__(self, entries: Mapping[str, _Entry], group: Group) -> None:

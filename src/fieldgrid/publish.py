@@ -80,7 +80,8 @@ def working_beside(draft: Path) -> Iterator[Path]:
 def replacing_folder(
     path: Path, *, overwrite: bool, ours: Callable[[Path], bool], what: str
 ) -> Iterator[Path]:
-    """The same for a folder, as :class:`DraftFolder` says."""
+    """A folder to fill in the place of `path`, as :class:`DraftFolder` says: it takes that name
+    when the block ends well, and is gone when it does not."""
     draft = DraftFolder(path, overwrite=overwrite, ours=ours, what=what)
     try:
         with writing(path):
@@ -148,7 +149,7 @@ class Draft:
         _remove_orphans(place)
 
     def sync(self) -> None:
-        """Have the disk keep what is written so far, so that `publish` need not wait for it."""
+        """Have the disk keep what is written until now, so that `publish` need not wait for it."""
         try:
             sync(self.file)
         except OSError as error:
@@ -159,13 +160,18 @@ class Draft:
         """Bring the file to its final name, at once and `for_good`, or until the next one that is
         published there is: the folder is synced once then. No file is replaced unasked."""
         try:
-            self._refuse_strays(self.place)
+            # SQLite would play the journal of an older map back into this one.
+            for stray in filter(Path.exists, _companions(self.place)):
+                raise MapWriteError(
+                    f"{stray} lies beside {self.target}: an older map of that name is in use, or "
+                    "its writer was interrupted. Open that map once, or delete the journal."
+                )
             if not self._is_synced:
                 sync(self.file)
             if self._overwrite:
                 self.file.replace(self.place)
             else:
-                self._publish_new(self.place)
+                self._publish_new()
             if for_good:
                 sync(self.place.parent)
         except FileExistsError as error:
@@ -177,28 +183,19 @@ class Draft:
         finally:
             self.discard()
 
-    def _publish_new(self, place: Path) -> None:
+    def _publish_new(self) -> None:
         try:
-            os.link(self.file, place)  # fails when the name is taken, unlike a rename
+            os.link(self.file, self.place)  # fails when the name is taken, unlike a rename
         except OSError as error:
             if error.errno not in NO_HARD_LINKS:
                 raise
             # Without hard links: whoever makes the empty file owns the name.
-            os.close(os.open(place, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+            os.close(os.open(self.place, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
             try:
-                self.file.replace(place)
+                self.file.replace(self.place)
             except OSError:
-                place.unlink()
+                self.place.unlink()
                 raise
-
-    def _refuse_strays(self, place: Path) -> None:
-        # SQLite would play the journal of an older map back into this one.
-        for stray in _companions(place):
-            if stray.exists():
-                raise MapWriteError(
-                    f"{stray} lies beside {self.target}: an older map of that name is in use, or "
-                    "its writer was interrupted. Open that map once, or delete the journal."
-                )
 
 
 class DraftFolder:

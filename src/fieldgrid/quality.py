@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from enum import IntEnum
-from typing import NamedTuple
 
 from fieldgrid.errors import ConfigError
 
@@ -38,8 +37,8 @@ class Quality(IntEnum):
     def named(cls, text: str) -> Quality:
         """The quality of a name or code that a user wrote: ``rtk-fixed``, ``RTK fixed``, ``4``."""
         wanted = re.sub(r"[\s_-]+", " ", text.strip().lower())
-        for quality, row in _TABLE.items():
-            if wanted in (row.name.lower(), str(int(quality))):
+        for quality, (label, _) in _TABLE.items():
+            if wanted in (label.lower(), str(int(quality))):
                 return quality
         names = ", ".join(map(str, cls))
         raise ConfigError(f"There is no quality {text[:40]!r} of a fix; give one of {names}.")
@@ -50,31 +49,27 @@ class Quality(IntEnum):
     @property
     def label(self) -> str:
         """The name for people: ``RTK fixed``."""
-        return _TABLE[self].name
+        return _TABLE[self][0]
 
     @property
     def usual_sigma_m(self) -> float:
         """The 1-sigma error along one horizontal axis that such a fix usually has, metres."""
-        return _TABLE[self].usual_sigma_m
+        return _TABLE[self][1]
 
 
-class _Row(NamedTuple):
-    name: str
-    usual_sigma_m: float
-
-
+# The name for people, and the usual 1-sigma error, metres.
 _TABLE = {
-    Quality.UNKNOWN: _Row("unknown", 1.5),  # as for GPS: nothing says that it is better
-    Quality.NONE: _Row("none", 5.0),
-    Quality.GPS: _Row("GPS", 1.5),
-    Quality.DIFFERENTIAL: _Row("differential", 0.5),
-    Quality.PPS: _Row("PPS", 0.5),
-    Quality.RTK_FIXED: _Row("RTK fixed", 0.02),
-    Quality.RTK_FLOAT: _Row("RTK float", 0.25),
-    Quality.ESTIMATED: _Row("estimated", 5.0),
-    Quality.MANUAL: _Row("manual", 5.0),
-    Quality.SIMULATED: _Row("simulated", 5.0),
-    Quality.SBAS: _Row("SBAS", 0.5),
+    Quality.UNKNOWN: ("unknown", 1.5),  # as for GPS: nothing says that it is better
+    Quality.NONE: ("none", 5.0),
+    Quality.GPS: ("GPS", 1.5),
+    Quality.DIFFERENTIAL: ("differential", 0.5),
+    Quality.PPS: ("PPS", 0.5),
+    Quality.RTK_FIXED: ("RTK fixed", 0.02),
+    Quality.RTK_FLOAT: ("RTK float", 0.25),
+    Quality.ESTIMATED: ("estimated", 5.0),
+    Quality.MANUAL: ("manual", 5.0),
+    Quality.SIMULATED: ("simulated", 5.0),
+    Quality.SBAS: ("SBAS", 0.5),
 }
 
 # A log has a code a fix, and calling an enumeration takes longer than reading the field.

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64, Int64
-from fieldgrid.measured import Measured, repeated
+from fieldgrid.measured import MeasuredValue, repeated
 
 LEAST_STEP_M = 0.1
 """The direction of a shorter step is not known."""
@@ -66,8 +66,8 @@ class Travel(NamedTuple):
     """The yaw of the camera in degrees, positive when it looks to the right of where the vehicle
     goes, and how far ahead of the unsteered axle it is; None when the drive does not tell."""
 
-    yaw_deg: Measured | None
-    ahead_m: Measured | None
+    yaw_deg: MeasuredValue | None
+    ahead_m: MeasuredValue | None
     straight_m: float
 
 
@@ -82,11 +82,11 @@ def travel(steps: Ways, ahead_m: float | None = None) -> Travel:
         return Travel(None, None, straight_m)
     line, covariance = _line(steps, AHEAD_M, AHEAD_SIGMA_M)
     ahead_sigma_m = math.hypot(math.sqrt(covariance[1, 1]), AHEAD_FLOOR_M)
-    found = Measured(float(line[1]), ahead_sigma_m)
+    found = MeasuredValue(float(line[1]), ahead_sigma_m)
     if ahead_m is not None:
         line, covariance = _line(steps, ahead_m, SAID_SIGMA_M)
     yaw_sigma_deg = math.hypot(math.degrees(math.sqrt(covariance[0, 0])), FLOOR_DEG)
-    yaw = Measured(-math.degrees(line[0]), yaw_sigma_deg)
+    yaw = MeasuredValue(-math.degrees(line[0]), yaw_sigma_deg)
     return Travel(
         yaw if yaw_sigma_deg < TOLD_SIGMA_DEG else None,
         found if ahead_sigma_m < TOLD_SIGMA_M else None,

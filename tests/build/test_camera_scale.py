@@ -60,7 +60,7 @@ def test_a_baseline_that_is_wrong_is_told_and_stops_a_build_from_a_twentieth(
     doubted = doubted_scale(found, RIG)
     assert (doubted is not None) == stops
     if doubted is not None:
-        assert doubted.doubt is StopCode.SCALE
+        assert doubted.code is StopCode.SCALE
         right_m = RIG.camera.baseline_m / found.ratio
         assert f"a baseline of {right_m:.4f} m instead of" in str(doubted.error)
 

@@ -87,7 +87,7 @@ def test_nothing_is_said_without_a_camera() -> None:
 def test_a_longitude_without_its_sign(hole: bool) -> None:
     found = doubted_mirror(drive(TURN_DEG), way(-TURN_DEG, 41.65, 4.72), steps(hole=hole))
     assert found is not None
-    assert found.doubt is StopCode.MIRRORED
+    assert found.code is StopCode.MIRRORED
     said = str(found.error)
     assert "m apart, and 0.00 m with left and right exchanged" in said
     assert "the gyro turns as the camera does" in said

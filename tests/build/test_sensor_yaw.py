@@ -97,7 +97,7 @@ def test_what_agrees_only_in_a_mirror_is_told() -> None:
     assert found.is_mirrored
     doubted = doubted_sensor_yaw(found, lidar_rig(1000.0))
     assert doubted is not None
-    assert doubted.doubt is StopCode.MIRRORED
+    assert doubted.code is StopCode.MIRRORED
     as_it_is = sensor_yaw(*frames_between_walls())
     assert as_it_is is not None
     assert not as_it_is.is_mirrored
@@ -132,7 +132,7 @@ def test_a_yaw_is_told_by_its_size() -> None:
     assert doubted_sensor_yaw(SensorYaw(-1.5, 0.1), camera) is None
     doubted = doubted_sensor_yaw(SensorYaw(2.5, 0.1), lidar)
     assert doubted is not None
-    assert doubted.doubt is StopCode.CAMERA_YAW
+    assert doubted.code is StopCode.CAMERA_YAW
     assert "the lidar points 2.5° ± 0.1° farther right" in str(doubted.error)
     assert not list(sensor_yaw_notes(SensorYaw(2.5, 0.1), lidar))
 

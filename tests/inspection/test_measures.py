@@ -8,15 +8,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from fieldgrid.frame_ground import FrameGround
-from fieldgrid.inspection.measures import Look, blur, exposure
+from fieldgrid.inspection.measures import PairMeasures, blur, exposure
 from fieldgrid.vertical import drive_misalignment, misalignment
 
 SIZE_PX = (640, 480)
 
 
-def look(shifts: np.ndarray) -> Look:
+def look(shifts: np.ndarray) -> PairMeasures:
     ground = FrameGround(2.0, 0.0, 0.0, True)
-    return Look("0", 0, (100.0, 100.0), 0.0, 0.0, 0.2, 500, shifts, ground, 0.5)
+    return PairMeasures("0", 0, (100.0, 100.0), 0.0, 0.0, 0.2, 500, shifts, ground, 0.5)
 
 
 def shifts_of(seed: int, constant_px: float, per_width_px: float, wrong: float) -> np.ndarray:

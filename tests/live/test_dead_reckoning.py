@@ -7,8 +7,8 @@ import pytest
 
 from fieldgrid.array_types import Float64
 from fieldgrid.geodesy import Datum
-from fieldgrid.live.dead_reckoning import MOST_NEW, ROLLED_S, DeadReckoning
-from fieldgrid.live.sensor_rows import rows_of
+from fieldgrid.live.dead_reckoning import ROLLED_S, DeadReckoning
+from fieldgrid.live.sensor_rows import MOST_NEW, rows_of
 from fieldgrid.odometry import CameraStep
 from fieldgrid.trajectory import Status, Trajectory
 

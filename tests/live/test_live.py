@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.build import build_map
-from fieldgrid.build.perception import Perceived
+from fieldgrid.build.perception import Perception
 from fieldgrid.errors import (
     CalibrationError,
     ConfigError,
@@ -226,7 +226,7 @@ def test_no_window_waits_until_a_frame_is_encoded(
 ) -> None:
     passed, before = passed_on(monkeypatch), list[bool]()
 
-    def encoding(seen: Perceived, rig: Rig) -> StagedFrame:
+    def encoding(seen: Perception, rig: Rig) -> StagedFrame:
         before.append(seen.frame.frame_id in passed)
         return encoded(seen, rig)
 

@@ -17,7 +17,7 @@ from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
 from fieldgrid.grids import GridSpec, LocalGrid
 from fieldgrid.live.estimator import Estimator
-from fieldgrid.live.fixed_lag import KEPT_S, Asked, FixedLagSmoother
+from fieldgrid.live.fixed_lag import KEPT_S, EstimateInputs, FixedLagSmoother
 from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiver import PerceivedFrame
 from fieldgrid.live.poser import Poser
@@ -370,7 +370,7 @@ def test_a_window_is_told_before_the_estimate_that_has_its_frame(
     told, poser = watched()
     asked_of: list[tuple[str, bool]] = []
 
-    def asking(_self: Estimator, asked: Asked) -> None:
+    def asking(_self: Estimator, asked: EstimateInputs) -> None:
         name = f"{(asked.frame_ns[-1] - START_NS) / 1e9:.1f}"
         asked_of.append((name, is_shown(told, name)))
 
@@ -394,7 +394,7 @@ def is_shown(told: Told, name: str) -> bool:
     return any(window.frame_id == name for window in told.of(LiveWindow))
 
 
-def test_memory_is_bounded_by_what_an_estimate_takes() -> None:
+def test_memory_is_bounded_by_what_an_estimate_takes(monkeypatch: pytest.MonkeyPatch) -> None:
     trailing = FixedLagSmoother(RIG, SETTINGS, DATUM, 20.0)
     for k in range(5 * 600):
         trailing.add_fix(fix(0.2 * k))
@@ -402,7 +402,8 @@ def test_memory_is_bounded_by_what_an_estimate_takes() -> None:
         trailing.add_rows("gyro", rows_of("gyro", at_ns(0.2 * k), 0.0))
     sizes = len(trailing._fixes), len(trailing._frames), len(trailing._parts["gyro"])
     assert max(sizes) <= 5 * 60 + 1
-    outbox = Outbox(3)
+    monkeypatch.setattr("fieldgrid.live.results.MOST_WAITING", 3)
+    outbox = Outbox()
     for k in range(5):
         outbox.put(LiveEvent(What.INPUT, str(k), 0))
     assert outbox.missed == 2

@@ -10,7 +10,7 @@ import pytest
 from fieldgrid.build import SessionReport, build_map
 from fieldgrid.errors import RecordingError
 from fieldgrid.live import Live, LiveOptions, replay
-from fieldgrid.live.pushed import Pushed
+from fieldgrid.live.pushed import PushedSource
 from fieldgrid.recording import CloudFrame, open_recording
 from fieldgrid.settings import resolve
 from tests.build.making import content
@@ -74,6 +74,6 @@ def test_the_map_of_sweeps_is_that_of_a_build(drive: Path, tmp_path: Path) -> No
 
 def test_times_of_other_points_are_no_times() -> None:
     points_m = np.zeros((5, 3), np.float32)
-    assert Pushed("cloud", points_m).sweep().after_s is None
+    assert PushedSource("cloud", points_m).sweep().after_s is None
     with pytest.raises(RecordingError, match="for 5 points"):
-        Pushed("cloud", points_m, np.zeros(4, np.float32)).sweep()
+        PushedSource("cloud", points_m, np.zeros(4, np.float32)).sweep()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.errors import CalibrationError, RecordingError
-from fieldgrid.mounting import Measured, MountEstimate, estimate_mount
+from fieldgrid.mounting import MeasuredValue, MountEstimate, estimate_mount
 from fieldgrid.mounting.estimate import AHEAD, UNDER
 from fieldgrid.recording import DriveOptions, open_recording
 from fieldgrid.rig import Mount
@@ -193,7 +193,7 @@ def test_what_is_not_stated_is_not_compared(two_lanes: MountEstimate) -> None:
     assert two_lanes.stated is not None
     axle = replace(two_lanes.stated, rear_axle_forward_m=None)
     assert len(replace(two_lanes, stated=axle).compared()) == 4
-    assert math.isclose(Measured(1.0, 0.1).off(1.2), 2.0)
+    assert math.isclose(MeasuredValue(1.0, 0.1).off(1.2), 2.0)
 
 
 def test_the_motion_within_a_sweep_moves_no_ground(tmp_path: Path) -> None:

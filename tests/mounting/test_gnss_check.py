@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.fixes import FixColumns
-from fieldgrid.measured import Measured
+from fieldgrid.measured import MeasuredValue
 from fieldgrid.mounting.gnss_check import GnssCheck, check_against_gnss, remarks
 from fieldgrid.recording import FixLog, Recording
 from fieldgrid.rig import Mount
@@ -80,7 +80,7 @@ def test_a_recorded_heading_is_held_against_the_course() -> None:
 
 
 def test_what_is_within_its_error_needs_no_remark() -> None:
-    assert remarks(GnssCheck(Measured(1.03, 0.02), Measured(0.6, 0.3))) == []
+    assert remarks(GnssCheck(MeasuredValue(1.03, 0.02), MeasuredValue(0.6, 0.3))) == []
     assert remarks(GnssCheck(None, None)) == []
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from fieldgrid.measured import Measured, kept, mean_of, repeated
+from fieldgrid.measured import MeasuredValue, kept, mean_of, repeated
 
 
 def test_independent_values_each_speak_for_themselves() -> None:
@@ -38,7 +38,7 @@ def test_an_outlier_is_left_out() -> None:
 
 
 def test_the_floor_is_what_no_number_of_values_removes() -> None:
-    assert mean_of(np.full(100, 2.0), 0.3) == Measured(2.0, 0.3)
+    assert mean_of(np.full(100, 2.0), 0.3) == MeasuredValue(2.0, 0.3)
 
 
 def test_a_series_that_does_not_change_repeats_nothing() -> None:
@@ -46,8 +46,8 @@ def test_a_series_that_does_not_change_repeats_nothing() -> None:
 
 
 def test_off_counts_sigmas_upwards() -> None:
-    assert Measured(2.0, 0.5).off(3.0) == 2.0
-    assert Measured(2.0, 0.5).off(1.5) == -1.0
+    assert MeasuredValue(2.0, 0.5).off(3.0) == 2.0
+    assert MeasuredValue(2.0, 0.5).off(1.5) == -1.0
 
 
 def test_a_mean_of_eight_repeats_itself_eight_times() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.errors import CalibrationError, ConfigError
-from fieldgrid.mounting import Measured, MountEstimate, write_estimate
+from fieldgrid.mounting import MeasuredValue, MountEstimate, write_estimate
 from fieldgrid.mounting.estimate import UNDER
 from fieldgrid.mounting.ground_under_vehicle import MountSamples
 from fieldgrid.recording import mounting_path, open_recording
@@ -19,15 +19,15 @@ from fieldgrid.rig import Rig
 from fieldgrid.travel import Ways
 
 NOTHING = np.zeros(0)
-YAW = Measured(0.4567, 0.1)
+YAW = MeasuredValue(0.4567, 0.1)
 
 
-def estimate(stated: Rig | None, *, yaw: Measured | None = YAW) -> MountEstimate:
+def estimate(stated: Rig | None, *, yaw: MeasuredValue | None = YAW) -> MountEstimate:
     return MountEstimate(
         name="drive",
-        height_m=Measured(2.70049, 0.01),
-        tilt_deg=Measured(15.4444, 0.1),
-        roll_deg=Measured(-0.001, 0.1),
+        height_m=MeasuredValue(2.70049, 0.01),
+        tilt_deg=MeasuredValue(15.4444, 0.1),
+        roll_deg=MeasuredValue(-0.001, 0.1),
         yaw_deg=yaw,
         axle_ahead_m=None,
         method=UNDER,
@@ -74,7 +74,7 @@ def test_an_axle_that_was_measured_is_written(
 ) -> None:
     drive = make_drive()
     with open_recording(drive) as recording:
-        found = replace(estimate(recording.rig), axle_ahead_m=Measured(1.7234, 0.02))
+        found = replace(estimate(recording.rig), axle_ahead_m=MeasuredValue(1.7234, 0.02))
     if is_new:
         (drive / "calibration" / "mounting.json").unlink()
     place = write_estimate(found, drive)

@@ -939,7 +939,9 @@ def test_a_worker_needs_of_a_folder_that_may_not_be_listed_what_its_frames_need(
     one = work_on(here)
     passing_over = one._replace(skips_bad=True)
 
-    def staged_afresh(work: DriveWork, place: remote.RecordingPlace, name: str) -> remote.Made:
+    def staged_afresh(
+        work: DriveWork, place: remote.RecordingPlace, name: str
+    ) -> remote.StagedShare:
         packed = remote.packed(work)
         with monkeypatch.context() as patched:
             patched.setenv("FIELDGRID_CACHE", str(tmp_path / name))

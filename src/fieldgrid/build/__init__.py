@@ -1,7 +1,7 @@
 """The main job, and the only wiring: recordings to a map, or to more sessions of one."""
 
 from fieldgrid.build.drives import build_map
-from fieldgrid.build.perception import Perceived, local_grid, perceive, visual_odometry
+from fieldgrid.build.perception import Perception, local_grid, perceive, visual_odometry
 from fieldgrid.build.poses import cell_budget, check_poses, estimate_drive, estimate_trajectory
 from fieldgrid.build.report import (
     BadFrame,
@@ -15,7 +15,7 @@ from fieldgrid.build.session import add_recording, check_output, session_config
 __all__ = [
     "BadFrame",
     "PartlyBuiltError",
-    "Perceived",
+    "Perception",
     "Progress",
     "SessionReport",
     "StageTimes",

@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 
-from fieldgrid.build.contradictions import Placed, SeenCells, following, opposed
+from fieldgrid.build.contradictions import FramePose, SeenCells, following, opposed
 from fieldgrid.mapfile import StagedFrames
 from fieldgrid.rig import Lidar, Rig
 
@@ -38,7 +38,7 @@ PAIRS = 60
 """So many pairs of frames are compared, all over the drive."""
 
 
-def denied_share(frames: StagedFrames, placed: Sequence[Placed]) -> float | None:
+def denied_share(frames: StagedFrames, placed: Sequence[FramePose]) -> float | None:
     """The share of the obstacle cells of a frame that another frame, taken near it, saw and calls
     free. `placed` are the accepted ones in order of time.
 
@@ -55,7 +55,7 @@ def denied_share(frames: StagedFrames, placed: Sequence[Placed]) -> float | None
     return float(np.quantile(shares, 0.25)) if len(shares) >= FEWEST_PAIRS else None
 
 
-def opposed_share(frames: StagedFrames, placed: Sequence[Placed]) -> float | None:
+def opposed_share(frames: StagedFrames, placed: Sequence[FramePose]) -> float | None:
     """The share of the obstacle cells of frames that is denied by frames which look the other way,
     as those of the lanes on both sides of a row; `placed` as for `denied_share`.
 

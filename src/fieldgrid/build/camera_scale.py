@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.array_types import Float64
-from fieldgrid.build.poses import Doubted
+from fieldgrid.build.poses import BuildDoubt
 from fieldgrid.choices import StopCode
 from fieldgrid.errors import CalibrationError
 from fieldgrid.fixes import FixColumns
@@ -112,8 +112,7 @@ def _slope(place_m: Float64) -> Float64:
     way_m = np.concatenate([[0.0], np.cumsum(apart_m)])
     ends_m = np.clip(way_m + np.array([[-0.5], [0.5]]) * CLIMB_OVER_M, 0.0, way_m[-1])
     before_m, after_m = (np.interp(end, way_m, place_m[:, 2]) for end in ends_m)
-    over_m = np.maximum(ends_m[1] - ends_m[0], CLIMB_OVER_M / 2.0)
-    return np.asarray((after_m - before_m) / over_m)
+    return np.asarray((after_m - before_m) / np.maximum(ends_m[1] - ends_m[0], CLIMB_OVER_M / 2.0))
 
 
 def scale_told(scale: CameraScale, rig: Rig) -> str:
@@ -141,11 +140,11 @@ def scale_notes(scale: CameraScale | None, rig: Rig) -> tuple[str, ...]:
     return (scale_told(scale, rig),)
 
 
-def doubted_scale(scale: CameraScale | None, rig: Rig) -> Doubted | None:
+def doubted_scale(scale: CameraScale | None, rig: Rig) -> BuildDoubt | None:
     """That all distances of the grids are certainly wrong by a twentieth and more."""
     if scale is None or not scale.stops or not _has_scale(rig):
         return None
-    return Doubted(StopCode.SCALE, CalibrationError(scale_told(scale, rig)))
+    return BuildDoubt(StopCode.SCALE, CalibrationError(scale_told(scale, rig)))
 
 
 def _has_scale(rig: Rig) -> bool:

@@ -7,12 +7,12 @@ import time
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
-from fieldgrid.build.executor import DriveOrder, Event, Failed, Shared, StagingProgress
+from fieldgrid.build.executor import DriveFailure, DriveOrder, Event, ShareResult, StagingProgress
 from fieldgrid.build.parts import Share, keep_part
-from fieldgrid.build.remote import Made, packed, place_of
+from fieldgrid.build.remote import StagedShare, packed, place_of
 from fieldgrid.closing import Closing
 from fieldgrid.errors import FieldgridError, RecordingError
-from fieldgrid.workers.cluster import Cluster, Ended, Task, WorkersDied
+from fieldgrid.workers.cluster import Cluster, Task, TaskResult, WorkersDied
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -48,7 +48,7 @@ class Stagers(Closing):
         """Take back all that is not done; what a worker is at it does to the end of the share."""
         self._cluster.close()
 
-    def _take(self, ended: Ended) -> None:
+    def _take(self, ended: TaskResult) -> None:
         """What became of a share."""
         number, share = ended.task.group, Share(*ended.task.arguments[0])
         with self._lock:
@@ -62,7 +62,7 @@ class Stagers(Closing):
         elif ended.error is not None:
             self._fail(number, ended.error)
         else:
-            made: Made = ended.value
+            made: StagedShare = ended.value
             try:
                 keep_part(drive.folder, share, made.part)
             except FieldgridError as error:
@@ -70,7 +70,7 @@ class Stagers(Closing):
                 return
             at_s = time.perf_counter() - made.took_s
             self.events.put(StagingProgress(number, made.moved_m, at_s, share.last - share.first))
-            self.events.put(Shared(number, share))
+            self.events.put(ShareResult(number, share))
 
     def _fail(self, number: int, error: BaseException) -> None:
-        self.events.put(Failed(number, error))
+        self.events.put(DriveFailure(number, error))

@@ -26,7 +26,7 @@ OPPOSED_DEG = 30.0
 
 _STANDS, _FREE = 1, 2
 
-Placed = tuple[int, Pose]
+FramePose = tuple[int, Pose]
 """The number of a staged frame, and its pose."""
 
 
@@ -53,8 +53,7 @@ class SeenCells:
 
     def flipped(self) -> SeenCells:
         """What the frame saw, with left and right exchanged."""
-        state = np.ascontiguousarray(self.state[:, ::-1])
-        return replace(self, right_m=-self.right_m, state=state)
+        return replace(self, right_m=-self.right_m, state=np.ascontiguousarray(self.state[:, ::-1]))
 
     def denied(self, pose: Pose, other: SeenCells, other_pose: Pose) -> tuple[int, int]:
         """Of the obstacle cells at a pose, how many the other calls free, and how many it saw."""
@@ -68,8 +67,8 @@ class SeenCells:
 
 
 def following(
-    placed: Sequence[Placed], apart_m: tuple[float, float], most: int
-) -> Iterator[tuple[Placed, Placed]]:
+    placed: Sequence[FramePose], apart_m: tuple[float, float], most: int
+) -> Iterator[tuple[FramePose, FramePose]]:
     """At most `most` frames all over a drive, each with the next one that is at least `apart_m[0]`
     from it, if that is at most `apart_m[1]` away."""
     tried = _all_over(placed)
@@ -77,7 +76,9 @@ def following(
     return _some(near, most)
 
 
-def opposed(placed: Sequence[Placed], apart_m: float, most: int) -> Iterator[tuple[Placed, Placed]]:
+def opposed(
+    placed: Sequence[FramePose], apart_m: float, most: int
+) -> Iterator[tuple[FramePose, FramePose]]:
     """At most `most` pairs of frames all over a drive that look in opposite directions, within
     `OPPOSED_DEG`, from at most `apart_m` apart: those of the two lanes beside a row."""
     tried = [placed[k] for k in _all_over(placed)]
@@ -91,7 +92,7 @@ def opposed(placed: Sequence[Placed], apart_m: float, most: int) -> Iterator[tup
     return _some([(tried[k], tried[m]) for k, m in pairs], most)
 
 
-def _all_over(placed: Sequence[Placed]) -> list[int]:
+def _all_over(placed: Sequence[FramePose]) -> list[int]:
     """Frames by the way, so that a vehicle that stands for an hour is looked at there once."""
     at_m = np.array([(pose.east_m, pose.north_m) for _, pose in placed]).reshape(-1, 2)
     way_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(at_m, axis=0).T)))
@@ -99,7 +100,9 @@ def _all_over(placed: Sequence[Placed]) -> list[int]:
     return list(np.unique(tried).tolist())
 
 
-def _some(pairs: Sequence[tuple[Placed, Placed]], most: int) -> Iterator[tuple[Placed, Placed]]:
+def _some(
+    pairs: Sequence[tuple[FramePose, FramePose]], most: int
+) -> Iterator[tuple[FramePose, FramePose]]:
     """At most `most` of the pairs, from all along, each frame now as the one that is asked, now as
     the one that denies."""
     chosen = np.linspace(0, len(pairs) - 1, min(len(pairs), most)).round().astype(int)
@@ -109,8 +112,8 @@ def _some(pairs: Sequence[tuple[Placed, Placed]], most: int) -> Iterator[tuple[P
 
 
 def _beside(
-    placed: Sequence[Placed], k: int, apart_m: tuple[float, float]
-) -> tuple[Placed, Placed] | None:
+    placed: Sequence[FramePose], k: int, apart_m: tuple[float, float]
+) -> tuple[FramePose, FramePose] | None:
     """The frame with the first after it that is far enough; None where the drive ends or jumps
     before."""
     here = placed[k][1]

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fieldgrid.build.poses import Doubted, no_ground
+from fieldgrid.build.poses import BuildDoubt, no_ground
 from fieldgrid.build.report import SessionReport
 from fieldgrid.choices import StopCode
 from fieldgrid.errors import CalibrationError, FieldgridError, RecordingError
@@ -41,7 +41,7 @@ HINT_SHARE = 0.05
 
 def doubted_cameras(
     recording: Recording, report: SessionReport, ground: int, every: int
-) -> Doubted | None:
+) -> BuildDoubt | None:
     """The doubt that a drive which was perceived is of its calibration's cameras.
 
     `ground` counts the frames in which the ground was found.
@@ -59,20 +59,20 @@ def doubted_cameras(
             "images do not fit the calibration; give the calibration of these cameras, and check "
             "that the pairs are rectified, synchronised, and not swapped left and right."
         )
-        return Doubted(StopCode.CAMERAS_UNFIT, error)
+        return BuildDoubt(StopCode.CAMERAS_UNFIT, error)
     return None
 
 
-def _swapped(name: str) -> Doubted:
+def _swapped(name: str) -> BuildDoubt:
     error = CalibrationError(
         f"The pairs of {name} show depth only with left and right exchanged, so the two are "
         "swapped, or the calibration is of other cameras; swap the two folders or the two columns "
         "of frames.csv, or give the calibration of these cameras."
     )
-    return Doubted(StopCode.CAMERAS_SWAPPED, error)
+    return BuildDoubt(StopCode.CAMERAS_SWAPPED, error)
 
 
-def doubted_rows(recording: Recording, every: int) -> Doubted | None:
+def doubted_rows(recording: Recording, every: int) -> BuildDoubt | None:
     """That the rows of pairs do not match, by some of the frames, or that left and right are
     swapped where they do not; nothing is raised for frames that cannot be read, which comes later.
     """
@@ -96,7 +96,7 @@ def doubted_rows(recording: Recording, every: int) -> Doubted | None:
         "matching needs equal rows; calibrate the pair again, or give the rectification of these "
         "images."
     )
-    return Doubted(StopCode.VERTICAL_MISALIGNMENT, error)
+    return BuildDoubt(StopCode.VERTICAL_MISALIGNMENT, error)
 
 
 def camera_notes(recording: Recording, report: SessionReport) -> Iterator[str]:

@@ -19,7 +19,7 @@ from queue import Empty
 from typing import TYPE_CHECKING
 
 from fieldgrid.build.cluster import Stagers
-from fieldgrid.build.executor import DriveOrder, Event, Executor, Failed, Shared
+from fieldgrid.build.executor import DriveFailure, DriveOrder, Event, Executor, ShareResult
 from fieldgrid.build.part_key import part_key
 from fieldgrid.build.parts import (
     SHARE_FRAMES,
@@ -35,7 +35,13 @@ from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.pool import Pool
 from fieldgrid.build.poses import attitude_of_grids, check_images, check_poses, estimate_drive
 from fieldgrid.build.report import PartlyBuiltError, Progress, SessionReport
-from fieldgrid.build.session import NewSession, Telling, check_names, check_output, is_in_map
+from fieldgrid.build.session import (
+    NewSession,
+    ProgressReporter,
+    check_names,
+    check_output,
+    is_in_map,
+)
 from fieldgrid.build.staging import stage_frames
 from fieldgrid.errors import (
     ClusterError,
@@ -65,7 +71,7 @@ _OF_A_DRIVE = (RecordingError, GnssError, DatumError)
 
 
 @dataclass(slots=True)
-class _Drive:
+class _DriveBuild:
     """A recording on its way into the map."""
 
     number: int
@@ -73,7 +79,7 @@ class _Drive:
     name: str
     recording: Recording = field(init=False)
     session: NewSession = field(init=False)
-    tell: Telling = field(init=False)
+    tell: ProgressReporter = field(init=False)
     parts: DriveParts = field(init=False)
     key: str = ""
     began_s: float | None = None
@@ -123,7 +129,7 @@ def build_map(
     check_output(build.out, append=append, overwrite=overwrite)
     if not append:
         refuse_input(build.out, [Path(path) for path in paths])
-    build.drives = [_Drive(number, path, str(path)) for number, path in enumerate(paths)]
+    build.drives = [_DriveBuild(number, path, str(path)) for number, path in enumerate(paths)]
     is_there = bool(resume) and build.out.exists() and not (append or overwrite)
     with ExitStack() as opened:
         settle_left_behind(build.out, resume)
@@ -182,7 +188,7 @@ class _Build:
     skip_bad: int | float
     fail_fast: bool
     progress: Callable[[Progress], None] | None
-    drives: list[_Drive] = field(default_factory=list)
+    drives: list[_DriveBuild] = field(default_factory=list)
     client: Client | None = None
     executor: Executor | None = None
 
@@ -279,7 +285,7 @@ class _Build:
                     reports.append(report)
         return reports
 
-    def _begin(self, drive: _Drive, universal: MapFile, taken: list[str]) -> None:
+    def _begin(self, drive: _DriveBuild, universal: MapFile, taken: list[str]) -> None:
         """Let the drive be staged, when it is its turn."""
         try:
             if drive.name not in taken:
@@ -288,7 +294,7 @@ class _Build:
             self._fail(drive, error)
             return
         parts = drive.parts
-        drive.tell = Telling(drive.session, self.progress)
+        drive.tell = ProgressReporter(drive.session, self.progress)
         if parts.frames_done:
             drive.tell(parts.moved_m, parts.frames_done)
         if self.executor is not None:
@@ -304,7 +310,7 @@ class _Build:
             )
 
     def _finish(
-        self, drive: _Drive, universal: MapFile, taken: list[str], *, is_there: bool
+        self, drive: _DriveBuild, universal: MapFile, taken: list[str], *, is_there: bool
     ) -> SessionReport:
         """Wait until the drive is staged, or stage it here, and put it into the map."""
         session, parts = drive.session, drive.parts
@@ -338,7 +344,7 @@ class _Build:
         session.report.wall_s = time.perf_counter() - began_s
         return session.report
 
-    def _stage(self, drive: _Drive) -> None:
+    def _stage(self, drive: _DriveBuild) -> None:
         """Stage in threads of this process what is missing of a drive."""
         parts, work = drive.parts, drive.session.work()
         for run in parts.runs():
@@ -360,11 +366,11 @@ class _Build:
         drive = self.drives[event.drive]
         if drive.error is not None:
             return
-        if isinstance(event, Failed):
+        if isinstance(event, DriveFailure):
             if not isinstance(event.error, _OF_A_DRIVE):
                 raise event.error
             self._fail(drive, event.error)
-        elif isinstance(event, Shared):
+        elif isinstance(event, ShareResult):
             if drive.parts.take(event.share) is None:
                 raise MapError(
                     f"The staged frames in {drive.parts.folder} cannot be read back; check the "
@@ -379,7 +385,7 @@ class _Build:
                 drive.began_s = event.at_s
             drive.tell(event.moved_m, event.frames)
 
-    def _good(self) -> Iterator[_Drive]:
+    def _good(self) -> Iterator[_DriveBuild]:
         """The drives that have not failed; raises when there is none."""
         for drive in self.drives:
             if drive.error is None:
@@ -387,7 +393,7 @@ class _Build:
         if all(drive.error is not None for drive in self.drives):
             raise PartlyBuiltError([], [(one.name, str(one.error)) for one in self.drives])
 
-    def _fail(self, drive: _Drive, error: FieldgridError) -> None:
+    def _fail(self, drive: _DriveBuild, error: FieldgridError) -> None:
         """Leave a drive out, or end the build."""
         drive.error = error
         if self.executor is not None:

@@ -23,21 +23,21 @@ class StagingProgress(NamedTuple):
     frames: int = 1
 
 
-class Shared(NamedTuple):
+class ShareResult(NamedTuple):
     """A share of a drive is staged, and its part written."""
 
     drive: int
     share: Share
 
 
-class Failed(NamedTuple):
+class DriveFailure(NamedTuple):
     """A drive cannot be staged."""
 
     drive: int
     error: BaseException
 
 
-Event = StagingProgress | Shared | Failed
+Event = StagingProgress | ShareResult | DriveFailure
 
 
 class DriveOrder(NamedTuple):

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.array_types import Int64
-from fieldgrid.build.poses import Doubted
+from fieldgrid.build.poses import BuildDoubt
 from fieldgrid.choices import StopCode
 from fieldgrid.errors import GnssError
 from fieldgrid.motion import Gyro, Steps
@@ -39,7 +39,7 @@ Path = npt.NDArray[np.complex128]
 
 def doubted_mirror(
     recording: Recording, trajectory: Trajectory, steps: Steps | None
-) -> Doubted | None:
+) -> BuildDoubt | None:
     """That the fixes turn left where the camera turns right, over the whole drive."""
     off = None if steps is None else _misfit(steps, trajectory)
     if steps is None or off is None:
@@ -72,7 +72,7 @@ def doubted_mirror(
             f"{first}: if that is not the field, a sign (a minus, a W or an S) was lost in the "
             "log: put it before each longitude or latitude"
         )
-    return Doubted(StopCode.MIRRORED, GnssError(f"{told}{why}."))
+    return BuildDoubt(StopCode.MIRRORED, GnssError(f"{told}{why}."))
 
 
 def _misfit(steps: Steps, trajectory: Trajectory) -> tuple[float, float, float] | None:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fieldgrid.build.report import BadFrame, StageTimes
-from fieldgrid.build.staging import Found, Looked, Staged, Tell, collect
+from fieldgrid.build.staging import FrameOutcome, StagedDrive, StepOutcome, Tell, collect
 from fieldgrid.closing import Closing
 from fieldgrid.documents import parse_json
 from fieldgrid.errors import ConfigError, MapError, MapWriteError, RecordingError
@@ -123,7 +123,7 @@ class DriveParts(Closing):
         self.key, self._out, self._name, self._count = key, out, name, count
         self.folder = parts_folder(out) / key
         self.shares = shares_of(count)
-        self._parts: dict[Share, Staged] = {}
+        self._parts: dict[Share, StagedDrive] = {}
         self.frames_done, self.bad_count, self.moved_m = 0, 0, 0.0
         about = self.folder / _ABOUT
         try:
@@ -146,7 +146,7 @@ class DriveParts(Closing):
         for share in self.shares:
             self.take(share)
 
-    def take(self, share: Share) -> Staged | None:
+    def take(self, share: Share) -> StagedDrive | None:
         """Read a part that is done; None where it is not."""
         part = read_part(self.folder, share)
         if part is not None:
@@ -188,14 +188,14 @@ class DriveParts(Closing):
         for _, run in groupby(missing, lambda one: one[1].first // SHARE_FRAMES - one[0]):
             yield [share for _, share in run]
 
-    def staged(self) -> Staged:
+    def staged(self) -> StagedDrive:
         """The whole drive, once no share is missing."""
         paths: list[Path] = []
         entries: list[StageEntry] = []
-        whole = Staged(_Files(paths, entries), entries)
+        whole = StagedDrive(_PartFrames(paths, entries), entries)
         for share in self.shares:
             part = self._parts[share]
-            assert isinstance(part.frames, _Files)
+            assert isinstance(part.frames, _PartFrames)
             paths += part.frames.paths
             entries += part.entries
             whole.found += part.found
@@ -217,7 +217,7 @@ class DriveParts(Closing):
             self.remove()
 
 
-class _Files:
+class _PartFrames:
     """Staged frames that lie in several files."""
 
     def __init__(self, paths: list[Path], entries: list[StageEntry]) -> None:
@@ -227,7 +227,9 @@ class _Files:
         return read_staged(self.paths[index], self._entries[index])
 
 
-def write_part(folder: Path, out: Path, share: Share, looks: Iterable[Looked], tell: Tell) -> None:
+def write_part(
+    folder: Path, out: Path, share: Share, looks: Iterable[FrameOutcome], tell: Tell
+) -> None:
     """Make the part of a share of the frames that come. MapWriteError on a full disk."""
     with _draft_of(folder, share) as draft:
         with StageFile(draft, out) as file:
@@ -277,7 +279,7 @@ def _draft_of(folder: Path, share: Share) -> Iterator[Path]:
             draft.unlink(missing_ok=True)
 
 
-def read_part(folder: Path, share: Share) -> Staged | None:
+def read_part(folder: Path, share: Share) -> StagedDrive | None:
     """The part of a share, None when it is not there or damaged: it is then made again."""
     grids, info = folder / f"{share.name}.grids", folder / f"{share.name}.json"
     try:
@@ -291,8 +293,8 @@ def read_part(folder: Path, share: Share) -> Staged | None:
             entries = list(file.entries)
         if len(entries) != said["frames"] or len(said["found"]) != len(entries):
             return None
-        return Staged(
-            _Files([grids] * len(entries), entries),
+        return StagedDrive(
+            _PartFrames([grids] * len(entries), entries),
             entries,
             [found_from_json(one) for one in said["found"]],
             [BadFrame(*one) for one in said["bad"]],
@@ -306,14 +308,14 @@ def _digest(body: str) -> str:
     return hashlib.sha256(body.encode()).hexdigest()
 
 
-def found_to_json(found: Found) -> Any:
+def found_to_json(found: StepOutcome) -> Any:
     """What became of a step of the camera, as a value that JSON has."""
     if isinstance(found, CameraStep):
         return [*map(float, found[:-1]), int(found.inliers)]
     return None if found is None else found.value
 
 
-def found_from_json(said: Any) -> Found:
+def found_from_json(said: Any) -> StepOutcome:
     """The same again; ValueError or TypeError for what is none."""
     if isinstance(said, str):
         return Refusal(said)

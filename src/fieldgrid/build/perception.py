@@ -32,11 +32,11 @@ _T = TypeVar("_T")
 _Item = TypeVar("_Item")
 
 
-Gridded = Callable[[LocalGrid, FrameGround], None]
+GridListener = Callable[[LocalGrid, FrameGround], None]
 """Is told of a frame's grid as soon as it is made, before the rest of what is perceived."""
 
 
-class Perceived(NamedTuple):
+class Perception(NamedTuple):
     """One frame after perception, before it meets its pose; seconds by stage.
 
     `seen` is what the grid was made of: an image of depths, or the points of a cloud as they were
@@ -60,7 +60,7 @@ def perceive(
     frames: Iterable[Frame],
     gridder: LocalGridder,
     jobs: int,
-) -> Generator[Perceived, None, None]:
+) -> Generator[Perception, None, None]:
     """Local grids of frames, in order, `jobs` at a time; few more are ever held in memory. Close it
     when it is not taken to its end: its threads end then."""
     return side_by_side(partial(perceive_frame, gridder=gridder), frames, jobs)
@@ -78,8 +78,8 @@ def perceive_frame(
     odometry: bool = False,
     tilt: Tilt | None = None,
     way: OriginTrack | None = None,
-    gridded: Gridded | None = None,
-) -> Perceived:
+    gridded: GridListener | None = None,
+) -> Perception:
     """One frame, read and perceived here; RecordingError where it cannot be read. With the
     vehicle's `tilt` the columns of its grid are vertical; by its `way` the points of a sweep are
     carried to its stamp."""
@@ -173,13 +173,13 @@ class _Stages:
         odometry: bool,
         tilt: Tilt | None,
         way: OriginTrack | None,
-        gridded: Gridded | None,
+        gridded: GridListener | None,
     ) -> None:
         self._frame, self._gridder, self._odometry = frame, gridder, odometry
         self._tilt, self._way, self._tell = tilt, way, gridded or (lambda *_: None)
         self._start = time.thread_time()
 
-    def pair(self, left: Image, right: Image) -> Perceived:
+    def pair(self, left: Image, right: Image) -> Perception:
         """Of a pair: matched, gridded and, if that is wanted, its features."""
         gridder, hashes = self._gridder, self._hashes()
         decoded = time.thread_time()
@@ -190,7 +190,7 @@ class _Stages:
         self._tell(grid, ground)
         seen = features(gridder.rig.camera, left, right) if self._odometry else None
         done = time.thread_time()
-        return Perceived(
+        return Perception(
             self._frame,
             coded,
             grid,
@@ -203,13 +203,13 @@ class _Stages:
             done - gridded,
         )
 
-    def depth(self, depth_m: Float32) -> Perceived:
+    def depth(self, depth_m: Float32) -> Perception:
         """Of an image of depths."""
         decoded = time.thread_time()
         coded = self._gridder.coded_depth(depth_m)
         return self._gridded(coded, self._gridder.from_coded(coded, self._tilt), decoded)
 
-    def cloud(self, sweep: Sweep) -> Perceived:
+    def cloud(self, sweep: Sweep) -> Perception:
         """Of a cloud, its points as they lay at its stamp where that is known."""
         decoded, rig = time.thread_time(), self._gridder.rig
         points_m = carried(sweep, taken_ns(self._frame, rig), rig, self._way)
@@ -217,11 +217,11 @@ class _Stages:
 
     def _gridded(
         self, seen: CodedDepth | Sweep, made: tuple[LocalGrid, FrameGround], decoded: float
-    ) -> Perceived:
+    ) -> Perception:
         grid_s = time.thread_time() - decoded
         self._tell(*made)
         hashes, decode_s = self._hashes(), decoded - self._start
-        return Perceived(self._frame, seen, *made, None, hashes, decode_s, 0.0, grid_s, 0.0)
+        return Perception(self._frame, seen, *made, None, hashes, decode_s, 0.0, grid_s, 0.0)
 
     def _hashes(self) -> tuple[str, ...]:
         return tuple(source.sha256() for source in self._frame.sources)

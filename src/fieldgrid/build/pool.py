@@ -18,7 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
 
-from fieldgrid.build.executor import DriveOrder, Event, Failed, Shared, StagingProgress
+from fieldgrid.build.executor import DriveFailure, DriveOrder, Event, ShareResult, StagingProgress
 from fieldgrid.build.parts import Share
 from fieldgrid.build.worker import Answer, ShareOrder, not_importable
 from fieldgrid.closing import Closing
@@ -36,7 +36,7 @@ _ONE_THREAD = {
 }
 
 
-_Task = tuple[int, Share]
+_DriveShare = tuple[int, Share]
 """The number of a drive, and a share of it."""
 
 
@@ -48,8 +48,8 @@ class Pool(Closing):
         self.events: SimpleQueue[Event] = SimpleQueue()
         self._out = out
         self._drives: dict[int, tuple[DriveOrder, bytes]] = {}
-        self._tasks: deque[_Task] = deque()
-        self._deaths: Counter[_Task] = Counter()
+        self._tasks: deque[_DriveShare] = deque()
+        self._deaths: Counter[_DriveShare] = Counter()
         self._changed = threading.Condition()
         self._closed = False
         self._running: set[subprocess.Popen[bytes]] = set()
@@ -86,7 +86,7 @@ class Pool(Closing):
         for thread in self._threads:
             thread.join()
 
-    def _next(self) -> _Task | None:
+    def _next(self) -> _DriveShare | None:
         with self._changed:
             self._changed.wait_for(lambda: self._tasks or self._closed)
             return None if self._closed else self._tasks.popleft()
@@ -111,7 +111,7 @@ class Pool(Closing):
                 if process is not None:
                     self._end(process)
                 process = None
-                self.events.put(Failed(task[0], error))
+                self.events.put(DriveFailure(task[0], error))
         if process is not None:
             self._end(process)
 
@@ -149,7 +149,7 @@ class Pool(Closing):
         process.stdout.close()
         return process.wait()
 
-    def _do(self, process: subprocess.Popen[bytes], task: _Task, known: int) -> None:
+    def _do(self, process: subprocess.Popen[bytes], task: _DriveShare, known: int) -> None:
         assert process.stdin is not None
         assert process.stdout is not None
         drive, share = task
@@ -163,7 +163,7 @@ class Pool(Closing):
                 answer: Answer = pickle.load(process.stdout)
                 if not isinstance(answer, float):
                     self.events.put(
-                        Shared(drive, share) if answer is None else Failed(drive, answer)
+                        ShareResult(drive, share) if answer is None else DriveFailure(drive, answer)
                     )
                     return
                 frames, moved_m = frames + 1, moved_m + answer
@@ -173,7 +173,7 @@ class Pool(Closing):
                 self.events.put(StagingProgress(drive, -moved_m, time.perf_counter(), -frames))
             raise
 
-    def _died(self, task: _Task, status: int | None, error: Exception) -> None:
+    def _died(self, task: _DriveShare, status: int | None, error: Exception) -> None:
         """Give a share to another process, unless too many have died of it."""
         with self._changed:
             if self._closed:
@@ -196,4 +196,4 @@ class Pool(Closing):
                 f"ended {DEATHS} processes of the build ({how}); leave the recording out, or give "
                 "fewer --jobs if the memory was full."
             )
-        self.events.put(Failed(drive, problem))
+        self.events.put(DriveFailure(drive, problem))

@@ -100,8 +100,7 @@ def _check_reach(drive: Drive, datum: Datum) -> None:
     fixes = drive.fixes()
     # The chord: beyond the horizon, metres east and north are fewer again.
     enu_m = datum.to_enu(fixes.lat_deg, fixes.lon_deg, np.nan_to_num(fixes.height_m))
-    away_m = np.linalg.norm(enu_m, axis=0)
-    nearest_m = float(np.fmin.reduce(away_m, initial=np.inf))
+    nearest_m = float(np.fmin.reduce(np.linalg.norm(enu_m, axis=0), initial=np.inf))
     if MAX_DISTANCE_M < nearest_m < np.inf:
         raise DatumError(
             f"The fixes of {drive.name} are {nearest_m / 1000:.0f} km from the datum "
@@ -189,25 +188,25 @@ def _image_offset(whole_s: str) -> str:
     return f"give --time-offset {whole_s} or image_time_offset_s = {whole_s} in recording.toml"
 
 
-class Doubted(NamedTuple):
+class BuildDoubt(NamedTuple):
     """What stops a build unless it is accepted."""
 
-    doubt: StopCode
+    code: StopCode
     error: FieldgridError
 
 
-def settle(doubted: Doubted | None, settings: BuildSettings) -> tuple[str, ...]:
+def settle(doubted: BuildDoubt | None, settings: BuildSettings) -> tuple[str, ...]:
     """A note about a doubt that the settings accept, none where there is no doubt; else its error
     is raised, and says how to accept it."""
     if doubted is None:
         return ()
-    if doubted.doubt in settings.checks.accept:
-        return (f"Accepted {doubted.doubt}: {doubted.error}",)
+    if doubted.code in settings.checks.accept:
+        return (f"Accepted {doubted.code}: {doubted.error}",)
     sentence = str(doubted.error).removesuffix(".")
-    raise type(doubted.error)(f"{sentence}; to build nevertheless, give --accept {doubted.doubt}.")
+    raise type(doubted.error)(f"{sentence}; to build nevertheless, give --accept {doubted.code}.")
 
 
-def doubted_clock(recording: Recording, estimate: Estimate) -> Doubted | None:
+def doubted_clock(recording: Recording, estimate: Estimate) -> BuildDoubt | None:
     """The doubt about stamps of images that are certainly wrong, by more than a map can bear."""
     clock, trajectory = estimate.report.clock, estimate.trajectory
     if clock is None or not clock.is_certain:
@@ -222,23 +221,23 @@ def doubted_clock(recording: Recording, estimate: Estimate) -> Doubted | None:
         f"{f' ({why})' if why else ''}{misplaced(clock.offset_s, trajectory, ', and ')}; "
         f"{clock_remedy(recording, clock)}"
     )
-    return Doubted(StopCode.CLOCK_OFFSET, error)
+    return BuildDoubt(StopCode.CLOCK_OFFSET, error)
 
 
-def doubted_jump(recording: Recording, estimate: Estimate) -> Doubted | None:
+def doubted_jump(recording: Recording, estimate: Estimate) -> BuildDoubt | None:
     """That images, gyro or fixes are of one clock before some instant and of another after it."""
     jump, change = estimate.report.jump, estimate.report.clock_change
     if jump is None:
         if change is None:
             return None
-        return Doubted(StopCode.CLOCK_JUMP, _change_error(recording, change))
+        return BuildDoubt(StopCode.CLOCK_JUMP, _change_error(recording, change))
     error = RecordingError(
         f"The clock of images and gyro of {recording.name} jumps ahead by {jump.jump_s:.2f} s at "
         f"{utc_text(jump.time_ns)}: over that gap in their stamps the camera moved "
         f"{jump.seen_m:.2f} m and the fixes {jump.driven_m:.2f} m; split the drive there into two "
         "recordings, and give each the offset that `fieldgrid inspect` finds."
     )
-    return Doubted(StopCode.CLOCK_JUMP, error)
+    return BuildDoubt(StopCode.CLOCK_JUMP, error)
 
 
 def _change_error(recording: Recording, change: ClockChange) -> RecordingError:
@@ -256,7 +255,7 @@ def _change_error(recording: Recording, change: ClockChange) -> RecordingError:
     )
 
 
-def doubted_frames(recording: Recording, estimate: Estimate) -> Doubted | None:
+def doubted_frames(recording: Recording, estimate: Estimate) -> BuildDoubt | None:
     """That images and fixes are of other moments, and not by one offset that was found."""
     found = estimate.report.contradiction
     if found is None or not found.is_certain:
@@ -286,16 +285,16 @@ def doubted_frames(recording: Recording, estimate: Estimate) -> Doubted | None:
             "stamps, or their clock is seconds off; check the order in frames.csv (as text, 10 "
             "comes before 2), the recorder, and the clock of the computer."
         )
-    return Doubted(StopCode.FRAMES_MISPLACED, RecordingError(f"{told}. {why}"))
+    return BuildDoubt(StopCode.FRAMES_MISPLACED, RecordingError(f"{told}. {why}"))
 
 
-def doubted_yaw(recording: Recording, estimate: Estimate) -> Doubted | None:
+def doubted_yaw(recording: Recording, estimate: Estimate) -> BuildDoubt | None:
     """The doubt about a camera that certainly looks elsewhere than declared, by `ASKEW_DEG` or
     more: the map would be wrong."""
     yaw = estimate.report.camera_yaw
     if yaw is None or not yaw.is_off or abs(yaw.off_deg) < ASKEW_DEG or yaw.moved is not None:
         return None
-    return Doubted(
+    return BuildDoubt(
         StopCode.CAMERA_YAW,
         CalibrationError(
             f"{off_sentence(yaw)}; measure the mounting with `fieldgrid mount --write`, or correct "
@@ -304,7 +303,7 @@ def doubted_yaw(recording: Recording, estimate: Estimate) -> Doubted | None:
     )
 
 
-def doubted_imu(estimate: Estimate) -> Doubted | None:
+def doubted_imu(estimate: Estimate) -> BuildDoubt | None:
     """The doubt about an IMU that is turned against what is declared, by `TURNED_DEG` or more: the
     vehicle would lean the wrong way."""
     turn = estimate.report.imu_turn
@@ -312,7 +311,7 @@ def doubted_imu(estimate: Estimate) -> Doubted | None:
         return None
     quarter = round(turn.off_deg / 90.0) % 4
     axes = f", from flu to {('flu', 'lbu', 'bru', 'rfu')[quarter]}" if quarter else ""
-    return Doubted(StopCode.IMU_TURNED, CalibrationError(f"{_turned_sentence(turn)}{axes}."))
+    return BuildDoubt(StopCode.IMU_TURNED, CalibrationError(f"{_turned_sentence(turn)}{axes}."))
 
 
 def imu_notes(estimate: Estimate) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fieldgrid.build.parts import Share, part_bytes, write_part
-from fieldgrid.build.staging import DriveWork, Looked, stage_frames
+from fieldgrid.build.staging import DriveWork, FrameOutcome, stage_frames
 from fieldgrid.build.worker import not_importable, unpacked
 from fieldgrid.errors import ClusterError, FieldgridError, MapWriteError, quoted
 from fieldgrid.recording.copies import (
@@ -48,7 +48,7 @@ class RecordingPlace(NamedTuple):
     kept: str
 
 
-class Made(NamedTuple):
+class StagedShare(NamedTuple):
     """A share that is staged: its part, how far the camera went, metres, and how long it took."""
 
     part: tuple[bytes, bytes]
@@ -69,7 +69,7 @@ def place_of(recording: Path) -> RecordingPlace:
     return RecordingPlace(str(path), size, given_from, url, manifest.version, kept)
 
 
-class _Absolute(pickle.Pickler):
+class _PathPickler(pickle.Pickler):
     """Makes paths absolute: a worker has another working directory, and another cache folder."""
 
     def reducer_override(self, value: object) -> Any:
@@ -84,7 +84,7 @@ def packed(work: DriveWork) -> bytes:
     """The work on a drive, for a worker. ConfigError when it cannot be sent."""
     data = io.BytesIO()
     try:
-        _Absolute(data).dump(work)
+        _PathPickler(data).dump(work)
     except (pickle.PicklingError, TypeError, AttributeError) as error:
         raise not_importable(error, _AT_HOME) from error
     return data.getvalue()
@@ -92,7 +92,7 @@ def packed(work: DriveWork) -> bytes:
 
 def stage_share(
     work: bytes, share: tuple[int, int], place: tuple[str, int | None, str, str, str, str]
-) -> Made:
+) -> StagedShare:
     """Stage the frames number `share[0]` to before `share[1]` of a drive, `packed`.
 
     Raises ClusterError when this machine does not have the recording and cannot fetch it, or has no
@@ -115,7 +115,7 @@ def stage_share(
                     f"The worker on {platform.node()} has no room: {error}"
                 ) from error
         part = part_bytes(folder, frames)
-    return Made(part, sum(moved_m), time.perf_counter() - start)
+    return StagedShare(part, sum(moved_m), time.perf_counter() - start)
 
 
 _fetched: set[tuple[str, str]] = set()
@@ -176,7 +176,7 @@ def _check_listed(place: RecordingPlace, unlisted: Iterable[str], files: set[Pat
 _unpacked = lru_cache(maxsize=2)(partial(unpacked, remedy=_AT_HOME))
 
 
-def _as_given(looks: Iterable[Looked], place: RecordingPlace) -> Iterator[Looked]:
+def _as_given(looks: Iterable[FrameOutcome], place: RecordingPlace) -> Iterator[FrameOutcome]:
     """The frames with their paths as they were given: a map names images by them."""
     here, given = place.given_from, ""
     if place.url:

@@ -17,8 +17,8 @@ import numpy as np
 
 from fieldgrid.angles import wrap_deg
 from fieldgrid.array_types import Float64
-from fieldgrid.build.contradictions import Placed, SeenCells, following
-from fieldgrid.build.poses import ASKEW_DEG, Doubted
+from fieldgrid.build.contradictions import FramePose, SeenCells, following
+from fieldgrid.build.poses import ASKEW_DEG, BuildDoubt
 from fieldgrid.choices import StopCode
 from fieldgrid.errors import CalibrationError
 from fieldgrid.mapfile import StagedFrames
@@ -68,7 +68,7 @@ class SensorYaw(NamedTuple):
         return abs(self.off_deg) > max(CLEAR_SIGMAS * self.sigma_deg, TOLD_DEG)
 
 
-def sensor_yaw(frames: StagedFrames, placed: Sequence[Placed]) -> SensorYaw | None:
+def sensor_yaw(frames: StagedFrames, placed: Sequence[FramePose]) -> SensorYaw | None:
     """Estimate the yaw error from the frames of a drive; `placed` are the accepted ones in order
     of time. None if too few of them saw the same obstacles, or they agree at no angle."""
     pairs = [
@@ -90,15 +90,15 @@ def sensor_yaw(frames: StagedFrames, placed: Sequence[Placed]) -> SensorYaw | No
     return None
 
 
-def doubted_sensor_yaw(found: SensorYaw | None, rig: Rig) -> Doubted | None:
+def doubted_sensor_yaw(found: SensorYaw | None, rig: Rig) -> BuildDoubt | None:
     """The doubt about a sensor that certainly looks elsewhere than declared, by `ASKEW_DEG` or
     more, or that sees left what is right."""
     if found is None:
         return None
     if found.is_mirrored:
-        return Doubted(StopCode.MIRRORED, CalibrationError(MIRRORED))
+        return BuildDoubt(StopCode.MIRRORED, CalibrationError(MIRRORED))
     if found.is_off and abs(found.off_deg) >= ASKEW_DEG:
-        return Doubted(StopCode.CAMERA_YAW, CalibrationError(_sentence(found, rig)))
+        return BuildDoubt(StopCode.CAMERA_YAW, CalibrationError(_sentence(found, rig)))
     return None
 
 
@@ -120,7 +120,7 @@ def _sentence(found: SensorYaw, rig: Rig) -> str:
     )
 
 
-def _counts(pairs: Sequence[tuple[Placed, Placed]], seen: Mapping[int, SeenCells]) -> Float64:
+def _counts(pairs: Sequence[tuple[FramePose, FramePose]], seen: Mapping[int, SeenCells]) -> Float64:
     """How many obstacle cells of each pair are denied at each angle, and how many were seen:
     [pair, angle, 2]."""
 

@@ -27,7 +27,7 @@ from fieldgrid.build.camera_scale import (
     scale_notes,
     tells_heights,
 )
-from fieldgrid.build.contradictions import Placed
+from fieldgrid.build.contradictions import FramePose
 from fieldgrid.build.doubt import (
     camera_notes,
     doubted_cameras,
@@ -56,7 +56,7 @@ from fieldgrid.build.poses import (
 )
 from fieldgrid.build.report import BadFrame, Progress, SessionReport
 from fieldgrid.build.sensor_yaw import doubted_sensor_yaw, sensor_yaw, sensor_yaw_notes
-from fieldgrid.build.staging import DriveWork, Frames, Staged, collect, stage_frames
+from fieldgrid.build.staging import DriveWork, FrameProvider, StagedDrive, collect, stage_frames
 from fieldgrid.build.stuck import StuckCamera
 from fieldgrid.errors import CalibrationError, ConfigError, RecordingError
 from fieldgrid.geodesy import Datum
@@ -106,12 +106,12 @@ def add_recording(
         StageFile.temporary(universal.path) as file,
         closing(stage_frames(work, 0, work.total, threads)) as looks,
     ):
-        session.add(universal, collect(looks, file, Telling(session, progress)))
+        session.add(universal, collect(looks, file, ProgressReporter(session, progress)))
     session.report.wall_s = time.perf_counter() - started
     return session.report
 
 
-class Telling:
+class ProgressReporter:
     """Tells the progress of a drive, frame by frame."""
 
     def __init__(self, session: NewSession, progress: Callable[[Progress], None] | None) -> None:
@@ -174,7 +174,7 @@ class NewSession:
             ),
         )
 
-    def work(self, frames: Frames | None = None) -> DriveWork:
+    def work(self, frames: FrameProvider | None = None) -> DriveWork:
         """What it takes to stage the frames, which are read from the recording itself unless
         given."""
         return DriveWork(
@@ -195,7 +195,7 @@ class NewSession:
         check_names([self.name], [info.name for info in universal.sessions()])
         self.report.notes += settle(doubted_rows(self.recording, self.every), self.settings)
 
-    def add(self, universal: MapFile, staged: Staged) -> None:
+    def add(self, universal: MapFile, staged: StagedDrive) -> None:
         """Add the session to the map, with the frames that were staged."""
         recording, settings, report = self.recording, self.settings, self.report
         report.stages.add(staged.times)
@@ -278,10 +278,10 @@ class NewSession:
 
 
 def _place(
-    staged: Staged, session: Session, trajectory: Trajectory, rig: Rig, report: SessionReport
-) -> list[Placed]:
+    staged: StagedDrive, session: Session, trajectory: Trajectory, rig: Rig, report: SessionReport
+) -> list[FramePose]:
     """The second half: every staged frame meets its pose. Returns those that are accepted."""
-    accepted: list[Placed] = []
+    accepted: list[FramePose] = []
     heading_sigma_deg, position_sigma_m = array("d"), array("d")
     start, camera = time.thread_time(), StuckCamera()
     for k, entry in enumerate(staged.entries):
@@ -364,7 +364,7 @@ def check_names(names: Sequence[str], taken: Sequence[str]) -> None:
             )
 
 
-def is_in_map(universal: MapFile, name: str, staged: Staged) -> bool:
+def is_in_map(universal: MapFile, name: str, staged: StagedDrive) -> bool:
     """Whether a session of the map has the frames that were staged, and no others."""
     kept = {
         frame.frame_id: (frame.cells_sha256, frame.images_sha256)

@@ -16,7 +16,7 @@ from typing import NamedTuple, Protocol
 from fieldgrid.attitude import Attitude
 from fieldgrid.build.perception import (
     CameraMotion,
-    Perceived,
+    Perception,
     perceive_frame,
     side_by_side,
     taken_ns,
@@ -32,11 +32,11 @@ from fieldgrid.rig import Rig
 from fieldgrid.rotations import Tilt
 from fieldgrid.sweep import OriginTrack
 
-Found = CameraStep | Refusal | None
+StepOutcome = CameraStep | Refusal | None
 """The camera's step to a frame, or why there is none; None for the first and without odometry."""
 
 
-class Frames(Protocol):
+class FrameProvider(Protocol):
     """Where frames come from: a recording, or its source, which can be pickled."""
 
     def frames(self, start: int, stop: int) -> Iterator[Frame]:
@@ -47,7 +47,7 @@ class DriveWork(NamedTuple):
     """All that it takes to stage the frames of a drive: every `every`-th, `total` in all. `way` is
     the vehicle's, by which sweeps are carried to their stamps, None where that is not to be."""
 
-    frames: Frames
+    frames: FrameProvider
     total: int
     gridder: LocalGridder
     attitude: Attitude | None
@@ -63,24 +63,24 @@ class DriveWork(NamedTuple):
         return (frame for k, frame in enumerate(frames) if k % self.every == 0)
 
 
-class Looked(NamedTuple):
+class FrameOutcome(NamedTuple):
     """What became of a frame: staged, or left out since it is bad. `moved_m` is how far the camera
     went since the frame before."""
 
     staged: StagedFrame | None
-    found: Found
+    found: StepOutcome
     bad: BadFrame | None
     moved_m: float
     times: StageTimes
 
 
 @dataclass(slots=True)
-class Staged:
+class StagedDrive:
     """The frames of a drive, or of a share of it, staged in order, without those that are bad."""
 
     frames: StagedFrames
     entries: Sequence[StageEntry]
-    found: list[Found] = field(default_factory=list)
+    found: list[StepOutcome] = field(default_factory=list)
     bad: list[BadFrame] = field(default_factory=list)
     times: StageTimes = field(default_factory=StageTimes)
 
@@ -95,9 +95,9 @@ Tell = Callable[[float], None]
 """Is told of each frame that is done, with how far the camera went since the one before, metres."""
 
 
-def collect(looks: Iterable[Looked], file: StageFile, tell: Tell) -> Staged:
+def collect(looks: Iterable[FrameOutcome], file: StageFile, tell: Tell) -> StagedDrive:
     """Write frames to a file as they come."""
-    staged = Staged(file, file.entries)
+    staged = StagedDrive(file, file.entries)
     for looked in looks:
         start = time.thread_time()
         staged.times.add(looked.times)
@@ -114,7 +114,7 @@ def collect(looks: Iterable[Looked], file: StageFile, tell: Tell) -> Staged:
 
 def stage_frames(
     work: DriveWork, first: int, last: int, jobs: int
-) -> Generator[Looked, None, None]:
+) -> Generator[FrameOutcome, None, None]:
     """Stage the frames number `first` to before `last`, in order, `jobs` at a time. Close it when
     it is not taken to its end: its threads end then.
 
@@ -124,7 +124,7 @@ def stage_frames(
     if motion is not None:
         _begin(work, first, motion)
 
-    def look(frame: Frame) -> tuple[Perceived, StagedFrame] | BadFrame:
+    def look(frame: Frame) -> tuple[Perception, StagedFrame] | BadFrame:
         attitude, time_ns = work.attitude, taken_ns(frame, work.gridder.rig)
         tilt = None if attitude is None else attitude.tilt_at(time_ns)
         try:
@@ -138,7 +138,7 @@ def stage_frames(
     with closing(side_by_side(look, work.taken(first, last), jobs)) as looks:
         for looked in looks:
             if isinstance(looked, BadFrame):
-                yield Looked(None, None, looked, 0.0, StageTimes())
+                yield FrameOutcome(None, None, looked, 0.0, StageTimes())
                 continue
             seen, staged = looked
             start, found, moved_m = time.thread_time(), None, 0.0
@@ -152,7 +152,7 @@ def stage_frames(
                 seen.grid_s,
                 seen.odometry_s + time.thread_time() - start,
             )
-            yield Looked(staged, found, None, moved_m, times)
+            yield FrameOutcome(staged, found, None, moved_m, times)
 
 
 def _begin(work: DriveWork, first: int, motion: CameraMotion) -> None:
@@ -176,13 +176,13 @@ def stage_frame(
     odometry: bool,
     tilt: Tilt | None = None,
     way: OriginTrack | None = None,
-) -> tuple[Perceived, StagedFrame]:
+) -> tuple[Perception, StagedFrame]:
     """One frame, read, perceived and encoded here; RecordingError where it cannot be read."""
     seen = perceive_frame(frame, gridder, odometry=odometry, tilt=tilt, way=way)
     return seen, encoded(seen, gridder.rig)
 
 
-def encoded(seen: Perceived, rig: Rig) -> StagedFrame:
+def encoded(seen: Perception, rig: Rig) -> StagedFrame:
     """What a frame saw, as a map keeps it."""
     frame = seen.frame
     return stage(

@@ -15,7 +15,7 @@ from fieldgrid.errors import FieldgridError
 
 if TYPE_CHECKING:
     from fieldgrid.mounting import MountEstimate
-    from fieldgrid.mounting.estimate import Compared
+    from fieldgrid.mounting.estimate import MountComparison
 
 _NAMES = {
     "camera_height_above_ground_m": ("height above ground", 3, "m"),
@@ -127,7 +127,7 @@ def _print(estimate: MountEstimate, written: Path | None, figure: Path | None) -
         output.print_line(f"figure {figure}")
 
 
-def _row(key: str, estimate: MountEstimate, compared: Compared | None) -> tuple[str, ...]:
+def _row(key: str, estimate: MountEstimate, compared: MountComparison | None) -> tuple[str, ...]:
     name, digits, unit = _NAMES[key]
     measured = estimate.measured()[key]
     said = "-" if measured is None else f"{measured.value:.{digits}f} ± {measured.sigma:.{digits}f}"

@@ -21,7 +21,7 @@ from fieldgrid.build.format_hints import format_hints, hint_sentence
 from fieldgrid.build.mirrored import doubted_mirror
 from fieldgrid.build.perception import follows_camera
 from fieldgrid.build.poses import (
-    Doubted,
+    BuildDoubt,
     check_images,
     check_poses,
     doubted_frames,
@@ -186,7 +186,7 @@ def _camera_findings(
     report = SessionReport(recording.name, camera_steps=steps, camera_refusals=seen.tried - steps)
     doubted = doubted_cameras(recording, report, ground, every)
     if doubted is not None:
-        yield refusal(doubted.error, doubted.doubt)
+        yield refusal(doubted.error, doubted.code)
         return
     if ground == 0:
         readings = format_hints(recording, gridder, every)
@@ -301,8 +301,8 @@ def _with_map(
     return found
 
 
-def _refusals(*doubts: Doubted | None) -> list[Finding]:
-    return [refusal(one.error, one.doubt.value) for one in doubts if one is not None]
+def _refusals(*doubts: BuildDoubt | None) -> list[Finding]:
+    return [refusal(one.error, one.code.value) for one in doubts if one is not None]
 
 
 def _told_by_camera(recording: Recording, estimate: Estimate, findings: list[Finding]) -> None:

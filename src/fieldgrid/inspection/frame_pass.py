@@ -12,7 +12,7 @@ import numpy as np
 from fieldgrid.build.perception import CameraMotion, perceive_frame, side_by_side
 from fieldgrid.errors import CalibrationError, FieldgridError
 from fieldgrid.frame_ground import FrameGround
-from fieldgrid.inspection.measures import Look, blur, exposure
+from fieldgrid.inspection.measures import PairMeasures, blur, exposure
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.motion import Steps
 from fieldgrid.odometry import Features, features
@@ -24,7 +24,7 @@ Tell = Callable[[int, int], None]
 """Is told how many frames of how many have been looked at."""
 
 
-class Unread(NamedTuple):
+class UnreadFrame(NamedTuple):
     """A frame that could not be had, and the sentence that says why; `misfit` when its images
     are not those of the calibration."""
 
@@ -38,21 +38,21 @@ class FramePass(NamedTuple):
     that was looked at closely, whatever its kind. `steps` are those of the stretches, out of
     `tried` pairs of neighbours; `followed` frames were looked at for them."""
 
-    looks: tuple[Look, ...]
+    looks: tuple[PairMeasures, ...]
     grounds: tuple[FrameGround, ...]
     observed_shares: tuple[float, ...]
-    unread: tuple[Unread, ...]
+    unread: tuple[UnreadFrame, ...]
     steps: Steps | None
     tried: int
     followed: int
 
 
-class _Found(NamedTuple):
+class _FollowedFrame(NamedTuple):
     """What was made of one frame: its features where it is followed, a look where it is due."""
 
     time_ns: int
     features: Features | None
-    look: Look | None
+    look: PairMeasures | None
 
 
 def look_at(
@@ -82,28 +82,28 @@ def _pairs(
     close = set(range(0, recording.frame_count, every))
     wanted = sorted(run_of.keys() | close)
 
-    def work(item: tuple[int, Frame]) -> _Found | Unread:
+    def work(item: tuple[int, Frame]) -> _FollowedFrame | UnreadFrame:
         index, frame = item
         try:
             left, right = frame.images()
             seen = features(gridder.rig.camera, left, right)
             points = len(seen.blur_px)
             look = _look(frame, left, right, points, gridder) if index in close else None
-            return _Found(frame.time_ns, seen if index in run_of else None, look)
+            return _FollowedFrame(frame.time_ns, seen if index in run_of else None, look)
         except FieldgridError as problem:
-            return Unread(frame.frame_id, str(problem), isinstance(problem, CalibrationError))
+            return UnreadFrame(frame.frame_id, str(problem), isinstance(problem, CalibrationError))
 
     offset_ns = recording.rig.image_time_offset_ns
     motions = [CameraMotion(recording.rig) for _ in runs]
-    looks: list[Look] = []
-    unread: list[Unread] = []
+    looks: list[PairMeasures] = []
+    unread: list[UnreadFrame] = []
     followed = 0
     chosen = ((k, frame) for k, frame in enumerate(recording.frames()) if k in run_of or k in close)
     with closing(side_by_side(work, chosen, os.cpu_count() or 1)) as made:
         for done, found in enumerate(made):
             if tell is not None:
                 tell(done + 1, len(wanted))
-            if isinstance(found, Unread):
+            if isinstance(found, UnreadFrame):
                 unread.append(found)
                 continue
             if found.look is not None:
@@ -126,10 +126,12 @@ def _pairs(
     )
 
 
-def _look(frame: Frame, left: Image, right: Image, points: int, gridder: LocalGridder) -> Look:
+def _look(
+    frame: Frame, left: Image, right: Image, points: int, gridder: LocalGridder
+) -> PairMeasures:
     brightness, dark, saturated = exposure(left, right)
     grid, ground = gridder(left, right)
-    return Look(
+    return PairMeasures(
         frame_id=frame.frame_id,
         time_ns=frame.time_ns,
         brightness=brightness,
@@ -147,7 +149,7 @@ def _others(recording: Recording, gridder: LocalGridder, every: int) -> FramePas
     """Depth images and clouds: only their grids are made."""
     grounds: list[FrameGround] = []
     observed: list[float] = []
-    unread: list[Unread] = []
+    unread: list[UnreadFrame] = []
     for index, frame in enumerate(recording.frames()):
         if index % every:
             continue
@@ -155,7 +157,7 @@ def _others(recording: Recording, gridder: LocalGridder, every: int) -> FramePas
             seen = perceive_frame(frame, gridder)
         except FieldgridError as problem:
             unread.append(
-                Unread(frame.frame_id, str(problem), isinstance(problem, CalibrationError))
+                UnreadFrame(frame.frame_id, str(problem), isinstance(problem, CalibrationError))
             )
             continue
         grounds.append(seen.ground)

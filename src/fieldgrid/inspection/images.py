@@ -8,8 +8,8 @@ import numpy as np
 
 from fieldgrid.choices import StopCode
 from fieldgrid.inspection.findings import Finding, error, warning
-from fieldgrid.inspection.frame_pass import Unread
-from fieldgrid.inspection.measures import Look
+from fieldgrid.inspection.frame_pass import UnreadFrame
+from fieldgrid.inspection.measures import PairMeasures
 from fieldgrid.vertical import SHIFT_ERROR_PX, Misalignment
 
 DARK_SHARE, DARK_MEAN = 0.5, 30.0
@@ -37,7 +37,7 @@ SCATTER_PX = 1.0
 """The shift of a pair that changes by more than this between pairs is no calibration."""
 
 
-def unread_findings(unread: Sequence[Unread], looked: int) -> Iterator[Finding]:
+def unread_findings(unread: Sequence[UnreadFrame], looked: int) -> Iterator[Finding]:
     """Frames that cannot be had, at the first of which a build ends."""
     misfits = [one for one in unread if one.misfit]
     if misfits:
@@ -56,11 +56,11 @@ def unread_findings(unread: Sequence[Unread], looked: int) -> Iterator[Finding]:
         )
 
 
-def image_findings(looks: Sequence[Look]) -> Iterator[Finding]:
+def image_findings(looks: Sequence[PairMeasures]) -> Iterator[Finding]:
     """Exposure, sharpness and texture."""
     count = len(looks)
 
-    def share(is_so: Callable[[Look], bool]) -> int:
+    def share(is_so: Callable[[PairMeasures], bool]) -> int:
         found = sum(is_so(look) for look in looks)
         return found if found >= max(2.0, WORTH_SHARE * count) or found == count else 0
 
@@ -137,11 +137,11 @@ def misalignment_findings(found: Misalignment | None) -> Iterator[Finding]:
         )
 
 
-def _is_dark(look: Look) -> bool:
+def _is_dark(look: PairMeasures) -> bool:
     return look.dark_share > DARK_SHARE or min(look.brightness) < DARK_MEAN
 
 
-def _ratio(look: Look) -> float:
+def _ratio(look: PairMeasures) -> float:
     """How many times brighter the brighter image is."""
     low, high = sorted(look.brightness)
     return high / max(low, 1.0)

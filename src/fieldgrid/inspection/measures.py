@@ -18,7 +18,7 @@ BLUR_PX = 9
 """Width of the strong smoothing that an image is compared with."""
 
 
-class Look(NamedTuple):
+class PairMeasures(NamedTuple):
     """One pair that was looked at closely.
 
     Brightness is the mean of 255; shares are of the pixels of the darker, or brighter, image.
@@ -83,6 +83,5 @@ def blur(image: UInt8) -> float:
         smoothed = np.abs(np.diff(cv2.blur(grey, size), axis=axis))
         total = float(change.sum())
         if total > 0.0:
-            lost = float(np.maximum(change - smoothed, 0.0).sum())
-            worst = max(worst, 1.0 - lost / total)
+            worst = max(worst, 1.0 - float(np.maximum(change - smoothed, 0.0).sum()) / total)
     return worst

@@ -11,7 +11,7 @@ from fieldgrid.build.camera_scale import CameraScale
 from fieldgrid.inspection.coverage import ExpectedMap
 from fieldgrid.inspection.findings import Finding, Severity
 from fieldgrid.inspection.fixes import FixSummary, Sync
-from fieldgrid.inspection.measures import Look
+from fieldgrid.inspection.measures import PairMeasures
 from fieldgrid.inspection.rigs import GroundSeen
 from fieldgrid.inspection.streams import StreamSummary
 from fieldgrid.pose import ClockOffset
@@ -48,7 +48,7 @@ class Inspection:
     sync: Sync | None = None
     clock: ClockOffset | None = None
     reasons: Counter[str] = field(default_factory=Counter)
-    looks: tuple[Look, ...] = ()
+    looks: tuple[PairMeasures, ...] = ()
     misalignment: Misalignment | None = None
     ground: GroundSeen | None = None
     scale: CameraScale | None = None

@@ -178,8 +178,7 @@ def _drift_ppm(delay: _Delay) -> float | None:
     clear = apart_s > 0.0
     if not clear.any():
         return None
-    slopes = (delay_s[second] - delay_s[first])[clear] / apart_s[clear]
-    return 1e6 * float(np.median(slopes))
+    return 1e6 * float(np.median((delay_s[second] - delay_s[first])[clear] / apart_s[clear]))
 
 
 def _jumps(delay: _Delay) -> list[tuple[float, float]]:

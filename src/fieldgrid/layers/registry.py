@@ -23,7 +23,7 @@ from fieldgrid.layers import (
     variance,
 )
 from fieldgrid.layers.declaration import ChannelGroup, Layer
-from fieldgrid.plugins import Group, Registered
+from fieldgrid.plugins import Group, PluginRegistry
 
 _GROUPS: dict[str, ChannelGroup] = {}
 _LAYERS: dict[str, Layer] = {}
@@ -34,10 +34,10 @@ RETIRED_GROUPS: Mapping[str, str] = MappingProxyType(
 """Groups of older maps, with a value for each cell and sums over frames, and what replaces them.
 The next change of such a map makes the new ones from its frames."""
 
-GROUPS: Mapping[str, ChannelGroup] = Registered(_GROUPS, Group.LAYERS)
+GROUPS: Mapping[str, ChannelGroup] = PluginRegistry(_GROUPS, Group.LAYERS)
 """The channel groups by name; a group may use those before it, and all may use the density."""
 
-LAYERS: Mapping[str, Layer] = Registered(_LAYERS, Group.LAYERS)
+LAYERS: Mapping[str, Layer] = PluginRegistry(_LAYERS, Group.LAYERS)
 """The layers by name."""
 
 

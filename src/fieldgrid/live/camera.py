@@ -17,7 +17,7 @@ import numpy as np
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.live.intake import Intake
-from fieldgrid.live.pushed import Pushed
+from fieldgrid.live.pushed import PushedSource
 from fieldgrid.recording import Image, StereoFrame
 from fieldgrid.recording.frames import PairRectifier
 from fieldgrid.rig import Rig
@@ -126,7 +126,7 @@ class StereoDevices:
             pictures = [pictures[0][:, :half], pictures[0][:, half:]]
         left, right = pictures
         name = str(time_ns)
-        sides = Pushed(f"{name}/left", left), Pushed(f"{name}/right", right)
+        sides = PushedSource(f"{name}/left", left), PushedSource(f"{name}/right", right)
         intake.push_frame(StereoFrame(name, time_ns, *sides, self._size_px, self._rectifier))
 
     def finish(self, intake: Intake) -> None:

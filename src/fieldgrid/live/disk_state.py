@@ -14,8 +14,8 @@ class DiskState:
         self._is_full, self._lost = False, 0
 
     def changed(self, *, taken: bool, lost: int) -> str:
-        """What to report after a record was `taken` or not, of a session that has `lost` so many
-        of them; empty where nothing has changed."""
+        """What to report after a record was `taken` or not; `lost` is the number of records that
+        the session has lost. Empty where nothing has changed."""
         if taken != self._is_full:
             return ""
         self._is_full = not taken
@@ -25,7 +25,5 @@ class DiskState:
                 f"The disk of {self._folder} takes nothing: what is pushed waits in memory and is "
                 "lost with a kill; free some space there."
             )
-        text = "The disk takes what is pushed again."
-        if lost_now:
-            text += f" {lost_now} records did not fit into memory meanwhile and are lost."
-        return text
+        records = f" {lost_now} records did not fit into memory meanwhile and are lost."
+        return f"The disk takes what is pushed again.{records if lost_now else ''}"

@@ -8,40 +8,40 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from fieldgrid.errors import FieldgridError
-from fieldgrid.live.fixed_lag import Asked
+from fieldgrid.live.fixed_lag import EstimateInputs
 from fieldgrid.pose import Estimate
 
 MOST_SHARE = 0.35
 """Of one core, estimates take no more: frames come first."""
 
 
-class Estimated(NamedTuple):
+class EstimateResult(NamedTuple):
     """What became of an estimate: it, or why there is none, in words; `problem` is an error of this
     program, else empty. `fixes` are those that went into it."""
 
-    asked: Asked | None
+    asked: EstimateInputs | None
     estimate: Estimate | None
     why: str = ""
     problem: str = ""
 
 
-def estimated(asked: Asked) -> Estimated:
+def estimate_now(asked: EstimateInputs) -> EstimateResult:
     """Make an estimate here and now."""
     try:
-        return Estimated(asked, asked.estimate())
+        return EstimateResult(asked, asked.estimate())
     except FieldgridError as error:
-        return Estimated(asked, None, str(error))
+        return EstimateResult(asked, None, str(error))
     except Exception as error:  # noqa: BLE001 - an estimate that fails does not end the mapping
-        return Estimated(asked, None, "poses could not be estimated", repr(error))
+        return EstimateResult(asked, None, "poses could not be estimated", repr(error))
 
 
 class Estimator:
     """Makes one estimate at a time and rests between them; what is made goes to `give`."""
 
-    def __init__(self, give: Callable[[Estimated], None]) -> None:
+    def __init__(self, give: Callable[[EstimateResult], None]) -> None:
         self._give = give
         self._changed = threading.Condition()
-        self._asked: Asked | None = None
+        self._asked: EstimateInputs | None = None
         self._is_busy = self._closed = False
         self._thread = threading.Thread(target=self._run, name="fieldgrid-estimates", daemon=True)
         self._thread.start()
@@ -51,7 +51,7 @@ class Estimator:
         """Whether it takes a question now."""
         return not self._is_busy
 
-    def ask(self, asked: Asked) -> None:
+    def ask(self, asked: EstimateInputs) -> None:
         """Let it make an estimate; only when it is free."""
         with self._changed:
             self._asked, self._is_busy = asked, True
@@ -72,7 +72,7 @@ class Estimator:
             if asked is None:
                 return
             start_s = time.thread_time()
-            self._give(estimated(asked))
+            self._give(estimate_now(asked))
             took_s = time.thread_time() - start_s
             with self._changed:
                 self._changed.wait_for(lambda: self._closed, took_s * (1.0 / MOST_SHARE - 1.0))

@@ -43,8 +43,7 @@ def encode_window(window: LiveWindow, number: int) -> bytes:
     costs, pose, datum = window.costmap.costs, window.pose, window.costmap.datum
     west_m, south_m = window.costmap.bounds[:2]
     height, width = costs.shape
-    nan = math.nan
-    where = (nan,) * 6
+    where = (math.nan,) * 6
     if pose is not None:
         sigmas = pose.position_sigma_m, pose.heading_sigma_deg
         where = (pose.east_m, pose.north_m, pose.heading_deg, *sigmas, pose.speed_mps)
@@ -68,7 +67,7 @@ def _units(values: Float32, unit: float) -> UInt16:
     return scaled.astype("<u2")
 
 
-class _Client:
+class _FeedClient:
     """A client: what is being sent to it, and the window that waits behind that."""
 
     def __init__(self, connection: socket.socket) -> None:
@@ -123,7 +122,7 @@ class Feed(Closing):
         self._is_new = self._is_closed = False
         self._number = 0
         self._encoded = b""
-        self._clients: list[_Client] = []
+        self._clients: list[_FeedClient] = []
         self._thread = threading.Thread(target=self._run, name="fieldgrid-feed", daemon=True)
         self._thread.start()
 
@@ -177,7 +176,7 @@ class Feed(Closing):
             connection.close()
             return
         connection.setblocking(False)
-        client = _Client(connection)
+        client = _FeedClient(connection)
         selector.register(connection, selectors.EVENT_READ, client)
         self._clients.append(client)
         others = self._clients if self._encode() else [client]
@@ -193,7 +192,7 @@ class Feed(Closing):
             self._encoded = encode_window(newest, number)
         return is_new
 
-    def _serve(self, client: _Client, events: int) -> None:
+    def _serve(self, client: _FeedClient, events: int) -> None:
         """Hear that a client has gone; what it sends is not read as anything."""
         if events & selectors.EVENT_READ:
             try:

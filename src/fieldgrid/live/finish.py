@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -66,8 +66,8 @@ def check_target(out: Path, about: SessionStart) -> None:
 
 
 def check_begin(out: Path, about: SessionStart) -> None:
-    """The same where a session begins, also again. The error tells of one whose end was killed when
-    the drive was in the map already, or before."""
+    """Raise what the map would refuse, where a session begins, also again. The error tells of a
+    session whose end was killed when the drive was in the map already, or before."""
     try:
         check_target(out, about)
     except FieldgridError as error:
@@ -103,7 +103,6 @@ def finish_from(
     options: DriveOptions | None = None,
     overrides: Overrides | None = None,
     *,
-    jobs: int | None = None,
     progress: Callable[[Progress], None] | None = None,
     patience: Patience | None = None,
 ) -> SessionReport:
@@ -135,7 +134,6 @@ def finish_from(
                 datum=about.datum,
                 append=about.append,
                 name=about.name,
-                jobs=jobs,
                 progress=progress,
                 patience=patience,
             )
@@ -166,7 +164,7 @@ def finish(
     progress: Callable[[Progress], None] | None = None,
     patience: Patience | None = None,
 ) -> SessionReport:
-    """The same of a folder that is open."""
+    """Put what the open folder of a session has kept into its map, and remove it."""
     started = time.perf_counter()
     about = kept.drive.about
     settings = with_overrides(about.settings, overrides)
@@ -186,16 +184,17 @@ def finish(
                 )
             recording = kept.recording(drive)
             drive.let_go()
-            placed = _placed(kept, drive, recording, settings, progress, patience or Patience())
+            report, left_out = _placed(
+                kept, drive, recording, settings, progress, patience or Patience()
+            )
         except FieldgridError as error:
             sentence = str(error).removesuffix(".")
             raise type(error)(f"{sentence}. {kept.what_is_kept(ways)}") from error
-        report = placed.report
-        if placed.left_out:
-            report.notes += (_still_kept(kept, placed.left_out, _NO_POINTS),)
+        if left_out:
+            report.notes += (_still_kept(kept, left_out, _NO_POINTS),)
         if kept.unreadable:
             report.notes += (_still_kept(kept, kept.unreadable, _NO_GRIDS),)
-        if not (placed.left_out or kept.unreadable):
+        if not (left_out or kept.unreadable):
             kept.remove()
     report.wall_s = time.perf_counter() - started
     return report
@@ -209,13 +208,6 @@ def _telling_where(kept: SessionFolder, way: str) -> Iterator[None]:
     except (KeyboardInterrupt, SystemExit) as end:
         end.add_note(kept.what_is_kept(f"fieldgrid live -o {kept.out} {way} makes the map of it"))
         raise
-
-
-class _Placed(NamedTuple):
-    """The drive in the map; `left_out` of its frames are not, since their points are lost."""
-
-    report: SessionReport
-    left_out: int
 
 
 _NO_POINTS = "their points are not there and it was not known while driving how the vehicle leaned"
@@ -242,18 +234,20 @@ def _placed(
     settings: BuildSettings,
     progress: Callable[[Progress], None] | None,
     patience: Patience,
-) -> _Placed:
+) -> tuple[SessionReport, int]:
+    """Put the drive into the map; its report, and the number of its frames that are left out, since
+    their points are lost."""
     about, out = kept.drive.about, kept.out
-    left_out = _done(kept, drive) if out.exists() else None
-    if left_out is not None:
+    done = _done(kept, drive) if out.exists() else None
+    if done is not None:
         # A map opened to be changed is given at its close what a killed end left for later. Where
         # that is not possible, readers do without.
         with suppress(MapError):
             open_map(out, writable=True, patience=patience).close()
         session = NewSession(recording, settings, None, about.name)
         session.report.notes += ("The drive was in the map already.",)
-        session.report.frames = len(drive.frames) - left_out
-        return _Placed(session.report, left_out)
+        session.report.frames = len(drive.frames) - done
+        return session.report, done
     check_target(out, about)
     datum = about.datum
     if about.append and datum is None:
@@ -272,9 +266,10 @@ def _placed(
     datum = datum or trajectory.datum
     chosen = settings.map
     with StageFile.temporary(out) as file:
-        final = gridded_again(kept, drive, file, attitude, OriginTrack.of(trajectory), progress)
-        session.report.notes += final.notes
-        if kept.points.is_lost and not final.notes:
+        way = OriginTrack.of(trajectory)
+        staged, notes, left_out = gridded_again(kept, drive, file, attitude, way, progress)
+        session.report.notes += notes
+        if kept.points.is_lost and not notes:
             session.report.notes += (LOST,)
         if about.append:
             universal = open_map(
@@ -286,8 +281,8 @@ def _placed(
             )
         with universal:
             session.check(universal)
-            session.add(universal, final.staged)
-    return _Placed(session.report, final.left_out)
+            session.add(universal, staged)
+    return session.report, left_out
 
 
 def _done(kept: SessionFolder, drive: PushedDrive) -> int | None:

@@ -15,7 +15,7 @@ from fieldgrid.build import cell_budget
 from fieldgrid.errors import FieldgridError, GnssError
 from fieldgrid.fixes import Fix, FixColumns
 from fieldgrid.geodesy import Datum
-from fieldgrid.live.given import GIVEN_ROWS, given_motion
+from fieldgrid.live.given import GIVEN_ROWS, body_poses
 from fieldgrid.live.sensor_rows import Rows, motion_of
 from fieldgrid.live.stamps import FIXES, FRAMES
 from fieldgrid.motion import Motion
@@ -27,6 +27,7 @@ from fieldgrid.pose import (
     levelling_attitude,
     tells_attitude,
 )
+from fieldgrid.recording.given_poses import motion_of_body
 from fieldgrid.recording.pose_source import PoseBody
 from fieldgrid.rig import Rig
 from fieldgrid.settings import BuildSettings, PoseSettings
@@ -43,7 +44,7 @@ FEWEST_FIXES = 3
 """Of fewer fixes nothing follows."""
 
 
-class Asked(NamedTuple):
+class EstimateInputs(NamedTuple):
     """What an estimate is made of; nothing that is pushed later changes it."""
 
     fixes: FixColumns
@@ -104,8 +105,7 @@ class FixedLagSmoother:
         self._budget = cell_budget(rig, settings)
         self.datum = datum
         self._window_ns = round(window_s * 1e9)
-        kept_s = max(window_s, KEPT_S if body is None else GIVEN_KEPT_S)
-        self._kept_ns = round(kept_s * 1e9)
+        self._kept_ns = round(1e9 * max(window_s, KEPT_S if body is None else GIVEN_KEPT_S))
         self._fixes: deque[Fix] = deque()
         self._parts: dict[str, deque[Rows]] = {}
         self._frames: deque[tuple[int, CameraStep | None]] = deque()
@@ -161,9 +161,15 @@ class FixedLagSmoother:
         self.datum = found.trajectory.datum
         return found
 
-    def asked(self, oldest_ns: int, *, level_grids: bool = True) -> Asked:
+    def asked(self, oldest_ns: int, *, level_grids: bool = True) -> EstimateInputs:
         """What such an estimate is made of. GnssError where there is too little."""
-        known_ns = self._known_ns()
+        known_ns = self.told_ns
+        if known_ns is None:
+            if self._needs_fixes:
+                raise GnssError("There is no fix yet; wait for the receiver.")
+            raise GnssError("There is no pose yet; wait for the program that makes them.")
+        if self._needs_fixes and len(self._fixes) < FEWEST_FIXES:
+            raise GnssError(f"There are {len(self._fixes)} fixes yet; wait for the receiver.")
         since_ns = min(known_ns - self._window_ns, oldest_ns - BEFORE_NS)
         if self._body is not None:
             since_ns = self.newest_ns - self._kept_ns
@@ -171,7 +177,7 @@ class FixedLagSmoother:
         if self._needs_fixes and len(fixes) < FEWEST_FIXES:
             silent_s = (self.newest_ns - known_ns) / 1e9
             raise GnssError(f"There was no fix for {silent_s:.0f} s; wait for the receiver.")
-        return Asked(
+        return EstimateInputs(
             FixColumns.of_rows(fixes),
             self._rig,
             self.datum,
@@ -197,17 +203,6 @@ class FixedLagSmoother:
         given = self._parts.get(GIVEN_ROWS, ())
         return max((int(rows.time_ns.max()) for rows in given), default=None)
 
-    def _known_ns(self) -> int:
-        """The same. GnssError where that is too little."""
-        told_ns = self.told_ns
-        if told_ns is None and not self._needs_fixes:
-            raise GnssError("There is no pose yet; wait for the program that makes them.")
-        if told_ns is None:
-            raise GnssError("There is no fix yet; wait for the receiver.")
-        if self._needs_fixes and len(self._fixes) < FEWEST_FIXES:
-            raise GnssError(f"There are {len(self._fixes)} fixes yet; wait for the receiver.")
-        return told_ns
-
     def _motion(self, since_ns: int) -> Motion:
         parts = {
             part: [rows for rows in chunks if rows.time_ns[-1] >= since_ns]
@@ -217,9 +212,8 @@ class FixedLagSmoother:
         if self._body is not None:
             if not parts.get(GIVEN_ROWS):
                 raise GnssError("There is no pose yet; wait for the program that makes them.")
-            given = given_motion(
-                *(self._body, parts[GIVEN_ROWS], self._rig), has_tilt=motion.tilt is not None
-            )
+            poses, has_tilt = body_poses(self._body, parts[GIVEN_ROWS]), motion.tilt is not None
+            given, _ = motion_of_body(poses, self._body, self._rig, has_tilt=has_tilt)
             return motion._replace(poses=given.poses, tilt=motion.tilt or given.tilt)
         frames = [frame for frame in self._frames if frame[0] >= since_ns]
         steps = [step or Refusal.NOT_COMPARED for _, step in frames[1:]]

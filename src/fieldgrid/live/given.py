@@ -10,12 +10,9 @@ import numpy.typing as npt
 from fieldgrid.array_types import Int64
 from fieldgrid.errors import ConfigError
 from fieldgrid.live.sensor_rows import Rows, rows_of
-from fieldgrid.motion import Motion
-from fieldgrid.recording.given_poses import motion_of_body
 from fieldgrid.recording.motion_files import check_axes
 from fieldgrid.recording.pose_files import MOST_M, OFF_UNIT, BodyPoses, rotations
 from fieldgrid.recording.pose_source import PoseBody
-from fieldgrid.rig import Rig
 
 GIVEN_ROWS = "poses"
 """What rows of poses are called."""
@@ -24,7 +21,7 @@ NO_POSES = Rows(np.zeros(0, np.int64), (np.zeros((0, 3)), np.zeros((0, 9))))
 
 
 def check_body(body: PoseBody) -> PoseBody:
-    """The same, once it is sure that its axes are some. ConfigError where they are not."""
+    """The body, once its axes are checked. ConfigError where they are none."""
     try:
         check_axes(body.axes)
     except ValueError as problem:
@@ -45,8 +42,7 @@ def pose_rows(
             "x, y, z, w of each."
         )
     turned = turned.reshape(-1, 4)
-    length = np.linalg.norm(turned, axis=1)
-    wrong = ~(np.abs(length - 1.0) < OFF_UNIT)
+    wrong = ~(np.abs(np.linalg.norm(turned, axis=1) - 1.0) < OFF_UNIT)
     if wrong.any():
         value = ", ".join(f"{part:g}" for part in turned[int(np.argmax(wrong))])
         raise ConfigError(
@@ -60,7 +56,7 @@ def pose_rows(
 
 
 def check_order(rows: Rows, newest_ns: int, late_ns: int) -> int:
-    """The time of the newest pose, with these. ConfigError where one comes later than by so much
+    """The time of the newest pose, with these rows. ConfigError where one comes more than `late_ns`
     after the newest before it: none of the rows is to be taken then."""
     times = rows.time_ns
     before = np.maximum.accumulate(np.concatenate([[newest_ns], times]))
@@ -82,14 +78,9 @@ def body_poses(body: PoseBody, chunks: Sequence[Rows]) -> BodyPoses:
     return BodyPoses(body.name, times, position_m, R.reshape(-1, 3, 3))
 
 
-def given_motion(body: PoseBody, chunks: Sequence[Rows], rig: Rig, *, has_tilt: bool) -> Motion:
-    """What poses say of the last seconds. RecordingError where they contradict themselves."""
-    return motion_of_body(body_poses(body, chunks), body, rig, has_tilt=has_tilt)[0]
-
-
 def rows_of_body(poses: BodyPoses) -> Rows:
     """Poses of a recording as rows, in order of time, of equal times in that of the recording."""
     assert poses.time_ns is not None
     order = np.argsort(poses.time_ns, kind="stable")
-    R = poses.R.reshape(-1, 9)
-    return Rows(poses.time_ns[order], (poses.position_m[order], R[order]))
+    columns = poses.position_m[order], poses.R.reshape(-1, 9)[order]
+    return Rows(poses.time_ns[order], columns)

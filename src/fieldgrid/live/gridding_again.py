@@ -7,16 +7,15 @@ import os
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
-from typing import NamedTuple
 
 from fieldgrid.attitude import Attitude
 from fieldgrid.build import BadFrame, Progress
 from fieldgrid.build.perception import carried, side_by_side
-from fieldgrid.build.staging import Found, Staged
+from fieldgrid.build.staging import StagedDrive, StepOutcome
 from fieldgrid.depth import CodedDepth
 from fieldgrid.grids import GridSpec
 from fieldgrid.live.kept_drive import PushedDrive
-from fieldgrid.live.points_file import Seen
+from fieldgrid.live.points_file import GridInput
 from fieldgrid.live.session_folder import SessionFolder
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.mapfile import StagedFrame, StageFile, stage
@@ -27,23 +26,6 @@ from fieldgrid.sweep import OriginTrack
 NO_POINTS = "its points were not kept, and how the vehicle leaned was not known while driving"
 
 
-class GriddedAgain(NamedTuple):
-    """The frames of a session as its map is to have them, and remarks for the report."""
-
-    staged: Staged
-    notes: tuple[str, ...]
-    left_out: int = 0
-    """So many frames cannot be as the others are, since their points are not there."""
-
-
-class _Made(NamedTuple):
-    """A frame, None where it cannot be as the others are, and whether it is one of while
-    driving."""
-
-    staged: StagedFrame | None
-    as_driven: bool
-
-
 def gridded_again(
     kept: SessionFolder,
     drive: PushedDrive,
@@ -51,42 +33,46 @@ def gridded_again(
     attitude: Attitude | None,
     way: OriginTrack,
     progress: Callable[[Progress], None] | None = None,
-) -> GriddedAgain:
+) -> tuple[StagedDrive, tuple[str, ...], int]:
     """The frames of a session, of what was read of it, with grids that are level by the `attitude`,
     perpendicular to the ground ahead where that is None, of sweeps carried by the vehicle's `way`;
-    those that had to be made again are in the `file`. `progress` is called after each of them."""
+    those that had to be made again are in the `file`. `progress` is called after each of them.
+
+    Returns them with remarks for the report, and the number of frames that are left out, since
+    their points are not there to make them as the others are."""
     staged = kept.staged(drive)
     is_swept = any(frame.is_timed for frame in drive.frames)
     if attitude is None and not is_swept and not any(frame.is_level for frame in drive.frames):
-        return GriddedAgain(staged, ())
+        return staged, (), 0
     settings = drive.about.settings
     gridder = LocalGridder(
         drive.about.rig, GridSpec.of(settings.grid), settings.stereo, settings.density
     )
 
-    def make(number: int) -> _Made:
+    def make(number: int) -> tuple[StagedFrame | None, bool]:
+        """A frame, None where it cannot be as the others are, and whether its grid is that of while
+        driving."""
         frame, was = drive.frames[number], staged.frames[number]
         tilt = None if attitude is None else attitude.tilt_at(was.time_ns)
         seen = kept.points.read(frame.points, gridder)
         if seen is not None:
-            return _Made(_again(was, seen, gridder, tilt, way), False)
-        return _Made(was if frame.is_level == (tilt is not None) else None, True)
+            return _again(was, seen, gridder, tilt, way), False
+        return was if frame.is_level == (tilt is not None) else None, True
 
-    found: list[Found] = []
-    bad, as_driven, notes = list(staged.bad), set[str](), tuple[str, ...]()
+    found: list[StepOutcome] = []
+    bad, as_driven, notes = list(staged.bad), 0, tuple[str, ...]()
     with closing(side_by_side(make, range(len(drive.frames)), os.cpu_count() or 1)) as all_made:
         lost = False
         frames = zip(all_made, staged.entries, staged.found, strict=True)
-        for done, (made, entry, step) in enumerate(frames, start=1):
+        for done, ((made, is_as_driven), entry, step) in enumerate(frames, start=1):
             if progress is not None:
                 progress(Progress(drive.about.name, done, len(drive.frames)))
-            if made.staged is None:
+            if made is None:
                 bad.append(BadFrame(entry.frame_id, NO_POINTS))
                 lost = True
                 continue
-            if made.as_driven:
-                as_driven.add(entry.frame_id)
-            file.append(made.staged)
+            as_driven += is_as_driven
+            file.append(made)
             # No step leads over a frame that is left out.
             found.append(Refusal.NOT_COMPARED if lost and step is not None else step)
             lost = False
@@ -94,18 +80,22 @@ def gridded_again(
     if as_driven:
         known = ["the attitude"] if attitude is not None else []
         known += ["the motion"] if is_swept else []
-        notes = (_as_driven(len(as_driven), len(found), " and ".join(known)),)
-    return GriddedAgain(made_again, notes, len(drive.frames) - len(found))
+        notes = (
+            f"The points of {as_driven} of {len(found)} frames were not kept to the end: their "
+            f"grids are as they were made while driving, by {' and '.join(known)} known then. A "
+            "build from a recording (fieldgrid build RECORDING) makes them by the data of the "
+            "whole drive.",
+        )
+    return made_again, notes, len(drive.frames) - len(found)
 
 
 def _again(
-    was: StagedFrame, seen: Seen, gridder: LocalGridder, tilt: Tilt | None, way: OriginTrack
+    was: StagedFrame, seen: GridInput, gridder: LocalGridder, tilt: Tilt | None, way: OriginTrack
 ) -> StagedFrame:
     if isinstance(seen, CodedDepth):
         grid, ground = gridder.from_coded(seen, tilt)
     else:
-        points_m = carried(seen, was.time_ns, gridder.rig, way)
-        grid, ground = gridder.from_cloud(points_m, tilt)
+        grid, ground = gridder.from_cloud(carried(seen, was.time_ns, gridder.rig, way), tilt)
     return stage(
         grid,
         was.frame_id,
@@ -114,13 +104,4 @@ def _again(
         images_sha256=was.images_sha256,
         ground_found=ground.refined,
         channels=ground.channels(),
-    )
-
-
-def _as_driven(count: int, frames: int, known: str) -> str:
-    """The remark on frames that a build would have made otherwise."""
-    return (
-        f"The points of {count} of {frames} frames were not kept to the end: their grids are as "
-        f"they were made while driving, by {known} known then. A build from a recording (fieldgrid "
-        "build RECORDING) makes them by the data of the whole drive."
     )

@@ -23,7 +23,7 @@ GIVEN_UP_S = 2.0
 
 
 @dataclass(slots=True)
-class _Pending:
+class _PendingShot:
     shot: Shot
     state: tuple[tuple[int, int], ...]
     changed_s: float
@@ -39,7 +39,7 @@ class ImageFolder:
 
     folder: GrowingFolder
     _has_begun: bool = False
-    _pending: deque[_Pending] = field(default_factory=deque)
+    _pending: deque[_PendingShot] = field(default_factory=deque)
 
     @property
     def name(self) -> str:
@@ -65,12 +65,12 @@ class ImageFolder:
             for problem in problems:
                 intake.tell(f"has a frame that is left out: {problem}")
             for shot in shots:
-                self._pending.append(_Pending(shot, self.folder.state(shot), time.monotonic()))
+                self._pending.append(_PendingShot(shot, self.folder.state(shot), time.monotonic()))
             while self._pending and self._is_ready(self._pending[0]):
                 self._push(intake, self._pending.popleft().shot)
             intake.stop.wait(max(LOOK_S, took_s / MOST_SHARE))
 
-    def _is_ready(self, pending: _Pending) -> bool:
+    def _is_ready(self, pending: _PendingShot) -> bool:
         whole, now_s = self.folder.is_whole(pending.shot), time.monotonic()
         if whole:
             return True

@@ -37,7 +37,7 @@ axis only, and then it has none that tells how a vehicle leans."""
 _PARTS = slice(0, 3), slice(3, 6)
 
 
-class _Axes(NamedTuple):
+class _ImuAxes(NamedTuple):
     """The vertical in the IMU's axes [3], the vehicle's axes seen from them [3, 3], None where they
     are not known, and what a force is in m/s², NaN where it is no force."""
 
@@ -59,7 +59,7 @@ class ImuStream:
         self._transforms = Transforms() if transforms is None else transforms
         self._frame = ""
         self._held: list[tuple[int, Float64]] = []
-        self._axes: _Axes | None = None
+        self._axes: _ImuAxes | None = None
         self._unturned: deque[tuple[int, Float64]] | None = deque(maxlen=MOST_UNTURNED)
         self.notes: list[str] = []
         """What the user must know of it."""
@@ -135,7 +135,7 @@ class ImuStream:
         if text not in self.notes:
             self.notes.append(text)
 
-    def _decided(self, times_ns: Int64, sensed: Float64) -> _Axes:
+    def _decided(self, times_ns: Int64, sensed: Float64) -> _ImuAxes:
         R_flu_imu = self._by_transforms() if self._said == AXES else None
         is_taken = R_flu_imu is None and self._said == AXES and not is_optical(self._frame)
         if R_flu_imu is None:
@@ -148,7 +148,7 @@ class ImuStream:
                 f"upward, along {felt.astype(int).tolist()}, and roll and pitch are not used; say "
                 "imu_axes in mounting.json."
             )
-            return _Axes(felt, None, np.nan)
+            return _ImuAxes(felt, None, np.nan)
         R_vehicle_imu = R_VEHICLE_FLU @ R_flu_imu
         turned = np.hstack([sensed[:, part] @ R_vehicle_imu.T for part in _PARTS])
         remarks: list[str] = []
@@ -158,9 +158,11 @@ class ImuStream:
         if found is not None and np.isfinite(found.force_mps2).any():
             known = np.isfinite(turned).all(axis=1)
             unit_mps2 = gravity_unit_mps2(np.median(turned[known, 3:], axis=0))
-        return _Axes(R_flu_imu[2], R_vehicle_imu, unit_mps2 or np.nan)
+        return _ImuAxes(R_flu_imu[2], R_vehicle_imu, unit_mps2 or np.nan)
 
-    def _inertial(self, axes: _Axes, messages: list[tuple[int, Float64]]) -> list[tuple[str, Rows]]:
+    def _inertial(
+        self, axes: _ImuAxes, messages: list[tuple[int, Float64]]
+    ) -> list[tuple[str, Rows]]:
         """Rows of all axes, if it has them."""
         if axes.R_vehicle_imu is None:
             return []

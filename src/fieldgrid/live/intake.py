@@ -19,7 +19,8 @@ from fieldgrid.live.sensor_rows import Rows
 from fieldgrid.recording import Frame
 
 JOIN_S = 6.0
-"""So long a source is waited for at the end: a connection that is being made takes up to 5 s."""
+"""Time for which a source is waited for at the end: a connection that is being made takes up to
+5 s."""
 
 CLOCKS_APART_S = 1.0
 """Stamps of images and fixes that come together are said to differ when they do by more: what a
@@ -195,7 +196,7 @@ class _Clocks:
         return self._compare(self._fixes, time_ns)
 
     def frame(self, time_ns: int) -> str:
-        """The same of a frame, by the receiver's clock."""
+        """A frame came, by the receiver's clock; what is to be told, mostly nothing."""
         return self._compare(self._frames, time_ns)
 
     def _compare(self, stamps: deque[float], time_ns: int) -> str:

@@ -13,7 +13,7 @@ from fieldgrid.build import BadFrame
 from fieldgrid.build.parts import found_from_json
 from fieldgrid.build.report import StageTimes
 from fieldgrid.build.rig_config import rig_from_config
-from fieldgrid.build.staging import Found
+from fieldgrid.build.staging import StepOutcome
 from fieldgrid.errors import MapError
 from fieldgrid.fixes import Fix
 from fieldgrid.geodesy import Datum
@@ -30,7 +30,7 @@ JOURNAL, GRIDS, POINTS = "journal", "frames.grids", "frames.points"
 """The files in a session's folder."""
 
 PIECES = 1000
-"""So many pieces of rows are joined to one."""
+"""Number of pieces of rows that are joined to one."""
 
 
 _IN_WORDS = {
@@ -92,7 +92,10 @@ class SessionStart:
 
     @classmethod
     def from_json(cls, value: dict[str, Any]) -> SessionStart:
-        """The same again."""
+        """The start of a session of such a value."""
+        # A session that was begun by an earlier version has no entry of poses.
+        name, axes, point = value.get("poses") or (None, "", None)
+        body = None if name is None else PoseBody(name, axes, point and tuple(point))
         return cls(
             value["name"],
             rig_from_config(value["rig"], value["name"]),
@@ -103,16 +106,8 @@ class SessionStart:
             value["source"],
             value["source_sha256"],
             tuple(value["notes"]),
-            _body_from_json(value.get("poses")),
+            body,
         )
-
-
-def _body_from_json(value: list[Any] | None) -> PoseBody | None:
-    """None, too, of a session that was begun before there were any."""
-    if value is None:
-        return None
-    name, axes, point = value
-    return PoseBody(name, axes, None if point is None else tuple(point))
 
 
 def _datum_to_json(datum: Datum | None) -> list[float] | None:
@@ -125,13 +120,13 @@ class KeptFrame(NamedTuple):
     whose points have times."""
 
     number: int
-    found: Found
+    found: StepOutcome
     points: RecordSpan | None = None
     is_level: bool = False
     is_timed: bool = False
 
     def is_within(self, end: int) -> bool:
-        """Whether a file of points that is so long has those of the frame."""
+        """Whether a file of points of `end` bytes has those of the frame."""
         return self.points is None or self.points.start + self.points.size <= end
 
 

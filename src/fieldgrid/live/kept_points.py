@@ -16,20 +16,20 @@ import numpy as np
 from fieldgrid.closing import Closing
 from fieldgrid.live.given import GIVEN_ROWS
 from fieldgrid.live.kept_drive import POINTS, KeptFrame
-from fieldgrid.live.points_file import PointsFile, RecordSpan, Seen, packed, points_end
+from fieldgrid.live.points_file import GridInput, PointsFile, RecordSpan, packed, points_end
 from fieldgrid.live.sensor_rows import Rows
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.sweep import Sweep
 
 UNTOLD_NS = 60_000_000_000
-"""For so long from the first frame on, by stamps and by the clock of the machine, points are kept
-of a drive that does not tell how its vehicle leans: what tells it may come later."""
+"""The time from the first frame on, by stamps and by the clock of the machine, for which points
+are kept of a drive that does not tell how its vehicle leans: what tells it may come later."""
 
 RESERVE_BYTES = 1_000_000_000
 """With less free on their disk no points are kept: grids, journal and the map need the room."""
 
 AGAIN_BYTES = 1_100_000_000
-"""With so much free again they are, where that was the reason."""
+"""With this number of bytes free again points are kept, where that was the reason."""
 
 _AS_DRIVEN = (
     "are not kept: their grids stay as they were made while driving, level by the roll and pitch "
@@ -105,7 +105,7 @@ class KeptPoints(Closing):
                 if not self.is_levelling and not self.is_lost:
                     self._warning = _TOO_LATE
 
-    def record(self, seen: Seen) -> bytes | None:
+    def record(self, seen: GridInput) -> bytes | None:
         """A frame's points as `add` takes them; None where they are not kept or cannot be."""
         with self._lock:
             if isinstance(seen, Sweep) and seen.after_s is not None:
@@ -127,9 +127,8 @@ class KeptPoints(Closing):
             if self._first_ns is None:
                 self._first_ns, self._since_ns = time_ns, time.monotonic_ns()
             # Stamps alone may jump, or run ahead in a replay.
-            is_long = time_ns - self._first_ns > UNTOLD_NS
-            is_long = is_long and time.monotonic_ns() - self._since_ns > UNTOLD_NS
-            if not self._is_needed and is_long:
+            took_ns = min(time_ns - self._first_ns, time.monotonic_ns() - self._since_ns)
+            if not self._is_needed and took_ns > UNTOLD_NS:
                 self._give_up()
             if record is None or self._file is None or self._is_full:
                 return None
@@ -185,7 +184,7 @@ class KeptPoints(Closing):
             warning, self._warning = self._warning, ""
         return warning
 
-    def read(self, at: RecordSpan | None, gridder: LocalGridder) -> Seen | None:
+    def read(self, at: RecordSpan | None, gridder: LocalGridder) -> GridInput | None:
         """The points of a frame that are there; None where they were not kept or are damaged."""
         return None if at is None or self._file is None else self._file.read(at, gridder)
 

@@ -13,6 +13,7 @@ import socket
 import stat
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 from urllib.parse import parse_qs, urlsplit
@@ -227,7 +228,10 @@ def _open_gpsd(address: Address) -> _Socket:
                 break
             greeting += data
         line, _, rest = greeting.partition(b"\n")
-        if not _is_gpsd(line):
+        said: object = None
+        with suppress(ValueError):
+            said = parse_json(line)
+        if not isinstance(said, dict) or said.get("class") != "VERSION":
             raise ConnectionError(
                 f"no gpsd answers there, which would give its version; it says {line[:60]!r}"
             )
@@ -236,14 +240,6 @@ def _open_gpsd(address: Address) -> _Socket:
         connected.close()
         raise
     return _Socket(connected, rest, stream=True)
-
-
-def _is_gpsd(line: bytes) -> bool:
-    try:
-        said = parse_json(line)
-    except ValueError:
-        return False
-    return isinstance(said, dict) and said.get("class") == "VERSION"
 
 
 def _open_fifo(address: Address) -> _Descriptor:

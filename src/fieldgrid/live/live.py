@@ -28,7 +28,7 @@ from fieldgrid.live.kept_drive import SessionStart
 from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiver import Perceiver
 from fieldgrid.live.poser import Poser
-from fieldgrid.live.pushed import Pushed, PushedImage, warm_up
+from fieldgrid.live.pushed import PushedImage, PushedSource, warm_up
 from fieldgrid.live.results import Counts, Deliverer, LiveEvent, LiveResult, Outbox, What
 from fieldgrid.live.sensor_rows import Rows, rows_of
 from fieldgrid.live.session_folder import SessionFolder
@@ -151,7 +151,7 @@ class Live(Closing):
 
     @property
     def counts(self) -> Counts:
-        """What has been pushed so far, and what became of it."""
+        """What has been pushed until now, and what became of it."""
         failed = 0 if self._deliverer is None else self._deliverer.failed
         frames = self._perceiver
         return Counts(
@@ -175,9 +175,9 @@ class Live(Closing):
         one before is left out. When more wait than may, the oldest is dropped; with `wait` this
         waits instead.
         """
-        camera = self.rig.camera
-        name, size_px = self._frame_id(frame_id), (camera.width_px, camera.height_px)
+        name, camera = self._frame_id(frame_id), self.rig.camera
         sides = PushedImage(f"{name}/left", left), PushedImage(f"{name}/right", right)
+        size_px = (camera.width_px, camera.height_px)
         return self.push_frame(StereoFrame(name, int(time_ns), *sides, size_px), wait=wait)
 
     def push_depth(
@@ -192,7 +192,7 @@ class Live(Closing):
         in `push_pair`."""
         name, camera = self._frame_id(frame_id), self.rig.depth_camera
         size_px = (camera.width_px, camera.height_px)
-        frame = DepthFrame(name, int(time_ns), Pushed(f"{name}/depth", depth_m), size_px)
+        frame = DepthFrame(name, int(time_ns), PushedSource(f"{name}/depth", depth_m), size_px)
         return self.push_frame(frame, wait=wait)
 
     def push_cloud(
@@ -207,7 +207,7 @@ class Live(Closing):
         """Points [n, 3] of the sensor's frame (x right, y down, z forward), metres, and by how much
         later than `time_ns` each was taken, seconds [n]; the rest as in `push_pair`."""
         name = self._frame_id(frame_id)
-        frame = CloudFrame(name, int(time_ns), Pushed(f"{name}/cloud", points_m, after_s))
+        frame = CloudFrame(name, int(time_ns), PushedSource(f"{name}/cloud", points_m, after_s))
         return self.push_frame(frame, wait=wait)
 
     def push_frame(self, frame: Frame, *, wait: bool = False) -> bool:
@@ -288,8 +288,8 @@ class Live(Closing):
         self.push_rows(GIVEN_ROWS, pose_rows(time_ns, position_m, quaternion_xyzw))
 
     def results(self, timeout_s: float | None = None) -> Iterator[LiveResult]:
-        """The results as they come, until the session ends or nothing comes for so long. Not beside
-        a callback."""
+        """The results as they come, until the session ends or none comes for `timeout_s`. Not
+        beside a callback."""
         if self._deliverer is not None:
             raise ConfigError("The results go to the callback; leave out on_result to take them.")
         while (result := self._outbox.take(timeout_s)) is not None:
@@ -364,25 +364,22 @@ class Live(Closing):
             return
         with self._lock:
             if part == GIVEN_ROWS:
-                self._check_poses(rows)
+                if self._kept.drive.about.poses is None:
+                    raise ConfigError(
+                        "The session was begun without poses of another program; say what body "
+                        "they are of when it begins: Live(..., poses=PoseBody())."
+                    )
+                self._newest_pose_ns = check_order(rows, self._newest_pose_ns, self._most_late_ns)
             self._rows[part] = self._rows.get(part, 0) + len(rows.time_ns)
             self._note_disk(self._kept.add_rows(part, rows), int(rows.time_ns[-1]))
         self._poser.put((part, rows))
-
-    def _check_poses(self, rows: Rows) -> None:
-        if self._kept.drive.about.poses is None:
-            raise ConfigError(
-                "The session was begun without poses of another program; say what body they are "
-                "of when it begins: Live(..., poses=PoseBody())."
-            )
-        self._newest_pose_ns = check_order(rows, self._newest_pose_ns, self._most_late_ns)
 
     def _sync(self) -> None:
         while not self._stopping.wait(SYNC_S):
             self._kept.sync()
 
     def _note_disk(self, taken: bool, time_ns: int) -> None:
-        if text := self._disk.changed(taken=taken, lost=self._kept.lost):
+        if text := self._disk.changed(taken=taken, lost=self._kept.journal.lost):
             self._tell(LiveEvent(What.DISK, text, time_ns))
 
     def _tell(self, result: LiveResult) -> None:

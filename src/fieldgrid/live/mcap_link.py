@@ -25,7 +25,7 @@ class LinkBytes:
         self.has_ended = False
 
     def read(self, count: int) -> bytes:
-        """The next bytes, so many; LinkDoneError where there are no more."""
+        """The next `count` bytes; LinkDoneError where there are no more."""
         while len(self._held) < count:
             if self._intake.stop.is_set():
                 raise LinkDoneError
@@ -46,8 +46,7 @@ def connection_of(channel: Any, schema: Any) -> Connection:
     """What the messages of a channel are, as readers of bags have it."""
     definition = None
     if schema is not None and schema.encoding in _SYNTAX and schema.data.strip():
-        text = schema.data.decode("utf-8", "replace")
-        definition = Definition(_SYNTAX[schema.encoding], text)
+        definition = Definition(_SYNTAX[schema.encoding], schema.data.decode("utf-8", "replace"))
     name, encoding = "" if schema is None else schema.name, channel.message_encoding
     if encoding in ("cdr", "ros1"):
         name = ros2_name(name)

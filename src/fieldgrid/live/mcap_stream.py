@@ -60,7 +60,7 @@ class PoseTopic(NamedTuple):
     offset_ns: int = 0
 
 
-class _Channel(NamedTuple):
+class _StreamChannel(NamedTuple):
     """A topic and what it is for; an Odometry may be wheels and `is_pose`, an Imu `is_attitude`."""
 
     connection: Connection
@@ -156,13 +156,13 @@ class McapStream:
         from mcap.records import Message as Record
 
         schemas: dict[int, Schema] = {}
-        channels: dict[int, _Channel] = {}
+        channels: dict[int, _StreamChannel] = {}
         for record in records:
             if isinstance(record, Schema):
                 schemas[record.id] = record
             elif isinstance(record, Channel) and record.id not in channels:
                 connection = connection_of(record, schemas.get(record.schema_id))
-                channels[record.id] = _Channel(
+                channels[record.id] = _StreamChannel(
                     connection,
                     self._role(connection, intake),
                     self._is_pose(connection, intake),

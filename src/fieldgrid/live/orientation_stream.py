@@ -27,13 +27,13 @@ from fieldgrid.recording.motion_files import AXES, R_VEHICLE_FLU
 from fieldgrid.ros.gnss import ORIENTATION, TILT, Tilts
 
 SETTLED_NS = 5_000_000_000
-"""Orientations are held for so long before one source is chosen: the other may begin later."""
+"""Time for which orientations are held before one source is chosen: the other may begin later."""
 
 IMU_FIRST_NS = 30_000_000_000
-"""Odometry waits for so long for an IMU whose orientation has not changed yet."""
+"""Time for which odometry waits for an IMU whose orientation has not changed yet."""
 
 MOST_HELD = 100_000
-"""So many orientations of a source are held; one that never leans until then is not used."""
+"""Number of orientations of a source that are held; one that never leans until then is not used."""
 
 ATTITUDE = "attitude"
 """The role of a topic that was given for roll and pitch."""
@@ -45,7 +45,7 @@ RECORDED: dict[str, tuple[str, type[RecordedTilt | Orientation]]] = {
 """Topics of converted drives: the part of the motion that they hold, and its rows."""
 
 
-class _Chosen(NamedTuple):
+class _AttitudeSource(NamedTuple):
     """The source that tells roll and pitch, and from its axes to the vehicle's, upward [3, 3]."""
 
     role: str
@@ -70,7 +70,7 @@ class OrientationStream:
         self._imus, self._is_of_imu = {"imu"}, {"imu"}
         self._held: dict[str, Leans] = {}
         self._bodies: dict[str, str] = {}
-        self._chosen: _Chosen | None = None
+        self._chosen: _AttitudeSource | None = None
         self._since_ns: int | None = None
         self._last_ns = 0
         self._next_try = 2
@@ -95,8 +95,8 @@ class OrientationStream:
     def take_given(
         self, message: Any, time_ns: int, kind: str, *, is_of_imu: bool
     ) -> list[tuple[str, Rows]]:
-        """The same as `take` of the topic that was given, whose messages are of a `kind`;
-        `is_of_imu` where it is that of the IMU, too."""
+        """Rows that are known with the next message of the topic that was given, whose messages
+        are of a `kind`; `is_of_imu` where it is the topic of the IMU, too."""
         if kind == IMU:
             self._imus.add(ATTITUDE)
         self._is_of_imu = {ATTITUDE} if is_of_imu else set()
@@ -172,7 +172,7 @@ class OrientationStream:
         if isinstance(found, Orientation):
             R_vehicle_body = R_VEHICLE_FLU @ R_flu_body
             upward = np.sign(float((values[:, :3] @ R_vehicle_body.T)[:, 2].mean()))
-            self._chosen = _Chosen(role, upward * R_vehicle_body)
+            self._chosen = _AttitudeSource(role, upward * R_vehicle_body)
         return found
 
     def _next(self, message: Any, time_ns: int) -> list[tuple[str, Rows]]:

@@ -40,6 +40,4 @@ class KeptPairs:
             left, right = (
                 ImageFile(self.folder / f"{nearest:08d}-{side}.png") for side in ("left", "right")
             )
-            size_px = left.size_px()
-            time_ns = int(self.times_ns[number])
-            yield StereoFrame(str(number), time_ns, left, right, size_px)
+            yield StereoFrame(str(number), int(self.times_ns[number]), left, right, left.size_px())

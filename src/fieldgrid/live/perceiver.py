@@ -10,10 +10,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from fieldgrid.build import BadFrame
-from fieldgrid.build.perception import Perceived, perceive_frame
+from fieldgrid.build.perception import Perception, perceive_frame
 from fieldgrid.build.report import StageTimes
-from fieldgrid.build.staging import Found, encoded
+from fieldgrid.build.staging import StepOutcome, encoded
 from fieldgrid.choices import MatcherKind
 from fieldgrid.errors import FieldgridError, MapWriteError
 from fieldgrid.frame_ground import FrameGround
@@ -52,19 +51,12 @@ class PerceivedFrame(NamedTuple):
     is_level: bool = False
 
 
-class _Waiting(NamedTuple):
+class _QueuedFrame(NamedTuple):
     """`is_again`: it is the last frame before a restart, pushed again."""
 
     frame: Frame
     pushed_s: float
     is_again: bool
-
-
-class _Looked(NamedTuple):
-    """What became of a frame."""
-
-    seen: Perceived
-    is_level: bool
 
 
 class Perceiver:
@@ -95,7 +87,7 @@ class Perceiver:
         self._pushing = threading.Lock()
         self._held: list[tuple[Frame, str]] = []
         self._refuted = 0
-        self._queue: deque[_Waiting] = deque()
+        self._queue: deque[_QueuedFrame] = deque()
         self._changed = threading.Condition()
         self._closed = False
         self._taken = self._done = 0
@@ -135,16 +127,14 @@ class Perceiver:
 
     def _let_in(self) -> None:
         """Let frames be perceived that were held."""
-        held, self._held = self._held, []
-        for frame, _ in held:
-            self._put(frame, wait=True)
+        while self._held:
+            self._put(self._held.pop(0)[0], wait=True)
 
     def _leave_refuted(self) -> None:
         """Leave frames out that were held, where it came out that they are of another time."""
-        if self._refuted != self._stamps.refuted:
-            self._refuted, held, self._held = self._stamps.refuted, self._held, []
-            for frame, why in held:
-                self._leave(frame, why)
+        while self._held and self._refuted != self._stamps.refuted:
+            self._leave(*self._held.pop(0))
+        self._refuted = self._stamps.refuted
 
     def _leave(self, frame: Frame, why: str) -> None:
         self.late += 1
@@ -170,7 +160,7 @@ class Perceiver:
                 if len(self._queue) >= self._most:
                     dropped = self._queue.popleft().frame
                     self.dropped += 1
-                self._queue.append(_Waiting(frame, time.monotonic(), is_again))
+                self._queue.append(_QueuedFrame(frame, time.monotonic(), is_again))
                 self._newest_ns, self._again_ns = time_ns, None
                 self._changed.notify_all()
         if is_late:
@@ -233,20 +223,23 @@ class Perceiver:
             self._await(turn)
             try:
                 if looked is not None:
-                    pair = self._finish(waiting, looked)
+                    pair = self._finish(waiting, *looked)
             except Exception as error:  # noqa: BLE001 - as above
                 problem = error
             if problem is not None:
                 reason = str(problem) if isinstance(problem, FieldgridError) else repr(problem)
-                self._bad(waiting.frame, reason)
+                frame = waiting.frame
+                self._kept.journal.append("bad", [frame.time_ns, frame.frame_id, reason])
+                text = f"Frame {frame.frame_id} cannot be used: {reason}"
+                self._tell(LiveEvent(What.FRAME_BAD, text, self._time_ns(frame)))
             with self._changed:
                 self._done += 1
                 self._changed.notify_all()
             if pair is not None:
                 self._keep_pair(pair, waiting.frame)
 
-    def _look(self, waiting: _Waiting, turn: int) -> _Looked:
-        """Perceive a frame, beside others."""
+    def _look(self, waiting: _QueuedFrame, turn: int) -> tuple[Perception, bool]:
+        """Perceive a frame, beside others; also whether its grid is level."""
         frame, kept = waiting.frame, self._kept
         time_ns = self._time_ns(frame)
         tilt = self._tilt(time_ns) if kept.points.is_levelling else None
@@ -258,14 +251,16 @@ class Perceiver:
             way=self._way(time_ns) if isinstance(frame, CloudFrame) else None,
             gridded=partial(self._gridded, waiting, turn),
         )
-        return _Looked(seen, tilt is not None)
+        return seen, tilt is not None
 
     def _await(self, turn: int) -> None:
         """Wait until all frames before are kept."""
         with self._changed:
             self._changed.wait_for(lambda: self._done == turn)
 
-    def _gridded(self, waiting: _Waiting, turn: int, grid: LocalGrid, ground: FrameGround) -> None:
+    def _gridded(
+        self, waiting: _QueuedFrame, turn: int, grid: LocalGrid, ground: FrameGround
+    ) -> None:
         """Tell a grid once those before it are told and kept, and before the rest of its frame is
         looked at: whoever drives by it need not wait for that."""
         self._await(turn)
@@ -275,16 +270,9 @@ class Perceiver:
             latency_s = time.monotonic() - waiting.pushed_s
             self._tell(LiveGrid(frame.frame_id, time_ns, grid, ground.refined, latency_s))
 
-    def _bad(self, frame: Frame, reason: str) -> None:
-        time_ns = self._time_ns(frame)
-        self._kept.add_bad(frame.time_ns, BadFrame(frame.frame_id, reason))
-        text = f"Frame {frame.frame_id} cannot be used: {reason}"
-        self._tell(LiveEvent(What.FRAME_BAD, text, time_ns))
-
-    def _finish(self, waiting: _Waiting, looked: _Looked) -> int | None:
+    def _finish(self, waiting: _QueuedFrame, seen: Perception, is_level: bool) -> int | None:
         """Pass a frame on, and then keep it: no window waits until it is encoded and written. Its
         number where its images are to be kept, too."""
-        seen, is_level = looked
         # Behind it the stage file may have frames of which the journal does not know.
         if waiting.is_again:
             self._last = self._last_kept = seen.features
@@ -308,18 +296,19 @@ class Perceiver:
             )
         )
         times = StageTimes(seen.decode_s, seen.match_s, seen.grid_s, odometry_s)
-        return self._keep(looked, found, times)
+        return self._keep(seen, is_level, found, times)
 
-    def _step(self, last: Features | None, seen: Perceived) -> Found:
+    def _step(self, last: Features | None, seen: Perception) -> StepOutcome:
         if last is None or seen.features is None:
             return None
         return step(last, seen.features, self._gridder.rig)
 
-    def _keep(self, looked: _Looked, found: Found, times: StageTimes) -> int | None:
+    def _keep(
+        self, seen: Perception, is_level: bool, found: StepOutcome, times: StageTimes
+    ) -> int | None:
         """Keep a frame, to which the camera's step from the last one that is kept was `found`."""
-        kept, seen, frame = self._kept, looked.seen, looked.seen.frame
+        kept, frame, number = self._kept, seen.frame, None
         time_ns = self._time_ns(frame)
-        number = None
         points_at = kept.points.add(kept.points.record(seen.seen), time_ns)
         try:
             number = kept.stage.append(encoded(seen, self._gridder.rig))
@@ -337,13 +326,12 @@ class Perceiver:
             self._last_kept = seen.features
             self.frames += 1
             is_timed = isinstance(seen.seen, Sweep) and seen.seen.after_s is not None
-            kept_frame = KeptFrame(number, found, points_at, looked.is_level, is_timed)
+            kept_frame = KeptFrame(number, found, points_at, is_level, is_timed)
             kept.add_frame(kept_frame, frame.frame_id, times)
         self._disk_full = number is None
         if warning := kept.points.take_warning():
             self._tell(LiveEvent(What.DISK, warning, time_ns))
-        is_due = number is not None and kept.claim_pair(number, time_ns)
-        return number if is_due else None
+        return number if number is not None and kept.claim_pair(number, time_ns) else None
 
     def _keep_pair(self, number: int, frame: Frame) -> None:
         """Keep the images of a frame; no other frame waits for that."""

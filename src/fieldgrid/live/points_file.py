@@ -27,7 +27,7 @@ from fieldgrid.limits import UnfoldBudget
 from fieldgrid.localgrid import LocalGridder
 from fieldgrid.sweep import Sweep
 
-Seen = CodedDepth | Sweep
+GridInput = CodedDepth | Sweep
 """What a grid is made of: an image of depths, or points."""
 
 MAGIC = b"fieldgrid points 1\n"
@@ -73,8 +73,7 @@ class PointsFile(Closing):
         start, left = self.size, memoryview(record)
         try:
             while left:  # a disk that fills up takes a part first
-                written = os.pwrite(self._file, left, start + len(record) - len(left))
-                left = left[written:]
+                left = left[os.pwrite(self._file, left, start + len(record) - len(left)) :]
         except OSError:
             with suppress(OSError):
                 os.ftruncate(self._file, start)  # other files need the room
@@ -90,7 +89,7 @@ class PointsFile(Closing):
                 os.ftruncate(self._file, place.start)
                 self.size = place.start
 
-    def read(self, place: RecordSpan, gridder: LocalGridder) -> Seen | None:
+    def read(self, place: RecordSpan, gridder: LocalGridder) -> GridInput | None:
         """The points of the record there; None where it is cut off or damaged."""
         parts = self._parts(place)
         if parts is None:
@@ -137,9 +136,9 @@ def points_end(path: Path) -> int | None:
         return None
 
 
-def packed(seen: Seen, reach_m: float) -> bytes:
+def packed(seen: GridInput, reach_m: float) -> bytes:
     """A record of what a grid is made of. Points of a cloud that cannot lie in a grid that reaches
-    so far, however it leans, are NaN in it."""
+    `reach_m`, however it leans, are NaN in it."""
     row_start, arrays = 0, list[AnyArray]()
     if isinstance(seen, CodedDepth):
         row_start, arrays = seen.row_start, [seen.codes]
@@ -148,7 +147,10 @@ def packed(seen: Seen, reach_m: float) -> bytes:
         arrays += [] if seen.after_s is None else [seen.after_s]
     arrays = [a.astype(a.dtype.newbyteorder("="), copy=False) for a in arrays]
     # One after the other along rows: neighbours differ little, and so do bytes of equal weight.
-    kinds = [(str(a.dtype), list(a.shape), _is_by_columns(a)) for a in arrays]
+    kinds = [
+        (str(a.dtype), list(a.shape), a.flags.f_contiguous and not a.flags.c_contiguous)
+        for a in arrays
+    ]
     header = json.dumps([isinstance(seen, CodedDepth), row_start, kinds]).encode()
     raw = b"".join(
         _differences(a)
@@ -161,7 +163,7 @@ def packed(seen: Seen, reach_m: float) -> bytes:
     return _RECORD.pack(_MARK, len(header), len(data), check) + header + data
 
 
-def _unpacked(header: bytes, data: bytes, gridder: LocalGridder) -> Seen:
+def _unpacked(header: bytes, data: bytes, gridder: LocalGridder) -> GridInput:
     is_coded, row_start, kinds = parse_json(header)
     if any(length < 0 for _, shape, _ in kinds for length in shape):
         raise ValueError("a length is below 0")
@@ -205,10 +207,6 @@ def _near(points_m: AnyArray, reach_m: float) -> AnyArray:
     return found
 
 
-def _is_by_columns(array: AnyArray) -> bool:
-    return bool(array.flags.f_contiguous and not array.flags.c_contiguous)
-
-
 def _differences(codes: AnyArray) -> bytes:
     """Codes int16 [row, column] as differences along the rows, modulo 2^16."""
     found = codes.copy()
@@ -218,5 +216,4 @@ def _differences(codes: AnyArray) -> bytes:
 
 def _planes(values: AnyArray) -> bytes:
     """The first bytes of all values, then the second ones, and so on."""
-    size = values.dtype.itemsize
-    return values.view(np.uint8).reshape(-1, size).T.tobytes()
+    return values.view(np.uint8).reshape(-1, values.dtype.itemsize).T.tobytes()

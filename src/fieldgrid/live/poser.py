@@ -12,7 +12,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +25,14 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.gnss import Gate
 from fieldgrid.grids import GridSpec
 from fieldgrid.live.dead_reckoning import DeadReckoning
-from fieldgrid.live.estimator import Estimated, Estimator, estimated
-from fieldgrid.live.fixed_lag import Asked, FixedLagSmoother, last_known_ns, pose_at, unknown_pose
+from fieldgrid.live.estimator import EstimateResult, Estimator, estimate_now
+from fieldgrid.live.fixed_lag import (
+    EstimateInputs,
+    FixedLagSmoother,
+    last_known_ns,
+    pose_at,
+    unknown_pose,
+)
 from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiver import PerceivedFrame
 from fieldgrid.live.propagation import PropagatedPose, pose_now
@@ -35,7 +40,7 @@ from fieldgrid.live.repeats import Repeats
 from fieldgrid.live.results import LiveEvent, LivePose, LiveResult, LiveWindow, What, WindowDoubt
 from fieldgrid.live.running_tilt import RunningTilt, lean_advice, square_to_ground
 from fieldgrid.live.sensor_rows import Rows
-from fieldgrid.live.stamps import Judged, Stamps
+from fieldgrid.live.stamps import Stamps, StampVerdict
 from fieldgrid.live.window import MOVES_M, PlacedGrid, RollingWindow
 from fieldgrid.pose import Estimate
 from fieldgrid.recording.pose_source import PoseBody
@@ -45,26 +50,19 @@ from fieldgrid.trajectory import Pose, Status, Trajectory
 from fieldgrid.transfer import Transfer
 
 EVERY_S = 0.2
-"""Without a new frame poses are estimated so often."""
+"""Period of estimates without a new frame."""
 
 SILENT_S = 3.0
 """Without a frame or a pose for longer, the window is not to be trusted."""
 
 GIVEN_UP_S = 12.0
-"""A frame without fixes after it waits for them for so long."""
+"""Time for which a frame without fixes after it waits for them."""
 
 MOST_INBOX = 100_000
 SAID_AGAIN_S = 5.0
 
 
-_Said = Fix | PerceivedFrame | Estimated | tuple[str, Rows]
-
-
-class _Frames(NamedTuple):
-    """Frames whose pose is good enough: for good, and such as may still move."""
-
-    settled: list[PlacedGrid]
-    moving: list[PlacedGrid]
+_PoserInput = Fix | PerceivedFrame | EstimateResult | tuple[str, Rows]
 
 
 class Poser:
@@ -96,7 +94,7 @@ class Poser:
         self.stamps = Stamps()
         """Whether what is pushed is of the time of all else."""
         self._budget, self._settings = cell_budget(rig, settings), settings.pose
-        self._inbox: deque[_Said | Judged] = deque(maxlen=MOST_INBOX)
+        self._inbox: deque[_PoserInput | StampVerdict] = deque(maxlen=MOST_INBOX)
         self._changed = threading.Condition()
         self._closed = self._has_frame = False
         self._estimate: Estimate | None = None
@@ -124,15 +122,15 @@ class Poser:
         self._thread = threading.Thread(target=self._run, name="fieldgrid-poses", daemon=True)
         self._thread.start()
 
-    def put(self, said: _Said) -> None:
+    def put(self, said: _PoserInput) -> None:
         """Take what was pushed, or what was estimated of it; it never blocks."""
-        judged = Judged()
+        judged = StampVerdict()
         if isinstance(said, Fix):
             judged = self.stamps.fix(said.time_ns)
             if judged.why:
                 self._tell(LiveEvent(What.FIX_REFUSED, judged.why, said.time_ns))
                 return
-        elif not isinstance(said, PerceivedFrame | Estimated):
+        elif not isinstance(said, PerceivedFrame | EstimateResult):
             part, rows = said
             taken, judged = self.stamps.rows(part, rows)
             if judged.is_first:
@@ -148,9 +146,9 @@ class Poser:
             if judged.lost:
                 self._inbox.append(judged)
             self._inbox.append(said)
-            if not isinstance(said, Estimated):
+            if not isinstance(said, EstimateResult):
                 self._heard_s = time.monotonic()
-            if isinstance(said, PerceivedFrame | Estimated):
+            if isinstance(said, PerceivedFrame | EstimateResult):
                 self._has_frame = True
                 self._changed.notify()
 
@@ -180,53 +178,53 @@ class Poser:
         """Show the window if that is new, and let an estimate be made of what was said."""
         still_s = 0.0 if said else time.monotonic() - self._heard_s
         # What comes while an estimate is made, or just after a window, counts in the next one.
-        self._is_asked &= all(isinstance(one, Estimated) for one in said)
+        self._is_asked &= all(isinstance(one, EstimateResult) for one in said)
         self._is_shown &= not said
         if closed:
             self._estimator.close()
-            self._ask(estimated)
+            self._ask(estimate_now)
         is_due = time.monotonic() - self._shown_s >= EVERY_S
         is_due &= not self._is_shown or still_s > SILENT_S
         is_due |= any(isinstance(one, PerceivedFrame) for one in said)
-        is_due |= not self._is_newest_in and any(isinstance(one, Estimated) for one in said)
+        is_due |= not self._is_newest_in and any(isinstance(one, EstimateResult) for one in said)
         if closed or is_due:
             self._tell_all(still_s)
             self._shown_s, self._is_shown = time.monotonic(), True
-        elif any(isinstance(one, Estimated) for one in said):
+        elif any(isinstance(one, EstimateResult) for one in said):
             self._prepare()
         # Not before: an estimate that begins would take turns with what is shown.
         if not closed and self._estimator.is_free and (not self._is_asked or still_s > SILENT_S):
             self._ask(self._estimator.ask)
             self._is_asked = True
 
-    def _ask(self, ask: Callable[[Asked], Estimated | None]) -> None:
+    def _ask(self, ask: Callable[[EstimateInputs], EstimateResult | None]) -> None:
         """Ask for an estimate; one that is made at once is taken at once."""
         newest_ns = self._asked_ns = self._trailing.newest_ns
         try:
             oldest_ns = min((w.time_ns for w in self._waiting), default=newest_ns)
             asked = self._trailing.asked(oldest_ns, level_grids=self._is_levelling())
         except FieldgridError as error:
-            self._take_estimate(Estimated(None, None, str(error)))
+            self._take_estimate(EstimateResult(None, None, str(error)))
             return
         made = ask(asked)
         if made is not None:
             self._take_estimate(made)
 
-    def _take(self, said: _Said | Judged) -> None:
+    def _take(self, said: _PoserInput | StampVerdict) -> None:
         if isinstance(said, Fix):
             self._trailing.add_fix(said)
-        elif isinstance(said, Judged):
+        elif isinstance(said, StampVerdict):
             self._trailing.forget(said.lost, said.back_ns)
         elif isinstance(said, PerceivedFrame):
             seen = self._newest = self._repeats.taken(said)
             self._trailing.add_frame(seen.time_ns, seen.step)
             self._waiting.append(seen)
-        elif isinstance(said, Estimated):
+        elif isinstance(said, EstimateResult):
             self._take_estimate(said)
         else:
             self._trailing.add_rows(*said)
 
-    def _take_estimate(self, made: Estimated) -> None:
+    def _take_estimate(self, made: EstimateResult) -> None:
         """Let an estimate, or that there is none, take the place of the one before."""
         self._estimate, self._why = made.estimate, made.why
         self._answered_ns, self._is_shown = self._asked_ns, False
@@ -252,17 +250,17 @@ class Poser:
 
     def _prepare(self) -> None:
         """Place all frames anew by an estimate, so that the next one finds that done."""
-        placed = self._placed(self._why)
+        settled, moving = self._placed(self._why)
         if self._estimate is not None:
             pose, *_ = self._pose_now(self._estimate.trajectory)
             self._window.follow(pose, MOVES_M / 2.0)
-        self._window.settle(placed.settled)
-        self._window.place(placed.moving)
+        self._window.settle(settled)
+        self._window.place(moving)
 
     def _tell_all(self, still_s: float) -> None:
-        """Place what was seen, and tell; nothing was pushed for so long."""
+        """Place what was seen, and tell; nothing was pushed for `still_s`."""
         doubt, code = self._why, WindowDoubt.NO_FIXES
-        placed = self._placed(doubt)
+        settled, moving = self._placed(doubt)
         if self._estimate is not None:
             self._pose, self._gear, doubt = self._pose_now(self._estimate.trajectory)
             code = WindowDoubt.POSE if doubt else WindowDoubt.NONE
@@ -281,9 +279,9 @@ class Poser:
                 doubt, code = f"no {what} for {silent_s:.1f} s", WindowDoubt.NO_FRAMES
         if still_s > SILENT_S and not doubt:
             doubt, code = f"nothing was pushed for {still_s:.0f} s", WindowDoubt.SILENT
-        self._window.settle(placed.settled)
+        self._window.settle(settled)
         if self._trailing.datum is not None:
-            self._show(self._trailing.datum, placed.moving, doubt, code)
+            self._show(self._trailing.datum, moving, doubt, code)
         if bool(doubt) != bool(self._doubt) or self._doubt is None:
             how = f"is not to be trusted: {doubt}" if doubt else "can be trusted."
             self._say(What.POSE, f"The window around the vehicle {how}")
@@ -292,10 +290,10 @@ class Poser:
     def _pose_now(self, track: Trajectory) -> tuple[Pose, int, str]:
         return pose_now(track, self._latest, self._trailing.newest_ns, self._trailing.told_ns)
 
-    def _placed(self, doubt: str) -> _Frames:
-        """Tell the poses of the frames that wait, and what becomes of their grids."""
-        still: list[PerceivedFrame] = []
-        found = _Frames([], [])
+    def _placed(self, doubt: str) -> tuple[list[PlacedGrid], list[PlacedGrid]]:
+        """Tell the poses of the frames that wait; the grids of those whose pose is good enough:
+        for good, and such as may still move."""
+        still, settled, moving = list[PerceivedFrame](), list[PlacedGrid](), list[PlacedGrid]()
         # It is the estimate that must have fixes after a frame, and the frame's own step.
         # Nor is a frame given up before an estimate was made of what came while it waited.
         answered_ns, before, repeats = self._answered_ns, self._before, self._repeats
@@ -320,14 +318,14 @@ class Poser:
                     tilt = self._attitude.tilt_at(seen.time_ns)
                     pose = square_to_ground(pose, tilt, self._rig.mount.height_m)
                 frame = PlacedGrid(seen.grid, pose, seen.time_ns, sigma_m)
-                (found.settled if is_settled else found.moving).append(frame)
+                (settled if is_settled else moving).append(frame)
             if is_settled:
                 self._told.discard(seen.time_ns)
                 self._before = before
             else:
                 still.append(seen)
         self._waiting, self._latest = still, before
-        return found
+        return settled, moving
 
     def _pose_of(
         self, seen: PerceivedFrame, before: PropagatedPose | None, doubt: str

@@ -18,12 +18,12 @@ CARRIED_S = 2.0
 step itself takes does not matter: its error says what it is worth."""
 
 MOST_SHARE = 0.5
-"""Of what a cell may be off, the way since then may take so much."""
+"""Share of the error that a cell may have which the way since then may take."""
 
 STILL_MPS = 0.05
 
 MOST_CHANGE_MPS2 = 3.0
-"""So much a vehicle's speed may change in a second, in any direction."""
+"""How much a vehicle's speed may change in a second, in any direction."""
 
 POSELESS_S = 1.5
 """Without a pose for longer, the window is not to be trusted."""

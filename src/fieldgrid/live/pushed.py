@@ -22,7 +22,7 @@ _WALL_M = 30.0
 
 
 @dataclass(frozen=True, slots=True)
-class Pushed:
+class PushedSource:
     """An image, depths or a cloud in memory, as a source of a frame."""
 
     name: str
@@ -52,8 +52,8 @@ class Pushed:
         return b""
 
 
-class PushedImage(Pushed):
-    """The same of a grey image. Reading raises RecordingError for what is none."""
+class PushedImage(PushedSource):
+    """A grey image in memory. Reading raises RecordingError for what is none."""
 
     __slots__ = ()
 
@@ -73,8 +73,7 @@ class PushedImage(Pushed):
 def warm_up(gridder: LocalGridder, *, odometry: bool) -> None:
     """Stage a frame of level ground with noise on it: what a frame goes through is compiled or
     loaded then, which takes seconds, and the first frames need not wait for it."""
-    frame = _of_level_ground(gridder.rig)
-    seen, _ = stage_frame(frame, gridder, odometry=odometry)
+    seen, _ = stage_frame(_of_level_ground(gridder.rig), gridder, odometry=odometry)
     if seen.features is not None:
         step(seen.features, seen.features, gridder.rig)
 
@@ -86,23 +85,23 @@ def _of_level_ground(rig: Rig) -> Frame:
         down = np.repeat(np.linspace(0.1, 1.0, 60), 60)
         depth_m = 1.0 / _nearness_1pm(rig, down)
         points_m = np.stack([right * depth_m, down * depth_m, depth_m], axis=1)
-        return CloudFrame("ground", 0, Pushed("cloud", points_m.astype(np.float32)))
+        return CloudFrame("ground", 0, PushedSource("cloud", points_m.astype(np.float32)))
     size_px = (sensor.width_px, sensor.height_px)
     shape = size_px[::-1]
     if isinstance(sensor, DepthCamera):
         down = (np.arange(float(sensor.height_px)) - sensor.cy_px) / sensor.fy_px
         depth_m = np.full(shape, 1.0 / _nearness_1pm(rig, down)[:, None], dtype=np.float32)
-        return DepthFrame("ground", 0, Pushed("depth", depth_m), size_px)
+        return DepthFrame("ground", 0, PushedSource("depth", depth_m), size_px)
     down = (np.arange(float(sensor.height_px)) - sensor.cy_px) / sensor.focal_px
     disparity_px = sensor.focal_px * sensor.baseline_m * _nearness_1pm(rig, down)
     left = random.integers(0, 256, shape, dtype=np.uint8)
     rows = [np.roll(row, -round(d)) for row, d in zip(left, disparity_px, strict=True)]
-    sides = Pushed("left", left), Pushed("right", np.stack(rows))
+    sides = PushedSource("left", left), PushedSource("right", np.stack(rows))
     return StereoFrame("ground", 0, *sides, size_px)
 
 
 def _nearness_1pm(rig: Rig, down: Float64) -> Float64:
-    """1 / depth of level ground along rays that go `down` so much for each metre ahead; a far wall
+    """1 / depth of level ground along rays that go `down` metres for each metre ahead; a far wall
     where they do not come down to it."""
     tilt = math.radians(rig.mount.tilt_deg)
     falling = (down * math.cos(tilt) + math.sin(tilt)) / rig.mount.height_m

@@ -14,7 +14,7 @@ from fieldgrid.live.perceiver import PerceivedFrame
 from fieldgrid.trajectory import Pose, Status
 
 
-class _After(NamedTuple):
+class _CameraState(NamedTuple):
     """The camera after a frame, whether that frame showed an image again, and whether of a place
     where the vehicle was not any more."""
 
@@ -29,7 +29,7 @@ class Repeats:
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say = say
-        self._taken = self._settled = self._now = _After()
+        self._taken = self._settled = self._now = _CameraState()
         self._stuck_ns = self._again_ns = -1
         self.new_ns = 0
         """The time of the newest frame whose image is of where the vehicle was then."""
@@ -39,7 +39,7 @@ class Repeats:
         no camera that shows an image again tells how it went, nor how far it came since."""
         is_again = self._taken.camera.repeats(seen.images_sha256)
         tells = not is_again and not self._taken.is_again
-        self._taken = _After(StuckCamera(seen.images_sha256), is_again)
+        self._taken = _CameraState(StuckCamera(seen.images_sha256), is_again)
         return seen if tells else seen._replace(step=None)
 
     def begin(self) -> None:
@@ -66,7 +66,7 @@ class Repeats:
             self._say("The camera shows something new again.")
         if not is_again or (pose.status is Status.OK and not is_stuck):
             self.new_ns = max(self.new_ns, time_ns)
-        self._now = _After(camera, is_again, is_stuck)
+        self._now = _CameraState(camera, is_again, is_stuck)
         if is_settled:
             self._settled = self._now
         return pose

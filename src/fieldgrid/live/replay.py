@@ -21,7 +21,7 @@ BATCH_NS = 20_000_000
 """Rows of a sensor that are pushed together: a receiver or an IMU sends in such pieces."""
 
 
-class _Due(NamedTuple):
+class _TimedPush(NamedTuple):
     """What is pushed at a time of the recording."""
 
     time_ns: int
@@ -57,7 +57,7 @@ def replay(
     return True
 
 
-def _streams(live: Live, recording: Recording, *, wait: bool) -> Iterator[Iterator[_Due]]:
+def _streams(live: Live, recording: Recording, *, wait: bool) -> Iterator[Iterator[_TimedPush]]:
     """Each stream of a recording, in order of time. Sensors go before a frame of the same time."""
     had = live.counts
     yield _fixes(live, list(recording.fixes())[had.fixes :])
@@ -72,27 +72,27 @@ def _streams(live: Live, recording: Recording, *, wait: bool) -> Iterator[Iterat
     yield _frames(live, recording, wait=wait)
 
 
-def _fixes(live: Live, fixes: list[Fix]) -> Iterator[_Due]:
+def _fixes(live: Live, fixes: list[Fix]) -> Iterator[_TimedPush]:
     newest_ns = 0
     for fix in fixes:
         # A log that goes back in time goes on when it is its turn: the order is that of the log.
         newest_ns = max(newest_ns, fix.time_ns)
-        yield _Due(newest_ns, 0, partial(live.push_fix, fix))
+        yield _TimedPush(newest_ns, 0, partial(live.push_fix, fix))
 
 
-def _rows(live: Live, part: str, rows: Rows, first: int, order: int) -> Iterator[_Due]:
+def _rows(live: Live, part: str, rows: Rows, first: int, order: int) -> Iterator[_TimedPush]:
     while first < len(rows.time_ns):
         stop = int(np.searchsorted(rows.time_ns, rows.time_ns[first] + BATCH_NS, side="right"))
         piece = Rows(rows.time_ns[first:stop], tuple(c[first:stop] for c in rows.columns))
-        yield _Due(int(piece.time_ns[-1]), order, partial(live.push_rows, part, piece))
+        yield _TimedPush(int(piece.time_ns[-1]), order, partial(live.push_rows, part, piece))
         first = stop
 
 
-def _frames(live: Live, recording: Recording, *, wait: bool) -> Iterator[_Due]:
+def _frames(live: Live, recording: Recording, *, wait: bool) -> Iterator[_TimedPush]:
     offset_ns, newest_ns = recording.rig.image_time_offset_ns, live.newest_frame_ns
 
     for frame in recording.frames():
         time_ns = frame.time_ns + offset_ns
         # The last one that is kept is pushed again: the camera's next step starts there.
         if newest_ns is None or time_ns >= newest_ns:
-            yield _Due(time_ns, len(PARTS) + 2, partial(live.push_frame, frame, wait=wait))
+            yield _TimedPush(time_ns, len(PARTS) + 2, partial(live.push_frame, frame, wait=wait))

@@ -78,12 +78,12 @@ class LiveGrid:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON, without the cells."""
-        obstacles = int((self.grid.observed & (self.grid.density > 100)).sum())
+        obstacles = self.grid.observed & (self.grid.density > 100)
         return {
             "grid": self.frame_id,
             "time_ns": self.time_ns,
             "observed_cells": int(self.grid.observed.sum()),
-            "obstacle_cells": obstacles,
+            "obstacle_cells": int(obstacles.sum()),
             "ground_found": self.ground_found,
             "latency_ms": round(1e3 * self.latency_s, 1),
         }
@@ -105,12 +105,12 @@ class LivePose:
         return {
             "pose": self.frame_id,
             "time_ns": pose.time_ns,
-            "east_m": _known(pose.east_m),
-            "north_m": _known(pose.north_m),
-            "heading_deg": _known(pose.heading_deg),
-            "position_sigma_m": _known(pose.position_sigma_m),
-            "heading_sigma_deg": _known(pose.heading_sigma_deg),
-            "speed_mps": _known(pose.speed_mps),
+            "east_m": known_or_none(pose.east_m),
+            "north_m": known_or_none(pose.north_m),
+            "heading_deg": known_or_none(pose.heading_deg),
+            "position_sigma_m": known_or_none(pose.position_sigma_m),
+            "heading_sigma_deg": known_or_none(pose.heading_sigma_deg),
+            "speed_mps": known_or_none(pose.speed_mps),
             "gear": self.gear,
             "status": pose.status.value,
             "reason": pose.reason,
@@ -165,8 +165,10 @@ class LiveWindow:
             "frames": self.frames,
             "known_cells": int(seen.sum()),
             "bounds_m": [float(value) for value in self.view.bounds],
-            "oldest_s": _known(float(np.max(self.age_s[seen]))) if seen.any() else None,
-            "worst_sigma_m": _known(float(np.max(self.sigma_m[seen]))) if seen.any() else None,
+            "oldest_s": known_or_none(float(np.max(self.age_s[seen]))) if seen.any() else None,
+            "worst_sigma_m": known_or_none(float(np.max(self.sigma_m[seen])))
+            if seen.any()
+            else None,
             "latency_ms": None if self.latency_s is None else round(1e3 * self.latency_s, 1),
         }
 
@@ -190,8 +192,8 @@ class Counts(NamedTuple):
 class Outbox:
     """Results on their way to a client that may be slow, dead, or none: it never blocks."""
 
-    def __init__(self, most: int = MOST_WAITING) -> None:
-        self._waiting: deque[LiveResult] = deque(maxlen=most)
+    def __init__(self) -> None:
+        self._waiting: deque[LiveResult] = deque(maxlen=MOST_WAITING)
         self._changed = threading.Condition()
         self._closed = False
         self.missed = 0
@@ -202,11 +204,10 @@ class Outbox:
         takes 10 MB, takes the place of one that still waits."""
         with self._changed:
             if isinstance(result, LiveWindow):
-                for other in self._waiting:
-                    if isinstance(other, LiveWindow):
-                        self._waiting.remove(other)
-                        self.missed += 1
-                        break
+                older = next((one for one in self._waiting if isinstance(one, LiveWindow)), None)
+                if older is not None:
+                    self._waiting.remove(older)
+                    self.missed += 1
             self.missed += len(self._waiting) == self._waiting.maxlen
             self._waiting.append(result)
             self._changed.notify()
@@ -231,7 +232,7 @@ class Outbox:
 
 
 CLIENT_S = 2.0
-"""So long a client that does not take its results is waited for at the end."""
+"""Time for which a client that does not take its results is waited for at the end."""
 
 
 class Deliverer:
@@ -262,5 +263,6 @@ class Deliverer:
         self._thread.join(CLIENT_S)
 
 
-def _known(value: float) -> float | None:
+def known_or_none(value: float) -> float | None:
+    """A value for JSON; None where it is not finite."""
     return value if np.isfinite(value) else None

@@ -101,8 +101,7 @@ class RunningTilt(RecentRows):
         track = self.track("inertial")
         if not track.holds(end_ns, time_ns):
             return attitude.tilt_at(time_ns)
-        unbiased = track._replace(values=track.values - known.bias_rad_s)
-        turned = _turned(unbiased, end_ns, time_ns)
+        turned = _turned(track._replace(values=track.values - known.bias_rad_s), end_ns, time_ns)
         roll_deg, pitch_deg = roll_pitch_deg(R_level_vehicle(roll, pitch) @ turned)
         return Tilt(float(roll_deg), float(pitch_deg), sigma)
 

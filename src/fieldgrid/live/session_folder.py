@@ -10,7 +10,6 @@ from __future__ import annotations
 import errno
 import re
 import threading
-from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,10 +17,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from fieldgrid.build import BadFrame
 from fieldgrid.build.parts import found_to_json
 from fieldgrid.build.report import StageTimes
-from fieldgrid.build.staging import Staged
+from fieldgrid.build.staging import StagedDrive
 from fieldgrid.closing import Closing
 from fieldgrid.errors import ConfigError, MapError, MapWriteError, counted
 from fieldgrid.fixes import Fix, FixColumns
@@ -55,7 +53,7 @@ MOST_PAIRS, PAIR_EVERY_NS = 12, 500_000_000
 of frames that follow faster, since a pair takes as much as a fifth of a frame."""
 
 BEGINS_EVERY = 100
-"""At each of so many frames it is written again what the session was begun with: damage to the
+"""Number of frames after which it is written again what the session was begun with: damage to the
 beginning does not leave the frames to a session of another rig."""
 
 _OF_PAIRS = re.compile(r"\d{8,}-(left|right)\.png|\.\d{8,}-(left|right)\.png\..{8}\.partial.*")
@@ -175,10 +173,6 @@ class SessionFolder(Closing):
             "frame", [number, frame_id, found_to_json(found), spent, *points]
         )
 
-    def add_bad(self, time_ns: int, bad: BadFrame) -> bool:
-        """Keep that a frame could not be read."""
-        return self.journal.append("bad", [time_ns, *bad])
-
     def add_dropped(self, frame_id: str, time_ns: int) -> bool:
         """Keep that a frame was dropped."""
         return self.journal.append("dropped", [frame_id, time_ns])
@@ -208,23 +202,13 @@ class SessionFolder(Closing):
                         for side in ("left", "right"):
                             (self.folder / f"{other:08d}-{side}.png").unlink(missing_ok=True)
 
-    @property
-    def lost(self) -> int:
-        """Records that no longer fitted into memory while the disk was full."""
-        return self.journal.lost
-
     def sync(self) -> bool:
         """Return when all of it is on the disk; False where the disk does not take it."""
-        taken = [self._synced(self.stage.sync), self.journal.sync(), self._synced(self.points.sync)]
-        return all(taken)
-
-    @staticmethod
-    def _synced(sync: Callable[[], None]) -> bool:
-        try:
-            sync()
-        except (MapWriteError, OSError):
-            return False
-        return True
+        taken = 0
+        for sync in (self.stage.sync, self.journal.sync, self.points.sync):
+            with suppress(OSError):  # MapWriteError, too, is one
+                taken += sync() is not False
+        return taken == 3
 
     def what_is_kept(self, then: str) -> str:
         """A sentence on where the drive is, and with what command it goes on (`then`). It writes
@@ -240,14 +224,14 @@ class SessionFolder(Closing):
         return f"The drive is kept in {self.folder}{lost if count else ''}; {then}."
 
     def read(self) -> PushedDrive:
-        """What was pushed so far."""
+        """What was pushed until now."""
         self.stage.recall()
         waiting = self.journal.waiting()  # a full disk took nothing of it
         drive = read_drive(self.folder, self.stage.entries, waiting) or self.drive
         self.unreadable = len(drive.unreadable)
         return drive
 
-    def staged(self, read: PushedDrive | None = None) -> Staged:
+    def staged(self, read: PushedDrive | None = None) -> StagedDrive:
         """The frames, as a build has them of its drive; of what was `read`, if that was done."""
         drive = read or self.read()
         numbers = [frame.number for frame in drive.frames]
@@ -258,8 +242,8 @@ class SessionFolder(Closing):
         found = [one or Refusal.NOT_COMPARED if k else one for k, one in enumerate(found)]
         if not isinstance(drive.about.rig.sensor, StereoCamera):
             found = [None] * len(numbers)
-        return Staged(
-            _Numbered(self.stage, numbers, names),
+        return StagedDrive(
+            _NamedFrames(self.stage, numbers, names),
             [e._replace(frame_id=name) for e, name in zip(entries, names, strict=True)],
             found,
             [bad for _, bad in drive.bad],
@@ -352,7 +336,7 @@ def _remove(folder: Path) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class _Numbered:
+class _NamedFrames:
     """Some of the frames of a stage file, in their order, and what they are called."""
 
     stage: StageFile

@@ -16,23 +16,24 @@ from fieldgrid.live.sensor_rows import Rows
 FIXES, FRAMES = "fixes", "frames"
 
 OFF_S, FRAME_OFF_S = 10.0, 3.0
-"""Stamps so far ahead of all else are refused. Frames are by less, where other sources speak: one
-that is taken makes all that are stamped before it too late."""
+"""Stamps that are further ahead of all else are refused. Frames are by less, where other sources
+speak: one that is taken makes all that are stamped before it too late."""
 
 TIMES_OFF = 10
-"""After so many fixes in a row of another time the clock of the receiver is followed."""
+"""Number of fixes in a row of another time after which the clock of the receiver is followed."""
 
 FOLLOWED_S = 1.5
-"""The same of another source, when it has gone on for so long with nobody at the old time."""
+"""Time after which another source is followed that goes on at another time, with nobody at the old
+one."""
 
 BLIND_S = 60.0
-"""Fixes that are so far behind another source count for no pose: it is that source that is off."""
+"""Fixes that are further behind another source count for no pose: it is that source that is off."""
 
 SAID_AGAIN_S = 5.0
-"""What goes on being refused is said again after so long."""
+"""Time after which it is said again that something goes on being refused."""
 
 
-class Judged(NamedTuple):
+class StampVerdict(NamedTuple):
     """What becomes of a word: empty, or why it is refused. `is_first` where it is to be told. Where
     the time was put back, what `lost` sources said after `back_ns` does not count any more."""
 
@@ -42,7 +43,7 @@ class Judged(NamedTuple):
     back_ns: int = 0
 
 
-class _Ahead(NamedTuple):
+class _AheadRun(NamedTuple):
     """Words of a source ahead of all else, with none of another source at the old time between."""
 
     words: int
@@ -56,7 +57,7 @@ class Stamps:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._newest: dict[str, int] = {}
-        self._ahead: dict[str, _Ahead] = {}
+        self._ahead: dict[str, _AheadRun] = {}
         self._told_ns: dict[str, int] = {}
         self._behind = self._below = self._latest_fix_ns = 0
         self._is_alone = False
@@ -69,7 +70,7 @@ class Stamps:
             self._newest.clear()
             self._start_over()
 
-    def fix(self, time_ns: int) -> Judged:
+    def fix(self, time_ns: int) -> StampVerdict:
         """A fix."""
         with self._lock:
             if why := self._is_ahead(FIXES, time_ns, OFF_S):
@@ -78,18 +79,20 @@ class Stamps:
             self._behind = self._behind + 1 if behind_s > OFF_S else 0
             if 0 < self._behind < TIMES_OFF:
                 how = f"{behind_s:.0f} s behind the newest"
-                return Judged(f"A fix is stamped {how}, so poses do without it.", self._behind == 1)
-            judged = Judged()
+                return StampVerdict(
+                    f"A fix is stamped {how}, so poses do without it.", self._behind == 1
+                )
+            judged = StampVerdict()
             if self._behind:
-                judged = Judged("", False, frozenset({FIXES}), time_ns)
+                judged = StampVerdict("", False, frozenset({FIXES}), time_ns)
                 del self._newest[FIXES]
                 self._behind = 0
             if astray := self._astray(time_ns):
-                judged = Judged("", False, astray, time_ns)
+                judged = StampVerdict("", False, astray, time_ns)
             self._accept(FIXES, time_ns)
             return judged
 
-    def frame(self, time_ns: int) -> Judged:
+    def frame(self, time_ns: int) -> StampVerdict:
         """A frame, by the receiver's clock. One that is refused may turn out to be right, where
         what comes next is of its time, too: not once `refuted` has changed."""
         with self._lock:
@@ -97,9 +100,9 @@ class Stamps:
             judged = self._is_ahead(FRAMES, time_ns, OFF_S if self._is_alone else FRAME_OFF_S)
             if judged is None:
                 self._accept(FRAMES, time_ns)
-            return judged or Judged()
+            return judged or StampVerdict()
 
-    def rows(self, part: str, rows: Rows) -> tuple[Rows | None, Judged]:
+    def rows(self, part: str, rows: Rows) -> tuple[Rows | None, StampVerdict]:
         """Rows of a sensor in any order, of which those are left out that are refused."""
         times_ns = np.sort(rows.time_ns)
         with self._lock:
@@ -108,14 +111,14 @@ class Stamps:
             wide = np.flatnonzero(times_ns - before_ns > OFF_S * 1e9)
             if not len(wide):
                 self._accept(part, int(times_ns[-1]))
-                return rows, Judged()
+                return rows, StampVerdict()
             since_ns = int(times_ns[wide[0]])
             if wide[0] > 0:
                 self._accept(part, int(times_ns[wide[0] - 1]))
             judged = self._is_ahead(part, since_ns, OFF_S)
             if judged is None:
                 self._accept(part, int(times_ns[-1]))
-                return rows, Judged()
+                return rows, StampVerdict()
             self._ahead[part] = self._ahead[part]._replace(last_ns=int(times_ns[-1]))
         taken = rows.time_ns < since_ns
         if not taken.any():
@@ -135,7 +138,7 @@ class Stamps:
             del self._newest[part]
         return astray
 
-    def _is_ahead(self, source: str, time_ns: int, off_s: float) -> Judged | None:
+    def _is_ahead(self, source: str, time_ns: int, off_s: float) -> StampVerdict | None:
         """Why a word is refused that is ahead of all else; None where it is not, or not any more:
         then all that was said before is of another time."""
         newest_ns = max(self._newest.values(), default=time_ns)
@@ -144,8 +147,10 @@ class Stamps:
             return None
         run = self._ahead.get(source)
         if run is None or time_ns < run.first_ns:
-            run = _Ahead(0, time_ns, time_ns)
-        run = self._ahead[source] = _Ahead(run.words + 1, run.first_ns, max(time_ns, run.last_ns))
+            run = _AheadRun(0, time_ns, time_ns)
+        run = self._ahead[source] = _AheadRun(
+            run.words + 1, run.first_ns, max(time_ns, run.last_ns)
+        )
         if self._is_followed(source, run, newest_ns):
             self._newest.clear()
             self._start_over()
@@ -154,7 +159,7 @@ class Stamps:
         if is_first:
             self._told_ns[source] = newest_ns
         how = f"stamped {ahead_s:.0f} s ahead of all else"
-        return Judged(
+        return StampVerdict(
             {
                 FIXES: f"A fix is {how}, so poses do without it.",
                 FRAMES: f"is {how}",
@@ -162,7 +167,7 @@ class Stamps:
             is_first,
         )
 
-    def _is_followed(self, source: str, run: _Ahead, newest_ns: int) -> bool:
+    def _is_followed(self, source: str, run: _AheadRun, newest_ns: int) -> bool:
         """Whether a source that runs ahead has the time of all that still speak."""
         alive = {
             other

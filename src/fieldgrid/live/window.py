@@ -34,7 +34,7 @@ class PlacedGrid(NamedTuple):
     sigma_m: float
 
 
-class _Cells(NamedTuple):
+class _WindowCells(NamedTuple):
     """What is known of the cells of a window [rows, columns]: the sums of the mean [2, ...], when
     each was last seen, and how sure the place of that frame was."""
 
@@ -74,7 +74,7 @@ class RollingWindow:
         self._window = Window(-self._side // 2, -self._side // 2, self._side, self._side)
         shape = self._window.shape
         # What is there for good; and that with the frames that may still move, if there are any.
-        self._cells, self._shown = _Cells.empty(shape), _Cells.empty(shape)
+        self._cells, self._shown = _WindowCells.empty(shape), _WindowCells.empty(shape)
         self._moving: list[PlacedGrid] = []
         self.frames = 0
         """Frames that were placed for good."""
@@ -109,7 +109,8 @@ class RollingWindow:
         """Place frames that are not settled yet, in place of those of before. Those that are where
         they were cost nothing, if others only follow them."""
         count = len(self._moving)
-        if len(frames) < count or any(map(_differs, self._moving, frames)):
+        pairs = zip(self._moving, frames, strict=False)
+        if len(frames) < count or any(a.grid is not b.grid or a[1:] != b[1:] for a, b in pairs):
             count = 0
         if not count and frames:
             self._shown.take(self._cells)
@@ -130,7 +131,7 @@ class RollingWindow:
         view = MapView(self.lattice, self._window, density, observed, datum, is_base=True)
         return view, age_s, cells.sigma_m.copy()
 
-    def _add(self, cells: _Cells, frame: PlacedGrid) -> None:
+    def _add(self, cells: _WindowCells, frame: PlacedGrid) -> None:
         landing = land(frame.grid, frame.pose, self.lattice, self._window, self._transfer)
         lay(
             *(frame.grid.density, *landing, np.uint64(landing.unit), frame.time_ns),
@@ -153,7 +154,3 @@ def lay(  # type: ignore[no-untyped-def]
                 totals[k] += unit * np.uint64(values[r >> shift, c >> shift])
                 if seen_ns[k] <= time_ns:
                     seen_ns[k], sigmas_m[k] = time_ns, sigma_m
-
-
-def _differs(one: PlacedGrid, other: PlacedGrid) -> bool:
-    return one.grid is not other.grid or one[1:] != other[1:]

@@ -80,7 +80,7 @@ CHANNELS = (
 )
 
 
-class _Message:
+class _EncodedMessage:
     """A message that is encoded once, when the first client takes it."""
 
     def __init__(self, time_ns: int, make: Callable[[], messages.Raw]) -> None:
@@ -96,7 +96,7 @@ class _Message:
             return self._data
 
 
-class _Client:
+class _FoxgloveClient:
     """What a client wants, and what waits for it."""
 
     def __init__(self) -> None:
@@ -104,10 +104,10 @@ class _Client:
         """The number of its subscription by that of the channel."""
         self.changed = asyncio.Event()
         self.missed = 0
-        self._newest: dict[int, _Message] = {}
-        self._waiting: deque[tuple[int, _Message]] = deque(maxlen=MOST_WAITING)
+        self._newest: dict[int, _EncodedMessage] = {}
+        self._waiting: deque[tuple[int, _EncodedMessage]] = deque(maxlen=MOST_WAITING)
 
-    def offer(self, channel: int, message: _Message) -> None:
+    def offer(self, channel: int, message: _EncodedMessage) -> None:
         if channel not in self.wants:
             return
         if CHANNELS[channel].keeps_all:
@@ -118,13 +118,12 @@ class _Client:
             self._newest[channel] = message
         self.changed.set()
 
-    def next(self) -> tuple[int, _Message] | None:
+    def next(self) -> tuple[int, _EncodedMessage] | None:
         """What is to be sent next; small things before grids."""
         if self._waiting:
             return self._waiting.popleft()
-        for channel in sorted(self._newest, reverse=True):
-            return channel, self._newest.pop(channel)
-        return None
+        channel = max(self._newest, default=None)
+        return None if channel is None else (channel, self._newest.pop(channel))
 
 
 class FoxgloveServer(Closing):
@@ -143,12 +142,19 @@ class FoxgloveServer(Closing):
         session: str = "",
         tell: Callable[[str], None] | None = None,
     ) -> None:
-        _check_installed()
+        try:
+            import foxglove_schemas_protobuf  # noqa: F401
+            import websockets  # noqa: F401
+        except ImportError as error:
+            raise ConfigError(
+                "Foxglove needs libraries that are not installed; run: "
+                "pip install 'fieldgrid[foxglove]'."
+            ) from error
         self._session, self._tell = session, tell or (lambda _: None)
         self._listening = listen(host, port)
         self.address: tuple[str, int] = self._listening.getsockname()[:2]
-        self._clients: list[_Client] = []
-        self._latest: dict[int, _Message] = {}
+        self._clients: list[_FoxgloveClient] = []
+        self._latest: dict[int, _EncodedMessage] = {}
         self._path: deque[Pose] = deque(maxlen=MOST_PATH)
         self._fixes_ns: frozenset[int] = frozenset()
         self._is_trusted = False
@@ -207,10 +213,9 @@ class FoxgloveServer(Closing):
 
     def _put(self, channel: int, time_ns: int, make: Callable[[], messages.Raw]) -> None:
         if not self._is_closed:
-            message = _Message(time_ns, make)
-            self._loop.call_soon_threadsafe(self._offer, channel, message)
+            self._loop.call_soon_threadsafe(self._offer, channel, _EncodedMessage(time_ns, make))
 
-    def _offer(self, channel: int, message: _Message) -> None:
+    def _offer(self, channel: int, message: _EncodedMessage) -> None:
         self._latest[channel] = message
         for client in self._clients:
             client.offer(channel, message)
@@ -255,11 +260,17 @@ class FoxgloveServer(Closing):
             self._tell(f"Foxglove has {MOST_CLIENTS} clients already; one more was refused.")
             await connection.close(1013, f"{MOST_CLIENTS} clients are connected already")
             return
-        client = _Client()
+        client = _FoxgloveClient()
         self._clients.append(client)
         sending = asyncio.create_task(_send(connection, client))
         try:
-            await connection.send(json.dumps(self._server_info()))
+            info = {
+                "op": "serverInfo",
+                "name": f"fieldgrid live {self._session}".rstrip(),
+                "capabilities": [],
+                "sessionId": str(time.time_ns()),
+            }
+            await connection.send(json.dumps(info))
             await connection.send(json.dumps({"op": "advertise", "channels": _channels()}))
             async for text in connection:
                 wrong = self._asked(client, text)
@@ -281,16 +292,7 @@ class FoxgloveServer(Closing):
                     "newer ones."
                 )
 
-    def _server_info(self) -> dict[str, Any]:
-        name = f"fieldgrid live {self._session}".rstrip()
-        return {
-            "op": "serverInfo",
-            "name": name,
-            "capabilities": [],
-            "sessionId": str(time.time_ns()),
-        }
-
-    def _asked(self, client: _Client, text: str | bytes) -> str:
+    def _asked(self, client: _FoxgloveClient, text: str | bytes) -> str:
         """Do what a client asks for; returns why it is not done, or nothing."""
         try:
             asked = parse_json(text)
@@ -313,11 +315,11 @@ class FoxgloveServer(Closing):
         return ""
 
 
-async def _send(connection: ServerConnection, client: _Client) -> None:
+async def _send(connection: ServerConnection, client: _FoxgloveClient) -> None:
     """Send what waits for a client as fast as it takes it."""
     from websockets.exceptions import ConnectionClosed
 
-    try:
+    with suppress(ConnectionClosed):
         while True:
             await client.changed.wait()
             client.changed.clear()
@@ -327,8 +329,6 @@ async def _send(connection: ServerConnection, client: _Client) -> None:
                 number = client.wants.get(channel)
                 if number is not None:
                     await connection.send(_DATA.pack(_DATA_OP, number, message.time_ns) + data)
-    except ConnectionClosed:
-        pass
 
 
 def _channels() -> list[dict[str, Any]]:
@@ -343,14 +343,3 @@ def _channels() -> list[dict[str, Any]]:
         }
         for number, channel in enumerate(CHANNELS)
     ]
-
-
-def _check_installed() -> None:
-    try:
-        import foxglove_schemas_protobuf  # noqa: F401
-        import websockets  # noqa: F401
-    except ImportError as error:
-        raise ConfigError(
-            "Foxglove needs libraries that are not installed; run: "
-            "pip install 'fieldgrid[foxglove]'."
-        ) from error

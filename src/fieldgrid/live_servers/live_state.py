@@ -14,6 +14,7 @@ from PIL import Image
 
 from fieldgrid.array_types import Float32, UInt8
 from fieldgrid.live import LiveEvent, LivePose, LiveResult, LiveWindow, What
+from fieldgrid.live.results import known_or_none
 from fieldgrid.trajectory import Status
 
 MOST_PATH = 20_000
@@ -75,31 +76,24 @@ class LiveState:
 
     def told(self, walked: int = 0, said: int = 0) -> dict[str, Any]:
         """All that is known now as plain values for JSON, but of the path and the events what is
-        new to who has `walked` so many poses and heard so many events `said`."""
+        new to a client that has had `walked` poses and `said` events."""
         with self._lock:
             window, number = self._window, self.number
+            new = max(self._walked - walked, 0)
             path = [
                 (round(step.east_m, 3), round(step.north_m, 3), step.gear, step.is_good)
-                for step in _last(self._path, self._walked - walked)
+                for step in list(self._path)[max(len(self._path) - new, 0) :]
             ]
             events = [(event.what.value, event.text) for k, event in self._events if k >= said]
             counted = {"walked": self._walked, "said": self._said}
         told: dict[str, Any] = {"session": self.session, "number": number, **counted}
         told |= {"path": path, "events": events, "window": None}
         if window is not None:
-            told["window"] = self._drawn_of(window)
+            drawn = self._drawn  # made once for all clients
+            if drawn is None or drawn[0] is not window:
+                drawn = self._drawn = (window, _window(window))
+            told["window"] = drawn[1]
         return told
-
-    def _drawn_of(self, window: LiveWindow) -> dict[str, Any]:
-        """The window as it is shown, made once for all clients."""
-        drawn = self._drawn
-        if drawn is None or drawn[0] is not window:
-            drawn = self._drawn = (window, _window(window))
-        return drawn[1]
-
-
-def _last(steps: deque[PathStep], count: int) -> list[PathStep]:
-    return list(steps)[max(len(steps) - count, 0) :] if count > 0 else []
 
 
 def _window(window: LiveWindow) -> dict[str, Any]:
@@ -112,12 +106,12 @@ def _window(window: LiveWindow) -> dict[str, Any]:
     pose = None
     if window.pose is not None:
         pose = {
-            "east_m": _known(window.pose.east_m),
-            "north_m": _known(window.pose.north_m),
-            "heading_deg": _known(window.pose.heading_deg),
-            "position_sigma_m": _known(window.pose.position_sigma_m),
-            "heading_sigma_deg": _known(window.pose.heading_sigma_deg),
-            "speed_mps": _known(window.pose.speed_mps),
+            "east_m": known_or_none(window.pose.east_m),
+            "north_m": known_or_none(window.pose.north_m),
+            "heading_deg": known_or_none(window.pose.heading_deg),
+            "position_sigma_m": known_or_none(window.pose.position_sigma_m),
+            "heading_sigma_deg": known_or_none(window.pose.heading_sigma_deg),
+            "speed_mps": known_or_none(window.pose.speed_mps),
             "gear": window.gear,
             "is_good": window.pose.status is not Status.REJECTED,
         }
@@ -153,7 +147,3 @@ def draw_cells(window: LiveWindow) -> bytes:
 def _units(values: Float32, unit: float) -> UInt8:
     scaled = np.clip(np.ceil(values * np.float32(1.0 / unit)), 0.0, MOST_UNITS)
     return np.where(np.isnan(scaled), np.float32(NEVER), scaled).astype(np.uint8)
-
-
-def _known(value: float) -> float | None:
-    return value if np.isfinite(value) else None

@@ -32,7 +32,8 @@ from fieldgrid.view.server import LOOPBACK, in_link, listen, make_server
 MOST_CLIENTS = 8
 
 STILL_HERE_S = 2.0
-"""So often something is sent when nothing is new: the page tells a server that is gone by that."""
+"""Period at which something is sent when nothing is new: the page tells a server that is gone by
+that."""
 
 LEAST_S = 0.1
 """No client is sent more in less: eyes do not see it."""

@@ -16,7 +16,7 @@ import numpy as np
 from fieldgrid.array_types import Int64
 from fieldgrid.build.perception import side_by_side
 from fieldgrid.errors import RecordingError
-from fieldgrid.measured import Measured, mean_of
+from fieldgrid.measured import MeasuredValue, mean_of
 from fieldgrid.mounting.frame_probe import FrameProbe, FrameSample
 from fieldgrid.mounting.gnss_check import GnssCheck, check_against_gnss, remarks
 from fieldgrid.mounting.ground_steps import ground_steps
@@ -51,11 +51,11 @@ DISAGREES = 3.0
 """Number of sigmas from which on a stated value disagrees with what was measured."""
 
 
-class Compared(NamedTuple):
+class MountComparison(NamedTuple):
     """A value that was measured, and what the recording states for it."""
 
     key: str
-    measured: Measured
+    measured: MeasuredValue
     stated: float
 
     @property
@@ -92,11 +92,11 @@ class MountEstimate:
     """
 
     name: str
-    height_m: Measured
-    tilt_deg: Measured
-    roll_deg: Measured
-    yaw_deg: Measured | None
-    axle_ahead_m: Measured | None
+    height_m: MeasuredValue
+    tilt_deg: MeasuredValue
+    roll_deg: MeasuredValue
+    yaw_deg: MeasuredValue | None
+    axle_ahead_m: MeasuredValue | None
     method: str
     frames: int
     looked: int
@@ -117,7 +117,7 @@ class MountEstimate:
         yaw_deg = 0.0 if self.yaw_deg is None else self.yaw_deg.value
         return Mount(self.height_m.value, self.tilt_deg.value, self.roll_deg.value, yaw_deg)
 
-    def measured(self) -> dict[str, Measured | None]:
+    def measured(self) -> dict[str, MeasuredValue | None]:
         """All that was measured, by the keys of a `mounting.json` as far as it has them."""
         return {
             HEIGHT: self.height_m,
@@ -127,7 +127,7 @@ class MountEstimate:
             AXLE: self.axle_ahead_m,
         }
 
-    def compared(self) -> list[Compared]:
+    def compared(self) -> list[MountComparison]:
         """What was measured beside what the recording states; empty when it states nothing."""
         if self.stated is None:
             return []
@@ -140,7 +140,7 @@ class MountEstimate:
             AXLE: None if axle_m is None else -axle_m,
         }
         return [
-            Compared(key, value, said)
+            MountComparison(key, value, said)
             for key, value in self.measured().items()
             if value is not None and (said := stated[key]) is not None
         ]
@@ -298,7 +298,7 @@ def _ahead(looks: Sequence[FrameSample]) -> MountSamples:
     )
 
 
-def _means(found: MountSamples, under: bool) -> tuple[Measured, Measured, Measured]:
+def _means(found: MountSamples, under: bool) -> tuple[MeasuredValue, MeasuredValue, MeasuredValue]:
     """Height, tilt and roll with their errors."""
     height_m = float(np.median(found.height_m))
     floor_m = math.hypot(HEIGHT_FLOOR_M, HEIGHT_FLOOR_SHARE * height_m)

@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from fieldgrid.array_types import Float64
-from fieldgrid.measured import Measured
+from fieldgrid.measured import MeasuredValue
 from fieldgrid.mounting.estimate import HEIGHT, ROLL, TILT, YAW, MountEstimate
 from fieldgrid.palette import GEARS, MEASURED, STATED
 
@@ -44,7 +44,7 @@ def _draw_series(
     axes: Axes,
     time_s: Float64,
     values: Float64,
-    mean: Measured,
+    mean: MeasuredValue,
     stated: float | None,
     label: str,
 ) -> None:

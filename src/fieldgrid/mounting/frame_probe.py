@@ -46,7 +46,7 @@ class FrameSample(NamedTuple):
     features: Features | None
 
 
-class _Seen(NamedTuple):
+class _SensorPoints(NamedTuple):
     """Points [n, 3] of the sensor's frame, their sigma [n], and the features of a pair."""
 
     points_m: Float64
@@ -71,7 +71,7 @@ class FrameProbe:
         plane, patches = _ground(points_m[usable], sigma_m[usable], self._patch_m)
         return FrameSample(frame.time_ns, plane, patches, seen)
 
-    def pair(self, left: UInt8, right: UInt8) -> _Seen:
+    def pair(self, left: UInt8, right: UInt8) -> _SensorPoints:
         """What a pair shows, seen from the middle of the baseline."""
         camera = self._rig.camera
         disparity = self._matcher.disparity(left, right).values[::STEP_PX, ::STEP_PX]
@@ -84,9 +84,9 @@ class FrameProbe:
         points_m = _unprojected(column, row, depth_m, camera, (focal_px, focal_px))
         points_m[:, 0] -= camera.baseline_m / 2.0
         sigma_m = camera.range_sigma_m(depth_m, self._settings.disparity_sigma_px)
-        return _Seen(points_m, sigma_m, features(camera, left, right))
+        return _SensorPoints(points_m, sigma_m, features(camera, left, right))
 
-    def depth(self, depth_m: Float32) -> _Seen:
+    def depth(self, depth_m: Float32) -> _SensorPoints:
         """What an image of depths shows."""
         camera = self._rig.depth_camera
         depth = depth_m[::STEP_PX, ::STEP_PX].astype(np.float64)
@@ -94,20 +94,19 @@ class FrameProbe:
         z = depth[row, column]
         points_m = _unprojected(column, row, z, camera, (camera.fx_px, camera.fy_px))
         if camera.baseline_m is None:
-            return _Seen(points_m, DEPTH_SHARE * z)
+            return _SensorPoints(points_m, DEPTH_SHARE * z)
         sigma_px = self._settings.disparity_sigma_px
-        return _Seen(points_m, z * z * sigma_px / (camera.fx_px * camera.baseline_m))
+        return _SensorPoints(points_m, z * z * sigma_px / (camera.fx_px * camera.baseline_m))
 
-    def cloud(self, sweep: Sweep) -> _Seen:
+    def cloud(self, sweep: Sweep) -> _SensorPoints:
         """What a cloud shows, as it was seen."""
         points_m = sweep.points_m.astype(np.float64)
-        return _Seen(points_m, np.full(len(points_m), LIDAR_SIGMA_M))
+        return _SensorPoints(points_m, np.full(len(points_m), LIDAR_SIGMA_M))
 
 
 def _matcher(camera: StereoCamera, settings: StereoSettings) -> StereoMatcher:
     nearest_px = camera.focal_baseline_px_m / NEAREST_M + camera.disparity_offset_px
-    searched = min(nearest_px, camera.width_px / 4.0)
-    number = max(16, 16 * round(searched / 16.0))
+    number = max(16, 16 * round(min(nearest_px, camera.width_px / 4.0) / 16.0))
     return StereoMatcher(camera, settings, whole_image(camera, number))
 
 

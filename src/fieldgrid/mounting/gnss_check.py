@@ -16,7 +16,7 @@ import numpy as np
 from fieldgrid.array_types import Float64, Int64
 from fieldgrid.build import estimate_drive
 from fieldgrid.errors import GnssError
-from fieldgrid.measured import Measured, mean_of
+from fieldgrid.measured import MeasuredValue, mean_of
 from fieldgrid.pose import Estimate
 from fieldgrid.recording import Recording
 from fieldgrid.trajectory import Status
@@ -35,8 +35,8 @@ class GnssCheck(NamedTuple):
     """`scale` is the camera's way over the receiver's, None where too little was straight on.
     `course_off_deg` is the course minus the recorded heading of the nose, None without one."""
 
-    scale: Measured | None
-    course_off_deg: Measured | None
+    scale: MeasuredValue | None
+    course_off_deg: MeasuredValue | None
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -60,7 +60,7 @@ def check_against_gnss(recording: Recording, time_ns: Int64, steps: Ways) -> Gns
     scale = mean_of(ratios, SCALE_FLOOR) if len(ratios) >= FEWEST_RUNS else None
     recorded, course_off = estimate.report.recorded, None
     if recorded is not None and not (recorded.mirrored or recorded.course or recorded.flips):
-        course_off = Measured(-recorded.offset_deg, max(recorded.offset_sigma_deg, 0.02))
+        course_off = MeasuredValue(-recorded.offset_deg, max(recorded.offset_sigma_deg, 0.02))
     return GnssCheck(scale, course_off)
 
 

@@ -110,8 +110,7 @@ def rough_plane(points_m: Float64, range_sigma_m: Float64) -> SensorGround | Non
         above = points_m @ plane.up + plane.height_m
         slack = np.maximum(per_height * plane.height_m, ROUGH_M)
         support = np.count_nonzero(np.abs(above) < slack)
-        against = np.count_nonzero(above < -2.0 * slack)
-        score = support - BELOW_COSTS * against
+        score = support - BELOW_COSTS * np.count_nonzero(above < -2.0 * slack)
         if score > most:
             best, most = plane, score
     return best

@@ -50,7 +50,7 @@ class WorkersDied(Exception):  # noqa: N818 - it tells what became of a task, an
     """Every worker that did a task has died, also with nothing beside it."""
 
 
-class Ended(NamedTuple):
+class TaskResult(NamedTuple):
     """What became of a task: what the function returned, or the error that it ended with, which
     is a FieldgridError that the function raised, WorkersDied, or a RuntimeError with the traceback
     of what nobody foresaw."""
@@ -74,7 +74,7 @@ class Cluster(Closing):
         self,
         client: Client,
         function: str,
-        tell: Callable[[Ended], None],
+        tell: Callable[[TaskResult], None],
         lose: Callable[[int, BaseException], None],
     ) -> None:
         self._client, self._function = client, function
@@ -100,7 +100,7 @@ class Cluster(Closing):
     def begin(self, group: int, data: bytes) -> None:
         """A group of tasks, and the data that is sent once to each worker that does one of them."""
         # A task of its own: when the worker that has it dies, Dask makes it again.
-        future = self._client.submit(bytes, data, key=_key("data"), pure=False)
+        future = self._client.submit(bytes, data, key=f"fieldgrid-data-{uuid4().hex}", pure=False)
         with self._lock:
             self._groups[group] = future
             if self._error is not None:
@@ -115,10 +115,8 @@ class Cluster(Closing):
     def drop(self, group: int) -> None:
         """Do no more tasks of a group, and tell of none."""
         with self._lock:
-            for tasks in (self._tasks, self._suspects):
-                kept = [task for task in tasks if task.group != group]
-                tasks.clear()
-                tasks += kept
+            self._tasks = deque(task for task in self._tasks if task.group != group)
+            self._suspects = deque(task for task in self._suspects if task.group != group)
             dropped = [key for key, (_, task) in self._running.items() if task.group == group]
             self._cancel([self._running.pop(key)[0] for key in dropped])
             if group in self._groups:
@@ -155,7 +153,12 @@ class Cluster(Closing):
                     return
                 self._take(key)
         except (Exception, asyncio.CancelledError) as error:  # noqa: BLE001 - the caller raises it
-            told = error if isinstance(error, FieldgridError) else self._lost(error)
+            told: BaseException = error
+            if not isinstance(error, FieldgridError):
+                told = ClusterError(
+                    f"The Dask scheduler {self._address} is gone, or has given up the tasks of "
+                    f"this program ({type(error).__name__}); start it again."
+                )
             with self._lock:
                 self._error = told
                 for group in self._groups:
@@ -196,7 +199,7 @@ class Cluster(Closing):
             self._function,
             task.arguments,
             versions(),
-            key=_key(task.name),
+            key=f"fieldgrid-{task.name}-{uuid4().hex}",
             pure=False,
             retries=RETRIES,
         )
@@ -215,7 +218,7 @@ class Cluster(Closing):
         error = future.exception() if future.status == "error" else None
         if isinstance(error, KilledWorker):
             if was_alone:
-                self._tell(Ended(task, error=WorkersDied()))
+                self._tell(TaskResult(task, error=WorkersDied()))
             else:
                 self._suspects.append(task)
         elif error is not None:
@@ -227,22 +230,12 @@ class Cluster(Closing):
         else:
             self._tell(_ended(task, *future.result()))
 
-    def _lost(self, error: BaseException) -> ClusterError:
-        return ClusterError(
-            f"The Dask scheduler {self._address} is gone, or has given up the tasks of this "
-            f"program ({type(error).__name__}); start it again."
-        )
-
     @property
     def _address(self) -> str:
         return str(self._client.scheduler.address)
 
 
-def _key(what: str) -> str:
-    return f"fieldgrid-{what}-{uuid4().hex}"
-
-
-def _ended(task: Task, how: str, told: Any) -> Ended:
+def _ended(task: Task, how: str, told: Any) -> TaskResult:
     if how == "unable":
         host, what = told
         raise ClusterError(
@@ -250,8 +243,8 @@ def _ended(task: Task, how: str, told: Any) -> Ended:
             f"{versions()['fieldgrid']} with its requirements."
         )
     if how == "done":
-        return Ended(task, told)
-    return Ended(task, error=RuntimeError(told) if how == "defect" else told)
+        return TaskResult(task, told)
+    return TaskResult(task, error=RuntimeError(told) if how == "defect" else told)
 
 
 def _travelling() -> Callable[..., Any]:

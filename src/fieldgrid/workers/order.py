@@ -36,7 +36,7 @@ class Runner(Protocol):
 
 
 class Threads:
-    """So many threads of this process, one a core when not given (a :class:`Runner`)."""
+    """`jobs` threads of this process, one a core when not given (a :class:`Runner`)."""
 
     def __init__(self, jobs: int | None = None) -> None:
         self.here = cores() if jobs is None else jobs

@@ -14,7 +14,7 @@ from uuid import uuid4
 
 from fieldgrid.closing import Closing
 from fieldgrid.errors import ClusterError, FieldgridError
-from fieldgrid.workers.cluster import Cluster, Ended, Task, WorkersDied
+from fieldgrid.workers.cluster import Cluster, Task, TaskResult, WorkersDied
 from fieldgrid.workers.order import cores
 
 if TYPE_CHECKING:
@@ -30,14 +30,10 @@ bounded, and a slow one holds nobody up."""
 _TICK_S = 0.5
 
 
-class _Raised(NamedTuple):
+class _ItemError(NamedTuple):
     """What work raised that says something of its items, not of the worker."""
 
     error: Exception
-
-
-class _Lost(NamedTuple):
-    error: BaseException
 
 
 class OnCluster(Closing):
@@ -46,12 +42,12 @@ class OnCluster(Closing):
     def __init__(self, client: Client) -> None:
         self.here = cores()
         self._groups = count()
-        self._ended: dict[int, SimpleQueue[Ended | _Lost]] = {}
+        self._ended: dict[int, SimpleQueue[TaskResult | BaseException]] = {}
         self._cluster = Cluster(
             client,
             f"{__name__}:do_batch",
             lambda ended: self._told(ended.task.group, ended),
-            lambda group, error: self._told(group, _Lost(error)),
+            self._told,
         )
 
     def in_order(
@@ -64,12 +60,10 @@ class OnCluster(Closing):
         """The results of work on items, in their order. What work raises of items ends it; so does
         ClusterError where workers cannot do it."""
         group = next(self._groups)
-        ended = self._ended[group] = SimpleQueue[Ended | _Lost]()
-        name = type(work).__name__.lower()
-        left = iter(items)
+        ended = self._ended[group] = SimpleQueue[TaskResult | BaseException]()
+        name, left, numbers = type(work).__name__.lower(), iter(items), count()
         done: dict[int, list[Any]] = {}
         waiting: deque[int] = deque()
-        numbers = count()
         self._cluster.begin(group, packed((uuid4().hex, work)))
         try:
             while True:
@@ -83,17 +77,16 @@ class OnCluster(Closing):
                 if not waiting:
                     return
                 while waiting[0] not in done:
-                    number, results = _next(ended)
-                    done[number] = results
+                    done.update([_next(ended)])
                 for result in done.pop(waiting.popleft()):
-                    if isinstance(result, _Raised):
+                    if isinstance(result, _ItemError):
                         raise result.error
                     yield result
         finally:
             self._cluster.drop(group)
             del self._ended[group]
 
-    def _told(self, group: int, what: Ended | _Lost) -> None:
+    def _told(self, group: int, what: TaskResult | BaseException) -> None:
         ended = self._ended.get(group)
         if ended is not None:  # else the group was dropped meanwhile
             ended.put(what)
@@ -103,23 +96,23 @@ class OnCluster(Closing):
         self._cluster.close()
 
 
-def _next(ended: SimpleQueue[Ended | _Lost]) -> tuple[int, list[Any]]:
+def _next(ended: SimpleQueue[TaskResult | BaseException]) -> tuple[int, list[Any]]:
     """The next batch that is done, by its number."""
     while True:
         try:
             found = ended.get(timeout=_TICK_S)  # so that Ctrl-C is heard everywhere
         except Empty:
             continue
-        if isinstance(found, Ended) and found.error is None:
-            number, _ = found.task.arguments
-            return number, found.value
+        if isinstance(found, BaseException):
+            raise found
         if isinstance(found.error, WorkersDied):
             raise ClusterError(
                 "A task has ended every Dask worker that did it; give the workers more memory, or "
                 "leave out --scheduler."
             )
-        assert found.error is not None
-        raise found.error
+        if found.error is not None:
+            raise found.error
+        return found.task.arguments[0], found.value
 
 
 def packed(work: object) -> bytes:
@@ -149,7 +142,7 @@ def do_batch(work: bytes, number: int, items: bytes) -> list[Any]:
         except sqlite3.OperationalError as error:  # of this worker's disk, or a lock
             raise OSError(str(error)) from error
         except (FieldgridError, sqlite3.DatabaseError, UnicodeDecodeError) as error:
-            done.append(_Raised(error))
+            done.append(_ItemError(error))
             break
     return done
 
