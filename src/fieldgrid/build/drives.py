@@ -203,8 +203,8 @@ class _Build:
                 self._fail(drive, error)
 
     def start_processes(self, opened: ExitStack, shares: int | None = None) -> None:
-        """Start the processes that stage, where so many shares are worth it. If None, all of them,
-        while the drives are checked."""
+        """Start the processes that stage, where `shares` are worth it; the shares of all drives if
+        None, while the drives are checked."""
         if shares is None:
             counts = [-(-drive.recording.frame_count // self.every) for drive in self._good()]
             shares = sum(len(shares_of(count)) for count in counts)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections import deque
 from collections.abc import Callable, Generator, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from functools import lru_cache, partial
 from typing import NamedTuple, TypeVar
@@ -27,6 +25,7 @@ from fieldgrid.rotations import Tilt
 from fieldgrid.settings import BuildSettings
 from fieldgrid.sweep import OriginTrack, Sweep
 from fieldgrid.trajectory import Trajectory
+from fieldgrid.workers.order import by_threads
 
 _T = TypeVar("_T")
 _Item = TypeVar("_Item")
@@ -149,17 +148,9 @@ def side_by_side(
     threads_before = cv2.getNumThreads()
     # Whole frames side by side use the cores better than OpenCV's stripes of one frame.
     cv2.setNumThreads(1)
-    pool = ThreadPoolExecutor(jobs, thread_name_prefix="fieldgrid")
-    pending: deque[Future[_T]] = deque()
     try:
-        for item in items:
-            pending.append(pool.submit(work, item))
-            if len(pending) > jobs + 1:
-                yield pending.popleft().result()
-        while pending:
-            yield pending.popleft().result()
+        yield from by_threads(work, items, jobs, jobs + 1)
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
         cv2.setNumThreads(threads_before)
 
 

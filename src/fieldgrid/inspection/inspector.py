@@ -48,7 +48,7 @@ def inspect_recording(
 
 
 def _unmounted(drive: Drive, options: DriveOptions | None) -> Drive:
-    """The same drive for what it holds: with its frames, also where no mounting is known."""
+    """The drive, opened for what it holds: with its frames, also where no mounting is known."""
     if not isinstance(drive.refusal, CalibrationError):
         return drive
     return open_drive(drive.path, replace(options or DriveOptions(), unmounted=True))

@@ -33,7 +33,7 @@ AGE_UNIT_S, SIGMA_UNIT_M = 0.01, 0.001
 
 MOST_CLIENTS = 16
 STUCK_S = 5.0
-"""A client that takes nothing of a window for so long is dropped."""
+"""Time after which a client is dropped that takes nothing of a window."""
 
 _ASKED_BYTES = 4096
 
@@ -104,7 +104,8 @@ class Feed(Closing):
     def __init__(self, host: str, port: int, tell: Callable[[str], None] | None = None) -> None:
         self._tell = tell or (lambda _: None)
         try:
-            self._listening = socket.create_server((host, port), family=_family(host, port))
+            family, *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+            self._listening = socket.create_server((host, port), family=family)
         except OSError as error:
             # What Python adds to it names the address again; those of a name's look-up are < 0.
             number = error.errno or 0
@@ -221,7 +222,3 @@ class Feed(Closing):
             if client.sending:
                 wanted |= selectors.EVENT_WRITE
             selector.modify(client.connection, wanted, client)
-
-
-def _family(host: str, port: int) -> socket.AddressFamily:
-    return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]

@@ -217,7 +217,8 @@ def _estimated(
     steps = ground_steps(motions, plane)
     under = len(found.frame) >= FEWEST_STANDS
     if not under:
-        found = _ahead(looks)
+        ahead = ((k, look.ahead) for k, look in enumerate(looks) if look.ahead is not None)
+        found = MountSamples.of(ahead)
         steps = ground_steps(motions, rough)
     height, tilt, roll = _means(found, under)
     axle = rig.rear_axle_forward_m
@@ -289,13 +290,6 @@ def _motions(
         else:
             motions.append(None)
     return motions
-
-
-def _ahead(looks: Sequence[FrameSample]) -> MountSamples:
-    """The planes ahead, for want of better."""
-    return MountSamples.of(
-        (k, look.ahead) for k, look in enumerate(looks) if look.ahead is not None
-    )
 
 
 def _means(found: MountSamples, under: bool) -> tuple[MeasuredValue, MeasuredValue, MeasuredValue]:
