@@ -71,9 +71,8 @@ def following(
 ) -> Iterator[tuple[FramePose, FramePose]]:
     """At most `most` frames all over a drive, each with the next one that is at least `apart_m[0]`
     from it, if that is at most `apart_m[1]` away."""
-    tried = _all_over(placed)
-    near = [pair for k in tried if (pair := _beside(placed, k, apart_m)) is not None]
-    return _some(near, most)
+    near = (_beside(placed, k, apart_m) for k in _all_over(placed))
+    return _some([pair for pair in near if pair is not None], most)
 
 
 def opposed(

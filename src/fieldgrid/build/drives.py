@@ -196,8 +196,7 @@ class _Build:
         """Open the recordings."""
         for drive in self._good():
             try:
-                found = opened.enter_context(open_drive(drive.path, options))
-                drive.recording = found.recording()
+                drive.recording = opened.enter_context(open_drive(drive.path, options)).recording()
                 drive.name = drive.recording.name if name is None else name
             except FieldgridError as error:
                 self._fail(drive, error)
@@ -222,11 +221,10 @@ class _Build:
                 check_images(recording, trajectory)
                 if recording.pose_name or not follows_camera(recording.rig, self.settings):
                     check_poses(recording, trajectory)
-                attitude = attitude_of_grids(recording, estimate)
                 drive.session = NewSession(
                     recording,
                     self.settings,
-                    attitude,
+                    attitude_of_grids(recording, estimate),
                     drive.name,
                     self.every,
                     skips_bad=self.skip_bad > 0,

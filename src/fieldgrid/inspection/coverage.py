@@ -53,7 +53,7 @@ def coverage(
     disparity_sigma_px: float,
 ) -> ExpectedMap | None:
     """What grids of frames at these times, offset included, would cover; None without a pose."""
-    poses = [trajectory.at(time_ns) for time_ns in images_ns.tolist()]
+    poses = map(trajectory.at, images_ns.tolist())
     used = [pose for pose in poses if pose.status is Status.OK]
     if not used:
         return None
