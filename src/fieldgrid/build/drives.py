@@ -111,7 +111,7 @@ def build_map(
     first image is read. `jobs` is the number of processes or, for few frames, of threads (all
     cores if None); the map's bits do not depend on it. With a `scheduler`, the address of a Dask
     scheduler or a client of it, its workers stage the frames instead. Of frames that cannot be read
-    so many are left out as `skip_bad` says: a number, or below 1 a share of the frames of each
+    at most `skip_bad` are left out: a number, or below 1 a share of the frames of each
     drive. `patience` is how long another writer of the map is waited for.
 
     Of several drives those that fail are left out: when the others are in the map, PartlyBuiltError

@@ -316,7 +316,8 @@ def found_to_json(found: StepOutcome) -> Any:
 
 
 def found_from_json(said: Any) -> StepOutcome:
-    """The step of the camera of such a value; ValueError or TypeError for what is none."""
+    """The step of the camera of a value that `found_to_json` made; ValueError or TypeError for
+    others."""
     if isinstance(said, str):
         return Refusal(said)
     return None if said is None else CameraStep(*said)

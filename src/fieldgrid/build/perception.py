@@ -171,7 +171,8 @@ class _Stages:
         self._start = time.thread_time()
 
     def pair(self, left: Image, right: Image) -> Perception:
-        """Of a pair: matched, gridded and, if that is wanted, its features."""
+        """What a pair gives: it is matched, gridded and, if that is wanted, its features are
+        found."""
         gridder, hashes = self._gridder, self._hashes()
         decoded = time.thread_time()
         coded = gridder.coded(*gridder.matcher.disparity(left, right))
@@ -195,13 +196,13 @@ class _Stages:
         )
 
     def depth(self, depth_m: Float32) -> Perception:
-        """Of an image of depths."""
+        """What an image of depths gives."""
         decoded = time.thread_time()
         coded = self._gridder.coded_depth(depth_m)
         return self._gridded(coded, self._gridder.from_coded(coded, self._tilt), decoded)
 
     def cloud(self, sweep: Sweep) -> Perception:
-        """Of a cloud, its points as they lay at its stamp where that is known."""
+        """What a cloud gives, its points as they lay at its stamp where that is known."""
         decoded, rig = time.thread_time(), self._gridder.rig
         points_m = carried(sweep, taken_ns(self._frame, rig), rig, self._way)
         return self._gridded(sweep, self._gridder.from_cloud(points_m, self._tilt), decoded)

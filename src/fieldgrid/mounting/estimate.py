@@ -29,7 +29,8 @@ from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
 from fieldgrid.travel import LEAST_WAY_M, Travel, Ways, travel
 
 FEWEST_STANDS = 8
-"""With fewer frames under which the ground was seen, the planes ahead have to do."""
+"""Number of frames under which the ground must have been seen; with fewer, the planes ahead are
+used."""
 
 FEWEST_PLANES = 3
 
