@@ -20,7 +20,7 @@ from typing import Any
 _COMPILING = threading.RLock()
 
 _WATCHED: list[Callable[[], None]] = []
-"""Whom to tell that a kernel is compiled, and not loaded."""
+"""Functions that are called when a kernel is compiled, and not loaded."""
 
 _LISTENERS: list[Any] = []
 """What hears of compiling, once a kernel was made."""

@@ -14,7 +14,7 @@ from fieldgrid.palette import UNSEEN, Ramp, rgb
 
 _LONG_SIDE_PX = 480
 _MOST_POINTS = 2000
-"""Of all lines of a drawing together."""
+"""Number of points of all lines of a drawing together."""
 
 _MOST_PX = 1024
 

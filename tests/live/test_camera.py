@@ -54,9 +54,12 @@ def coloured(value: int, width: int = WIDTH) -> Any:
     return np.full((HEIGHT, width, 3), value, dtype=np.uint8)
 
 
-def test_one_device_gives_both_sides_and_may_be_unplugged() -> None:
+def test_one_device_gives_both_sides_and_may_be_unplugged(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     device = Device()
-    source = StereoDevices((0,), RIG, most_fps=1000.0, opener=device.open)
+    monkeypatch.setattr("fieldgrid.live.camera.open_device", device.open)
+    source = StereoDevices((0,), RIG, most_fps=1000.0)
     before_ns = time.time_ns()
     with running(source) as notes:
         both = np.hstack((coloured(10), coloured(20)))
@@ -77,13 +80,14 @@ def test_one_device_gives_both_sides_and_may_be_unplugged() -> None:
     assert before_ns < times_ns[0] < times_ns[1] < time.time_ns()
 
 
-def test_two_devices_give_a_side_each() -> None:
+def test_two_devices_give_a_side_each(monkeypatch: pytest.MonkeyPatch) -> None:
     devices = {2: Device(), 0: Device()}
 
     def opener(number: int, size_px: tuple[int, int]) -> Device:
         return devices[number].open(number, size_px)
 
-    with running(StereoDevices((2, 0), RIG, opener=opener)) as notes:
+    monkeypatch.setattr("fieldgrid.live.camera.open_device", opener)
+    with running(StereoDevices((2, 0), RIG)) as notes:
         devices[2].give(coloured(10))
         devices[0].give(coloured(20)[:, :, 0])  # grey
         notes.wait(lambda: len(notes.frames) == 1)
@@ -93,9 +97,10 @@ def test_two_devices_give_a_side_each() -> None:
     assert (left.max(), right.max()) == (10, 20)
 
 
-def test_no_more_pairs_are_taken_than_were_asked_for() -> None:
+def test_no_more_pairs_are_taken_than_were_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     device = Device()
-    with running(StereoDevices((0,), RIG, most_fps=0.1, opener=device.open)) as notes:
+    monkeypatch.setattr("fieldgrid.live.camera.open_device", device.open)
+    with running(StereoDevices((0,), RIG, most_fps=0.1)) as notes:
         for value in range(5):
             device.give(coloured(value, 2 * WIDTH))
         device.give(None)

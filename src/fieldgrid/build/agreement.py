@@ -35,7 +35,7 @@ OPPOSED_WARN, SURE_M = 0.08, 0.1
 matter of the receiver. Three rendered vineyards have 0 to 3 % with RTK."""
 
 PAIRS = 60
-"""So many pairs of frames are compared, all over the drive."""
+"""Number of pairs of frames that are compared, all over the drive."""
 
 
 def denied_share(frames: StagedFrames, placed: Sequence[FramePose]) -> float | None:

@@ -116,7 +116,7 @@ def _slope(place_m: Float64) -> Float64:
 
 
 def scale_told(scale: CameraScale, rig: Rig) -> str:
-    """That the scale is off; what to do about it."""
+    """A sentence on a scale that is off, and what to do about it; it has its end."""
     told = (
         f"The camera measures {scale.ratio:.3f} ± {scale.sigma:.3f} times the distance of the "
         f"fixes (over {scale.distance_m:.0f} m), and so do the grids"
@@ -141,7 +141,7 @@ def scale_notes(scale: CameraScale | None, rig: Rig) -> tuple[str, ...]:
 
 
 def doubted_scale(scale: CameraScale | None, rig: Rig) -> BuildDoubt | None:
-    """That all distances of the grids are certainly wrong by a twentieth and more."""
+    """The doubt about distances of the grids that are certainly wrong by a twentieth and more."""
     if scale is None or not scale.stops or not _has_scale(rig):
         return None
     return BuildDoubt(StopCode.SCALE, CalibrationError(scale_told(scale, rig)))

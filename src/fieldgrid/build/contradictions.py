@@ -42,7 +42,7 @@ class SeenCells:
 
     @classmethod
     def of(cls, grid: LocalGrid) -> SeenCells:
-        """That of a local grid."""
+        """What a frame saw, by its local grid."""
         right_m, ahead_m = grid.spec.centres_m()
         rows, columns = np.nonzero(grid.observed & (grid.density > OBSTACLE_ABOVE))
         reach = max(round(NEAR_M / grid.spec.cell_m), 1)
@@ -56,7 +56,8 @@ class SeenCells:
         return replace(self, right_m=-self.right_m, state=np.ascontiguousarray(self.state[:, ::-1]))
 
     def denied(self, pose: Pose, other: SeenCells, other_pose: Pose) -> tuple[int, int]:
-        """Of the obstacle cells at a pose, how many the other calls free, and how many it saw."""
+        """Number of the obstacle cells at a pose that the other frame calls free, and number of
+        those that it saw."""
         spec = other.spec
         x_m, y_m = to_local(*to_universal(self.right_m, self.ahead_m, pose), other_pose)
         i = np.floor((x_m + spec.width_m / 2.0) / spec.cell_m).astype(np.int64)
@@ -71,9 +72,8 @@ def following(
 ) -> Iterator[tuple[FramePose, FramePose]]:
     """At most `most` frames all over a drive, each with the next one that is at least `apart_m[0]`
     from it, if that is at most `apart_m[1]` away."""
-    tried = _all_over(placed)
-    near = [pair for k in tried if (pair := _beside(placed, k, apart_m)) is not None]
-    return _some(near, most)
+    near = (_beside(placed, k, apart_m) for k in _all_over(placed))
+    return _some([pair for pair in near if pair is not None], most)
 
 
 def opposed(

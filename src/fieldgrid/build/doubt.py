@@ -73,7 +73,7 @@ def _swapped(name: str) -> BuildDoubt:
 
 
 def doubted_rows(recording: Recording, every: int) -> BuildDoubt | None:
-    """That the rows of pairs do not match, by some of the frames, or that left and right are
+    """The doubt about pairs whose rows do not match, by some of the frames, or whose sides are
     swapped where they do not; nothing is raised for frames that cannot be read, which comes later.
     """
     if not isinstance(recording.rig.sensor, StereoCamera):

@@ -111,7 +111,7 @@ def build_map(
     first image is read. `jobs` is the number of processes or, for few frames, of threads (all
     cores if None); the map's bits do not depend on it. With a `scheduler`, the address of a Dask
     scheduler or a client of it, its workers stage the frames instead. Of frames that cannot be read
-    so many are left out as `skip_bad` says: a number, or below 1 a share of the frames of each
+    at most `skip_bad` are left out: a number, or below 1 a share of the frames of each
     drive. `patience` is how long another writer of the map is waited for.
 
     Of several drives those that fail are left out: when the others are in the map, PartlyBuiltError
@@ -196,15 +196,14 @@ class _Build:
         """Open the recordings."""
         for drive in self._good():
             try:
-                found = opened.enter_context(open_drive(drive.path, options))
-                drive.recording = found.recording()
+                drive.recording = opened.enter_context(open_drive(drive.path, options)).recording()
                 drive.name = drive.recording.name if name is None else name
             except FieldgridError as error:
                 self._fail(drive, error)
 
     def start_processes(self, opened: ExitStack, shares: int | None = None) -> None:
-        """Start the processes that stage, where so many shares are worth it. If None, all of them,
-        while the drives are checked."""
+        """Start the processes that stage, where `shares` are worth it; the shares of all drives if
+        None, while the drives are checked."""
         if shares is None:
             counts = [-(-drive.recording.frame_count // self.every) for drive in self._good()]
             shares = sum(len(shares_of(count)) for count in counts)
@@ -222,11 +221,10 @@ class _Build:
                 check_images(recording, trajectory)
                 if recording.pose_name or not follows_camera(recording.rig, self.settings):
                     check_poses(recording, trajectory)
-                attitude = attitude_of_grids(recording, estimate)
                 drive.session = NewSession(
                     recording,
                     self.settings,
-                    attitude,
+                    attitude_of_grids(recording, estimate),
                     drive.name,
                     self.every,
                     skips_bad=self.skip_bad > 0,

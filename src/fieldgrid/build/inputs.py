@@ -108,11 +108,9 @@ def _fixes(arrays: Mapping[str, npt.NDArray[np.generic]]) -> FixColumns:
 def _part(
     kind: type[_Part], name: str, arrays: Mapping[str, npt.NDArray[np.generic]]
 ) -> _Part | None:
-    if f"{name}.{kind._fields[0]}" not in arrays:
+    keys = [f"{name}.{field}" for field in kind._fields]
+    if keys[0] not in arrays:
         return None
-    first = arrays[f"{name}.{kind._fields[0]}"]
-    columns: list[Any] = []
-    for key in (f"{name}.{field}" for field in kind._fields):
-        unsaid = key in _LATER and key not in arrays
-        columns.append(np.full(len(first), np.nan) if unsaid else arrays[key])
+    known = {**dict.fromkeys(_LATER, np.full(len(arrays[keys[0]]), np.nan)), **arrays}
+    columns: list[Any] = [known[key] for key in keys]
     return kind(*columns)

@@ -23,7 +23,8 @@ from fieldgrid.recording.columns import how_to_say
 from fieldgrid.trajectory import Trajectory
 
 MOST_STEPS = 200
-"""Of the camera are laid over the fixes at once: its own drift grows with their number."""
+"""Number of steps of the camera that are laid over the fixes at once: the drift of the camera grows
+with their number."""
 
 FEWEST_STEPS = 5
 NEAR_NS = 1_500_000_000
@@ -40,7 +41,7 @@ Path = npt.NDArray[np.complex128]
 def doubted_mirror(
     recording: Recording, trajectory: Trajectory, steps: Steps | None
 ) -> BuildDoubt | None:
-    """That the fixes turn left where the camera turns right, over the whole drive."""
+    """The doubt about fixes that turn left where the camera turns right, over the whole drive."""
     off = None if steps is None else _misfit(steps, trajectory)
     if steps is None or off is None:
         return None

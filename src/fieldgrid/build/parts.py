@@ -58,7 +58,7 @@ class PartsInfo(NamedTuple):
 
 
 def shares_of(count: int) -> list[Share]:
-    """The shares of a drive of so many frames."""
+    """The shares of a drive of `count` frames."""
     return [
         Share(first, min(first + SHARE_FRAMES, count)) for first in range(0, count, SHARE_FRAMES)
     ]
@@ -161,8 +161,8 @@ class DriveParts(Closing):
         return part
 
     def check_bad(self, skip_bad: int | float) -> None:
-        """Raise RecordingError when more frames are bad than may be: so many or, below 1, such a
-        share of the drive's."""
+        """Raise RecordingError when more frames are bad than `skip_bad` allows, a number or, below
+        1, a share of the drive's frames."""
         most = int(skip_bad * self._count) if isinstance(skip_bad, float) else skip_bad
         if self.bad_count > most:
             first = next(bad for _, part in sorted(self._parts.items()) for bad in part.bad)
@@ -316,7 +316,8 @@ def found_to_json(found: StepOutcome) -> Any:
 
 
 def found_from_json(said: Any) -> StepOutcome:
-    """The same again; ValueError or TypeError for what is none."""
+    """The step of the camera of a value that `found_to_json` made; ValueError or TypeError for
+    others."""
     if isinstance(said, str):
         return Refusal(said)
     return None if said is None else CameraStep(*said)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections import deque
 from collections.abc import Callable, Generator, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from functools import lru_cache, partial
 from typing import NamedTuple, TypeVar
@@ -27,6 +25,7 @@ from fieldgrid.rotations import Tilt
 from fieldgrid.settings import BuildSettings
 from fieldgrid.sweep import OriginTrack, Sweep
 from fieldgrid.trajectory import Trajectory
+from fieldgrid.workers.order import by_threads
 
 _T = TypeVar("_T")
 _Item = TypeVar("_Item")
@@ -149,17 +148,9 @@ def side_by_side(
     threads_before = cv2.getNumThreads()
     # Whole frames side by side use the cores better than OpenCV's stripes of one frame.
     cv2.setNumThreads(1)
-    pool = ThreadPoolExecutor(jobs, thread_name_prefix="fieldgrid")
-    pending: deque[Future[_T]] = deque()
     try:
-        for item in items:
-            pending.append(pool.submit(work, item))
-            if len(pending) > jobs + 1:
-                yield pending.popleft().result()
-        while pending:
-            yield pending.popleft().result()
+        yield from by_threads(work, items, jobs, jobs + 1)
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
         cv2.setNumThreads(threads_before)
 
 
@@ -180,7 +171,8 @@ class _Stages:
         self._start = time.thread_time()
 
     def pair(self, left: Image, right: Image) -> Perception:
-        """Of a pair: matched, gridded and, if that is wanted, its features."""
+        """What a pair gives: it is matched, gridded and, if that is wanted, its features are
+        found."""
         gridder, hashes = self._gridder, self._hashes()
         decoded = time.thread_time()
         coded = gridder.coded(*gridder.matcher.disparity(left, right))
@@ -204,13 +196,13 @@ class _Stages:
         )
 
     def depth(self, depth_m: Float32) -> Perception:
-        """Of an image of depths."""
+        """What an image of depths gives."""
         decoded = time.thread_time()
         coded = self._gridder.coded_depth(depth_m)
         return self._gridded(coded, self._gridder.from_coded(coded, self._tilt), decoded)
 
     def cloud(self, sweep: Sweep) -> Perception:
-        """Of a cloud, its points as they lay at its stamp where that is known."""
+        """What a cloud gives, its points as they lay at its stamp where that is known."""
         decoded, rig = time.thread_time(), self._gridder.rig
         points_m = carried(sweep, taken_ns(self._frame, rig), rig, self._way)
         return self._gridded(sweep, self._gridder.from_cloud(points_m, self._tilt), decoded)

@@ -25,7 +25,7 @@ from fieldgrid.closing import Closing
 from fieldgrid.errors import ConfigError, FieldgridError, RecordingError
 
 DEATHS = 3
-"""A share that so many processes have died of is given up, and its drive with it."""
+"""Number of processes that have died of a share when it is given up, and its drive with it."""
 
 _BOOT = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
@@ -41,7 +41,7 @@ _DriveShare = tuple[int, Share]
 
 
 class Pool(Closing):
-    """So many processes (a :class:`~fieldgrid.build.executor.Executor`). They start at once; one
+    """`count` processes (a :class:`~fieldgrid.build.executor.Executor`). They start at once; one
     that dies is followed by another when there is a share for it."""
 
     def __init__(self, count: int, out: Path) -> None:

@@ -225,7 +225,7 @@ def doubted_clock(recording: Recording, estimate: Estimate) -> BuildDoubt | None
 
 
 def doubted_jump(recording: Recording, estimate: Estimate) -> BuildDoubt | None:
-    """That images, gyro or fixes are of one clock before some instant and of another after it."""
+    """The doubt about images, gyro or fixes whose clock changes at some instant."""
     jump, change = estimate.report.jump, estimate.report.clock_change
     if jump is None:
         if change is None:
@@ -256,7 +256,8 @@ def _change_error(recording: Recording, change: ClockChange) -> RecordingError:
 
 
 def doubted_frames(recording: Recording, estimate: Estimate) -> BuildDoubt | None:
-    """That images and fixes are of other moments, and not by one offset that was found."""
+    """The doubt about images and fixes that are of other moments, which no single offset
+    explains."""
     found = estimate.report.contradiction
     if found is None or not found.is_certain:
         return None
@@ -315,7 +316,7 @@ def doubted_imu(estimate: Estimate) -> BuildDoubt | None:
 
 
 def imu_notes(estimate: Estimate) -> tuple[str, ...]:
-    """That the IMU is turned by less than what stops a build."""
+    """The remark on an IMU that is turned by less than what stops a build."""
     turn = estimate.report.imu_turn
     if turn is None or not turn.is_off or doubted_imu(estimate) is not None:
         return ()
@@ -323,7 +324,7 @@ def imu_notes(estimate: Estimate) -> tuple[str, ...]:
 
 
 def _turned_sentence(turn: ImuTurn) -> str:
-    """That the IMU is turned, and where that is said, without an end."""
+    """The beginning of a sentence: the IMU is turned, and where its axes are declared."""
     side = "left" if turn.off_deg > 0.0 else "right"
     return (
         f"Relative to the camera, the IMU is turned {abs(turn.off_deg):.0f}° ± "

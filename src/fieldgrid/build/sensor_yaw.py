@@ -103,7 +103,7 @@ def doubted_sensor_yaw(found: SensorYaw | None, rig: Rig) -> BuildDoubt | None:
 
 
 def sensor_yaw_notes(found: SensorYaw | None, rig: Rig) -> Iterator[str]:
-    """That it looks elsewhere by less than what stops a build."""
+    """The remark on a sensor whose yaw is off by less than what stops a build."""
     if found is not None and found.is_off and doubted_sensor_yaw(found, rig) is None:
         yield _sentence(found, rig)
 

@@ -121,7 +121,7 @@ class ProgressReporter:
         self.now()
 
     def __call__(self, moved_m: float, frames: int = 1) -> None:
-        """So many more frames are done, and the camera went so far."""
+        """`frames` more are done, over which the camera moved by `moved_m`."""
         self.done += frames
         if self._distance_m is not None:
             self._distance_m += moved_m

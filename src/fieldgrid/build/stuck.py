@@ -57,7 +57,7 @@ class StuckCamera(NamedTuple):
         return after, replace(pose, status=Status.REJECTED, reason=REPEATED)
 
     def _again(self, images_sha256: Sequence[str]) -> list[bool]:
-        """Which of a frame's images are those of the latest frame."""
+        """For each of a frame's images, whether it is that of the latest frame."""
         if len(images_sha256) != len(self.images):
             return [False] * len(images_sha256)
         return [

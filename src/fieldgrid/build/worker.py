@@ -79,7 +79,7 @@ def unpacked(work: bytes, remedy: str = "give --jobs 1") -> DriveWork:
 
 
 def not_importable(error: Exception, remedy: str = "give --jobs 1") -> ConfigError:
-    """That frames are of a class that only the program that made them knows."""
+    """The error for frames of a class that only the program that made them knows."""
     return ConfigError(
         f"The frames of this drive cannot be given to other processes ({error}); define their "
         f"classes in a module that can be imported, or {remedy}."

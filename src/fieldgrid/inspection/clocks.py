@@ -27,7 +27,7 @@ def clock_unknown(followed: int) -> Finding:
 def clock_findings(
     clock: ClockOffset, recording: Recording, trajectory: Trajectory
 ) -> Iterator[Finding]:
-    """That the images' clock is certainly off by more than the recording declares."""
+    """The finding that the images' clock is certainly off by more than the recording declares."""
     far_m = abs(clock.offset_s) * usual_speed_mps(trajectory)
     why = explanation(clock.offset_s, int(trajectory.time_ns[0]))
     wrong = far_m > MISPLACED_M or abs(clock.offset_s) > WIDEST_S

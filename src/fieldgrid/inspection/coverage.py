@@ -18,7 +18,8 @@ COUNT_CELL_M = 0.5
 """The covered area is counted in cells of this size."""
 
 MOST_PLACED = 2_000
-"""Of a longer drive every n-th frame is placed, so that the area is a little too small."""
+"""Number of frames that are placed at most: of a longer drive every n-th frame is, so that the area
+is a little too small."""
 
 CELLS_M = (0.05, 0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0)
 
@@ -53,7 +54,7 @@ def coverage(
     disparity_sigma_px: float,
 ) -> ExpectedMap | None:
     """What grids of frames at these times, offset included, would cover; None without a pose."""
-    poses = [trajectory.at(time_ns) for time_ns in images_ns.tolist()]
+    poses = map(trajectory.at, images_ns.tolist())
     used = [pose for pose in poses if pose.status is Status.OK]
     if not used:
         return None

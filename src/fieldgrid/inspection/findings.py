@@ -20,9 +20,6 @@ class Severity(StrEnum):
     INFO = "info"
 
 
-_ORDER = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.INFO: 2}
-
-
 class Finding(NamedTuple):
     """One finding. `code` is short and stays what it is, for programs; `message` is a sentence
     with the value, `remedy` another one that names the flag or the key."""
@@ -56,4 +53,5 @@ def info(code: str, message: str, remedy: str = "") -> Finding:
 
 def in_order(findings: list[Finding]) -> tuple[Finding, ...]:
     """The worst first; those of one severity in the order in which they were found."""
-    return tuple(sorted(findings, key=lambda finding: _ORDER[finding.severity]))
+    worst_first = list(Severity)
+    return tuple(sorted(findings, key=lambda finding: worst_first.index(finding.severity)))

@@ -97,8 +97,7 @@ def synchronisation(images_ns: Int64, times_ns: Int64) -> Sync | None:
     later = times_ns[np.minimum(after, len(times_ns) - 1)]
     earlier = times_ns[np.maximum(after - 1, 0)]
     nearest_ns = np.minimum(np.abs(later - images_ns), np.abs(images_ns - earlier))
-    exact = nearest_ns == 0
-    without = ~exact & (~inside | (later - earlier > MAX_GAP_NS))
+    without = (nearest_ns > 0) & (~inside | (later - earlier > MAX_GAP_NS))
     return Sync(
         float(np.median(nearest_ns)) / 1e9, float(nearest_ns.max()) / 1e9, float(without.mean())
     )
@@ -188,7 +187,7 @@ def rejections(images_ns: Int64, trajectory: Trajectory) -> Counter[str]:
     """How many frames would be rejected for each reason."""
     if not trajectory.accepted.any():
         return Counter({commonest_reason(trajectory.reason): len(images_ns)})
-    poses = (trajectory.at(time_ns) for time_ns in images_ns.tolist())
+    poses = map(trajectory.at, images_ns.tolist())
     return Counter(pose.reason for pose in poses if pose.status is not Status.OK)
 
 

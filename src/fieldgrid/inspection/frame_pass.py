@@ -87,8 +87,7 @@ def _pairs(
         try:
             left, right = frame.images()
             seen = features(gridder.rig.camera, left, right)
-            points = len(seen.blur_px)
-            look = _look(frame, left, right, points, gridder) if index in close else None
+            look = _look(frame, left, right, seen, gridder) if index in close else None
             return _FollowedFrame(frame.time_ns, seen if index in run_of else None, look)
         except FieldgridError as problem:
             return UnreadFrame(frame.frame_id, str(problem), isinstance(problem, CalibrationError))
@@ -127,7 +126,7 @@ def _pairs(
 
 
 def _look(
-    frame: Frame, left: Image, right: Image, points: int, gridder: LocalGridder
+    frame: Frame, left: Image, right: Image, seen: Features, gridder: LocalGridder
 ) -> PairMeasures:
     brightness, dark, saturated = exposure(left, right)
     grid, ground = gridder(left, right)
@@ -138,7 +137,7 @@ def _look(
         dark_share=dark,
         saturated_share=saturated,
         blur=max(blur(left), blur(right)),
-        points=points,
+        points=len(seen.blur_px),
         shifts=vertical_shifts(left, right, gridder.rig.camera),
         ground=ground,
         observed_share=float(grid.observed.mean()),

@@ -48,7 +48,7 @@ def inspect_recording(
 
 
 def _unmounted(drive: Drive, options: DriveOptions | None) -> Drive:
-    """The same drive for what it holds: with its frames, also where no mounting is known."""
+    """The drive, opened for what it holds: with its frames, also where no mounting is known."""
     if not isinstance(drive.refusal, CalibrationError):
         return drive
     return open_drive(drive.path, replace(options or DriveOptions(), unmounted=True))
@@ -80,8 +80,13 @@ def _inspected(
         findings.append(refusal(problem))
         found = replace(found, frames=None)
     if recording is not None and recording.frame_count == 0:
-        message = f"{drive.name} holds no frame, and a map is made of frames."
-        findings.append(error("no-images", message, "`fieldgrid track` needs none."))
+        findings.append(
+            error(
+                "no-images",
+                f"{drive.name} holds no frame, and a map is made of frames.",
+                "`fieldgrid track` needs none.",
+            )
+        )
     if recording is None or recording.frame_count == 0:
         times_ns = drive.fixes().time_ns
         with noted(findings):

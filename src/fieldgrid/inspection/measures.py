@@ -12,7 +12,8 @@ from fieldgrid.frame_ground import FrameGround
 from fieldgrid.vertical import shift_px
 
 DARK_LEVEL, SATURATED_LEVEL = 16, 250
-"""Of 255: at and below the one a sensor gives noise, at and above the other nothing."""
+"""Grey levels of 255: at and below the first a sensor gives noise, at and above the second it is
+saturated."""
 
 BLUR_PX = 9
 """Width of the strong smoothing that an image is compared with."""

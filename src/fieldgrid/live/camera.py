@@ -8,9 +8,9 @@ kind tells none. It is the receiver's time only as far as this clock is set by i
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -23,34 +23,17 @@ from fieldgrid.recording.frames import PairRectifier
 from fieldgrid.rig import Rig
 
 
-class Capture(Protocol):
-    """One open device, as `cv2.VideoCapture` has it."""
-
-    def grab(self) -> bool:
-        """Wait for the next picture and hold it; False where there is none."""
-
-    def retrieve(self) -> tuple[bool, Any]:
-        """The picture that is held: BGR or grey, 8 bit."""
-
-    def release(self) -> None:
-        """Close the device."""
-
-
-Opener = Callable[[int, tuple[int, int]], Capture]
-"""Opens a device by its number for pictures of (width, height) px; OSError where there is none."""
-
-
-def open_device(number: int, size_px: tuple[int, int]) -> Capture:
-    """A device of this machine; OSError where it is not there."""
-    device: Any = cv2.VideoCapture(number)
+def open_device(number: int, size_px: tuple[int, int]) -> cv2.VideoCapture:
+    """A device of this machine, for pictures of (width, height) px; OSError where it is not
+    there."""
+    device = cv2.VideoCapture(number)
     if not device.isOpened():
         device.release()
         raise OSError(f"device {number} cannot be opened")
     device.set(cv2.CAP_PROP_FRAME_WIDTH, size_px[0])
     device.set(cv2.CAP_PROP_FRAME_HEIGHT, size_px[1])
     device.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-    opened: Capture = device
-    return opened
+    return device
 
 
 def parse_devices(text: str) -> tuple[int, ...]:
@@ -75,11 +58,10 @@ class StereoDevices:
         rectifier: PairRectifier | None = None,
         *,
         most_fps: float = 10.0,
-        opener: Opener = open_device,
     ) -> None:
         if not 0.1 <= most_fps <= 1000.0:
             raise ConfigError(f"{most_fps:g} pairs a second are outside 0.1..1000; 10 is usual.")
-        self._devices, self._rectifier, self._opener = tuple(devices), rectifier, opener
+        self._devices, self._rectifier = tuple(devices), rectifier
         camera = rig.camera
         self._size_px = camera.width_px, camera.height_px
         self._raw_px = rectifier.raw_size_px if rectifier else self._size_px
@@ -98,13 +80,13 @@ class StereoDevices:
         with ExitStack() as stack:
             open_ = []
             for number in self._devices:
-                device = self._opener(number, size_px)
+                device = open_device(number, size_px)
                 stack.callback(device.release)
                 open_.append(device)
             while not intake.stop.is_set():
                 self._take(open_, intake)
 
-    def _take(self, devices: Sequence[Capture], intake: Intake) -> None:
+    def _take(self, devices: Sequence[cv2.VideoCapture], intake: Intake) -> None:
         times_ns = []
         for device in devices:
             if not device.grab():

@@ -21,7 +21,7 @@ KNOWN_S, ROLLED_S = 1.5, 1.0
 which a frame is placed by it and the gyro."""
 
 LEAST_BIAS_S = 5.0
-"""Of less, the bias of a gyro is not told."""
+"""Time over which a gyro must be compared with an estimate to tell its bias."""
 
 WHEEL_SHARE = 0.03
 """The error of the wheels' way, 1 sigma: as the smoother takes their scale."""

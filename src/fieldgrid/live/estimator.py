@@ -12,7 +12,7 @@ from fieldgrid.live.fixed_lag import EstimateInputs
 from fieldgrid.pose import Estimate
 
 MOST_SHARE = 0.35
-"""Of one core, estimates take no more: frames come first."""
+"""Share of one core that estimates take at most: frames come first."""
 
 
 class EstimateResult(NamedTuple):

@@ -18,7 +18,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fieldgrid.array_types import Float32, UInt16
+from fieldgrid.array_types import Float32
 from fieldgrid.closing import Closing
 from fieldgrid.errors import ConfigError
 from fieldgrid.live.results import LiveWindow
@@ -28,12 +28,12 @@ HEADER = struct.Struct("<4sHHIIq3d3d2I6d2I")
 """Magic, version, bytes of the header, bytes of the cells, number; time; datum; cell size, west,
 south; width, height; east, north, heading, their sigmas, speed; doubt, frames."""
 
-UNKNOWN, MOST = 65535, 65534
+MOST = 65534
 AGE_UNIT_S, SIGMA_UNIT_M = 0.01, 0.001
 
 MOST_CLIENTS = 16
 STUCK_S = 5.0
-"""A client that takes nothing of a window for so long is dropped."""
+"""Time after which a client is dropped that takes nothing of a window."""
 
 _ASKED_BYTES = 4096
 
@@ -54,17 +54,19 @@ def encode_window(window: LiveWindow, number: int) -> bytes:
         *(*where, int(window.doubt_code), window.frames),
     )
     cells = costs.tobytes()
-    ages, sigmas_m = _units(window.age_s, AGE_UNIT_S), _units(window.sigma_m, SIGMA_UNIT_M)
+    ages = whole_units(window.age_s, AGE_UNIT_S, MOST).astype("<u2")
+    sigmas_m = whole_units(window.sigma_m, SIGMA_UNIT_M, MOST).astype("<u2")
     return b"".join((head, cells, ages.tobytes(), sigmas_m.tobytes()))
 
 
-def _units(values: Float32, unit: float) -> UInt16:
-    """Whole units, little endian, rounded up: no cell is younger or surer than it is said to be."""
+def whole_units(values: Float32, unit: float, most: int) -> Float32:
+    """Whole units, up to `most`, rounded up: no cell is younger or surer than it is said to be.
+    `most` + 1 where a value is not known."""
     scaled = values * np.float32(1.0 / unit)
     np.ceil(scaled, out=scaled)
-    np.clip(scaled, 0.0, MOST, out=scaled)
-    scaled[np.isnan(values)] = UNKNOWN
-    return scaled.astype("<u2")
+    np.clip(scaled, 0.0, most, out=scaled)
+    scaled[np.isnan(values)] = most + 1
+    return scaled
 
 
 class _FeedClient:
@@ -104,7 +106,8 @@ class Feed(Closing):
     def __init__(self, host: str, port: int, tell: Callable[[str], None] | None = None) -> None:
         self._tell = tell or (lambda _: None)
         try:
-            self._listening = socket.create_server((host, port), family=_family(host, port))
+            family, *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+            self._listening = socket.create_server((host, port), family=family)
         except OSError as error:
             # What Python adds to it names the address again; those of a name's look-up are < 0.
             number = error.errno or 0
@@ -221,7 +224,3 @@ class Feed(Closing):
             if client.sending:
                 wanted |= selectors.EVENT_WRITE
             selector.modify(client.connection, wanted, client)
-
-
-def _family(host: str, port: int) -> socket.AddressFamily:
-    return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]

@@ -41,7 +41,7 @@ BEFORE_NS = 5_000_000_000
 """How long before a frame that waits for its pose an estimate begins."""
 
 FEWEST_FIXES = 3
-"""Of fewer fixes nothing follows."""
+"""Number of fixes that an estimate needs."""
 
 
 class EstimateInputs(NamedTuple):
@@ -162,7 +162,8 @@ class FixedLagSmoother:
         return found
 
     def asked(self, oldest_ns: int, *, level_grids: bool = True) -> EstimateInputs:
-        """What such an estimate is made of. GnssError where there is too little."""
+        """What the estimate from before `oldest_ns` on is made of. GnssError where there is too
+        little."""
         known_ns = self.told_ns
         if known_ns is None:
             if self._needs_fixes:

@@ -82,5 +82,4 @@ def rows_of_body(poses: BodyPoses) -> Rows:
     """Poses of a recording as rows, in order of time, of equal times in that of the recording."""
     assert poses.time_ns is not None
     order = np.argsort(poses.time_ns, kind="stable")
-    columns = poses.position_m[order], poses.R.reshape(-1, 9)[order]
-    return Rows(poses.time_ns[order], columns)
+    return Rows(poses.time_ns[order], (poses.position_m[order], poses.R.reshape(-1, 9)[order]))

@@ -13,13 +13,13 @@ from fieldgrid.recording.stored import Shot
 LOOK_S = 0.05
 
 MOST_SHARE = 0.1
-"""Of the time, looking at a folder of many files takes no more."""
+"""Share of the time that looking at a folder of many files takes at most."""
 
 UNCHANGED_S = 0.3
-"""A file that does not tell its own end is whole when it has not changed for so long."""
+"""A file that does not tell its own end is whole when it has not changed for this time."""
 
 GIVEN_UP_S = 2.0
-"""A file that is not whole is waited for so long after its last change."""
+"""Time for which a file that is not whole is waited for after its last change."""
 
 
 @dataclass(slots=True)

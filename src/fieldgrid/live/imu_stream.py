@@ -28,11 +28,11 @@ from fieldgrid.recording.motion_files import (
 )
 
 HELD, HELD_NS = 50, 1_000_000_000
-"""So many messages, or those of so long, are held until it is decided which way is up."""
+"""Number of messages, or their time span, that are held until it is decided which way is up."""
 
 MOST_UNTURNED = 100_000
-"""So many messages are kept of an IMU that has not turned about a level axis yet: it may have one
-axis only, and then it has none that tells how a vehicle leans."""
+"""Number of messages that are kept of an IMU that has not turned about a level axis yet: it may
+have one axis only, and then it has none that tells how a vehicle leans."""
 
 _PARTS = slice(0, 3), slice(3, 6)
 

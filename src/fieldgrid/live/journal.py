@@ -22,13 +22,13 @@ from fieldgrid.errors import MapError
 
 MAGIC = b"fieldgrid journal 1\n"
 _RECORD = Struct("<4sII")
-"""Of each record: a mark, the length of its JSON, the CRC-32 of that."""
+"""The head of each record: a mark, the length of its JSON, the CRC-32 of that."""
 _MARK = b"\xf1LIV"
 MAX_RECORD_BYTES = 64 << 20
 _BEGINS = b'["'
 """The first bytes of each JSON."""
 _SEARCHED_BYTES = 1 << 12
-"""So much is read at first to find the next mark, then twice as much each time."""
+"""Number of bytes that are read at first to find the next mark; twice as many each time after."""
 DAMAGED = "damaged"
 MAX_WAITING_BYTES = 16 << 20
 """What waits in memory while the disk takes nothing: minutes of all sensors."""

@@ -92,7 +92,7 @@ class SessionStart:
 
     @classmethod
     def from_json(cls, value: dict[str, Any]) -> SessionStart:
-        """The start of a session of such a value."""
+        """The start of a session of a value that `to_json` made."""
         # A session that was begun by an earlier version has no entry of poses.
         name, axes, point = value.get("poses") or (None, "", None)
         body = None if name is None else PoseBody(name, axes, point and tuple(point))
@@ -141,7 +141,7 @@ class PushedDrive:
     bad: list[tuple[int, BadFrame]] = field(default_factory=list)
     dropped: int = 0
     damaged_bytes: int = 0
-    """Of the journal, what cannot be read any more."""
+    """Number of bytes of the journal that cannot be read any more."""
     is_damaged_since: bool = False
     """Whether some of that lies behind the last frame: frames may be lost there."""
     unreadable: list[int] = field(default_factory=list)

@@ -172,7 +172,7 @@ class McapStream:
             elif isinstance(record, Record) and record.channel_id in channels:
                 channel = channels[record.channel_id]
                 message = Message(channel.connection, record.log_time, record.data)
-                if _is_static(channel.connection):
+                if channel.connection.type in TF and message.topic.endswith(TF_STATIC):
                     self._static(message, intake)
                 if channel.role and (self._takes_fixes or channel.role not in FIXES):
                     self._take(channel.role, message, intake)
@@ -378,8 +378,3 @@ class McapStream:
         if text not in self._told and len(self._told) < 100:
             self._told.add(text)
             intake.tell(text)
-
-
-def _is_static(connection: Connection) -> bool:
-    """Whether a topic has the places of frames that do not move on the vehicle."""
-    return connection.type in TF and connection.topic.endswith(TF_STATIC)

@@ -29,7 +29,7 @@ class KeptPairs:
 
     @property
     def roles(self) -> tuple[str, ...]:
-        """Those of a pair."""
+        """The roles of the images of a pair."""
         return "left", "right"
 
     def frames(self, start: int, stop: int) -> Iterator[Frame]:

@@ -32,10 +32,11 @@ GridInput = CodedDepth | Sweep
 
 MAGIC = b"fieldgrid points 1\n"
 _RECORD = Struct("<4sIII")
-"""Of each record: a mark, the length of its JSON header and of its data, the CRC-32 of both."""
+"""The head of each record: a mark, the length of its JSON header and of its data, the CRC-32 of
+both."""
 _MARK = b"SEEN"
 LEVEL = 1
-"""Of zlib: level 6 takes six times as long and saves a fifth."""
+"""Level of zlib: level 6 takes six times as long and saves a fifth."""
 
 CARRIED_M = 10.0
 """How far a point is moved at most by the motion within a sweep."""

@@ -14,8 +14,8 @@ from fieldgrid.settings import PoseSettings
 from fieldgrid.trajectory import Pose, Status, Trajectory
 
 CARRIED_S = 2.0
-"""A step carries a pose on that was estimated so long before the step begins, or less. How long the
-step itself takes does not matter: its error says what it is worth."""
+"""A step carries a pose on that was estimated this time before the step begins, or less. How long
+the step itself takes does not matter: its error says what it is worth."""
 
 MOST_SHARE = 0.5
 """Share of the error that a cell may have which the way since then may take."""

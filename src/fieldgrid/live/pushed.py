@@ -28,7 +28,7 @@ class PushedSource:
     name: str
     values: Any
     after_s: Float32 | None = None
-    """Of a cloud, when its points were taken, after its stamp."""
+    """Seconds after its stamp at which the points of a cloud were taken."""
 
     def read(self) -> Any:
         """The values."""

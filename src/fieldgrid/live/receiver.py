@@ -19,7 +19,8 @@ DECIDES = 3
 """Fixes of one protocol after which it is known which ones the receiver writes."""
 
 TURNS_AFTER = 20
-"""So many fixes of the other protocol without one of that which is taken, and it is taken."""
+"""Number of fixes of the other protocol, without one of that which is taken, after which it is
+taken."""
 
 
 class ReceiverStream:
@@ -47,18 +48,13 @@ class ReceiverStream:
         held = self._held
         held["UBX"] += ubx
         held["NMEA"] += nmea
-        if self.protocol and held[self.protocol]:
-            return self._given()
-        fewest = TURNS_AFTER if self.protocol else decides
-        if max(map(len, held.values())) < fewest:
-            return []
-        self.protocol = next(name for name, fixes in held.items() if fixes)
-        return self._given()
-
-    def _given(self) -> list[Fix]:
-        fixes = self._held[self.protocol]
+        if not (self.protocol and held[self.protocol]):
+            fewest = TURNS_AFTER if self.protocol else decides
+            if max(map(len, held.values())) < fewest:
+                return []
+            self.protocol = next(name for name, fixes in held.items() if fixes)
         self._held = {"UBX": [], "NMEA": []}
-        return fixes
+        return held[self.protocol]
 
     def why_no_fix(self) -> str:
         """Why bytes come and no fix, and what to do."""

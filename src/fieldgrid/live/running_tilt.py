@@ -38,7 +38,7 @@ DRIFT_DEG = 0.2
 
 _TICK_S = 0.02
 _COLUMNS = {"inertial": 1, "tilt": 2, "orientation": 2}
-"""Of the parts that tell how the lean changes, how many of their columns do."""
+"""Number of the columns that tell how the lean changes, by the part that has them."""
 
 
 class _LatestEstimate(NamedTuple):

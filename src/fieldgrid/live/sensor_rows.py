@@ -33,7 +33,7 @@ _COLUMNS: dict[str, tuple[str, ...]] = {
 """What the columns of rows are; poses of another program are kept as they are written: where the
 body is, and its axes, row by row."""
 _WIDE = {"inertial": (3, 3), "poses": (3, 9)}
-"""Of parts whose columns are wider than one value, how wide they are."""
+"""Widths of the columns, of parts whose columns are wider than one value."""
 
 MOST_NS = 1 << 62
 
@@ -54,7 +54,7 @@ class Rows(NamedTuple):
     columns: tuple[AnyArray, ...]
 
     def where(self, taken: Bool) -> Rows:
-        """Those that are taken [n]."""
+        """The rows where `taken` [n] is true."""
         return Rows(self.time_ns[taken], tuple(column[taken] for column in self.columns))
 
 
@@ -181,7 +181,7 @@ def rows_to_json(part: str, rows: Rows) -> Any:
 
 
 def rows_from_json(value: Any) -> tuple[str, Rows]:
-    """The part and the rows of such a value."""
+    """The part and the rows of a value that `rows_to_json` made."""
     part, time_ns, *columns = value
     return part, rows_of(part, time_ns, *columns)
 
@@ -192,7 +192,8 @@ def fix_to_json(fix: Fix) -> Any:
 
 
 def fix_from_json(value: Any) -> Fix:
-    """The fix of such a value; what an earlier version did not keep was not said."""
+    """The fix of a value that `fix_to_json` made; what an earlier version did not keep was not
+    said."""
     fix = Fix(*value)
     heading = None if fix.heading_quality is None else Quality(fix.heading_quality)
     return fix._replace(quality=Quality(fix.quality), heading_quality=heading)

@@ -67,7 +67,6 @@ class SessionFolder(Closing):
         """Open what is there, or begin with `about`; ConfigError where that is of another drive,
         or where nothing is there to go on with. Points take at most `points_gb`."""
         self.out, self.folder = out, live_folder(out)
-        self._open = ExitStack()
         self._pairing = threading.Lock()
         self._pairs_every, self._pair_ns = 1, -PAIR_EVERY_NS
         journal = self.folder / JOURNAL
@@ -75,33 +74,26 @@ class SessionFolder(Closing):
             raise ConfigError(
                 f"There is no live session to finish for {out}: {journal} does not exist."
             )
-        try:
-            if about is not None:
-                self.folder.mkdir(parents=True, exist_ok=True)
-                journal.touch()
-            if not self._open.enter_context(holding(journal)):
-                raise MapError(
-                    f"Another program maps into {self.folder}; end it, or give another map."
+        with ExitStack() as opening:
+            try:
+                if about is not None:
+                    self.folder.mkdir(parents=True, exist_ok=True)
+                    journal.touch()
+                if not opening.enter_context(holding(journal)):
+                    raise MapError(
+                        f"Another program maps into {self.folder}; end it, or give another map."
+                    )
+                self.journal = opening.enter_context(Journal(journal))
+                self.stage = opening.enter_context(
+                    StageFile(self.folder / GRIDS, out, passes_damage=True)
                 )
-            self.journal = self._open.enter_context(Journal(journal))
-            self.stage = self._open.enter_context(
-                StageFile(self.folder / GRIDS, out, passes_damage=True)
-            )
-        except OSError as error:
-            self._open.close()
-            if isinstance(error, MapWriteError):
-                raise
-            raise _unwritable(self.folder, error) from error
-        except BaseException:
-            self._open.close()
-            raise
-        try:
-            self.drive = self._begun(about)
-            self.points = self._open.enter_context(self._points(round(points_gb * 1e9)))
-        except BaseException:
-            self._open.close()
-            raise
-        drive = self.drive
+            except OSError as error:
+                if isinstance(error, MapWriteError):
+                    raise
+                raise _unwritable(self.folder, error) from error
+            self.drive = drive = self._begun(about)
+            self.points = opening.enter_context(self._points(round(points_gb * 1e9)))
+            self._open = opening.pop_all()
         self.unreadable = len(drive.unreadable)
         """How many frames' grids could not be read back, as last read."""
         self.is_resumed = bool(drive.fixes or drive.frames or drive.parts or drive.damaged_bytes)

@@ -57,7 +57,7 @@ _DATA = struct.Struct("<BIQ")
 _DATA_OP = 1
 _PATIENCE_S = 10.0
 _CLOSE_S = 2.0
-"""A client that does not read is cut off at the end after so long."""
+"""Time after which a client that does not read is cut off at the end."""
 
 
 class FoxgloveTopic(NamedTuple):

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image
 
-from fieldgrid.array_types import Float32, UInt8
 from fieldgrid.live import LiveEvent, LivePose, LiveResult, LiveWindow, What
+from fieldgrid.live.feed import whole_units
 from fieldgrid.live.results import known_or_none
 from fieldgrid.trajectory import Status
 
@@ -23,7 +23,7 @@ MOST_PATH = 20_000
 MOST_EVENTS = 30
 
 AGE_UNIT_S, SIGMA_UNIT_M = 0.25, 0.01
-MOST_UNITS, NEVER = 254, 255
+MOST_UNITS = 254
 
 
 class PathStep(NamedTuple):
@@ -135,15 +135,10 @@ def draw_cells(window: LiveWindow) -> bytes:
     254 that or more, 255 not known."""
     parts = (
         window.costmap.costs,
-        _units(window.age_s, AGE_UNIT_S),
-        _units(window.sigma_m, SIGMA_UNIT_M),
+        whole_units(window.age_s, AGE_UNIT_S, MOST_UNITS).astype(np.uint8),
+        whole_units(window.sigma_m, SIGMA_UNIT_M, MOST_UNITS).astype(np.uint8),
     )
     written = io.BytesIO()
     pixels = np.ascontiguousarray(np.stack(parts, axis=-1)[::-1])
     Image.fromarray(pixels, "RGB").save(written, "PNG", compress_level=1)
     return written.getvalue()
-
-
-def _units(values: Float32, unit: float) -> UInt8:
-    scaled = np.clip(np.ceil(values * np.float32(1.0 / unit)), 0.0, MOST_UNITS)
-    return np.where(np.isnan(scaled), np.float32(NEVER), scaled).astype(np.uint8)

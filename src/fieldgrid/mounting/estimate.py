@@ -29,7 +29,8 @@ from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
 from fieldgrid.travel import LEAST_WAY_M, Travel, Ways, travel
 
 FEWEST_STANDS = 8
-"""With fewer frames under which the ground was seen, the planes ahead have to do."""
+"""Number of frames under which the ground must have been seen; with fewer, the planes ahead are
+used."""
 
 FEWEST_PLANES = 3
 
@@ -217,7 +218,8 @@ def _estimated(
     steps = ground_steps(motions, plane)
     under = len(found.frame) >= FEWEST_STANDS
     if not under:
-        found = _ahead(looks)
+        ahead = ((k, look.ahead) for k, look in enumerate(looks) if look.ahead is not None)
+        found = MountSamples.of(ahead)
         steps = ground_steps(motions, rough)
     height, tilt, roll = _means(found, under)
     axle = rig.rear_axle_forward_m
@@ -289,13 +291,6 @@ def _motions(
         else:
             motions.append(None)
     return motions
-
-
-def _ahead(looks: Sequence[FrameSample]) -> MountSamples:
-    """The planes ahead, for want of better."""
-    return MountSamples.of(
-        (k, look.ahead) for k, look in enumerate(looks) if look.ahead is not None
-    )
 
 
 def _means(found: MountSamples, under: bool) -> tuple[MeasuredValue, MeasuredValue, MeasuredValue]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Protocol, TypeVar
 
@@ -49,20 +49,25 @@ class Threads:
         most: int | None = None,
     ) -> Iterator[_Result]:
         """The results of work on items, in their order, few more than the threads at a time."""
-        if self.here < 2:
-            yield from map(work, items)
-            return
-        pool = ThreadPoolExecutor(self.here, thread_name_prefix="fieldgrid-map")
-        waiting: deque[Future[_Result]] = deque()
-        try:
-            for item in items:
-                waiting.append(pool.submit(work, item))
-                if len(waiting) > self.here:
-                    yield waiting.popleft().result()
-            while waiting:
+        return map(work, items) if self.here < 2 else by_threads(work, items, self.here, self.here)
+
+
+def by_threads(
+    work: Callable[[_Item], _Result], items: Iterable[_Item], threads: int, ahead: int
+) -> Generator[_Result, None, None]:
+    """The results of work on items, in their order; at most `ahead` of them are under way or wait
+    while another is taken. Close it when it is not taken to its end: its threads end then."""
+    pool = ThreadPoolExecutor(threads, thread_name_prefix="fieldgrid")
+    waiting: deque[Future[_Result]] = deque()
+    try:
+        for item in items:
+            waiting.append(pool.submit(work, item))
+            if len(waiting) > ahead:
                 yield waiting.popleft().result()
-        finally:
-            pool.shutdown(cancel_futures=True)
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def cores() -> int:
