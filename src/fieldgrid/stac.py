@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from fieldgrid.documents import parse_json
 from fieldgrid.errors import ConfigError, MapError, MapWriteError, printable
-from fieldgrid.export import Selection, export_geotiff
+from fieldgrid.export import export_map
 from fieldgrid.farm import Farm, FarmBlock
 from fieldgrid.lattice import Window
 from fieldgrid.lon_lat import in_degrees
@@ -216,7 +216,7 @@ def _cog(universal: MapFile, folder: Path, id_: str) -> Any:
     import pystac
 
     name = f"{id_}.tif"
-    export_geotiff(universal, folder / name, Selection())
+    export_map(universal, folder / name)
     return pystac.Asset(
         f"./{name}",
         title="3D density, 0..255, and alpha where a cell was observed",

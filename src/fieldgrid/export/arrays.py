@@ -13,6 +13,7 @@ import shutil
 import zipfile
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -42,23 +43,22 @@ def export_npz(
     Arrays of cells have the shape [north, east]; no pickled object is in the file. They are made
     on the disk beside it, a piece of the map at a time.
     """
+    ours = partial(mentions, mark=b"datum_lat_deg.npy")
     with (
-        replacing(path, overwrite=overwrite, ours=_is_npz, what="an NPZ") as file,
+        replacing(path, overwrite=overwrite, ours=ours, what="an NPZ") as file,
         working_beside(file) as folder,
         selection.blocks(universal, ("count",)) as blocks,
     ):
         lattice, window, datum = blocks.lattice, blocks.window, universal.datum
-        names = dict.fromkeys((selection.layer, "count"))
-        corner = Window(window.i0, window.j0, 1, 1)
-        unseen = empty_view(lattice, corner, datum, [name for name in names if name != "density"])
+        unseen = _unseen_cell(blocks, datum, selection.layer)
         with ExitStack() as stack:
-            raws = {
-                name: _Raw(stack, Path(folder) / name, array, window)
+            stores = {
+                name: _CellStore(stack, Path(folder) / name, array, window)
                 for name, array in _cells(unseen).items()
             }
             for view in blocks.views:
                 for name, array in _cells(view).items():
-                    raws[name].write(array, view.window)
+                    stores[name].write(array, view.window)
             east_m, north_m = lattice.centres(window)
             small: dict[str, npt.ArrayLike] = {
                 "east_m": east_m,
@@ -71,10 +71,17 @@ def export_npz(
                 for name, values in small.items():
                     with archive.open(f"{name}.npy", "w") as member:
                         np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
-                for name, raw in raws.items():
+                for name, store in stores.items():
                     with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                        raw.copy_to(member)
+                        store.copy_to(member)
         return _exported(path, blocks, universal)
+
+
+def _unseen_cell(blocks: MapBlocks, datum: Datum, layer: str) -> MapView:
+    """A view of one cell that nobody saw, with the layers that are written beside the density."""
+    names = [name for name in dict.fromkeys((layer, "count")) if name != "density"]
+    corner = Window(blocks.window.i0, blocks.window.j0, 1, 1)
+    return empty_view(blocks.lattice, corner, datum, names)
 
 
 def _cells(view: MapView) -> dict[str, AnyArray]:
@@ -88,7 +95,7 @@ def _cells(view: MapView) -> dict[str, AnyArray]:
     }
 
 
-class _Raw:
+class _CellStore:
     """An array of cells in a file, as it is in memory; `unseen` [1, 1] is what nobody saw."""
 
     def __init__(self, stack: ExitStack, file: Path, unseen: AnyArray, window: Window) -> None:
@@ -162,8 +169,9 @@ def export_netcdf(
     Raises ConfigError when xarray or h5netcdf is not installed.
     """
     h5netcdf = _libraries("NetCDF", "h5netcdf", "h5py")
+    ours = partial(mentions, mark=b"datum_lat_deg")
     with (
-        replacing(path, overwrite=overwrite, ours=_is_netcdf, what="a NetCDF") as file,
+        replacing(path, overwrite=overwrite, ours=ours, what="a NetCDF") as file,
         selection.blocks(universal, ("count",)) as blocks,
         file.open("w+b", buffering=0) as raw,
     ):
@@ -219,20 +227,19 @@ def _written(
     Cells of no block have the fill value. Returns the attributes of the dataset.
     """
     lattice, window = blocks.lattice, blocks.window
-    names = [name for name in dict.fromkeys((selection.layer, "count")) if name != "density"]
-    corner = Window(window.i0, window.j0, 1, 1)
-    empty = cf_dataset(empty_view(lattice, corner, datum, names))
+    empty = cf_dataset(_unseen_cell(blocks, datum, selection.layer))
+    sizes = dict(zip(_AXES, window.shape, strict=True))
     east_m, north_m = lattice.centres(window)
     whole = {"east_m": east_m, "north_m": north_m, "crs": empty["crs"].values}
     cells = {}
     for name, variable in empty.variables.items():
-        sizes = dict(zip(_AXES, window.shape, strict=True))
         shape = tuple(sizes[axis] for axis in variable.dims)
         attributes = dict(variable.attrs)
         fill = attributes.pop("_FillValue", None)
         chunks = tuple(min(side, CHUNK_CELLS) for side in shape) if name not in whole else None
-        one = _Variable(variable.dims, shape, chunks, variable.dtype, fill, attributes)
-        made = create(name, one)
+        made = create(
+            name, _Variable(variable.dims, shape, chunks, variable.dtype, fill, attributes)
+        )
         if name in whole:
             made[...] = whole[name]
         else:
@@ -322,14 +329,6 @@ def _json(value: Any) -> Any:
 def _exported(path: Path, blocks: MapBlocks, universal: Readable) -> Exported:
     rows = (("cells", f"{blocks.window.width} x {blocks.window.height}"),)
     return Exported((path,), rows, extent(blocks.lattice, blocks.window, universal.datum))
-
-
-def _is_netcdf(file: Path) -> bool:
-    return mentions(file, b"datum_lat_deg")
-
-
-def _is_npz(file: Path) -> bool:
-    return mentions(file, b"datum_lat_deg.npy")
 
 
 def _is_zarr(folder: Path) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import count
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -41,7 +42,7 @@ class TaskdataOptions(ShapeOptions):
 
 
 Points = Callable[[Any, Sequence[Any]], list[Any]]
-"""The points of a line in metres, as the library has them, of so many kinds."""
+"""Makes of a line in metres the library's points; the kinds are those of its corners in order."""
 
 
 def drive_groups(drives: FeatureLayer, points: Points) -> list[Any]:
@@ -49,20 +50,21 @@ def drive_groups(drives: FeatureLayer, points: Points) -> list[Any]:
     import shapely
     from isoxml.models.base import v4 as iso
 
-    curves: list[Any] = []
     columns = (drives.geometry, drives.columns["session"], drives.columns["gear"])
-    for line, session, gear in zip(*columns, strict=True):
-        if gear < 0 or line.length < MIN_CURVE_M:
-            continue
-        number = len(curves) + 1
-        curves.append(
-            iso.GuidancePattern(
-                id=f"GPN{number}",
-                designator=f"{session} {number}"[-NAME:],
-                type=iso.GuidancePatternType.Curve,
-                line_strings=[_line(shapely.simplify(line, _TOLERANCE_M), points)],
-            )
+    forward = [
+        (line, session)
+        for line, session, gear in zip(*columns, strict=True)
+        if gear >= 0 and line.length >= MIN_CURVE_M
+    ]
+    curves = [
+        iso.GuidancePattern(
+            id=f"GPN{number}",
+            designator=f"{session} {number}"[-NAME:],
+            type=iso.GuidancePatternType.Curve,
+            line_strings=[_line(shapely.simplify(line, _TOLERANCE_M), points)],
         )
+        for number, (line, session) in enumerate(forward, 1)
+    ]
     group = iso.GuidanceGroup(id="GGP1", designator="drives", guidance_patterns=curves)
     return [group] if curves else []
 
@@ -78,14 +80,10 @@ def lane_groups(
     from isoxml.models.base import v4 as iso
 
     groups: list[Any] = []
-    count = 0
+    numbers = count(1)
     for block in planting.blocks:
-        patterns = []
-        for lane in planting.lanes:
-            if lane.block != block.id:
-                continue
-            count += 1
-            patterns.append(_swath(lane, count, points))
+        lanes = [lane for lane in planting.lanes if lane.block == block.id]
+        patterns = [_swath(lane, next(numbers), points) for lane in lanes]
         if patterns:
             groups.append(
                 iso.GuidanceGroup(

@@ -12,7 +12,6 @@ import zipfile
 from collections.abc import Iterator
 from itertools import count as count_from
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -21,9 +20,10 @@ from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.clipping import at, stretches_inside
 from fieldgrid.export.georeference import extent
+from fieldgrid.export.png import grey_png
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
-from fieldgrid.geodesy import Datum, continued_deg
+from fieldgrid.geodesy import continued_deg
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.lon_lat import in_degrees
 from fieldgrid.mapfile import LAYERS, MapFile, MapView
@@ -42,13 +42,6 @@ _GX = "http://www.google.com/kml/ext/2.2"
 _LINE_STYLE = "drive"
 _SHOWN_FROM_PX = "64"
 """A picture is loaded when it is this large on the screen."""
-
-
-class _Place(NamedTuple):
-    """Longitude and latitude of the corners, counter-clockwise from the lower left one."""
-
-    lon_deg: Float64
-    lat_deg: Float64
 
 
 def export_kmz(
@@ -78,8 +71,10 @@ def export_kmz(
             if not view.observed.any():
                 continue
             name = f"pictures/{count:02d}.png"
-            archive.writestr(name, _picture(view, selection.layer), zipfile.ZIP_STORED)
-            _overlay(folder, name, _place(universal.datum, view), alone=len(windows) == 1)
+            grey, alpha = view.layer(selection.layer), view.observed * np.uint8(255)
+            picture = grey_png(grey[::-1], alpha[::-1], level=1)
+            archive.writestr(name, picture, zipfile.ZIP_STORED)
+            _add_overlay(folder, name, view, alone=len(windows) == 1)
             count += 1
         lines = _lines(document, universal, selection)
         marks = universal.marks(within=selection.area(universal))
@@ -128,29 +123,9 @@ def _cut(whole: Window, lattice: Lattice) -> Iterator[Window]:
 
 
 def _pictures(whole: Window, times: int) -> int:
-    """How many pictures there are of a window, with cells so many times as wide."""
+    """Number of the pictures of a window, with cells `times` as wide."""
     side = PICTURE_PX * times
     return -(-whole.width // side) * -(-whole.height // side)
-
-
-def _picture(view: MapView, layer: str) -> bytes:
-    """A PNG in colour, which all viewers take, of grey values and alpha."""
-    import cv2
-
-    grey = view.layer(layer)
-    alpha = view.observed * np.uint8(255)
-    pixels = np.dstack([grey, grey, grey, alpha])[::-1]
-    _, encoded = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    return bytes(encoded)
-
-
-def _place(datum: Datum, view: MapView) -> _Place:
-    bounds = view.bounds
-    east_m = [bounds.west_m, bounds.east_m, bounds.east_m, bounds.west_m]
-    north_m = [bounds.south_m, bounds.south_m, bounds.north_m, bounds.north_m]
-    lat_deg, lon_deg, _ = datum.to_geodetic(east_m, north_m, 0.0)
-    # KML has overlays that overlap the meridian of 180° reach beyond it.
-    return _Place(continued_deg(lon_deg, datum.lon_deg), lat_deg)
 
 
 def _document(
@@ -160,7 +135,7 @@ def _document(
     ElementTree.register_namespace("", _KML)
     ElementTree.register_namespace("gx", _GX)
     datum, names = universal.datum, selection.sessions(universal)
-    root = ElementTree.Element(_kml("kml"))
+    root = ElementTree.Element(f"{{{_KML}}}kml")
     document = _add(root, "Document")
     _add(document, "name", universal.path.stem)
     _add(
@@ -191,24 +166,30 @@ def _document(
     return root, folder
 
 
-def _overlay(folder: ElementTree.Element, name: str, place: _Place, *, alone: bool) -> None:
+def _add_overlay(folder: ElementTree.Element, name: str, view: MapView, *, alone: bool) -> None:
     """A picture on the ground; of many, those are loaded that are in sight."""
+    west_m, south_m, east_m, north_m = view.bounds
+    lat_deg, lon_deg, _ = view.datum.to_geodetic(
+        [west_m, east_m, east_m, west_m], [south_m, south_m, north_m, north_m], 0.0
+    )
+    # KML has overlays that overlap the meridian of 180° reach beyond it.
+    lon_deg = continued_deg(lon_deg, view.datum.lon_deg)
     overlay = _add(folder, "GroundOverlay")
     _add(overlay, "name", Path(name).stem)
     if not alone:
         region = _add(overlay, "Region")
         box = _add(region, "LatLonAltBox")
         for side, value in (
-            ("north", place.lat_deg.max()),
-            ("south", place.lat_deg.min()),
-            ("east", place.lon_deg.max()),
-            ("west", place.lon_deg.min()),
+            ("north", lat_deg.max()),
+            ("south", lat_deg.min()),
+            ("east", lon_deg.max()),
+            ("west", lon_deg.min()),
         ):
             _add(box, side, f"{value:.10f}")
         _add(_add(region, "Lod"), "minLodPixels", _SHOWN_FROM_PX)
     _add(_add(overlay, "Icon"), "href", name)
     quad = ElementTree.SubElement(overlay, f"{{{_GX}}}LatLonQuad")
-    _add(quad, "coordinates", _coordinates(place.lon_deg, place.lat_deg))
+    _add(quad, "coordinates", _coordinates(lon_deg, lat_deg))
 
 
 def _lines(root: ElementTree.Element, universal: MapFile, selection: Selection) -> int:
@@ -253,14 +234,10 @@ def _coordinates(lon_deg: Float64, lat_deg: Float64) -> str:
 
 
 def _add(parent: ElementTree.Element, name: str, text: str | None = None) -> ElementTree.Element:
-    child = ElementTree.SubElement(parent, _kml(name))
+    child = ElementTree.SubElement(parent, f"{{{_KML}}}{name}")
     # XML has no place for what a file name may have in it.
     child.text = text and "".join(c if c.isprintable() else "\ufffd" for c in text)
     return child
-
-
-def _kml(name: str) -> str:
-    return f"{{{_KML}}}{name}"
 
 
 register_export_format(

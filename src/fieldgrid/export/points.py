@@ -6,7 +6,9 @@ where the drives tell it, else at that of the vehicle when it saw the cell.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,12 +20,13 @@ from fieldgrid.export.georeference import extent
 from fieldgrid.export.options import ObstacleOptions
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
-from fieldgrid.mapfile import MapFile, MapView
+from fieldgrid.mapfile import MapFile
 from fieldgrid.publish import mentions, replacing
 
 _HEIGHTS = ("ground", "height", "max_height", "count")
 _SCALE_M = 0.001
 _SOFTWARE = "fieldgrid obstacles"
+_IS_OURS = partial(mentions, mark=_SOFTWARE.encode())
 _COUNT_DIGITS = 20
 _EARTH_2R_M = 12.75e6
 """Twice the Earth's radius: how far the plane that touches the datum is above the ellipsoid."""
@@ -81,14 +84,9 @@ def export_las(
         ("height_m", "f4", "above the ground, or NaN"),
     ):
         header.add_extra_dim(laspy.ExtraBytesParams(name, kind, says))
-    told = _Told()
+    counts = Counter[str]()
     with (
-        replacing(
-            path,
-            overwrite=overwrite,
-            ours=lambda file: mentions(file, _SOFTWARE.encode()),
-            what="a LAS of obstacles",
-        ) as file,
+        replacing(path, overwrite=overwrite, ours=_IS_OURS, what="a LAS of obstacles") as file,
         file.open("wb") as stream,
         laspy.open(
             stream,
@@ -99,7 +97,7 @@ def export_las(
             closefd=False,
         ) as writer,
     ):
-        for points in told.counted(_points(universal, selection, options.obstacle_above)):
+        for points in _points(universal, selection, options.obstacle_above, counts):
             record = laspy.ScaleAwarePointRecord.zeros(len(points.east_m), header=header)
             record.x, record.y = points.east_m, points.north_m
             bulge_m = (points.east_m**2 + points.north_m**2) / _EARTH_2R_M
@@ -109,7 +107,7 @@ def export_las(
             record.height_m = points.height_m
             record.return_number[:] = record.number_of_returns[:] = 1
             writer.write_points(record)
-    return told.exported(universal, path, selection)
+    return _exported(universal, path, selection, counts)
 
 
 def export_ply(
@@ -129,18 +127,13 @@ def export_ply(
     """
     kinds = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
     kinds += [("density", "u1"), ("frames", "<u4"), ("ground_known", "u1"), ("height_m", "<f4")]
-    told = _Told()
+    counts = Counter[str]()
     with (
-        replacing(
-            path,
-            overwrite=overwrite,
-            ours=lambda file: mentions(file, _SOFTWARE.encode()),
-            what="a PLY of obstacles",
-        ) as file,
+        replacing(path, overwrite=overwrite, ours=_IS_OURS, what="a PLY of obstacles") as file,
         file.open("wb") as stream,
     ):
         stream.write(_ply_header(universal, 0))
-        for points in told.counted(_points(universal, selection, options.obstacle_above)):
+        for points in _points(universal, selection, options.obstacle_above, counts):
             vertices = np.zeros(len(points.east_m), dtype=kinds)
             columns = (
                 *(points.east_m, points.north_m, points.up_m),
@@ -150,57 +143,50 @@ def export_ply(
                 vertices[name] = column
             stream.write(vertices.tobytes())
         stream.seek(0)
-        stream.write(_ply_header(universal, told.points))
-    return told.exported(universal, path, selection)
+        stream.write(_ply_header(universal, counts["points"]))
+    return _exported(universal, path, selection, counts)
 
 
-class _Told:
-    """Counts points on their way to a file."""
-
-    def __init__(self) -> None:
-        self.points = self.known = 0
-
-    def counted(self, parts: Iterator[_Points]) -> Iterator[_Points]:
-        """The same points."""
-        for points in parts:
-            self.points += len(points.east_m)
-            self.known += int(points.ground_known.sum())
-            yield points
-
-    def exported(self, universal: MapFile, path: Path, selection: Selection) -> Exported:
-        """What was written."""
-        with selection.blocks(universal) as blocks:
-            place = extent(blocks.lattice, blocks.window, universal.datum)
-        about = {**place, "points": self.points, "on_seen_ground": self.known}
-        rows = (
-            ("points", str(self.points)),
-            ("on ground that was seen", str(self.known)),
-            ("datum", universal.datum.described()),
-        )
-        return Exported((path,), rows, about)
+def _exported(
+    universal: MapFile, path: Path, selection: Selection, counts: Counter[str]
+) -> Exported:
+    with selection.blocks(universal) as blocks:
+        place = extent(blocks.lattice, blocks.window, universal.datum)
+    rows = (
+        ("points", str(counts["points"])),
+        ("on ground that was seen", str(counts["on_seen_ground"])),
+        ("datum", universal.datum.described()),
+    )
+    about = {name: counts[name] for name in ("points", "on_seen_ground")}
+    return Exported((path,), rows, {**place, **about})
 
 
-def _points(universal: MapFile, selection: Selection, above: int) -> Iterator[_Points]:
-    """The obstacle cells, piece by piece."""
+def _points(
+    universal: MapFile, selection: Selection, above: int, counts: Counter[str]
+) -> Iterator[_Points]:
+    """The obstacle cells, block by block; adds their numbers to `counts`."""
     wanted = (*universal.deciding(selection.cell_m), *_HEIGHTS)
     with selection.blocks(universal, wanted) as blocks:
         for view in blocks.views:
-            found = _of_view(view, above)
-            if len(found.east_m):
-                yield found
-
-
-def _of_view(view: MapView, above: int) -> _Points:
-    worst, seen, _ = view.decision()
-    j, i = np.nonzero((worst > above) & (seen > 0.0))
-    east_m, north_m = view.lattice.centres(view.window)
-    ground_m, vehicle_m = (view.layer(name)[j, i].astype(np.float64) for name in _HEIGHTS[:2])
-    known = np.isfinite(ground_m)
-    up_m = np.nan_to_num(np.where(known, ground_m, vehicle_m))
-    count = view.layer("count")[j, i].astype(np.uint32)
-    high_m = view.layer("max_height")[j, i].astype(np.float32)
-    density = worst[j, i].astype(np.uint8)
-    return _Points(east_m[i], north_m[j], up_m, known, density, count, high_m)
+            worst, seen, _ = view.decision()
+            j, i = np.nonzero((worst > above) & (seen > 0.0))
+            if not len(i):
+                continue
+            east_m, north_m = view.lattice.centres(view.window)
+            ground_m, vehicle_m = (
+                view.layer(name)[j, i].astype(np.float64) for name in _HEIGHTS[:2]
+            )
+            known = np.isfinite(ground_m)
+            counts.update(points=len(i), on_seen_ground=int(known.sum()))
+            yield _Points(
+                east_m[i],
+                north_m[j],
+                np.nan_to_num(np.where(known, ground_m, vehicle_m)),
+                known,
+                worst[j, i].astype(np.uint8),
+                view.layer("count")[j, i].astype(np.uint32),
+                view.layer("max_height")[j, i].astype(np.float32),
+            )
 
 
 def _ply_header(universal: MapFile, count: int) -> bytes:

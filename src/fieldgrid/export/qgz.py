@@ -63,7 +63,13 @@ def export_qgz(
         zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive,
     ):
         archive.writestr(f"{path.stem}.qgs", document)
-    return Exported((path,), _rows(universal), {"layers": _names(universal)})
+    names = _names(universal)
+    rows = (
+        ("layers", ", ".join(_TITLES[name] for name in names)),
+        ("datum", universal.datum.described()),
+        ("map", universal.path.name),
+    )
+    return Exported((path,), rows, {"layers": names})
 
 
 def _is_ours(file: Path) -> bool:
@@ -76,14 +82,6 @@ def _is_ours(file: Path) -> bool:
     return f'id="{_id("trajectory")}"'.encode() in first
 
 
-def _rows(universal: MapFile) -> tuple[tuple[str, str], ...]:
-    return (
-        ("layers", ", ".join(_TITLES[name] for name in _names(universal))),
-        ("datum", universal.datum.described()),
-        ("map", universal.path.name),
-    )
-
-
 def _names(universal: MapFile) -> list[str]:
     """The layers of the project, from the lowest to the uppermost."""
     kinds = {mark.is_point for mark in universal.marks()}
@@ -92,14 +90,14 @@ def _names(universal: MapFile) -> list[str]:
 
 
 def _document(universal: MapFile, path: Path, bounds: Bounds) -> bytes:
-    infos = universal.sessions()
     sessions = [
-        (info.name, palette.session_colour(k)) for k, info in enumerate(infos) if info.active
+        (info.name, palette.session_colour(k))
+        for k, info in enumerate(universal.sessions())
+        if info.active
     ]
     root = Element("qgis", version=qgis.VERSION, projectname=universal.path.stem)
     ET.SubElement(root, "title").text = universal.path.stem
-    crs = _system(universal)
-    ET.SubElement(root, "projectCrs").append(crs)
+    ET.SubElement(root, "projectCrs").append(_system(universal))
     tree = ET.SubElement(root, "layer-tree-group")
     layers = ET.SubElement(root, "projectlayers")
     order = ET.SubElement(root, "layerorder")
@@ -138,10 +136,8 @@ def _layer(universal: MapFile, path: Path, name: str, sessions: list[tuple[str, 
     )
     ET.SubElement(layer, "layername").text = _TITLES[name]
     ET.SubElement(layer, "srs").append(_system(universal))
-    provider = ET.SubElement(layer, "provider")
-    provider.text = "gdal" if is_raster else "ogr"
-    if not is_raster:
-        provider.set("encoding", "UTF-8")
+    encoding = {} if is_raster else {"encoding": "UTF-8"}
+    ET.SubElement(layer, "provider", encoding).text = "gdal" if is_raster else "ogr"
     if name in qgis.MARKS:
         layer.set("labelsEnabled", "1")
     qgis.fill_style(layer, name, sessions)

@@ -84,8 +84,9 @@ def export_taskdata(
     terminal.
     """
     _require_library()
-    layers = feature_layers(universal, selection, options, ("obstacle", "trajectory", "footprint"))
-    obstacles, drives, footprints = layers
+    obstacles, drives, footprints = feature_layers(
+        universal, selection, options, ("obstacle", "trajectory", "footprint")
+    )
     view = selection.view(universal, universal.deciding(selection.cell_m))
     grid = zone_grid(view, options.obstacle_above)
     if planting is None and options.guidance == "lanes":
@@ -120,16 +121,18 @@ def export_taskdata(
         with replacing_folder(path, overwrite=overwrite, ours=_is_taskdata, what=what) as draft:
             _write(draft, field, grid)
     rows, columns = grid.zones.shape
+    guidance = "guidance curves" if planting is None else "swaths"
+    patterns = sum(len(group.guidance_patterns) for group in groups)
     return Exported(
         (path,),
         (
             ("obstacles", str(len(obstacles.geometry))),
-            ("guidance curves" if planting is None else "swaths", str(_count_patterns(field))),
+            (guidance, str(patterns)),
             ("grid of zones", f"{columns} x {rows}"),
         ),
         {
             "obstacles": len(obstacles.geometry),
-            "guidance_curves" if planting is None else "swaths": _count_patterns(field),
+            guidance.replace(" ", "_"): patterns,
             "grid_of_zones": [columns, rows],
         },
     )
@@ -291,10 +294,6 @@ def _lane_groups(planting: Planting, points: Points) -> list[Any]:
         ]
 
     return lane_groups(planting, points, boundary)
-
-
-def _count_patterns(field: Any) -> int:
-    return sum(len(group.guidance_patterns) for group in field.guidance_groups)
 
 
 def _parts(shape: Any) -> list[Any]:

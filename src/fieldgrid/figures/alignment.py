@@ -12,7 +12,7 @@ _MOST = 12
 """Pairs of drives that find room on a page, those in doubt first."""
 
 _DOWN = 20.0
-"""Log-posteriors are drawn down to so much below the best."""
+"""How far below the best log-posteriors are drawn."""
 
 
 def alignment_scores(found: MapAlignment) -> Figure:

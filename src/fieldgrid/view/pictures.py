@@ -35,16 +35,14 @@ class ShownImage(NamedTuple):
 
 def find_picture(name: str, sha256: str, folders: Sequence[Path]) -> ShownImage:
     """The image of a name, in one of the folders; RecordingError says why there is none."""
-    changed = None
+    is_changed = False
     for path in _candidates(name, folders):
         data = _read(path)
-        if data is None:
-            continue
-        if sha256 and hashlib.sha256(data).hexdigest() != sha256:
-            changed = path
-            continue
-        return _drawn(data, name)
-    if changed is not None:
+        if data is not None:
+            if not sha256 or hashlib.sha256(data).hexdigest() == sha256:
+                return _jpeg(data, name)
+            is_changed = True
+    if is_changed:
         raise RecordingError(
             f"{name} is there, but it is another image than the one that the map was made from; "
             "give the recording with --recording FOLDER."
@@ -77,25 +75,23 @@ def _read(path: Path) -> bytes | None:
         return None
 
 
-def _drawn(data: bytes, name: str) -> ShownImage:
+def _jpeg(data: bytes, name: str) -> ShownImage:
+    """An image as JPEG; one of 16 bits is stretched to 8 over the range that it uses."""
+    written = io.BytesIO()
     try:
         with Image.open(io.BytesIO(data)) as image:
             width, height = image.size
             if width * height > MAX_PIXELS:
                 raise RecordingError(f"{name} has {width} x {height} pixels, too many to show.")
-            drawn = _eight_bits(image).convert("RGB")
+            drawn: Image.Image = image
+            if image.mode.startswith("I"):
+                values = np.asarray(image, dtype=np.float64)
+                low, high = float(values.min()), float(values.max())
+                stretched = (values - low) * (255.0 / max(high - low, 1.0))
+                drawn = Image.fromarray(stretched.astype(np.uint8))
+            drawn = drawn.convert("RGB")
         drawn.thumbnail((_SIDE_PX, _SIDE_PX))
-        written = io.BytesIO()
         drawn.save(written, "JPEG", quality=_QUALITY)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise RecordingError(f"{name} cannot be shown: it is no image ({error}).") from error
     return ShownImage(written.getvalue(), width, height)
-
-
-def _eight_bits(image: Image.Image) -> Image.Image:
-    """The image; one of 16 bits stretched to 8 over the range that it uses."""
-    if not image.mode.startswith("I"):
-        return image
-    values = np.asarray(image, dtype=np.float64)
-    low, high = float(values.min()), float(values.max())
-    return Image.fromarray(((values - low) * (255.0 / max(high - low, 1.0))).astype(np.uint8))
