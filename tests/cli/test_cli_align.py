@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import fieldgrid.align as fieldgrid_align
-from fieldgrid.cli.new_drives import report_lies
+from fieldgrid.cli.new_drives import report_offsets
 from fieldgrid.mapfile import Transform, open_map
 from fieldgrid.rows import find_rows
 from fieldgrid.rows.report import block_quality
@@ -182,11 +182,11 @@ def test_of_many_pairs_those_that_agree_are_counted(capsys: pytest.CaptureFixtur
         return lies | {"doubt": doubt, "aligned": False}
 
     few = [pair(n, 0.1) for n in range(9)] + [pair(9, 0.5)]
-    report_lies(few, Path("m.gpkg"))
+    report_offsets(few, Path("m.gpkg"))
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 10
     assert [line for line in lines if "makes them coincide" in line] == lines[9:]
-    report_lies([*few, pair(10, 0.0, "they share little")], Path("m.gpkg"))
+    report_offsets([*few, pair(10, 0.0, "they share little")], Path("m.gpkg"))
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == ["d9", "d10", "pairs"]
     assert lines[2].endswith("two standard errors: 9")

@@ -12,7 +12,7 @@ import typer
 from fieldgrid.cli import options, output, progress, warming
 from fieldgrid.cli.build_report import report_drives, report_remarks, report_session
 from fieldgrid.cli.drive_options import Drive
-from fieldgrid.cli.new_drives import compare, report_lies
+from fieldgrid.cli.new_drives import compare, report_offsets
 from fieldgrid.cli.pose_flags import Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
 from fieldgrid.errors import FieldgridError, printable
@@ -214,59 +214,49 @@ def command(
                 "goes on from there."
             )
         what = "drive is" if len(recordings) == 1 else "drives that were not finished are"
-        said = f"fieldgrid: interrupted; the {what} not in the map.{kept}"
-        typer.echo(printable(said), err=True)
+        typer.echo(printable(f"fieldgrid: interrupted; the {what} not in the map.{kept}"), err=True)
         raise typer.Exit(130) from None
     except PartlyBuiltError as problem:
         partly, reports = problem, list(problem.reports)
         if not reports:
             raise
-    lies, lost = list[dict[str, Any]](), None
+    offsets, lost = list[dict[str, Any]](), None
     try:
-        # Without --align it is little work, and no cluster is needed for it.
-        there = scheduler if align else None
-        lies = compare(
+        offsets = compare(
             out,
             [report.session for report in reports],
             wait_s,
             align=align,
             jobs=jobs,
-            scheduler=there,
+            # Without --align it is little work, and no cluster is needed for it.
+            scheduler=scheduler if align else None,
         )
     except FieldgridError as problem:  # the drives are in the map, and are reported first
         lost = problem
     if as_json:
-        sessions = [report.as_dict() for report in reports]
         failed = [] if partly is None else partly.failed
         output.print_json(
             {
                 "map": str(out),
-                "sessions": sessions,
+                "sessions": [report.as_dict() for report in reports],
                 "failed": [{"session": name, "reason": reason} for name, reason in failed],
-                "alignment": lies,
+                "alignment": offsets,
             }
         )
-        _raise(partly, lost)
-        return
-    for report in reports:
-        report_session(report)
-    if len(recordings) > 1:
-        report_drives(reports, partly)
-    report_lies(lies, out)
-    if align and not lies and lost is None:
-        output.report_line("no other drive of the map saw the same ground; nothing was aligned")
-    output.report_line(f"map {out}")
-    _raise(partly, lost)
-
-
-def _raise(partly: PartlyBuiltError | None, lost: FieldgridError | None) -> None:
-    """Raise what went wrong, after all was reported: drives that failed, or their comparison."""
-    if partly is not None:
-        if lost is not None:
-            typer.echo(printable(f"fieldgrid: {lost}"), err=True)
-        raise partly
-    if lost is not None:
-        raise lost
+    else:
+        for report in reports:
+            report_session(report)
+        if len(recordings) > 1:
+            report_drives(reports, partly)
+        report_offsets(offsets, out)
+        if align and not offsets and lost is None:
+            output.report_line("no other drive of the map saw the same ground; nothing was aligned")
+        output.report_line(f"map {out}")
+    if partly is not None and lost is not None:
+        typer.echo(printable(f"fieldgrid: {lost}"), err=True)
+    problems = [one for one in (partly, lost) if one is not None]
+    if problems:
+        raise problems[0]
 
 
 def _bad(text: str | None) -> int | float:
@@ -292,14 +282,11 @@ def _repose(
     as_json: bool,
 ) -> None:
     from fieldgrid.build.repose import repose_map
-    from fieldgrid.mapfile import Patience
     from fieldgrid.settings import resolve
 
     chosen = resolve(config, settings).pose
     given = {key: getattr(chosen, key) for key in chosen.model_fields_set}
-    reports = repose_map(
-        path, given, name, patience=Patience(wait_s, progress.waits_for(path, wait_s))
-    )
+    reports = repose_map(path, given, name, patience=progress.patience(path, wait_s))
     if as_json:
         output.print_json({"map": str(path), "sessions": [r.as_dict() for r in reports]})
         return

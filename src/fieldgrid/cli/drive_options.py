@@ -83,8 +83,8 @@ class DriveFlags(NamedTuple):
     ] = None
 
     def options(self, columns: str | None = None) -> DriveOptions:
-        """The same as `open_drive` takes it, with what `--columns` says; a usage error for what
-        is none."""
+        """The options as `open_drive` takes them, with what `--columns` says; a usage error for
+        what is none."""
         from fieldgrid.recording import DriveOptions, columns_from_text
 
         topics: dict[str, str] = {}

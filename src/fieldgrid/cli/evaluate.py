@@ -11,7 +11,7 @@ import typer
 from fieldgrid.cli import options, output
 
 if TYPE_CHECKING:
-    from fieldgrid.evaluation import Evaluation, ScoredGroup, SurveyScores
+    from fieldgrid.evaluation import Evaluation, ScoredGroup
     from fieldgrid.mapfile import MapFile
 
 
@@ -157,20 +157,19 @@ def _survey(
             f"cells, {false.obstacles_m2:.2f} m2 together"
         )
     if things:
-        _print_things(result)
-
-
-def _print_things(result: SurveyScores) -> None:
-    rows = [
-        (
-            one.kind,
-            one.id,
-            "found" if one.found else "missed" if one.seen else "not seen",
-            *(output.number(v, 3, "") for v in (one.east_error_m, one.north_error_m, one.error_m)),
-        )
-        for one in result.things
-    ]
-    output.print_table(("kind", "id", "", "dE m", "dN m", "error m"), rows)
+        rows = [
+            (
+                one.kind,
+                one.id,
+                "found" if one.found else "missed" if one.seen else "not seen",
+                *(
+                    output.number(error_m, 3)
+                    for error_m in (one.east_error_m, one.north_error_m, one.error_m)
+                ),
+            )
+            for one in result.things
+        ]
+        output.print_table(("kind", "id", "", "dE m", "dN m", "error m"), rows)
 
 
 def _print_scores(result: Evaluation) -> None:
@@ -211,13 +210,12 @@ def _print_scores(result: Evaluation) -> None:
 
 
 def _tolerance_rows(score: str, groups: tuple[ScoredGroup, ...]) -> list[tuple[str, ...]]:
-    tolerances = getattr(groups[0].obstacles, score)
     return [
         (
             f"{score} within {100 * float(t):.0f} cm",
             *(output.percent(getattr(g.obstacles, score)[t]) for g in groups),
         )
-        for t in tolerances
+        for t in getattr(groups[0].obstacles, score)
     ]
 
 
@@ -246,20 +244,19 @@ def _error_rows(groups: tuple[ScoredGroup, ...]) -> list[tuple[str, ...]]:
 
 
 def _print_frames(result: Evaluation) -> None:
-    rows = [
-        (
-            error.frame_id,
-            error.segment,
-            error.direction,
-            error.status,
-            f"{error.east_error_m:.3f}",
-            f"{error.north_error_m:.3f}",
-            f"{error.heading_error_deg:.2f}",
-            f"{error.heading_sigma_deg:.2f}",
-        )
-        for error in result.frames
-    ]
-    columns = (
-        "frame", "segment", "direction", "status", "dE m", "dN m", "heading °", "sigma °",
-    )  # fmt: skip
-    output.print_table(columns, rows)
+    output.print_table(
+        ("frame", "segment", "direction", "status", "dE m", "dN m", "heading °", "sigma °"),
+        [
+            (
+                error.frame_id,
+                error.segment,
+                error.direction,
+                error.status,
+                f"{error.east_error_m:.3f}",
+                f"{error.north_error_m:.3f}",
+                f"{error.heading_error_deg:.2f}",
+                f"{error.heading_sigma_deg:.2f}",
+            )
+            for error in result.frames
+        ],
+    )

@@ -16,7 +16,7 @@ from fieldgrid.cli.groups import FieldsOf
 from fieldgrid.cli.live_signals import ended_by_signals, kept_when_interrupted
 from fieldgrid.cli.live_sources import GNSS, LiveInput, SourceFlags, of_recording, of_sources, speed
 from fieldgrid.cli.live_watch import Watch, open_feed_at, open_foxglove, open_page
-from fieldgrid.cli.new_drives import compare, report_lies
+from fieldgrid.cli.new_drives import compare, report_offsets
 from fieldgrid.cli.pose_flags import PoseFlags, Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
 from fieldgrid.errors import ConfigError, FieldgridError
@@ -289,18 +289,18 @@ def _finished(
 def _report(
     report: SessionReport, counts: Counts | None, out: Path, wait_s: float, *, as_json: bool
 ) -> None:
-    lies, lost = list[dict[str, Any]](), None
+    offsets, lost = list[dict[str, Any]](), None
     try:
-        lies = compare(out, [report.session], wait_s)
+        offsets = compare(out, [report.session], wait_s)
     except FieldgridError as problem:  # the drive is in the map, and is reported first
         lost = problem
     if as_json:
         pushed = None if counts is None else counts._asdict()
         about = {"map": str(out), "session": report.as_dict(), "pushed": pushed}
-        output.print_json_line({**about, "alignment": lies})
+        output.print_json_line({**about, "alignment": offsets})
     else:
         _print_report(report, counts)
-        report_lies(lies, out)
+        report_offsets(offsets, out)
         output.report_line(f"map {out}")
     if lost is not None:
         raise lost

@@ -80,7 +80,7 @@ class PoseFlags(NamedTuple):
     ] = None
 
     def source(self) -> PoseSource | None:
-        """The same as `open_drive` takes it; None where nothing is said."""
+        """The poses as `open_drive` takes them; None where nothing is said."""
         if all(value is None for value in self):
             return None
         from fieldgrid.recording.pose_source import PoseSource

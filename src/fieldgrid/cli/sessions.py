@@ -56,12 +56,11 @@ def command(
     changes = [flag for flag, value in given.items() if value is not None]
     if len(changes) > 1:
         raise typer.BadParameter(f"give it without {changes[1]}", param_hint=changes[0])
-    move = None if shift is None else (shift[0], _parsed(shift[1]))
-    from fieldgrid.mapfile import Patience, open_map
+    move = None if shift is None else (shift[0], *_parsed(shift[1]))
+    from fieldgrid.mapfile import open_map
 
-    change = bool(changes)
-    patience = Patience(wait_s, progress.waits_for(map_, wait_s))
-    with open_map(map_, writable=change, patience=patience) as universal:
+    patience = progress.patience(map_, wait_s)
+    with open_map(map_, writable=bool(changes), patience=patience) as universal:
         if remove is not None:
             universal.remove_session(remove)
         if restore is not None:
@@ -69,7 +68,7 @@ def command(
         if rename is not None:
             universal.rename_session(*rename)
         if move is not None:
-            universal.set_transform(move[0], *move[1])
+            universal.set_transform(*move)
         infos = universal.sessions()
         if as_json:
             output.print_json(_as_dict(map_, universal, infos))
