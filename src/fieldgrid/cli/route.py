@@ -379,11 +379,14 @@ def _as_dict(route: Route, coverage: Coverage | None, out: Path | None) -> dict[
         "poses": len(route.east_m),
         "file": None if out is None else str(out),
     }
-    if coverage is not None:
-        found["turning_share"] = coverage.turning_share
-        found["lanes"] = [lane._asdict() for lane in coverage.lanes]
-        if coverage.swaths is not None:
-            found["swaths"] = coverage.swaths._asdict()
-        found["left_out"] = [lane._asdict() for lane in coverage.left_out]
-        found["remedy"] = coverage.remedy
-    return found
+    if coverage is None:
+        return found
+    swaths = {} if coverage.swaths is None else {"swaths": coverage.swaths._asdict()}
+    return {
+        **found,
+        "turning_share": coverage.turning_share,
+        "lanes": [lane._asdict() for lane in coverage.lanes],
+        **swaths,
+        "left_out": [lane._asdict() for lane in coverage.left_out],
+        "remedy": coverage.remedy,
+    }

@@ -56,7 +56,7 @@ def command(
     changes = [flag for flag, value in given.items() if value is not None]
     if len(changes) > 1:
         raise typer.BadParameter(f"give it without {changes[1]}", param_hint=changes[0])
-    move = None if shift is None else (shift[0], *_parsed(shift[1]))
+    move = None if shift is None else (shift[0], _parsed(shift[1]))
     from fieldgrid.mapfile import open_map
 
     patience = progress.patience(map_, wait_s)
@@ -68,7 +68,7 @@ def command(
         if rename is not None:
             universal.rename_session(*rename)
         if move is not None:
-            universal.set_transform(*move)
+            universal.set_transform(move[0], *move[1])
         infos = universal.sessions()
         if as_json:
             output.print_json(_as_dict(map_, universal, infos))
@@ -104,7 +104,7 @@ def _row(info: SessionInfo) -> tuple[str, ...]:
             note
             for note in (
                 "" if info.active else "removed",
-                _shifted(info.transform),
+                _shift_text(info.transform),
                 f"poses of {info.config['poses']}" if "poses" in info.config else "",
             )
             if note
@@ -112,7 +112,7 @@ def _row(info: SessionInfo) -> tuple[str, ...]:
     )
 
 
-def _shifted(transform: Transform) -> str:
+def _shift_text(transform: Transform) -> str:
     """Where a session was put, in words; empty for where it was driven."""
     if transform.is_identity:
         return ""

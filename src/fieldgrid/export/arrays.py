@@ -7,7 +7,6 @@ A cell that nobody saw is NaN, or has `_FillValue`: no comparison takes it for f
 
 from __future__ import annotations
 
-import importlib
 import io
 import shutil
 import zipfile
@@ -15,15 +14,14 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.array_types import AnyArray
-from fieldgrid.errors import ConfigError
 from fieldgrid.export.georeference import extent
-from fieldgrid.export.registry import Exported, ExportFormat, register_export_format
+from fieldgrid.export.registry import Exported, ExportFormat, register_export_format, require
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.tables import datum_values
 from fieldgrid.export.zarr_folder import zarr_folder
@@ -134,7 +132,9 @@ def export_zarr(
 
     Raises ConfigError when xarray or zarr is not installed.
     """
-    zarr = _libraries("Zarr", "zarr")
+    require("Writing Zarr", "tables", "xarray", "zarr")
+    import zarr
+
     with (
         replacing_folder(path, overwrite=overwrite, ours=_is_zarr, what="a Zarr store") as draft,
         zarr_folder(draft) as store,
@@ -143,15 +143,15 @@ def export_zarr(
         # Format 2 is read by every version of zarr and by GDAL; 3 is not yet.
         group = zarr.open_group(store, mode="w", zarr_format=2)
 
-        def create(name: str, one: _Variable) -> Any:
-            said = {key: _json(value) for key, value in one.attributes.items()}
+        def create(name: str, one: Any, shape: Shape, chunks: Shape | None, fill: Any) -> Any:
+            said = {key: _json(value) for key, value in one.attrs.items()}
             return group.create_array(
                 name,
-                shape=one.shape,
-                chunks=one.chunks or one.shape or "auto",
+                shape=shape,
+                chunks=chunks or shape or "auto",
                 dtype=one.dtype,
-                fill_value=one.fill,
-                attributes={**said, "_ARRAY_DIMENSIONS": list(one.axes)},
+                fill_value=fill,
+                attributes={**said, "_ARRAY_DIMENSIONS": list(one.dims)},
             )
 
         group.attrs.update(
@@ -168,7 +168,9 @@ def export_netcdf(
 
     Raises ConfigError when xarray or h5netcdf is not installed.
     """
-    h5netcdf = _libraries("NetCDF", "h5netcdf", "h5py")
+    require("Writing NetCDF", "tables", "xarray", "h5netcdf", "h5py")
+    import h5netcdf  # type: ignore[import-untyped]
+
     ours = partial(mentions, mark=b"datum_lat_deg")
     with (
         replacing(path, overwrite=overwrite, ours=ours, what="a NetCDF") as file,
@@ -179,17 +181,17 @@ def export_netcdf(
         with h5netcdf.File(disk, "w") as out:
             out.dimensions = dict(zip(_AXES, blocks.window.shape, strict=True))
 
-            def create(name: str, one: _Variable) -> Any:
+            def create(name: str, one: Any, shape: Shape, chunks: Shape | None, fill: Any) -> Any:
                 packed = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
                 made = out.create_variable(
                     name,
-                    one.axes,
+                    one.dims,
                     one.dtype,
-                    fillvalue=one.fill,
-                    chunks=one.chunks,
-                    **(packed if one.chunks else {}),
+                    fillvalue=fill,
+                    chunks=chunks,
+                    **(packed if chunks else {}),
                 )
-                made.attrs.update(one.attributes)
+                made.attrs.update(one.attrs)
                 disk.check()
                 return made
 
@@ -203,26 +205,19 @@ CHUNK_CELLS = 1024
 """A side of what is compressed at once."""
 
 
-class _Variable(NamedTuple):
-    """How a variable is stored; `chunks` is None for what is no array of cells, `fill` for what has
-    a value everywhere."""
-
-    axes: tuple[str, ...]
-    shape: tuple[int, ...]
-    chunks: tuple[int, ...] | None
-    dtype: np.dtype[Any]
-    fill: Any
-    attributes: dict[str, Any]
+Shape = tuple[int, ...]
 
 
 def _written(
     blocks: MapBlocks,
     datum: Datum,
     selection: Selection,
-    create: Callable[[str, _Variable], Any],
+    create: Callable[[str, Any, Shape, Shape | None, Any], Any],
     after_each: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
-    """Write the dataset of the blocks, a block at a time, into variables as `create` makes them.
+    """Write the dataset of the blocks, a block at a time, into variables as `create` makes them of
+    a name, xarray's variable, the shape, the shape of chunks (None for what is no array of cells)
+    and the fill value (None for what has a value everywhere).
 
     Cells of no block have the fill value. Returns the attributes of the dataset.
     """
@@ -234,12 +229,9 @@ def _written(
     cells = {}
     for name, variable in empty.variables.items():
         shape = tuple(sizes[axis] for axis in variable.dims)
-        attributes = dict(variable.attrs)
-        fill = attributes.pop("_FillValue", None)
+        fill = variable.attrs.pop("_FillValue", None)
         chunks = tuple(min(side, CHUNK_CELLS) for side in shape) if name not in whole else None
-        made = create(
-            name, _Variable(variable.dims, shape, chunks, variable.dtype, fill, attributes)
-        )
+        made = create(name, variable, shape, chunks, fill)
         if name in whole:
             made[...] = whole[name]
         else:
@@ -306,19 +298,6 @@ class _Disk(io.RawIOBase):
             except OSError as error:
                 self._failed = error
         return self._file.tell() if size is None else size
-
-
-def _libraries(what: str, *names: str) -> Any:
-    """The first of the libraries, when xarray and all of them are installed."""
-    try:
-        for name in ("xarray", *names):
-            importlib.import_module(name)
-    except ImportError as error:
-        raise ConfigError(
-            f"Writing {what} needs xarray and {' and '.join(names)}, which are not installed; "
-            "run: pip install 'fieldgrid[tables]'"
-        ) from error
-    return importlib.import_module(names[0])
 
 
 def _json(value: Any) -> Any:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 import zipfile
 from collections.abc import Iterator
+from functools import partial
 from itertools import count as count_from
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from fieldgrid.export.georeference import extent
 from fieldgrid.export.png import grey_png
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
+from fieldgrid.export.together import is_zip
 from fieldgrid.geodesy import continued_deg
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.lon_lat import in_degrees
@@ -54,8 +56,9 @@ def export_kmz(
     more than 64 pictures of 2048 x 2048 cells, MapExistsError when `path` exists and may not be
     overwritten, MapWriteError when it cannot be written.
     """
+    ours = partial(is_zip, check=_is_ours)
     with (
-        replacing(path, overwrite=overwrite, ours=_is_ours, what="a KMZ") as file,
+        replacing(path, overwrite=overwrite, ours=ours, what="a KMZ") as file,
         selection.blocks(universal) as blocks,
         zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive,
     ):
@@ -97,12 +100,8 @@ def export_kmz(
     return Exported((path,), rows, about)
 
 
-def _is_ours(file: Path) -> bool:
-    try:
-        with zipfile.ZipFile(file) as archive:
-            return b"datum_lat_deg" in archive.open("doc.kml").read(1 << 16)
-    except (OSError, KeyError, zipfile.BadZipFile):
-        return False
+def _is_ours(archive: zipfile.ZipFile) -> bool:
+    return b"datum_lat_deg" in archive.open("doc.kml").read(1 << 16)
 
 
 def _cut(whole: Window, lattice: Lattice) -> Iterator[Window]:
@@ -146,9 +145,7 @@ def _document(
         f"plane that touches the WGS84 datum {datum.described()}, {len(names)} sessions up to "
         f"{names[-1]}.",
     )
-    style = _add(document, "Style")
-    style.set("id", _LINE_STYLE)
-    line = _add(style, "LineStyle")
+    line = _add(_add(document, "Style", id=_LINE_STYLE), "LineStyle")
     _add(line, "color", palette.kml(palette.FEATURES["trajectory"]))
     _add(line, "width", "2")
     data = _add(document, "ExtendedData")
@@ -158,9 +155,7 @@ def _document(
         ("datum_height_m", datum.height_m),
         ("cell_m", lattice.cell_m),
     ):
-        entry = _add(data, "Data")
-        entry.set("name", name)
-        _add(entry, "value", repr(float(value)))
+        _add(_add(data, "Data", name=name), "value", repr(float(value)))
     folder = _add(document, "Folder")
     _add(folder, "name", selection.layer)
     return root, folder
@@ -210,9 +205,12 @@ def _lines(root: ElementTree.Element, universal: MapFile, selection: Selection) 
                 _add(placemark, "name", session)
                 _add(placemark, "styleUrl", f"#{_LINE_STYLE}")
                 shown = _add(placemark, "LineString")
-                _add(shown, "tessellate", "1")
-                _add(shown, "altitudeMode", "clampToGround")
-                _add(shown, "coordinates", _coordinates(*shapely.get_coordinates(part).T))
+                for tag, text in (
+                    ("tessellate", "1"),
+                    ("altitudeMode", "clampToGround"),
+                    ("coordinates", _coordinates(*shapely.get_coordinates(part).T)),
+                ):
+                    _add(shown, tag, text)
                 count += 1
     return count
 
@@ -233,8 +231,10 @@ def _coordinates(lon_deg: Float64, lat_deg: Float64) -> str:
     return " ".join(f"{lon:.10f},{lat:.10f}" for lon, lat in pairs)
 
 
-def _add(parent: ElementTree.Element, name: str, text: str | None = None) -> ElementTree.Element:
-    child = ElementTree.SubElement(parent, f"{{{_KML}}}{name}")
+def _add(
+    parent: ElementTree.Element, tag: str, text: str | None = None, **attributes: str
+) -> ElementTree.Element:
+    child = ElementTree.SubElement(parent, f"{{{_KML}}}{tag}", attributes)
     # XML has no place for what a file name may have in it.
     child.text = text and "".join(c if c.isprintable() else "\ufffd" for c in text)
     return child

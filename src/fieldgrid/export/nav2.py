@@ -22,7 +22,7 @@ from fieldgrid.errors import ConfigError, MapExistsError
 from fieldgrid.export.georeference import extent, georeference
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
-from fieldgrid.export.speed import SpeedCells, SpeedOptions, filter_parameters, speed_mask
+from fieldgrid.export.speed import SpeedOptions, filter_parameters, speed_mask
 from fieldgrid.export.tiles import Whole, cut, whole_of
 from fieldgrid.export.together import text_writer, write_together
 from fieldgrid.mapfile import Readable
@@ -195,9 +195,7 @@ class _Part:
             self._keepout[decision.keepout] = OCCUPIED
         self._slow: npt.NDArray[np.int8] | None = None
         if options.slow_percent is not None:
-            frames = view.layer("count") if counted else None
-            barred = self._occupancy, self._keepout > 0
-            self._slow = speed_mask(SpeedCells(*barred, frames, view.lattice, view.window), options)
+            self._slow = speed_mask(view, self._occupancy, self._keepout, options)
 
     @property
     def counts(self) -> Int64:

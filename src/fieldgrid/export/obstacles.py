@@ -14,6 +14,7 @@ import numpy as np
 from fieldgrid.array_types import Bool, Float64, Index, Int32, Int64, UInt8
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.options import ShapeOptions
+from fieldgrid.export.registry import require
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import MapView
 
@@ -68,14 +69,7 @@ def trace_obstacles(
     Cells that touch by a side or a corner are one obstacle. Raises ConfigError when there are too
     many, or when shapely or rasterio is not installed.
     """
-    try:
-        import rasterio  # noqa: F401
-        import shapely  # noqa: F401
-    except ImportError as error:
-        raise ConfigError(
-            "Tracing obstacles needs rasterio and shapely, which are not installed; "
-            "run: pip install 'fieldgrid[gis]'"
-        ) from error
+    require("Tracing obstacles", "gis", "rasterio", "shapely")
     options = options or ShapeOptions()
     found = _collect(views, options.obstacle_above)
     if found is None:

@@ -10,15 +10,19 @@ from collections import Counter
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Bool, Float32, Float64, UInt8, UInt32
-from fieldgrid.errors import ConfigError
+from fieldgrid.array_types import AnyArray
 from fieldgrid.export.georeference import extent
 from fieldgrid.export.options import ObstacleOptions
-from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
+from fieldgrid.export.registry import (
+    Exported,
+    ExportFormat,
+    Holds,
+    register_export_format,
+    require,
+)
 from fieldgrid.export.selection import Selection
 from fieldgrid.mapfile import MapFile
 from fieldgrid.publish import mentions, replacing
@@ -32,18 +36,15 @@ _EARTH_2R_M = 12.75e6
 """Twice the Earth's radius: how far the plane that touches the datum is above the ellipsoid."""
 
 
-class _Points(NamedTuple):
-    """Obstacle cells, n: their centres and heights in metres from the datum in its plane; whether
-    the ground there was seen, or is taken from the vehicle's height; what was seen of them, and how
-    high they stand above the ground, NaN where that is not known."""
-
-    east_m: Float64
-    north_m: Float64
-    up_m: Float64
-    ground_known: Bool
-    density: UInt8
-    frames: UInt32
-    height_m: Float32
+_POINT = np.dtype(
+    [
+        *(("x", "<f8"), ("y", "<f8"), ("z", "<f8")),
+        *(("density", "u1"), ("frames", "<u4"), ("ground_known", "u1"), ("height_m", "<f4")),
+    ]
+)
+"""An obstacle cell: its centre and height in metres from the datum in its plane; what was seen of
+it; whether the ground there was seen, or is taken from the vehicle's height; and how high it stands
+above the ground, NaN where that is not known."""
 
 
 def export_las(
@@ -62,14 +63,10 @@ def export_las(
     the ground and 0 where it is the vehicle's height.
     Raises ConfigError when laspy is not installed; other errors as in `export_ply`.
     """
-    try:
-        import laspy
-        from laspy.vlrs.known import WktCoordinateSystemVlr
-    except ImportError as error:
-        raise ConfigError(
-            f"Writing {path.name} needs laspy, which is not installed; "
-            "run: pip install 'fieldgrid[clouds]'"
-        ) from error
+    require(f"Writing {path.name}", "clouds", "laspy")
+    import laspy
+    from laspy.vlrs.known import WktCoordinateSystemVlr
+
     datum = universal.datum
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.generating_software = _SOFTWARE
@@ -98,13 +95,13 @@ def export_las(
         ) as writer,
     ):
         for points in _points(universal, selection, options.obstacle_above, counts):
-            record = laspy.ScaleAwarePointRecord.zeros(len(points.east_m), header=header)
-            record.x, record.y = points.east_m, points.north_m
-            bulge_m = (points.east_m**2 + points.north_m**2) / _EARTH_2R_M
-            record.z = datum.height_m + points.up_m + bulge_m
-            record.intensity = record.density = points.density
-            record.frames, record.ground_known = points.frames, points.ground_known
-            record.height_m = points.height_m
+            record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
+            record.x, record.y = points["x"], points["y"]
+            bulge_m = (points["x"] ** 2 + points["y"] ** 2) / _EARTH_2R_M
+            record.z = datum.height_m + points["z"] + bulge_m
+            record.intensity = points["density"]
+            for name in ("density", "frames", "ground_known", "height_m"):
+                record[name] = points[name]
             record.return_number[:] = record.number_of_returns[:] = 1
             writer.write_points(record)
     return _exported(universal, path, selection, counts)
@@ -125,8 +122,6 @@ def export_ply(
     it, or NaN. Comments name the datum. Raises MapExistsError
     when `path` exists and may not be overwritten, MapWriteError when it cannot be written.
     """
-    kinds = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
-    kinds += [("density", "u1"), ("frames", "<u4"), ("ground_known", "u1"), ("height_m", "<f4")]
     counts = Counter[str]()
     with (
         replacing(path, overwrite=overwrite, ours=_IS_OURS, what="a PLY of obstacles") as file,
@@ -134,14 +129,7 @@ def export_ply(
     ):
         stream.write(_ply_header(universal, 0))
         for points in _points(universal, selection, options.obstacle_above, counts):
-            vertices = np.zeros(len(points.east_m), dtype=kinds)
-            columns = (
-                *(points.east_m, points.north_m, points.up_m),
-                *(points.density, points.frames, points.ground_known, points.height_m),
-            )
-            for (name, _), column in zip(kinds, columns, strict=True):
-                vertices[name] = column
-            stream.write(vertices.tobytes())
+            stream.write(points.tobytes())
         stream.seek(0)
         stream.write(_ply_header(universal, counts["points"]))
     return _exported(universal, path, selection, counts)
@@ -163,7 +151,7 @@ def _exported(
 
 def _points(
     universal: MapFile, selection: Selection, above: int, counts: Counter[str]
-) -> Iterator[_Points]:
+) -> Iterator[AnyArray]:
     """The obstacle cells, block by block; adds their numbers to `counts`."""
     wanted = (*universal.deciding(selection.cell_m), *_HEIGHTS)
     with selection.blocks(universal, wanted) as blocks:
@@ -178,15 +166,16 @@ def _points(
             )
             known = np.isfinite(ground_m)
             counts.update(points=len(i), on_seen_ground=int(known.sum()))
-            yield _Points(
+            columns: tuple[AnyArray, ...] = (
                 east_m[i],
                 north_m[j],
                 np.nan_to_num(np.where(known, ground_m, vehicle_m)),
-                known,
                 worst[j, i].astype(np.uint8),
                 view.layer("count")[j, i].astype(np.uint32),
+                known,
                 view.layer("max_height")[j, i].astype(np.float32),
             )
+            yield np.rec.fromarrays(columns, dtype=_POINT)
 
 
 def _ply_header(universal: MapFile, count: int) -> bytes:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import os
 import zipfile
-import zlib
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree as ET
 from xml.etree.ElementTree import Element
@@ -18,6 +18,7 @@ from fieldgrid import palette, qgis
 from fieldgrid.errors import ConfigError, quoted
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
+from fieldgrid.export.together import is_zip
 from fieldgrid.lattice import Bounds, check_inside
 from fieldgrid.mapfile import MapFile
 from fieldgrid.mapfile.schema import GEOMETRIES
@@ -58,8 +59,9 @@ def export_qgz(
     bounds = selection.bounds or universal.bounds
     check_inside(bounds, universal.bounds)
     document = _document(universal, path, bounds)
+    ours = partial(is_zip, check=_is_ours)
     with (
-        replacing(path, overwrite=overwrite, ours=_is_ours, what="a QGIS project") as file,
+        replacing(path, overwrite=overwrite, ours=ours, what="a QGIS project") as file,
         zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive,
     ):
         archive.writestr(f"{path.stem}.qgs", document)
@@ -72,13 +74,9 @@ def export_qgz(
     return Exported((path,), rows, {"layers": names})
 
 
-def _is_ours(file: Path) -> bool:
+def _is_ours(archive: zipfile.ZipFile) -> bool:
     """Whether a project names the layers as this module does."""
-    try:
-        with zipfile.ZipFile(file) as archive:
-            first = archive.open(archive.namelist()[0]).read(_MOST_BYTES)
-    except (OSError, IndexError, ValueError, zipfile.BadZipFile, zlib.error):
-        return False
+    first = archive.open(archive.namelist()[0]).read(_MOST_BYTES)
     return f'id="{_id("trajectory")}"'.encode() in first
 
 
@@ -152,9 +150,12 @@ def _id(name: str) -> str:
 def _system(universal: MapFile) -> Element:
     datum = universal.datum
     system = Element("spatialrefsys")
-    ET.SubElement(system, "wkt").text = datum.crs_wkt("WKT2_2019")
-    ET.SubElement(system, "proj4").text = datum.crs_proj4()
-    ET.SubElement(system, "geographicflag").text = "false"
+    for tag, text in (
+        ("wkt", datum.crs_wkt("WKT2_2019")),
+        ("proj4", datum.crs_proj4()),
+        ("geographicflag", "false"),
+    ):
+        ET.SubElement(system, tag).text = text
     return system
 
 

@@ -21,6 +21,7 @@ from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.georeference import extent
 from fieldgrid.export.plane import PixelPlane, warped
+from fieldgrid.export.registry import require
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum, check_area_of_use
 from fieldgrid.lattice import Bounds, Lattice, Window
@@ -141,15 +142,11 @@ def plane_of(datum: Datum, lattice: Lattice, window: Window) -> PixelPlane:
 @contextmanager
 def gdal(path: Path) -> Iterator[None]:
     """GDAL with bounded memory, its errors as ours about `path`."""
-    try:
-        import rasterio
-        from rasterio._err import CPLE_BaseError  # what copying raises is of no public class
-        from rasterio.errors import RasterioError
-    except ImportError as error:
-        raise ConfigError(
-            f"Writing {path.name} needs rasterio, which is not installed; "
-            "run: pip install 'fieldgrid[gis]'"
-        ) from error
+    require(f"Writing {path.name}", "gis", "rasterio")
+    import rasterio
+    from rasterio._err import CPLE_BaseError  # what copying raises is of no public class
+    from rasterio.errors import RasterioError
+
     try:
         with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
             yield

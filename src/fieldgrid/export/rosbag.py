@@ -83,9 +83,9 @@ def _foxglove(
             obstacle_above=options.obstacle_above,
         ),
     )
-    view = selection.view(universal)
+    grid = foxglove_messages.grid(selection.view(universal), content.start_ns)
     return [
-        ("/foxglove/grid", foxglove_messages.grid(view, content.start_ns)),
+        ("/foxglove/grid", grid),
         ("/foxglove/geojson", foxglove_messages.geojson(shapes)),
     ]
 

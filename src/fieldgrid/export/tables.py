@@ -18,7 +18,7 @@ import numpy as np
 
 from fieldgrid.array_types import AnyArray, Float64
 from fieldgrid.errors import ConfigError
-from fieldgrid.export.registry import Exported, ExportFormat, register_export_format
+from fieldgrid.export.registry import Exported, ExportFormat, register_export_format, require
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.together import text_writer, write_together
 from fieldgrid.geodesy import Datum
@@ -70,14 +70,10 @@ def export_parquet(
 
     Raises ConfigError when pyarrow is not installed.
     """
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise ConfigError(
-            "Writing Parquet needs pyarrow, which is not installed; "
-            "run: pip install 'fieldgrid[tables]'"
-        ) from error
+    require("Writing Parquet", "tables", "pyarrow")
+    import pyarrow
+    import pyarrow.parquet
+
     rows = 0
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     with (

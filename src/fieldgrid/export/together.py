@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import filecmp
 import os
+import zipfile
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from functools import partial
@@ -12,6 +14,15 @@ from pathlib import Path
 from fieldgrid.errors import MapWriteError
 from fieldgrid.export.name_set import NameSet, held_set, show
 from fieldgrid.publish import Draft, writing
+
+
+def is_zip(file: Path, check: Callable[[zipfile.ZipFile], bool]) -> bool:
+    """Whether a file is a zip archive that can be read and of which `check` holds."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return check(archive)
+    except (OSError, KeyError, IndexError, ValueError, zipfile.BadZipFile, zlib.error):
+        return False
 
 
 def text_writer(text: str) -> Callable[[Path], object]:

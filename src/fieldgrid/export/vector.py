@@ -6,6 +6,7 @@ are written by GDAL.
 
 from __future__ import annotations
 
+import os
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial, wraps
@@ -16,11 +17,18 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.array_types import AnyArray
-from fieldgrid.errors import ConfigError
 from fieldgrid.export.features import LAYERS, feature_layers
 from fieldgrid.export.options import QuadtreeOptions, ShapeOptions
-from fieldgrid.export.registry import Exported, ExportFormat, Holds, Writer, register_export_format
+from fieldgrid.export.registry import (
+    Exported,
+    ExportFormat,
+    Holds,
+    Writer,
+    register_export_format,
+    require,
+)
 from fieldgrid.export.selection import Selection
+from fieldgrid.export.together import is_zip
 from fieldgrid.geodesy import Datum
 from fieldgrid.lon_lat import in_degrees
 from fieldgrid.mapfile import MapFile
@@ -175,12 +183,16 @@ def _export_shapefile(
     when `path` ends in .zip, else into a folder. Names of columns are cut to ten letters."""
     if path.suffix.lower() != ".zip":
         with replacing_folder(
-            path, overwrite=overwrite, ours=_is_shapefiles, what="exported shapefiles"
+            path,
+            overwrite=overwrite,
+            ours=lambda folder: _are_shapefiles(os.listdir(folder)),
+            what="exported shapefiles",
         ) as draft:
             _write_shapefiles(draft, path, layers, datum)
         return
+    ours = partial(is_zip, check=lambda archive: _are_shapefiles(archive.namelist()))
     with (
-        replacing(path, overwrite=overwrite, ours=_is_zipped, what="a zip") as file,
+        replacing(path, overwrite=overwrite, ours=ours, what="a zip") as file,
         working_beside(file) as folder,
     ):
         _write_shapefiles(folder, path, layers, datum)
@@ -229,37 +241,20 @@ def _by_type(layer: FeatureLayer) -> Iterator[FeatureLayer]:
         yield FeatureLayer(name, kind, layer.geometry[rows], columns)
 
 
-def _is_zipped(file: Path) -> bool:
-    try:
-        with zipfile.ZipFile(file) as archive:
-            return _is_shapefile(map(Path, archive.namelist()))
-    except (OSError, zipfile.BadZipFile):
-        return False
-
-
-def _is_shapefiles(folder: Path) -> bool:
-    return _is_shapefile(folder.iterdir())
-
-
-def _is_shapefile(parts: Iterable[Path]) -> bool:
+def _are_shapefiles(names: Iterable[str]) -> bool:
     endings = {".shp", ".shx", ".dbf", ".prj", ".cpg"}
     # Shapefiles of other names are somebody's own.
-    return all(part.stem in (*LAYERS, "mark_point") and part.suffix in endings for part in parts)
+    return all(
+        path.stem in (*LAYERS, "mark_point") and path.suffix in endings for path in map(Path, names)
+    )
 
 
 def _layers(
     universal: MapFile, selection: Selection, options: FeatureOptions
 ) -> list[FeatureLayer]:
-    """The layers that the options ask for. ConfigError for a name that is none, and when pyogrio or
-    shapely is not installed."""
-    try:
-        import pyogrio  # noqa: F401
-        import shapely  # noqa: F401
-    except ImportError as error:
-        raise ConfigError(
-            "Writing features needs pyogrio and shapely, which are not installed; "
-            "run: pip install 'fieldgrid[gis]'"
-        ) from error
+    """The layers that the options ask for. ConfigError for a name that is none, and when pyogrio is
+    not installed."""
+    require("Writing features", "gis", "pyogrio", "shapely")
     left_out = {"quadtree"} if universal.marks() else {"quadtree", "mark"}
     usual = ",".join(name for name in LAYERS if name not in left_out)
     names = tuple(name.strip() for name in (options.features or usual).split(","))

@@ -123,13 +123,13 @@ def draw_heading(axes: Axes, drive: DrawnDrive) -> None:
                 color=drive.colour if marker == "o" else palette.REJECTED,
                 label=f"{len(poses)} {'used' if marker == 'o' else 'rejected'}",
             )
-    axes.set_ylim(-180, 180)
-    axes.set_yticks(range(-180, 181, 60))
     since = f" since {str(np.datetime64(start_ns, 'ns'))[:19]}Z" if starts else ""
-    axes.set_xlabel(f"time (s){since}")
-    axes.set_ylabel("heading (° from north)")
-    axes.set_title(
-        f"{drive.name}: heading, with 3 sigma" if drive.name else "heading, with 3 sigma"
+    axes.set(
+        ylim=(-180, 180),
+        yticks=range(-180, 181, 60),
+        xlabel=f"time (s){since}",
+        ylabel="heading (° from north)",
+        title=f"{drive.name}: heading, with 3 sigma" if drive.name else "heading, with 3 sigma",
     )
     axes.grid(linewidth=0.3)
     if axes.get_legend_handles_labels()[0]:

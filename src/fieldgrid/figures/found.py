@@ -52,5 +52,4 @@ def draw_found(axes: Axes, features: Sequence[Feature], bounds: Bounds) -> None:
                     bbox={"facecolor": "white", "alpha": 0.7, "pad": 0.8, "linewidth": 0.0},
                 )
     # What leaves the part that is drawn does not widen it.
-    axes.set_xlim(bounds.west_m, bounds.east_m)
-    axes.set_ylim(bounds.south_m, bounds.north_m)
+    axes.set(xlim=(bounds.west_m, bounds.east_m), ylim=(bounds.south_m, bounds.north_m))

@@ -86,8 +86,7 @@ def draw_grid(
         axes.plot(route[:, 0], route[:, 1], color="white", linewidth=3.4)
         axes.plot(route[:, 0], route[:, 1], color=ROUTE, linewidth=1.8, label="route")
         # A route that leaves the part that is drawn does not widen it.
-        axes.set_xlim(bounds.west_m, bounds.east_m)
-        axes.set_ylim(bounds.south_m, bounds.north_m)
+        axes.set(xlim=(bounds.west_m, bounds.east_m), ylim=(bounds.south_m, bounds.north_m))
     draw_marks(axes, view.marks, bounds)
     name_axes(axes, title or f"universal grid, cells of {view.lattice.cell_m * 100:g} cm")
     add_scale_bar(axes, bounds.east_m - bounds.west_m)

@@ -63,5 +63,4 @@ def draw_marks(axes: Axes, marks: Sequence[Mark], bounds: Bounds) -> None:
     if handles:
         axes.legend(handles=handles, loc="upper left", fontsize="small")
         # A mark that leaves the part that is drawn does not widen it.
-        axes.set_xlim(bounds.west_m, bounds.east_m)
-        axes.set_ylim(bounds.south_m, bounds.north_m)
+        axes.set(xlim=(bounds.west_m, bounds.east_m), ylim=(bounds.south_m, bounds.north_m))

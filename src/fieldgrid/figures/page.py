@@ -52,8 +52,7 @@ def size_of(bounds: Bounds) -> tuple[float, float]:
 
 def name_axes(axes: Axes, title: str) -> None:
     """Metres along both axes, written in full, and a scale bar."""
-    axes.set_xlabel("east (m)")
-    axes.set_ylabel("north (m)")
+    axes.set(xlabel="east (m)", ylabel="north (m)")
     axes.ticklabel_format(useOffset=False, style="plain")
     axes.set_title(title, wrap=True)
 
@@ -99,8 +98,9 @@ def save(figure: Figure, path: str | FilePath) -> None:
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from")
         # Where ground keeps its shape, room on one side takes some on another, and after the single
         # time of a drawing labels are cut off at the edge.
-        for _ in range(_LAYOUTS if layout is not None else 0):
-            layout.execute(figure)
+        for _ in range(_LAYOUTS):
+            if layout is not None:
+                layout.execute(figure)
         figure.savefig(written, format=suffix)
     # Every kind of figure names the library in its metadata; a photograph does not.
     with replacing(path, ours=partial(mentions, mark=b"atplotlib"), what="a figure") as draft:

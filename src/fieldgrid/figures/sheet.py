@@ -45,6 +45,5 @@ def sheet(view: MapView, drives: Sequence[DrawnDrive], **drawn: Any) -> Figure:
         draw_heading(axes, drive)
         if len(shown) > 1:  # a third of the room: what all have in common goes without saying
             axes.set_title(drive.name, fontsize="medium")
-            axes.set_yticks(range(-180, 181, 180))
-            axes.set_ylabel("heading (°)")
+            axes.set(yticks=range(-180, 181, 180), ylabel="heading (°)")
     return figure

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 from fieldgrid import palette
-from fieldgrid.array_types import Bool, Float64, Index, Int64
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.figures.page import new_figure
-from fieldgrid.trajectory import MAX_GAP_NS, Trajectory
+from fieldgrid.trajectory import MAX_GAP_NS, Trajectory, thinned
 
 _GEAR_STYLES = (
     (1, "forward", 1.1, "", 0.0),
@@ -93,7 +93,7 @@ class _TrackColumns(NamedTuple):
 def _track_columns(track: Trajectory) -> _TrackColumns:
     # Rows without a heading have no pose to draw.
     known = np.flatnonzero(np.isfinite(track.heading_deg))
-    rows = _thinned(known, track.gear[known], track.accepted[known])
+    rows = known[thinned(track.gear[known], track.accepted[known], MOST_POINTS)]
     time_ns, heading = track.time_ns[rows], track.heading_deg[rows]
     # No line crosses a hole in time, nor that of the heading the plot at ±180°.
     steps_ns = np.diff(time_ns)
@@ -141,19 +141,6 @@ def _marked(time_ns: Int64, ok: Bool) -> Bool:
     return marked
 
 
-def _thinned(rows: Index, gear: Int64, ok: Bool) -> Index:
-    """At most some `MOST_POINTS` of rows, evenly, and each at which gear or verdict change."""
-    every = -(-len(rows) // MOST_POINTS)
-    if every < 2:
-        return rows
-    keep = np.zeros(len(rows), dtype=np.bool_)
-    keep[::every] = keep[-1] = True
-    change = np.flatnonzero((np.diff(gear) != 0) | (np.diff(ok.astype(np.int8)) != 0))
-    if len(change) < MOST_POINTS:
-        keep[change] = keep[change + 1] = True
-    return rows[keep]
-
-
 def _time_unit(span_s: float) -> tuple[float, str]:
     if span_s <= 600.0:
         return 1.0, "s"
@@ -166,9 +153,7 @@ def _draw_way(axes: Axes, drawn: _TrackColumns) -> None:
     _draw_ticks(axes, drawn)
     axes.set_aspect("equal", adjustable="datalim")
     axes.ticklabel_format(useOffset=False)
-    axes.set_xlabel("east (m)")
-    axes.set_ylabel("north (m)")
-    axes.set_title("trajectory")
+    axes.set(xlabel="east (m)", ylabel="north (m)", title="trajectory")
     axes.grid(linewidth=0.3)
 
 
@@ -243,10 +228,12 @@ def _draw_nose(axes: Axes, drawn: _TrackColumns) -> None:
         if np.any((high > -180.0) & (low < 180.0)):
             axes.fill_between(drawn.time, low, high, color=palette.BAND, linewidth=0)
     _draw_by_gear(axes, drawn, drawn.time, drawn.heading_deg)
-    axes.set_ylim(-180, 180)
-    axes.set_yticks(range(-180, 181, 60))
-    axes.set_ylabel("heading (° from north)")
-    axes.set_title("heading with 1 sigma, speed, sigma of the heading")
+    axes.set(
+        ylim=(-180, 180),
+        yticks=range(-180, 181, 60),
+        ylabel="heading (° from north)",
+        title="heading with 1 sigma, speed, sigma of the heading",
+    )
     axes.grid(linewidth=0.3)
 
 

@@ -6,6 +6,7 @@ user saw when saying yes.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from typing import Annotated, Literal, TypeVar
@@ -101,12 +102,12 @@ def export(shown: ShownSource, asked: Export) -> Response:
     bounds = None if asked.bounds is None else Bounds(*asked.bounds)
     with shown.open_alone() as universal:
         selection = Selection(bounds, asked.cell_m, asked.layer)
-        written = write_export(universal, shown.name, selection, asked.format)
+        file, folder = write_export(universal, shown.name, selection, asked.format)
     return FileResponse(
-        written.file,
-        filename=written.file.name,
+        file,
+        filename=file.name,
         headers={"Cache-Control": "no-store"},
-        background=BackgroundTask(written.remove),
+        background=BackgroundTask(shutil.rmtree, folder, ignore_errors=True),
     )
 
 

@@ -125,9 +125,9 @@ def make_app(viewer: Viewer) -> Starlette:
             raise ConfigError("The map has no such frame, or no images of it.")
         folders = (Path(), shown.folder, *viewer.recordings)
         sha256 = hashes[number] if number < len(hashes) else ""
-        found = find_picture(names[number], sha256, folders)
-        size = {"X-Image-Size": f"{found.width_px} {found.height_px}"}
-        return Response(found.jpeg, media_type="image/jpeg", headers=_FRESH | size)
+        jpeg, width_px, height_px = find_picture(names[number], sha256, folders)
+        size = {"X-Image-Size": f"{width_px} {height_px}"}
+        return Response(jpeg, media_type="image/jpeg", headers=_FRESH | size)
 
     def features(request: Request) -> Response:
         shown = viewer.picked(request)
@@ -219,8 +219,9 @@ def _change_tile(
 ) -> bytes | None:
     with shown.open() as universal:
         single = _single(universal)
+        bounds, cell_m = layers.tile_bounds(single, level, place)
         names = [_session_name(single, number) for number in (before, after)]
-        change = single.diff(*names, *layers.tile_bounds(single, level, place)).change
+        change = single.diff(names[0], names[1], bounds, cell_m).change
     return layers.encode(change, change > 0) if change.any() else None
 
 

@@ -31,21 +31,11 @@ class ShownFarm(ShownSource):
     """
 
     def __init__(self, path: Path, datum: Datum | None = None) -> None:
-        super().__init__(path)
+        super().__init__(path, path.resolve().name or "farm", path)
         self._datum = datum
         self._turn = RLock()
         self._farm: Farm | None = None
         self._opened = ""
-
-    @property
-    def name(self) -> str:
-        """See `ShownSource`."""
-        return self.path.resolve().name or "farm"
-
-    @property
-    def folder(self) -> Path:
-        """See `ShownSource`."""
-        return self.path
 
     def version(self) -> str:
         """See `ShownSource`: of all its maps, those that cannot be read included.

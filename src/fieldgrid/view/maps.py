@@ -44,22 +44,16 @@ class Identity(NamedTuple):
 class ShownSource(ABC):
     """A map or a farm: its place, the version of what is in it, and what was made of it."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, name: str, folder: Path) -> None:
         self.path = path
+        self.name = name
+        """What the page calls it."""
+        self.folder = folder
+        """Where its maps lie, and perhaps the images that they name."""
         self._lock = Lock()
         self._kept: dict[tuple[str, ...], Any] = {}
         self._version = ""
         self._described: Identity | None = None
-
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """What the page calls it."""
-
-    @property
-    @abstractmethod
-    def folder(self) -> Path:
-        """Where its maps lie, and perhaps the images that they name."""
 
     @abstractmethod
     def version(self) -> str:
@@ -133,15 +127,8 @@ class ShownSource(ABC):
 class ShownMap(ShownSource):
     """One map file."""
 
-    @property
-    def name(self) -> str:
-        """See `ShownSource`."""
-        return self.path.stem
-
-    @property
-    def folder(self) -> Path:
-        """See `ShownSource`."""
-        return self.path.parent
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, path.stem, path.parent)
 
     def version(self) -> str:
         """See `ShownSource`."""

@@ -11,7 +11,6 @@ import hashlib
 import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePath
-from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -25,16 +24,9 @@ _SIDE_PX = 1600
 _QUALITY = 88
 
 
-class ShownImage(NamedTuple):
-    """A JPEG to be shown, and the size of the image that it was made from."""
-
-    jpeg: bytes
-    width_px: int
-    height_px: int
-
-
-def find_picture(name: str, sha256: str, folders: Sequence[Path]) -> ShownImage:
-    """The image of a name, in one of the folders; RecordingError says why there is none."""
+def find_picture(name: str, sha256: str, folders: Sequence[Path]) -> tuple[bytes, int, int]:
+    """The image of a name, in one of the folders, as JPEG, and the width and height in pixels of
+    the image that it was made from; RecordingError says why there is none."""
     is_changed = False
     for path in _candidates(name, folders):
         data = _read(path)
@@ -75,7 +67,7 @@ def _read(path: Path) -> bytes | None:
         return None
 
 
-def _jpeg(data: bytes, name: str) -> ShownImage:
+def _jpeg(data: bytes, name: str) -> tuple[bytes, int, int]:
     """An image as JPEG; one of 16 bits is stretched to 8 over the range that it uses."""
     written = io.BytesIO()
     try:
@@ -94,4 +86,4 @@ def _jpeg(data: bytes, name: str) -> ShownImage:
         drawn.save(written, "JPEG", quality=_QUALITY)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise RecordingError(f"{name} cannot be shown: it is no image ({error}).") from error
-    return ShownImage(written.getvalue(), width, height)
+    return written.getvalue(), width, height
