@@ -23,7 +23,7 @@ from benchmarks.lasting import Line
 from benchmarks.peak import peak_mb
 from benchmarks.synthetic import DATUM, full_grid, pose_at
 from fieldgrid.array_types import UInt64
-from fieldgrid.export import Selection, export_geotiff
+from fieldgrid.export import export_map
 from fieldgrid.grids import GridSpec
 from fieldgrid.lattice import TILE_CELLS, TileIndex
 from fieldgrid.layers import Cells
@@ -128,9 +128,9 @@ def _rate(cells: int, seconds: float) -> str:
 
 def _export(source: Path, out: Path) -> float:
     with open_map(source) as universal:
-        export_geotiff(universal, out, Selection(), overwrite=True)  # kernels are loaded
+        export_map(universal, out, overwrite=True)  # kernels are loaded
         start = time.perf_counter()
-        export_geotiff(universal, out, Selection(), overwrite=True)
+        export_map(universal, out, overwrite=True)
     return time.perf_counter() - start
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from fieldgrid.coverage import Coverage, Tracks, plan_coverage
     from fieldgrid.errors import FieldgridError
     from fieldgrid.evaluation import evaluate, read_truth
-    from fieldgrid.export import Selection, export_geotiff, export_map
+    from fieldgrid.export import Selection, export_map
     from fieldgrid.farm import Farm
     from fieldgrid.geodesy import Datum
     from fieldgrid.grids import GridSpec, LocalGrid
@@ -78,7 +78,6 @@ _HOMES = {
     "estimate_mount": "mounting",
     "estimate_trajectory": "build",
     "evaluate": "evaluation",
-    "export_geotiff": "export",
     "export_map": "export",
     "figures": "",
     "find_changes": "changes",
@@ -132,7 +131,6 @@ __all__ = [
     "estimate_mount",
     "estimate_trajectory",
     "evaluate",
-    "export_geotiff",
     "export_map",
     "figures",
     "find_changes",

@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 
 from fieldgrid.documents import parse_json
 from fieldgrid.errors import ConfigError, MapError, MapWriteError, printable
-from fieldgrid.export import Selection, export_geotiff
+from fieldgrid.export import export_map
+from fieldgrid.export.registry import require
 from fieldgrid.farm import Farm, FarmBlock
 from fieldgrid.lattice import Window
 from fieldgrid.lon_lat import in_degrees
@@ -59,13 +60,9 @@ def write_stac(
     ConfigError when pystac is not installed or no map has seen anything, MapExistsError when the
     folder exists and may not be overwritten.
     """
-    try:
-        import pystac
-    except ImportError as error:
-        raise ConfigError(
-            "A STAC catalogue needs pystac, which is not installed; "
-            "run: pip install 'fieldgrid[stac]'"
-        ) from error
+    require("A STAC catalogue", "stac", "pystac")
+    import pystac
+
     folder = Path(folder)
     usable = [block for block in farm.blocks if block.header and block.bounds]
     left_out = [
@@ -86,7 +83,8 @@ def write_stac(
                     item = _item(universal, block, id_, folder / place)
                     if with_cog:
                         (draft / place).mkdir(parents=True)
-                        item.add_asset("density", _cog(universal, draft / place, id_))
+                        export_map(universal, draft / place / f"{id_}.tif")
+                        item.add_asset("density", _cog(id_))
             except MapWriteError:
                 raise
             except MapError as error:
@@ -137,15 +135,13 @@ def _writing_to(draft: Path) -> Any:
 
 def _ids(names: Iterable[str]) -> list[str]:
     """Of each map its item's, no two alike, also where a file system knows no capitals."""
-    taken: set[str] = set()
-    ids = []
+    ids: dict[str, str] = {}
     for name in names:
         first = _id(name)
         spare = (f"{first}-{k}" for k in count(2))
-        id_ = next(one for one in chain([first], spare) if one.casefold() not in taken)
-        taken.add(id_.casefold())
-        ids.append(id_)
-    return ids
+        id_ = next(one for one in chain([first], spare) if one.casefold() not in ids)
+        ids[id_.casefold()] = id_
+    return list(ids.values())
 
 
 def _id(name: str) -> str:
@@ -166,15 +162,14 @@ def _item(universal: MapFile, block: FarmBlock, id_: str, folder: Path) -> Any:
     from pystac.extensions.projection import ProjectionExtension
 
     assert block.bounds is not None
-    geometry = _footprint(universal)
-    first, last = block.first, block.last
+    geometry, bounds = _footprint(universal), block.bounds
     item = pystac.Item(
         id=id_,
         geometry=geometry.__geo_interface__,
         bbox=_bbox(geometry),
-        datetime=None if first else datetime.fromtimestamp(block.path.stat().st_mtime, UTC),
-        start_datetime=first,
-        end_datetime=last,
+        datetime=None if block.first else datetime.fromtimestamp(block.path.stat().st_mtime, UTC),
+        start_datetime=block.first,
+        end_datetime=block.last,
         properties={
             "title": printable(block.name),
             "gsd": universal.cell_m,
@@ -189,7 +184,6 @@ def _item(universal: MapFile, block: FarmBlock, id_: str, folder: Path) -> Any:
             },
         },
     )
-    bounds = block.bounds
     window = block.header.lattice.window(bounds) if block.header else Window(0, 0, 0, 0)
     ProjectionExtension.ext(item, add_if_missing=True).apply(
         code=None,
@@ -212,13 +206,11 @@ def _item(universal: MapFile, block: FarmBlock, id_: str, folder: Path) -> Any:
     return item
 
 
-def _cog(universal: MapFile, folder: Path, id_: str) -> Any:
+def _cog(id_: str) -> Any:
     import pystac
 
-    name = f"{id_}.tif"
-    export_geotiff(universal, folder / name, Selection())
     return pystac.Asset(
-        f"./{name}",
+        f"./{id_}.tif",
         title="3D density, 0..255, and alpha where a cell was observed",
         media_type=pystac.MediaType.COG,
         roles=["data", "visual"],

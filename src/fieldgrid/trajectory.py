@@ -212,3 +212,17 @@ class Trajectory:
             return "nothing tells where the vehicle was"
         gaps_ns = np.abs(self.time_ns[start:stop] - time_ns)
         return self.reason[start + int(np.argmin(gaps_ns))]
+
+
+def thinned(gear: Int64, accepted: Bool, most: int) -> Index:
+    """Rows of a trajectory to be drawn: about `most` of them, evenly, and each at which gear or
+    verdict changes."""
+    every = -(-len(gear) // most)
+    if every < 2:
+        return np.arange(len(gear))
+    keep = np.zeros(len(gear), dtype=np.bool_)
+    keep[::every] = keep[-1] = True
+    change = np.flatnonzero((np.diff(gear) != 0) | (np.diff(accepted.astype(np.int8)) != 0))
+    if len(change) < most:
+        keep[change] = keep[change + 1] = True
+    return np.flatnonzero(keep)

@@ -139,8 +139,8 @@ def test_zones_of_a_terminal_keep_obstacles_and_what_is_unseen(universal: MapFil
     lat, lon, _ = DATUM.to_geodetic(east[obstacle], north[obstacle], np.zeros(obstacle.sum()))
     row = ((lat - grid.south_deg) / grid.cell_north_deg).astype(int)
     column = ((lon - grid.west_deg) / grid.cell_east_deg).astype(int)
-    assert (grid.zones[row, column] == OBSTACLE.code).all()
-    assert (grid.zones == UNSEEN.code).any()
+    assert (grid.zones[row, column] == OBSTACLE).all()
+    assert (grid.zones == UNSEEN).any()
 
 
 def test_a_view_of_larger_cells_must_say_what_decides(universal: MapFile) -> None:

@@ -18,8 +18,7 @@ from rasterio.warp import transform
 
 from fieldgrid import publish
 from fieldgrid.errors import ConfigError, MapExistsError, MapWriteError
-from fieldgrid.export import Selection, export_change, export_geotiff
-from fieldgrid.export.options import PlaneOptions
+from fieldgrid.export import Selection, export_change, export_map
 from fieldgrid.export.raster import check_whole
 from fieldgrid.lattice import Bounds, Lattice
 from fieldgrid.layers import GROUPS, groups_of
@@ -50,7 +49,7 @@ def cells(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A GeoTIFF of three single cells."""
     folder = tmp_path_factory.mktemp("cells")
     frames = [one_cell(*cell) for cell in CELLS]
-    export_geotiff(open_map(write_map(folder / "map.gpkg", [frames])), folder / "map.tif", ALL)
+    export_map(open_map(write_map(folder / "map.gpkg", [frames])), folder / "map.tif", ALL)
     return folder / "map.tif"
 
 
@@ -63,7 +62,7 @@ def test_every_layer_lands_in_its_place(
     layer: str, cell_m: float | None, asymmetric_map: MapFile, tmp_path: Path
 ) -> None:
     path = tmp_path / "f.tif"
-    done = export_geotiff(asymmetric_map, path, Selection(cell_m=cell_m, layer=layer))
+    done = export_map(asymmetric_map, path, Selection(cell_m=cell_m, layer=layer))
     assert done.paths == (path,)
     if layer != "count" or cell_m is None:  # larger cells are seen from neighbouring frames too
         assert faults(opened(path), layer) == []
@@ -75,7 +74,7 @@ def test_in_another_system_each_pixel_has_the_cell_under_its_centre(
     epsg: int, layer: str, asymmetric_map: MapFile, tmp_path: Path
 ) -> None:
     path = tmp_path / "f.tif"
-    export_geotiff(asymmetric_map, path, Selection(layer=layer), PlaneOptions(epsg=epsg))
+    export_map(asymmetric_map, path, Selection(layer=layer), options={"epsg": epsg})
     picture = opened(path)
     assert faults_at_centres(picture, layer) == []
     with rasterio.open(path) as dataset:
@@ -93,12 +92,12 @@ def test_in_another_system_each_pixel_has_the_cell_under_its_centre(
 
 
 def test_mistakes_do_not_go_unnoticed(asymmetric_map: MapFile, tmp_path: Path) -> None:
-    export_geotiff(asymmetric_map, tmp_path / "f.tif", ALL)
+    export_map(asymmetric_map, tmp_path / "f.tif", ALL)
     picture = opened(tmp_path / "f.tif")
     assert faults(picture) == []
     for mistake, wrong in mutants(picture).items():
         assert faults(wrong), mistake
-    export_geotiff(asymmetric_map, tmp_path / "g.tif", ALL, PlaneOptions(epsg=25830))
+    export_map(asymmetric_map, tmp_path / "g.tif", ALL, options={"epsg": 25830})
     projected = opened(tmp_path / "g.tif")
     for mistake, wrong in mutants(projected).items():
         if mistake != "another datum":
@@ -107,7 +106,7 @@ def test_mistakes_do_not_go_unnoticed(asymmetric_map: MapFile, tmp_path: Path) -
 
 def test_a_picture_without_its_plane_is_noticed(asymmetric_map: MapFile, tmp_path: Path) -> None:
     path = tmp_path / "f.tif"
-    export_geotiff(asymmetric_map, path, ALL)
+    export_map(asymmetric_map, path, ALL)
     rasterio.shutil.copy(path, tmp_path / "bare.png", driver="PNG")
     (tmp_path / "bare.png.aux.xml").unlink()
     with (
@@ -121,7 +120,7 @@ def test_the_height_is_that_of_the_ground_under_the_vehicle(
     asymmetric_map: MapFile, tmp_path: Path
 ) -> None:
     path = tmp_path / "f.tif"
-    export_geotiff(asymmetric_map, path, Selection(layer="height"))
+    export_map(asymmetric_map, path, Selection(layer="height"))
     with rasterio.open(path) as dataset:
         height, tags = dataset.read(1), dataset.tags()
         assert np.isnan(dataset.nodata)
@@ -133,7 +132,7 @@ def test_the_height_is_that_of_the_ground_under_the_vehicle(
 
 def test_the_tags_say_what_it_is(asymmetric_map: MapFile, tmp_path: Path) -> None:
     spring = Selection(Bounds(-1.0, -2.0, 3.0, 4.0), 0.25, "variance", "spring")
-    export_geotiff(asymmetric_map, tmp_path / "f.tif", spring)
+    export_map(asymmetric_map, tmp_path / "f.tif", spring)
     with rasterio.open(tmp_path / "f.tif") as dataset:
         assert tuple(dataset.bounds) == pytest.approx((-1.0, -2.0, 3.0, 4.0))
         tags = dataset.tags()
@@ -149,7 +148,7 @@ def test_the_tags_say_what_it_is(asymmetric_map: MapFile, tmp_path: Path) -> Non
 
 def test_the_geotiff_holds_the_view(tmp_path: Path, universal: MapFile) -> None:
     path = tmp_path / "map.tif"
-    export_geotiff(universal, str(path), ALL)
+    export_map(universal, str(path), ALL)
     view = universal.read()
     with rasterio.open(path) as dataset:
         assert dataset.driver == "GTiff"
@@ -198,7 +197,7 @@ def test_overviews_follow_the_rule_of_larger_cells(
 ) -> None:
     path, bounds = tmp_path / "map.tif", Bounds(-41.2, -30.8, 62.4, 41.6)
     with open_map(wide_map) as source:
-        export_geotiff(source, path, Selection(bounds, layer=layer))
+        export_map(source, path, Selection(bounds, layer=layer))
         expected = source.read(bounds, 0.2, layers=[layer])
     with rasterio.open(path) as dataset:
         assert dataset.overviews(1) == [2, 4]
@@ -216,7 +215,7 @@ def test_overviews_count_from_the_north_west_corner(
 ) -> None:
     path, bounds = tmp_path / "map.tif", Bounds(west_m, -30.8, 62.35, north_m)
     with open_map(wide_map) as source:
-        export_geotiff(source, path, Selection(bounds))
+        export_map(source, path, Selection(bounds))
         with source.overviews(3, bounds) as blocks:
             found = list(blocks)
         lattice = Lattice(CELL_M)
@@ -297,7 +296,7 @@ def test_overviews_never_hold_all_channels_of_a_square(wide_map: Path) -> None:
 def test_overviews_in_another_plane_are_those_of_the_cells(wide_map: Path, tmp_path: Path) -> None:
     path = tmp_path / "map.tif"
     with open_map(wide_map) as source:
-        export_geotiff(source, path, Selection(), PlaneOptions(epsg=25830))
+        export_map(source, path, Selection(), options={"epsg": 25830})
         with source.overviews(1) as blocks:
             own = [block.density[block.observed] for block in blocks]
     with rasterio.open(path, overview_level=0) as dataset:
@@ -329,7 +328,7 @@ def test_a_cell_far_from_the_datum_is_found_in_another_system(epsg: int, tmp_pat
     east, north = 1500.05, 2200.05
     universal = open_map(write_map(tmp_path / "map.gpkg", [[one_cell(east, north, 255)]]))
     near = Selection(Bounds(east - 9.0, north - 9.0, east + 9.0, north + 9.0))
-    export_geotiff(universal, tmp_path / "p.tif", near, PlaneOptions(epsg=epsg))
+    export_map(universal, tmp_path / "p.tif", near, options={"epsg": epsg})
     with rasterio.open(tmp_path / "p.tif") as dataset:
         rows, columns = np.nonzero(dataset.read(2))
         assert 1 <= len(rows) <= 2  # a cell may hold the centres of two smaller pixels
@@ -357,7 +356,7 @@ def test_a_part_at_a_larger_cell_keeps_its_place(tmp_path: Path) -> None:
     frames = [one_cell(-830.25, 410.75, 77), one_cell(1500.05, 2200.05, 255)]
     universal = open_map(write_map(tmp_path / "map.gpkg", [frames]))
     part = Selection(Bounds(-900.0, 400.0, -800.0, 500.0), 2.5)
-    export_geotiff(universal, tmp_path / "part.tif", part)
+    export_map(universal, tmp_path / "part.tif", part)
     with rasterio.open(tmp_path / "part.tif") as dataset:
         assert tuple(dataset.bounds) == pytest.approx((-900.0, 400.0, -800.0, 500.0))
         assert list(next(dataset.sample([(-830.25, 410.75)]))) == [77, 255]
@@ -377,11 +376,11 @@ def test_an_existing_file_is_replaced_only_when_asked(tmp_path: Path, universal:
     path = tmp_path / "map.tif"
     path.write_text("mine")
     with pytest.raises(MapExistsError, match=r"another name, or --overwrite"):
-        export_geotiff(universal, path, ALL)
+        export_map(universal, path, ALL)
     assert path.read_text() == "mine"
     path.write_text("")
-    export_geotiff(universal, path, ALL, overwrite=True)
-    export_geotiff(universal, path, ALL, overwrite=True)
+    export_map(universal, path, ALL, overwrite=True)
+    export_map(universal, path, ALL, overwrite=True)
     with rasterio.open(path) as dataset:
         assert dataset.count == 2
     assert sorted(file.name for file in tmp_path.iterdir()) == ["map.gpkg", "map.tif"]
@@ -395,7 +394,7 @@ def test_an_export_that_fails_leaves_nothing(
 
     monkeypatch.setattr(publish.os, "fsync", full)
     with pytest.raises(MapWriteError, match="disk is full"):
-        export_geotiff(universal, tmp_path / "map.tif", ALL)
+        export_map(universal, tmp_path / "map.tif", ALL)
     monkeypatch.undo()
 
     def broken(*_: object, **__: object) -> None:
@@ -403,9 +402,9 @@ def test_an_export_that_fails_leaves_nothing(
 
     monkeypatch.setattr(rasterio, "open", broken)
     with pytest.raises(MapWriteError, match="write error"):
-        export_geotiff(universal, tmp_path / "map.tif", ALL)
+        export_map(universal, tmp_path / "map.tif", ALL)
     with pytest.raises(MapWriteError, match="folder does not exist"):
-        export_geotiff(universal, tmp_path / "no" / "map.tif", ALL)
+        export_map(universal, tmp_path / "no" / "map.tif", ALL)
     assert [file.name for file in tmp_path.iterdir()] == ["map.gpkg"]
 
 
@@ -423,7 +422,7 @@ def test_without_rasterio_it_says_what_to_install(
     for name in [name for name in sys.modules if name.partition(".")[0] == "rasterio"]:
         monkeypatch.delitem(sys.modules, name)
     with pytest.raises(ConfigError, match=r"pip install 'fieldgrid\[gis\]'"):
-        export_geotiff(universal, tmp_path / "map.tif", ALL)
+        export_map(universal, tmp_path / "map.tif", ALL)
 
 
 @pytest.mark.parametrize(
@@ -434,13 +433,13 @@ def test_systems_that_cannot_be(
     epsg: int, message: str, asymmetric_map: MapFile, tmp_path: Path
 ) -> None:
     with pytest.raises(ConfigError, match=message):
-        export_geotiff(asymmetric_map, tmp_path / "f.tif", ALL, PlaneOptions(epsg=epsg))
+        export_map(asymmetric_map, tmp_path / "f.tif", ALL, options={"epsg": epsg})
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_whose_end_is_missing_is_noticed(asymmetric_map: MapFile, tmp_path: Path) -> None:
     path = tmp_path / "f.tif"
-    export_geotiff(asymmetric_map, path, ALL)
+    export_map(asymmetric_map, path, ALL)
     check_whole(path)
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(MapWriteError, match="disk is full"):

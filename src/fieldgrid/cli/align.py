@@ -14,7 +14,6 @@ from fieldgrid.cli.rows import BLOCK_COLUMNS, block_rows, blocks_as_dict
 
 if TYPE_CHECKING:
     from fieldgrid.align import DriveAlignment, MapAlignment, PairAlignment
-    from fieldgrid.mapfile import Transform
     from fieldgrid.rows import Planting
 
 
@@ -81,11 +80,11 @@ def command(
     options.check_figure(figure)
     options.check_scheduler(scheduler, jobs)
     from fieldgrid.align import align_map, undo_alignment
-    from fieldgrid.mapfile import Patience, open_map
+    from fieldgrid.mapfile import open_map
     from fieldgrid.rows import find_rows
 
     plantings: dict[str, Planting] = {}
-    patience = Patience(wait_s, progress.waits_for(map_, wait_s))
+    patience = progress.patience(map_, wait_s)
     with open_map(map_, writable=not dry_run, patience=patience) as universal:
         if undo:
             names = undo_alignment(universal, session)
@@ -168,31 +167,23 @@ def _print(found: MapAlignment) -> None:
 
 
 def _drive_row(drive: DriveAlignment) -> tuple[str, ...]:
-    after = drive.after
     if not drive.moved:
         why = drive.role.value if drive.matches else "nothing to compare with"
         return (drive.name, "", "", "", "", "", "", str(drive.matches), why)
-    heights = after.heights
-    up = "" if heights is None else f"{heights.mean_m:+.3f} m"
+    after, wander = drive.after, drive.after.wander
+    # The largest departure from the shift.
+    most_m = max(map(math.hypot, wander.east_m, wander.north_m)) if wander is not None else 0.0
     return (
         drive.name,
         f"{after.shift_east_m:+.3f} m",
         f"{after.shift_north_m:+.3f} m",
         f"{drive.sigma_m:.3f} m",
         f"{after.turn_deg:+.2f} ± {drive.turn_sigma_deg:.2f}°",
-        f"{_wander_m(after):.3f} m",
-        up,
+        f"{most_m:.3f} m",
+        "" if after.heights is None else f"{after.heights.mean_m:+.3f} m",
         str(drive.matches),
         "",
     )
-
-
-def _wander_m(transform: Transform) -> float:
-    """The largest departure from the shift."""
-    wander = transform.wander
-    if wander is None:
-        return 0.0
-    return max(map(math.hypot, wander.east_m, wander.north_m))
 
 
 def _pair_row(pair: PairAlignment) -> tuple[str, ...]:

@@ -26,6 +26,7 @@ def report_drives(reports: Sequence[SessionReport], partly: PartlyBuiltError | N
 
 def report_session(report: SessionReport, *, rate: bool = True) -> None:
     """What became of a drive, as a table and remarks; with the `rate` of the work, or without."""
+    tried = report.camera_steps + report.camera_refusals
     rows = [
         ("frames used", f"{report.used} of {report.frames}"),
         ("fixes accepted", f"{report.fixes_accepted} of {report.fixes}"),
@@ -33,7 +34,7 @@ def report_session(report: SessionReport, *, rate: bool = True) -> None:
         (f"heading sigma, median ({report.heading_source})",
          output.number(report.heading_sigma_deg, 2, "°")),
         ("position sigma, median", output.number(report.position_sigma_m, 3, "m")),
-        ("camera steps", _steps(report)),
+        ("camera steps", f"{report.camera_steps} of {tried}" if tried else "not used"),
         ("points used up to", output.number(report.max_range_m, 1, "m")),
         ("ground plane refined in", f"{report.ground_refined} frames"),
     ]  # fmt: skip
@@ -60,8 +61,3 @@ def report_remarks(report: Any) -> None:
         output.report_line(f"left out {len(bad) - _BAD_SHOWN} more frames; --json lists them all")
     for note in report.notes:
         output.report_line(f"note: {note}")
-
-
-def _steps(report: SessionReport) -> str:
-    tried = report.camera_steps + report.camera_refusals
-    return f"{report.camera_steps} of {tried}" if tried else "not used"

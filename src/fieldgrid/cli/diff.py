@@ -164,7 +164,25 @@ def command(
         ],
         title=f"{', '.join(view.after)} against {', '.join(view.before)}",
     )
-    _print_objects(changes)
+    if not changes:
+        output.print_line("no changed object was found")
+    else:
+        output.print_table(
+            ("object", "change", "m²", "east", "north", "size", "sure", "seen by"),
+            [
+                (
+                    o.id,
+                    o.kind.value.replace("_", " "),
+                    f"{o.area_m2:.2f}",
+                    output.number(o.east_m, 2, "m"),
+                    output.number(o.north_m, 2, "m"),
+                    f"{o.length_m:.1f} x {o.width_m:.1f} m",
+                    output.percent(o.confidence, 0),
+                    ", ".join(dict.fromkeys((*o.stood, *o.freed))),
+                )
+                for o in changes
+            ],
+        )
     if out is not None:
         kind = "layer" if ending in _LAYER else "objects" if ending in _TABLES else "figure"
         output.print_line(f"{kind} {out}")
@@ -186,25 +204,3 @@ def _write(changes: Changes, out: Path, map_: Path, *, overwrite: bool) -> None:
         from fieldgrid.figures import change, save
 
         save(change(changes.view, changes), out)
-
-
-def _print_objects(changes: Changes) -> None:
-    if not changes:
-        output.print_line("no changed object was found")
-        return
-    output.print_table(
-        ("object", "change", "m²", "east", "north", "size", "sure", "seen by"),
-        [
-            (
-                o.id,
-                o.kind.value.replace("_", " "),
-                f"{o.area_m2:.2f}",
-                output.number(o.east_m, 2, "m"),
-                output.number(o.north_m, 2, "m"),
-                f"{o.length_m:.1f} x {o.width_m:.1f} m",
-                output.percent(o.confidence, 0),
-                ", ".join(dict.fromkeys((*o.stood, *o.freed))),
-            )
-            for o in changes
-        ],
-    )

@@ -83,8 +83,8 @@ class DriveFlags(NamedTuple):
     ] = None
 
     def options(self, columns: str | None = None) -> DriveOptions:
-        """The same as `open_drive` takes it, with what `--columns` says; a usage error for what
-        is none."""
+        """The options as `open_drive` takes them, with what `--columns` says; a usage error for
+        what is none."""
         from fieldgrid.recording import DriveOptions, columns_from_text
 
         topics: dict[str, str] = {}
@@ -103,8 +103,8 @@ class DriveFlags(NamedTuple):
             None if columns is None else columns_from_text(columns),
             topics,
             self.mounting,
-            _nanoseconds(self.time_offset, "--time-offset"),
-            _nanoseconds(self.gnss_offset, "--gnss-offset"),
+            nanoseconds(self.time_offset, "--time-offset"),
+            nanoseconds(self.gnss_offset, "--gnss-offset"),
             epoch_ns=None if self.epoch is None else _moment_ns(self.epoch, "--epoch"),
         )
 
@@ -118,7 +118,8 @@ def _moment_ns(text: str, flag: str) -> int:
         raise typer.BadParameter(str(error), param_hint=flag) from error
 
 
-def _nanoseconds(offset_s: float | None, flag: str) -> int | None:
+def nanoseconds(offset_s: float | None, flag: str) -> int | None:
+    """The seconds of a flag in nanoseconds; a usage error for what is no number."""
     if offset_s is None:
         return None
     if not math.isfinite(offset_s * 1e9):

@@ -11,7 +11,7 @@ import typer
 from fieldgrid.cli import options, output
 
 if TYPE_CHECKING:
-    from fieldgrid.evaluation import Evaluation, GroupScores, SurveyScores
+    from fieldgrid.evaluation import Evaluation, GroupScores
     from fieldgrid.mapfile import MapFile
 
 
@@ -77,21 +77,22 @@ def command(
         if is_survey:
             _survey(universal, truth, within, crop, things, as_json)
             return
-        from fieldgrid.build.repose import attitudes_of
+        from fieldgrid.build.repose import Attitudes, attitudes_of
         from fieldgrid.evaluation import evaluate, read_truth
         from fieldgrid.evaluation.scores import OBSERVABLE_PIXELS
 
         true = read_truth(truth)
         has_attitude = any(math.isfinite(pose.roll_deg) for pose in true.poses)
-        attitudes, left_out = attitudes_of(universal) if has_attitude else ({}, {})
+        attitudes = attitudes_of(universal) if has_attitude else Attitudes({}, {})
         result = evaluate(
             universal,
             true,
             observable_pixels=min_pixels or OBSERVABLE_PIXELS,
-            attitudes=attitudes,
+            attitudes=attitudes.by_session,
         )
     notes = [
-        f"roll and pitch of {name} are not compared: {reason}" for name, reason in left_out.items()
+        f"roll and pitch of {name} are not compared: {reason}"
+        for name, reason in attitudes.left_out.items()
     ]
     if as_json:
         output.print_json({**result.as_dict(), "notes": notes})
@@ -156,20 +157,19 @@ def _survey(
             f"cells, {false.obstacles_m2:.2f} m2 together"
         )
     if things:
-        _print_things(result)
-
-
-def _print_things(result: SurveyScores) -> None:
-    rows = [
-        (
-            one.kind,
-            one.id,
-            "found" if one.found else "missed" if one.seen else "not seen",
-            *(output.number(v, 3, "") for v in (one.east_error_m, one.north_error_m, one.error_m)),
-        )
-        for one in result.things
-    ]
-    output.print_table(("kind", "id", "", "dE m", "dN m", "error m"), rows)
+        rows = [
+            (
+                one.kind,
+                one.id,
+                "found" if one.found else "missed" if one.seen else "not seen",
+                *(
+                    output.number(error_m, 3)
+                    for error_m in (one.east_error_m, one.north_error_m, one.error_m)
+                ),
+            )
+            for one in result.things
+        ]
+        output.print_table(("kind", "id", "", "dE m", "dN m", "error m"), rows)
 
 
 def _print_scores(result: Evaluation) -> None:
@@ -210,13 +210,12 @@ def _print_scores(result: Evaluation) -> None:
 
 
 def _tolerance_rows(score: str, groups: tuple[GroupScores, ...]) -> list[tuple[str, ...]]:
-    tolerances = getattr(groups[0].obstacles, score)
     return [
         (
             f"{score} within {100 * float(t):.0f} cm",
             *(output.percent(getattr(g.obstacles, score)[t]) for g in groups),
         )
-        for t in tolerances
+        for t in getattr(groups[0].obstacles, score)
     ]
 
 
@@ -245,20 +244,19 @@ def _error_rows(groups: tuple[GroupScores, ...]) -> list[tuple[str, ...]]:
 
 
 def _print_frames(result: Evaluation) -> None:
-    rows = [
-        (
-            error.frame_id,
-            error.segment,
-            error.direction,
-            error.status,
-            f"{error.east_error_m:.3f}",
-            f"{error.north_error_m:.3f}",
-            f"{error.heading_error_deg:.2f}",
-            f"{error.heading_sigma_deg:.2f}",
-        )
-        for error in result.frames
-    ]
-    columns = (
-        "frame", "segment", "direction", "status", "dE m", "dN m", "heading °", "sigma °",
-    )  # fmt: skip
-    output.print_table(columns, rows)
+    output.print_table(
+        ("frame", "segment", "direction", "status", "dE m", "dN m", "heading °", "sigma °"),
+        [
+            (
+                error.frame_id,
+                error.segment,
+                error.direction,
+                error.status,
+                f"{error.east_error_m:.3f}",
+                f"{error.north_error_m:.3f}",
+                f"{error.heading_error_deg:.2f}",
+                f"{error.heading_sigma_deg:.2f}",
+            )
+            for error in result.frames
+        ],
+    )

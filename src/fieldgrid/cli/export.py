@@ -16,7 +16,7 @@ from fieldgrid.cli.settings_flags import by_flag, flag_option, flag_values
 from fieldgrid.settings import DeclaredSetting, Flag
 
 if TYPE_CHECKING:
-    from fieldgrid.export import Exported, ExportFormat
+    from fieldgrid.export import ExportFormat
 
 _FORMAT = "Format"
 Given = dict[Flag, tuple[str, Any]]
@@ -122,10 +122,21 @@ def command(
             overwrite=overwrite,
             options=dict(given.values()),
         )
+    sizes = {path: _bytes(path) for path in done.paths}
     if as_json:
-        output.print_json(_as_dict(map_, chosen.name, done))
+        output.print_json(
+            {
+                "map": str(map_),
+                "format": chosen.name,
+                "files": [{"path": str(path), "bytes": size} for path, size in sizes.items()],
+                "about": dict(done.about),
+            }
+        )
         return
-    written = [(path.name, _size(_bytes(path))) for path in done.paths]
+    written = [
+        (path.name, f"{size / 1e6:.2f} MB" if size >= 10_000 else f"{size} bytes")
+        for path, size in sizes.items()
+    ]
     output.report_table(("", ""), [("format", chosen.name), *done.rows, *written])
 
 
@@ -162,21 +173,8 @@ def _refuse_others(chosen: ExportFormat, given: Given) -> None:
             )
 
 
-def _as_dict(map_: Path, name: str, done: Exported) -> dict[str, Any]:
-    return {
-        "map": str(map_),
-        "format": name,
-        "files": [{"path": str(path), "bytes": _bytes(path)} for path in done.paths],
-        "about": dict(done.about),
-    }
-
-
 def _bytes(path: Path) -> int:
     """The size of a file, or of all files in a folder."""
     if path.is_dir():
         return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
     return path.stat().st_size
-
-
-def _size(count: int) -> str:
-    return f"{count / 1e6:.2f} MB" if count >= 10_000 else f"{count} bytes"

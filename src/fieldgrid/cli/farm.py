@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from datetime import datetime
 
     from fieldgrid.farm import FarmBlock
-    from fieldgrid.stac import WrittenCatalogue
 
 
 def command(
@@ -73,7 +72,14 @@ def command(
     left_out = () if written is None else written.left_out
     failed = [(name, why) for name, why in left_out if name not in told]
     if as_json:
-        output.print_json(_as_dict(folder, blocks, written))
+        found: dict[str, Any] = {"farm": str(folder), "maps": [_block(block) for block in blocks]}
+        if written is not None:
+            found["stac"] = {
+                "file": str(written.file),
+                "items": list(written.items),
+                "left_out": dict(written.left_out),
+            }
+        output.print_json(found)
     else:
         _print(blocks)
         if written is not None:
@@ -116,19 +122,6 @@ def _row(block: FarmBlock) -> tuple[str, ...]:
         megabytes,
         block.health,
     )
-
-
-def _as_dict(
-    folder: Path, blocks: tuple[FarmBlock, ...], written: WrittenCatalogue | None
-) -> dict[str, Any]:
-    found: dict[str, Any] = {"farm": str(folder), "maps": [_block(block) for block in blocks]}
-    if written is not None:
-        found["stac"] = {
-            "file": str(written.file),
-            "items": list(written.items),
-            "left_out": dict(written.left_out),
-        }
-    return found
 
 
 def _iso(moment: datetime | None) -> str | None:

@@ -55,7 +55,13 @@ def command(as_json: AsJson = False) -> None:
         state = f"lacks {', '.join(missing)}" if missing else "installed"
         rows.append((f"extra {extra}", state))
     for group, named in by_group.items():
-        rows += [(f"{group}: {one.value}", _from(one.dist)) for one in named]
+        rows += [
+            (
+                f"{group}: {one.value}",
+                "-" if one.dist is None else f"{one.dist.name} {one.dist.version}",
+            )
+            for one in named
+        ]
     output.print_table(("", ""), rows)
 
 
@@ -75,10 +81,6 @@ def _version(name: str) -> str | None:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return None
-
-
-def _from(package: importlib.metadata.Distribution | None) -> str:
-    return "-" if package is None else f"{package.name} {package.version}"
 
 
 def _text(value: Any) -> str:

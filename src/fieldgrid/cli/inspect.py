@@ -47,20 +47,16 @@ def command(
     with progress.counting("frames") as tell:
         found = inspect_recording(path, resolve(config, {}), drive.options(), tell=tell)
     if figure is not None:
-        _draw(found, figure)
+        from fieldgrid.figures import save
+        from fieldgrid.inspection.figure import inspection_figure
+
+        save(inspection_figure(found), figure)
     if as_json:
         output.print_json({**found.as_dict(), "figure": None if figure is None else str(figure)})
     else:
         _print(found, figure)
     if not found.builds:
         raise typer.Exit(1)
-
-
-def _draw(found: Inspection, path: Path) -> None:
-    from fieldgrid.figures import save
-    from fieldgrid.inspection.figure import inspection_figure
-
-    save(inspection_figure(found), path)
 
 
 def _print(found: Inspection, figure: Path | None) -> None:
@@ -100,44 +96,42 @@ def _rig_rows(found: Inspection) -> Iterator[tuple[str, str]]:
     rig = found.rig
     if rig is None:
         return
-    mount, lever, axle_m = rig.mount, rig.antenna, rig.rear_axle_forward_m
+    mount, lever, seen = rig.mount, rig.antenna, found.ground
     yield "sensor", describe_sensor(rig.sensor)
     yield (
         "mount: height, tilt, roll, yaw",
         f"{mount.height_m:g} m, {mount.tilt_deg:.1f}°, {mount.roll_deg:.1f}°, {mount.yaw_deg:.1f}°",
     )
-    if found.ground is not None:
-        seen = found.ground
+    if seen is not None:
         yield (
             "mount by the ground ahead",
             f"{seen.height_m:.2f} m, {seen.tilt_deg:.1f}°, {seen.roll_deg:.1f}°",
         )
-    yield (
-        "antenna: right, forward, up",
-        f"{lever.right_m:.2f}, {lever.forward_m:.2f}, {lever.up_m:.2f} m",
+    yield from (
+        (
+            "antenna: right, forward, up",
+            f"{lever.right_m:.2f}, {lever.forward_m:.2f}, {lever.up_m:.2f} m",
+        ),
+        ("non-steering axle: forward", output.number(rig.rear_axle_forward_m, 2, "m")),
+        ("image time offset, declared", f"{found.declared_offset_s:+.3f} s"),
     )
-    yield "non-steering axle: forward", output.number(axle_m, 2, "m")
-    yield "image time offset, declared", f"{found.declared_offset_s:+.3f} s"
 
 
 def _fix_rows(found: Inspection) -> Iterator[tuple[str, str]]:
     if found.fixes is not None:
         fixes = found.fixes
-        log = fixes.log
-        yield "fixes accepted", f"{log.accepted} of {log.fixes}"
         best = list(fixes.quality.items())[:_MOST_QUALITIES]
-        yield "quality", ", ".join(f"{name} {output.percent(share, 0)}" for name, share in best)
-        yield (
-            "satellites / hdop / age, median",
-            " / ".join(
-                (
-                    output.number(fixes.satellites, 0),
-                    output.number(fixes.hdop, 1),
-                    output.number(fixes.age_s, 1, "s"),
-                )
-            ),
+        medians = (
+            output.number(fixes.satellites, 0),
+            output.number(fixes.hdop, 1),
+            output.number(fixes.age_s, 1, "s"),
         )
-        yield "sigma of a fix, median", output.number(fixes.sigma_m, 3, "m")
+        yield from (
+            ("fixes accepted", f"{fixes.log.accepted} of {fixes.log.fixes}"),
+            ("quality", ", ".join(f"{name} {output.percent(share, 0)}" for name, share in best)),
+            ("satellites / hdop / age, median", " / ".join(medians)),
+            ("sigma of a fix, median", output.number(fixes.sigma_m, 3, "m")),
+        )
     if found.sync is not None:
         sync = found.sync
         yield "image to nearest fix, median / most", f"{sync.median_s:.3f} / {sync.most_s:.3f} s"
@@ -167,10 +161,12 @@ def _map_rows(found: Inspection) -> Iterator[tuple[str, str]]:
         yield "frames with a usable pose", f"{found.frames_usable} of {found.frames}"
     if found.coverage is not None:
         cover = found.coverage
-        yield "expected area", output.number(cover.area_m2, 0, "m²")
         spacing = output.number(cover.spacing_m, 2, "m")
-        yield "frame spacing / grid length", f"{spacing} / {cover.grid_m:.1f} m"
-        yield "supported cell size", output.number(cover.cell_m, 2, "m")
+        yield from (
+            ("expected area", output.number(cover.area_m2, 0, "m²")),
+            ("frame spacing / grid length", f"{spacing} / {cover.grid_m:.1f} m"),
+            ("supported cell size", output.number(cover.cell_m, 2, "m")),
+        )
 
 
 def _stream_row(stream: StreamSummary) -> tuple[str, ...]:

@@ -98,7 +98,7 @@ def command(
             raise typer.BadParameter("it is for a new mark only", param_hint=flag)
     if out is None:
         options.refuse_idle(ctx, {"overwrite"}, "nothing is written; give --out")
-    from fieldgrid.mapfile import MarkKind, Patience, open_map
+    from fieldgrid.mapfile import MarkKind, open_map
     from fieldgrid.mapfile.marks import Mark, features, marks_of_geojson
     from fieldgrid.publish import refuse_input
     from fieldgrid.vectors import write_features
@@ -110,12 +110,11 @@ def command(
     places = _corners("--polygon", polygon) if polygon else _corners("--point", point or "")
     if out is not None:
         refuse_input(out, [map_, *([add] if add else [])])
-    patience = Patience(wait_s, progress.waits_for(map_, wait_s))
+    patience = progress.patience(map_, wait_s)
     with open_map(map_, writable=bool(changes), patience=patience) as universal:
         if add is not None:
-            document = _read(add)
             usual = {"kind": kind or "", "name": name, "note": note, "author": author}
-            universal.add_marks(marks_of_geojson(document, universal.datum, usual))
+            universal.add_marks(marks_of_geojson(_read(add), universal.datum, usual))
         if places:
             universal.add_marks([Mark(MarkKind(str(kind)), places, name, note, author)])
         if remove:
@@ -132,8 +131,10 @@ def command(
         listed = [_as_dict(mark) for mark in marks]
         output.print_json({"map": str(map_), "root_sha256": root, "marks": listed})
         return
-    header = ("id", "kind", "name", "where, m", "area", "author", "created", "note", "")
-    output.print_table(header, [_row(mark) for mark in marks])
+    output.print_table(
+        ("id", "kind", "name", "where, m", "area", "author", "created", "note", ""),
+        [_row(mark) for mark in marks],
+    )
     if out is not None:
         output.print_line(f"{out}")
 

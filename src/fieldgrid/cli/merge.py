@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -60,7 +61,7 @@ def command(
 
         fieldgrid merge vineyard.gpkg -o there.gpkg --datum-from farm.gpkg
     """
-    from fieldgrid.mapfile import Patience, merge_maps
+    from fieldgrid.mapfile import merge_maps
     from fieldgrid.transfer import Transfer
 
     if transfer is not None and transfer not in {rule.value for rule in Transfer}:
@@ -68,15 +69,14 @@ def command(
             f"{transfer!r} is neither centre nor area", param_hint="--transfer"
         )
     options.check_new_map(out)
-    rule = None if transfer is None else Transfer(transfer)
     done = merge_maps(
         maps,
         out,
         cell_m=cell,
-        transfer=rule,
+        transfer=None if transfer is None else Transfer(transfer),
         datum=options.datum_or_from(datum, datum_from),
         overwrite=overwrite,
-        patience=lambda path: Patience(wait_s, progress.waits_for(path, wait_s)),
+        patience=partial(progress.patience, wait_s=wait_s),
     )
     if as_json:
         sessions = [{**asdict(one), "source": str(one.source)} for one in done]

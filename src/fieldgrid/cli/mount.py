@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -69,7 +68,10 @@ def command(
             path, drive.options(), every=every, jobs=jobs or os.cpu_count(), progress=show
         )
     if figure is not None:
-        _draw(estimate, figure)
+        from fieldgrid.figures import save
+        from fieldgrid.mounting.figure import mount_figure
+
+        save(mount_figure(estimate), figure)
     written: Path | None = None
     problem: FieldgridError | None = None
     if write:
@@ -78,26 +80,17 @@ def command(
         except FieldgridError as error:
             problem = error
     if as_json:
-        output.print_json(_document(estimate, written, figure))
+        output.print_json(
+            {
+                **estimate.as_dict(),
+                "mounting": None if written is None else str(written),
+                "figure": None if figure is None else str(figure),
+            }
+        )
     else:
         _print(estimate, written, figure)
     if problem is not None:
         raise problem  # only now, since the estimate took its time and is worth seeing
-
-
-def _draw(estimate: MountEstimate, path: Path) -> None:
-    from fieldgrid.figures import save
-    from fieldgrid.mounting.figure import mount_figure
-
-    save(mount_figure(estimate), path)
-
-
-def _document(estimate: MountEstimate, written: Path | None, figure: Path | None) -> dict[str, Any]:
-    return {
-        **estimate.as_dict(),
-        "mounting": None if written is None else str(written),
-        "figure": None if figure is None else str(figure),
-    }
 
 
 def _print(estimate: MountEstimate, written: Path | None, figure: Path | None) -> None:
@@ -109,7 +102,7 @@ def _print(estimate: MountEstimate, written: Path | None, figure: Path | None) -
     ]
     columns = ("", "measured", "stated", "stated - measured")
     output.print_table(columns, rows, title=f"mount {estimate.name}")
-    output.print_table(("", ""), list(_facts(estimate)))
+    output.print_table(("", ""), _facts(estimate))
     wrong = [one for one in compared.values() if one.disagrees]
     for one in wrong:
         name, digits, unit = _NAMES[one.key]
@@ -142,19 +135,21 @@ def _row(key: str, estimate: MountEstimate, compared: MountComparison | None) ->
     )
 
 
-def _facts(estimate: MountEstimate) -> Iterator[tuple[str, str]]:
-    yield "measured on", estimate.method
-    yield (
-        "frames used / looked at / all",
-        (f"{len(estimate.mount_samples.frame)} / {estimate.looked} / {estimate.frames}"),
-    )
-    yield (
-        "driven forward / reverse / nearly straight",
-        (f"{estimate.forward_m:.1f} / {estimate.reverse_m:.1f} / {estimate.straight_m:.1f} m"),
-    )
-    gnss = estimate.gnss
-    if gnss is not None and gnss.scale is not None:
-        yield "distance, camera / receiver", f"{gnss.scale.value:.4f} ± {gnss.scale.sigma:.4f}"
-    if gnss is not None and gnss.course_off_deg is not None:
-        course = gnss.course_off_deg
-        yield "course minus recorded heading", f"{course.value:+.2f} ± {course.sigma:.2f} °"
+def _facts(estimate: MountEstimate) -> list[tuple[str, str]]:
+    used, gnss = len(estimate.mount_samples.frame), estimate.gnss
+    driven_m = (estimate.forward_m, estimate.reverse_m, estimate.straight_m)
+    rows = [
+        ("measured on", estimate.method),
+        ("frames used / looked at / all", f"{used} / {estimate.looked} / {estimate.frames}"),
+        (
+            "driven forward / reverse / nearly straight",
+            " / ".join(f"{metres:.1f}" for metres in driven_m) + " m",
+        ),
+    ]
+    if gnss is not None and (scale := gnss.scale) is not None:
+        rows.append(("distance, camera / receiver", f"{scale.value:.4f} ± {scale.sigma:.4f}"))
+    if gnss is not None and (course := gnss.course_off_deg) is not None:
+        rows.append(
+            ("course minus recorded heading", f"{course.value:+.2f} ± {course.sigma:.2f} °")
+        )
+    return rows

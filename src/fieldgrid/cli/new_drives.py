@@ -10,8 +10,8 @@ from typing import Any
 from fieldgrid.cli import output, progress
 
 _MOST_OTHERS = 4
-"""Without --align a new drive is compared with so many new ones and so many older ones: that shows
-where it lies."""
+"""Number of new and of older drives that a new drive is compared with where nothing is aligned:
+that shows where it lies."""
 
 _MOST_PAIRS = 10
 """Of more pairs of drives than these, only those are listed that do not agree."""
@@ -27,9 +27,9 @@ def compare(
     scheduler: str | None = None,
 ) -> list[dict[str, Any]]:
     """How new drives lie against the map, and, with `align`, their transforms in it."""
-    from fieldgrid.mapfile import Patience, open_map
+    from fieldgrid.mapfile import open_map
 
-    patience = Patience(wait_s, progress.waits_for(out, wait_s))
+    patience = progress.patience(out, wait_s)
     with open_map(out, writable=align, patience=patience) as universal:
         placed = {info.name for info in universal.sessions() if info.active and info.accepted}
         moving = [name for name in new if name in placed]
@@ -62,21 +62,18 @@ def compare(
     ]
 
 
-def report_offsets(offsets: Sequence[dict[str, Any]], out: Path) -> None:
-    """Print the offsets of new drives from older ones, a line for each pair; of many pairs only
-    those that do not agree."""
-    agree = 0
-    for pair in offsets:
-        if len(offsets) > _MOST_PAIRS and _agrees(pair):
-            agree += 1
-        else:
-            output.report_line(_said(pair, out))
-    if agree:
+def report_offsets(pairs: Sequence[dict[str, Any]], out: Path) -> None:
+    """The offsets of new drives, a line for each pair; of many pairs only those that do not
+    agree."""
+    shown = [pair for pair in pairs if len(pairs) <= _MOST_PAIRS or not _agrees(pair)]
+    for pair in shown:
+        output.report_line(_sentence(pair, out))
+    if agree := len(pairs) - len(shown):
         output.report_line(f"pairs of drives that agree within two standard errors: {agree}")
 
 
-def _said(pair: dict[str, Any], out: Path) -> str:
-    """What is said of how a new drive lies against an older one."""
+def _sentence(pair: dict[str, Any], out: Path) -> str:
+    """The offset of a new drive from an older one."""
     east_m, north_m = pair["lay_apart_m"]
     between = f"{pair['of']} against {pair['against']}"
     if pair["doubt"] is not None:

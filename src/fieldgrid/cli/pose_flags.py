@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from fieldgrid.cli.drive_options import nanoseconds
 from fieldgrid.cli.groups import FieldsOf
 from fieldgrid.cli.options import numbers
 
@@ -80,7 +80,7 @@ class PoseFlags(NamedTuple):
     ] = None
 
     def source(self) -> PoseSource | None:
-        """The same as `open_drive` takes it; None where nothing is said."""
+        """The poses as `open_drive` takes them; None where nothing is said."""
         if all(value is None for value in self):
             return None
         from fieldgrid.recording.pose_source import PoseSource
@@ -90,18 +90,13 @@ class PoseFlags(NamedTuple):
             form, example = "FORWARD,LEFT,UP", "0.3,-0.1,0"
             forward, left, up = numbers("--poses-point", self.poses_point, ",", form, example)
             point = (forward, left, up)
-        offset_s = self.poses_offset
-        if offset_s is not None and not math.isfinite(offset_s * 1e9):
-            raise typer.BadParameter(
-                f"{offset_s} is no number of seconds", param_hint="--poses-offset"
-            )
         return PoseSource(
             self.poses,
             self.poses_topic,
             self.poses_axes,
             point,
             self.poses_times,
-            None if offset_s is None else round(offset_s * 1e9),
+            nanoseconds(self.poses_offset, "--poses-offset"),
         )
 
 

@@ -12,6 +12,7 @@ from fieldgrid.errors import RecordingError, printable
 
 if TYPE_CHECKING:
     from fieldgrid.build import Progress
+    from fieldgrid.mapfile import Patience
 
 
 @contextmanager
@@ -42,7 +43,8 @@ def working(what: str) -> Iterator[None]:
 
 @contextmanager
 def stages() -> Iterator[Callable[[str, int, int], None] | None]:
-    """The same for work in stages that have names, a line each."""
+    """Yields what to tell how many of how many are done of a stage, a line for each stage; None
+    where no terminal watches."""
     if not output.shows_progress():
         yield None
         return
@@ -69,6 +71,13 @@ def waits_for(path: Path, wait_s: float) -> Callable[[float], None]:
     return say
 
 
+def patience(path: Path, wait_s: float) -> Patience:
+    """How long another writer of a map is waited for, which a message on stderr tells."""
+    from fieldgrid.mapfile import Patience
+
+    return Patience(wait_s, waits_for(path, wait_s))
+
+
 def _waits(path: Path, wait_s: float) -> str:
     return f"waiting for another program that writes {path.name}, up to {wait_s:g} s"
 
@@ -84,15 +93,15 @@ def fetched(recording: str) -> Path:
 
 
 def fetched_or_url(recording: str) -> str | Path:
-    """The same for a build of several: what cannot be fetched stays a URL, so that the build
-    reports why and leaves that drive out."""
+    """The path of a recording, for a build of several: what cannot be fetched stays a URL, so that
+    the build reports why and leaves that drive out."""
     try:
         return fetched(recording)
     except RecordingError:
         return recording
 
 
-class Building(NamedTuple):
+class BuildProgress(NamedTuple):
     """Whom a build tells: how far its drives are, None where no terminal watches; and how many
     seconds it has waited for another writer."""
 
@@ -101,12 +110,12 @@ class Building(NamedTuple):
 
 
 @contextmanager
-def building(out: Path, wait_s: float) -> Iterator[Building]:
-    """The same for a build: one line of frames, rate and distance, over all drives."""
+def building(out: Path, wait_s: float) -> Iterator[BuildProgress]:
+    """Yields whom a build tells of its progress: one line of frames, rate and distance, over all
+    drives."""
     if not output.shows_progress():
-        yield Building(None, waits_for(out, wait_s))
+        yield BuildProgress(None, waits_for(out, wait_s))
         return
-    waits = _waits(out, wait_s)
     with _bar("{task.fields[rate]}  {task.fields[distance]}") as bar:
         task = bar.add_task("", total=None, rate="", distance="")
         drives: dict[str, Progress] = {}
@@ -126,9 +135,9 @@ def building(out: Path, wait_s: float) -> Iterator[Building]:
             )
 
         def wait(waited_s: float) -> None:
-            bar.update(task, description=f"{waits}: {waited_s:.0f} s")
+            bar.update(task, description=f"{_waits(out, wait_s)}: {waited_s:.0f} s")
 
-        yield Building(show, wait)
+        yield BuildProgress(show, wait)
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import typer
 from fieldgrid.cli import options, output
 
 if TYPE_CHECKING:
-    from fieldgrid.mapfile import Contribution, MapFile, Provenance
+    from fieldgrid.mapfile import MapFile, Provenance
 
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)"
 
@@ -43,7 +43,7 @@ def command(
 
     numbers = _numbers(" ".join(place))
     with open_map(map_) as universal:
-        east_m, north_m = _position(universal, numbers)
+        east_m, north_m = _position(universal, *numbers)
         found = universal.query(east_m, north_m, cell)
         marks = universal.marks(within=found.bounds)
     if as_json:
@@ -58,7 +58,23 @@ def command(
         words = (f"{key} {value}" for key in _SAID if (value := getattr(mark, key)))
         output.print_line(f"mark {', '.join(words)}")
     if found.contributions:
-        output.print_table(_COLUMNS, [_row(one) for one in found.contributions])
+        output.print_table(
+            _COLUMNS,
+            [
+                (
+                    one.session,
+                    one.frame_id,
+                    f"{one.density:.0f}",
+                    f"{one.cells:.2f}",
+                    f"{one.pose.heading_deg:.1f}",
+                    f"{one.pose.heading_sigma_deg:.2f}",
+                    f"{one.pose.position_sigma_m:.3f}",
+                    # With the folder: the images of a pair often have one name.
+                    ", ".join("/".join(Path(image).parts[-2:]) for image in one.images),
+                )
+                for one in found.contributions
+            ],
+        )
 
 
 _SAID = ("id", "kind", "name", "note", "author", "created")
@@ -79,8 +95,9 @@ def _numbers(text: str) -> tuple[float, float, bool]:
     return float(match[1]), float(match[3]), "," in match[2]
 
 
-def _position(universal: MapFile, numbers: tuple[float, float, bool]) -> tuple[float, float]:
-    first, second, is_geodetic = numbers
+def _position(
+    universal: MapFile, first: float, second: float, is_geodetic: bool
+) -> tuple[float, float]:
     if not is_geodetic:
         return first, second
     from fieldgrid.geodesy import Datum
@@ -88,20 +105,6 @@ def _position(universal: MapFile, numbers: tuple[float, float, bool]) -> tuple[f
     point = Datum(first, second, universal.datum.height_m)  # refuses what is not on Earth
     east, north, _ = universal.datum.to_enu(point.lat_deg, point.lon_deg, point.height_m)
     return float(east), float(north)
-
-
-def _row(one: Contribution) -> tuple[str, ...]:
-    return (
-        one.session,
-        one.frame_id,
-        f"{one.density:.0f}",
-        f"{one.cells:.2f}",
-        f"{one.pose.heading_deg:.1f}",
-        f"{one.pose.heading_sigma_deg:.2f}",
-        f"{one.pose.position_sigma_m:.3f}",
-        # With the folder: the images of a pair often have one name.
-        ", ".join("/".join(Path(image).parts[-2:]) for image in one.images),
-    )
 
 
 def _as_dict(path: Path, found: Provenance) -> dict[str, Any]:

@@ -57,11 +57,11 @@ def command(
             + ("--upgrade" if upgrade else "--in-place"),
             param_hint="--scheduler",
         )
-    from fieldgrid.mapfile import Patience, open_map
+    from fieldgrid.mapfile import open_map
 
     done, left = "repaired", tuple[str, ...]()
     keep = None if upgrade or in_place else _unused(map_)
-    patience = Patience(wait_s, progress.waits_for(map_, wait_s))
+    patience = progress.patience(map_, wait_s)
     with open_map(map_, writable=True, patience=patience) as universal:
         if not upgrade:
             left = universal.repair(jobs, keep=keep, scheduler=scheduler)
@@ -71,8 +71,9 @@ def command(
             done = "of the present format already:"
     if as_json:
         kept = None if keep is None else str(keep)
-        document = {"map": str(map_), "done": done.rstrip(":"), "kept": kept, "problems": left}
-        output.print_json(document)
+        output.print_json(
+            {"map": str(map_), "done": done.rstrip(":"), "kept": kept, "problems": left}
+        )
     else:
         for line in left:
             output.print_line(line)

@@ -188,6 +188,7 @@ def command(
     from fieldgrid.route.output import check_target, write_route
     from fieldgrid.rows import crop_named
     from fieldgrid.rows.agopengps import write_agopengps
+    from fieldgrid.rows.output import check_target as check_lanes_target
     from fieldgrid.rows.output import write_planting
 
     if not cover:
@@ -210,8 +211,10 @@ def command(
     inputs = [path for path in (map_, vehicle, boundary, guide) if path is not None]
     if out is not None:
         check_target(out)
-    if swaths is not None:
-        _check_swaths(swaths, speed_limit)
+    if swaths is not None and not swaths.name.lower().endswith(_TASKDATA):
+        check_lanes_target(swaths, speed_limit)
+    elif swaths is not None and speed_limit is not None:
+        raise typer.BadParameter("task data cannot hold it", param_hint="--speed-limit")
     options.check_outputs(written, inputs, overwrite=overwrite)
     driven = Vehicle() if vehicle is None else read_vehicle(vehicle)
     ground: dict[str, Any] = {
@@ -256,8 +259,9 @@ def command(
     except NoRouteError as none:
         if as_json:
             blocked = {"east_m": none.east_m, "north_m": none.north_m}
-            said_no = {"map": str(map_), "found": False, "reason": str(none), "blocked_at": blocked}
-            output.print_json(said_no)
+            output.print_json(
+                {"map": str(map_), "found": False, "reason": str(none), "blocked_at": blocked}
+            )
         raise
     if out is not None:
         write_route(route, out, overwrite=overwrite)
@@ -307,17 +311,9 @@ def _place(flag: str, text: str | None) -> tuple[float, ...] | None:
     try:
         return tuple(options.numbers(flag, text, ",", form, "12.5,-40"))
     except typer.BadParameter:
-        message = f"{text!r} is not {_FORM}, as in {_EXAMPLE}"
-        raise typer.BadParameter(message, param_hint=flag) from None
-
-
-def _check_swaths(path: Path, speed_limit: float | None) -> None:
-    from fieldgrid.rows.output import check_target
-
-    if not path.name.lower().endswith(_TASKDATA):
-        check_target(path, speed_limit)
-    elif speed_limit is not None:
-        raise typer.BadParameter("task data cannot hold it", param_hint="--speed-limit")
+        raise typer.BadParameter(
+            f"{text!r} is not {_FORM}, as in {_EXAMPLE}", param_hint=flag
+        ) from None
 
 
 def _shape(path: Path, datum: Datum, kind: str) -> Any:
@@ -383,11 +379,14 @@ def _as_dict(route: Route, coverage: Coverage | None, out: Path | None) -> dict[
         "poses": len(route.east_m),
         "file": None if out is None else str(out),
     }
-    if coverage is not None:
-        found["turning_share"] = coverage.turning_share
-        found["lanes"] = [lane._asdict() for lane in coverage.lanes]
-        if coverage.swaths is not None:
-            found["swaths"] = coverage.swaths._asdict()
-        found["left_out"] = [lane._asdict() for lane in coverage.left_out]
-        found["remedy"] = coverage.remedy
-    return found
+    if coverage is None:
+        return found
+    swaths = {} if coverage.swaths is None else {"swaths": coverage.swaths._asdict()}
+    return {
+        **found,
+        "turning_share": coverage.turning_share,
+        "lanes": [lane._asdict() for lane in coverage.lanes],
+        **swaths,
+        "left_out": [lane._asdict() for lane in coverage.left_out],
+        "remedy": coverage.remedy,
+    }

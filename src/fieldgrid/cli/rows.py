@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,7 +11,7 @@ import typer
 from fieldgrid.cli import options, output, progress
 
 if TYPE_CHECKING:
-    from fieldgrid.rows import Lane, Planting
+    from fieldgrid.rows import Planting
 
 
 def command(
@@ -92,7 +93,7 @@ def command(
         fieldgrid rows vineyard.gpkg --keep
     """
     from fieldgrid.evaluation import read_survey
-    from fieldgrid.mapfile import Patience, open_map
+    from fieldgrid.mapfile import open_map
     from fieldgrid.rows import crop_named, find_rows
     from fieldgrid.rows.agopengps import write_agopengps
     from fieldgrid.rows.output import check_target, planting_features, write_planting
@@ -120,7 +121,7 @@ def command(
         min_row_m=min_row,
         half_width_m=half_width,
     )
-    patience = Patience(wait_s, progress.waits_for(map_, wait_s))
+    patience = progress.patience(map_, wait_s)
     with open_map(map_, writable=keep, patience=patience) as universal:
         root = universal.root_sha256
         survey = read_survey(truth, universal.datum).points_m if truth else None
@@ -188,7 +189,7 @@ def block_rows(planting: Planting) -> list[tuple[str, ...]]:
 
 
 def blocks_as_dict(planting: Planting) -> list[dict[str, Any]]:
-    """The same as numbers."""
+    """The blocks with the check of their rows, for JSON."""
     from fieldgrid.rows.report import block_quality
 
     return [
@@ -207,12 +208,6 @@ def blocks_as_dict(planting: Planting) -> list[dict[str, Any]]:
 
 def _text(value: float, digits: int, unit: str) -> str:
     return output.number(output.known(value), digits, unit)
-
-
-def _clear_text(lane: Lane) -> str:
-    if output.known(lane.clear_width_m) is None:
-        return _text(lane.clear_width_m, 2, "m")
-    return f"{lane.clear_width_m:.2f} ± {lane.clear_sigma_m:.2f} m"
 
 
 def _print(planting: Planting) -> None:
@@ -252,7 +247,9 @@ def _print(planting: Planting) -> None:
                 " ".join(lane.rows),
                 _text(lane.length_m, 1, "m"),
                 _text(lane.free_width_m, 2, "m"),
-                _clear_text(lane),
+                f"{lane.clear_width_m:.2f} ± {lane.clear_sigma_m:.2f} m"
+                if math.isfinite(lane.clear_width_m)
+                else "-",
                 output.percent(lane.known, 0),
                 "yes" if lane.driven else "no",
                 str(sum(o.lane == lane.id for o in planting.obstacles)),
@@ -280,8 +277,8 @@ def _as_dict(path: Path, planting: Planting) -> dict[str, Any]:
     ]
     for entry, quality in zip(found["blocks"], block_quality(planting), strict=True):
         entry.update({k: output.known(v) for k, v in quality._asdict().items() if k != "block"})
-    by_row = {q.row: q for q in row_quality(planting)}
+    by_row = {q.row: q._asdict() for q in row_quality(planting)}
     for entry in found["rows"]:
-        quality_of = by_row[entry["id"]]
-        entry.update({k: output.known(v) for k, v in quality_of._asdict().items() if k != "row"})
+        values = by_row[entry["id"]].items()
+        entry.update({k: output.known(v) for k, v in values if k != "row"})
     return found

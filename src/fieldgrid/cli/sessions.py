@@ -57,11 +57,10 @@ def command(
     if len(changes) > 1:
         raise typer.BadParameter(f"give it without {changes[1]}", param_hint=changes[0])
     move = None if shift is None else (shift[0], _parsed(shift[1]))
-    from fieldgrid.mapfile import Patience, open_map
+    from fieldgrid.mapfile import open_map
 
-    change = bool(changes)
-    patience = Patience(wait_s, progress.waits_for(map_, wait_s))
-    with open_map(map_, writable=change, patience=patience) as universal:
+    patience = progress.patience(map_, wait_s)
+    with open_map(map_, writable=bool(changes), patience=patience) as universal:
         if remove is not None:
             universal.remove_session(remove)
         if restore is not None:
@@ -105,7 +104,7 @@ def _row(info: SessionInfo) -> tuple[str, ...]:
             note
             for note in (
                 "" if info.active else "removed",
-                _shifted(info.transform),
+                _shift_text(info.transform),
                 f"poses of {info.config['poses']}" if "poses" in info.config else "",
             )
             if note
@@ -113,7 +112,7 @@ def _row(info: SessionInfo) -> tuple[str, ...]:
     )
 
 
-def _shifted(transform: Transform) -> str:
+def _shift_text(transform: Transform) -> str:
     """Where a session was put, in words; empty for where it was driven."""
     if transform.is_identity:
         return ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,8 +13,6 @@ from fieldgrid.cli import options, output
 from fieldgrid.cli.farms import MapOrFarm, opened
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from fieldgrid.farm import Farm
     from fieldgrid.lattice import Bounds
     from fieldgrid.mapfile import MapFile, MapView
@@ -91,17 +89,29 @@ def command(
     if figure in (FigureKind.TRAJECTORY, FigureKind.HEADING):
         why = f"the figure {figure} shows no cells; leave it out"
         options.refuse_given(ctx, _OF_ALL, why)
-    from fieldgrid.figures import save
+    from fieldgrid import figures
 
     with opened(map_, datum_from) as universal:
-        chosen = _sessions(universal, at, session)
-        some = None if at is None and session is None else chosen
-        name = map_.stem or map_.resolve().name
-        asked = _Asked(
-            cell, options.bounds(bounds), chosen, some, averaging, layer, route, rows, name
-        )
-        drawn = _draw(universal, figure, asked)
-    save(drawn, out)
+        chosen, crop = _sessions(universal, at, session), options.bounds(bounds)
+        drives = figures.drives_of(universal, _in_sight(universal, chosen, crop))
+        if figure is FigureKind.TRAJECTORY:
+            drawn = figures.trajectory(drives)
+        elif figure is FigureKind.HEADING:
+            drawn = figures.heading(drives)
+        else:
+            way = None if route is None else figures.read_route(route, universal.datum)
+            # Cells of all sessions are read as they are stored.
+            some = None if at is None and session is None else chosen
+            view = _view(universal, crop, cell, layer, averaging, some)
+            what = "universal grid" if layer == "density" else layer
+            title = (
+                f"{map_.stem or map_.resolve().name}: {what}, cells of "
+                f"{view.lattice.cell_m * 100:g} cm"
+            )
+            draw = figures.universal_grid if figure is FigureKind.GRID else figures.sheet
+            found = _kept(universal) if rows else ()
+            drawn = draw(view, drives, layer=layer, route=way, found=found, title=title)
+    figures.save(drawn, out)
     if as_json:
         output.print_json({"map": str(map_), "figure": str(out)})
     else:
@@ -122,38 +132,6 @@ def _sessions(universal: MapFile | Farm, at: str | None, session: str | None) ->
         names = ", ".join(repr(name) for name in found) or "none"
         raise ConfigError(f"{universal.path} has no session {session!r}; it has {names}.")
     return [session]
-
-
-class _Asked(NamedTuple):
-    """What is to be drawn: the drives of `sessions`, and the cells of `some`, or as they are stored
-    over all sessions."""
-
-    cell_m: float | None
-    bounds: Bounds | None
-    sessions: list[str]
-    some: list[str] | None
-    averaging: str
-    layer: str
-    route: Path | None
-    rows: bool
-    stem: str
-
-
-def _draw(universal: MapFile | Farm, kind: FigureKind, asked: _Asked) -> Figure:
-    from fieldgrid import figures
-
-    drives = figures.drives_of(universal, _in_sight(universal, asked))
-    if kind is FigureKind.TRAJECTORY:
-        return figures.trajectory(drives)
-    if kind is FigureKind.HEADING:
-        return figures.heading(drives)
-    route = None if asked.route is None else figures.read_route(asked.route, universal.datum)
-    view = _view(universal, asked)
-    what = "universal grid" if asked.layer == "density" else asked.layer
-    title = f"{asked.stem}: {what}, cells of {view.lattice.cell_m * 100:g} cm"
-    draw = figures.universal_grid if kind is FigureKind.GRID else figures.sheet
-    found = _kept(universal) if asked.rows else ()
-    return draw(view, drives, layer=asked.layer, route=route, found=found, title=title)
 
 
 def _kept(universal: MapFile | Farm) -> tuple[Feature, ...]:
@@ -177,17 +155,24 @@ def _kept(universal: MapFile | Farm) -> tuple[Feature, ...]:
     return kept.features
 
 
-def _in_sight(universal: MapFile | Farm, asked: _Asked) -> list[str]:
+def _in_sight(universal: MapFile | Farm, sessions: list[str], bounds: Bounds | None) -> list[str]:
     """The sessions to draw; of a farm those of the maps in the part that is drawn."""
     from fieldgrid.farm import Farm
 
-    if asked.bounds is None or not isinstance(universal, Farm):
-        return asked.sessions
-    near = {name for name, one in universal.extents().items() if one.overlaps(asked.bounds)}
-    return [name for name in asked.sessions if universal.map_of(name).name in near]
+    if bounds is None or not isinstance(universal, Farm):
+        return sessions
+    near = {name for name, one in universal.extents().items() if one.overlaps(bounds)}
+    return [name for name in sessions if universal.map_of(name).name in near]
 
 
-def _view(universal: MapFile | Farm, asked: _Asked) -> MapView:
+def _view(
+    universal: MapFile | Farm,
+    bounds: Bounds | None,
+    cell_m: float | None,
+    layer: str,
+    averaging: str,
+    sessions: list[str] | None,
+) -> MapView:
     """The part of the map to draw; cells are enlarged where a picture could not show them."""
     from fieldgrid.errors import ConfigError
     from fieldgrid.farm import Farm
@@ -195,11 +180,11 @@ def _view(universal: MapFile | Farm, asked: _Asked) -> MapView:
     from fieldgrid.lattice import check_inside
     from fieldgrid.transfer import Averaging
 
-    if asked.averaging not in {rule.value for rule in Averaging}:
+    if averaging not in {rule.value for rule in Averaging}:
         raise typer.BadParameter(
-            f"{asked.averaging!r} is neither mean nor paper", param_hint="--averaging"
+            f"{averaging!r} is neither mean nor paper", param_hint="--averaging"
         )
-    extent, cell_m = asked.bounds or universal.bounds, asked.cell_m
+    extent = bounds or universal.bounds
     check_inside(extent, universal.bounds)
     if cell_m is None:
         side_m = max(extent.east_m - extent.west_m, extent.north_m - extent.south_m)
@@ -212,17 +197,11 @@ def _view(universal: MapFile | Farm, asked: _Asked) -> MapView:
         if isinstance(universal, Farm):
             times = 1 << (times - 1).bit_length()  # as each of the maps has stored them
         cell_m = universal.cell_m * times
-    layers = () if asked.layer == "density" else (asked.layer,)
-    if isinstance(universal, Farm):
-        if Averaging(asked.averaging) is Averaging.PAPER:
-            raise typer.BadParameter(
-                "it is of one map; several are joined by the mean", param_hint="--averaging"
-            )
-        return universal.read(asked.bounds, cell_m, layers=layers, sessions=asked.some)
-    return universal.read(
-        asked.bounds,
-        cell_m,
-        layers=layers,
-        averaging=Averaging(asked.averaging),
-        sessions=asked.some,
-    )
+    layers, rule = () if layer == "density" else (layer,), Averaging(averaging)
+    if not isinstance(universal, Farm):
+        return universal.read(bounds, cell_m, layers=layers, averaging=rule, sessions=sessions)
+    if rule is Averaging.PAPER:
+        raise typer.BadParameter(
+            "it is of one map; several are joined by the mean", param_hint="--averaging"
+        )
+    return universal.read(bounds, cell_m, layers=layers, sessions=sessions)

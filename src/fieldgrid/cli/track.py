@@ -17,7 +17,6 @@ from fieldgrid.settings import Overrides
 
 if TYPE_CHECKING:
     from fieldgrid.build.tracking import TrackedDrive
-    from fieldgrid.settings import BuildSettings
     from fieldgrid.track import Spread, TrackSummary
 
 _LOG = "A GNSS log alone"
@@ -110,9 +109,8 @@ def command(
         known = {**settings.get("pose", {}), "gear_spans": read_gear_spans(gear)}
         settings = {**settings, "pose": known}
     chosen = resolve(config, settings)
-    carrier = None
-    if antenna_ahead is not None or heading_offset is not None:
-        carrier = Carrier(antenna_ahead, heading_offset)
+    is_given = antenna_ahead is not None or heading_offset is not None
+    carrier = Carrier(antenna_ahead, heading_offset) if is_given else None
     if out is not None:
         check_target(out)
     path = progress.fetched(recording)
@@ -123,38 +121,28 @@ def command(
     if out is not None:
         write_track(tracked.estimate, out)
     if figure is not None:
-        _draw(tracked, chosen, figure)
+        from fieldgrid.figures import save, track_figure
+
+        limit_deg = chosen.pose.max_heading_sigma_deg
+        trajectory = tracked.estimate.trajectory
+        save(track_figure(trajectory, title=tracked.name, max_sigma_deg=limit_deg), figure)
     summary = summarise_track(tracked.estimate)
     if as_json:
-        _print_json(out, figure, tracked, summary)
+        values = summary.as_dict()
+        output.print_json(
+            {
+                "track": None if out is None else str(out),
+                "figure": None if figure is None else str(figure),
+                "drive": tracked.name,
+                "gnss": tracked.gnss_source,
+                **values,
+                "notes": [*tracked.notes, *values["notes"]],
+            }
+        )
     else:
         _report(out, figure, tracked, summary)
     if not summary.ok + summary.held:
         raise typer.Exit(1)
-
-
-def _draw(drive: TrackedDrive, settings: BuildSettings, path: Path) -> None:
-    from fieldgrid.figures import save, track_figure
-
-    limit_deg = settings.pose.max_heading_sigma_deg
-    trajectory = drive.estimate.trajectory
-    save(track_figure(trajectory, title=drive.name, max_sigma_deg=limit_deg), path)
-
-
-def _print_json(
-    out: Path | None, figure: Path | None, drive: TrackedDrive, summary: TrackSummary
-) -> None:
-    values = summary.as_dict()
-    values["notes"] = [*drive.notes, *values["notes"]]
-    output.print_json(
-        {
-            "track": None if out is None else str(out),
-            "figure": None if figure is None else str(figure),
-            "drive": drive.name,
-            "gnss": drive.gnss_source,
-            **values,
-        }
-    )
 
 
 def _report(
@@ -166,8 +154,7 @@ def _report(
     output.report_table(("", ""), rows, title=f"track {drive.name}")
     for count, example in summary.reasons[:_MOST_REASONS]:
         output.report_line(f"rejected {count}: {example}")
-    more = summary.reasons[_MOST_REASONS:]
-    if more:
+    if more := summary.reasons[_MOST_REASONS:]:
         count = sum(count for count, _ in more)
         reasons = "another reason" if len(more) == 1 else f"{len(more)} other reasons"
         output.report_line(f"rejected {count}: for {reasons}")
@@ -181,34 +168,38 @@ def _report(
         output.report_line(f"figure {figure}")
 
 
-def _fix_rows(summary: TrackSummary) -> Iterator[tuple[str, str]]:
+def _fix_rows(summary: TrackSummary) -> list[tuple[str, str]]:
     log = summary.report.conditioning
-    yield "fixes", str(summary.fixes)
-    yield "accepted, moving / held at rest", f"{summary.ok} / {summary.held}"
-    yield "rejected", str(summary.rejected)
-    yield "rate", output.number(log.rate_hz, 1, "Hz")
     longest_s = max((gap.seconds for gap in log.gaps), default=0.0)
     longest = f", the longest {longest_s:.1f} s" if log.gaps else ""
-    yield "gaps without a usable fix", f"{len(log.gaps)}{longest}"
-    yield "seams (shifts of the solution)", str(len(log.seams))
+    return [
+        ("fixes", str(summary.fixes)),
+        ("accepted, moving / held at rest", f"{summary.ok} / {summary.held}"),
+        ("rejected", str(summary.rejected)),
+        ("rate", output.number(log.rate_hz, 1, "Hz")),
+        ("gaps without a usable fix", f"{len(log.gaps)}{longest}"),
+        ("seams (shifts of the solution)", str(len(log.seams))),
+    ]
 
 
-def _way_rows(summary: TrackSummary) -> Iterator[tuple[str, str]]:
+def _way_rows(summary: TrackSummary) -> list[tuple[str, str]]:
     gears, datum = summary.gears, summary.datum
     times = (gears.forward_s, gears.reverse_s, gears.standing_s)
-    yield "duration", output.number(summary.duration_s, 1, "s")
-    yield "forward / reverse / at rest", " / ".join(f"{t:.1f}" for t in times) + " s"
-    yield "changes between forward and reverse", str(gears.reversals)
-    yield "distance", output.number(summary.distance_m, 1, "m")
-    yield (
-        f"heading sigma, median / 95 % ({summary.heading_source})",
-        _spread(summary.heading_sigma_deg, 2, "°"),
-    )
-    yield "position sigma, median / 95 %", _spread(summary.position_sigma_m, 3, "m")
-    yield (
-        "datum: latitude, longitude, height",
-        f"{datum.lat_deg!r}, {datum.lon_deg!r}, {datum.height_m!r}",
-    )
+    return [
+        ("duration", output.number(summary.duration_s, 1, "s")),
+        ("forward / reverse / at rest", " / ".join(f"{t:.1f}" for t in times) + " s"),
+        ("changes between forward and reverse", str(gears.reversals)),
+        ("distance", output.number(summary.distance_m, 1, "m")),
+        (
+            f"heading sigma, median / 95 % ({summary.heading_source})",
+            _spread(summary.heading_sigma_deg, 2, "°"),
+        ),
+        ("position sigma, median / 95 %", _spread(summary.position_sigma_m, 3, "m")),
+        (
+            "datum: latitude, longitude, height",
+            f"{datum.lat_deg!r}, {datum.lon_deg!r}, {datum.height_m!r}",
+        ),
+    ]
 
 
 def _sensor_rows(summary: TrackSummary) -> Iterator[tuple[str, str]]:

@@ -4,7 +4,7 @@
 export carries the datum, tells unknown from empty, and is written whole or not at all.
 """
 
-from fieldgrid.export.geotiff import export_change, export_geotiff
+from fieldgrid.export.geotiff import export_change
 from fieldgrid.export.registry import (
     Exported,
     ExportFormat,
@@ -23,7 +23,6 @@ __all__ = [
     "Holds",
     "Selection",
     "export_change",
-    "export_geotiff",
     "export_map",
     "format_of",
     "formats",

@@ -7,22 +7,21 @@ A cell that nobody saw is NaN, or has `_FillValue`: no comparison takes it for f
 
 from __future__ import annotations
 
-import importlib
 import io
 import shutil
 import zipfile
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.array_types import AnyArray
-from fieldgrid.errors import ConfigError
 from fieldgrid.export.georeference import extent
-from fieldgrid.export.registry import Exported, ExportFormat, register_export_format
+from fieldgrid.export.registry import Exported, ExportFormat, register_export_format, require
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.tables import datum_values
 from fieldgrid.export.zarr_folder import zarr_folder
@@ -42,23 +41,22 @@ def export_npz(
     Arrays of cells have the shape [north, east]; no pickled object is in the file. They are made
     on the disk beside it, a piece of the map at a time.
     """
+    ours = partial(mentions, mark=b"datum_lat_deg.npy")
     with (
-        replacing(path, overwrite=overwrite, ours=_is_npz, what="an NPZ") as file,
+        replacing(path, overwrite=overwrite, ours=ours, what="an NPZ") as file,
         working_beside(file) as folder,
         selection.blocks(universal, ("count",)) as blocks,
     ):
         lattice, window, datum = blocks.lattice, blocks.window, universal.datum
-        names = dict.fromkeys((selection.layer, "count"))
-        corner = Window(window.i0, window.j0, 1, 1)
-        unseen = empty_view(lattice, corner, datum, [name for name in names if name != "density"])
+        unseen = _unseen_cell(blocks, datum, selection.layer)
         with ExitStack() as stack:
-            raws = {
-                name: _Raw(stack, Path(folder) / name, array, window)
+            stores = {
+                name: _CellStore(stack, Path(folder) / name, array, window)
                 for name, array in _cells(unseen).items()
             }
             for view in blocks.views:
                 for name, array in _cells(view).items():
-                    raws[name].write(array, view.window)
+                    stores[name].write(array, view.window)
             east_m, north_m = lattice.centres(window)
             small: dict[str, npt.ArrayLike] = {
                 "east_m": east_m,
@@ -71,10 +69,17 @@ def export_npz(
                 for name, values in small.items():
                     with archive.open(f"{name}.npy", "w") as member:
                         np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
-                for name, raw in raws.items():
+                for name, store in stores.items():
                     with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                        raw.copy_to(member)
+                        store.copy_to(member)
         return _exported(path, blocks, universal)
+
+
+def _unseen_cell(blocks: MapBlocks, datum: Datum, layer: str) -> MapView:
+    """A view of one cell that nobody saw, with the layers that are written beside the density."""
+    names = [name for name in dict.fromkeys((layer, "count")) if name != "density"]
+    corner = Window(blocks.window.i0, blocks.window.j0, 1, 1)
+    return empty_view(blocks.lattice, corner, datum, names)
 
 
 def _cells(view: MapView) -> dict[str, AnyArray]:
@@ -88,7 +93,7 @@ def _cells(view: MapView) -> dict[str, AnyArray]:
     }
 
 
-class _Raw:
+class _CellStore:
     """An array of cells in a file, as it is in memory; `unseen` [1, 1] is what nobody saw."""
 
     def __init__(self, stack: ExitStack, file: Path, unseen: AnyArray, window: Window) -> None:
@@ -127,7 +132,9 @@ def export_zarr(
 
     Raises ConfigError when xarray or zarr is not installed.
     """
-    zarr = _libraries("Zarr", "zarr")
+    require("Writing Zarr", "tables", "xarray", "zarr")
+    import zarr
+
     with (
         replacing_folder(path, overwrite=overwrite, ours=_is_zarr, what="a Zarr store") as draft,
         zarr_folder(draft) as store,
@@ -136,15 +143,15 @@ def export_zarr(
         # Format 2 is read by every version of zarr and by GDAL; 3 is not yet.
         group = zarr.open_group(store, mode="w", zarr_format=2)
 
-        def create(name: str, one: _Variable) -> Any:
-            said = {key: _json(value) for key, value in one.attributes.items()}
+        def create(name: str, one: Any, shape: Shape, chunks: Shape | None, fill: Any) -> Any:
+            said = {key: _json(value) for key, value in one.attrs.items()}
             return group.create_array(
                 name,
-                shape=one.shape,
-                chunks=one.chunks or one.shape or "auto",
+                shape=shape,
+                chunks=chunks or shape or "auto",
                 dtype=one.dtype,
-                fill_value=one.fill,
-                attributes={**said, "_ARRAY_DIMENSIONS": list(one.axes)},
+                fill_value=fill,
+                attributes={**said, "_ARRAY_DIMENSIONS": list(one.dims)},
             )
 
         group.attrs.update(
@@ -161,9 +168,12 @@ def export_netcdf(
 
     Raises ConfigError when xarray or h5netcdf is not installed.
     """
-    h5netcdf = _libraries("NetCDF", "h5netcdf", "h5py")
+    require("Writing NetCDF", "tables", "xarray", "h5netcdf", "h5py")
+    import h5netcdf  # type: ignore[import-untyped]
+
+    ours = partial(mentions, mark=b"datum_lat_deg")
     with (
-        replacing(path, overwrite=overwrite, ours=_is_netcdf, what="a NetCDF") as file,
+        replacing(path, overwrite=overwrite, ours=ours, what="a NetCDF") as file,
         selection.blocks(universal, ("count",)) as blocks,
         file.open("w+b", buffering=0) as raw,
     ):
@@ -171,17 +181,17 @@ def export_netcdf(
         with h5netcdf.File(disk, "w") as out:
             out.dimensions = dict(zip(_AXES, blocks.window.shape, strict=True))
 
-            def create(name: str, one: _Variable) -> Any:
+            def create(name: str, one: Any, shape: Shape, chunks: Shape | None, fill: Any) -> Any:
                 packed = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
                 made = out.create_variable(
                     name,
-                    one.axes,
+                    one.dims,
                     one.dtype,
-                    fillvalue=one.fill,
-                    chunks=one.chunks,
-                    **(packed if one.chunks else {}),
+                    fillvalue=fill,
+                    chunks=chunks,
+                    **(packed if chunks else {}),
                 )
-                made.attrs.update(one.attributes)
+                made.attrs.update(one.attrs)
                 disk.check()
                 return made
 
@@ -195,44 +205,33 @@ CHUNK_CELLS = 1024
 """A side of what is compressed at once."""
 
 
-class _Variable(NamedTuple):
-    """How a variable is stored; `chunks` is None for what is no array of cells, `fill` for what has
-    a value everywhere."""
-
-    axes: tuple[str, ...]
-    shape: tuple[int, ...]
-    chunks: tuple[int, ...] | None
-    dtype: np.dtype[Any]
-    fill: Any
-    attributes: dict[str, Any]
+Shape = tuple[int, ...]
 
 
 def _written(
     blocks: MapBlocks,
     datum: Datum,
     selection: Selection,
-    create: Callable[[str, _Variable], Any],
+    create: Callable[[str, Any, Shape, Shape | None, Any], Any],
     after_each: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
-    """Write the dataset of the blocks, a block at a time, into variables as `create` makes them.
+    """Write the dataset of the blocks, a block at a time, into variables as `create` makes them of
+    a name, xarray's variable, the shape, the shape of chunks (None for what is no array of cells)
+    and the fill value (None for what has a value everywhere).
 
     Cells of no block have the fill value. Returns the attributes of the dataset.
     """
     lattice, window = blocks.lattice, blocks.window
-    names = [name for name in dict.fromkeys((selection.layer, "count")) if name != "density"]
-    corner = Window(window.i0, window.j0, 1, 1)
-    empty = cf_dataset(empty_view(lattice, corner, datum, names))
+    empty = cf_dataset(_unseen_cell(blocks, datum, selection.layer))
+    sizes = dict(zip(_AXES, window.shape, strict=True))
     east_m, north_m = lattice.centres(window)
     whole = {"east_m": east_m, "north_m": north_m, "crs": empty["crs"].values}
     cells = {}
     for name, variable in empty.variables.items():
-        sizes = dict(zip(_AXES, window.shape, strict=True))
         shape = tuple(sizes[axis] for axis in variable.dims)
-        attributes = dict(variable.attrs)
-        fill = attributes.pop("_FillValue", None)
+        fill = variable.attrs.pop("_FillValue", None)
         chunks = tuple(min(side, CHUNK_CELLS) for side in shape) if name not in whole else None
-        one = _Variable(variable.dims, shape, chunks, variable.dtype, fill, attributes)
-        made = create(name, one)
+        made = create(name, variable, shape, chunks, fill)
         if name in whole:
             made[...] = whole[name]
         else:
@@ -301,19 +300,6 @@ class _Disk(io.RawIOBase):
         return self._file.tell() if size is None else size
 
 
-def _libraries(what: str, *names: str) -> Any:
-    """The first of the libraries, when xarray and all of them are installed."""
-    try:
-        for name in ("xarray", *names):
-            importlib.import_module(name)
-    except ImportError as error:
-        raise ConfigError(
-            f"Writing {what} needs xarray and {' and '.join(names)}, which are not installed; "
-            "run: pip install 'fieldgrid[tables]'"
-        ) from error
-    return importlib.import_module(names[0])
-
-
 def _json(value: Any) -> Any:
     """An attribute as JSON has it."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
@@ -322,14 +308,6 @@ def _json(value: Any) -> Any:
 def _exported(path: Path, blocks: MapBlocks, universal: Readable) -> Exported:
     rows = (("cells", f"{blocks.window.width} x {blocks.window.height}"),)
     return Exported((path,), rows, extent(blocks.lattice, blocks.window, universal.datum))
-
-
-def _is_netcdf(file: Path) -> bool:
-    return mentions(file, b"datum_lat_deg")
-
-
-def _is_npz(file: Path) -> bool:
-    return mentions(file, b"datum_lat_deg.npy")
 
 
 def _is_zarr(folder: Path) -> bool:

@@ -40,7 +40,7 @@ _END_NS = 2**31 * 1_000_000_000
 GRID_MAP_LAYERS = ("density", "count", "variance", "persistence")
 
 
-class Stamped(NamedTuple):
+class BagMessage(NamedTuple):
     """A ROS message on its way into a bag."""
 
     topic: str
@@ -50,7 +50,8 @@ class Stamped(NamedTuple):
 
 
 class BagContent(NamedTuple):
-    """What a bag is made of. `tiles` are those of what is too large for a message."""
+    """What a bag is made of. `tiles` are those of what is too large for a message; `start_ns` is
+    the time of the first accepted pose, or of the first frame where there is no trajectory."""
 
     universal: MapFile
     selection: Selection
@@ -73,7 +74,10 @@ class BagContent(NamedTuple):
                     f"Session {name!r} has times before 1970 or after 2038, which a ROS message "
                     "cannot hold; take another format."
                 )
-        start_ns = _start_ns(universal, tracks)
+        poses = [int(one.time_ns[one.accepted][0]) for one in tracks.values() if any(one.accepted)]
+        infos = universal.sessions()
+        frames = [info.first_time_ns for info in infos if info.first_time_ns is not None]
+        start_ns = min(max(min(poses or frames, default=0), 0), _END_NS - 1)
         return cls(universal, selection, curve, whole, tuple(tiles), tracks, start_ns)
 
     @property
@@ -90,7 +94,7 @@ class BagContent(NamedTuple):
         return f"{window.width} x {window.height} cells of {self.whole.lattice.cell_m:g} m"
 
     def about(self, messages: int) -> dict[str, Any]:
-        """The same as numbers."""
+        """Size, place and numbers of messages and tiles, for a program."""
         whole, datum = self.whole, self.universal.datum
         counts = {"messages": messages, "tiles": len(self.tiles)}
         return extent(whole.lattice, whole.window, datum) | counts
@@ -105,72 +109,59 @@ class BagContent(NamedTuple):
         return (("too large for one message", tiles), *rows)
 
 
-class _Vehicle(NamedTuple):
-    """The frame of a vehicle on the ground, and its antenna where the session tells it."""
-
-    base: str
-    antenna: ros_messages.Antenna | None
-
-    @classmethod
-    def of(cls, content: BagContent, session: str, names: dict[str, str]) -> Self:
-        """The frames of a session; of several, each is below the name of its own."""
-        above = "" if len(content.tracks) == 1 else f"{names[session]}/"
-        (info,) = (one for one in content.universal.sessions() if one.name == session)
-        antenna = None
-        if "rig" in info.config:
-            try:
-                at = Rig.from_dict(info.config["rig"]).antenna
-            except CalibrationError as error:
-                raise MapError(
-                    f"Session {session!r} does not say where its antenna was ({error}); build it "
-                    "again from its recording."
-                ) from error
-            antenna = ros_messages.Antenna(f"{above}{ANTENNA}", at)
-        return cls(f"{above}{BASE}", antenna)
+def _vehicle(
+    content: BagContent, session: str, names: dict[str, str]
+) -> tuple[str, ros_messages.Antenna | None]:
+    """The frame of a session's vehicle on the ground, and its antenna where the session tells it;
+    of several sessions, each has frames below its own name."""
+    above = "" if len(content.tracks) == 1 else f"{names[session]}/"
+    (info,) = (one for one in content.universal.sessions() if one.name == session)
+    antenna = None
+    if "rig" in info.config:
+        try:
+            at = Rig.from_dict(info.config["rig"]).antenna
+        except CalibrationError as error:
+            raise MapError(
+                f"Session {session!r} does not say where its antenna was ({error}); build it "
+                "again from its recording."
+            ) from error
+        antenna = ros_messages.Antenna(f"{above}{ANTENNA}", at)
+    return f"{above}{BASE}", antenna
 
 
-def _start_ns(universal: MapFile, tracks: dict[str, Trajectory]) -> int:
-    """The time of the first accepted pose, or of the first frame where there is no trajectory."""
-    poses = [
-        int(track.time_ns[track.accepted][0]) for track in tracks.values() if any(track.accepted)
-    ]
-    frames = [info.first_time_ns for info in universal.sessions() if info.first_time_ns is not None]
-    return min(max(min(poses or frames, default=0), 0), _END_NS - 1)
-
-
-def messages(content: BagContent) -> Iterator[Stamped]:
+def messages(content: BagContent) -> Iterator[BagMessage]:
     """All messages in the order of their times, one in memory at a time."""
     datum, tracks, area = content.universal.datum, content.tracks, content.area
     start_ns, (lattice, window) = content.start_ns, content.whole
     names = topic_names(tracks)
-    vehicles = {name: _Vehicle.of(content, name, names) for name in tracks}
+    vehicles = {name: _vehicle(content, name, names) for name in tracks}
     # In one message: of a latched topic, those who come later get the last one.
     placed = [ros_messages.earth_to_map(datum, start_ns)]
     placed += [
-        ros_messages.antenna_on(vehicle.base, vehicle.antenna, start_ns)
-        for vehicle in vehicles.values()
-        if vehicle.antenna is not None
+        ros_messages.antenna_on(base, antenna, start_ns)
+        for base, antenna in vehicles.values()
+        if antenna is not None
     ]
-    yield Stamped("/tf_static", transforms(*placed), start_ns, True)
-    yield Stamped("/datum", datum_message(datum, start_ns), start_ns, True)
+    yield BagMessage("/tf_static", transforms(*placed), start_ns, True)
+    yield BagMessage("/datum", datum_message(datum, start_ns), start_ns, True)
     about = json.dumps(georeference(lattice, window, datum), ensure_ascii=False)
-    yield Stamped("/georeference", text(about), start_ns, True)
+    yield BagMessage("/georeference", text(about), start_ns, True)
     for topic, is_large, message in (
         ("/map", content.whole.is_large, _occupancy),
         ("/grid_map", bool(content.tiles), _grid_map),
     ):
         if not is_large:
-            yield Stamped(topic, message(content, content.selection), start_ns, True)
+            yield BagMessage(topic, message(content, content.selection), start_ns, True)
             continue
         named = [(f"{topic}/tile_{tile.name}", tile) for tile in content.tiles]
         index = json.dumps([{"topic": name, **tile.about(lattice)} for name, tile in named])
-        yield Stamped(f"{topic}/index", text(index), start_ns, True)
+        yield BagMessage(f"{topic}/index", text(index), start_ns, True)
         for name, tile in named:
-            yield Stamped(name, message(content, tile.selection), start_ns, True)
+            yield BagMessage(name, message(content, tile.selection), start_ns, True)
     for name, track in tracks.items():
         for number, rows in enumerate(_runs(track, area), 1):
             topic = f"/{names[name]}/path{'' if number == 1 else f'_{number}'}"
-            yield Stamped(topic, ros_messages.path(track, rows, start_ns), start_ns, True)
+            yield BagMessage(topic, ros_messages.path(track, rows, start_ns), start_ns, True)
     for name, track in sorted(tracks.items(), key=lambda item: _first_ns(item[1])):
         wanted = track.accepted & _inside(track, area)
         base, antenna = vehicles[name]
@@ -179,15 +170,15 @@ def messages(content: BagContent) -> Iterator[Stamped]:
         # Both are in the order of time, and so are they together.
         yield from heapq.merge(
             (
-                Stamped(f"/{names[name]}/fix", fix, time_ns, False)
+                BagMessage(f"/{names[name]}/fix", fix, time_ns, False)
                 for time_ns, fix in ros_messages.fixes(track, wanted, base, antenna, up_sigma_m)
             ),
             (
                 one
                 for time_ns, odometry, placed in ros_messages.driven(track, rows, base)
                 for one in (
-                    Stamped("/tf", placed, time_ns, False),
-                    Stamped(f"/{names[name]}/odometry", odometry, time_ns, False),
+                    BagMessage("/tf", placed, time_ns, False),
+                    BagMessage(f"/{names[name]}/odometry", odometry, time_ns, False),
                 )
             ),
             key=lambda one: one.time_ns,
@@ -221,8 +212,8 @@ def _inside(track: Trajectory, area: Bounds | None) -> Bool:
     if area is None:
         return np.ones(len(track), dtype=np.bool_)
     east, north = track.east_m, track.north_m
-    in_columns = (east >= area.west_m) & (east <= area.east_m)
-    return in_columns & (north >= area.south_m) & (north <= area.north_m)
+    inside: Bool = (east >= area.west_m) & (east <= area.east_m)
+    return inside & (north >= area.south_m) & (north <= area.north_m)
 
 
 def _runs(track: Trajectory, area: Bounds | None) -> Iterator[Int64]:

@@ -15,7 +15,6 @@ from fieldgrid.export.obstacles import trace_obstacles
 from fieldgrid.export.options import QuadtreeOptions, ShapeOptions
 from fieldgrid.export.selection import Selection
 from fieldgrid.export.squares import square_layer
-from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import FrameRecord, MapFile
 from fieldgrid.trajectory import Trajectory
@@ -30,7 +29,7 @@ quadtree is for itself."""
 def feature_layers(
     universal: MapFile,
     selection: Selection,
-    options: ShapeOptions | None,
+    options: ShapeOptions,
     names: Sequence[str],
     squares: QuadtreeOptions | None = None,
 ) -> list[FeatureLayer]:
@@ -44,8 +43,7 @@ def feature_layers(
             raise ConfigError(f"{name!r} is no layer of features; known are {', '.join(LAYERS)}.")
     sessions, area = selection.sessions(universal), selection.area(universal)
     drives = trajectories(universal, selection)
-    above = OBSTACLE_ABOVE if options is None else options.obstacle_above
-    quadtree = squares or QuadtreeOptions()
+    quadtree, above = squares or QuadtreeOptions(), options.obstacle_above
     make: dict[str, Callable[[], FeatureLayer]] = {
         "mark": lambda: _within(_marks(universal), area),
         "obstacle": lambda: _obstacles(universal, selection, options),
@@ -89,15 +87,20 @@ def _marks(universal: MapFile) -> FeatureLayer:
     return FeatureLayer("mark", "Unknown", _objects([mark.geometry for mark in marks]), texts)
 
 
-def _obstacles(
-    universal: MapFile, selection: Selection, options: ShapeOptions | None
-) -> FeatureLayer:
+def _obstacles(universal: MapFile, selection: Selection, options: ShapeOptions) -> FeatureLayer:
     with selection.blocks(universal, universal.deciding(selection.cell_m)) as blocks:
         found = list(trace_obstacles(blocks.views, options))
+    import shapely
+
+    # As multipolygons all: a layer has one type of geometry.
+    outlines = [
+        outline if outline.geom_type == "MultiPolygon" else shapely.MultiPolygon([outline])
+        for outline, *_ in found
+    ]
     return FeatureLayer(
         "obstacle",
         "MultiPolygon",
-        _multi([one.outline for one in found]),
+        _objects(outlines),
         {
             "area_m2": np.array([one.area_m2 for one in found], dtype=np.float64),
             "mean_density": np.array([one.mean_density for one in found], dtype=np.float64),
@@ -106,37 +109,22 @@ def _obstacles(
     )
 
 
-def _multi(outlines: list[Any]) -> npt.NDArray[np.object_]:
-    """The outlines as multipolygons all: a layer has one type of geometry."""
-    import shapely
-
-    return _objects(
-        [
-            one if one.geom_type == "MultiPolygon" else shapely.MultiPolygon([one])
-            for one in outlines
-        ]
-    )
-
-
 def _lines(drives: dict[str, Trajectory], area: Bounds | None) -> FeatureLayer:
     """A line for each stretch of a drive in one gear on which no pose was rejected."""
     import shapely
 
-    lines, names, gears, starts, stops = [], [], [], [], []
+    found: list[tuple[Any, str, int, int, int]] = []
     for name, track in drives.items():
         for first, last in _stretches(track):
             rows = slice(first, last)
             places = np.c_[track.east_m[rows], track.north_m[rows]]
             passed_s = (track.time_ns[rows] - track.time_ns[first]) / 1e9
             for positions in stretches_inside(places[:, 0], places[:, 1], area):
-                lines.append(
-                    shapely.LineString(np.column_stack([at(v, positions) for v in places.T]))
-                )
+                line = shapely.LineString(np.column_stack([at(v, positions) for v in places.T]))
                 passed_ns = np.rint(at(passed_s, positions) * 1e9).astype(np.int64)
-                names.append(name)
-                gears.append(int(track.gear[first + 1]))
-                starts.append(int(track.time_ns[first] + passed_ns[0]))
-                stops.append(int(track.time_ns[first] + passed_ns[-1]))
+                times_ns = (track.time_ns[first] + passed_ns).tolist()
+                found.append((line, name, int(track.gear[first + 1]), times_ns[0], times_ns[-1]))
+    lines, names, gears, starts, stops = ([row[k] for row in found] for k in range(5))
     return FeatureLayer(
         "trajectory",
         "LineString",

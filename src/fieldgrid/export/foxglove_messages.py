@@ -25,7 +25,7 @@ from fieldgrid.ros.messages import MAP
 from fieldgrid.trajectory import Pose
 
 
-class Raw(NamedTuple):
+class EncodedMessage(NamedTuple):
     """A message that is serialised already, and what it is: its schema is protobuf's."""
 
     schema_name: str
@@ -44,7 +44,7 @@ def check_installed() -> None:
         ) from error
 
 
-def grid(view: MapView, time_ns: int) -> Raw:
+def grid(view: MapView, time_ns: int) -> EncodedMessage:
     """foxglove.Grid of the density: bright is free, dark an obstacle, transparent not observed.
 
     Each cell has five bytes: red, green, blue and alpha, in which it is drawn, and the density.
@@ -54,14 +54,14 @@ def grid(view: MapView, time_ns: int) -> Raw:
     return _grid("density", view.density, view.observed, corner, view.lattice.cell_m, MAP, time_ns)
 
 
-def cost_grid(costs: UInt8, bounds: Bounds, cell_m: float, time_ns: int) -> Raw:
+def cost_grid(costs: UInt8, bounds: Bounds, cell_m: float, time_ns: int) -> EncodedMessage:
     """foxglove.Grid of costs [rows north, columns east] as Nav2 has them, drawn as `grid`; its
     fifth byte is the cost."""
     corner = _pose((bounds.west_m, bounds.south_m, 0.0), 0.0)
     return _grid("cost", costs, costs != UNKNOWN_COST, corner, cell_m, MAP, time_ns)
 
 
-def local_grid(local: LocalGrid, time_ns: int, base: str) -> Raw:
+def local_grid(local: LocalGrid, time_ns: int, base: str) -> EncodedMessage:
     """foxglove.Grid of a local grid's density, in the frame `base` of the vehicle: forward, left,
     up. Its rows lie ahead of each other, its columns from left to right."""
     # The corner is that on the near left, and columns run to the right: a quarter turn.
@@ -78,7 +78,7 @@ def _grid(
     cell_m: float,
     frame: str,
     time_ns: int,
-) -> Raw:
+) -> EncodedMessage:
     """foxglove.Grid of values [rows, columns] whose first cell begins at the pose `corner`."""
     from foxglove_schemas_protobuf.Grid_pb2 import Grid
     from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
@@ -100,43 +100,37 @@ def _grid(
         ],
         data=cells.tobytes(),
     )
-    message.timestamp.FromNanoseconds(time_ns)
     message.cell_size.x = message.cell_size.y = cell_m
-    return _raw(message)
+    return _encoded(message, time_ns)
 
 
-def pose(at: Pose) -> Raw:
+def pose(at: Pose) -> EncodedMessage:
     """foxglove.PoseInFrame of a pose in the map; its x is forward."""
     from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
-    message = PoseInFrame(frame_id=MAP, pose=_pose_of(at))
-    message.timestamp.FromNanoseconds(at.time_ns)
-    return _raw(message)
+    return _encoded(PoseInFrame(frame_id=MAP, pose=_pose_of(at)), at.time_ns)
 
 
-def path(poses: Sequence[Pose], time_ns: int) -> Raw:
+def path(poses: Sequence[Pose], time_ns: int) -> EncodedMessage:
     """foxglove.PosesInFrame of poses in the map."""
     from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 
-    message = PosesInFrame(frame_id=MAP, poses=[_pose_of(one) for one in poses])
-    message.timestamp.FromNanoseconds(time_ns)
-    return _raw(message)
+    return _encoded(PosesInFrame(frame_id=MAP, poses=[_pose_of(one) for one in poses]), time_ns)
 
 
-def transform(at: Pose, base: str) -> Raw:
+def transform(at: Pose, base: str) -> EncodedMessage:
     """foxglove.FrameTransform: where the vehicle's frame `base` is in the map."""
     from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 
     message = FrameTransform(parent_frame_id=MAP, child_frame_id=base)
-    message.timestamp.FromNanoseconds(at.time_ns)
     placed = _pose_of(at)
     for name in "xyz":
         setattr(message.translation, name, getattr(placed.position, name))
     message.rotation.CopyFrom(placed.orientation)
-    return _raw(message)
+    return _encoded(message, at.time_ns)
 
 
-def location_fix(fix: Fix, frame: str) -> Raw:
+def location_fix(fix: Fix, frame: str) -> EncodedMessage:
     """foxglove.LocationFix of the antenna, with its height above the ellipsoid; the height's
     error is taken as twice the horizontal one."""
     from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
@@ -151,18 +145,15 @@ def location_fix(fix: Fix, frame: str) -> Raw:
         .tolist(),
         position_covariance_type=LocationFix.APPROXIMATED,
     )
-    message.timestamp.FromNanoseconds(fix.time_ns)
-    return _raw(message)
+    return _encoded(message, fix.time_ns)
 
 
-def log(text: str, time_ns: int, *, is_warning: bool) -> Raw:
+def log(text: str, time_ns: int, *, is_warning: bool) -> EncodedMessage:
     """foxglove.Log of a sentence."""
     from foxglove_schemas_protobuf.Log_pb2 import Log
 
     level = Log.WARNING if is_warning else Log.INFO
-    message = Log(level=level, message=text, name="fieldgrid")
-    message.timestamp.FromNanoseconds(time_ns)
-    return _raw(message)
+    return _encoded(Log(level=level, message=text, name="fieldgrid"), time_ns)
 
 
 def _pose_of(at: Pose) -> Any:
@@ -180,11 +171,11 @@ def _pose(at_m: tuple[float, float, float], yaw_rad: float) -> Any:
     return message
 
 
-def geojson(text: str) -> Raw:
+def geojson(text: str) -> EncodedMessage:
     """foxglove.GeoJSON of a text."""
     from foxglove_schemas_protobuf.GeoJSON_pb2 import GeoJSON
 
-    return _raw(GeoJSON(geojson=text))
+    return _encoded(GeoJSON(geojson=text))
 
 
 def schema(name: str) -> bytes:
@@ -193,10 +184,12 @@ def schema(name: str) -> bytes:
     return _schema(getattr(module, name).DESCRIPTOR.file)
 
 
-def _raw(message: Any) -> Raw:
-    """The message with its schema."""
+def _encoded(message: Any, time_ns: int | None = None) -> EncodedMessage:
+    """The message with its schema, stamped with a time where it has one."""
+    if time_ns is not None:
+        message.timestamp.FromNanoseconds(time_ns)
     described = message.DESCRIPTOR
-    return Raw(described.full_name, _schema(described.file), message.SerializeToString())
+    return EncodedMessage(described.full_name, _schema(described.file), message.SerializeToString())
 
 
 @cache

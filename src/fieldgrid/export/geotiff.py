@@ -34,13 +34,13 @@ _LEVEL = 1
 """Of DEFLATE: with the default of 6 it takes more than twice the time, for 5 % fewer bytes."""
 
 
-def export_geotiff(
+def write_geotiff(
     universal: Readable,
-    path: str | Path,
-    selection: Selection | None = None,
-    options: PlaneOptions | None = None,
+    path: Path,
+    selection: Selection,
+    options: PlaneOptions,
     *,
-    overwrite: bool = False,
+    overwrite: bool,
 ) -> Exported:
     """Write a layer as a cloud-optimised GeoTIFF, in the map's own plane or another.
 
@@ -55,11 +55,9 @@ def export_geotiff(
     ConfigError when rasterio is not installed or for what cannot be selected, MapWriteError when
     it cannot be written.
     """
-    path, selection = Path(path), selection or Selection()
-    epsg = options.epsg if options is not None else None
     with (
         replacing(path, overwrite=overwrite, ours=is_ours, what="a GeoTIFF") as file,
-        painted(universal, path, selection, epsg) as raster,
+        painted(universal, path, selection, options.epsg) as raster,
     ):
         _copy(raster, file, write_overviews(universal, selection, raster))
     return Exported((path,), raster.rows, raster.about)
@@ -69,23 +67,23 @@ def export_change(view: ChangeView, path: str | Path, *, overwrite: bool = False
     """Write what changed as a cloud-optimised GeoTIFF in the map's own plane.
 
     One band with the number of each cell's `Change`; 0, never observed, is nodata. The tags
-    FIELDGRID_CHANGE_n say what each number means. Errors as in `export_geotiff`.
+    FIELDGRID_CHANGE_n say what each number means. Errors as in `write_geotiff`.
     """
     path = Path(path)
     layout = BandLayout("uint8", alpha=False, nodata=0)
     meanings = {f"FIELDGRID_CHANGE_{kind.value}": MEANING[kind] for kind in Change}
     tags = {**datum_tags(view.datum, view.lattice), **meanings}
-    scratch = Scratch(path)
-    with replacing(path, overwrite=overwrite, ours=is_ours, what="a GeoTIFF") as file, gdal(path):
-        try:
-            plane = plane_of(view.datum, view.lattice, view.window)
-            pixels = scratch.file("pixels")
-            with creating(pixels, plane, layout, tags) as dataset:
-                dataset.write(view.change[::-1], 1)
-            # What became of a cell has no average.
-            _copy(Raster(pixels, plane, plane, layout, (), {}, scratch), file, resampling="MODE")
-        finally:
-            scratch.discard()
+    with (
+        replacing(path, overwrite=overwrite, ours=is_ours, what="a GeoTIFF") as file,
+        gdal(path),
+        Scratch(path) as scratch,
+    ):
+        plane = plane_of(view.datum, view.lattice, view.window)
+        pixels = scratch.file("pixels")
+        with creating(pixels, plane, layout, tags) as dataset:
+            dataset.write(view.change[::-1], 1)
+        # What became of a cell has no average.
+        _copy(Raster(pixels, plane, plane, layout, (), {}, scratch), file, resampling="MODE")
 
 
 def _copy(
@@ -132,7 +130,7 @@ register_export_format(
         "geotiff",
         (".tif", ".tiff"),
         "cloud-optimised GeoTIFF with overviews",
-        export_geotiff,
+        write_geotiff,
         PlaneOptions,
         several=True,
         readers="GIS, web maps",

@@ -10,9 +10,9 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 import zipfile
 from collections.abc import Iterator
+from functools import partial
 from itertools import count as count_from
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -21,9 +21,11 @@ from fieldgrid.array_types import Float64
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.clipping import at, stretches_inside
 from fieldgrid.export.georeference import extent
+from fieldgrid.export.png import grey_png
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
-from fieldgrid.geodesy import Datum, continued_deg
+from fieldgrid.export.together import is_zip
+from fieldgrid.geodesy import continued_deg
 from fieldgrid.lattice import Lattice, Window
 from fieldgrid.lon_lat import in_degrees
 from fieldgrid.mapfile import LAYERS, MapFile, MapView
@@ -44,13 +46,6 @@ _SHOWN_FROM_PX = "64"
 """A picture is loaded when it is this large on the screen."""
 
 
-class _Place(NamedTuple):
-    """Longitude and latitude of the corners, counter-clockwise from the lower left one."""
-
-    lon_deg: Float64
-    lat_deg: Float64
-
-
 def export_kmz(
     universal: MapFile, path: Path, selection: Selection, _: Settings, *, overwrite: bool
 ) -> Exported:
@@ -61,8 +56,9 @@ def export_kmz(
     more than 64 pictures of 2048 x 2048 cells, MapExistsError when `path` exists and may not be
     overwritten, MapWriteError when it cannot be written.
     """
+    ours = partial(is_zip, check=_is_ours)
     with (
-        replacing(path, overwrite=overwrite, ours=_is_ours, what="a KMZ") as file,
+        replacing(path, overwrite=overwrite, ours=ours, what="a KMZ") as file,
         selection.blocks(universal) as blocks,
         zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive,
     ):
@@ -78,8 +74,10 @@ def export_kmz(
             if not view.observed.any():
                 continue
             name = f"pictures/{count:02d}.png"
-            archive.writestr(name, _picture(view, selection.layer), zipfile.ZIP_STORED)
-            _overlay(folder, name, _place(universal.datum, view), alone=len(windows) == 1)
+            grey, alpha = view.layer(selection.layer), view.observed * np.uint8(255)
+            picture = grey_png(grey[::-1], alpha[::-1], level=1)
+            archive.writestr(name, picture, zipfile.ZIP_STORED)
+            _add_overlay(folder, name, view, alone=len(windows) == 1)
             count += 1
         lines = _lines(document, universal, selection)
         marks = universal.marks(within=selection.area(universal))
@@ -102,12 +100,8 @@ def export_kmz(
     return Exported((path,), rows, about)
 
 
-def _is_ours(file: Path) -> bool:
-    try:
-        with zipfile.ZipFile(file) as archive:
-            return b"datum_lat_deg" in archive.open("doc.kml").read(1 << 16)
-    except (OSError, KeyError, zipfile.BadZipFile):
-        return False
+def _is_ours(archive: zipfile.ZipFile) -> bool:
+    return b"datum_lat_deg" in archive.open("doc.kml").read(1 << 16)
 
 
 def _cut(whole: Window, lattice: Lattice) -> Iterator[Window]:
@@ -128,29 +122,9 @@ def _cut(whole: Window, lattice: Lattice) -> Iterator[Window]:
 
 
 def _pictures(whole: Window, times: int) -> int:
-    """How many pictures there are of a window, with cells so many times as wide."""
+    """Number of the pictures of a window, with cells `times` as wide."""
     side = PICTURE_PX * times
     return -(-whole.width // side) * -(-whole.height // side)
-
-
-def _picture(view: MapView, layer: str) -> bytes:
-    """A PNG in colour, which all viewers take, of grey values and alpha."""
-    import cv2
-
-    grey = view.layer(layer)
-    alpha = view.observed * np.uint8(255)
-    pixels = np.dstack([grey, grey, grey, alpha])[::-1]
-    _, encoded = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    return bytes(encoded)
-
-
-def _place(datum: Datum, view: MapView) -> _Place:
-    bounds = view.bounds
-    east_m = [bounds.west_m, bounds.east_m, bounds.east_m, bounds.west_m]
-    north_m = [bounds.south_m, bounds.south_m, bounds.north_m, bounds.north_m]
-    lat_deg, lon_deg, _ = datum.to_geodetic(east_m, north_m, 0.0)
-    # KML has overlays that overlap the meridian of 180° reach beyond it.
-    return _Place(continued_deg(lon_deg, datum.lon_deg), lat_deg)
 
 
 def _document(
@@ -160,7 +134,7 @@ def _document(
     ElementTree.register_namespace("", _KML)
     ElementTree.register_namespace("gx", _GX)
     datum, names = universal.datum, selection.sessions(universal)
-    root = ElementTree.Element(_kml("kml"))
+    root = ElementTree.Element(f"{{{_KML}}}kml")
     document = _add(root, "Document")
     _add(document, "name", universal.path.stem)
     _add(
@@ -171,9 +145,7 @@ def _document(
         f"plane that touches the WGS84 datum {datum.described()}, {len(names)} sessions up to "
         f"{names[-1]}.",
     )
-    style = _add(document, "Style")
-    style.set("id", _LINE_STYLE)
-    line = _add(style, "LineStyle")
+    line = _add(_add(document, "Style", id=_LINE_STYLE), "LineStyle")
     _add(line, "color", palette.kml(palette.FEATURES["trajectory"]))
     _add(line, "width", "2")
     data = _add(document, "ExtendedData")
@@ -183,32 +155,36 @@ def _document(
         ("datum_height_m", datum.height_m),
         ("cell_m", lattice.cell_m),
     ):
-        entry = _add(data, "Data")
-        entry.set("name", name)
-        _add(entry, "value", repr(float(value)))
+        _add(_add(data, "Data", name=name), "value", repr(float(value)))
     folder = _add(document, "Folder")
     _add(folder, "name", selection.layer)
     return root, folder
 
 
-def _overlay(folder: ElementTree.Element, name: str, place: _Place, *, alone: bool) -> None:
+def _add_overlay(folder: ElementTree.Element, name: str, view: MapView, *, alone: bool) -> None:
     """A picture on the ground; of many, those are loaded that are in sight."""
+    west_m, south_m, east_m, north_m = view.bounds
+    lat_deg, lon_deg, _ = view.datum.to_geodetic(
+        [west_m, east_m, east_m, west_m], [south_m, south_m, north_m, north_m], 0.0
+    )
+    # KML has overlays that overlap the meridian of 180° reach beyond it.
+    lon_deg = continued_deg(lon_deg, view.datum.lon_deg)
     overlay = _add(folder, "GroundOverlay")
     _add(overlay, "name", Path(name).stem)
     if not alone:
         region = _add(overlay, "Region")
         box = _add(region, "LatLonAltBox")
         for side, value in (
-            ("north", place.lat_deg.max()),
-            ("south", place.lat_deg.min()),
-            ("east", place.lon_deg.max()),
-            ("west", place.lon_deg.min()),
+            ("north", lat_deg.max()),
+            ("south", lat_deg.min()),
+            ("east", lon_deg.max()),
+            ("west", lon_deg.min()),
         ):
             _add(box, side, f"{value:.10f}")
         _add(_add(region, "Lod"), "minLodPixels", _SHOWN_FROM_PX)
     _add(_add(overlay, "Icon"), "href", name)
     quad = ElementTree.SubElement(overlay, f"{{{_GX}}}LatLonQuad")
-    _add(quad, "coordinates", _coordinates(place.lon_deg, place.lat_deg))
+    _add(quad, "coordinates", _coordinates(lon_deg, lat_deg))
 
 
 def _lines(root: ElementTree.Element, universal: MapFile, selection: Selection) -> int:
@@ -229,9 +205,12 @@ def _lines(root: ElementTree.Element, universal: MapFile, selection: Selection) 
                 _add(placemark, "name", session)
                 _add(placemark, "styleUrl", f"#{_LINE_STYLE}")
                 shown = _add(placemark, "LineString")
-                _add(shown, "tessellate", "1")
-                _add(shown, "altitudeMode", "clampToGround")
-                _add(shown, "coordinates", _coordinates(*shapely.get_coordinates(part).T))
+                for tag, text in (
+                    ("tessellate", "1"),
+                    ("altitudeMode", "clampToGround"),
+                    ("coordinates", _coordinates(*shapely.get_coordinates(part).T)),
+                ):
+                    _add(shown, tag, text)
                 count += 1
     return count
 
@@ -252,15 +231,13 @@ def _coordinates(lon_deg: Float64, lat_deg: Float64) -> str:
     return " ".join(f"{lon:.10f},{lat:.10f}" for lon, lat in pairs)
 
 
-def _add(parent: ElementTree.Element, name: str, text: str | None = None) -> ElementTree.Element:
-    child = ElementTree.SubElement(parent, _kml(name))
+def _add(
+    parent: ElementTree.Element, tag: str, text: str | None = None, **attributes: str
+) -> ElementTree.Element:
+    child = ElementTree.SubElement(parent, f"{{{_KML}}}{tag}", attributes)
     # XML has no place for what a file name may have in it.
     child.text = text and "".join(c if c.isprintable() else "\ufffd" for c in text)
     return child
-
-
-def _kml(name: str) -> str:
-    return f"{{{_KML}}}{name}"
 
 
 register_export_format(

@@ -12,15 +12,12 @@ import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import cv2
-import numpy as np
-
-from fieldgrid.array_types import UInt8
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.overviews import write_overviews
 from fieldgrid.export.plane import PixelPlane, warped
+from fieldgrid.export.png import grey_png
 from fieldgrid.export.raster import Raster, painted
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
@@ -30,7 +27,8 @@ from fieldgrid.settings import Settings
 
 TILE_PX = 256
 SMALLEST_PX = 64
-"""The coarsest zoom shows all of the map in so many cells a side, in four tiles at most."""
+"""Most cells along a side of the coarsest zoom, which shows all of the map in four tiles at most.
+"""
 
 MARGIN_PX = 2
 """How far beyond a tile it is looked for anything: finer tiles show edges of cells that no pixel of
@@ -46,17 +44,6 @@ _APPLICATION_ID = 0x4D504258  # "MPBX", by the specification
 _MARK = "fieldgrid_datum_lat_deg"
 _LEVEL = 3
 """Of compression."""
-
-
-class _Tile(NamedTuple):
-    """A tile by its zoom, and its number east and south of the square's corner in the north-west;
-    grey and alpha [256, 256]."""
-
-    zoom: int
-    x: int
-    y: int
-    grey: UInt8
-    alpha: UInt8
 
 
 def export_mbtiles(
@@ -141,14 +128,15 @@ class _Zooms:
             found = opened.enter_context(rasterio.open(levels[self.finest - zoom]))
             self._sources[zoom] = opened.enter_context(warped(found, self._plane(zoom)))
 
-    def tiles(self) -> Iterator[_Tile]:
-        """The tiles in which something was observed, each before the finer ones in it."""
+    def tiles(self) -> Iterator[tuple[int, int, int, bytes]]:
+        """The tiles in which something was observed, each before the finer ones in it: the zoom,
+        the numbers east and south of the square's corner in the north-west, and the PNG."""
         west, north, east, south = self._ranges[self.coarsest]
         for y in range(north, south + 1):
             for x in range(west, east + 1):
                 yield from self._within(self.coarsest, x, y)
 
-    def _within(self, zoom: int, x: int, y: int) -> Iterator[_Tile]:
+    def _within(self, zoom: int, x: int, y: int) -> Iterator[tuple[int, int, int, bytes]]:
         from rasterio.windows import Window
 
         west, north, east, south = self._ranges[zoom]
@@ -161,7 +149,7 @@ class _Zooms:
             return
         inner = slice(MARGIN_PX, MARGIN_PX + TILE_PX)
         if alpha[inner, inner].any():
-            yield _Tile(zoom, x, y, grey[inner, inner], alpha[inner, inner])
+            yield zoom, x, y, grey_png(grey[inner, inner], alpha[inner, inner], _LEVEL)
         if zoom < self.finest:
             for south_east in range(4):
                 yield from self._within(zoom + 1, 2 * x + south_east % 2, 2 * y + south_east // 2)
@@ -209,22 +197,12 @@ def _write(file: Path, zooms: _Zooms, metadata: list[tuple[str, str]]) -> int:
         )
         database.executemany("insert into metadata values (?, ?)", metadata)
         database.execute("begin")
-        for tile in zooms.tiles():
-            row = 2**tile.zoom - 1 - tile.y  # counted from the south
-            picture = _picture(tile)
-            database.execute(
-                "insert into tiles values (?, ?, ?, ?)", (tile.zoom, tile.x, row, picture)
-            )
+        for zoom, x, y, picture in zooms.tiles():
+            row = 2**zoom - 1 - y  # counted from the south
+            database.execute("insert into tiles values (?, ?, ?, ?)", (zoom, x, row, picture))
             count += 1
         database.execute("commit")
     return count
-
-
-def _picture(tile: _Tile) -> bytes:
-    """A PNG in colour, which all viewers take, of grey values and alpha."""
-    pixels = np.dstack([tile.grey, tile.grey, tile.grey, tile.alpha])
-    _, encoded = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, _LEVEL])
-    return bytes(encoded)
 
 
 def _metadata(

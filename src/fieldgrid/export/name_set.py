@@ -9,10 +9,10 @@ after a kill, files take the places of the links.
 from __future__ import annotations
 
 import os
-import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from stat import S_ISREG
 from typing import NamedTuple
 
 from fieldgrid.errors import MapWriteError
@@ -60,7 +60,11 @@ def held_set(main: Path) -> Iterator[NameSet | None]:
             _refuse_links(folder, main)
             yield None
             return
-        _settle_left(held, main)
+        with writing(main):
+            try:
+                _settle(held)  # what a killed program left
+            except PermissionError as error:  # another user cannot put files in its place
+                raise _left(held.name, main) from error
         try:
             yield held
         finally:
@@ -135,15 +139,6 @@ def _settle(held: NameSet) -> None:
         part.rmdir()
 
 
-def _settle_left(held: NameSet, main: Path) -> None:
-    """The same of what a killed program left, in whose place another user cannot put files."""
-    with writing(main):
-        try:
-            _settle(held)
-        except PermissionError as error:
-            raise _left(held.name, main) from error
-
-
 def _links_into(folder: Path) -> list[Path]:
     """The names beside the folder of a set that are links of this program into it."""
     with os.scandir(folder.parent) as entries:
@@ -156,21 +151,19 @@ def _leads_into(folder: Path, link: Path) -> bool:
     # A file system may take one case of a name for the other.
     if len(parts) != 3 or parts[1] != _NOW or parts[2].casefold() != link.name.casefold():
         return False
-    return parts[0] == folder.name or _is_same(folder.with_name(parts[0]), folder)
-
-
-def _is_same(one: Path, other: Path) -> bool:
-    try:
-        return os.path.samestat(one.lstat(), other.lstat())
-    except OSError:
-        return False
+    if parts[0] == folder.name:
+        return True
+    with suppress(OSError):
+        return os.path.samestat(folder.with_name(parts[0]).lstat(), folder.lstat())
+    return False
 
 
 def _is_ours(folder: Path) -> bool:
     """Whether a folder has nothing in it but what :func:`show` makes."""
     for path in folder.iterdir():
         if path.name in (_OLD, _NEW):
-            if path.is_symlink() or not path.is_dir() or not all(map(_is_plain, path.iterdir())):
+            is_folder = path.is_dir() and not path.is_symlink()
+            if not is_folder or any(not S_ISREG(one.lstat().st_mode) for one in path.iterdir()):
                 return False
         elif path.name == _NOW:
             if not path.is_symlink() or os.readlink(path) not in (_OLD, _NEW):
@@ -178,10 +171,6 @@ def _is_ours(folder: Path) -> bool:
         elif path.name != _SPARE or not (path.is_symlink() or path.is_file()):
             return False
     return True
-
-
-def _is_plain(path: Path) -> bool:
-    return stat.S_ISREG(path.lstat().st_mode)
 
 
 def _refuse_links(folder: Path, main: Path) -> None:

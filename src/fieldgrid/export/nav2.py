@@ -22,9 +22,9 @@ from fieldgrid.errors import ConfigError, MapExistsError
 from fieldgrid.export.georeference import extent, georeference
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
-from fieldgrid.export.speed import SpeedCells, SpeedOptions, filter_parameters, speed_mask
+from fieldgrid.export.speed import SpeedOptions, filter_parameters, speed_mask
 from fieldgrid.export.tiles import Whole, cut, whole_of
-from fieldgrid.export.together import write_together
+from fieldgrid.export.together import text_writer, write_together
 from fieldgrid.mapfile import Readable
 from fieldgrid.publish import mentions, replacing_folder
 from fieldgrid.settings import Flag, setting
@@ -195,10 +195,7 @@ class _Part:
             self._keepout[decision.keepout] = OCCUPIED
         self._slow: npt.NDArray[np.int8] | None = None
         if options.slow_percent is not None:
-            frames = view.layer("count") if counted else None
-            places = view.lattice, view.window
-            cells = SpeedCells(self._occupancy, self._keepout > 0, frames, *places)
-            self._slow = speed_mask(cells, options)
+            self._slow = speed_mask(view, self._occupancy, self._keepout, options)
 
     @property
     def counts(self) -> Int64:
@@ -210,7 +207,7 @@ class _Part:
         doubt = self._occupancy.size - free - occupied - unknown
         return np.array([free, doubt, occupied, unknown, np.count_nonzero(self._keepout)])
 
-    def writers(self) -> dict[Path, Callable[[Path], None]]:
+    def writers(self) -> dict[Path, Callable[[Path], object]]:
         """What writes each file, the YAML file last."""
         path, mode, kind = self._path, self._options.mode, self._options.picture()
         curve = self._options.curve()
@@ -230,24 +227,21 @@ class _Part:
                 "least_drop_m": curve.least_drop_m if math.isfinite(curve.least_drop_m) else None,
             },
         }
-        slow = {} if self._slow is None else self._speed_writers(path, self._slow)
+        found: dict[Path, Callable[[Path], object]] = {}
+        if self._slow is not None:
+            slow, slow_mask, parameters = (path.with_suffix(ending) for ending in _SPEED_ENDINGS)
+            found = {
+                slow: _picture_writer(self._slow, "raw", "pgm"),
+                slow_mask: text_writer(self._yaml(slow.name, "raw")),
+                parameters: text_writer(_dumped(filter_parameters(slow_mask.name))),
+            }
         return {
-            **slow,
+            **found,
             picture: _picture_writer(self._occupancy, mode, kind),
             mask_picture: _picture_writer(self._keepout, "trinary", "pgm"),
-            mask: _text_writer(self._yaml(mask_picture.name, "trinary")),
-            georef: _text_writer(json.dumps(about, indent=2, ensure_ascii=False) + "\n"),
-            path: _text_writer(self._yaml(picture.name, mode)),
-        }
-
-    def _speed_writers(
-        self, path: Path, slow: npt.NDArray[np.int8]
-    ) -> dict[Path, Callable[[Path], None]]:
-        picture, mask, parameters = (path.with_suffix(ending) for ending in _SPEED_ENDINGS)
-        return {
-            picture: _picture_writer(slow, "raw", "pgm"),
-            mask: _text_writer(self._yaml(picture.name, "raw")),
-            parameters: _text_writer(_dumped(filter_parameters(mask.name))),
+            mask: text_writer(self._yaml(mask_picture.name, "trinary")),
+            georef: text_writer(json.dumps(about, indent=2, ensure_ascii=False) + "\n"),
+            path: text_writer(self._yaml(picture.name, mode)),
         }
 
     def _yaml(self, picture: str, mode: str) -> str:
@@ -274,9 +268,8 @@ def _server_yaml(
 def _is_speed_of(path: Path) -> bool:
     """Whether the files of a speed mask beside a map are what :func:`export_nav2` has written."""
     picture, mask, parameters = (path.with_suffix(ending) for ending in _SPEED_ENDINGS)
-    if mask.with_suffix(".georef.json").exists():  # a map of that name, which has no mask's purpose
-        return False
-    if _content(parameters) != filter_parameters(mask.name):
+    is_map = mask.with_suffix(".georef.json").exists()  # of that name, without a mask's purpose
+    if is_map or _content(parameters) != filter_parameters(mask.name):
         return False
     if not mask.exists():
         return True
@@ -324,8 +317,7 @@ def _picture_writer(
         if mode == "scale":
             opaque = (occupancy[::-1] != UNKNOWN_OCCUPANCY).astype(np.uint8) * np.uint8(255)
             grey = np.stack([grey, opaque], axis=-1)
-        picture = Image.fromarray(grey)
-        picture.save(file, format={"pgm": "PPM", "png": "PNG"}[kind])
+        Image.fromarray(grey).save(file, format={"pgm": "PPM", "png": "PNG"}[kind])
 
     return write
 
@@ -334,13 +326,6 @@ def _dumped(content: dict[str, Any]) -> str:
     import yaml
 
     return str(yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=1000))
-
-
-def _text_writer(text: str) -> Callable[[Path], None]:
-    def write(file: Path) -> None:
-        file.write_text(text, encoding="utf-8")
-
-    return write
 
 
 def _rows(counts: Int64) -> tuple[tuple[str, str], ...]:

@@ -14,6 +14,7 @@ import numpy as np
 from fieldgrid.array_types import Bool, Float64, Index, Int32, Int64, UInt8
 from fieldgrid.errors import ConfigError
 from fieldgrid.export.options import ShapeOptions
+from fieldgrid.export.registry import require
 from fieldgrid.lattice import Lattice
 from fieldgrid.mapfile import MapView
 
@@ -56,8 +57,7 @@ class _Runs(NamedTuple):
 
     def chosen(self, which: Index) -> _Runs:
         """Some of them, in this order."""
-        columns: list[Any] = [column[which] for column in self]
-        return _Runs(*columns)
+        return _Runs._make(column[which] for column in self)
 
 
 def trace_obstacles(
@@ -69,8 +69,8 @@ def trace_obstacles(
     Cells that touch by a side or a corner are one obstacle. Raises ConfigError when there are too
     many, or when shapely or rasterio is not installed.
     """
+    require("Tracing obstacles", "gis", "rasterio", "shapely")
     options = options or ShapeOptions()
-    _require_libraries()
     found = _collect(views, options.obstacle_above)
     if found is None:
         return
@@ -85,17 +85,6 @@ def trace_obstacles(
                 int(part.total.sum()) / count,
                 int(part.highest.max()),
             )
-
-
-def _require_libraries() -> None:
-    try:
-        import rasterio  # noqa: F401
-        import shapely  # noqa: F401
-    except ImportError as error:
-        raise ConfigError(
-            "Tracing obstacles needs rasterio and shapely, which are not installed; "
-            "run: pip install 'fieldgrid[gis]'"
-        ) from error
 
 
 def _collect(views: Iterable[MapView], above: int) -> tuple[Lattice, _Runs] | None:
@@ -115,8 +104,7 @@ def _collect(views: Iterable[MapView], above: int) -> tuple[Lattice, _Runs] | No
             )
     if lattice is None:
         return None
-    columns: list[Any] = [np.concatenate(column) for column in zip(*found, strict=True)]
-    joined = _Runs(*columns)
+    joined = _Runs._make(np.concatenate(column) for column in zip(*found, strict=True))
     return lattice, joined.chosen(np.lexsort((joined.first, joined.row)))
 
 
@@ -171,8 +159,7 @@ def _components(runs: _Runs) -> Iterator[_Runs]:
     _, label = connected_components(graph, directed=False)
     order = np.argsort(label, kind="stable")
     begin = np.flatnonzero(np.diff(label[order], prepend=-1))
-    parts = [order[a:b] for a, b in zip(begin, [*begin[1:], count], strict=True)]
-    for part in sorted(parts, key=lambda part: int(part[0])):
+    for part in sorted(np.split(order, begin[1:]), key=lambda part: int(part[0])):
         yield runs.chosen(part)
 
 

@@ -10,8 +10,6 @@ from __future__ import annotations
 from contextlib import ExitStack
 from pathlib import Path
 
-import numpy as np
-
 from fieldgrid.export.plane import PixelPlane
 from fieldgrid.export.raster import BLOCK_PX, Raster, creating, warp
 from fieldgrid.export.selection import Selection
@@ -21,8 +19,10 @@ from fieldgrid.mapfile import Readable
 def write_overviews(
     universal: Readable, selection: Selection, raster: Raster, smallest_px: int = BLOCK_PX
 ) -> list[Path]:
-    """Rasters of half the size, of a quarter, and so on, until one of so few pixels a side, by
-    default a block, holds all."""
+    """Rasters of half the size, of a quarter, and so on, until the longer side of one has at most
+    `smallest_px` pixels, by default those of a block."""
+    from rasterio.windows import Window as Pixels
+
     planes, cells = [raster.plane], [raster.cells]
     while max(planes[-1].width, planes[-1].height) > smallest_px:
         planes.append(_half(planes[-1]))
@@ -36,7 +36,8 @@ def write_overviews(
             for file, plane in zip(levels, cells[1:], strict=True)
         ]
         for block in stack.enter_context(selection.overviews(universal, len(levels))):
-            place = _pixels(block.row, block.column, block.observed)
+            height, width = block.observed.shape
+            place = Pixels(block.column, block.row, width, height)
             for number, band in enumerate(raster.layout.bands(block, selection.layer), 1):
                 datasets[block.level - 1].write(band, number, window=place)
     if raster.plane != raster.cells:
@@ -44,12 +45,6 @@ def write_overviews(
             levels[k] = raster.scratch.file(f"projected{k + 1}")
             warp(file, levels[k], plane, raster.layout, {})
     return levels
-
-
-def _pixels(row: int, column: int, observed: np.ndarray) -> object:
-    from rasterio.windows import Window as Pixels
-
-    return Pixels(column, row, observed.shape[1], observed.shape[0])
 
 
 def _half(plane: PixelPlane) -> PixelPlane:

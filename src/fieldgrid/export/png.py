@@ -5,13 +5,16 @@ from __future__ import annotations
 from contextlib import ExitStack
 from pathlib import Path
 
+import numpy as np
+
+from fieldgrid.array_types import UInt8
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.options import PlaneOptions
 from fieldgrid.export.plane import PixelPlane
-from fieldgrid.export.raster import Raster, is_ours, painted
+from fieldgrid.export.raster import is_ours, painted
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
-from fieldgrid.export.together import write_together
+from fieldgrid.export.together import text_writer, write_together
 from fieldgrid.mapfile import Readable
 
 MAX_SIDE_PX = 65_535
@@ -36,66 +39,55 @@ def export_png(
     Beside it come a world file (.pgw: the pixels' sides, and the centre of the upper left one),
     the system as .prj, and a .png.aux.xml in which GDAL and QGIS find both again, with the tags of
     the GeoTIFF. Raises ConfigError for a picture that usual programs do not open; other errors as
-    in `export_geotiff`.
+    in `write_geotiff`.
     """
-    with ExitStack() as stack:
-        picture = _Picture(
-            stack.enter_context(
-                painted(universal, path, selection, options.epsg, check=_check_size)
-            )
-        )
-        stack.callback(picture.discard)
+    with (
+        painted(universal, path, selection, options.epsg, check=_check_size) as raster,
+        ExitStack() as stack,
+    ):
+        made = raster.scratch.file("picture", ".png")
+        notes = made.with_name(f"{made.name}.aux.xml")
+        stack.callback(notes.unlink, missing_ok=True)
+
+        def write_notes(file: Path) -> None:
+            """Have GDAL make the PNG, which writes its notes beside it; keep the notes."""
+            import rasterio.shutil
+
+            rasterio.shutil.copy(raster.file, made, driver="PNG", zlevel=_LEVEL)
+            with made.open("rb") as opened:
+                opened.seek(-len(_END), 2)
+                if opened.read() != _END:
+                    raise MapWriteError(
+                        "The disk is full and cut the picture short; free some space."
+                    )
+            notes.replace(file)
+
+        placed = raster.plane.transform
+        # The pixels' sides and turns, and the centre of the upper left pixel.
+        world = (placed.a, placed.d, placed.b, placed.e, *raster.plane.at(0.5, 0.5))
         paths = write_together(
             {
-                path.with_name(f"{path.name}.aux.xml"): picture.write_notes,
-                path.with_suffix(".prj"): picture.write_system,
-                path.with_suffix(".pgw"): picture.write_world,
-                path: picture.write_pixels,
+                path.with_name(f"{path.name}.aux.xml"): write_notes,
+                path.with_suffix(".prj"): text_writer(
+                    raster.plane.crs.to_wkt(version="WKT1_ESRI") + "\n"
+                ),
+                path.with_suffix(".pgw"): text_writer("".join(f"{float(v)!r}\n" for v in world)),
+                path: made.replace,
             },
             overwrite=overwrite,
             ours=is_ours,
             what="a PNG",
         )
-    return Exported((paths[-1], *paths[:-1]), picture.raster.rows, picture.raster.about)
+    return Exported((paths[-1], *paths[:-1]), raster.rows, raster.about)
 
 
-class _Picture:
-    """A raster as PNG and the files beside it, each written when it is asked for."""
+def grey_png(grey: UInt8, alpha: UInt8, level: int) -> bytes:
+    """A PNG in colour, which all viewers take, of grey values and alpha [rows, columns], the first
+    row uppermost; `level` is that of compression."""
+    import cv2
 
-    def __init__(self, raster: Raster) -> None:
-        self.raster = raster
-        self._made = raster.scratch.file("picture", ".png")
-        self._notes = self._made.with_name(f"{self._made.name}.aux.xml")
-
-    def write_notes(self, file: Path) -> None:
-        """What GDAL has to say of a PNG beside it; it does so when it makes one."""
-        import rasterio.shutil
-
-        rasterio.shutil.copy(self.raster.file, self._made, driver="PNG", zlevel=_LEVEL)
-        with self._made.open("rb") as opened:
-            opened.seek(-len(_END), 2)
-            if opened.read() != _END:
-                raise MapWriteError("The disk is full and cut the picture short; free some space.")
-        self._notes.replace(file)
-
-    def write_system(self, file: Path) -> None:
-        """The reference system, in the words that sidecars have."""
-        file.write_text(self.raster.plane.crs.to_wkt(version="WKT1_ESRI") + "\n")
-
-    def write_world(self, file: Path) -> None:
-        """Six numbers: the pixels' sides and turns, and the centre of the upper left pixel."""
-        placed = self.raster.plane.transform
-        x, y = self.raster.plane.at(0.5, 0.5)
-        numbers = (placed.a, placed.d, placed.b, placed.e, x, y)
-        file.write_text("".join(f"{float(number)!r}\n" for number in numbers))
-
-    def write_pixels(self, file: Path) -> None:
-        """The PNG itself."""
-        self._made.replace(file)
-
-    def discard(self) -> None:
-        """Remove what GDAL left beside its work."""
-        self._notes.unlink(missing_ok=True)
+    pixels = np.dstack([grey, grey, grey, alpha])
+    return bytes(cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, level])[1])
 
 
 def _check_size(plane: PixelPlane) -> None:

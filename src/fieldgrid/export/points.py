@@ -6,41 +6,45 @@ where the drives tell it, else at that of the vehicle when it saw the cell.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Bool, Float32, Float64, UInt8, UInt32
-from fieldgrid.errors import ConfigError
+from fieldgrid.array_types import AnyArray
 from fieldgrid.export.georeference import extent
 from fieldgrid.export.options import ObstacleOptions
-from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
+from fieldgrid.export.registry import (
+    Exported,
+    ExportFormat,
+    Holds,
+    register_export_format,
+    require,
+)
 from fieldgrid.export.selection import Selection
-from fieldgrid.mapfile import MapFile, MapView
+from fieldgrid.mapfile import MapFile
 from fieldgrid.publish import mentions, replacing
 
 _HEIGHTS = ("ground", "height", "max_height", "count")
 _SCALE_M = 0.001
 _SOFTWARE = "fieldgrid obstacles"
+_IS_OURS = partial(mentions, mark=_SOFTWARE.encode())
 _COUNT_DIGITS = 20
 _EARTH_2R_M = 12.75e6
 """Twice the Earth's radius: how far the plane that touches the datum is above the ellipsoid."""
 
 
-class _Points(NamedTuple):
-    """Obstacle cells, n: their centres and heights in metres from the datum in its plane; whether
-    the ground there was seen, or is taken from the vehicle's height; what was seen of them, and how
-    high they stand above the ground, NaN where that is not known."""
-
-    east_m: Float64
-    north_m: Float64
-    up_m: Float64
-    ground_known: Bool
-    density: UInt8
-    frames: UInt32
-    height_m: Float32
+_POINT = np.dtype(
+    [
+        *(("x", "<f8"), ("y", "<f8"), ("z", "<f8")),
+        *(("density", "u1"), ("frames", "<u4"), ("ground_known", "u1"), ("height_m", "<f4")),
+    ]
+)
+"""An obstacle cell: its centre and height in metres from the datum in its plane; what was seen of
+it; whether the ground there was seen, or is taken from the vehicle's height; and how high it stands
+above the ground, NaN where that is not known."""
 
 
 def export_las(
@@ -59,14 +63,10 @@ def export_las(
     the ground and 0 where it is the vehicle's height.
     Raises ConfigError when laspy is not installed; other errors as in `export_ply`.
     """
-    try:
-        import laspy
-        from laspy.vlrs.known import WktCoordinateSystemVlr
-    except ImportError as error:
-        raise ConfigError(
-            f"Writing {path.name} needs laspy, which is not installed; "
-            "run: pip install 'fieldgrid[clouds]'"
-        ) from error
+    require(f"Writing {path.name}", "clouds", "laspy")
+    import laspy
+    from laspy.vlrs.known import WktCoordinateSystemVlr
+
     datum = universal.datum
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.generating_software = _SOFTWARE
@@ -81,14 +81,9 @@ def export_las(
         ("height_m", "f4", "above the ground, or NaN"),
     ):
         header.add_extra_dim(laspy.ExtraBytesParams(name, kind, says))
-    told = _Told()
+    counts = Counter[str]()
     with (
-        replacing(
-            path,
-            overwrite=overwrite,
-            ours=lambda file: mentions(file, _SOFTWARE.encode()),
-            what="a LAS of obstacles",
-        ) as file,
+        replacing(path, overwrite=overwrite, ours=_IS_OURS, what="a LAS of obstacles") as file,
         file.open("wb") as stream,
         laspy.open(
             stream,
@@ -99,17 +94,17 @@ def export_las(
             closefd=False,
         ) as writer,
     ):
-        for points in told.counted(_points(universal, selection, options.obstacle_above)):
-            record = laspy.ScaleAwarePointRecord.zeros(len(points.east_m), header=header)
-            record.x, record.y = points.east_m, points.north_m
-            bulge_m = (points.east_m**2 + points.north_m**2) / _EARTH_2R_M
-            record.z = datum.height_m + points.up_m + bulge_m
-            record.intensity = record.density = points.density
-            record.frames, record.ground_known = points.frames, points.ground_known
-            record.height_m = points.height_m
+        for points in _points(universal, selection, options.obstacle_above, counts):
+            record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
+            record.x, record.y = points["x"], points["y"]
+            bulge_m = (points["x"] ** 2 + points["y"] ** 2) / _EARTH_2R_M
+            record.z = datum.height_m + points["z"] + bulge_m
+            record.intensity = points["density"]
+            for name in ("density", "frames", "ground_known", "height_m"):
+                record[name] = points[name]
             record.return_number[:] = record.number_of_returns[:] = 1
             writer.write_points(record)
-    return told.exported(universal, path, selection)
+    return _exported(universal, path, selection, counts)
 
 
 def export_ply(
@@ -127,80 +122,60 @@ def export_ply(
     it, or NaN. Comments name the datum. Raises MapExistsError
     when `path` exists and may not be overwritten, MapWriteError when it cannot be written.
     """
-    kinds = [("x", "<f8"), ("y", "<f8"), ("z", "<f8")]
-    kinds += [("density", "u1"), ("frames", "<u4"), ("ground_known", "u1"), ("height_m", "<f4")]
-    told = _Told()
+    counts = Counter[str]()
     with (
-        replacing(
-            path,
-            overwrite=overwrite,
-            ours=lambda file: mentions(file, _SOFTWARE.encode()),
-            what="a PLY of obstacles",
-        ) as file,
+        replacing(path, overwrite=overwrite, ours=_IS_OURS, what="a PLY of obstacles") as file,
         file.open("wb") as stream,
     ):
         stream.write(_ply_header(universal, 0))
-        for points in told.counted(_points(universal, selection, options.obstacle_above)):
-            vertices = np.zeros(len(points.east_m), dtype=kinds)
-            columns = (
-                *(points.east_m, points.north_m, points.up_m),
-                *(points.density, points.frames, points.ground_known, points.height_m),
-            )
-            for (name, _), column in zip(kinds, columns, strict=True):
-                vertices[name] = column
-            stream.write(vertices.tobytes())
+        for points in _points(universal, selection, options.obstacle_above, counts):
+            stream.write(points.tobytes())
         stream.seek(0)
-        stream.write(_ply_header(universal, told.points))
-    return told.exported(universal, path, selection)
+        stream.write(_ply_header(universal, counts["points"]))
+    return _exported(universal, path, selection, counts)
 
 
-class _Told:
-    """Counts points on their way to a file."""
-
-    def __init__(self) -> None:
-        self.points = self.known = 0
-
-    def counted(self, parts: Iterator[_Points]) -> Iterator[_Points]:
-        """The same points."""
-        for points in parts:
-            self.points += len(points.east_m)
-            self.known += int(points.ground_known.sum())
-            yield points
-
-    def exported(self, universal: MapFile, path: Path, selection: Selection) -> Exported:
-        """What was written."""
-        with selection.blocks(universal) as blocks:
-            place = extent(blocks.lattice, blocks.window, universal.datum)
-        about = {**place, "points": self.points, "on_seen_ground": self.known}
-        rows = (
-            ("points", str(self.points)),
-            ("on ground that was seen", str(self.known)),
-            ("datum", universal.datum.described()),
-        )
-        return Exported((path,), rows, about)
+def _exported(
+    universal: MapFile, path: Path, selection: Selection, counts: Counter[str]
+) -> Exported:
+    with selection.blocks(universal) as blocks:
+        place = extent(blocks.lattice, blocks.window, universal.datum)
+    rows = (
+        ("points", str(counts["points"])),
+        ("on ground that was seen", str(counts["on_seen_ground"])),
+        ("datum", universal.datum.described()),
+    )
+    about = {name: counts[name] for name in ("points", "on_seen_ground")}
+    return Exported((path,), rows, {**place, **about})
 
 
-def _points(universal: MapFile, selection: Selection, above: int) -> Iterator[_Points]:
-    """The obstacle cells, piece by piece."""
+def _points(
+    universal: MapFile, selection: Selection, above: int, counts: Counter[str]
+) -> Iterator[AnyArray]:
+    """The obstacle cells, block by block; adds their numbers to `counts`."""
     wanted = (*universal.deciding(selection.cell_m), *_HEIGHTS)
     with selection.blocks(universal, wanted) as blocks:
         for view in blocks.views:
-            found = _of_view(view, above)
-            if len(found.east_m):
-                yield found
-
-
-def _of_view(view: MapView, above: int) -> _Points:
-    worst, seen, _ = view.decision()
-    j, i = np.nonzero((worst > above) & (seen > 0.0))
-    east_m, north_m = view.lattice.centres(view.window)
-    ground_m, vehicle_m = (view.layer(name)[j, i].astype(np.float64) for name in _HEIGHTS[:2])
-    known = np.isfinite(ground_m)
-    up_m = np.nan_to_num(np.where(known, ground_m, vehicle_m))
-    count = view.layer("count")[j, i].astype(np.uint32)
-    high_m = view.layer("max_height")[j, i].astype(np.float32)
-    density = worst[j, i].astype(np.uint8)
-    return _Points(east_m[i], north_m[j], up_m, known, density, count, high_m)
+            worst, seen, _ = view.decision()
+            j, i = np.nonzero((worst > above) & (seen > 0.0))
+            if not len(i):
+                continue
+            east_m, north_m = view.lattice.centres(view.window)
+            ground_m, vehicle_m = (
+                view.layer(name)[j, i].astype(np.float64) for name in _HEIGHTS[:2]
+            )
+            known = np.isfinite(ground_m)
+            counts.update(points=len(i), on_seen_ground=int(known.sum()))
+            columns: tuple[AnyArray, ...] = (
+                east_m[i],
+                north_m[j],
+                np.nan_to_num(np.where(known, ground_m, vehicle_m)),
+                worst[j, i].astype(np.uint8),
+                view.layer("count")[j, i].astype(np.uint32),
+                known,
+                view.layer("max_height")[j, i].astype(np.float32),
+            )
+            yield np.rec.fromarrays(columns, dtype=_POINT)
 
 
 def _ply_header(universal: MapFile, count: int) -> bytes:

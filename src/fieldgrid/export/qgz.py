@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import os
 import zipfile
-import zlib
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree as ET
 from xml.etree.ElementTree import Element
@@ -18,6 +18,7 @@ from fieldgrid import palette, qgis
 from fieldgrid.errors import ConfigError, quoted
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.selection import Selection
+from fieldgrid.export.together import is_zip
 from fieldgrid.lattice import Bounds, check_inside
 from fieldgrid.mapfile import MapFile
 from fieldgrid.mapfile.schema import GEOMETRIES
@@ -58,30 +59,25 @@ def export_qgz(
     bounds = selection.bounds or universal.bounds
     check_inside(bounds, universal.bounds)
     document = _document(universal, path, bounds)
+    ours = partial(is_zip, check=_is_ours)
     with (
-        replacing(path, overwrite=overwrite, ours=_is_ours, what="a QGIS project") as file,
+        replacing(path, overwrite=overwrite, ours=ours, what="a QGIS project") as file,
         zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive,
     ):
         archive.writestr(f"{path.stem}.qgs", document)
-    return Exported((path,), _rows(universal), {"layers": _names(universal)})
-
-
-def _is_ours(file: Path) -> bool:
-    """Whether a project names the layers as this module does."""
-    try:
-        with zipfile.ZipFile(file) as archive:
-            first = archive.open(archive.namelist()[0]).read(_MOST_BYTES)
-    except (OSError, IndexError, ValueError, zipfile.BadZipFile, zlib.error):
-        return False
-    return f'id="{_id("trajectory")}"'.encode() in first
-
-
-def _rows(universal: MapFile) -> tuple[tuple[str, str], ...]:
-    return (
-        ("layers", ", ".join(_TITLES[name] for name in _names(universal))),
+    names = _names(universal)
+    rows = (
+        ("layers", ", ".join(_TITLES[name] for name in names)),
         ("datum", universal.datum.described()),
         ("map", universal.path.name),
     )
+    return Exported((path,), rows, {"layers": names})
+
+
+def _is_ours(archive: zipfile.ZipFile) -> bool:
+    """Whether a project names the layers as this module does."""
+    first = archive.open(archive.namelist()[0]).read(_MOST_BYTES)
+    return f'id="{_id("trajectory")}"'.encode() in first
 
 
 def _names(universal: MapFile) -> list[str]:
@@ -92,14 +88,14 @@ def _names(universal: MapFile) -> list[str]:
 
 
 def _document(universal: MapFile, path: Path, bounds: Bounds) -> bytes:
-    infos = universal.sessions()
     sessions = [
-        (info.name, palette.session_colour(k)) for k, info in enumerate(infos) if info.active
+        (info.name, palette.session_colour(k))
+        for k, info in enumerate(universal.sessions())
+        if info.active
     ]
     root = Element("qgis", version=qgis.VERSION, projectname=universal.path.stem)
     ET.SubElement(root, "title").text = universal.path.stem
-    crs = _system(universal)
-    ET.SubElement(root, "projectCrs").append(crs)
+    ET.SubElement(root, "projectCrs").append(_system(universal))
     tree = ET.SubElement(root, "layer-tree-group")
     layers = ET.SubElement(root, "projectlayers")
     order = ET.SubElement(root, "layerorder")
@@ -138,10 +134,8 @@ def _layer(universal: MapFile, path: Path, name: str, sessions: list[tuple[str, 
     )
     ET.SubElement(layer, "layername").text = _TITLES[name]
     ET.SubElement(layer, "srs").append(_system(universal))
-    provider = ET.SubElement(layer, "provider")
-    provider.text = "gdal" if is_raster else "ogr"
-    if not is_raster:
-        provider.set("encoding", "UTF-8")
+    encoding = {} if is_raster else {"encoding": "UTF-8"}
+    ET.SubElement(layer, "provider", encoding).text = "gdal" if is_raster else "ogr"
     if name in qgis.MARKS:
         layer.set("labelsEnabled", "1")
     qgis.fill_style(layer, name, sessions)
@@ -156,9 +150,12 @@ def _id(name: str) -> str:
 def _system(universal: MapFile) -> Element:
     datum = universal.datum
     system = Element("spatialrefsys")
-    ET.SubElement(system, "wkt").text = datum.crs_wkt("WKT2_2019")
-    ET.SubElement(system, "proj4").text = datum.crs_proj4()
-    ET.SubElement(system, "geographicflag").text = "false"
+    for tag, text in (
+        ("wkt", datum.crs_wkt("WKT2_2019")),
+        ("proj4", datum.crs_proj4()),
+        ("geographicflag", "false"),
+    ):
+        ET.SubElement(system, tag).text = text
     return system
 
 

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ from fieldgrid.array_types import AnyArray
 from fieldgrid.errors import ConfigError, MapWriteError
 from fieldgrid.export.georeference import extent
 from fieldgrid.export.plane import PixelPlane, warped
+from fieldgrid.export.registry import require
 from fieldgrid.export.selection import Selection
 from fieldgrid.geodesy import Datum, check_area_of_use
 from fieldgrid.lattice import Bounds, Lattice, Window
@@ -67,31 +69,21 @@ class Raster(NamedTuple):
     scratch: Scratch
 
 
-class Scratch:
-    """Files beside a target that are gone when its export has ended."""
+class Scratch(ExitStack):
+    """Files beside a target that are gone when the block of its export ends."""
 
     def __init__(self, target: Path) -> None:
+        super().__init__()
         self._target = target
-        self._drafts: list[Draft] = []
 
     def file(self, what: str, ending: str = ".tif") -> Path:
         """A new file; `what` tells it from the other ones of the same export."""
         name = f"{self._target.name}.{what}{ending}"
         # It is never published, so a file of that name is safe.
-        self._drafts.append(Draft(self._target.with_name(name), overwrite=True))
-        return self._drafts[-1].file
-
-    def discard(self) -> None:
-        """Remove all of them."""
-        for draft in self._drafts:
-            draft.discard()
-
-
-def layout_of(layer: str) -> BandLayout:
-    """How a layer is laid out."""
-    declared = LAYERS[layer]
-    alpha = declared.nodata is None
-    return BandLayout(declared.dtype, alpha, declared.nodata)
+        draft = Draft(self._target.with_name(name), overwrite=True)
+        # The callback holds the draft, whose file would be removed with it.
+        self.callback(lambda: draft.discard())
+        return draft.file
 
 
 @contextmanager
@@ -109,28 +101,31 @@ def painted(
     ConfigError when rasterio is not installed, for a code that is none and for what cannot be
     selected, MapWriteError when the disk does not take it.
     """
-    with gdal(path), ExitStack() as stack:
-        scratch = Scratch(path)
-        stack.callback(scratch.discard)
-        layout = layout_of(selection.layer)
+    declared = LAYERS[selection.layer]
+    layout = BandLayout(declared.dtype, declared.nodata is None, declared.nodata)
+    with gdal(path), Scratch(path) as scratch:
+        from rasterio.windows import Window as Pixels
+
         with selection.blocks(universal) as blocks:
-            tags = _tags(universal, selection)
-            plane = cells = plane_of(universal.datum, blocks.lattice, blocks.window)
+            whole, tags = blocks.window, _tags(universal, selection)
+            plane = cells = plane_of(universal.datum, blocks.lattice, whole)
             other = None if epsg is None else _reprojected(plane, epsg, universal.datum)
             if check is not None:
                 check(other or plane)
             file = scratch.file("pixels")
             with creating(file, plane, layout, tags) as dataset:
                 for view in blocks.views:
-                    place = _pixels(blocks.window, view.window)
+                    part = view.window
+                    from_north = (whole.j0 + whole.height) - (part.j0 + part.height)
+                    place = Pixels(part.i0 - whole.i0, from_north, part.width, part.height)
                     for number, band in enumerate(layout.bands(view, selection.layer), 1):
                         dataset.write(band[::-1], number, window=place)
         if other is not None:
             plane, source, file = other, file, scratch.file("projected")
             warp(source, file, other, layout, tags)
-        place = extent(blocks.lattice, blocks.window, universal.datum)
-        told = _told(selection.layer, place, universal.datum, plane, epsg)
-        yield Raster(file, plane, cells, layout, *told, scratch)
+        ground = extent(blocks.lattice, whole, universal.datum)
+        described = _description(selection.layer, ground, universal.datum, plane, epsg)
+        yield Raster(file, plane, cells, layout, *described, scratch)
 
 
 def plane_of(datum: Datum, lattice: Lattice, window: Window) -> PixelPlane:
@@ -147,15 +142,11 @@ def plane_of(datum: Datum, lattice: Lattice, window: Window) -> PixelPlane:
 @contextmanager
 def gdal(path: Path) -> Iterator[None]:
     """GDAL with bounded memory, its errors as ours about `path`."""
-    try:
-        import rasterio
-        from rasterio._err import CPLE_BaseError  # what copying raises is of no public class
-        from rasterio.errors import RasterioError
-    except ImportError as error:
-        raise ConfigError(
-            f"Writing {path.name} needs rasterio, which is not installed; "
-            "run: pip install 'fieldgrid[gis]'"
-        ) from error
+    require(f"Writing {path.name}", "gis", "rasterio")
+    import rasterio
+    from rasterio._err import CPLE_BaseError  # what copying raises is of no public class
+    from rasterio.errors import RasterioError
+
     try:
         with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
             yield
@@ -213,20 +204,15 @@ def check_whole(file: Path) -> None:
             for number, factor in enumerate(dataset.overviews(band)):
                 levels.append((number, -(-dataset.width // factor), -(-dataset.height // factor)))
             for level, width, height in levels:
-                for y in range(-(-height // BLOCK_PX)):
-                    for x in range(-(-width // BLOCK_PX)):
-                        where = (f"{x}_{y}", "TIFF", band, level)
-                        end = max(end, _block_end(dataset, *where))
+                rows, columns = range(-(-height // BLOCK_PX)), range(-(-width // BLOCK_PX))
+                for y, x in product(rows, columns):
+                    where = ("TIFF", band, level)
+                    offset = dataset.get_tag_item(f"BLOCK_OFFSET_{x}_{y}", *where)
+                    if offset is not None:  # else the block has no bytes
+                        size = dataset.get_tag_item(f"BLOCK_SIZE_{x}_{y}", *where)
+                        end = max(end, int(offset) + int(size))
     if file.stat().st_size < end:
         raise MapWriteError("The disk is full and cut a picture short; free some space.")
-
-
-def _block_end(dataset: Any, block: str, domain: str, band: int, level: int | None) -> int:
-    """Where the bytes of a block end in the file; 0 for one that has none."""
-    offset = dataset.get_tag_item(f"BLOCK_OFFSET_{block}", domain, band, level)
-    if offset is None:
-        return 0
-    return int(offset) + int(dataset.get_tag_item(f"BLOCK_SIZE_{block}", domain, band, level))
 
 
 def is_ours(file: Path) -> bool:
@@ -242,24 +228,6 @@ def datum_tags(datum: Datum, lattice: Lattice) -> dict[str, str]:
         "FIELDGRID_DATUM_HEIGHT_M": repr(float(datum.height_m)),
         "FIELDGRID_CELL_M": repr(float(lattice.cell_m)),
     }
-
-
-def windows(width: int, height: int, rows: int) -> Iterator[Any]:
-    """A raster in windows of so many rows, and some thousand columns, as rasterio has them."""
-    from rasterio.windows import Window as Pixels
-
-    columns = 16 * BLOCK_PX
-    for row in range(0, height, rows):
-        for column in range(0, width, columns):
-            yield Pixels(column, row, min(columns, width - column), min(rows, height - row))
-
-
-def _pixels(whole: Window, part: Window) -> Any:
-    """Where a part of a window is in its raster, whose first row is the northernmost."""
-    from rasterio.windows import Window as Pixels
-
-    row = (whole.j0 + whole.height) - (part.j0 + part.height)
-    return Pixels(part.i0 - whole.i0, row, part.width, part.height)
 
 
 def _tags(universal: Readable, selection: Selection) -> dict[str, str]:
@@ -283,7 +251,7 @@ def _tags(universal: Readable, selection: Selection) -> dict[str, str]:
     return tags
 
 
-def _told(
+def _description(
     layer: str, place: dict[str, Any], datum: Datum, plane: PixelPlane, epsg: int | None
 ) -> tuple[tuple[tuple[str, str], ...], dict[str, Any]]:
     """What a raster is, as rows for a reader and as numbers for a program."""
@@ -317,15 +285,14 @@ def _reprojected(source: PixelPlane, epsg: int, datum: Datum) -> PixelPlane:
     )
     side_x = math.hypot(xs[1] - xs[0], 0.0 if crs.is_geographic else ys[1] - ys[0])
     side_y = math.hypot(ys[3] - ys[2], 0.0 if crs.is_geographic else xs[3] - xs[2])
-    bounds = transform_bounds(source.crs, crs, west, south, east, north, densify_pts=99)
-    if not (all(math.isfinite(v) for v in (*bounds, side_x, side_y)) and min(side_x, side_y) > 0):
+    area = Bounds(*transform_bounds(source.crs, crs, west, south, east, north, densify_pts=99))
+    # As large in both units of the system: many programs take no other pixels.
+    side = min(side_x, side_y)
+    if not (all(math.isfinite(v) for v in (*area, side_x, side_y)) and side > 0):
         raise ConfigError(
             f"EPSG:{epsg} ({crs_name(crs)}) does not reach to the map; choose a system that is "
             "used there."
         )
-    area = Bounds(*bounds)
-    # As large in both units of the system: many programs take no other pixels.
-    side = min(side_x, side_y)
     wide, high = area.east_m - area.west_m, area.north_m - area.south_m
     if wide <= 0.0 or max(wide, high) > MOST_STRETCHED * side * (source.width + source.height):
         raise ConfigError(
@@ -366,15 +333,18 @@ def warp(
 ) -> None:
     """The pixels of another plane: each has the cell that its centre falls in, or nothing."""
     import rasterio
+    from rasterio.windows import Window as Pixels
 
+    rows, columns = 2 * BLOCK_PX, 16 * BLOCK_PX  # that are in memory at once
     with (
         rasterio.open(source) as found,
         warped(found, plane) as projected,
         creating(file, plane, layout, tags) as dataset,
     ):
-        for part in windows(plane.width, plane.height, 2 * BLOCK_PX):
-            pixels = projected.read(window=part)
-            dataset.write(pixels, window=part)
+        for row, column in product(range(0, plane.height, rows), range(0, plane.width, columns)):
+            width, height = min(columns, plane.width - column), min(rows, plane.height - row)
+            part = Pixels(column, row, width, height)
+            dataset.write(projected.read(window=part), window=part)
 
 
 def _checked(plane: PixelPlane) -> PixelPlane:

@@ -233,6 +233,20 @@ def _checked(chosen: ExportFormat, options: Mapping[str, Any]) -> Settings:
     )
 
 
+def require(what: str, extra: str, *names: str) -> None:
+    """Raise ConfigError unless the libraries that an extra of pip brings are installed; `what`
+    needs them."""
+    try:
+        for name in names:
+            __import__(name)
+    except ImportError as error:
+        is_one = len(names) == 1
+        raise ConfigError(
+            f"{what} needs {' and '.join(names)}, which {'is' if is_one else 'are'} not installed; "
+            f"run: pip install 'fieldgrid[{extra}]'"
+        ) from error
+
+
 def _check_layer(chosen: ExportFormat, layer: str) -> None:
     fits = {
         Holds.ANY: True,

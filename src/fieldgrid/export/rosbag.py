@@ -66,13 +66,12 @@ def export_mcap(
             writer.write_raw(
                 topic, raw.schema_name, "protobuf", raw.schema, raw.data, content.start_ns
             )
-        count = _write(writer, content)
-    return Exported((path,), content.rows(count + len(own)), content.about(count + len(own)))
+        return _write(writer, content, path, len(own))
 
 
 def _foxglove(
     content: BagContent, path: Path, options: McapOptions
-) -> list[tuple[str, foxglove_messages.Raw]]:
+) -> list[tuple[str, foxglove_messages.EncodedMessage]]:
     """Foxglove's own messages by topic."""
     selection, universal = content.selection, content.universal
     shapes = geojson_text(
@@ -84,9 +83,9 @@ def _foxglove(
             obstacle_above=options.obstacle_above,
         ),
     )
-    view = selection.view(universal)
+    grid = foxglove_messages.grid(selection.view(universal), content.start_ns)
     return [
-        ("/foxglove/grid", foxglove_messages.grid(view, content.start_ns)),
+        ("/foxglove/grid", grid),
         ("/foxglove/geojson", foxglove_messages.geojson(shapes)),
     ]
 
@@ -110,8 +109,7 @@ def export_rosbag2(
     """
     content = BagContent.of(universal, selection, options.curve())
     with BagFolderWriter(path, storage=options.storage, overwrite=overwrite) as writer:
-        count = _write(writer, content)
-    return Exported((path,), content.rows(count), content.about(count))
+        return _write(writer, content, path)
 
 
 def export_rosbag1(
@@ -128,17 +126,20 @@ def export_rosbag1(
     """
     content = BagContent.of(universal, selection, options.curve())
     with Ros1BagWriter(path, overwrite=overwrite) as writer:
-        count = _write(writer, content)
-    return Exported((path,), content.rows(count), content.about(count))
+        return _write(writer, content, path)
 
 
-def _write(writer: McapWriter | BagFolderWriter | Ros1BagWriter, content: BagContent) -> int:
-    """Write the ROS messages; their number."""
-    count = 0
+def _write(
+    writer: McapWriter | BagFolderWriter | Ros1BagWriter,
+    content: BagContent,
+    path: Path,
+    count: int = 0,
+) -> Exported:
+    """Write the ROS messages behind the first `count` ones of another kind."""
     for one in messages(content):
         writer.write(one.topic, one.message, one.time_ns, latched=one.latched)
         count += 1
-    return count
+    return Exported((path,), content.rows(count), content.about(count))
 
 
 register_export_format(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -69,19 +69,22 @@ class Selection:
         lattice = Lattice(universal.cell_m if self.cell_m is None else self.cell_m)
         return lattice.bounds(lattice.window(self.bounds))
 
-    @contextmanager
-    def blocks(self, universal: Readable, layers: Sequence[str] = ()) -> Iterator[MapBlocks]:
-        """The same as `view` in blocks from the north, of one state of the map, however large."""
+    def blocks(
+        self, universal: Readable, layers: Sequence[str] = ()
+    ) -> AbstractContextManager[MapBlocks]:
+        """The part of the map in blocks from the north, of one state of the map, however large;
+        layers and errors as in `view`."""
         bounds, wanted = self.checked_bounds(universal), tuple(dict.fromkeys((self.layer, *layers)))
-        with universal.read_blocks(
+        return universal.read_blocks(
             bounds, self.cell_m, layers=wanted, at=self.at, jobs=self.jobs, scheduler=self.scheduler
-        ) as blocks:
-            yield blocks
+        )
 
-    @contextmanager
-    def overviews(self, universal: Readable, levels: int) -> Iterator[Iterator[OverviewBlock]]:
-        """The same with cells of 2, 4, ... 2^levels times the side, from the north-west corner."""
-        with universal.overviews(
+    def overviews(
+        self, universal: Readable, levels: int
+    ) -> AbstractContextManager[Iterator[OverviewBlock]]:
+        """The part of the map in blocks with cells of 2, 4, ... 2^levels times the side, from the
+        north-west corner."""
+        return universal.overviews(
             levels,
             self.bounds,
             self.cell_m,
@@ -89,8 +92,7 @@ class Selection:
             at=self.at,
             jobs=self.jobs,
             scheduler=self.scheduler,
-        ) as blocks:
-            yield blocks
+        )
 
     def sessions(self, universal: Readable) -> list[str]:
         """The names of the sessions that are in the part, in the order of their drives."""

@@ -7,17 +7,17 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.array_types import AnyArray, Bool, Float64
+from fieldgrid.array_types import Bool, Float64
 from fieldgrid.cost import OCCUPIED, UNKNOWN_OCCUPANCY
 from fieldgrid.errors import ConfigError, LimitError
 from fieldgrid.export.options import CurveOptions
-from fieldgrid.lattice import Lattice, Window
 from fieldgrid.limits import bounded_lines, file_bytes
+from fieldgrid.mapfile import MapView
 from fieldgrid.settings import Flag, setting
 
 BASE, MULTIPLIER = 100.0, -1.0
@@ -66,32 +66,27 @@ class SpeedOptions(CurveOptions):
     )
 
 
-class SpeedCells(NamedTuple):
-    """What of a map the mask is made of: occupancy, keep-outs, frames that saw each cell (None
-    where that does not matter), and where the cells are."""
-
-    occupancy: npt.NDArray[np.int8]
-    keepout: Bool
-    frames: AnyArray | None
-    lattice: Lattice
-    window: Window
-
-
-def speed_mask(cells: SpeedCells, options: SpeedOptions) -> npt.NDArray[np.int8]:
-    """Values of the mask, int8 [rows north, columns east]: 0 without a limit."""
+def speed_mask(
+    view: MapView,
+    occupancy: npt.NDArray[np.int8],
+    keepout: npt.NDArray[np.int8],
+    options: SpeedOptions,
+) -> npt.NDArray[np.int8]:
+    """Values of the mask, int8 [rows north, columns east]: 0 without a limit. The view has the
+    layer `count` where the options ask for cells that few frames saw."""
     import cv2
 
     assert options.slow_percent is not None
-    barred = np.isin(cells.occupancy, (OCCUPIED, UNKNOWN_OCCUPANCY)) | cells.keepout
+    barred = np.isin(occupancy, (OCCUPIED, UNKNOWN_OCCUPANCY)) | (keepout > 0)
     if options.slow_turns is not None:
-        barred |= _turns(options.slow_turns, options.slow_radius_m, cells)
+        barred |= _turns(options.slow_turns, options.slow_radius_m, view)
     # Beyond the map nothing was seen, either.
     free = np.pad((~barred).astype(np.uint8), 1)
     away = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     # From middle to middle; some point of either cell may be half a diagonal nearer.
-    slow = (away - np.sqrt(2.0)) * cells.lattice.cell_m < options.slow_within_m
-    if cells.frames is not None:
-        slow |= cells.frames < options.slow_seen_by
+    slow = (away - np.sqrt(2.0)) * view.lattice.cell_m < options.slow_within_m
+    if options.slow_seen_by:
+        slow |= view.layer("count") < options.slow_seen_by
     return np.where(slow, np.int8(100 - options.slow_percent), np.int8(0))
 
 
@@ -112,13 +107,13 @@ def filter_parameters(mask: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _turns(path: Path, radius_m: float, cells: SpeedCells) -> Bool:
+def _turns(path: Path, radius_m: float, view: MapView) -> Bool:
     """The cells of the poses in which a route turns."""
-    places = _turning_poses(path, radius_m)
-    i, j = cells.lattice.index(places[:, 0], places[:, 1])
-    i, j = i - cells.window.i0, j - cells.window.j0
-    found = np.zeros(cells.occupancy.shape, dtype=np.bool_)
-    inside = (i >= 0) & (j >= 0) & (i < cells.window.width) & (j < cells.window.height)
+    places, window = _turning_poses(path, radius_m), view.window
+    i, j = view.lattice.index(places[:, 0], places[:, 1])
+    i, j = i - window.i0, j - window.j0
+    found = np.zeros(window.shape, dtype=np.bool_)
+    inside = (i >= 0) & (j >= 0) & (i < window.width) & (j < window.height)
     found[j[inside], i[inside]] = True
     return found
 

@@ -18,11 +18,11 @@ import numpy as np
 
 from fieldgrid.array_types import AnyArray, Float64
 from fieldgrid.errors import ConfigError
-from fieldgrid.export.registry import Exported, ExportFormat, register_export_format
+from fieldgrid.export.registry import Exported, ExportFormat, register_export_format, require
 from fieldgrid.export.selection import Selection
-from fieldgrid.export.together import write_together
+from fieldgrid.export.together import text_writer, write_together
 from fieldgrid.geodesy import Datum
-from fieldgrid.mapfile import LAYERS, MapFile, MapView
+from fieldgrid.mapfile import LAYERS, MapFile
 from fieldgrid.publish import mentions, replacing
 from fieldgrid.settings import Settings
 
@@ -32,8 +32,6 @@ _ROWS = 1 << 16
 _PLACES = {"east_m": 4, "north_m": 4, "lat_deg": 9, "lon_deg": 9}
 """Decimals of a CSV: 0.1 mm."""
 
-Table = dict[str, AnyArray]
-
 
 def export_csv(
     universal: MapFile, path: Path, selection: Selection, _: Settings, *, overwrite: bool
@@ -42,22 +40,22 @@ def export_csv(
     beside = path.with_name(path.name + "-metadata.json")
     rows = 0
 
-    def write_metadata(file: Path) -> None:
-        file.write_text(json.dumps(_csvw(path, universal, selection), indent=1) + "\n")
-
     def write_cells(file: Path) -> None:
         nonlocal rows
         with file.open("w", encoding="ascii", newline="") as out:
             for table in _tables(universal, selection):
                 if rows == 0:
                     out.write(",".join(table) + "\r\n")
+                for start in range(0, len(table["n"]), _ROWS):
+                    part = slice(start, start + _ROWS)
+                    cells = [_text(name, values[part]) for name, values in table.items()]
+                    out.write("\r\n".join(map(",".join, zip(*cells, strict=True))) + "\r\n")
                 rows += len(table["n"])
-                for lines in _lines(table):
-                    out.write(lines)
         _refuse_empty(rows, path)
 
+    metadata = json.dumps(_csvw(path, universal, selection), indent=1) + "\n"
     write_together(
-        {beside: write_metadata, path: write_cells},
+        {beside: text_writer(metadata), path: write_cells},
         overwrite=overwrite,
         ours=lambda file: mentions(beside, b"http://www.w3.org/ns/csvw"),
         what="a CSV",
@@ -72,14 +70,10 @@ def export_parquet(
 
     Raises ConfigError when pyarrow is not installed.
     """
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise ConfigError(
-            "Writing Parquet needs pyarrow, which is not installed; "
-            "run: pip install 'fieldgrid[tables]'"
-        ) from error
+    require("Writing Parquet", "tables", "pyarrow")
+    import pyarrow
+    import pyarrow.parquet
+
     rows = 0
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     with (
@@ -156,30 +150,18 @@ def _refuse_empty(rows: int, path: Path) -> None:
         )
 
 
-def _tables(universal: MapFile, selection: Selection) -> Iterator[Table]:
+def _tables(universal: MapFile, selection: Selection) -> Iterator[dict[str, AnyArray]]:
+    """The observed cells of each block, a column each."""
     with selection.blocks(universal, ("count",)) as blocks:
         for view in blocks.views:
-            yield _table(view, selection.layer)
-
-
-def _table(view: MapView, layer: str) -> Table:
-    """The observed cells of a view, a column each."""
-    j, i = np.nonzero(view.observed)
-    east_m, north_m = view.lattice.centres(view.window)
-    east_m, north_m = east_m[i], north_m[j]
-    lat_deg, lon_deg, _ = view.datum.to_geodetic(east_m, north_m, np.zeros(len(i)))
-    columns = {"east_m": east_m, "north_m": north_m, "lat_deg": lat_deg, "lon_deg": lon_deg}
-    if layer != "count":
-        columns[layer] = view.layer(layer)[j, i]
-    return {**columns, "n": view.layer("count")[j, i]}
-
-
-def _lines(table: Table) -> Iterator[str]:
-    """The rows as text, some at a time."""
-    columns = list(table.items())
-    for start in range(0, len(columns[0][1]), _ROWS):
-        cells = [_text(name, values[start : start + _ROWS]) for name, values in columns]
-        yield "\r\n".join(map(",".join, zip(*cells, strict=True))) + "\r\n"
+            j, i = np.nonzero(view.observed)
+            east_m, north_m = view.lattice.centres(view.window)
+            east_m, north_m = east_m[i], north_m[j]
+            lat_deg, lon_deg, _ = view.datum.to_geodetic(east_m, north_m, np.zeros(len(i)))
+            columns = {"east_m": east_m, "north_m": north_m, "lat_deg": lat_deg, "lon_deg": lon_deg}
+            if selection.layer != "count":
+                columns[selection.layer] = view.layer(selection.layer)[j, i]
+            yield {**columns, "n": view.layer("count")[j, i]}
 
 
 def _text(name: str, values: AnyArray) -> list[str]:

@@ -9,8 +9,8 @@ ground, not of the land register.
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Sequence
 from decimal import Decimal
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,10 +20,27 @@ from fieldgrid.array_types import AnyArray, UInt8
 from fieldgrid.cost import LEAST_SEEN
 from fieldgrid.errors import ConfigError, printable
 from fieldgrid.export.features import feature_layers
-from fieldgrid.export.guidance import NAME, Points, TaskdataOptions, drive_groups, lane_groups
-from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
+from fieldgrid.export.guidance import (
+    DECIMALS,
+    NAME,
+    TaskdataOptions,
+    decimal,
+    drive_groups,
+    lane_groups,
+    points,
+    polygon_of,
+    polygons,
+)
+from fieldgrid.export.registry import (
+    Exported,
+    ExportFormat,
+    Holds,
+    register_export_format,
+    require,
+)
 from fieldgrid.export.selection import Selection
-from fieldgrid.geodesy import Datum, continued_deg
+from fieldgrid.export.together import is_zip
+from fieldgrid.geodesy import continued_deg
 from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import MapFile, MapView, MarkKind
@@ -34,8 +51,6 @@ from fieldgrid.vectors import FeatureLayer
 if TYPE_CHECKING:
     from fieldgrid.rows import Planting
 
-_DECIMALS = 9
-"""0.1 mm; the standard allows no more."""
 
 MAX_GRID_CELLS = 50_000_000
 """A terminal that takes a grid at all takes one of some megabytes."""
@@ -52,19 +67,10 @@ _POINTS = 1 << 20
 _FILES = ("TASKDATA.XML", "GRD00001.bin")
 
 
-class Zone(NamedTuple):
-    """A zone of the grid: its code, and what a terminal shows."""
+ZONES = ("not observed", "free", "in doubt", "obstacle", "keep-out")
+"""What a terminal shows of the zones of the grid, by their codes."""
 
-    code: int
-    says: str
-
-
-UNSEEN = Zone(0, "not observed")
-FREE = Zone(1, "free")
-DOUBT = Zone(2, "in doubt")
-OBSTACLE = Zone(3, "obstacle")
-KEEPOUT = Zone(4, "keep-out")
-ZONES = (UNSEEN, FREE, DOUBT, OBSTACLE, KEEPOUT)
+UNSEEN, FREE, DOUBT, OBSTACLE, KEEPOUT = range(len(ZONES))
 
 
 def export_taskdata(
@@ -83,9 +89,10 @@ def export_taskdata(
     Raises ConfigError when isoxml is not installed, and for a grid that is too large for a
     terminal.
     """
-    _require_library()
-    layers = feature_layers(universal, selection, options, ("obstacle", "trajectory", "footprint"))
-    obstacles, drives, footprints = layers
+    require("Writing task data", "isoxml", "isoxml")
+    obstacles, drives, footprints = feature_layers(
+        universal, selection, options, ("obstacle", "trajectory", "footprint")
+    )
     view = selection.view(universal, universal.deciding(selection.cell_m))
     grid = zone_grid(view, options.obstacle_above)
     if planting is None and options.guidance == "lanes":
@@ -101,62 +108,44 @@ def export_taskdata(
                 "--guidance drives needs none."
             )
 
-    def points(line: Any, kinds: Sequence[Any]) -> list[Any]:
-        return _points(line, universal.datum, kinds)
-
-    groups = drive_groups(drives, points) if planting is None else _lane_groups(planting, points)
+    groups = drive_groups(drives, universal.datum) if planting is None else lane_groups(planting)
     field = _field(universal, selection.area(universal), obstacles, footprints, groups)
     what = "exported task data"
     if path.suffix.lower() == ".zip":
+        names = {f"TASKDATA/{name}" for name in _FILES}
+        ours = partial(is_zip, check=lambda archive: set(archive.namelist()) == names)
         with (
-            replacing(path, overwrite=overwrite, ours=_is_zipped, what=what) as file,
+            replacing(path, overwrite=overwrite, ours=ours, what=what) as file,
             working_beside(file) as folder,
         ):
-            _write(Path(folder), field, grid)
+            _write(folder, field, grid)
             with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
                 for name in _FILES:
-                    archive.write(Path(folder) / name, f"TASKDATA/{name}")
+                    archive.write(folder / name, f"TASKDATA/{name}")
     else:
         with replacing_folder(path, overwrite=overwrite, ours=_is_taskdata, what=what) as draft:
             _write(draft, field, grid)
     rows, columns = grid.zones.shape
+    guidance = "guidance curves" if planting is None else "swaths"
+    patterns = sum(len(group.guidance_patterns) for group in groups)
     return Exported(
         (path,),
         (
             ("obstacles", str(len(obstacles.geometry))),
-            ("guidance curves" if planting is None else "swaths", str(_count_patterns(field))),
+            (guidance, str(patterns)),
             ("grid of zones", f"{columns} x {rows}"),
         ),
         {
             "obstacles": len(obstacles.geometry),
-            "guidance_curves" if planting is None else "swaths": _count_patterns(field),
+            guidance.replace(" ", "_"): patterns,
             "grid_of_zones": [columns, rows],
         },
     )
 
 
-def _require_library() -> None:
-    try:
-        import isoxml  # noqa: F401
-        import shapely  # noqa: F401
-    except ImportError as error:
-        raise ConfigError(
-            "Writing task data needs isoxml, which is not installed; "
-            "run: pip install 'fieldgrid[isoxml]'"
-        ) from error
-
-
 def _is_taskdata(folder: Path) -> bool:
     # A terminal's own task data hold more: the logs of its work, which are nowhere else.
     return {entry.name for entry in folder.iterdir()} == set(_FILES)
-
-
-def _is_zipped(file: Path) -> bool:
-    try:
-        with zipfile.ZipFile(file) as archive:
-            return set(archive.namelist()) == {f"TASKDATA/{name}" for name in _FILES}
-    except (OSError, zipfile.BadZipFile):
-        return False
 
 
 class ZoneGrid(NamedTuple):
@@ -185,7 +174,7 @@ def zone_grid(view: MapView, obstacle_above: int = OBSTACLE_ABOVE) -> ZoneGrid:
     )
     lon0 = continued_deg(lon0, datum.lon_deg)
     step_north, step_east = float(lat0[2] - lat0[0]), float(lon0[1] - lon0[0])
-    south, west = round(float(lat_deg.min()), _DECIMALS), round(float(lon_deg.min()), _DECIMALS)
+    south, west = round(float(lat_deg.min()), DECIMALS), round(float(lon_deg.min()), DECIMALS)
     rows = int(np.ceil((lat_deg.max() - south) / step_north))
     columns = int(np.ceil((lon_deg.max() - west) / step_east))
     if rows * columns > MAX_GRID_CELLS:
@@ -209,9 +198,7 @@ def zone_grid(view: MapView, obstacle_above: int = OBSTACLE_ABOVE) -> ZoneGrid:
     return ZoneGrid(zones, south, west, step_north, step_east)
 
 
-_BY_SEVERITY = np.array(
-    [zone.code for zone in (FREE, UNSEEN, DOUBT, OBSTACLE, KEEPOUT)], dtype=np.uint8
-)
+_BY_SEVERITY = np.array([FREE, UNSEEN, DOUBT, OBSTACLE, KEEPOUT], dtype=np.uint8)
 
 
 def _severity(view: MapView, obstacle_above: int) -> UInt8:
@@ -251,26 +238,22 @@ def _field(
     datum = universal.datum
     seen = footprints.geometry[footprints.columns["status"] == Status.OK.value]
     mapped = shapely.simplify(shapely.union_all(seen), _BOUNDARY_TOLERANCE_M)
-    boundary = [
-        _polygon(part, iso.PolygonType.PartfieldBoundary, "mapped", datum)
-        for part in _parts(mapped)
-    ]
+    boundary = polygons(mapped, iso.PolygonType.PartfieldBoundary, "mapped", datum)
+    outlines = zip(obstacles.geometry, obstacles.columns["mean_density"], strict=True)
     shapes = [
-        _polygon(part, iso.PolygonType.Obstacle, f"density {density:.0f}", datum)
-        for outline, density in zip(
-            obstacles.geometry, obstacles.columns["mean_density"], strict=True
-        )
-        for part in _parts(outline)
+        polygon
+        for outline, density in outlines
+        for polygon in polygons(outline, iso.PolygonType.Obstacle, f"density {density:.0f}", datum)
     ]
     keepouts, flags = [], []
     for mark in universal.marks(within=area):
         if mark.kind is MarkKind.PLACE:
             at = mark.geometry.representative_point()
-            flags += _points(at, datum, [iso.PointType.Flag], mark.name)
+            flags += points(at, datum, [iso.PointType.Flag], mark.name)
         elif mark.kind is MarkKind.KEEPOUT:
             says = f"keep-out {mark.name}".rstrip()
             shape = mark.geometry.buffer(0.5 * universal.cell_m if mark.is_point else 0.0)
-            keepouts.append(_polygon(shape, iso.PolygonType.Obstacle, says, datum))
+            keepouts.append(polygon_of(shape, iso.PolygonType.Obstacle, says, datum))
     return iso.Partfield(
         id="PFD1",
         designator=printable(universal.path.stem)[:NAME],
@@ -279,64 +262,6 @@ def _field(
         points=flags,
         guidance_groups=groups,
     )
-
-
-def _lane_groups(planting: Planting, points: Points) -> list[Any]:
-    from isoxml.models.base import v4 as iso
-
-    def boundary(area: Any) -> list[Any]:
-        return [
-            _polygon(part, iso.PolygonType.PartfieldBoundary, "worked", planting.datum)
-            for part in _parts(area)
-        ]
-
-    return lane_groups(planting, points, boundary)
-
-
-def _count_patterns(field: Any) -> int:
-    return sum(len(group.guidance_patterns) for group in field.guidance_groups)
-
-
-def _parts(shape: Any) -> list[Any]:
-    return [part for part in getattr(shape, "geoms", [shape]) if not part.is_empty]
-
-
-def _polygon(polygon: Any, kind: Any, says: str, datum: Datum) -> Any:
-    from isoxml.models.base import v4 as iso
-
-    rings = [
-        (polygon.exterior, iso.LineStringType.PolygonExterior),
-        *((ring, iso.LineStringType.PolygonInterior) for ring in polygon.interiors),
-    ]
-    return iso.Polygon(
-        type=kind,
-        designator=says[:NAME],
-        area=round(polygon.area),
-        line_strings=[
-            iso.LineString(
-                type=ring_kind,
-                points=_points(ring, datum, [iso.PointType.Other] * len(ring.coords)),
-            )
-            for ring, ring_kind in rings
-        ],
-    )
-
-
-def _points(line: Any, datum: Datum, kinds: Sequence[Any], says: str = "") -> list[Any]:
-    from isoxml.models.base import v4 as iso
-
-    places = np.asarray(line.coords)[:, :2]
-    lat_deg, lon_deg, _ = datum.to_geodetic(places[:, 0], places[:, 1], np.zeros(len(places)))
-    return [
-        iso.Point(
-            type=kind, designator=says[:NAME] or None, north=_decimal(lat), east=_decimal(lon)
-        )
-        for kind, lat, lon in zip(kinds, lat_deg.tolist(), lon_deg.tolist(), strict=True)
-    ]
-
-
-def _decimal(degrees: float) -> Decimal:
-    return Decimal(f"{degrees:.{_DECIMALS}f}")
 
 
 def _write(folder: Path, field: Any, grid: ZoneGrid) -> None:
@@ -352,14 +277,16 @@ def _write(folder: Path, field: Any, grid: ZoneGrid) -> None:
         designator=field.designator,
         partfield_id_ref=field.id,
         status=iso.TaskStatus.Planned,
-        default_treatment_zone_code=UNSEEN.code,
-        position_lost_treatment_zone_code=UNSEEN.code,
-        out_of_field_treatment_zone_code=UNSEEN.code,
-        treatment_zones=[iso.TreatmentZone(code=zone.code, designator=zone.says) for zone in ZONES],
+        default_treatment_zone_code=UNSEEN,
+        position_lost_treatment_zone_code=UNSEEN,
+        out_of_field_treatment_zone_code=UNSEEN,
+        treatment_zones=[
+            iso.TreatmentZone(code=code, designator=says) for code, says in enumerate(ZONES)
+        ],
         grids=[
             iso.Grid(
-                minimum_north_position=_decimal(grid.south_deg),
-                minimum_east_position=_decimal(grid.west_deg),
+                minimum_north_position=decimal(grid.south_deg),
+                minimum_east_position=decimal(grid.west_deg),
                 # Without an exponent, which not every terminal reads.
                 cell_north_size=Decimal(f"{grid.cell_north_deg:.18f}"),
                 cell_east_size=Decimal(f"{grid.cell_east_deg:.18f}"),

@@ -81,12 +81,12 @@ def cut(universal: Readable, selection: Selection, whole: Whole, side: int) -> I
             looked = seen.lattice.window(bounds).intersect(seen.window)
             observed = looked and seen.observed[seen.window.slices_of(looked)].any()
             if observed or any(mark.lies_in(bounds) for mark in seen.marks):
-                inside = _well_inside(bounds, lattice.cell_m)
+                # Bounds of the same cells, which no rounding widens by one.
+                edge_m = lattice.cell_m / 4.0
+                inside = Bounds(
+                    bounds.west_m + edge_m,
+                    bounds.south_m + edge_m,
+                    bounds.east_m - edge_m,
+                    bounds.north_m - edge_m,
+                )
                 yield Tile(row - south, column - west, replace(selection, bounds=inside), part)
-
-
-def _well_inside(bounds: Bounds, cell_m: float) -> Bounds:
-    """Bounds of the same cells, which no rounding widens by one."""
-    edge_m = cell_m / 4.0
-    west, south, east, north = bounds
-    return Bounds(west + edge_m, south + edge_m, east - edge_m, north - edge_m)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import filecmp
 import os
+import zipfile
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
+from functools import partial
 from pathlib import Path
 
 from fieldgrid.errors import MapWriteError
@@ -13,8 +16,22 @@ from fieldgrid.export.name_set import NameSet, held_set, show
 from fieldgrid.publish import Draft, writing
 
 
+def is_zip(file: Path, check: Callable[[zipfile.ZipFile], bool]) -> bool:
+    """Whether a file is a zip archive that can be read and of which `check` holds."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return check(archive)
+    except (OSError, KeyError, IndexError, ValueError, zipfile.BadZipFile, zlib.error):
+        return False
+
+
+def text_writer(text: str) -> Callable[[Path], object]:
+    """What writes a text to a file, for `write_together`."""
+    return partial(Path.write_text, data=text, encoding="utf-8")
+
+
 def write_together(
-    writers: Mapping[Path, Callable[[Path], None]],
+    writers: Mapping[Path, Callable[[Path], object]],
     *,
     overwrite: bool,
     ours: Callable[[Path], bool],
@@ -64,7 +81,11 @@ def write_together(
 
 def _replace(drafts: Sequence[Draft], gone: Sequence[Path], held: NameSet | None) -> None:
     main = drafts[-1].target
-    changed = [draft for draft in drafts if not _is_there(draft)]
+    changed = [
+        draft
+        for draft in drafts
+        if not (draft.target.is_file() and filecmp.cmp(draft.file, draft.target, shallow=False))
+    ]
     if not gone and len(changed) <= 1:
         # The last one also where it is the same: its time tells when the export was made.
         for draft in [draft for draft in drafts[:-1] if draft in changed] + [drafts[-1]]:
@@ -93,10 +114,8 @@ def _replace(drafts: Sequence[Draft], gone: Sequence[Path], held: NameSet | None
 def _publish(drafts: Sequence[Draft]) -> None:
     identities = [_identity(draft.file) for draft in drafts]
     try:
-        for draft in drafts[:-2]:
-            draft.publish(for_good=False)
-        for draft in drafts[-2:]:
-            draft.publish()
+        for number, draft in enumerate(drafts, 1):
+            draft.publish(for_good=number > len(drafts) - 2)
     except BaseException:
         # Also of the one that failed, which may have its name already; never of somebody else's.
         for draft, identity in zip(drafts, identities, strict=True):
@@ -104,10 +123,6 @@ def _publish(drafts: Sequence[Draft]) -> None:
                 if _identity(draft.place) == identity:
                     draft.place.unlink()
         raise
-
-
-def _is_there(draft: Draft) -> bool:
-    return draft.target.is_file() and filecmp.cmp(draft.file, draft.target, shallow=False)
 
 
 def _identity(file: Path) -> tuple[int, int]:

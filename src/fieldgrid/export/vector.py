@@ -6,9 +6,10 @@ are written by GDAL.
 
 from __future__ import annotations
 
+import os
 import zipfile
-from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial, wraps
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,18 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.array_types import AnyArray
-from fieldgrid.errors import ConfigError
 from fieldgrid.export.features import LAYERS, feature_layers
 from fieldgrid.export.options import QuadtreeOptions, ShapeOptions
-from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
+from fieldgrid.export.registry import (
+    Exported,
+    ExportFormat,
+    Holds,
+    Writer,
+    register_export_format,
+    require,
+)
 from fieldgrid.export.selection import Selection
+from fieldgrid.export.together import is_zip
 from fieldgrid.geodesy import Datum
 from fieldgrid.lon_lat import in_degrees
 from fieldgrid.mapfile import MapFile
@@ -55,30 +63,45 @@ class FeatureOptions(ShapeOptions, QuadtreeOptions):
     )
 
 
-def export_geojson(
-    universal: MapFile,
-    path: Path,
-    selection: Selection,
-    options: FeatureOptions,
-    *,
-    overwrite: bool,
-) -> Exported:
+def _of_layers(write: Callable[[Sequence[FeatureLayer], Path, Datum, bool], None]) -> Writer:
+    """What exports a selection as features, by what writes their layers to a path."""
+
+    @wraps(write)
+    def export(
+        universal: MapFile,
+        path: Path,
+        selection: Selection,
+        options: FeatureOptions,
+        /,
+        *,
+        overwrite: bool,
+    ) -> Exported:
+        layers = _layers(universal, selection, options)
+        write(layers, path, universal.datum, overwrite)
+        counts = {layer.name: len(layer.geometry) for layer in layers}
+        rows = tuple((f"features in {name}", str(count)) for name, count in counts.items())
+        return Exported((path,), rows, {"features": counts})
+
+    return export
+
+
+@_of_layers
+def _export_geojson(
+    layers: Sequence[FeatureLayer], path: Path, datum: Datum, overwrite: bool
+) -> None:
     """Write one FeatureCollection in WGS84, nine decimals; the property `layer` tells features of
     different kinds apart."""
-    layers = _layers(universal, selection, options)
     ours = partial(mentions, mark=b'"name": "fieldgrid"')
     with replacing(path, overwrite=overwrite, ours=ours, what="a GeoJSON") as file:
-        _write_geojson(file, path, layers, universal.datum)
-    return Exported((path,), _rows(layers), _counted(layers))
+        _write_geojson(file, path, layers, datum)
 
 
 def geojson_text(
     universal: MapFile, target: Path, selection: Selection, options: FeatureOptions
 ) -> str:
-    """The same as text, for a message in `target`."""
-    layers = _layers(universal, selection, options)
+    """The features of a selection as the text of a GeoJSON, for a message in `target`."""
     text = BytesIO()
-    _write_geojson(text, target, layers, universal.datum)
+    _write_geojson(text, target, _layers(universal, selection, options), universal.datum)
     return text.getvalue().decode()
 
 
@@ -93,21 +116,19 @@ def _write_geojson(
     )
 
 
-def export_geopackage(
-    universal: MapFile,
-    path: Path,
-    selection: Selection,
-    options: FeatureOptions,
-    *,
-    overwrite: bool,
-) -> Exported:
-    """Write a GeoPackage with a layer for each kind of feature.
-
-    Raises ConfigError for a kind that is none, or when pyogrio is not installed.
-    """
-    layers = _layers(universal, selection, options)
+@_of_layers
+def _export_geopackage(
+    layers: Sequence[FeatureLayer], path: Path, datum: Datum, overwrite: bool
+) -> None:
+    """Write a GeoPackage with a layer for each kind of feature."""
+    ours = partial(mentions, mark=b"FIELDGRID_DATUM_LAT_DEG")
+    tags = {
+        "FIELDGRID_DATUM_LAT_DEG": repr(float(datum.lat_deg)),
+        "FIELDGRID_DATUM_LON_DEG": repr(float(datum.lon_deg)),
+        "FIELDGRID_DATUM_HEIGHT_M": repr(float(datum.height_m)),
+    }
     with (
-        replacing(path, overwrite=overwrite, ours=_has_datum, what="a GeoPackage") as file,
+        replacing(path, overwrite=overwrite, ours=ours, what="a GeoPackage") as file,
         # GDAL takes no empty file for a GeoPackage.
         made_elsewhere(file, "features.gpkg") as written,
     ):
@@ -117,85 +138,67 @@ def export_geopackage(
                 path,
                 layer,
                 "GPKG",
-                universal.datum.crs_wkt("WKT1_GDAL"),
+                datum.crs_wkt("WKT1_GDAL"),
                 append=written.exists(),
-                dataset_metadata=_datum_tags(universal.datum),
+                dataset_metadata=tags,
                 # GDAL 3.6, of Debian stable, warns of newer versions.
                 dataset_options={"VERSION": "1.3"},
             )
-    return Exported((path,), _rows(layers), _counted(layers))
 
 
-def export_flatgeobuf(
-    universal: MapFile,
-    path: Path,
-    selection: Selection,
-    options: FeatureOptions,
-    *,
-    overwrite: bool,
-) -> Exported:
+@_of_layers
+def _export_flatgeobuf(
+    layers: Sequence[FeatureLayer], path: Path, datum: Datum, overwrite: bool
+) -> None:
     """Write one FlatGeobuf with a spatial index; the property `layer` tells features of different
     kinds apart."""
-    layers = _layers(universal, selection, options)
     ours = partial(mentions, mark=_FLATGEOBUF.encode())
     with (
         replacing(path, overwrite=overwrite, ours=ours, what="a FlatGeobuf") as file,
         made_elsewhere(file, "features.fgb") as written,
     ):
-        crs = universal.datum.crs_wkt("WKT1_GDAL")
         write_layer(
             written,
             path,
             _merged(layers),
             "FlatGeobuf",
-            crs,
+            datum.crs_wkt("WKT1_GDAL"),
             layer_options={"DESCRIPTION": _FLATGEOBUF},
         )
-    return Exported((path,), _rows(layers), _counted(layers))
 
 
-def export_dxf(
-    universal: MapFile,
-    path: Path,
-    selection: Selection,
-    options: FeatureOptions,
-    *,
-    overwrite: bool,
-) -> Exported:
+@_of_layers
+def _export_dxf(layers: Sequence[FeatureLayer], path: Path, datum: Datum, overwrite: bool) -> None:
     """Write a DXF drawing in metres east and north: a layer for each kind of feature, outlines of
     areas, no attributes."""
-    layers = _layers(universal, selection, options)
     features = [Feature(layer.name, shape, {}) for layer in layers for shape in layer.geometry]
-    write_features(path, features, universal.datum, overwrite=overwrite)
-    return Exported((path,), _rows(layers), _counted(layers))
+    write_features(path, features, datum, overwrite=overwrite)
 
 
-def export_shapefile(
-    universal: MapFile,
-    path: Path,
-    selection: Selection,
-    options: FeatureOptions,
-    *,
-    overwrite: bool,
-) -> Exported:
+@_of_layers
+def _export_shapefile(
+    layers: Sequence[FeatureLayer], path: Path, datum: Datum, overwrite: bool
+) -> None:
     """Write a shapefile for each kind of feature: zipped into one file, which GDAL and QGIS open,
     when `path` ends in .zip, else into a folder. Names of columns are cut to ten letters."""
-    layers = _layers(universal, selection, options)
-    if path.suffix.lower() == ".zip":
-        with (
-            replacing(path, overwrite=overwrite, ours=_is_zipped, what="a zip") as file,
-            working_beside(file) as folder,
-        ):
-            _write_shapefiles(Path(folder), path, layers, universal.datum)
-            with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-                for part in sorted(Path(folder).iterdir()):
-                    archive.write(part, part.name)
-        return Exported((path,), _rows(layers), _counted(layers))
-    with replacing_folder(
-        path, overwrite=overwrite, ours=_is_shapefiles, what="exported shapefiles"
-    ) as draft:
-        _write_shapefiles(draft, path, layers, universal.datum)
-    return Exported((path,), _rows(layers), _counted(layers))
+    if path.suffix.lower() != ".zip":
+        with replacing_folder(
+            path,
+            overwrite=overwrite,
+            ours=lambda folder: _are_shapefiles(os.listdir(folder)),
+            what="exported shapefiles",
+        ) as draft:
+            _write_shapefiles(draft, path, layers, datum)
+        return
+    ours = partial(is_zip, check=lambda archive: _are_shapefiles(archive.namelist()))
+    with (
+        replacing(path, overwrite=overwrite, ours=ours, what="a zip") as file,
+        working_beside(file) as folder,
+    ):
+        _write_shapefiles(folder, path, layers, datum)
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+            for part in sorted(folder.iterdir()):
+                archive.write(part, part.name)
 
 
 def _write_shapefiles(
@@ -238,59 +241,24 @@ def _by_type(layer: FeatureLayer) -> Iterator[FeatureLayer]:
         yield FeatureLayer(name, kind, layer.geometry[rows], columns)
 
 
-def _has_datum(file: Path) -> bool:
-    return mentions(file, b"FIELDGRID_DATUM_LAT_DEG")
-
-
-def _is_zipped(file: Path) -> bool:
-    try:
-        with zipfile.ZipFile(file) as archive:
-            return _is_shapefile(map(Path, archive.namelist()))
-    except (OSError, zipfile.BadZipFile):
-        return False
-
-
-def _is_shapefiles(folder: Path) -> bool:
-    return _is_shapefile(folder.iterdir())
-
-
-def _is_shapefile(parts: Iterable[Path]) -> bool:
+def _are_shapefiles(names: Iterable[str]) -> bool:
     endings = {".shp", ".shx", ".dbf", ".prj", ".cpg"}
     # Shapefiles of other names are somebody's own.
-    return all(part.stem in (*LAYERS, "mark_point") and part.suffix in endings for part in parts)
+    return all(
+        path.stem in (*LAYERS, "mark_point") and path.suffix in endings for path in map(Path, names)
+    )
 
 
 def _layers(
     universal: MapFile, selection: Selection, options: FeatureOptions
 ) -> list[FeatureLayer]:
-    try:
-        import pyogrio  # noqa: F401
-        import shapely  # noqa: F401
-    except ImportError as error:
-        raise ConfigError(
-            "Writing features needs pyogrio and shapely, which are not installed; "
-            "run: pip install 'fieldgrid[gis]'"
-        ) from error
+    """The layers that the options ask for. ConfigError for a name that is none, and when pyogrio is
+    not installed."""
+    require("Writing features", "gis", "pyogrio", "shapely")
     left_out = {"quadtree"} if universal.marks() else {"quadtree", "mark"}
     usual = ",".join(name for name in LAYERS if name not in left_out)
     names = tuple(name.strip() for name in (options.features or usual).split(","))
     return feature_layers(universal, selection, options, names, options)
-
-
-def _rows(layers: Sequence[FeatureLayer]) -> tuple[tuple[str, str], ...]:
-    return tuple((f"features in {layer.name}", str(len(layer.geometry))) for layer in layers)
-
-
-def _counted(layers: Sequence[FeatureLayer]) -> dict[str, Any]:
-    return {"features": {layer.name: len(layer.geometry) for layer in layers}}
-
-
-def _datum_tags(datum: Datum) -> dict[str, str]:
-    return {
-        "FIELDGRID_DATUM_LAT_DEG": repr(float(datum.lat_deg)),
-        "FIELDGRID_DATUM_LON_DEG": repr(float(datum.lon_deg)),
-        "FIELDGRID_DATUM_HEIGHT_M": repr(float(datum.height_m)),
-    }
 
 
 def _merged(layers: Sequence[FeatureLayer]) -> FeatureLayer:
@@ -299,8 +267,9 @@ def _merged(layers: Sequence[FeatureLayer]) -> FeatureLayer:
     names = np.repeat(np.array([layer.name for layer in layers], dtype=np.object_), sizes)
     columns: dict[str, AnyArray] = {"layer": names}
     for key in dict.fromkeys(key for layer in layers for key in layer.columns):
+        dtype = next(layer.columns[key].dtype for layer in layers if key in layer.columns)
         parts = [
-            layer.columns.get(key, _nothing(size, _dtype(layers, key)))
+            layer.columns.get(key, np.ma.MaskedArray(np.zeros(size, dtype), mask=True))
             for layer, size in zip(layers, sizes, strict=True)
         ]
         columns[key] = np.ma.MaskedArray(
@@ -309,14 +278,6 @@ def _merged(layers: Sequence[FeatureLayer]) -> FeatureLayer:
         )
     geometry = np.concatenate([layer.geometry for layer in layers])
     return FeatureLayer("fieldgrid", "Unknown", geometry, columns)
-
-
-def _nothing(size: int, dtype: np.dtype[Any]) -> AnyArray:
-    return np.ma.MaskedArray(np.zeros(size, dtype=dtype), np.ones(size, dtype=np.bool_))
-
-
-def _dtype(layers: Sequence[FeatureLayer], key: str) -> np.dtype[Any]:
-    return next(layer.columns[key].dtype for layer in layers if key in layer.columns)
 
 
 _SHARED: Any = {
@@ -331,7 +292,7 @@ register_export_format(
         "geojson",
         (".geojson", ".json"),
         "obstacles, marks, drives, poses in WGS84",
-        export_geojson,
+        _export_geojson,
         readers="GIS, web maps",
         **_SHARED,
     ),
@@ -339,7 +300,7 @@ register_export_format(
         "gpkg",
         (".gpkg",),
         "the same, GeoPackage in the map's plane",
-        export_geopackage,
+        _export_geopackage,
         readers="GIS",
         **_SHARED,
     ),
@@ -347,7 +308,7 @@ register_export_format(
         "flatgeobuf",
         (".fgb",),
         "the same as one FlatGeobuf, with an index",
-        export_flatgeobuf,
+        _export_flatgeobuf,
         readers="GIS, web maps",
         **_SHARED,
     ),
@@ -355,7 +316,7 @@ register_export_format(
         "dxf",
         (".dxf",),
         "the same as a drawing, without attributes",
-        export_dxf,
+        _export_dxf,
         readers="CAD",
         **_SHARED,
     ),
@@ -363,7 +324,7 @@ register_export_format(
         "shapefile",
         (".shp.zip",),
         "the same, shapefiles in a zip or folder",
-        export_shapefile,
+        _export_shapefile,
         readers="older GIS",
         folder=True,
         **_SHARED,

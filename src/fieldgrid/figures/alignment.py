@@ -12,7 +12,7 @@ _MOST = 12
 """Pairs of drives that find room on a page, those in doubt first."""
 
 _DOWN = 20.0
-"""Log-posteriors are drawn down to so much below the best."""
+"""How far below the best log-posteriors are drawn."""
 
 
 def alignment_scores(found: MapAlignment) -> Figure:
@@ -40,8 +40,7 @@ def alignment_scores(found: MapAlignment) -> Figure:
         axes.axvline(0.0, color="white", linewidth=0.4)
         verdict = "agree" if pair.doubt is None else "in doubt"
         axes.set_title(f"{pair.b}\nagainst {pair.a}: {verdict}", fontsize="medium")
-        axes.set_xlabel("shift east (m)")
-        axes.set_ylabel("shift north (m)")
+        axes.set(xlabel="shift east (m)", ylabel="shift north (m)")
         panels.append(axes)
     if panels:
         figure.colorbar(image, ax=panels, shrink=0.8, label="log-posterior less its best")

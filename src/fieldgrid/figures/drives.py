@@ -18,7 +18,8 @@ from fieldgrid.trajectory import Status, Trajectory
 MOST_HEADINGS = 8
 """Sessions whose headings are drawn on a page: the latest ones."""
 
-_MOST_NAMES = 8
+MOST_NAMES = 8
+"""Sessions that a legend names."""
 
 
 class DrawnDrive(NamedTuple):
@@ -68,12 +69,10 @@ def draw_trajectory(axes: Axes, drives: Sequence[DrawnDrive]) -> None:
     for number, drive in enumerate(drives):
         used = [f.pose for f in drive.frames if f.accepted]
         refused = [f.pose for f in drive.frames if f.status is Status.REJECTED]
-        if drive.trajectory is not None:
-            one = drive.trajectory
+        if (one := drive.trajectory) is not None:
             east = np.where(one.accepted, one.east_m, np.nan)
             north = np.where(one.accepted, one.north_m, np.nan)
             axes.plot(east, north, linewidth=0.9, color=drive.colour, alpha=0.7)
-        named = number < _MOST_NAMES
         for poses, marker, word in ((used, "o", "used"), (refused, "x", "rejected")):
             if poses:
                 label = f"{drive.name}: {len(poses)} {word}" if drive.name else word
@@ -84,7 +83,7 @@ def draw_trajectory(axes: Axes, drives: Sequence[DrawnDrive]) -> None:
                     marker=marker,
                     markersize=3.5 if marker == "o" else 5.0,
                     color=drive.colour if marker == "o" else palette.REJECTED,
-                    label=label if named else f"_{label}",
+                    label=label if number < MOST_NAMES else f"_{label}",
                 )
     axes.set_aspect("equal", adjustable="datalim")
     name_axes(axes, "trajectory and positions of the local grids")
@@ -100,10 +99,10 @@ def draw_heading(axes: Axes, drive: DrawnDrive) -> None:
     """Draw heading against time into axes, time from the first fix or frame of the session."""
     one = drive.trajectory
     starts = [frame.pose.time_ns for frame in drive.frames]
-    if one is not None and len(one):
-        starts = [int(one.time_ns[0])]
     start_ns = min(starts, default=0)
     if one is not None and len(one):
+        start_ns = int(one.time_ns[0])
+        starts = [start_ns]
         time_s = (one.time_ns - start_ns) / 1e9
         value = np.where(one.accepted, one.heading_deg, np.nan)
         band = 3.0 * np.where(one.accepted, one.heading_sigma_deg, np.nan)
@@ -124,13 +123,13 @@ def draw_heading(axes: Axes, drive: DrawnDrive) -> None:
                 color=drive.colour if marker == "o" else palette.REJECTED,
                 label=f"{len(poses)} {'used' if marker == 'o' else 'rejected'}",
             )
-    axes.set_ylim(-180, 180)
-    axes.set_yticks(range(-180, 181, 60))
     since = f" since {str(np.datetime64(start_ns, 'ns'))[:19]}Z" if starts else ""
-    axes.set_xlabel(f"time (s){since}")
-    axes.set_ylabel("heading (° from north)")
-    axes.set_title(
-        f"{drive.name}: heading, with 3 sigma" if drive.name else "heading, with 3 sigma"
+    axes.set(
+        ylim=(-180, 180),
+        yticks=range(-180, 181, 60),
+        xlabel=f"time (s){since}",
+        ylabel="heading (° from north)",
+        title=f"{drive.name}: heading, with 3 sigma" if drive.name else "heading, with 3 sigma",
     )
     axes.grid(linewidth=0.3)
     if axes.get_legend_handles_labels()[0]:

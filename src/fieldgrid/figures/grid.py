@@ -15,7 +15,7 @@ from matplotlib.patches import Patch, Rectangle
 from fieldgrid import palette
 from fieldgrid.array_types import AnyArray, Bool, Float64
 from fieldgrid.changes import ChangedObject
-from fieldgrid.figures.drives import DrawnDrive
+from fieldgrid.figures.drives import MOST_NAMES, DrawnDrive
 from fieldgrid.figures.found import draw_found
 from fieldgrid.figures.marks import draw_marks
 from fieldgrid.figures.page import add_scale_bar, is_wide, name_axes, new_figure, size_of
@@ -26,30 +26,19 @@ from fieldgrid.mapfile import MEANING, Change, ChangeView, MapView
 from fieldgrid.palette import ROUTE, UNSEEN
 from fieldgrid.vectors import Feature
 
-_MOST_NAMES = 8
+_DENSITY_LABEL = "3D density (> 100: obstacle; tinted: unseen)"
 
 
-def universal_grid(
-    view: MapView,
-    drives: Sequence[DrawnDrive] = (),
-    *,
-    layer: str = "density",
-    route: Float64 | None = None,
-    found: Sequence[Feature] = (),
-    title: str = "",
-) -> Figure:
-    """The universal grid with axes in metres east and north, and a bar of its values (Figs. 8-14);
-    heights with shades and contours.
+def universal_grid(view: MapView, drives: Sequence[DrawnDrive] = (), **drawn: Any) -> Figure:
+    """The universal grid with axes in metres east and north, and a bar of its values (Figs. 8-14).
 
-    With `drives`, the positions of their local grids are marked, a colour a session; what people
-    said of places is drawn over all. `layer` is one that the view was read with; `route` is drawn
-    over it, [n, 2] metres east and north.
+    `drawn` are `title`, `layer`, `route` and `found`, as `draw_grid` takes them.
     """
     width_in, height_in = size_of(view.bounds)
     beside_in, below_in = (1.0, 2.4) if is_wide(view.bounds) else (2.2, 1.4)
     figure = new_figure((width_in + beside_in, height_in + below_in))
     axes = figure.add_subplot()
-    draw_grid(axes, view, drives, title, layer=layer, route=route, found=found)
+    draw_grid(axes, view, drives, **drawn)
     handles, names = axes.get_legend_handles_labels()
     if len(handles) > 1:
         figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False)
@@ -59,20 +48,23 @@ def universal_grid(
 def draw_grid(
     axes: Axes,
     view: MapView,
-    drives: Sequence[DrawnDrive],
-    title: str,
+    drives: Sequence[DrawnDrive] = (),
+    title: str = "",
     *,
     layer: str = "density",
     route: Float64 | None = None,
     found: Sequence[Feature] = (),
 ) -> None:
-    """Draw the universal grid into axes."""
-    bounds = view.bounds
-    values = view.layer(layer)
+    """Draw the universal grid into axes; heights with shades and contours.
+
+    With `drives`, the positions of their local grids are marked, a colour a session; what people
+    said of places is drawn over all. `layer` is one that the view was read with; `route` [n, 2],
+    metres east and north, and `found`, rows and what lies between them, are drawn over it. Without
+    a `title` the size of the cells is said.
+    """
+    bounds, values = view.bounds, view.layer(layer)
     seen = view.observed & np.isfinite(values)
-    low, high = _ends(layer, values, seen)
-    if not low < high:  # nothing was seen, or the same everywhere
-        low, high = (low - 0.5, low + 0.5) if np.isfinite(low) else (0.0, 1.0)
+    low, high = _value_range(layer, values, seen)
     axes.set_facecolor(UNSEEN)
     image = axes.imshow(
         np.ma.masked_array(values, mask=~seen),
@@ -94,45 +86,31 @@ def draw_grid(
         axes.plot(route[:, 0], route[:, 1], color="white", linewidth=3.4)
         axes.plot(route[:, 0], route[:, 1], color=ROUTE, linewidth=1.8, label="route")
         # A route that leaves the part that is drawn does not widen it.
-        axes.set_xlim(bounds.west_m, bounds.east_m)
-        axes.set_ylim(bounds.south_m, bounds.north_m)
+        axes.set(xlim=(bounds.west_m, bounds.east_m), ylim=(bounds.south_m, bounds.north_m))
     draw_marks(axes, view.marks, bounds)
-    cells = f"cells of {view.lattice.cell_m * 100:g} cm"
-    name_axes(axes, title or f"universal grid, {cells}")
+    name_axes(axes, title or f"universal grid, cells of {view.lattice.cell_m * 100:g} cm")
     add_scale_bar(axes, bounds.east_m - bounds.west_m)
-    _add_bar(axes, image, _label(layer), below=is_wide(bounds))
-
-
-def _ends(layer: str, values: AnyArray, seen: Bool) -> tuple[float, float]:
-    """The least and the greatest value that has a colour; NaN where nothing says."""
-    colours = LAYERS[layer].colours
-    if colours.low is not None and colours.high is not None:
-        return colours.low, colours.high
-    known = values[seen]
-    ends = (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
-    return (
-        ends[0] if colours.low is None else colours.low,
-        ends[1] if colours.high is None else colours.high,
-    )
-
-
-def _label(layer: str) -> str:
-    """What a bar says of its values."""
-    if layer == "density":
-        return "3D density (> 100: obstacle; tinted: unseen)"
+    if is_wide(bounds):
+        below: Any = {"location": "bottom", "aspect": 60, "fraction": 0.08, "pad": 0.03}
+        bar = axes.figure.colorbar(image, ax=axes, **below)
+    else:  # beside the ground and as tall
+        bar = axes.figure.colorbar(image, cax=axes.inset_axes((1.02, 0.0, 0.03, 1.0)))
     unit = LAYERS[layer].unit
-    return f"{layer} ({unit})" if unit not in ("", "1") else layer
+    words = layer if unit in ("", "1") else f"{layer} ({unit})"
+    bar.set_label(_DENSITY_LABEL if layer == "density" else words)
 
 
-def _add_bar(axes: Axes, image: Any, label: str, *, below: bool) -> None:
-    """The bar of values: beside the ground and as tall, or below it."""
-    if below:
-        axes.figure.colorbar(
-            image, ax=axes, location="bottom", aspect=60, fraction=0.08, pad=0.03
-        ).set_label(label)
-        return
-    bar = axes.figure.colorbar(image, cax=axes.inset_axes((1.02, 0.0, 0.03, 1.0)))
-    bar.set_label(label)
+def _value_range(layer: str, values: AnyArray, seen: Bool) -> tuple[float, float]:
+    """The least and the greatest value that has a colour, apart also where all are the same."""
+    colours = LAYERS[layer].colours
+    low, high = colours.low, colours.high
+    if low is None or high is None:
+        known = values[seen].astype(np.float64)
+        low = float(known.min(initial=math.inf)) if low is None else low
+        high = float(known.max(initial=-math.inf)) if high is None else high
+    if low < high:
+        return low, high
+    return (low - 0.5, low + 0.5) if math.isfinite(low) else (0.0, 1.0)
 
 
 def _mark_frames(axes: Axes, drives: Sequence[DrawnDrive], view: MapView) -> None:
@@ -153,11 +131,11 @@ def _mark_frames(axes: Axes, drives: Sequence[DrawnDrive], view: MapView) -> Non
                 marker=".",
                 markersize=4,
                 color=drive.colour,
-                label=drive.name if number < _MOST_NAMES else f"_{drive.name}",
+                label=drive.name if number < MOST_NAMES else f"_{drive.name}",
             )
 
 
-def change(view: ChangeView, objects: Sequence[ChangedObject] = (), *, title: str = "") -> Figure:
+def change(view: ChangeView, objects: Sequence[ChangedObject] = ()) -> Figure:
     """What changed between two moments: a colour for what became of each cell.
 
     With `objects` each is outlined in the colour of its kind, with its id, kind, area and
@@ -180,7 +158,7 @@ def change(view: ChangeView, objects: Sequence[ChangedObject] = (), *, title: st
         aspect="equal",
     )
     _mark_objects(axes, objects, bounds)
-    name_axes(axes, title or f"{', '.join(view.after)} against {', '.join(view.before)}")
+    name_axes(axes, f"{', '.join(view.after)} against {', '.join(view.before)}")
     add_scale_bar(axes, bounds.east_m - bounds.west_m)
     legend = [
         Patch(facecolor=colour, edgecolor="0.6", label=MEANING[kind])

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, PathPatch
-from matplotlib.path import Path
-from shapely.geometry.polygon import orient
+from matplotlib.patches import Patch
 
 from fieldgrid import palette
+from fieldgrid.figures.page import outline_patch
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import Mark, MarkKind
 
@@ -39,13 +38,7 @@ def draw_marks(axes: Axes, marks: Sequence[Mark], bounds: Bounds) -> None:
             axes.plot(*zip(*mark.corners, strict=True), marker="D", markersize=6, color=colour)
         else:
             hatch = _HATCH.get(mark.kind)
-            # Holes run the other way round, or they would be hatched, too.
-            area = orient(mark.geometry)
-            rings = (Path(ring.coords, closed=True) for ring in (area.exterior, *area.interiors))
-            outline = Path.make_compound_path(*rings)
-            axes.add_patch(
-                PathPatch(outline, fill=False, edgecolor=colour, linewidth=1.8, hatch=hatch)
-            )
+            axes.add_patch(outline_patch(mark.geometry, color=colour, linewidth=1.8, hatch=hatch))
         if mark.name:
             place = mark.geometry.representative_point().coords[0]
             axes.annotate(
@@ -70,5 +63,4 @@ def draw_marks(axes: Axes, marks: Sequence[Mark], bounds: Bounds) -> None:
     if handles:
         axes.legend(handles=handles, loc="upper left", fontsize="small")
         # A mark that leaves the part that is drawn does not widen it.
-        axes.set_xlim(bounds.west_m, bounds.east_m)
-        axes.set_ylim(bounds.south_m, bounds.north_m)
+        axes.set(xlim=(bounds.west_m, bounds.east_m), ylim=(bounds.south_m, bounds.north_m))

@@ -7,13 +7,17 @@ import re
 import warnings
 from functools import partial
 from io import BytesIO
-from pathlib import Path
+from pathlib import Path as FilePath
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
 from matplotlib.text import Text
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
+from shapely.geometry.polygon import orient
 
 from fieldgrid.errors import ConfigError, printable
 from fieldgrid.lattice import Bounds
@@ -35,7 +39,7 @@ def new_figure(size_in: tuple[float, float]) -> Figure:
 
 
 def is_wide(bounds: Bounds) -> bool:
-    """Whether ground is so much wider than high that what explains it lies below it."""
+    """Whether ground is over 2.5 times as wide as high, so that what explains it lies below it."""
     return bounds.east_m - bounds.west_m > 2.5 * (bounds.north_m - bounds.south_m)
 
 
@@ -48,8 +52,7 @@ def size_of(bounds: Bounds) -> tuple[float, float]:
 
 def name_axes(axes: Axes, title: str) -> None:
     """Metres along both axes, written in full, and a scale bar."""
-    axes.set_xlabel("east (m)")
-    axes.set_ylabel("north (m)")
+    axes.set(xlabel="east (m)", ylabel="north (m)")
     axes.ticklabel_format(useOffset=False, style="plain")
     axes.set_title(title, wrap=True)
 
@@ -73,49 +76,47 @@ def add_scale_bar(axes: Axes, width_m: float) -> None:
     )
 
 
-def save(figure: Figure, path: str | Path) -> None:
+def save(figure: Figure, path: str | FilePath) -> None:
     """Write a figure, whole or not at all, in the format that the name ends in.
 
     An earlier figure of that name is replaced, but nothing else. Raises ConfigError for a name of
     no known format, MapExistsError for a file that is no figure, MapWriteError where it cannot be
     written.
     """
-    path = Path(path)
+    path = FilePath(path)
     suffix = path.suffix.lstrip(".").lower()
     if suffix not in _FORMATS:
         raise ConfigError(
             f"{path} names no format that a figure can have; end it in .png, .pdf or .svg."
         )
-    _take_literally(figure)
+    for text in figure.findobj(Text):
+        text.set_text("\n".join(map(_literal, text.get_text().split("\n"))))
+    layout = figure.get_layout_engine()
     written = BytesIO()
     with warnings.catch_warnings():
         # A letter that the font lacks is drawn as a box, which says as much.
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from")
-        _lay_out(figure)
+        # Where ground keeps its shape, room on one side takes some on another, and after the single
+        # time of a drawing labels are cut off at the edge.
+        for _ in range(_LAYOUTS):
+            if layout is not None:
+                layout.execute(figure)
         figure.savefig(written, format=suffix)
     # Every kind of figure names the library in its metadata; a photograph does not.
     with replacing(path, ours=partial(mentions, mark=b"atplotlib"), what="a figure") as draft:
         draft.write_bytes(written.getvalue())
 
 
-def _lay_out(figure: Figure) -> None:
-    """Make room for labels until there is enough: where ground keeps its shape, room on one side
-    takes some on another, and after the single time of a drawing they are cut off at the edge."""
-    layout = figure.get_layout_engine()
-    if layout is not None:
-        for _ in range(_LAYOUTS):
-            layout.execute(figure)
-
-
-def _take_literally(figure: Figure) -> None:
-    """Draw the names in a figure as they are: no formula between dollars, nothing unprintable, and
-    no more of them than leaves room for the ground."""
-    for text in figure.findobj(Text):
-        written = text.get_text()
-        if written:
-            text.set_text("\n".join(map(_on_a_line, written.split("\n"))))
-
-
-def _on_a_line(text: str) -> str:
+def _literal(text: str) -> str:
+    """A line of text as a figure draws it: no formula between dollars, nothing unprintable, and no
+    longer than leaves room for the ground."""
     text = text if len(text) <= _LONGEST_LINE else f"{text[:_LONGEST_LINE]}..."
     return re.sub(r"(?<!\\)\$", r"\\$", printable(text))  # a bare dollar begins a formula
+
+
+def outline_patch(polygon: Any, *, color: str, **style: Any) -> PathPatch:
+    """The outline of a polygon of shapely with its holes, to be added to axes."""
+    # Holes run the other way round, or they would be hatched, too.
+    area = orient(polygon)
+    rings = (Path(ring.coords, closed=True) for ring in (area.exterior, *area.interiors))
+    return PathPatch(Path.make_compound_path(*rings), fill=False, edgecolor=color, **style)

@@ -14,16 +14,18 @@ from fieldgrid.array_types import AnyArray, Bool, Float32, Float64, UInt8
 from fieldgrid.mapfile import MapView
 
 SMOOTHED_M = 0.5
-"""Heights of cells are noisy by centimetres, which would be slopes: they are smoothed so far."""
+"""Sigma of the Gaussian that smooths heights: those of cells are noisy by centimetres, which would
+be slopes."""
 
 SEEN_SHARE = 0.25
-"""A smooth height needs so much of what is about it, by weight; contours cross smaller holes."""
+"""Least share by weight of the cells around a smooth height that must be known; contours cross
+smaller holes."""
 
 LIGHT = np.array([-0.5, 0.5, math.sqrt(0.5)])
 """Where the light comes from, east, north, up: the north-west, 45° high, as on maps."""
 
 EXAGGERATION = 3.0
-"""Slopes are shaded as if they were so much steeper."""
+"""Factor by which slopes are made steeper for shading."""
 
 _TRUNCATED = 4.0
 """Sigmas at which the Gaussian ends."""
@@ -90,8 +92,8 @@ def _shades(smooth_m: Float64, known: Bool, cell_m: float) -> tuple[UInt8, Float
 
 
 def _bands(shape: tuple[int, ...], reach: int) -> Iterator[tuple[slice, slice, slice]]:
-    """Rows of an array, some at a time; those up to so many beside them, too; and where the first
-    lie among these."""
+    """Bands of the rows of an array: the rows; the rows with those up to `reach` beside them; and
+    where the first lie among these."""
     height, width = shape
     count = max(_BAND_CELLS // width, 2 * reach)
     for first in range(0, height, count):

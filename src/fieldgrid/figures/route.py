@@ -29,7 +29,7 @@ def read_route(path: str | Path, datum: Datum) -> Float64:
         if path.suffix.lower() == ".csv":
             return _poses(path)
         check_document(size, path, ConfigError)
-        places = _all_places(path)
+        places = [_places(line) for line in _lines(parse_json(path.read_bytes()))]
     except (ConfigError, LimitError):
         raise
     except OSError as error:
@@ -51,11 +51,6 @@ def read_route(path: str | Path, datum: Datum) -> Float64:
         east, north, _ = datum.to_enu(lon_lat[:, 1], lon_lat[:, 0], datum.height_m)
         parts += [np.stack([east, north], axis=1), np.full((1, 2), np.nan)]
     return np.concatenate(parts[:-1])
-
-
-def _all_places(path: Path) -> list[Float64]:
-    """Longitude and latitude of the lines of a GeoJSON file, whose document is not kept."""
-    return [_places(line) for line in _lines(parse_json(path.read_bytes()))]
 
 
 def _places(line: Any) -> Float64:

@@ -3,33 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from matplotlib.figure import Figure
 
-from fieldgrid.array_types import Float64
 from fieldgrid.figures.drives import DrawnDrive, draw_heading, draw_trajectory
 from fieldgrid.figures.grid import draw_grid
 from fieldgrid.figures.page import new_figure
 from fieldgrid.mapfile import MapView
-from fieldgrid.vectors import Feature
 
 _HEADINGS = 3
 """Sessions whose headings find room beside a map: the latest ones."""
 
 _WIDE = 1.6
-"""A map that is so many times as wide as high lies above the other two, not beside them."""
+"""A map that is over 1.6 times as wide as high lies above the other two, not beside them."""
 
 
-def sheet(
-    view: MapView,
-    drives: Sequence[DrawnDrive],
-    *,
-    layer: str = "density",
-    route: Float64 | None = None,
-    found: Sequence[Feature] = (),
-    title: str = "",
-) -> Figure:
-    """The map beside or above the paths driven and the headings of the latest drives."""
+def sheet(view: MapView, drives: Sequence[DrawnDrive], **drawn: Any) -> Figure:
+    """The map beside or above the paths driven and the headings of the latest drives; `drawn` are
+    as in `universal_grid`."""
     bounds = view.bounds
     share = (bounds.north_m - bounds.south_m) / (bounds.east_m - bounds.west_m)
     shown = list(drives)[-_HEADINGS:] or [DrawnDrive("")]
@@ -42,8 +34,8 @@ def sheet(
         columns = figure.add_gridspec(1, 2, width_ratios=(1.35, 1.0))
         place, rest = columns[0], columns[1].subgridspec(2, 1, height_ratios=(1.35, 1.0))
     axes = figure.add_subplot(place)
-    draw_grid(axes, view, drives, title, layer=layer, route=route, found=found)
-    if found:
+    draw_grid(axes, view, drives, **drawn)
+    if drawn.get("found"):
         handles, names = axes.get_legend_handles_labels()
         figure.legend(handles, names, loc="outside lower center", ncols=8, frameon=False)
     draw_trajectory(figure.add_subplot(rest[0]), drives)
@@ -53,6 +45,5 @@ def sheet(
         draw_heading(axes, drive)
         if len(shown) > 1:  # a third of the room: what all have in common goes without saying
             axes.set_title(drive.name, fontsize="medium")
-            axes.set_yticks(range(-180, 181, 180))
-            axes.set_ylabel("heading (°)")
+            axes.set(yticks=range(-180, 181, 180), ylabel="heading (°)")
     return figure

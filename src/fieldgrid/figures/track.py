@@ -11,27 +11,17 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 from fieldgrid import palette
-from fieldgrid.array_types import Bool, Float64, Index, Int64
+from fieldgrid.array_types import Bool, Float64, Int64
 from fieldgrid.figures.page import new_figure
-from fieldgrid.trajectory import MAX_GAP_NS, Trajectory
+from fieldgrid.trajectory import MAX_GAP_NS, Trajectory, thinned
 
-
-class _Look(NamedTuple):
-    """How a gear is drawn: told apart by hue, by lightness and by width, for any eye or print."""
-
-    gear: int
-    label: str
-    colour: str
-    width: float
-    marker: str
-    size: float
-
-
-_GEAR_LOOKS = (
-    _Look(1, "forward", palette.GEARS[1], 1.1, "", 0.0),
-    _Look(-1, "reverse", palette.GEARS[-1], 2.8, "", 0.0),
-    _Look(0, "at rest", palette.GEARS[0], 0.0, "s", 3.5),
+_GEAR_STYLES = (
+    (1, "forward", 1.1, "", 0.0),
+    (-1, "reverse", 2.8, "", 0.0),
+    (0, "at rest", 0.0, "s", 3.5),
 )
+"""How gears are drawn: gear, name, width of the line, marker and its size. Hue, lightness and width
+tell them apart, for any eye or print."""
 
 
 _NOSE = "0.25"
@@ -46,8 +36,8 @@ _TICK_SHARE, _TICK_STEP, _MOST_TICKS = 0.025, 0.08, 150
 
 
 _MARKS, _DENSE_NS = 800, 250_000_000
-"""At most so many rejected poses are marked, and none between accepted ones closer than this:
-every other fix of some receivers repeats the one before."""
+"""Most rejected poses that are marked, and the time between accepted ones, ns, up to which none is
+marked between them: every other fix of some receivers repeats the one before."""
 
 
 def track_figure(
@@ -61,12 +51,15 @@ def track_figure(
     columns = figure.add_gridspec(1, 2, width_ratios=(1.0, 1.15))
     rows = columns[1].subgridspec(3, 1, height_ratios=(1.7, 1.0, 1.0))
     place = figure.add_subplot(columns[0])
-    drawn = _drawn(track)
+    drawn = _track_columns(track)
     _draw_way(place, drawn)
     nose = figure.add_subplot(rows[0])
     _draw_nose(nose, drawn)
     speed = figure.add_subplot(rows[1], sharex=nose)
-    _draw_speed(speed, drawn)
+    speed.axhline(0.0, color="0.6", linewidth=0.6)
+    _draw_by_gear(speed, drawn, drawn.time, drawn.speed_mps)
+    speed.set_ylabel("speed (m/s)")
+    speed.grid(linewidth=0.3)
     sigma = figure.add_subplot(rows[2], sharex=nose)
     _draw_sigma(sigma, drawn, max_sigma_deg)
     for axes in (nose, speed):
@@ -79,7 +72,7 @@ def track_figure(
     return figure
 
 
-class _Drawn(NamedTuple):
+class _TrackColumns(NamedTuple):
     """The rows of a track that are drawn, in columns; a row of NaN breaks lines at a hole.
 
     `refused` marks the rejected poses to be shown as such, `accepted` the others.
@@ -97,13 +90,16 @@ class _Drawn(NamedTuple):
     refused: Bool
 
 
-def _drawn(track: Trajectory) -> _Drawn:
+def _track_columns(track: Trajectory) -> _TrackColumns:
     # Rows without a heading have no pose to draw.
     known = np.flatnonzero(np.isfinite(track.heading_deg))
-    rows = _thinned(known, track.gear[known], track.accepted[known])
+    rows = known[thinned(track.gear[known], track.accepted[known], MOST_POINTS)]
     time_ns, heading = track.time_ns[rows], track.heading_deg[rows]
     # No line crosses a hole in time, nor that of the heading the plot at ±180°.
-    hole = np.diff(time_ns) > max(MAX_GAP_NS, _usual_step(time_ns))
+    steps_ns = np.diff(time_ns)
+    # Rows that were thinned, or a slow receiver, are no hole.
+    usual_ns = 3.0 * float(np.median(steps_ns)) if len(steps_ns) else 0.0
+    hole = steps_ns > max(MAX_GAP_NS, usual_ns)
     wrap = np.abs(np.diff(heading)) > 180.0
     breaks = np.flatnonzero(hole | wrap) + 1
     at_hole = hole[breaks - 1]
@@ -115,7 +111,7 @@ def _drawn(track: Trajectory) -> _Drawn:
     time_s = (time_ns - (time_ns[0] if len(rows) else 0)) / 1e9
     unit_s, unit = _time_unit(float(time_s[-1]) if len(rows) else 0.0)
     since = f" since {str(time_ns[0].astype('datetime64[ns]'))[:19]}Z" if len(rows) else ""
-    return _Drawn(
+    return _TrackColumns(
         column(time_s / unit_s),
         f"time ({unit}){since}",
         column(track.east_m[rows]),
@@ -145,63 +141,43 @@ def _marked(time_ns: Int64, ok: Bool) -> Bool:
     return marked
 
 
-def _thinned(rows: Index, gear: Int64, ok: Bool) -> Index:
-    """At most some `MOST_POINTS` of rows, evenly, and each at which gear or verdict change."""
-    every = -(-len(rows) // MOST_POINTS)
-    if every < 2:
-        return rows
-    keep = np.zeros(len(rows), dtype=np.bool_)
-    keep[::every] = keep[-1] = True
-    change = np.flatnonzero((np.diff(gear) != 0) | (np.diff(ok.astype(np.int8)) != 0))
-    if len(change) < MOST_POINTS:
-        keep[change] = keep[change + 1] = True
-    return rows[keep]
-
-
-def _usual_step(time_ns: Int64) -> float:
-    """Three times the usual step: rows that were thinned, or a slow receiver, are no hole."""
-    return 3.0 * float(np.median(np.diff(time_ns))) if len(time_ns) > 1 else 0.0
-
-
 def _time_unit(span_s: float) -> tuple[float, str]:
     if span_s <= 600.0:
         return 1.0, "s"
     return (60.0, "min") if span_s <= 4 * 3600.0 else (3600.0, "h")
 
 
-def _draw_way(axes: Axes, drawn: _Drawn) -> None:
+def _draw_way(axes: Axes, drawn: _TrackColumns) -> None:
     """Draw the way by gear, rejected poses, and ticks that show where the nose pointed."""
     _draw_by_gear(axes, drawn, drawn.east_m, drawn.north_m)
     _draw_ticks(axes, drawn)
     axes.set_aspect("equal", adjustable="datalim")
     axes.ticklabel_format(useOffset=False)
-    axes.set_xlabel("east (m)")
-    axes.set_ylabel("north (m)")
-    axes.set_title("trajectory")
+    axes.set(xlabel="east (m)", ylabel="north (m)", title="trajectory")
     axes.grid(linewidth=0.3)
 
 
-def _draw_by_gear(axes: Axes, drawn: _Drawn, x: Float64, y: Float64) -> None:
+def _draw_by_gear(axes: Axes, drawn: _TrackColumns, x: Float64, y: Float64) -> None:
     """One quantity against another, by gear; rejected poses show as crosses under the line."""
-    for look in _GEAR_LOOKS:
-        mine = drawn.gear == look.gear
+    for gear, name, width, marker, size in _GEAR_STYLES:
+        mine = drawn.gear == gear
         if not mine.any():
             continue
-        if look.width:
+        if width:
             # On to the neighbours of the next gear, so that the line is whole.
             mine = mine | np.append(mine[1:], False) | np.insert(mine[:-1], 0, False)
         axes.plot(
             np.where(mine, x, np.nan),
             np.where(mine, y, np.nan),
-            linestyle="-" if look.width else "none",
-            linewidth=look.width,
-            color=look.colour,
-            marker=look.marker,
-            markersize=look.size,
+            linestyle="-" if width else "none",
+            linewidth=width,
+            color=palette.GEARS[gear],
+            marker=marker,
+            markersize=size,
             markeredgewidth=0.0,
             solid_capstyle="butt",
-            label=look.label,
-            zorder=3 if look.gear < 0 else 2.5,
+            label=name,
+            zorder=3 if gear < 0 else 2.5,
         )
     if drawn.refused.any():
         axes.plot(
@@ -217,7 +193,7 @@ def _draw_by_gear(axes: Axes, drawn: _Drawn, x: Float64, y: Float64) -> None:
         )
 
 
-def _draw_ticks(axes: Axes, drawn: _Drawn) -> None:
+def _draw_ticks(axes: Axes, drawn: _TrackColumns) -> None:
     """Short arrows along the nose, evenly along the way driven."""
     rows = np.flatnonzero(np.isfinite(drawn.east_m) & np.isfinite(drawn.heading_deg))
     if rows.size < 2:
@@ -244,7 +220,7 @@ def _draw_ticks(axes: Axes, drawn: _Drawn) -> None:
     axes.plot([], [], linestyle="none", marker=(3, 0, -90), color=_NOSE, label="nose")
 
 
-def _draw_nose(axes: Axes, drawn: _Drawn) -> None:
+def _draw_nose(axes: Axes, drawn: _TrackColumns) -> None:
     """Heading against time with its sigma, which goes on at the other edge of the plot."""
     for turn in (-360.0, 0.0, 360.0):
         value = drawn.heading_deg + turn
@@ -252,21 +228,16 @@ def _draw_nose(axes: Axes, drawn: _Drawn) -> None:
         if np.any((high > -180.0) & (low < 180.0)):
             axes.fill_between(drawn.time, low, high, color=palette.BAND, linewidth=0)
     _draw_by_gear(axes, drawn, drawn.time, drawn.heading_deg)
-    axes.set_ylim(-180, 180)
-    axes.set_yticks(range(-180, 181, 60))
-    axes.set_ylabel("heading (° from north)")
-    axes.set_title("heading with 1 sigma, speed, sigma of the heading")
+    axes.set(
+        ylim=(-180, 180),
+        yticks=range(-180, 181, 60),
+        ylabel="heading (° from north)",
+        title="heading with 1 sigma, speed, sigma of the heading",
+    )
     axes.grid(linewidth=0.3)
 
 
-def _draw_speed(axes: Axes, drawn: _Drawn) -> None:
-    axes.axhline(0.0, color="0.6", linewidth=0.6)
-    _draw_by_gear(axes, drawn, drawn.time, drawn.speed_mps)
-    axes.set_ylabel("speed (m/s)")
-    axes.grid(linewidth=0.3)
-
-
-def _draw_sigma(axes: Axes, drawn: _Drawn, max_sigma_deg: float | None) -> None:
+def _draw_sigma(axes: Axes, drawn: _TrackColumns, max_sigma_deg: float | None) -> None:
     _draw_by_gear(axes, drawn, drawn.time, drawn.sigma_deg)
     values = drawn.sigma_deg[np.isfinite(drawn.sigma_deg) & (drawn.sigma_deg > 0.0)]
     limits = [] if max_sigma_deg is None else [max_sigma_deg]

@@ -83,9 +83,9 @@ CHANNELS = (
 class _EncodedMessage:
     """A message that is encoded once, when the first client takes it."""
 
-    def __init__(self, time_ns: int, make: Callable[[], messages.Raw]) -> None:
+    def __init__(self, time_ns: int, make: Callable[[], messages.EncodedMessage]) -> None:
         self.time_ns = time_ns
-        self._make: Callable[[], messages.Raw] | None = make
+        self._make: Callable[[], messages.EncodedMessage] | None = make
         self._lock = threading.Lock()
         self._data = b""
 
@@ -211,7 +211,7 @@ class FoxgloveServer(Closing):
             self._loop.call_soon_threadsafe(self._closing.set)
             self._thread.join(_PATIENCE_S)
 
-    def _put(self, channel: int, time_ns: int, make: Callable[[], messages.Raw]) -> None:
+    def _put(self, channel: int, time_ns: int, make: Callable[[], messages.EncodedMessage]) -> None:
         if not self._is_closed:
             self._loop.call_soon_threadsafe(self._offer, channel, _EncodedMessage(time_ns, make))
 

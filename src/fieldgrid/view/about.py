@@ -7,18 +7,19 @@ from typing import Any
 from fieldgrid import palette
 from fieldgrid.farm import Farm
 from fieldgrid.layers import LAYERS
-from fieldgrid.mapfile import DrivenMap, SessionInfo, in_drive_order
+from fieldgrid.mapfile import SessionInfo, in_drive_order
 from fieldgrid.mapfile.stored_features import FOUND_PREFIX
 from fieldgrid.view import layers
-from fieldgrid.view.maps import Shown
+from fieldgrid.view.maps import ShownSource
 
 
-def describe_map(number: int, shown: Shown) -> dict[str, Any]:
+def describe_map(number: int, shown: ShownSource) -> dict[str, Any]:
     """Name, datum, extent, zoom levels, layers, sessions and marks; of a farm its maps, too."""
     version = shown.version()
     with shown.open() as universal:
         shown.describe(universal)
         infos = universal.sessions()
+        has_cells = any(info.active and info.accepted for info in infos)
         return {
             "number": number,
             "name": shown.name,
@@ -30,7 +31,7 @@ def describe_map(number: int, shown: Shown) -> dict[str, Any]:
             },
             "cell_m": universal.cell_m,
             "levels": shown.levels(),
-            "bounds": _bounds(universal, infos),
+            "bounds": list(universal.bounds) if has_cells else None,
             "layers": [layers.describe(name) for name in LAYERS],
             "changes": layers.describe_changes(),
             "colours": {
@@ -46,11 +47,6 @@ def describe_map(number: int, shown: Shown) -> dict[str, Any]:
             "order": [infos.index(info) for info in in_drive_order(infos)],
             "blocks": _blocks(universal, infos) if isinstance(universal, Farm) else None,
         }
-
-
-def _bounds(universal: DrivenMap, infos: list[SessionInfo]) -> list[float] | None:
-    has_cells = any(info.active and info.accepted for info in infos)
-    return list(universal.bounds) if has_cells else None
 
 
 def _session(number: int, info: SessionInfo) -> dict[str, Any]:

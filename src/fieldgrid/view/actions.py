@@ -6,7 +6,9 @@ user saw when saying yes.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+import shutil
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
 from typing import Annotated, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -18,12 +20,12 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from fieldgrid.errors import ConfigError
 from fieldgrid.export import Selection
 from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import Mark, MarkKind
+from fieldgrid.mapfile import MapFile, Mark, MarkKind
 from fieldgrid.mapfile.marks import MAX_CORNERS, MAX_TEXT
 from fieldgrid.view.exports import write_export
-from fieldgrid.view.maps import Shown, ShownMap
+from fieldgrid.view.maps import ShownMap, ShownSource
 
-Asked = TypeVar("Asked", bound=BaseModel)
+Body = TypeVar("Body", bound=BaseModel)
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 Words = Annotated[str, Field(max_length=MAX_TEXT)]
 Metres = Annotated[float, Field(gt=-1e6, lt=1e6)]
@@ -41,7 +43,7 @@ class SessionChange(_Strict):
     session: Text
 
 
-class MarkDrawn(_Strict):
+class NewMark(_Strict):
     """Add a mark: a point of one corner or a polygon; `version` is that of the map as seen."""
 
     version: Text
@@ -69,63 +71,60 @@ class Export(_Strict):
     cell_m: Annotated[float, Field(gt=0.0, lt=100.0)] | None = None
 
 
-def change_session(shown: Shown, asked: SessionChange) -> Response:
+def change_session(shown: ShownSource, asked: SessionChange) -> Response:
     """Remove or restore a session."""
-    shown = _changeable(shown)
-    with shown.open(writable=True) as universal:
-        shown.check_version(asked.version)
-        if asked.action == "remove":
-            universal.remove_session(asked.session)
-        else:
-            universal.restore_session(asked.session)
+    with _changing(shown, asked.version) as universal:
+        is_removal = asked.action == "remove"
+        change = universal.remove_session if is_removal else universal.restore_session
+        change(asked.session)
     return JSONResponse({})
 
 
-def add_mark(shown: Shown, asked: MarkDrawn) -> Response:
+def add_mark(shown: ShownSource, asked: NewMark) -> Response:
     """Add a mark; says its number."""
     texts = asked.name.strip(), asked.note.strip(), asked.author.strip()
-    shown = _changeable(shown)
-    with shown.open(writable=True) as universal:
-        shown.check_version(asked.version)
+    with _changing(shown, asked.version) as universal:
         mark = Mark(MarkKind(asked.kind), tuple(asked.corners), *texts)
         (number,) = universal.add_marks([mark])
     return JSONResponse({"id": number})
 
 
-def change_mark(shown: Shown, asked: MarkChange) -> Response:
+def change_mark(shown: ShownSource, asked: MarkChange) -> Response:
     """Remove or restore a mark."""
-    shown = _changeable(shown)
-    with shown.open(writable=True) as universal:
-        shown.check_version(asked.version)
+    with _changing(shown, asked.version) as universal:
         change = universal.remove_marks if asked.action == "remove" else universal.restore_marks
         change([asked.mark])
     return JSONResponse({})
 
 
-def export(shown: Shown, asked: Export) -> Response:
+def export(shown: ShownSource, asked: Export) -> Response:
     """Send a file, which is removed from the server's disk once it was sent."""
     bounds = None if asked.bounds is None else Bounds(*asked.bounds)
     with shown.open_alone() as universal:
         selection = Selection(bounds, asked.cell_m, asked.layer)
-        written = write_export(universal, shown.name, selection, asked.format)
+        file, folder = write_export(universal, shown.name, selection, asked.format)
     return FileResponse(
-        written.file,
-        filename=written.file.name,
+        file,
+        filename=file.name,
         headers={"Cache-Control": "no-store"},
-        background=BackgroundTask(written.remove),
+        background=BackgroundTask(shutil.rmtree, folder, ignore_errors=True),
     )
 
 
-def _changeable(shown: Shown) -> ShownMap:
+@contextmanager
+def _changing(shown: ShownSource, version: str) -> Iterator[MapFile]:
+    """The map, to be changed; ConfigError for a farm, and for a map of another version."""
     if not isinstance(shown, ShownMap):
         raise ConfigError(f"{shown.path} is a folder of maps, for looking; change its maps.")
-    return shown
+    with shown.open(writable=True) as universal:
+        shown.check_version(version)
+        yield universal
 
 
 def handler(
-    model: type[Asked],
-    act: Callable[[Shown, Asked], Response],
-    picked: Callable[[Request], Shown],
+    model: type[Body],
+    act: Callable[[ShownSource, Body], Response],
+    picked: Callable[[Request], ShownSource],
 ) -> Callable[[Request], Awaitable[Response]]:
     """What answers a post: its JSON checked, then acted upon in a thread."""
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,12 +23,12 @@ from starlette.routing import Route
 from fieldgrid.errors import ConfigError, FieldgridError, MapError, MapWriteError
 from fieldgrid.lattice import Bounds, TileIndex
 from fieldgrid.layers import LAYERS
-from fieldgrid.mapfile import DrivenMap
+from fieldgrid.mapfile import DrivenMap, MapFile
 from fieldgrid.view import actions, drives, exports, layers, page
 from fieldgrid.view.about import describe_map
 from fieldgrid.view.changes import changed_objects
 from fieldgrid.view.features import route_table
-from fieldgrid.view.maps import Shown, ShownMap
+from fieldgrid.view.maps import ShownSource
 from fieldgrid.view.pictures import find_picture
 from fieldgrid.view.security import Access, Guard
 from fieldgrid.view.why import explain
@@ -39,18 +40,20 @@ _MAX_LEVEL = 24
 _MAX_TILE = 1 << 26
 _FOREVER = {"Cache-Control": "private, max-age=31536000, immutable"}
 _FRESH = {"Cache-Control": "no-store"}
+_STATUSES: dict[type[Exception], int] = {MapWriteError: 503, MapError: 409, Exception: 400}
+"""Statuses by the kinds of errors, of which the first that fits counts."""
 
 
 class Viewer(NamedTuple):
     """What is shown, and what may be done with it."""
 
-    maps: tuple[Shown, ...]
+    maps: tuple[ShownSource, ...]
     access: Access
     writable: bool
     recordings: tuple[Path, ...]
     routes: tuple[Path, ...] = ()
 
-    def picked(self, request: Request) -> Shown:
+    def picked(self, request: Request) -> ShownSource:
         """The map that a request is about, once it is sure that it is the one that its page was
         told of."""
         number = _whole(request.path_params["map"], 0, len(self.maps) - 1)
@@ -88,14 +91,13 @@ def make_app(viewer: Viewer) -> Starlette:
 
     def scale(request: Request) -> Response:
         shown, layer = viewer.picked(request), _layer(request.path_params["layer"])
-        low, high = _scale(shown, layer)
-        return _json({"low": low, "high": high})
+        return _json(_scale(shown, layer)._asdict())
 
     def track(request: Request) -> Response:
         shown = viewer.picked(request)
         with shown.open() as universal:
             name = _session_name(universal, request.path_params["session"])
-        return _json(shown.kept(("track", name), lambda: _with(shown, drives.track, name)))
+        return _json(shown.kept(("track", name), partial(drives.track, session=name)))
 
     def frames(request: Request) -> Response:
         shown = viewer.picked(request)
@@ -116,16 +118,16 @@ def make_app(viewer: Viewer) -> Starlette:
         shown, query = viewer.picked(request), request.query_params
         with shown.open() as universal:
             name = _session_name(universal, query.get("session", ""))
-        known = shown.kept(("images", name), lambda: _with(shown, _images, name))
+        known = shown.kept(("images", name), partial(_images, session=name))
         names, hashes = known.get(query.get("frame", ""), ((), ()))
         number = _whole(query.get("image", ""), 0, max(len(names) - 1, 0))
         if not names:
             raise ConfigError("The map has no such frame, or no images of it.")
         folders = (Path(), shown.folder, *viewer.recordings)
         sha256 = hashes[number] if number < len(hashes) else ""
-        found = find_picture(names[number], sha256, folders)
-        size = {"X-Image-Size": f"{found.width_px} {found.height_px}"}
-        return Response(found.jpeg, media_type="image/jpeg", headers=_FRESH | size)
+        jpeg, width_px, height_px = find_picture(names[number], sha256, folders)
+        size = {"X-Image-Size": f"{width_px} {height_px}"}
+        return Response(jpeg, media_type="image/jpeg", headers=_FRESH | size)
 
     def features(request: Request) -> Response:
         shown = viewer.picked(request)
@@ -137,11 +139,10 @@ def make_app(viewer: Viewer) -> Starlette:
         shown, query = viewer.picked(request), request.query_params
         between, part = (query.get("from", ""), query.get("to", "")), query.get("bounds", "")
 
-        def find() -> list[dict[str, Any]]:
-            with _single(shown).open() as universal:
-                before, after = (_session_name(universal, number) for number in between)
-                bounds = _bounds(part) if part else None
-                return changed_objects(universal, before, after, bounds)
+        def find(universal: DrivenMap) -> list[dict[str, Any]]:
+            single = _single(universal)
+            before, after = (_session_name(single, number) for number in between)
+            return changed_objects(single, before, after, _bounds(part) if part else None)
 
         return _json({"objects": shown.kept(("changes", *between, part), find)})
 
@@ -167,7 +168,7 @@ def make_app(viewer: Viewer) -> Starlette:
     if viewer.writable:
         routes += [
             _post(f"{one}/sessions", actions.SessionChange, actions.change_session, viewer),
-            _post(f"{one}/marks", actions.MarkDrawn, actions.add_mark, viewer),
+            _post(f"{one}/marks", actions.NewMark, actions.add_mark, viewer),
             _post(f"{one}/marks/change", actions.MarkChange, actions.change_mark, viewer),
         ]
     return Starlette(
@@ -180,19 +181,15 @@ def make_app(viewer: Viewer) -> Starlette:
 
 def _post(
     path: str,
-    model: type[actions.Asked],
-    act: Callable[[Shown, actions.Asked], Response],
+    model: type[actions.Body],
+    act: Callable[[ShownSource, actions.Body], Response],
     viewer: Viewer,
 ) -> Route:
     return Route(path, actions.handler(model, act, viewer.picked), methods=["POST"])
 
 
 def _failed(request: Request, error: Exception) -> Response:
-    status = 400
-    if isinstance(error, MapWriteError):
-        status = 503
-    elif isinstance(error, MapError):
-        status = 409
+    status = next(code for kind, code in _STATUSES.items() if isinstance(error, kind))
     return JSONResponse({"error": str(error)}, status, headers=_FRESH)
 
 
@@ -200,21 +197,12 @@ def _json(value: Any) -> Response:
     return JSONResponse(value, headers=_FRESH)
 
 
-def _with(shown: Shown, make: Callable[..., Any], *arguments: Any) -> Any:
-    with shown.open() as universal:
-        return make(universal, *arguments)
-
-
-def _scale(shown: Shown, layer: str) -> layers.Scale:
-    def make() -> layers.Scale:
-        with shown.open() as universal:
-            return layers.scale_of(universal, layer)
-
-    return shown.kept(("scale", layer), make)
+def _scale(shown: ShownSource, layer: str) -> layers.Scale:
+    return shown.kept(("scale", layer), partial(layers.scale_of, layer=layer))
 
 
 def _layer_tile(
-    shown: Shown, layer: str, level: int, place: TileIndex, sessions: str | None
+    shown: ShownSource, layer: str, level: int, place: TileIndex, sessions: str | None
 ) -> bytes | None:
     scale = _scale(shown, _layer(layer))
     with shown.open() as universal:
@@ -227,19 +215,20 @@ def _layer_tile(
 
 
 def _change_tile(
-    shown: Shown, level: int, place: TileIndex, before: str, after: str
+    shown: ShownSource, level: int, place: TileIndex, before: str, after: str
 ) -> bytes | None:
-    with _single(shown).open() as universal:
-        names = [_session_name(universal, number) for number in (before, after)]
-        bounds, cell_m = layers.tile_bounds(universal, level, place)
-        change = universal.diff(names[0], names[1], bounds, cell_m).change
+    with shown.open() as universal:
+        single = _single(universal)
+        bounds, cell_m = layers.tile_bounds(single, level, place)
+        names = [_session_name(single, number) for number in (before, after)]
+        change = single.diff(names[0], names[1], bounds, cell_m).change
     return layers.encode(change, change > 0) if change.any() else None
 
 
-def _single(shown: Shown) -> ShownMap:
-    if not isinstance(shown, ShownMap):
+def _single(universal: DrivenMap) -> MapFile:
+    if not isinstance(universal, MapFile):
         raise ConfigError("What changed is told of one map; open that map alone.")
-    return shown
+    return universal
 
 
 def _images(

@@ -29,17 +29,19 @@ def changed_objects(
     west_m, south_m, east_m, north_m = universal.bounds if bounds is None else bounds
     if (east_m - west_m) * (north_m - south_m) > MOST_CELLS * universal.cell_m**2:
         raise ConfigError("That is too much of the map to look for changed objects; zoom in.")
-    return [_told(one) for one in find_changes(universal, before, after, bounds=bounds)]
+    return [_as_dict(one) for one in find_changes(universal, before, after, bounds=bounds)]
 
 
-def _told(one: ChangedObject) -> dict[str, Any]:
+def _as_dict(one: ChangedObject) -> dict[str, Any]:
     is_moved = math.isfinite(one.from_east_m)
+    parts = getattr(one.area, "geoms", (one.area,))
+    polygons = [(part.exterior, *part.interiors) for part in parts]
     return {
         "id": one.id,
         "kind": one.kind.value,
         "geometry": [
-            [3, [[[round(e, 3), round(n, 3)] for e, n in ring.coords] for ring in _rings(part)]]
-            for part in getattr(one.area, "geoms", (one.area,))
+            [3, [[[round(e, 3), round(n, 3)] for e, n in ring.coords] for ring in rings]]
+            for rings in polygons
         ],
         "east_m": round(one.east_m, 3),
         "north_m": round(one.north_m, 3),
@@ -51,7 +53,3 @@ def _told(one: ChangedObject) -> dict[str, Any]:
         "stood": list(one.stood),
         "freed": list(one.freed),
     }
-
-
-def _rings(polygon: Any) -> list[Any]:
-    return [polygon.exterior, *polygon.interiors]

@@ -17,7 +17,7 @@ from fieldgrid.errors import FieldgridError, MapError
 from fieldgrid.lattice import Bounds
 from fieldgrid.mapfile import DrivenMap
 from fieldgrid.rig import LeverArm
-from fieldgrid.trajectory import Trajectory
+from fieldgrid.trajectory import Trajectory, thinned
 
 MOST_ROWS = 12_000
 MOST_FRAMES = 1_500
@@ -35,7 +35,7 @@ def track(universal: DrivenMap, session: str, most_rows: int = MOST_ROWS) -> dic
         found = universal.trajectory(session)
     except MapError:
         return {"rows": 0, "start_ms": 0.0}
-    rows = _thinned(found, most_rows)
+    rows = thinned(found.gear, found.accepted, most_rows)
     reasons = list(dict.fromkeys(found.reason[k] for k in rows if found.reason[k]))
     number = {text: k for k, text in enumerate(reasons)}
     start_ns = int(found.time_ns[0]) if len(found) else 0
@@ -60,19 +60,6 @@ def track(universal: DrivenMap, session: str, most_rows: int = MOST_ROWS) -> dic
         "reason": [number.get(found.reason[k], -1) for k in rows],
         "reasons": reasons,
     }
-
-
-def _thinned(found: Trajectory, most_rows: int) -> Index:
-    every = -(-len(found) // most_rows)
-    if every < 2:
-        return np.arange(len(found))
-    keep = np.zeros(len(found), dtype=np.bool_)
-    keep[::every] = keep[-1] = True
-    changes = (np.diff(found.gear) != 0) | (np.diff(found.accepted.astype(np.int8)) != 0)
-    after = np.flatnonzero(changes) + 1
-    if len(after) < most_rows:
-        keep[after] = keep[after - 1] = True
-    return np.flatnonzero(keep)
 
 
 def _residuals(universal: DrivenMap, session: str, found: Trajectory) -> Float64:

@@ -6,7 +6,6 @@ import shutil
 import tempfile
 import zipfile
 from pathlib import Path
-from typing import NamedTuple
 
 from fieldgrid import export
 from fieldgrid.errors import ConfigError
@@ -17,26 +16,18 @@ MOST_CELLS = 100_000_000
 """A larger part is for the command line, which says how far it is."""
 
 
-class SentFile(NamedTuple):
-    """A file to be sent, and the folder that is to be removed then."""
-
-    file: Path
-    folder: Path
-
-    def remove(self) -> None:
-        """Remove the folder and all in it."""
-        shutil.rmtree(self.folder, ignore_errors=True)
-
-
 def formats() -> list[dict[str, str]]:
     """The formats by name, and what each is."""
     return [{"name": name, "says": known.says} for name, known in export.formats().items()]
 
 
-def write_export(universal: Readable, name: str, selection: Selection, format_: str) -> SentFile:
+def write_export(
+    universal: Readable, name: str, selection: Selection, format_: str
+) -> tuple[Path, Path]:
     """Export a part of a map into a folder of its own; several files come as one zip archive.
 
-    `name` is what the file is called. Raises ConfigError for a part that is too large, and what
+    Returns the file, and the folder that is to be removed once it was sent. `name` is what the file
+    is called. Raises ConfigError for a part that is too large, and what
     `export_map` raises.
     """
     known = export.formats()
@@ -60,12 +51,12 @@ def write_export(universal: Readable, name: str, selection: Selection, format_: 
         export_map(universal, out, selection, format=format_)
         files = [path for path in inner.rglob("*") if path.is_file()]
         if len(files) == 1:
-            return SentFile(files[0], folder)
+            return files[0], folder
         archive = folder / f"{name}-{format_}.zip"
         with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as packed:
             for path in files:
                 packed.write(path, path.relative_to(inner))
-        return SentFile(archive, folder)
+        return archive, folder
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise

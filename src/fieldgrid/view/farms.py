@@ -18,42 +18,32 @@ from fieldgrid.geodesy import Datum
 from fieldgrid.lattice import MAX_CELL_M, TILE_CELLS, Bounds, TileIndex
 from fieldgrid.mapfile import Mark
 from fieldgrid.view import drives, layers
-from fieldgrid.view.maps import Shown, shown_maps
+from fieldgrid.view.maps import ShownSource, shown_maps, stamp
 
 MOST_MAPS = 16
 """Maps whose frames are drawn at once: in a view of more of them a frame is no more than a dot."""
 
 
-class ShownFarm(Shown):
+class ShownFarm(ShownSource):
     """The maps of a folder in the plane of a datum, of the first map where none is given.
 
     The farm is open between requests, which take turns; one that was written to is opened anew.
     """
 
     def __init__(self, path: Path, datum: Datum | None = None) -> None:
-        super().__init__(path)
+        super().__init__(path, path.resolve().name or "farm", path)
         self._datum = datum
         self._turn = RLock()
         self._farm: Farm | None = None
         self._opened = ""
 
-    @property
-    def name(self) -> str:
-        """See `Shown`."""
-        return self.path.resolve().name or "farm"
-
-    @property
-    def folder(self) -> Path:
-        """See `Shown`."""
-        return self.path
-
     def version(self) -> str:
-        """See `Shown`: of all its maps, those that cannot be read included.
+        """See `ShownSource`: of all its maps, those that cannot be read included.
 
         No file is opened for it: closing one would let go of the locks of whoever reads it.
         """
         try:
-            seen = [_stamp(file) for file in map_files(self.path)]
+            seen = [f"{file.name} {stamp(file)}" for file in map_files(self.path)]
         except OSError as error:
             raise MapError(
                 f"{self.path} is no longer there; put it back, then load the page again."
@@ -62,7 +52,7 @@ class ShownFarm(Shown):
 
     @contextmanager
     def open(self) -> Iterator[Farm]:
-        """See `Shown`."""
+        """See `ShownSource`."""
         version = self.version()
         with self._turn:
             if self._farm is None or version != self._opened:
@@ -73,12 +63,12 @@ class ShownFarm(Shown):
 
     @contextmanager
     def open_alone(self) -> Iterator[Farm]:
-        """See `Shown`."""
+        """See `ShownSource`."""
         with Farm(self.path, datum=self._datum) as farm:
             yield farm
 
     def levels(self) -> int:
-        """See `Shown`: up to where one tile has all of it."""
+        """See `ShownSource`: up to where one tile has all of it."""
         with self.open() as farm:
             west, south, east, north = farm.bounds
             cells = max(east - west, north - south) / farm.cell_m
@@ -86,36 +76,37 @@ class ShownFarm(Shown):
         return min(max(math.ceil(math.log2(max(cells / TILE_CELLS, 1.0))), 0), highest)
 
     def density(self, level: int, tile: TileIndex) -> bytes | None:
-        """See `Shown`."""
+        """See `ShownSource`."""
         with self.open() as farm:
             bounds, cell_m = layers.tile_bounds(farm, level, tile)
             view = farm.read(bounds, cell_m)
             return layers.draw_layer(view, "density", layers.scale_of(farm, "density"))
 
     def marks(self) -> tuple[Mark, ...]:
-        """See `Shown`: those in force."""
+        """See `ShownSource`: those in force."""
         with self.open() as farm:
             return farm.marks()
 
     def features(self) -> list[dict[str, Any]]:
-        """See `Shown`: those of its maps are not shown."""
+        """See `ShownSource`: those of its maps are not shown."""
         return []
 
     def frames(self, bounds: Bounds) -> list[drives.FrameTable]:
-        """See `Shown`: of the maps that bounds touch, unless these are many."""
+        """See `ShownSource`: of the maps that bounds touch, unless these are many."""
         with self.open() as farm:
             near = [name for name, extent in farm.extents().items() if extent.overlaps(bounds)]
             if len(near) > MOST_MAPS:
                 return []
-            return [self.kept(("frames", name), partial(self._table, name)) for name in near]
-
-    def _table(self, block: str) -> drives.FrameTable:
-        with self.open() as farm:
-            names = [info.name for info in farm.sessions() if farm.map_of(info.name).name == block]
-            return drives.frame_table(farm, names)
+            return [self.kept(("frames", name), partial(_frame_table, block=name)) for name in near]
 
 
-def shown_at(paths: Sequence[Path], datum: Datum | None = None) -> tuple[Shown, ...]:
+def _frame_table(farm: Farm, block: str) -> drives.FrameTable:
+    """The frames of a map of a farm."""
+    names = [info.name for info in farm.sessions() if farm.map_of(info.name).name == block]
+    return drives.frame_table(farm, names)
+
+
+def shown_at(paths: Sequence[Path], datum: Datum | None = None) -> tuple[ShownSource, ...]:
     """What is shown of these paths, maps and folders of maps, once it is sure that each can be
     read.
 
@@ -124,7 +115,7 @@ def shown_at(paths: Sequence[Path], datum: Datum | None = None) -> tuple[Shown, 
     """
     if not paths:
         raise ConfigError("There is no map to show; name one.")
-    found: list[Shown] = []
+    found: list[ShownSource] = []
     for path in paths:
         if path.is_dir():
             farm = ShownFarm(path, datum)
@@ -133,8 +124,3 @@ def shown_at(paths: Sequence[Path], datum: Datum | None = None) -> tuple[Shown, 
         else:
             found += shown_maps([path])
     return tuple(found)
-
-
-def _stamp(file: Path) -> str:
-    status = file.stat()
-    return f"{file.name} {status.st_dev} {status.st_ino} {status.st_size} {status.st_mtime_ns}"

@@ -53,13 +53,15 @@ def route_table(path: Path, datum: Datum) -> dict[str, Any]:
     places = read_route(path, datum)
     ends = np.flatnonzero(np.isnan(places[:, 0]))
     lines = [part[np.isfinite(part[:, 0])].round(3).tolist() for part in np.split(places, ends)]
-    attributes = {"name": path.stem}
-    features = [{"geometry": [(_LINE, [line])], "attributes": attributes} for line in lines]
+    features = [
+        {"geometry": [(_LINE, [line])], "attributes": {"name": path.stem}} for line in lines
+    ]
     return {"table": path.name, "says": "a route", "features": features, "cut": False}
 
 
 def _read_table(connection: sqlite3.Connection, table: str, column: str) -> dict[str, Any]:
-    rows = connection.execute(f"SELECT * FROM {_quoted(table)} LIMIT ?", (MOST_FEATURES + 1,))
+    quoted = table.replace('"', '""')
+    rows = connection.execute(f'SELECT * FROM "{quoted}" LIMIT ?', (MOST_FEATURES + 1,))
     names = [description[0] for description in rows.description]
     geometry = names.index(column)
     features: list[dict[str, Any]] = []
@@ -83,11 +85,9 @@ def geometries(blob: bytes) -> list[Geometry]:
     try:
         if blob[:2] != b"GP":
             raise ValueError("it is no GeoPackage geometry")
-        flags = blob[3]
-        found, _ = _parsed(blob, 8 + 8 * _ENVELOPE_DOUBLES[flags >> 1 & 7])
+        return _parsed(blob, 8 + 8 * _ENVELOPE_DOUBLES[blob[3] >> 1 & 7])[0]
     except (IndexError, struct.error, ValueError) as error:
         raise MapError(f"A feature of the map is damaged: {error}.") from error
-    return found
 
 
 def _parsed(blob: bytes, at: int, *, inside: bool = False) -> tuple[list[Geometry], int]:
@@ -125,7 +125,3 @@ def _bounded(count: int, blob: bytes) -> int:
     if count > len(blob):
         raise ValueError(f"it says that it has {count} parts")
     return count
-
-
-def _quoted(name: str) -> str:
-    return '"' + name.replace('"', '""') + '"'

@@ -72,13 +72,12 @@ def scale_of(universal: Readable, layer: str) -> Scale:
     colours = LAYERS[layer].colours
     if colours.low is not None and colours.high is not None:
         return Scale(colours.low, colours.high)
-    bounds = universal.bounds
-    cells = (bounds.east_m - bounds.west_m) * (bounds.north_m - bounds.south_m)
-    cells /= universal.cell_m**2
+    west_m, south_m, east_m, north_m = universal.bounds
+    cells = (east_m - west_m) * (north_m - south_m) / universal.cell_m**2
     level = max(0, math.ceil(math.log2(max(cells, 1.0) / _SAMPLE_CELLS) / 2.0))
     view = universal.read(cell_m=universal.cell_m * 2**level, layers=[layer])
-    values = view.layer(layer)[view.observed]
-    values = values[np.isfinite(values)]
+    values = view.layer(layer)
+    values = values[view.observed & np.isfinite(values)]
     if values.size == 0:
         return Scale(0.0, 1.0)
     low = float(values.min()) if colours.low is None else colours.low
@@ -88,18 +87,15 @@ def scale_of(universal: Readable, layer: str) -> Scale:
 
 def tile_bounds(universal: Readable, level: int, tile: TileIndex) -> tuple[Bounds, float]:
     """The ground of a tile and the side of its cells; `level` 0 has the map's own."""
-    cell_m = universal.cell_m * 2**level
-    window = tile_window(tile)
+    cell_m, window = universal.cell_m * 2**level, tile_window(tile)
     side = 1.0 / cell_m
-    return (
-        Bounds(
-            window.i0 / side,
-            window.j0 / side,
-            (window.i0 + window.width) / side,
-            (window.j0 + window.height) / side,
-        ),
-        cell_m,
+    bounds = Bounds(
+        window.i0 / side,
+        window.j0 / side,
+        (window.i0 + window.width) / side,
+        (window.j0 + window.height) / side,
     )
+    return bounds, cell_m
 
 
 def draw_layer(view: MapView, layer: str, scale: Scale) -> bytes | None:
@@ -107,10 +103,7 @@ def draw_layer(view: MapView, layer: str, scale: Scale) -> bytes | None:
     if not view.observed.any():
         return None
     values = view.layer(layer)
-    seen = view.observed
-    if values.dtype.kind == "f":
-        seen = seen & np.isfinite(values)
-    return encode(scale.grey(values), seen)
+    return encode(scale.grey(values), view.observed & np.isfinite(values))
 
 
 def encode(grey: UInt8, seen: Bool) -> bytes:

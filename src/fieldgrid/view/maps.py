@@ -40,30 +40,20 @@ class Identity(NamedTuple):
         sessions = tuple((info.name, info.created) for info in universal.sessions())
         return cls(universal.datum, universal.cell_m, sessions)
 
-    def goes_on_in(self, other: Identity) -> bool:
-        """Whether a map is the same one, with sessions appended at most."""
-        return self == other._replace(sessions=other.sessions[: len(self.sessions)])
 
-
-class Shown(ABC):
+class ShownSource(ABC):
     """A map or a farm: its place, the version of what is in it, and what was made of it."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, name: str, folder: Path) -> None:
         self.path = path
+        self.name = name
+        """What the page calls it."""
+        self.folder = folder
+        """Where its maps lie, and perhaps the images that they name."""
         self._lock = Lock()
         self._kept: dict[tuple[str, ...], Any] = {}
         self._version = ""
         self._described: Identity | None = None
-
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """What the page calls it."""
-
-    @property
-    @abstractmethod
-    def folder(self) -> Path:
-        """Where its maps lie, and perhaps the images that they name."""
 
     @abstractmethod
     def version(self) -> str:
@@ -74,7 +64,7 @@ class Shown(ABC):
         """What is read of it."""
 
     def open_alone(self) -> AbstractContextManager[DrivenMap]:
-        """The same for what takes long, during which other requests go on."""
+        """What is read of it for long, during which other requests go on."""
         return self.open()
 
     @abstractmethod
@@ -103,19 +93,18 @@ class Shown(ABC):
 
     def check_same(self) -> None:
         """Raise MapError where it is not there, or is another than was described."""
-        found = self.kept(("identity",), self._identity)
-        if self._described is not None and not self._described.goes_on_in(found):
+        found, told = self.kept(("identity",), Identity.of), self._described
+        # Sessions may have been appended.
+        if told is not None and told != found._replace(
+            sessions=found.sessions[: len(told.sessions)]
+        ):
             raise MapError(
                 f"{self.path} is another map than the page was loaded with, or its sessions have "
                 "other names; load the page again."
             )
 
-    def _identity(self) -> Identity:
-        with self.open() as universal:
-            return Identity.of(universal)
-
-    def kept(self, key: tuple[str, ...], make: Callable[[], _Made]) -> _Made:
-        """What `make` returns, made once for each version."""
+    def kept(self, key: tuple[str, ...], make: Callable[..., _Made]) -> _Made:
+        """What `make` makes of the open map or farm, made once for each version."""
         version = self.version()
         with self._lock:
             if version != self._version:
@@ -124,7 +113,8 @@ class Shown(ABC):
             if key in self._kept:
                 found: _Made = self._kept[key]
                 return found
-        made = make()
+        with self.open() as universal:
+            made = make(universal)
         with self._lock:
             # A commit meanwhile: it may be of the state before, and is not kept.
             if version == self._version:
@@ -134,21 +124,14 @@ class Shown(ABC):
         return made
 
 
-class ShownMap(Shown):
+class ShownMap(ShownSource):
     """One map file."""
 
-    @property
-    def name(self) -> str:
-        """See `Shown`."""
-        return self.path.stem
-
-    @property
-    def folder(self) -> Path:
-        """See `Shown`."""
-        return self.path.parent
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, path.stem, path.parent)
 
     def version(self) -> str:
-        """See `Shown`."""
+        """See `ShownSource`."""
         return version_of(self.path)
 
     def check_version(self, version: str) -> None:
@@ -164,52 +147,51 @@ class ShownMap(Shown):
         return open_map(self.path, writable=writable)
 
     def levels(self) -> int:
-        """See `Shown`."""
+        """See `ShownSource`."""
         with pyramid.stored(self.path) as connection:
             return pyramid.read_levels(connection).above
 
     def density(self, level: int, tile: TileIndex) -> bytes | None:
-        """See `Shown`: as it is stored."""
+        """See `ShownSource`: as it is stored."""
         with pyramid.stored(self.path) as connection:
             levels = pyramid.read_levels(connection)
             return pyramid.read_picture(connection, levels, level, tile)
 
     def marks(self) -> tuple[Mark, ...]:
-        """See `Shown`: those that were removed, too."""
+        """See `ShownSource`: those that were removed, too."""
         with self.open() as universal:
             return universal.marks(removed=True)
 
     def features(self) -> list[dict[str, Any]]:
-        """See `Shown`."""
+        """See `ShownSource`."""
         with pyramid.stored(self.path) as connection:
             return read_features(connection)
 
     def frames(self, bounds: Bounds) -> list[drives.FrameTable]:
-        """See `Shown`: all of them."""
-
-        def make() -> drives.FrameTable:
-            with self.open() as universal:
-                return drives.frame_table(universal)
-
-        return [self.kept(("frames",), make)]
+        """See `ShownSource`: all of them."""
+        return [self.kept(("frames",), drives.frame_table)]
 
 
-def version_of(path: Path) -> str:
-    """Text that differs once a map was written to or replaced.
+def stamp(file: Path) -> str:
+    """Text that differs once a file was written to or replaced.
 
     The file is not opened: on POSIX, closing it would drop the locks of every SQLite connection
     of this process to it, and another program could write to what is being read.
     """
+    status = file.stat()
+    return f"{status.st_dev} {status.st_ino} {status.st_size} {status.st_mtime_ns}"
+
+
+def version_of(path: Path) -> str:
+    """Text that differs once a map was written to or replaced; MapError where it is not there."""
     try:
-        status = path.stat()
+        return hashlib.sha256(stamp(path).encode()).hexdigest()[:16]
     except FileNotFoundError as error:
         raise MapError(
             f"{path} is no longer there; put it back or build it again, then load the page again."
         ) from error
     except OSError as error:
         raise MapError(f"{path} cannot be read: {error.strerror}; check it.") from error
-    seen = f"{status.st_dev} {status.st_ino} {status.st_size} {status.st_mtime_ns}"
-    return hashlib.sha256(seen.encode()).hexdigest()[:16]
 
 
 def shown_maps(paths: Sequence[Path]) -> tuple[ShownMap, ...]:

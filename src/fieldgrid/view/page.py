@@ -36,9 +36,10 @@ def routes(front: str = "index.html") -> list[Route]:
 
 def _serving(name: str) -> Callable[[Request], Response]:
     def serve(request: Request) -> Response:
-        headers = {"Cache-Control": "no-cache"}
         return Response(
-            read_file(name), media_type=f"{TYPES[name]}; charset=utf-8", headers=headers
+            read_file(name),
+            media_type=f"{TYPES[name]}; charset=utf-8",
+            headers={"Cache-Control": "no-cache"},
         )
 
     return serve

@@ -11,7 +11,6 @@ import hashlib
 import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePath
-from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -25,26 +24,17 @@ _SIDE_PX = 1600
 _QUALITY = 88
 
 
-class ShownImage(NamedTuple):
-    """A JPEG to be shown, and the size of the image that it was made from."""
-
-    jpeg: bytes
-    width_px: int
-    height_px: int
-
-
-def find_picture(name: str, sha256: str, folders: Sequence[Path]) -> ShownImage:
-    """The image of a name, in one of the folders; RecordingError says why there is none."""
-    changed = None
+def find_picture(name: str, sha256: str, folders: Sequence[Path]) -> tuple[bytes, int, int]:
+    """The image of a name, in one of the folders, as JPEG, and the width and height in pixels of
+    the image that it was made from; RecordingError says why there is none."""
+    is_changed = False
     for path in _candidates(name, folders):
         data = _read(path)
-        if data is None:
-            continue
-        if sha256 and hashlib.sha256(data).hexdigest() != sha256:
-            changed = path
-            continue
-        return _drawn(data, name)
-    if changed is not None:
+        if data is not None:
+            if not sha256 or hashlib.sha256(data).hexdigest() == sha256:
+                return _jpeg(data, name)
+            is_changed = True
+    if is_changed:
         raise RecordingError(
             f"{name} is there, but it is another image than the one that the map was made from; "
             "give the recording with --recording FOLDER."
@@ -77,25 +67,23 @@ def _read(path: Path) -> bytes | None:
         return None
 
 
-def _drawn(data: bytes, name: str) -> ShownImage:
+def _jpeg(data: bytes, name: str) -> tuple[bytes, int, int]:
+    """An image as JPEG; one of 16 bits is stretched to 8 over the range that it uses."""
+    written = io.BytesIO()
     try:
         with Image.open(io.BytesIO(data)) as image:
             width, height = image.size
             if width * height > MAX_PIXELS:
                 raise RecordingError(f"{name} has {width} x {height} pixels, too many to show.")
-            drawn = _eight_bits(image).convert("RGB")
+            drawn: Image.Image = image
+            if image.mode.startswith("I"):
+                values = np.asarray(image, dtype=np.float64)
+                low, high = float(values.min()), float(values.max())
+                stretched = (values - low) * (255.0 / max(high - low, 1.0))
+                drawn = Image.fromarray(stretched.astype(np.uint8))
+            drawn = drawn.convert("RGB")
         drawn.thumbnail((_SIDE_PX, _SIDE_PX))
-        written = io.BytesIO()
         drawn.save(written, "JPEG", quality=_QUALITY)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise RecordingError(f"{name} cannot be shown: it is no image ({error}).") from error
-    return ShownImage(written.getvalue(), width, height)
-
-
-def _eight_bits(image: Image.Image) -> Image.Image:
-    """The image; one of 16 bits stretched to 8 over the range that it uses."""
-    if not image.mode.startswith("I"):
-        return image
-    values = np.asarray(image, dtype=np.float64)
-    low, high = float(values.min()), float(values.max())
-    return Image.fromarray(((values - low) * (255.0 / max(high - low, 1.0))).astype(np.uint8))
+    return written.getvalue(), width, height

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 from fieldgrid.errors import ConfigError
 from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import MapFile
 from fieldgrid.publish import mentions, refuse_input, replacing
 from fieldgrid.view import drives, layers, page, pyramid
 from fieldgrid.view.about import describe_map
@@ -58,7 +57,9 @@ def write_report(
     """
     if not paths:
         raise ConfigError("There is no map to show; name one.")
-    _check_target(out, [*paths, *routes])
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise ConfigError(f"{out.name} ends in none of .html, .htm; choose one of them.")
+    refuse_input(out, [*paths, *routes])
     for path in paths:
         if path.is_dir():
             raise ConfigError(
@@ -88,27 +89,22 @@ def write_report(
     return Report(len(document), tuple(one["cell_m"] for one in data["about"]["maps"]))
 
 
-def _check_target(out: Path, inputs: Sequence[Path]) -> None:
-    if out.suffix.lower() not in (".html", ".htm"):
-        raise ConfigError(f"{out.name} ends in none of .html, .htm; choose one of them.")
-    refuse_input(out, inputs)
-
-
 def _without_tiles(shown: ShownMap, rows: int, routes: Sequence[Path]) -> dict[str, Any]:
     with pyramid.stored(shown.path) as connection:
         features = read_features(connection)
     with shown.open() as universal:
         features += [route_table(path, universal.datum) for path in routes]
-        scale = layers.scale_of(universal, "density")
-        tracks = _tracks(universal, rows)
-        frames = drives.frames_within([drives.frame_table(universal)], _EVERYWHERE, None)
-    return {
-        "tiles": {},
-        "scale": {"low": scale.low, "high": scale.high},
-        "tracks": tracks,
-        "frames": frames,
-        "features": features,
-    }
+        active = [(k, info.name) for k, info in enumerate(universal.sessions()) if info.active]
+        return {
+            "tiles": {},
+            "scale": layers.scale_of(universal, "density")._asdict(),
+            "tracks": {
+                str(k): drives.track(universal, name, max(rows // len(active), 100))
+                for k, name in active
+            },
+            "frames": drives.frames_within([drives.frame_table(universal)], _EVERYWHERE, None),
+            "features": features,
+        }
 
 
 def _add_tiles(shown: ShownMap, about: dict[str, Any], part: dict[str, Any], room: int) -> None:
@@ -124,14 +120,6 @@ def _add_tiles(shown: ShownMap, about: dict[str, Any], part: dict[str, Any], roo
     about["cell_m"] *= 2**finest
     about["levels"] -= finest
     about["layers"] = [layer for layer in about["layers"] if layer["name"] == "density"]
-
-
-def _tracks(universal: MapFile, rows: int) -> dict[str, Any]:
-    active = [(k, info) for k, info in enumerate(universal.sessions()) if info.active]
-    return {
-        str(k): drives.track(universal, info.name, max(rows // len(active), 100))
-        for k, info in active
-    }
 
 
 def _document(data: dict[str, Any], title: str) -> bytes:

@@ -113,12 +113,11 @@ class Guard:
                 MutableHeaders(scope=message).update(_HEADERS)
             await send(message)
 
-        refusal = self._refusal(scope, headers)
+        app, refusal = self._app, self._refusal(scope, headers)
         if refusal is not None:
             status, reason = refusal
-            await JSONResponse({"error": reason}, status)(scope, receive, sending)
-            return
-        await self._app(scope, receive, sending)
+            app = JSONResponse({"error": reason}, status)
+        await app(scope, receive, sending)
 
     def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, str] | None:
         method, path = scope["method"], scope["path"]

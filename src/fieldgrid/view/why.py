@@ -16,7 +16,7 @@ from fieldgrid.errors import CalibrationError
 from fieldgrid.grids import OBSTACLE_ABOVE
 from fieldgrid.lattice import Bounds
 from fieldgrid.layers import LAYERS
-from fieldgrid.mapfile import Contribution, DrivenMap, SessionInfo
+from fieldgrid.mapfile import DrivenMap, SessionInfo
 from fieldgrid.rig import DepthCamera, Lidar, Rig, StereoCamera
 from fieldgrid.trajectory import Pose
 from fieldgrid.transfer import to_local
@@ -44,7 +44,18 @@ def explain(
         "values": _values(universal, bounds, sessions),
         "frames": [
             {
-                **_frame(one),
+                "frame_id": one.frame_id,
+                "density": round(one.density, 1),
+                "obstacle": one.density > OBSTACLE_ABOVE,
+                "cells": one.cells,
+                "time_ms": one.pose.time_ns / 1e6,
+                "east_m": one.pose.east_m,
+                "north_m": one.pose.north_m,
+                "heading_deg": one.pose.heading_deg,
+                "heading_sigma_deg": _known(one.pose.heading_sigma_deg),
+                "position_sigma_m": _known(one.pose.position_sigma_m),
+                "quality": one.quality,
+                "images": list(one.images),
                 "session": infos[one.session][0],
                 "places": [
                     _place(rigs[one.session], one.pose, bounds, k, infos[one.session][1])
@@ -66,25 +77,7 @@ def _values(
         return {}
     values = {name: float(view.layer(name)[0, 0]) for name in ("density", *names)}
     values["sigma"] = math.sqrt(max(values["variance"], 0.0))
-    return {name: value if math.isfinite(value) else None for name, value in values.items()}
-
-
-def _frame(one: Contribution) -> dict[str, Any]:
-    pose = one.pose
-    return {
-        "frame_id": one.frame_id,
-        "density": round(one.density, 1),
-        "obstacle": one.density > OBSTACLE_ABOVE,
-        "cells": one.cells,
-        "time_ms": pose.time_ns / 1e6,
-        "east_m": pose.east_m,
-        "north_m": pose.north_m,
-        "heading_deg": pose.heading_deg,
-        "heading_sigma_deg": _known(pose.heading_sigma_deg),
-        "position_sigma_m": _known(pose.position_sigma_m),
-        "quality": one.quality,
-        "images": list(one.images),
-    }
+    return {name: _known(value) for name, value in values.items()}
 
 
 def _rig(info: SessionInfo) -> Rig | None:
@@ -106,9 +99,8 @@ def _place(
     """
     if rig is None or isinstance(rig.sensor, Lidar):
         return None
-    top_m = _slice_top(info)
     corners = product(
-        (bounds.west_m, bounds.east_m), (bounds.south_m, bounds.north_m), (0.0, top_m)
+        (bounds.west_m, bounds.east_m), (bounds.south_m, bounds.north_m), (0.0, _slice_top(info))
     )
     east_m, north_m, up_m = zip(*corners, strict=True)
     x_m, y_m = to_local(east_m, north_m, pose)
@@ -118,12 +110,11 @@ def _place(
     if any(pixel is None for pixel in pixels):
         return None
     u, v = np.array(pixels, dtype=np.float64).T
-    width, height = rig.sensor.width_px, rig.sensor.height_px
     box = [
         max(float(u.min()), 0.0),
         max(float(v.min()), 0.0),
-        min(float(u.max()), width - 1.0),
-        min(float(v.max()), height - 1.0),
+        min(float(u.max()), rig.sensor.width_px - 1.0),
+        min(float(v.max()), rig.sensor.height_px - 1.0),
     ]
     return box if box[0] < box[2] and box[1] < box[3] else None
 
