@@ -78,7 +78,7 @@ def test_frames_that_count(tmp_path: Path) -> None:
 def test_the_example_drive(two_lanes_map: Path) -> None:
     truth = read_truth(TWO_LANES / "truth")
     with open_map(two_lanes_map) as universal:
-        scores = evaluate(universal, truth, attitudes=attitudes_of(universal)[0]).attitude
+        scores = evaluate(universal, truth, attitudes=attitudes_of(universal).by_session).attitude
         assert evaluate(universal, truth).attitude is None
     assert scores is not None
     assert scores.frames == 50

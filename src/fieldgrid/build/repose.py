@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
@@ -78,7 +78,14 @@ def repose_map(
         return [_repose(universal, session, pose_settings or {}) for session in sessions]
 
 
-def attitudes_of(universal: MapFile) -> tuple[dict[str, Attitude], dict[str, str]]:
+class Attitudes(NamedTuple):
+    """Roll and pitch by session, and why those of others cannot be estimated."""
+
+    by_session: dict[str, Attitude]
+    left_out: dict[str, str]
+
+
+def attitudes_of(universal: MapFile) -> Attitudes:
     """Roll and pitch of the active sessions that tell them, estimated again from what the map
     keeps, and why those of others cannot be estimated, both by session. Sessions without their
     fixes are passed over; one that cannot be estimated again, as of settings that this version does
@@ -94,7 +101,7 @@ def attitudes_of(universal: MapFile) -> tuple[dict[str, Attitude], dict[str, str
                     by_session[session.name] = attitude
         except FieldgridError as error:
             left_out[session.name] = str(error)
-    return by_session, left_out
+    return Attitudes(by_session, left_out)
 
 
 def _repose(
