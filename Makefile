@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test long check docs page dist bench crash accuracy heading figures compare fuzz format lock clean
+.PHONY: help demo test long check size docs page dist bench crash accuracy heading figures compare fuzz format lock clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -36,6 +36,10 @@ check: .venv/installed ## Check style, types, and the code and commands in the d
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/mypy --strict src tools
 	$(PY) tools/check_docs.py
+	$(PY) tools/size.py
+
+size: .venv/installed ## Count the package, room by room, beside its budgets
+	$(PY) tools/size.py
 
 docs: .venv/installed ## Build the documentation site into build/site
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet

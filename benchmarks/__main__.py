@@ -26,21 +26,17 @@ from benchmarks.lasting import Line, measure_map
 from benchmarks.long_drive import write_long_drive
 from benchmarks.synthetic import rows
 from benchmarks.timing import paired_ms, timed_s
-from fieldgrid import depth
-from fieldgrid.binning import bin_pixels, bin_points
-from fieldgrid.build import SessionReport, build_map
-from fieldgrid.grids import GridSpec, LocalGrid
-from fieldgrid.ground import estimate_ground
-from fieldgrid.lattice import Lattice, Window
-from fieldgrid.localgrid import (
-    LocalGridder,
-    local_ground,
-)
-from fieldgrid.recording import DriveOptions, open_recording
-from fieldgrid.settings import StereoSettings, resolve
-from fieldgrid.stereo import make_matcher
-from fieldgrid.trajectory import Pose
-from fieldgrid.transfer import MeanFold, footprint, universal_axes
+from fieldgrid.core import StereoSettings, resolve
+from fieldgrid.geometry import GridSpec, Lattice, LocalGrid, Pose, Window
+from fieldgrid.maps import footprint
+from fieldgrid.maps.transfer import MeanFold, universal_axes
+from fieldgrid.perception import LocalGridder, depth
+from fieldgrid.perception.binning import bin_pixels, bin_points
+from fieldgrid.perception.ground import estimate_ground
+from fieldgrid.perception.localgrid import local_ground
+from fieldgrid.perception.stereo import make_matcher
+from fieldgrid.pipeline import SessionReport, build_map
+from fieldgrid.recordings import DriveOptions, open_recording
 from tests.counting import bin_pixels_reference, bin_points_reference
 
 FULL_DISPARITIES = 128

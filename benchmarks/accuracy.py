@@ -12,13 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks import EXAMPLE
-from fieldgrid.build import build_map, perceive, session_config
-from fieldgrid.evaluation import Evaluation, GroupScores, evaluate, read_truth
-from fieldgrid.localgrid import LocalGridder
-from fieldgrid.mapfile import create_map, open_map
-from fieldgrid.recording import DriveOptions, open_recording
-from fieldgrid.settings import BuildSettings, resolve
-from fieldgrid.trajectory import Pose
+from fieldgrid.core import BuildSettings, resolve
+from fieldgrid.field import Evaluation, GroupScores, evaluate, read_truth
+from fieldgrid.geometry import Pose
+from fieldgrid.maps import create_map, open_map
+from fieldgrid.perception import LocalGridder
+from fieldgrid.pipeline import build_map
+from fieldgrid.pipeline.session import session_config
+from fieldgrid.pipeline.staging.perception import perceive
+from fieldgrid.recordings import DriveOptions, open_recording
 
 SLOW_S = 10.0
 """An error that lasts longer than twice this is slow."""

@@ -23,17 +23,14 @@ import numpy as np
 
 from benchmarks import EXAMPLE
 from benchmarks.peak import peak_mb
-from fieldgrid.align import MapAlignment, align_map, pairs, score
-from fieldgrid.align.submaps import cut, draw
-from fieldgrid.build import build_map
-from fieldgrid.evaluation import evaluate, read_truth
-from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import Lattice
-from fieldgrid.mapfile import FrameRecord, MapFile, Transform, create_map, open_map
-from fieldgrid.mapfile.corrections import Wander
-from fieldgrid.recording import DriveOptions
-from fieldgrid.settings import BuildSettings
-from fieldgrid.trajectory import Pose
+from fieldgrid.core import BuildSettings
+from fieldgrid.field import MapAlignment, align_map, evaluate, read_truth
+from fieldgrid.field.align import pairs, score
+from fieldgrid.field.align.submaps import cut, draw
+from fieldgrid.geometry import Datum, Lattice, Pose
+from fieldgrid.maps import FrameRecord, MapFile, Transform, Wander, create_map, open_map
+from fieldgrid.pipeline import build_map
+from fieldgrid.recordings import DriveOptions
 
 SHARED = Path(__file__).resolve().parents[1] / "../shared/data"
 LATER, SLOPE = SHARED / "vineyard_two_lanes_later", SHARED / "vineyard_slope"

@@ -13,10 +13,10 @@ import time
 import numpy as np
 
 from benchmarks.peak import peak_mb
-from fieldgrid.align import heights
-from fieldgrid.align.drives import Role, SubmapDrive
-from fieldgrid.align.submaps import SUBMAP_M
-from fieldgrid.mapfile import Transform
+from fieldgrid.field.align import heights
+from fieldgrid.field.align.drives import Role, SubmapDrive
+from fieldgrid.field.align.submaps import SUBMAP_M
+from fieldgrid.maps import Transform
 
 LANE_M, LANES_APART_M = 200.0, 3.0
 

@@ -17,11 +17,11 @@ import numpy as np
 from benchmarks import EXAMPLE
 from benchmarks.align import LATER, pose_errors
 from benchmarks.other_sensors import clouds, of_clouds, of_depths
-from fieldgrid.align import align_map
-from fieldgrid.build import build_map
-from fieldgrid.mapfile import open_map
-from fieldgrid.recording import DriveOptions
-from fieldgrid.settings import BuildSettings
+from fieldgrid.core import BuildSettings
+from fieldgrid.field import align_map
+from fieldgrid.maps import open_map
+from fieldgrid.pipeline import build_map
+from fieldgrid.recordings import DriveOptions
 
 SF1, RTK = "gnss_sf1.nmea", "gnss_rtk.nmea"
 

@@ -24,12 +24,12 @@ import numpy as np
 import shapely
 
 from benchmarks.heading_scores import DATA
-from fieldgrid.align import align_map
-from fieldgrid.build import build_map
-from fieldgrid.changes import ChangedObject, ChangeKind, find_changes
-from fieldgrid.mapfile import Change, FrameRecord, create_map, open_map
-from fieldgrid.recording import DriveOptions
-from fieldgrid.settings import BuildSettings
+from fieldgrid.core import BuildSettings
+from fieldgrid.field import ChangedObject, align_map, find_changes
+from fieldgrid.field.changes.result import ChangeKind
+from fieldgrid.maps import Change, FrameRecord, create_map, open_map
+from fieldgrid.pipeline import build_map
+from fieldgrid.recordings import DriveOptions
 
 EARLY, LATE = "vineyard_two_lanes", "vineyard_two_lanes_later"
 RTK, SF1 = "gnss_rtk.nmea", "gnss_sf1.nmea"

@@ -16,16 +16,16 @@ import numpy.typing as npt
 
 from benchmarks import EXAMPLE
 from benchmarks.rectified import VINEYARD
-from fieldgrid.build.perception import visual_odometry
-from fieldgrid.motion import Motion, Steps
-from fieldgrid.pose import ClockOffset, conditioned
-from fieldgrid.pose.accepted import AcceptedFixes
-from fieldgrid.pose.axle import Axle
-from fieldgrid.pose.clock import check_clock
-from fieldgrid.pose.drive import DriveEstimate, smooth_drive
-from fieldgrid.recording import open_recording
-from fieldgrid.rig import Rig
-from fieldgrid.settings import PoseSettings
+from fieldgrid.core import PoseSettings
+from fieldgrid.geometry import Motion, Rig, Steps
+from fieldgrid.pipeline import visual_odometry
+from fieldgrid.poses import ClockOffset
+from fieldgrid.poses.accepted import AcceptedFixes
+from fieldgrid.poses.axle import Axle
+from fieldgrid.poses.drive import DriveEstimate, smooth_drive
+from fieldgrid.poses.faults.clock.offset import check_clock
+from fieldgrid.poses.fused import conditioned
+from fieldgrid.recordings import open_recording
 
 LATE_S = (0.0, 0.03, -0.5, 2.0, -6.0, 18.0, -18.0)
 """By how much images are stamped late; 18 s is what GPS time is off UTC, 2 s is just near by."""

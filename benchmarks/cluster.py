@@ -66,9 +66,9 @@ def _workers_s(client: Client) -> float:
 
 
 def _do(what: str, path: Path, folder: Path, given: Mapping[str, Any]) -> None:
-    from fieldgrid.align import align_map
     from fieldgrid.export import Selection, export_map
-    from fieldgrid.mapfile import open_map
+    from fieldgrid.field import align_map
+    from fieldgrid.maps import open_map
 
     with open_map(path) as universal:
         if what == "verify":

@@ -40,20 +40,17 @@ import numpy as np
 import shapely
 
 from benchmarks.fields import layout
-from benchmarks.planting import DATUM, Sight, seen_view
-from benchmarks.planting import Planting as Stand
-from fieldgrid.array_types import Float64
-from fieldgrid.coverage import Coverage, coverage_in_view
-from fieldgrid.coverage.network import Network
-from fieldgrid.coverage.order import best_order
-from fieldgrid.coverage.passes import Pass, drive_lane
-from fieldgrid.errors import NoRouteError
-from fieldgrid.lattice import Lattice, Window
-from fieldgrid.mapfile import MapView
-from fieldgrid.polyline import extended, part, resampled
-from fieldgrid.route import Vehicle
-from fieldgrid.route.plan import searcher_of
-from fieldgrid.rows import Lane, Planting, rows_of_view
+from benchmarks.planting import DATUM, Planting as Stand, Sight, seen_view
+from fieldgrid.core import Float64, NoRouteError
+from fieldgrid.field import Coverage, Lane, Planting, Vehicle
+from fieldgrid.field.coverage.network import Network
+from fieldgrid.field.coverage.order import best_order
+from fieldgrid.field.coverage.passes import Pass, drive_lane
+from fieldgrid.field.coverage.plan import coverage_in_view
+from fieldgrid.field.route.plan import searcher_of
+from fieldgrid.field.rows.find import rows_of_view
+from fieldgrid.geometry import Lattice, Window, extended, part, resampled
+from fieldgrid.maps import MapView
 
 _CELL_M = 0.2
 

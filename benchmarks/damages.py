@@ -23,14 +23,13 @@ import numpy as np
 
 from benchmarks import EXAMPLE
 from benchmarks.sentences import checksum
-from fieldgrid.build import build_map
-from fieldgrid.errors import FieldgridError, TruthError
-from fieldgrid.evaluation import Truth, evaluate, read_truth
-from fieldgrid.evaluation.truth import TruthPose
-from fieldgrid.mapfile import open_map
-from fieldgrid.recording import DriveOptions
-from fieldgrid.settings import BuildSettings
-from fieldgrid.trajectory import Status
+from fieldgrid.core import BuildSettings, FieldgridError, TruthError
+from fieldgrid.field import evaluate, read_truth
+from fieldgrid.field.evaluation.truth import Truth, TruthPose
+from fieldgrid.geometry import Status
+from fieldgrid.maps import open_map
+from fieldgrid.pipeline import build_map
+from fieldgrid.recordings import DriveOptions
 
 LOG = sys.argv[1] if len(sys.argv) > 1 else "gnss_rtk.nmea"
 DRIVE = Path(sys.argv[2]) if len(sys.argv) > 2 else EXAMPLE

@@ -98,9 +98,9 @@ def _run(where: str, paths: list[Path], out: Path) -> dict[str, float]:
 
 def _build(where: str, out: Path, paths: list[Path]) -> None:
     """What `_run` runs: one build by so many processes, or on a cluster, and what it took."""
-    from fieldgrid.build import build_map
-    from fieldgrid.recording import DriveOptions
-    from fieldgrid.settings import BuildSettings
+    from fieldgrid.core import BuildSettings
+    from fieldgrid.pipeline import build_map
+    from fieldgrid.recordings import DriveOptions
 
     start = time.perf_counter()
     drive, settings = DriveOptions("gnss_rtk.nmea"), BuildSettings()

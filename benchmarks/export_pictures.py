@@ -28,8 +28,8 @@ from mcap_ros2.decoder import DecoderFactory
 from PIL import Image
 
 from fieldgrid.export import export_map
-from fieldgrid.figures import UNSEEN
-from fieldgrid.mapfile import MapFile, open_map
+from fieldgrid.export.figures import UNSEEN
+from fieldgrid.maps import MapFile, open_map
 from tests.export.nav2_loader import load
 
 PERSON = (-3.327, 61.487)

@@ -22,19 +22,17 @@ import rasterio
 from benchmarks.lasting import Line
 from benchmarks.peak import peak_mb
 from benchmarks.synthetic import DATUM, full_grid, pose_at
-from fieldgrid.array_types import UInt64
+from fieldgrid.core import UInt64
 from fieldgrid.export import export_map
-from fieldgrid.grids import GridSpec
-from fieldgrid.lattice import TILE_CELLS, TileIndex
-from fieldgrid.layers import Cells
-from fieldgrid.layers.window import empty_cells
-from fieldgrid.mapfile import create_map, open_map
-from fieldgrid.mapfile.database import connect, writing
-from fieldgrid.mapfile.derived import tables_of
-from fieldgrid.mapfile.header import read_header
-from fieldgrid.mapfile.placing import encode_groups, stored_of_session
-from fieldgrid.mapfile.pyramid import Pyramid
-from fieldgrid.mapfile.root import seal
+from fieldgrid.geometry import TILE_CELLS, GridSpec, TileIndex
+from fieldgrid.maps import Cells, connect, create_map, open_map
+from fieldgrid.maps.file.database import writing
+from fieldgrid.maps.file.header import read_header
+from fieldgrid.maps.file.root import seal
+from fieldgrid.maps.layers.window import empty_cells
+from fieldgrid.maps.tiles.pyramid import Pyramid
+from fieldgrid.maps.writing.derived import tables_of
+from fieldgrid.maps.writing.placing import encode_groups, stored_of_session
 
 _CELL_M = 0.05
 _SMALL_TILES, _LARGE_TILES = 40, 78

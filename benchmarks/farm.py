@@ -13,10 +13,8 @@ from pathlib import Path
 from benchmarks.lasting import Line
 from benchmarks.synthetic import DATUM, real_grids, rows
 from benchmarks.timing import timed_s
-from fieldgrid.farm import Farm
-from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import create_map
+from fieldgrid.geometry import Bounds, Datum
+from fieldgrid.maps import Farm, create_map
 
 MAPS, PER_ROW, SIDE_M, PITCH_M = 50, 10, 30.0, 40.0
 FRAMES, SESSIONS = 48, 2

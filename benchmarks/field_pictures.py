@@ -16,15 +16,14 @@ from matplotlib.figure import Figure
 
 from benchmarks.coverage import random_field
 from benchmarks.planting import DATUM
-from fieldgrid.array_types import UInt8
-from fieldgrid.cost import LETHAL, UNKNOWN_COST, CostCurve
-from fieldgrid.coverage import Tracks, coverage_in_view, plan_coverage
-from fieldgrid.lattice import Lattice, Window
-from fieldgrid.mapfile import DECISION_LAYERS, MapFile, MapView, open_map
-from fieldgrid.palette import SESSIONS
-from fieldgrid.route import Route, Vehicle, plan_route
-from fieldgrid.route.verify import swept_hulls
-from fieldgrid.rows import find_rows
+from fieldgrid.core import UInt8
+from fieldgrid.core.palette import SESSIONS
+from fieldgrid.field import Route, Tracks, Vehicle, find_rows, plan_coverage, plan_route
+from fieldgrid.field.coverage.plan import coverage_in_view
+from fieldgrid.field.route.verify import swept_hulls
+from fieldgrid.geometry import Lattice, Window
+from fieldgrid.maps import LETHAL, UNKNOWN_COST, CostCurve, MapFile, MapView, open_map
+from fieldgrid.maps.views.view import DECISION_LAYERS
 
 CURVE = CostCurve(obstacle_above=130)
 ROUTES = (

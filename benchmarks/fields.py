@@ -15,10 +15,8 @@ import numpy.typing as npt
 import shapely
 
 from benchmarks.heading_scores import DATA
-from fieldgrid.evidence import FREE, OBSTACLE, Evidence
-from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import Lattice, Window
-from fieldgrid.polyline import lengths, resampled
+from fieldgrid.geometry import Datum, Lattice, Window, lengths, resampled
+from fieldgrid.maps import FREE, OBSTACLE, Evidence
 
 Array = npt.NDArray[np.float64]
 SPACING_M = 2.5

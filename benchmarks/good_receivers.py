@@ -15,8 +15,8 @@ import numpy as np
 from benchmarks.align import pose_errors
 from benchmarks.changes import EARLY, LATE, RTK, build, jittered
 from benchmarks.heading_scores import DATA
-from fieldgrid.align import align_map
-from fieldgrid.mapfile import open_map
+from fieldgrid.field import align_map
+from fieldgrid.maps import open_map
 
 
 def three(folder: Path, number: int) -> tuple[list[float], list[float], list[float]]:

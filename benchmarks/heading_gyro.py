@@ -13,13 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.heading_scores import percent
-from fieldgrid.angles import wrap_deg
-from fieldgrid.errors import GnssError
-from fieldgrid.fixes import FixColumns
-from fieldgrid.motion import Gyro, Motion
-from fieldgrid.pose import PoseReport, estimate_poses
-from fieldgrid.rig import Carrier
-from fieldgrid.settings import PoseSettings
+from fieldgrid.core import GnssError, PoseSettings
+from fieldgrid.geometry import Carrier, FixColumns, Gyro, Motion, wrap_deg
+from fieldgrid.poses import estimate_poses
+from fieldgrid.poses.report import PoseReport
 from tests.simulated import DATUM, K_TURN, SLALOM, Command, Drive, fixes_of, gyro_of, simulate
 
 ROWS = [

@@ -26,11 +26,10 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.heading_scores import DATA, make_fixes, numbers, percent, table
-from fieldgrid.angles import wrap_deg
-from fieldgrid.geodesy import Datum
-from fieldgrid.pose import Estimate, estimate_poses
-from fieldgrid.quality import Quality
-from fieldgrid.recording.logs import read_fix_log
+from fieldgrid.core import Quality
+from fieldgrid.geometry import Datum, wrap_deg
+from fieldgrid.poses import Estimate, estimate_poses
+from fieldgrid.recordings.tables.logs import read_fix_log
 
 FOLDER = DATA / "gnss" / "isoxml_harvester"
 

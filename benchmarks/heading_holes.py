@@ -13,11 +13,9 @@ import numpy as np
 from benchmarks.heading_scores import percent
 from benchmarks.heading_stops import MACHINES, STANDING_MPS, Receiver, received, work
 from benchmarks.random_drives import driven
-from fieldgrid.angles import wrap_deg
-from fieldgrid.array_types import Bool, Float64
-from fieldgrid.errors import GnssError
-from fieldgrid.pose import estimate_poses
-from fieldgrid.quality import Quality
+from fieldgrid.core import Bool, Float64, GnssError, Quality
+from fieldgrid.geometry import wrap_deg
+from fieldgrid.poses import estimate_poses
 from tests.simulated import DATUM
 
 SEEDS = 4

@@ -16,18 +16,15 @@ import numpy as np
 from benchmarks import heading_road, heading_tractor
 from benchmarks.heading_scores import DATA, percent
 from benchmarks.heading_tractor import MOVING_MPS
-from fieldgrid.angles import wrap_deg
-from fieldgrid.array_types import Float64
-from fieldgrid.build.poses import estimate_drive
-from fieldgrid.errors import GnssError
-from fieldgrid.fixes import FixColumns
-from fieldgrid.motion import Motion
-from fieldgrid.pose import conditioned, estimate_poses
-from fieldgrid.pose.axle import Axle
-from fieldgrid.pose.drive import smooth_drive
-from fieldgrid.pose.report import FixOffset
-from fieldgrid.recording import open_recording
-from fieldgrid.settings import PoseSettings
+from fieldgrid.core import Float64, GnssError, PoseSettings
+from fieldgrid.geometry import FixColumns, Motion, wrap_deg
+from fieldgrid.pipeline import estimate_drive
+from fieldgrid.poses import estimate_poses
+from fieldgrid.poses.axle import Axle
+from fieldgrid.poses.drive import smooth_drive
+from fieldgrid.poses.fused import conditioned
+from fieldgrid.poses.report import FixOffset
+from fieldgrid.recordings import open_recording
 from tests.simulated import DATUM, SLALOM, Command, Drive, fixes_of, simulate
 
 RENDERED = (

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks import heading_harvester, heading_vineyard
 from benchmarks.heading_scores import poses_at
-from fieldgrid.angles import wrap_deg
+from fieldgrid.geometry import wrap_deg
 
 ROWS_AROUND = 40
 

@@ -10,14 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.heading_scores import DATA, numbers, percent, poses_at, table
-from fieldgrid.angles import heading_from_yaw_rad, wrap_deg
-from fieldgrid.errors import GnssError
-from fieldgrid.fixes import FixColumns
-from fieldgrid.geodesy import Datum
-from fieldgrid.motion import Gyro, Motion
-from fieldgrid.pose import conditioned, estimate_poses
-from fieldgrid.quality import Quality
-from fieldgrid.settings import PoseSettings
+from fieldgrid.core import GnssError, PoseSettings, Quality
+from fieldgrid.geometry import Datum, FixColumns, Gyro, Motion, heading_from_yaw_rad, wrap_deg
+from fieldgrid.poses import estimate_poses
+from fieldgrid.poses.fused import conditioned
 
 FOLDER = DATA / "kitti_oxts"
 RTK = ("2011_09_26_drive_0001", "2011_09_26_drive_0018", "2011_09_30_drive_0020")

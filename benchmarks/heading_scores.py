@@ -11,9 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks import EXAMPLE
-from fieldgrid.angles import wrap_deg
-from fieldgrid.fixes import FixColumns
-from fieldgrid.trajectory import Status, Trajectory
+from fieldgrid.geometry import FixColumns, Status, Trajectory, wrap_deg
 
 DATA = EXAMPLE.parents[2] / "shared" / "data"
 """Real logs, beside the repository; a section is skipped where its own are absent."""

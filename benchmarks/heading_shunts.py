@@ -20,16 +20,12 @@ import numpy as np
 from benchmarks.heading_honesty import DECADES
 from benchmarks.heading_scores import percent
 from benchmarks.heading_stops import MACHINES, Machine, Receiver, received, work
-from fieldgrid.angles import wrap_deg
-from fieldgrid.array_types import Bool, Float64
-from fieldgrid.errors import GnssError
-from fieldgrid.motion import Motion
-from fieldgrid.pose import estimate_poses
-from fieldgrid.pose.axle import Axle
-from fieldgrid.pose.drive import smooth_drive
-from fieldgrid.pose.fused import conditioned
-from fieldgrid.quality import Quality
-from fieldgrid.settings import PoseSettings
+from fieldgrid.core import Bool, Float64, GnssError, PoseSettings, Quality
+from fieldgrid.geometry import Motion, wrap_deg
+from fieldgrid.poses import estimate_poses
+from fieldgrid.poses.axle import Axle
+from fieldgrid.poses.drive import smooth_drive
+from fieldgrid.poses.fused import conditioned
 from tests.simulated import DATUM, Command, Drive, simulate
 
 LASTS_S, MOVING_MPS = 400.0, 0.3

@@ -13,12 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.heading_scores import percent
-from fieldgrid.angles import wrap_deg
-from fieldgrid.array_types import Bool, Float64
-from fieldgrid.errors import GnssError
-from fieldgrid.fixes import FixColumns
-from fieldgrid.pose import estimate_poses
-from fieldgrid.quality import Quality
+from fieldgrid.core import Bool, Float64, GnssError, Quality
+from fieldgrid.geometry import FixColumns, wrap_deg
+from fieldgrid.poses import estimate_poses
 from tests.simulated import DATUM, Command, Drive, simulate, time_ns
 
 SEEDS, ROWS = 6, 6

@@ -35,9 +35,9 @@ from benchmarks.heading_scores import (
     scores_line,
     table,
 )
-from fieldgrid.angles import wrap_deg
-from fieldgrid.errors import GnssError
-from fieldgrid.pose import estimate_poses
+from fieldgrid.core import GnssError
+from fieldgrid.geometry import wrap_deg
+from fieldgrid.poses import estimate_poses
 
 FOLDER = DATA / "gnss" / "tractor2025" / "compact"
 

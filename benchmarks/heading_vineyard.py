@@ -22,13 +22,9 @@ from benchmarks.heading_scores import (
     scores_line,
     table,
 )
-from fieldgrid.angles import heading_deg, wrap_deg
-from fieldgrid.fixes import FixColumns
-from fieldgrid.geodesy import Datum
-from fieldgrid.motion import Motion
-from fieldgrid.pose import Estimate, estimate_poses
-from fieldgrid.recording import open_recording
-from fieldgrid.rig import Rig
+from fieldgrid.geometry import Datum, FixColumns, Motion, Rig, heading_deg, wrap_deg
+from fieldgrid.poses import Estimate, estimate_poses
+from fieldgrid.recordings import open_recording
 
 _Float64 = npt.NDArray[np.float64]
 _Int64 = npt.NDArray[np.int64]

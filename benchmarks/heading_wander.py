@@ -14,14 +14,9 @@ import numpy as np
 
 from benchmarks.heading_gyro import DRIVES, SEEDS
 from benchmarks.heading_scores import percent
-from fieldgrid.angles import wrap_deg
-from fieldgrid.errors import GnssError
-from fieldgrid.fixes import FixColumns
-from fieldgrid.motion import Motion
-from fieldgrid.pose import estimate_poses
-from fieldgrid.quality import Quality
-from fieldgrid.rig import Carrier
-from fieldgrid.settings import PoseSettings
+from fieldgrid.core import GnssError, PoseSettings, Quality
+from fieldgrid.geometry import Carrier, FixColumns, Motion, wrap_deg
+from fieldgrid.poses import estimate_poses
 from tests.simulated import DATUM, Command, Drive, fixes_of, gyro_of, simulate
 
 TOWN = [

@@ -16,10 +16,9 @@ import numpy as np
 
 from benchmarks.heading_scores import make_fixes, percent
 from benchmarks.heading_vineyard import ROW_HEIGHT_M, robot, row_of
-from fieldgrid.angles import wrap_deg
-from fieldgrid.array_types import Bool, Float64, Int64
-from fieldgrid.geodesy import Datum
-from fieldgrid.pose import estimate_poses
+from fieldgrid.core import Bool, Float64, Int64
+from fieldgrid.geometry import Datum, wrap_deg
+from fieldgrid.poses import estimate_poses
 from tests.simulated import DATUM, START
 
 FEWEST_OF_PASS, EVEN_M, BESIDE_TRACK_M = 50, 0.25, 1.1

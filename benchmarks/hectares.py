@@ -15,8 +15,8 @@ from pathlib import Path
 
 from benchmarks.peak import peak_mb
 from benchmarks.synthetic import DATUM, real_grids, rows
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import create_map, open_map
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import create_map, open_map
 
 SIDE_M, ROW_M, STEP_M = 1000.0, 3.0, 4.0
 STRIP_M = 50.0

@@ -26,31 +26,27 @@ import numpy as np
 
 from benchmarks import EXAMPLE
 from benchmarks.timing import paired_ms
-from fieldgrid import ground as local_ground
-from fieldgrid import localgrid
-from fieldgrid.attitude import (
-    AntennaTrack,
-    Attitude,
-    AxisTilt,
-    KnownHeadings,
-    estimate_attitude,
+from fieldgrid.core import BuildSettings, StereoSettings
+from fieldgrid.field import evaluate, read_truth
+from fieldgrid.field.evaluation.terrain import TerrainScores
+from fieldgrid.geometry import (
+    BEYOND_DROP,
+    DROP_CHANNEL,
+    NO_DROP_TOLD,
+    Bounds,
+    Motion,
+    Steps,
+    roll_pitch_deg,
 )
-from fieldgrid.build import build_map, visual_odometry
-from fieldgrid.build.poses import estimate_drive
-from fieldgrid.evaluation import TerrainScores, evaluate, read_truth
-from fieldgrid.grids import BEYOND_DROP, DROP_CHANNEL, NO_DROP_TOLD
-from fieldgrid.lattice import Bounds
-from fieldgrid.layers import GROUPS
-from fieldgrid.layers.window import WindowFold
-from fieldgrid.localgrid import LocalGridder
-from fieldgrid.mapfile import MapFile, open_map
-from fieldgrid.motion import Motion, Steps
-from fieldgrid.pose import fused
-from fieldgrid.recording import DriveOptions, Recording, open_recording
-from fieldgrid.rotations import roll_pitch_deg
-from fieldgrid.settings import BuildSettings, StereoSettings
-from fieldgrid.stereo import make_matcher
-from fieldgrid.transfer import Transfer
+from fieldgrid.maps import GROUPS, MapFile, Transfer, WindowFold, open_map
+from fieldgrid.perception import LocalGridder, ground as local_ground, localgrid
+from fieldgrid.perception.stereo import make_matcher
+from fieldgrid.pipeline import build_map, estimate_drive, visual_odometry
+from fieldgrid.poses import Attitude, fused
+from fieldgrid.poses.attitude.axes import AxisTilt
+from fieldgrid.poses.attitude.estimate import estimate_attitude
+from fieldgrid.poses.attitude.measurements import AntennaTrack, KnownHeadings
+from fieldgrid.recordings import DriveOptions, Recording, open_recording
 from tests.hilly import (
     Ground,
     Hike,
@@ -65,8 +61,8 @@ from tests.hilly import (
     slope,
     slowly,
 )
+from tests.perception.test_ground_steps import FIELD, SEEN, X, Y, strips, view
 from tests.simulated import time_ns
-from tests.test_ground_steps import FIELD, SEEN, X, Y, strips, view
 
 SLOPE = Path(__file__).resolve().parents[1] / "../shared/data/vineyard_slope"
 KITTI = SLOPE.parent / "kitti_2011_09_30_drive_0020"

@@ -15,8 +15,8 @@ import numpy as np
 
 from benchmarks.planting import Planting, Sight, seen_view
 from benchmarks.rows import true_widths
-from fieldgrid.evidence import Evidence
-from fieldgrid.rows import rows_of_view
+from fieldgrid.field.rows.find import rows_of_view
+from fieldgrid.maps import Evidence
 
 
 class Told(NamedTuple):

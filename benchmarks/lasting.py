@@ -24,10 +24,10 @@ import numpy as np
 from benchmarks import EXAMPLE
 from benchmarks.synthetic import DATUM, real_grids, rows
 from fieldgrid import Costmap
-from fieldgrid.build import build_map
-from fieldgrid.mapfile import MapFile, create_map, open_map
-from fieldgrid.recording import DriveOptions
-from fieldgrid.settings import BuildSettings
+from fieldgrid.core import BuildSettings
+from fieldgrid.maps import MapFile, create_map, open_map
+from fieldgrid.pipeline import build_map
+from fieldgrid.recordings import DriveOptions
 
 SIDE_M = 150.0
 FRAMES = 200

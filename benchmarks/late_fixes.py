@@ -30,10 +30,9 @@ from benchmarks.random_drives import (
     rig,
 )
 from benchmarks.variations import THREE_SIGMA_2D
-from fieldgrid.errors import GnssError
-from fieldgrid.motion import Gyro
-from fieldgrid.pose import estimate_poses
-from fieldgrid.quality import Quality
+from fieldgrid.core import GnssError, Quality
+from fieldgrid.geometry import Gyro
+from fieldgrid.poses import estimate_poses
 from tests.simulated import time_ns
 
 SIZES = {"none": (0.0, 0.0), "stamps": (0.2, 3.0), "antenna ahead": (0.4, 2.5)}

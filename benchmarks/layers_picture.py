@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import matplotlib.pyplot as plt
 
-from fieldgrid.figures.grid import draw_grid
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import open_map
+from fieldgrid.export.figures.grid import draw_grid
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import open_map
 
 COLUMNS, WIDTH_IN, HEIGHT_IN, DPI = 4, 13.0, 3.4, 90
 AREA = Bounds(-12.0, 55.0, 10.0, 80.0)

@@ -14,13 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Float64
-from fieldgrid.fixes import FixColumns
-from fieldgrid.motion import Inertial, Motion
-from fieldgrid.pose import Estimate, estimate_poses
-from fieldgrid.quality import Quality
-from fieldgrid.rig import LeverArm, Rig
-from fieldgrid.rotations import roll_pitch_deg
+from fieldgrid.core import Float64, Quality
+from fieldgrid.geometry import FixColumns, Inertial, LeverArm, Motion, Rig, roll_pitch_deg
+from fieldgrid.poses import Estimate, estimate_poses
 from tests.hilly import (
     Hike,
     camera_steps,
@@ -33,7 +29,7 @@ from tests.hilly import (
     rows,
     slope,
 )
-from tests.pose.test_levelled import ANTENNA_M, RIG, SENSOR_M
+from tests.poses.test_levelled import ANTENNA_M, RIG, SENSOR_M
 from tests.simulated import DATUM, START, time_ns
 
 GROUNDS = {"hills": hills(9.0, 45.0), "rough": hills(6.0, 12.0), "level": slope(0.0)}

@@ -20,13 +20,11 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
-from fieldgrid.array_types import Bool, Float64, Int64
-from fieldgrid.build import build_map
-from fieldgrid.mapfile import open_map
-from fieldgrid.recording import DriveOptions
-from fieldgrid.recording.pose_source import PoseSource
-from fieldgrid.settings import resolve
-from tests.test_lidar_drive import EAST_M, NORTH_M, UTM, Drive, read_drive, recorded
+from fieldgrid.core import Bool, Float64, Int64, resolve
+from fieldgrid.maps import open_map
+from fieldgrid.pipeline import build_map
+from fieldgrid.recordings import DriveOptions, PoseSource
+from tests.perception.test_lidar_drive import EAST_M, NORTH_M, UTM, Drive, read_drive, recorded
 
 CELL_M, EVERY = 0.25, 4
 NEAR_M, SIDE_M, EVEN_M = 0.35, 10.0, 0.1

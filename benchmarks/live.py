@@ -22,29 +22,19 @@ import numpy as np
 from benchmarks import EXAMPLE
 from benchmarks.live_cropped import cropped
 from benchmarks.peak import peak_mb
-from fieldgrid.angles import wrap_deg
-from fieldgrid.array_types import Float64
-from fieldgrid.attitude import Attitude
-from fieldgrid.build import estimate_drive, visual_odometry
-from fieldgrid.convert import convert_recording
-from fieldgrid.depth import CodedDepth
-from fieldgrid.errors import FieldgridError
-from fieldgrid.evaluation import read_truth
-from fieldgrid.grids import GridSpec
+from fieldgrid.core import BuildSettings, FieldgridError, Float64, resolve
+from fieldgrid.field import read_truth
+from fieldgrid.geometry import GridSpec, Pose, Status, Steps, Tilt, wrap_deg
 from fieldgrid.live import Live, LiveGrid, LiveOptions, LiveResult, LiveWindow, replay
-from fieldgrid.live.fixed_lag import FixedLagSmoother, pose_at, unknown_pose
-from fieldgrid.live.points_file import PointsFile, packed
-from fieldgrid.live.running_tilt import KEPT_NS, RunningTilt
-from fieldgrid.live.sensor_rows import PARTS, Rows
-from fieldgrid.live.session_folder import SessionFolder
-from fieldgrid.localgrid import LocalGridder
-from fieldgrid.motion import Steps
-from fieldgrid.odometry import CameraStep
-from fieldgrid.pose import Estimate
-from fieldgrid.recording import DriveOptions, Recording, StereoFrame, open_recording
-from fieldgrid.rotations import Tilt
-from fieldgrid.settings import BuildSettings, resolve
-from fieldgrid.trajectory import Pose, Status
+from fieldgrid.live.kept.points_file import PointsFile, packed
+from fieldgrid.live.kept.session_folder import SessionFolder
+from fieldgrid.live.pose.fixed_lag import FixedLagSmoother, pose_at, unknown_pose
+from fieldgrid.live.pose.running_tilt import KEPT_NS, RunningTilt
+from fieldgrid.live.pose.sensor_rows import PARTS, Rows
+from fieldgrid.perception import CameraStep, CodedDepth, LocalGridder
+from fieldgrid.pipeline import convert_recording, estimate_drive, visual_odometry
+from fieldgrid.poses import Attitude, Estimate
+from fieldgrid.recordings import DriveOptions, Recording, StereoFrame, open_recording
 
 SHARED = EXAMPLE.parents[2] / "shared" / "data"
 KITTI = SHARED / "kitti_2011_09_30_drive_0020" / "2011_09_30" / "2011_09_30_drive_0020_sync"

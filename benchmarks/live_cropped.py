@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fieldgrid.array_types import Int64
+from fieldgrid.core import Int64
 from fieldgrid.live.pushed import PushedImage
-from fieldgrid.recording import Frame, Recording, StereoFrame
+from fieldgrid.recordings import Frame, Recording, StereoFrame
 
 PIXELS = 640 * 480
 

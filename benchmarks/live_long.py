@@ -21,12 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.fixes import Fix
-from fieldgrid.geodesy import Datum
+from fieldgrid.core import BuildSettings, Quality
+from fieldgrid.geometry import Datum, DepthCamera, Fix, LeverArm, Mount, Rig
 from fieldgrid.live import Live, LiveGrid, LiveResult
-from fieldgrid.quality import Quality
-from fieldgrid.rig import DepthCamera, LeverArm, Mount, Rig
-from fieldgrid.settings import BuildSettings
 
 DATUM = Datum(41.65, -4.72, 787.4)
 RIG = Rig(

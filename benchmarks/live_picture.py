@@ -15,9 +15,8 @@ from pathlib import Path
 from playwright.sync_api import sync_playwright
 
 from benchmarks import EXAMPLE
-from fieldgrid.live import Live, LivePose, LiveResult, replay
-from fieldgrid.live_servers import LivePage
-from fieldgrid.recording import open_recording
+from fieldgrid.live import Live, LivePage, LivePose, LiveResult, replay
+from fieldgrid.recordings import open_recording
 from tests.view.browsing import CHROMIUM_FLAGS, chromium
 
 _SETTLED = 30

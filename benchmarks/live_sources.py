@@ -16,14 +16,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks import EXAMPLE
-from fieldgrid.costmap import Costmap
-from fieldgrid.fixes import FixColumns
-from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import Lattice, Window
+from fieldgrid.geometry import Datum, FixColumns, Lattice, Window
 from fieldgrid.live import LiveWindow, ReceiverStream, WindowDoubt
-from fieldgrid.live.feed import encode_window
-from fieldgrid.mapfile import MapView
-from fieldgrid.recording.growing import open_growing
+from fieldgrid.live.servers.feed import encode_window
+from fieldgrid.maps import Costmap, MapView
+from fieldgrid.recordings import open_growing
 
 RUNS = 21
 FIRST_NS, EVERY_NS = 1_308_133_815_000_000_000, 100_000_000

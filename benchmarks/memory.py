@@ -17,7 +17,7 @@ from pathlib import Path
 
 from benchmarks.lasting import Line
 from benchmarks.peak import Used, used_by
-from fieldgrid.mapfile import open_map
+from fieldgrid.maps import open_map
 
 _RUN = "import sys; from fieldgrid.cli import main; main()"
 _COSTMAP = """
@@ -27,7 +27,7 @@ with fg.open_map(sys.argv[1]) as m: fg.Costmap.from_map(m)
 
 _OUTLINES = """
 import sys, fieldgrid as fg
-from fieldgrid.export.obstacles import trace_obstacles
+from fieldgrid.export.shapes.obstacles import trace_obstacles
 from fieldgrid.export.options import ShapeOptions
 with fg.open_map(sys.argv[1]) as m, m.read_blocks(layers=m.deciding(None)) as blocks:
     list(trace_obstacles(blocks.views, ShapeOptions(min_area_m2=1e8)))

@@ -18,9 +18,9 @@ import numpy as np
 from benchmarks.fields import Array
 from benchmarks.planting import Planting, Sight, seen_view
 from benchmarks.rows import match
-from fieldgrid.polyline import lengths, project
-from fieldgrid.rows import Planting as Found
-from fieldgrid.rows import rows_of_view
+from fieldgrid.field import Planting as Found
+from fieldgrid.field.rows.find import rows_of_view
+from fieldgrid.geometry import lengths, project
 
 SHARES = (0.05, 0.15, 0.3, 0.4)
 LEAST_M = 1.5

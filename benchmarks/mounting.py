@@ -17,10 +17,11 @@ import numpy as np
 from benchmarks import EXAMPLE
 from benchmarks.odometry import ROAD, ROAD_FIRST
 from benchmarks.rectified import VINEYARD
-from fieldgrid.mounting import MeasuredValue, MountEstimate, estimate_mount
-from fieldgrid.recording import Recording, open_recording
-from fieldgrid.rig import Mount
-from tests.mounting.drives import MemoryFrames, rendered
+from fieldgrid.core import MeasuredValue
+from fieldgrid.geometry import Mount
+from fieldgrid.pipeline import MountEstimate, estimate_mount
+from fieldgrid.recordings import Recording, open_recording
+from tests.pipeline.mounting.drives import MemoryFrames, rendered
 
 LANES = ("lane_1", "lane_2")
 """Segments of the example; between them are the headlands."""

@@ -17,14 +17,18 @@ from scipy import ndimage
 
 from benchmarks.changes import EARLY, LATE, RTK, SF1, build
 from benchmarks.heading_scores import DATA
-from fieldgrid.array_types import Bool
-from fieldgrid.grids import LocalGrid
-from fieldgrid.lattice import Lattice, Window
-from fieldgrid.layers import GROUPS, FrameCells
-from fieldgrid.layers.window import WindowFold
-from fieldgrid.mapfile import open_map
-from fieldgrid.trajectory import Pose
-from fieldgrid.transfer import Transfer, footprint, land, to_universal
+from fieldgrid.core import Bool
+from fieldgrid.geometry import Lattice, LocalGrid, Pose, Window
+from fieldgrid.maps import (
+    GROUPS,
+    FrameCells,
+    Transfer,
+    WindowFold,
+    footprint,
+    land,
+    open_map,
+    to_universal,
+)
 
 DRIVES = (
     (EARLY, RTK),

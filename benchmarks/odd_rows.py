@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.fields import Array
 from benchmarks.planting import Planting, Sight, seen_view
 from benchmarks.rows import match
-from fieldgrid.rows import rows_of_view
+from fieldgrid.field.rows.find import rows_of_view
 
 
 class Size(NamedTuple):

@@ -18,12 +18,11 @@ import numpy.typing as npt
 
 from benchmarks import EXAMPLE
 from benchmarks.timing import paired_ms
-from fieldgrid.angles import wrap_deg
-from fieldgrid.odometry import CameraStep, Features, Refusal, features, step
-from fieldgrid.recording import Image, open_recording
-from fieldgrid.rig import Rig
-from fieldgrid.settings import StereoSettings
-from fieldgrid.stereo import make_matcher
+from fieldgrid.core import StereoSettings
+from fieldgrid.geometry import Rig, wrap_deg
+from fieldgrid.perception import CameraStep, Features, Refusal, features, step
+from fieldgrid.perception.stereo import make_matcher
+from fieldgrid.recordings import Image, open_recording
 
 ROAD = EXAMPLE.parents[2] / "shared" / "data" / "kitti_2011_09_30_drive_0020"
 ROAD_FIRST = 13

@@ -28,10 +28,10 @@ from benchmarks.damages import (
     report,
     without_images,
 )
-from fieldgrid.depth import depth_table
-from fieldgrid.recording import open_recording
-from fieldgrid.settings import StereoSettings
-from fieldgrid.stereo import SUBPIXELS, StereoMatcher, whole_image
+from fieldgrid.core import StereoSettings
+from fieldgrid.perception import SUBPIXELS, StereoMatcher, whole_image
+from fieldgrid.perception.depth import depth_table
+from fieldgrid.recordings import open_recording
 
 DISPARITIES, FARTHEST_M, STEP_PX = 128, 30.0, 2
 """What is searched, how far depths are stored, and every how many pixels of them are in a cloud."""

@@ -18,16 +18,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from fieldgrid.angles import wrap_deg
-from fieldgrid.build import estimate_trajectory, local_grid
-from fieldgrid.figures.drives import draw_heading, draw_trajectory, drives_of
-from fieldgrid.figures.grid import draw_grid
-from fieldgrid.grids import LocalGrid
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import MapFile, open_map
-from fieldgrid.recording import Recording, open_recording
-from fieldgrid.settings import BuildSettings
-from fieldgrid.trajectory import Status, Trajectory
+from fieldgrid.core import BuildSettings
+from fieldgrid.export.figures.drives import draw_heading, draw_trajectory, drives_of
+from fieldgrid.export.figures.grid import draw_grid
+from fieldgrid.geometry import Bounds, LocalGrid, Status, Trajectory, wrap_deg
+from fieldgrid.maps import MapFile, open_map
+from fieldgrid.pipeline import estimate_trajectory, local_grid
+from fieldgrid.recordings import Recording, open_recording
 
 DPI = 90
 FINE_M, COARSE_M = 0.05, 0.25

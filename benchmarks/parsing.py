@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from benchmarks.sentences import checksum
 from benchmarks.timing import paired_ms
-from fieldgrid.gnss import parse_nmea
+from fieldgrid.poses.gnss.nmea import parse_nmea
 
 _EPOCHS = 10_000
 _CHUNK = 1 << 16

@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import Bounds, Lattice
-from fieldgrid.mapfile.view import MapView
+from fieldgrid.geometry import Bounds, Datum, Lattice
+from fieldgrid.maps import MapView
 
 Array = npt.NDArray[np.float64]
 DATUM = Datum(41.65, -4.72, 787.4)

@@ -18,14 +18,14 @@ import numpy as np
 
 from benchmarks import EXAMPLE
 from benchmarks.align import LATER, SLOPE, Placed, built, displaced, frames_of, map_of
-from fieldgrid.align import MapAlignment, align_map, pairs, score
-from fieldgrid.align.alignment import FINE_M, FINE_REACH_M
-from fieldgrid.align.pairs import overlapping, placed
-from fieldgrid.align.score import SubmapCorrelator, peak
-from fieldgrid.align.submaps import cut, draw
-from fieldgrid.lattice import Lattice
-from fieldgrid.mapfile import FrameRecord, MapFile, Transform, open_map
-from fieldgrid.mapfile.corrections import Wander
+from fieldgrid.field import MapAlignment, align_map
+from fieldgrid.field.align import pairs, score
+from fieldgrid.field.align.alignment import FINE_M, FINE_REACH_M
+from fieldgrid.field.align.pairs import overlapping, placed
+from fieldgrid.field.align.score import SubmapCorrelator, peak
+from fieldgrid.field.align.submaps import cut, draw
+from fieldgrid.geometry import Lattice
+from fieldgrid.maps import FrameRecord, MapFile, Transform, Wander, open_map
 
 STATED_M = 0.27
 """What poses of the rendered decimetre logs state."""

@@ -28,11 +28,9 @@ import fieldgrid
 from benchmarks import EXAMPLE
 from benchmarks.lasting import Line, add
 from benchmarks.synthetic import DATUM, full_grid, real_grids, rows
-from fieldgrid.grids import GridSpec
-from fieldgrid.lattice import Lattice
-from fieldgrid.mapfile import create_map, open_map
-from fieldgrid.trajectory import Pose
-from fieldgrid.transfer import MeanFold, footprint
+from fieldgrid.geometry import GridSpec, Lattice, Pose
+from fieldgrid.maps import create_map, footprint, open_map
+from fieldgrid.maps.transfer import MeanFold
 
 SESSIONS, PROFILED = 200, 30
 SOURCE = os.path.join(os.path.dirname(fieldgrid.__file__), "")
@@ -140,7 +138,7 @@ def profile_fold() -> Iterator[Line]:
 def profile_start() -> Iterator[Line]:
     """Of a process of its own, by what Python says of its imports."""
     program = (
-        "import time; start = time.perf_counter(); import fieldgrid.cli.build, fieldgrid.build; "
+        "import time; start = time.perf_counter(); import fieldgrid.cli.commands.build, fieldgrid.pipeline; "
         "imported = time.perf_counter(); import fieldgrid.cli; fieldgrid.cli.app({words}, "
         "standalone_mode=False); print('took', imported - start, time.perf_counter() - imported)"
     )

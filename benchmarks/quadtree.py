@@ -23,16 +23,12 @@ from matplotlib.patches import Rectangle
 from benchmarks import EXAMPLE
 from benchmarks.hills import KITTI, SLOPE
 from benchmarks.timing import paired_ms
-from fieldgrid.build import build_map
-from fieldgrid.costmap import Costmap
-from fieldgrid.figures.grid import draw_grid
-from fieldgrid.lattice import Bounds
-from fieldgrid.layers import LAYERS
-from fieldgrid.mapfile import MapFile, open_map
-from fieldgrid.palette import UNSEEN
-from fieldgrid.quadtree import Near, Quadtree
-from fieldgrid.recording import DriveOptions
-from fieldgrid.settings import BuildSettings
+from fieldgrid.core import UNSEEN, BuildSettings
+from fieldgrid.export.figures.grid import draw_grid
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import LAYERS, Costmap, MapFile, Near, Quadtree, open_map
+from fieldgrid.pipeline import build_map
+from fieldgrid.recordings import DriveOptions
 
 DRIVES = ((EXAMPLE, "gnss_rtk.nmea"), (SLOPE, "gnss_rtk.nmea"), (KITTI, None))
 LOSSES = (0.0, 16.0, 32.0, 255.0)

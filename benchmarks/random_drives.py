@@ -21,16 +21,20 @@ import numpy as np
 from benchmarks.heading_scores import percent
 from benchmarks.heading_stops import MACHINES, work
 from benchmarks.variations import THREE_SIGMA_2D
-from fieldgrid.angles import wrap_deg
-from fieldgrid.array_types import Float64
-from fieldgrid.errors import GnssError
-from fieldgrid.fixes import FixColumns
-from fieldgrid.motion import Motion, Steps, WheelSpeed
-from fieldgrid.pose import UnseenFault, estimate_poses
-from fieldgrid.pose.report import NO_AXLE
-from fieldgrid.pose.unseen import SLOW_ERRORS
-from fieldgrid.quality import Quality
-from fieldgrid.rig import LeverArm, Lidar, Mount, Rig
+from fieldgrid.core import Float64, GnssError, Quality
+from fieldgrid.geometry import (
+    FixColumns,
+    LeverArm,
+    Lidar,
+    Motion,
+    Mount,
+    Rig,
+    Steps,
+    WheelSpeed,
+    wrap_deg,
+)
+from fieldgrid.poses import NO_AXLE, SLOW_ERRORS, estimate_poses
+from fieldgrid.poses.faults.unseen import UnseenFault
 from tests.simulated import DATUM, Command, Drive, gyro_of, simulate, steps_of, time_ns
 
 MOST_BEYOND = 0.05

@@ -25,11 +25,11 @@ from benchmarks import EXAMPLE
 from benchmarks.long_drive import write_long_drive
 from benchmarks.peak import peak_mb
 from benchmarks.rectified import VINEYARD, raw_drive
-from fieldgrid.localgrid import LocalGridder
-from fieldgrid.recording import Recording, open_recording
-from fieldgrid.recording.files import parse_time_ns
-from tests.recording import bags
-from tests.recording.test_euroc import table, write_euroc
+from fieldgrid.perception import LocalGridder
+from fieldgrid.recordings import Recording, open_recording
+from fieldgrid.recordings.files import parse_time_ns
+from tests.recordings import bags
+from tests.recordings.test_euroc import table, write_euroc
 
 LOG = "gnss_rtk.nmea"
 RUNS = 3

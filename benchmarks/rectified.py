@@ -19,13 +19,14 @@ import cv2
 import numpy as np
 
 from benchmarks.heading_scores import DATA
-from fieldgrid.build import perceive, session_config
-from fieldgrid.evaluation import GroupScores, evaluate, read_truth
-from fieldgrid.localgrid import LocalGridder
-from fieldgrid.mapfile import create_map, open_map
-from fieldgrid.recording import Image, Recording, StereoFrame, open_recording
-from fieldgrid.settings import BuildSettings
-from fieldgrid.trajectory import Pose
+from fieldgrid.core import BuildSettings
+from fieldgrid.field import GroupScores, evaluate, read_truth
+from fieldgrid.geometry import Pose
+from fieldgrid.maps import create_map, open_map
+from fieldgrid.perception import LocalGridder
+from fieldgrid.pipeline.session import session_config
+from fieldgrid.pipeline.staging.perception import perceive
+from fieldgrid.recordings import Image, Recording, StereoFrame, open_recording
 
 VINEYARD = DATA / "vineyard_two_lanes"
 CALIBRATION = VINEYARD / "calibration" / "stereo_raw_opencv.yaml"

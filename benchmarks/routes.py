@@ -18,14 +18,14 @@ import cv2
 import numpy as np
 
 from benchmarks.planting import DATUM
-from fieldgrid.cost import CostCurve
-from fieldgrid.errors import NoRouteError
-from fieldgrid.lattice import Lattice, Window
-from fieldgrid.mapfile import MapView
-from fieldgrid.route import Route, Vehicle, route_in_view
-from fieldgrid.route.ground import Ground
-from fieldgrid.route.search import Searcher, SearchPose
-from fieldgrid.route.verify import find_fault
+from fieldgrid.core import NoRouteError
+from fieldgrid.field import Route, Vehicle
+from fieldgrid.field.route.ground import Ground
+from fieldgrid.field.route.plan import route_in_view
+from fieldgrid.field.route.search import Searcher, SearchPose
+from fieldgrid.field.route.verify import find_fault
+from fieldgrid.geometry import Lattice, Window
+from fieldgrid.maps import CostCurve, MapView
 
 
 class Task(NamedTuple):

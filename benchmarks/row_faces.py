@@ -18,9 +18,8 @@ import numpy as np
 
 from benchmarks import EXAMPLE
 from benchmarks.align import LATER, SLOPE, built, frames_of, pose_errors
-from fieldgrid.array_types import Float64
-from fieldgrid.mapfile import open_map
-from fieldgrid.transfer import to_universal
+from fieldgrid.core import Float64
+from fieldgrid.maps import open_map, to_universal
 
 OBSTACLE, BESIDE_M, FEWEST = 100, 0.9, 30
 """Cells of so much density, so near the middle between the lanes, are of the row; a part of it is

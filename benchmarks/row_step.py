@@ -19,12 +19,11 @@ from scipy.ndimage import distance_transform_edt
 from benchmarks import EXAMPLE
 from benchmarks.align import LATER, ROAD, SLOPE
 from benchmarks.damages import seen
-from fieldgrid.array_types import Bool, UInt8
-from fieldgrid.build import build_map
-from fieldgrid.evaluation import evaluate, read_truth
-from fieldgrid.mapfile import MapView, open_map
-from fieldgrid.recording import DriveOptions
-from fieldgrid.settings import resolve
+from fieldgrid.core import Bool, UInt8, resolve
+from fieldgrid.field import evaluate, read_truth
+from fieldgrid.maps import MapView, open_map
+from fieldgrid.pipeline import build_map
+from fieldgrid.recordings import DriveOptions
 
 OBSTACLE_ABOVE = 100
 """Densities above this are obstacles."""

@@ -27,15 +27,14 @@ from benchmarks.fields import (
 )
 from benchmarks.heading_scores import DATA
 from benchmarks.planting import Planting, Sight, seen_view
-from fieldgrid.build import build_map
-from fieldgrid.evidence import OBSTACLE, Evidence
-from fieldgrid.mapfile import open_map
-from fieldgrid.polyline import lengths, project, resampled
-from fieldgrid.recording import DriveOptions
-from fieldgrid.rows import Planting as Found
-from fieldgrid.rows import find_rows, rows_of_view
-from fieldgrid.rows.segments import thinned
-from fieldgrid.settings import BuildSettings
+from fieldgrid.core import BuildSettings
+from fieldgrid.field import Planting as Found, find_rows
+from fieldgrid.field.rows.find import rows_of_view
+from fieldgrid.field.rows.segments import thinned
+from fieldgrid.geometry import lengths, project, resampled
+from fieldgrid.maps import OBSTACLE, Evidence, open_map
+from fieldgrid.pipeline import build_map
+from fieldgrid.recordings import DriveOptions
 
 DRIVES = ("vineyard_two_lanes", "vineyard_two_lanes_later", "vineyard_slope")
 SEEDS = range(3)

@@ -11,8 +11,8 @@ import time
 from pathlib import Path
 
 from benchmarks.peak import peak_mb
-from fieldgrid.build import build_map
-from fieldgrid.settings import resolve
+from fieldgrid.core import resolve
+from fieldgrid.pipeline import build_map
 
 if __name__ == "__main__":
     start = time.perf_counter()

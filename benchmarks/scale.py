@@ -15,8 +15,8 @@ from pathlib import Path
 from benchmarks.lasting import Line
 from benchmarks.synthetic import DATUM, pose_at, real_grids
 from benchmarks.timing import timed_s
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import create_map, open_map
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import create_map, open_map
 
 SESSIONS = (1, 10, 100, 1000)
 _RUNS = 7

@@ -17,8 +17,8 @@ import numpy as np
 from benchmarks.fields import Array
 from benchmarks.planting import Planting, Sight, seen_view
 from benchmarks.rows import match, offsets
-from fieldgrid.polyline import lengths, project
-from fieldgrid.rows import rows_of_view
+from fieldgrid.field.rows.find import rows_of_view
+from fieldgrid.geometry import lengths, project
 
 
 class Kind(NamedTuple):

@@ -14,12 +14,12 @@ import numpy as np
 
 from benchmarks.heading_honesty import RENDERED
 from benchmarks.heading_scores import DATA
-from fieldgrid.build.camera_scale import camera_scale
-from fieldgrid.build.perception import visual_odometry
-from fieldgrid.errors import FieldgridError
-from fieldgrid.motion import Motion
-from fieldgrid.pose import estimate_poses
-from fieldgrid.recording import open_recording
+from fieldgrid.core import FieldgridError
+from fieldgrid.geometry import Motion
+from fieldgrid.pipeline import visual_odometry
+from fieldgrid.pipeline.checks.camera_scale import camera_scale
+from fieldgrid.poses import estimate_poses
+from fieldgrid.recordings import open_recording
 
 SEED, STRETCHES = 5, 40
 DENIALS = (

@@ -9,12 +9,10 @@ from functools import lru_cache
 import numpy as np
 
 from benchmarks import EXAMPLE
-from fieldgrid.build import perceive
-from fieldgrid.geodesy import Datum
-from fieldgrid.grids import GridSpec, LocalGrid
-from fieldgrid.localgrid import LocalGridder
-from fieldgrid.recording import open_recording
-from fieldgrid.trajectory import Pose
+from fieldgrid.geometry import Datum, GridSpec, LocalGrid, Pose
+from fieldgrid.perception import LocalGridder
+from fieldgrid.pipeline.staging.perception import perceive
+from fieldgrid.recordings import open_recording
 
 DATUM = Datum(41.65, -4.72, 787.4)
 START_NS = 1_780_272_000_000_000_000

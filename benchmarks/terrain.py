@@ -12,15 +12,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Float64
-from fieldgrid.grids import GROUND_CHANNEL, GridSpec, LocalGrid
-from fieldgrid.lattice import Lattice, Window
-from fieldgrid.layers import GROUPS, LAYERS, Cells, FrameCells, groups_of
-from fieldgrid.layers.blocks import COLUMN_BITS, block_points, block_side, blocks_under
-from fieldgrid.layers.ground import halvings
-from fieldgrid.layers.window import WindowFold, merge_sessions, with_overviews
-from fieldgrid.trajectory import Pose
-from fieldgrid.transfer import Transfer, to_universal
+from fieldgrid.core import Float64
+from fieldgrid.geometry import GROUND_CHANNEL, GridSpec, Lattice, LocalGrid, Pose, Window
+from fieldgrid.maps import (
+    GROUPS,
+    LAYERS,
+    Cells,
+    FrameCells,
+    Transfer,
+    WindowFold,
+    groups_of,
+    to_universal,
+)
+from fieldgrid.maps.layers.blocks import COLUMN_BITS, block_points, block_side, blocks_under
+from fieldgrid.maps.layers.built_in.ground import halvings
+from fieldgrid.maps.layers.window import merge_sessions, with_overviews
 
 SPEC = GridSpec(width_m=6.0, length_m=10.0, cell_m=0.1)
 LATTICE, WINDOW = Lattice(0.1), Window(-60, 0, 120, 320)

@@ -20,15 +20,13 @@ import numpy.typing as npt
 
 from benchmarks.peak import used_by
 from benchmarks.sentences import checksum
-from fieldgrid.geodesy import Datum
-from fieldgrid.gnss import condition
-from fieldgrid.pose import estimate_poses
-from fieldgrid.recording import open_drive
-from fieldgrid.recording.logs import read_fix_log
-from fieldgrid.recording.motion_files import read_motion
-from fieldgrid.rig import LeverArm
-from fieldgrid.settings import PoseSettings
-from fieldgrid.track import summarise_track, write_track
+from fieldgrid.core import PoseSettings
+from fieldgrid.geometry import Datum, LeverArm
+from fieldgrid.poses import estimate_poses, summarise_track, write_track
+from fieldgrid.poses.gates.conditioning import condition
+from fieldgrid.recordings import open_drive
+from fieldgrid.recordings.tables.logs import read_fix_log
+from fieldgrid.recordings.tables.motion_files import read_motion
 from tests.scenes import paper_rig
 
 _Float64 = npt.NDArray[np.float64]

@@ -28,11 +28,11 @@ import shapely.affinity
 
 from benchmarks.coverage import points_on_barred, random_vehicle
 from benchmarks.planting import DATUM
-from fieldgrid.coverage import Coverage, Tracks, coverage_in_view
-from fieldgrid.errors import NoRouteError
-from fieldgrid.lattice import Lattice, Window
-from fieldgrid.mapfile import MapView
-from fieldgrid.route import Vehicle
+from fieldgrid.core import NoRouteError
+from fieldgrid.field import Coverage, Tracks, Vehicle
+from fieldgrid.field.coverage.plan import coverage_in_view
+from fieldgrid.geometry import Lattice, Window
+from fieldgrid.maps import MapView
 
 _CELL_M = 0.2
 

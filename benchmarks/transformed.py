@@ -19,18 +19,10 @@ from benchmarks import heading_road, heading_tractor
 from benchmarks.heading_honesty import RENDERED
 from benchmarks.heading_scores import DATA, circular_median_deg, make_fixes, percent, poses_at
 from benchmarks.variations import THREE_SIGMA_2D, read_truth
-from fieldgrid.angles import wrap_deg
-from fieldgrid.array_types import Float64, Int64
-from fieldgrid.choices import GearName
-from fieldgrid.errors import FieldgridError
-from fieldgrid.fixes import FixColumns
-from fieldgrid.geodesy import Datum
-from fieldgrid.motion import Gyro, Motion
-from fieldgrid.pose import estimate_poses
-from fieldgrid.quality import Quality
-from fieldgrid.recording import open_recording
-from fieldgrid.rig import Rig
-from fieldgrid.settings import PoseSettings
+from fieldgrid.core import FieldgridError, Float64, GearName, Int64, PoseSettings, Quality
+from fieldgrid.geometry import Datum, FixColumns, Gyro, Motion, Rig, wrap_deg
+from fieldgrid.poses import estimate_poses
+from fieldgrid.recordings import open_recording
 from tests.simulated import DATUM, fixes_of, gyro_of, pivoting
 
 SECOND = 1_000_000_000

@@ -18,16 +18,10 @@ import numpy as np
 
 from benchmarks.heading_honesty import RENDERED
 from benchmarks.heading_scores import DATA, numbers, percent, poses_at, table
-from fieldgrid.angles import wrap_deg
-from fieldgrid.array_types import Float64, Int64
-from fieldgrid.errors import FieldgridError
-from fieldgrid.fixes import FixColumns
-from fieldgrid.geodesy import Datum
-from fieldgrid.motion import Motion
-from fieldgrid.pose import estimate_poses
-from fieldgrid.quality import Quality
-from fieldgrid.recording import open_recording
-from fieldgrid.rig import Rig
+from fieldgrid.core import FieldgridError, Float64, Int64, Quality
+from fieldgrid.geometry import Datum, FixColumns, Motion, Rig, wrap_deg
+from fieldgrid.poses import estimate_poses
+from fieldgrid.recordings import open_recording
 
 SEED = 7
 

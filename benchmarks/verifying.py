@@ -16,8 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from fieldgrid.mapfile import MapFile, open_map
-from tests.mapfile.maps import drive, write_map
+from fieldgrid.maps import MapFile, open_map
+from tests.maps.file.maps import drive, write_map
 
 FRAMES, MANY = 200, 1000
 RUNS = 5

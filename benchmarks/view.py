@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from fieldgrid.mapfile import open_map
+from fieldgrid.maps import open_map
 
 TILES, CLICKS, FIRST_TILES = 200, 40, 20
 SEED = 17
@@ -132,7 +132,7 @@ def clicks(path: Path) -> list[str]:
 def while_appending(path: Path, ask: Callable[[], None]) -> None:
     """Ask while another process adds a session, then take it out."""
     program = (
-        "import sys\nfrom dataclasses import replace\nfrom fieldgrid.mapfile import open_map\n"
+        "import sys\nfrom dataclasses import replace\nfrom fieldgrid.maps import open_map\n"
         "with open_map(sys.argv[1], writable=True) as m:\n"
         "    frames = [f for f, _ in zip(m.frames(with_grid=True), range(300))]\n"
         "    with m.add_session(sys.argv[2]) as s:\n"

@@ -32,12 +32,10 @@ from sensor_msgs.msg import CameraInfo, Image, NavSatFix
 from std_msgs.msg import String
 
 import fieldgrid as fg
-from fieldgrid.fixes import Fix
+from fieldgrid.geometry import Fix, LeverArm, Mount, Rig, Status
 from fieldgrid.live import LiveEvent, LiveWindow
-from fieldgrid.rectify import camera_from_projections
-from fieldgrid.rig import LeverArm, Mount, Rig
-from fieldgrid.ros.gnss import quality_of
-from fieldgrid.trajectory import Status
+from fieldgrid.perception import camera_from_projections
+from fieldgrid.recordings import quality_of
 
 NANO = 1_000_000_000
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -17,7 +17,7 @@ def _with_kernels() -> list[str]:
     return [
         ".".join(("fieldgrid", *path.relative_to(_SOURCES).with_suffix("").parts))
         for path in _SOURCES.rglob("*.py")
-        if "fieldgrid.kernel import" in path.read_text(encoding="utf-8")
+        if "fieldgrid.core.kernels import" in path.read_text(encoding="utf-8")
     ]
 
 

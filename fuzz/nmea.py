@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import re
 
-from fieldgrid.errors import GnssError
-from fieldgrid.fixes import Fix
-from fieldgrid.gnss import NmeaStream, parse_nmea
-from fieldgrid.gnss.fields import checksums
-from fieldgrid.gnss.nmea_framing import unicore_crc
+from fieldgrid.core import GnssError
+from fieldgrid.geometry import Fix
+from fieldgrid.poses import NmeaStream
+from fieldgrid.poses.gnss.fields import checksums
+from fieldgrid.poses.gnss.nmea import parse_nmea, unicore_crc
 from fuzz.target import Target, real_starts
 
 _SENTENCES = b"""\

@@ -9,16 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Float32
-from fieldgrid.errors import FieldgridError
-from fieldgrid.recording import DriveOptions, Frame, Image, Mounting, Recording, open_drive
-from fieldgrid.rig import LeverArm, Mount
-from fieldgrid.sweep import Sweep
+from fieldgrid.core import FieldgridError, Float32
+from fieldgrid.geometry import LeverArm, Mount
+from fieldgrid.perception import Sweep
+from fieldgrid.recordings import DriveOptions, Frame, Image, Mounting, Recording, open_drive
 from fuzz.target import Target, check_sentence, written
 from fuzz.targets_ros import mend_mcap
-from tests.recording import bags
-from tests.recording.bags import Container, Maker, Said
-from tests.recording.test_packed_depth import config, png, rvl
+from tests.recordings import bags
+from tests.recordings.bags import Container, Maker, Said
+from tests.recordings.test_packed_depth import config, png, rvl
 
 _UTC = 1_700_000_000_000_000_000
 _STEP = 100_000_000

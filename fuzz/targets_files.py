@@ -13,26 +13,20 @@ import cv2
 import laspy
 import numpy as np
 
-from fieldgrid.documents import parse_json, parse_toml
-from fieldgrid.errors import FieldgridError
-from fieldgrid.evaluation.survey import read_survey
-from fieldgrid.geodesy import Datum
-from fieldgrid.mapfile.marks import marks_of_geojson
-from fieldgrid.recording.calibration_kalibr import read_kalibr
-from fieldgrid.recording.calibration_opencv import read_opencv
-from fieldgrid.recording.calibration_ros import read_ros_camera
-from fieldgrid.recording.cloud_files import CloudFile
-from fieldgrid.recording.depth_files import decode_depth_image
-from fieldgrid.recording.gear_file import read_gear_spans
-from fieldgrid.recording.image_header import read_header
-from fieldgrid.recording.images import decode_image
-from fieldgrid.recording.mounting import read_mounting
-from fieldgrid.recording.npy import parse_npy
-from fieldgrid.recording.pose_files import read_pose_file
-from fieldgrid.recording.settings_file import read_settings
-from fieldgrid.route.vehicle import read_vehicle
-from fieldgrid.settings.resolve import resolve
-from fieldgrid.vectors import read_shapes
+from fieldgrid.core import FieldgridError, parse_json, parse_toml, resolve
+from fieldgrid.field import read_survey, read_vehicle
+from fieldgrid.geometry import Datum, read_shapes
+from fieldgrid.maps import marks_of_geojson
+from fieldgrid.recordings import CloudFile, read_gear_spans, read_mounting
+from fieldgrid.recordings.calibration.kalibr import read_kalibr
+from fieldgrid.recordings.calibration.opencv import read_opencv
+from fieldgrid.recordings.calibration.ros import read_ros_camera
+from fieldgrid.recordings.formats.settings_file import read_settings
+from fieldgrid.recordings.frames.depth_files import decode_depth_image
+from fieldgrid.recordings.frames.image_header import read_header
+from fieldgrid.recordings.frames.images import decode_image
+from fieldgrid.recordings.frames.npy import parse_npy
+from fieldgrid.recordings.poses.pose_files import read_pose_file
 from fuzz.target import Target, check_sentence, written
 
 _DATUM = Datum(41.65, -4.72, 787.4)

@@ -6,10 +6,11 @@ import math
 import re
 import struct
 
-from fieldgrid.errors import FieldgridError
-from fieldgrid.fixes import Fix
-from fieldgrid.gnss.ubx import UbxParser, parse_ubx
-from fieldgrid.recording.logs import read_fix_log
+from fieldgrid.core import FieldgridError
+from fieldgrid.geometry import Fix
+from fieldgrid.poses import UbxParser
+from fieldgrid.poses.gnss.ubx import parse_ubx
+from fieldgrid.recordings.tables.logs import read_fix_log
 from fuzz.target import Target, real_starts, written
 
 _UBX_KINDS = ((1, 4, 18), (1, 7, 92), (1, 0x14, 36), (1, 0x3C, 64), (1, 0x61, 4))

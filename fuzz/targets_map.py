@@ -12,20 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.errors import FieldgridError
-from fieldgrid.geodesy import Datum
-from fieldgrid.grids import GridSpec, LocalGrid
-from fieldgrid.layers import GROUPS
-from fieldgrid.live.journal import Journal, read_journal
-from fieldgrid.live.points_file import _MARK, _RECORD, PointsFile
-from fieldgrid.mapfile import create_map, journal_file, open_map
-from fieldgrid.mapfile.codec import BITS, decode_channel
-from fieldgrid.mapfile.geometry import decode_rings, encode_point, encode_polygon
-from fieldgrid.mapfile.png import decode_png, encode_png
-from fieldgrid.mapfile.tile_codec import Expectation, decode_tile, stored_channels
-from fieldgrid.mapfile.transform import transform_of
-from fieldgrid.sweep import Sweep
-from fieldgrid.trajectory import Pose, Status
+from fieldgrid.core import FieldgridError
+from fieldgrid.geometry import Datum, GridSpec, LocalGrid, Pose, Status
+from fieldgrid.live.kept.journal import Journal, read_journal
+from fieldgrid.live.kept.points_file import _MARK, _RECORD, PointsFile
+from fieldgrid.maps import GROUPS, create_map, encode_png, open_map, transform_of
+from fieldgrid.maps.file.codec import BITS, decode_channel
+from fieldgrid.maps.file.geometry import decode_rings, encode_point, encode_polygon
+from fieldgrid.maps.health import journal_file
+from fieldgrid.maps.tiles.png import decode_png
+from fieldgrid.maps.tiles.tile_codec import Expectation, decode_tile, stored_channels
+from fieldgrid.perception import Sweep
 from fuzz.target import Target, check_sentence, written
 
 _DATUM = Datum(41.65, -4.72, 787.4)

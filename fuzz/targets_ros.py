@@ -11,8 +11,10 @@ from pathlib import Path
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 
-from fieldgrid.errors import RecordingError
-from fieldgrid.ros import decode, open_bag, types
+from fieldgrid.core import RecordingError
+from fieldgrid.recordings import decode
+from fieldgrid.recordings.ros.bag import open_bag
+from fieldgrid.recordings.ros.definitions import types
 from fuzz.target import Target, check_sentence, written
 
 _TYPE = "std_msgs/msg/Header"

@@ -18,7 +18,12 @@ WORKERS = 2
 def main() -> None:
     # A worker is a copy of a process that has imported all before, also in place of a killed one.
     multiprocessing.get_context("forkserver").set_forkserver_preload(
-        ["distributed", "fieldgrid.align", "fieldgrid.farm", "fieldgrid.rows"]
+        [
+            "distributed",
+            "fieldgrid.field.align.alignment",
+            "fieldgrid.maps.farm.farm",
+            "fieldgrid.field.rows.find",
+        ]
     )
     forkserver.ensure_running()
     import dask

@@ -17,8 +17,8 @@ from typing import Any
 
 import pytest
 
-from fieldgrid.workers.cluster import TaskResult
-from fieldgrid.workers.remote import OnCluster
+from fieldgrid.core import TaskResult
+from fieldgrid.core.workers.remote import OnCluster
 
 
 class Cluster:

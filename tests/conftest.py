@@ -21,13 +21,13 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from hypothesis import settings
 
-from fieldgrid.recording import DriveOptions
+from fieldgrid.recordings import DriveOptions
 from tests.once import RUN_FOLDER, made_once
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-    from fieldgrid.build import SessionReport
+    from fieldgrid.pipeline import SessionReport
     from tests.clusters import Cluster
 
 # The first example of a kernel compiles it, and the machine has other work: time says nothing here.
@@ -97,10 +97,10 @@ WHOLE_RUN = 1000
 
 def _compile_a_share() -> None:
     """Two workers compile what frames need and what poses need, one each, before both need all."""
+    from fieldgrid.core import BuildSettings
     from fieldgrid.live.pushed import warm_up
     from fieldgrid.live.warming import warm_up_poses
-    from fieldgrid.localgrid import LocalGridder
-    from fieldgrid.settings import BuildSettings
+    from fieldgrid.perception import LocalGridder
     from tests.scenes import paper_rig
 
     worker = os.environ.get("PYTEST_XDIST_WORKER")
@@ -173,8 +173,8 @@ def built_two_lanes(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ses
 
     It is made once, for all processes of the run: read it, or copy it.
     """
-    from fieldgrid.build import build_map
-    from fieldgrid.settings import BuildSettings
+    from fieldgrid.core import BuildSettings
+    from fieldgrid.pipeline import build_map
     from tests.remembered import worked_out_once
 
     def build(folder: Path) -> SessionReport:

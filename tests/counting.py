@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fieldgrid.array_types import Bool, Float32, Int16, Int32
-from fieldgrid.binning import LOWEST_M
-from fieldgrid.cloud import Cloud
+from fieldgrid.core import Bool, Float32, Int16, Int32
+from fieldgrid.perception.binning import LOWEST_M
+from fieldgrid.perception.cloud import Cloud
 
 
 def bin_pixels_reference(

@@ -2,7 +2,7 @@
 
 The vehicle's axle follows a drive of :mod:`tests.simulated`; the ground's height and slope under
 it, and a sway of its springs, give height, roll and pitch. Of the package only its records and the
-conventions of :mod:`fieldgrid.rotations` are used.
+conventions of `geometry.rotations` are used.
 """
 
 from __future__ import annotations
@@ -14,11 +14,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from fieldgrid.fixes import FixColumns
-from fieldgrid.motion import Gyro, Inertial, Motion, RecordedTilt, Steps
-from fieldgrid.rotations import (
+from fieldgrid.geometry import (
+    FixColumns,
+    Gyro,
+    Inertial,
+    Motion,
     R_enu_level,
     R_level_vehicle,
+    RecordedTilt,
+    Steps,
     from_vectors,
     heading_rad,
     roll_pitch_deg,

@@ -18,20 +18,22 @@ from typing import Any
 
 import pytest
 
-from fieldgrid import stereo
-from fieldgrid.attitude import estimate_attitude
-from fieldgrid.build import doubt, perception, poses, repose, staging
-from fieldgrid.inspection import frame_pass
+from fieldgrid.core import StereoSettings
 from fieldgrid.live import perceiver
-from fieldgrid.mounting import frame_probe
-from fieldgrid.odometry import features, step
-from fieldgrid.pose import clock_search, drive, estimate_poses, levelled
-from fieldgrid.recording import calibration, calibration_opencv, logs
-from fieldgrid.recording.calibration_yaml import load_yaml
-from fieldgrid.recording.stream_log import read_stream
-from fieldgrid.settings import StereoSettings
-from fieldgrid.smoother import refine, smooth
-from fieldgrid.vertical import vertical_shifts
+from fieldgrid.perception import features, step, stereo, vertical_shifts
+from fieldgrid.pipeline import poses, repose
+from fieldgrid.pipeline.checks import doubt
+from fieldgrid.pipeline.inspection import frame_pass
+from fieldgrid.pipeline.mounting import frame_probe
+from fieldgrid.pipeline.staging import perception, shares as staging
+from fieldgrid.poses import drive, estimate_poses, levelled
+from fieldgrid.poses.attitude.estimate import estimate_attitude
+from fieldgrid.poses.faults.clock import search as clock_search
+from fieldgrid.poses.smoother.batch import refine, smooth
+from fieldgrid.recordings.calibration import loading as calibration, opencv as calibration_opencv
+from fieldgrid.recordings.calibration.yaml_text import load_yaml
+from fieldgrid.recordings.tables import logs
+from fieldgrid.recordings.tables.stream_log import read_stream
 from tests.once import RUN_FOLDER
 
 KEPT_BYTES = 200 << 20

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.rig import DepthCamera, LeverArm, Lidar, Mount, Rig, StereoCamera
+from fieldgrid.geometry import DepthCamera, LeverArm, Lidar, Mount, Rig, StereoCamera
 
 _Float64 = npt.NDArray[np.float64]
 

@@ -13,11 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.angles import wrap_deg
-from fieldgrid.fixes import FixColumns
-from fieldgrid.geodesy import Datum
-from fieldgrid.motion import Gyro, Steps
-from fieldgrid.rig import LeverArm
+from fieldgrid.geometry import Datum, FixColumns, Gyro, LeverArm, Steps, wrap_deg
 
 _Float64 = npt.NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Which part of the package may use which, and what no file may contain."""
+"""Twelve rooms, what each may use of the others, and what no file may contain."""
 
 from __future__ import annotations
 
@@ -6,75 +6,42 @@ import ast
 import re
 import subprocess
 from collections.abc import Iterator
-from fnmatch import fnmatch
+from graphlib import CycleError, TopologicalSorter
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "fieldgrid"
+SOURCE = ROOT / "src" / PACKAGE
 
-# A room is a module or a package directly under `fieldgrid`. A room may import rooms of
-# the layers above its own line, never one of its own line or below.
-LAYERS = (
-    ("array_types", "choices", "closing", "file_locks", "limits", "version"),
-    (
-        *("documents", "errors", "quality", "geodesy", "angles", "rotations", "kernel", "palette"),
-        *("plane_fit", "plugins", "publish", "measured", "reasons", "utc"),
-    ),
-    ("lon_lat", "notebook", "settings", "workers"),
-    (
-        "fixes",
-        "lattice",
-        "rig",
-        "trajectory",
-        "grids",
-        "motion",
-        "qgis",
-        "polyline",
-        "curves",
-        "vectors",
-    ),
-    ("cloud", "depth", "edges", "lens", "sweep", "travel"),
-    (
-        "gnss",
-        "course",
-        "gear",
-        "smoother",
-        "stereo",
-        "vertical",
-        "odometry",
-        "ground",
-        "binning",
-        "standing",
-        "transfer",
-        "rectify",
-        "ros",
-    ),
-    ("attitude", "frame_ground"),
-    ("pose", "localgrid", "recording", "layers", "cost"),
-    ("mapfile", "track_formats"),
-    ("evidence", "farm", "quadtree"),
-    ("align", "rows", "route", "changes"),
-    ("coverage",),
-    ("export", "costmap", "figures", "track", "evaluation"),
-    ("build", "stac"),
-    ("inspection", "mounting", "convert", "view", "live"),
-    ("live_servers",),
-    ("cli",),
-    ("__main__",),
+ROOMS = (
+    "core",
+    "geometry",
+    "perception",
+    "poses",
+    "recordings",
+    "maps",
+    "field",
+    "pipeline",
+    "export",
+    "view",
+    "live",
+    "cli",
 )
-LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}
+"""A room imports only rooms before it, and of those what their `__init__` hands out."""
 
-# Any room may import these, its own line notwithstanding.
-FOR_ALL = {"errors"}
+STRANGERS = {
+    "poses": {"perception"},
+    "maps": {"perception", "poses", "recordings"},
+}
+"""Rooms before it that a room does not know either."""
 
-# Rooms of one layer that may import each other: {importer: {imported, ...}}. None so far;
-# an entry needs a comment that says why the two are not one room, or in two layers.
-SIBLINGS: dict[str, set[str]] = {}
+ROOT_FILES = {"__init__.py", "__main__.py", "version.py", "py.typed"}
 
-# Libraries that a single room may import, so that each question has one answer.
-ONLY_IN = {"pyproj": "geodesy"}
+LIBRARY_HOMES = {"pyproj": "geometry.geodesy"}
+"""Libraries that a single module may import, so that each question has one answer."""
 
 
 def modules(src: Path) -> Iterator[tuple[str, Path]]:
@@ -84,67 +51,127 @@ def modules(src: Path) -> Iterator[tuple[str, Path]]:
         yield ".".join(parts[:-1] if parts[-1] == "__init__" else parts), path
 
 
-def imports(name: str, path: Path) -> Iterator[tuple[int, str]]:
-    """The line and the absolute dotted name of everything a module imports, anywhere in it."""
+def imports(name: str, path: Path) -> Iterator[tuple[int, str, str]]:
+    """The line of everything a module imports, the module that it is of, and its name."""
     package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
         if isinstance(node, ast.Import):
             for alias in node.names:
-                yield node.lineno, alias.name
+                yield node.lineno, alias.name, ""
         elif isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else []
             source = ".".join([*base, *([node.module] if node.module else [])])
             for alias in node.names:
-                yield node.lineno, f"{source}.{alias.name}"
+                yield node.lineno, source, alias.name
 
 
-def may_import(importer: str, imported: str) -> bool:
-    return (
-        importer == imported
-        or imported in FOR_ALL
-        or LEVEL[imported] < LEVEL[importer]
-        or imported in SIBLINGS.get(importer, set())
-    )
+def door_names(src: Path, room: str) -> set[str]:
+    """What the `__init__` of a room hands out."""
+    path = src / PACKAGE / room / "__init__.py"
+    return {name for _, _, name in imports(f"{PACKAGE}.{room}", path)} if path.exists() else set()
+
+
+def problem(src: Path, room: str, module: str, name: str) -> str:
+    """Why a module of a room may not import a name of a module; empty where it may."""
+    first, *inner = module.split(".")
+    importer = room.partition(".")[0]
+    if first != PACKAGE:
+        home = LIBRARY_HOMES.get(first, room)
+        return "" if room == home else f"only {home} may import {first}"
+    other = inner[0] if inner else name
+    if other == "version" or inner == ["core", "doors"]:
+        return ""  # the version of the package, and what makes doors
+    if other not in ROOMS:
+        return f"{other} is no room"
+    if other == importer:
+        beside = src / PACKAGE / importer / name
+        is_module = beside.with_suffix(".py").exists() or beside.is_dir()
+        return "" if len(inner) > 1 or is_module or room == importer else "imports its own door"
+    if ROOMS.index(other) > ROOMS.index(importer) or other in STRANGERS.get(importer, ()):
+        return f"{importer} may not import {other}"
+    if len(inner) > 1 or name not in door_names(src, other):
+        return f"the door of {other} does not hand out {'.'.join([*inner[1:], name])}"
+    return ""
 
 
 def violations(src: Path) -> list[str]:
-    found: list[str] = []
-    unknown: set[str] = set()
-    for name, path in modules(src):
-        if name == PACKAGE:
-            continue  # What it offers may come from any room.
-        room = name.split(".")[1]
-        if room not in LEVEL:
-            unknown.add(room)
-            continue
-        for line, target in imports(name, path):
-            where = f"{path.relative_to(src)}:{line}"
-            library, *inner = target.split(".")
-            if library != PACKAGE:
-                if ONLY_IN.get(library, room) != room:
-                    found.append(f"{where}: only {ONLY_IN[library]} may import {library}")
-            elif not inner or inner[0] not in LEVEL:
-                found.append(f"{where}: {target} is in no room that {room} may import")
-            elif not may_import(room, inner[0]):
-                found.append(f"{where}: {room} may not import {inner[0]}")
-    return found + [f"{room} is not in LAYERS" for room in sorted(unknown)]
+    return [
+        f"{path.relative_to(src)}:{line}: {why}"
+        for name, path in modules(src)
+        if path.parent != src / PACKAGE  # what the package offers may come from any room
+        for line, module, imported in imports(name, path)
+        if (why := problem(src, name.removeprefix(f"{PACKAGE}."), module, imported))
+    ]
 
 
-def test_imports_point_down_the_layers() -> None:
+def test_rooms_import_rooms_above_them_by_their_doors() -> None:
     assert violations(ROOT / "src") == []
+
+
+def test_the_package_holds_the_rooms_and_no_more() -> None:
+    found = {path.name for path in SOURCE.iterdir() if path.name != "__pycache__"}
+    assert found == {*ROOMS, *ROOT_FILES}
+
+
+def test_folders_lie_at_most_two_deep_and_say_what_they_hold() -> None:
+    folders = {path.parent for path in SOURCE.rglob("*.py")} - {SOURCE}
+    assert max(len(folder.relative_to(SOURCE).parts) for folder in folders) <= 3
+    assert not [folder for folder in folders if folder.name == "build"]
+    undescribed = [
+        folder
+        for folder in folders
+        if not ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8")))
+    ]
+    assert undescribed == []
+
+
+def test_no_modules_import_each_other() -> None:
+    found = dict(modules(ROOT / "src"))
+    doors = {f"{PACKAGE}.{room}" for room in ROOMS} | {PACKAGE}
+    graph: dict[str, set[str]] = {}
+    for name, path in found.items():
+        targets = {
+            f"{module}.{imported}" if f"{module}.{imported}" in found else module
+            for _, module, imported in imports(name, path)
+        }
+        graph[name] = (targets & set(found)) - doors - {name}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(f"import each other: {error.args[1]}")
+
+
+@pytest.mark.parametrize("room", [room for room in ROOMS if room != "cli"])
+def test_what_a_door_names_is_there(room: str) -> None:
+    door = import_module(f"{PACKAGE}.{room}")
+    assert dir(door) == door.__all__
+    assert all(hasattr(door, name) for name in door.__all__)
+    with pytest.raises(AttributeError, match="nothing_of_this_name"):
+        door.nothing_of_this_name  # noqa: B018
+
+
+def package_with(file: str, code: str, src: Path) -> Path:
+    """A package with one module, and rooms that each hand out `Thing`."""
+    for room in ROOMS:
+        folder = src / PACKAGE / room
+        folder.mkdir(parents=True)
+        (folder / "__init__.py").write_text(f"from fieldgrid.{room}.things import Thing\n")
+    path = src / PACKAGE / file
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(code + "\n")
+    return src
 
 
 @pytest.mark.parametrize(
     ("file", "code"),
     [
-        ("cli.py", "from fieldgrid.build import run"),
-        ("cli.py", "from fieldgrid import build, geodesy"),
-        ("angles.py", "from fieldgrid.errors import Error"),
-        ("geodesy.py", "import pyproj"),
-        ("geodesy/frames.py", "from pyproj import Transformer"),
-        ("gnss/nmea.py", "from fieldgrid.gnss.ubx import x\nfrom . import ubx\nfrom .ubx import y"),
-        ("gnss/nmea.py", "from ..trajectory import Fix"),
-        ("__init__.py", "from fieldgrid.cli import main"),
+        ("pipeline/drives.py", "from fieldgrid.poses import Thing"),
+        ("pipeline/drives.py", "def f():\n    from fieldgrid.field import Thing"),
+        ("pipeline/drives.py", "from fieldgrid.pipeline.staging.parts import open_parts"),
+        ("pipeline/staging/parts.py", "from ..poses import estimate\nfrom . import pool"),
+        ("cli/listing.py", "from fieldgrid.core import Thing\nimport numpy"),
+        ("geometry/geodesy.py", "from pyproj import Transformer"),
+        ("__init__.py", "from fieldgrid.cli.listing import load"),
     ],
 )
 def test_what_is_allowed_passes(file: str, code: str, tmp_path: Path) -> None:
@@ -154,35 +181,30 @@ def test_what_is_allowed_passes(file: str, code: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "code", "message"),
     [
-        ("geodesy.py", "from fieldgrid.lattice import x", "geodesy may not import lattice"),
-        ("geodesy.py", "import fieldgrid.angles", "geodesy may not import angles"),
-        ("errors.py", "from fieldgrid.angles import x", "errors may not import angles"),
-        ("build.py", "from fieldgrid import cli", "build may not import cli"),
-        ("build.py", "from . import live", "build may not import live"),
-        ("gnss/nmea.py", "from ..stereo.match import x", "gnss may not import stereo"),
+        ("core/errors.py", "from fieldgrid.geometry import Thing", "core may not import geometry"),
         (
-            "pose.py",
-            "def f():\n    from fieldgrid.localgrid import x",
-            "pose may not import localgrid",
+            "poses/estimate.py",
+            "from fieldgrid.perception import Thing",
+            "may not import perception",
         ),
-        ("pose.py", "from fieldgrid import main", "fieldgrid.main is in no room"),
-        ("pose.py", "import fieldgrid", "fieldgrid is in no room"),
-        ("pose.py", "import pyproj.crs", "only geodesy may import pyproj"),
-        ("pose.py", "from pyproj import CRS", "only geodesy may import pyproj"),
-        ("helpers.py", "", "helpers is not in LAYERS"),
-        ("helpers/text.py", "", "helpers is not in LAYERS"),
+        ("maps/costmap.py", "from ..recordings import Thing", "maps may not import recordings"),
+        (
+            "maps/costmap.py",
+            "def f():\n    from fieldgrid.field.rows import find",
+            "maps may not import field",
+        ),
+        ("field/rows/find.py", "from fieldgrid.maps.things import Thing", "does not hand out"),
+        ("field/rows/find.py", "from fieldgrid.maps import Other", "does not hand out Other"),
+        ("field/rows/find.py", "import fieldgrid.maps", "does not hand out"),
+        ("field/rows/find.py", "from fieldgrid.field import Thing", "imports its own door"),
+        ("field/rows/find.py", "from fieldgrid import open_map", "open_map is no room"),
+        ("field/rows/find.py", "from fieldgrid.helpers import text", "helpers is no room"),
+        ("maps/costmap.py", "import pyproj.crs", "only geometry.geodesy may import pyproj"),
     ],
 )
 def test_what_is_not_allowed_is_found(file: str, code: str, message: str, tmp_path: Path) -> None:
     (found,) = violations(package_with(file, code, tmp_path))
     assert message in found
-
-
-def package_with(file: str, code: str, src: Path) -> Path:
-    path = src / PACKAGE / file
-    path.parent.mkdir(parents=True)
-    path.write_text(code + "\n")
-    return src
 
 
 # Put together from parts, so that this file holds none of what it looks for.
@@ -248,14 +270,6 @@ def test_json_of_others_is_parsed_within_bounds() -> None:
         and path.name not in {"documents.py", "vectors.py"}
     ]
     assert elsewhere == []
-
-
-def test_every_folder_of_tests_is_collected(request: pytest.FixtureRequest) -> None:
-    """pytest leaves out folders of some names by itself, `build` among them."""
-    left_out = request.config.getini("norecursedirs")
-    folders = {path.parent.name for path in Path(__file__).parent.rglob("test_*.py")}
-    assert "build" in folders
-    assert not [name for name in folders for pattern in left_out if fnmatch(name, pattern)]
 
 
 def test_no_two_public_classes_share_a_name() -> None:

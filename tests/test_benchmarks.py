@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from benchmarks import clock, mounting, random_drives, reading
-from fieldgrid.motion import Steps
-from fieldgrid.mounting import MeasuredValue
-from fieldgrid.pose import ClockOffset
-from fieldgrid.quality import Quality
+from fieldgrid.core import MeasuredValue, Quality
+from fieldgrid.geometry import Steps
+from fieldgrid.poses import ClockOffset
 from tests.conftest import TWO_LANES
 
 ROOT = Path(mounting.__file__).parents[1]

@@ -22,11 +22,11 @@ SLACK_BYTES = 4e6
 PROGRAM = """
 import os, sys
 from pathlib import Path
-from fieldgrid import Costmap, evidence
-from fieldgrid.changes import find_changes
+from fieldgrid import Costmap; from fieldgrid.maps import evidence
+from fieldgrid.field import find_changes
 from fieldgrid.cli import main
-from fieldgrid.mapfile import blocks, open_map
-from fieldgrid.rows import ground, segments
+from fieldgrid.maps.views import blocks; from fieldgrid.maps import open_map
+from fieldgrid.field.rows import ground, segments
 blocks._ROWS, blocks._COLUMNS = 256, 1024
 evidence._BAND_CELLS = ground._BAND_CELLS = segments._BAND_CELLS = 500_000
 path = sys.argv[1]

@@ -19,9 +19,8 @@ import pytest
 
 import fieldgrid
 import fieldgrid as fg
-from fieldgrid.build import build_map
-from fieldgrid.build.repose import repose_map
-from fieldgrid.settings import BuildSettings, resolve
+from fieldgrid.core import BuildSettings, resolve
+from fieldgrid.pipeline import build_map, repose_map
 from tests.conftest import TWO_LANES
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")
@@ -200,5 +199,35 @@ def test_paths_may_be_text(two_lanes_map: Path, make_drive: MakeDrive, tmp_path:
 
 
 def test_figures_is_the_module() -> None:
-    assert fg.figures is importlib.import_module("fieldgrid.figures")
+    assert fg.figures is importlib.import_module("fieldgrid.export.figures")
     assert isinstance(fg.figures.heading([]), matplotlib.figure.Figure)
+
+
+@pytest.mark.parametrize(
+    "shown",
+    [
+        "build.build_map",
+        "build.repose.attitudes_of",
+        "build.sensor_yaw",
+        "evaluation.read_survey",
+        "export.register_export_format",
+        "fixes.FixColumns",
+        "layers.register_layer",
+        "live.LiveEvent",
+        "live_servers.FoxgloveServer",
+        "publish.replacing",
+        "recording.columns_from_text",
+        "recording.growing.open_growing",
+        "rectify.camera_from_projections",
+        "rig.LeverArm",
+        "ros.gnss.quality_of",
+        "trajectory.Status",
+        "transfer.to_universal",
+    ],
+)
+def test_import_paths_that_were_shown_keep_working(shown: str) -> None:
+    module, _, name = f"fieldgrid.{shown}".rpartition(".")
+    found: dict[str, object] = {}
+    exec(f"from {module} import {name}", found)
+    assert found[name] is getattr(importlib.import_module(module), name)
+    assert not hasattr(importlib.import_module(module), "nothing_of_this_name")

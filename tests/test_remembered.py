@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fieldgrid import stereo
-from fieldgrid.build import build_map, perception
-from fieldgrid.choices import MatcherKind
-from fieldgrid.rig import StereoCamera
-from fieldgrid.settings import BuildSettings, StereoSettings
-from fieldgrid.stereo import StereoMatcher, whole_image
-from tests.build.making import content
+from fieldgrid.core import BuildSettings, MatcherKind, StereoSettings
+from fieldgrid.geometry import StereoCamera
+from fieldgrid.perception import StereoMatcher, stereo, whole_image
+from fieldgrid.pipeline import build_map
+from fieldgrid.pipeline.staging import perception
+from tests.pipeline.drives.making import content
 from tests.remembered import READERS, USES, Matcher, Memory, worked_out_once
 
 CAMERA = StereoCamera(96, 64, 80.0, 48.0, 32.0, 0.2)

@@ -101,7 +101,7 @@ def public_names() -> str:
     for name in sorted(fieldgrid.__all__, key=str.lower):
         home = getattr(fieldgrid, name)
         module = getattr(home, "__module__", None)
-        target = f"{module}.{name}" if module else f"fieldgrid.{name}"
+        target = f"{module}.{name}" if module else home.__name__
         parts += ["", f"::: {target}"]
     return "\n".join(parts) + "\n"
 

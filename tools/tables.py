@@ -18,7 +18,7 @@ MARKED = re.compile(r"(<!-- table: ([\w-]+) -->\n).*?(<!-- end of table -->)", r
 
 def settings_table() -> str:
     """Every setting of a build."""
-    from fieldgrid.settings import BuildSettings, declared
+    from fieldgrid.core import BuildSettings, declared
 
     rows, last = [], ""
     for one in declared(BuildSettings):
@@ -65,7 +65,7 @@ def export_options_table() -> str:
 @cache
 def layers_table() -> str:
     """Every built-in layer of a map: those that are registered when it is first asked for."""
-    from fieldgrid.layers import LAYERS
+    from fieldgrid.maps import LAYERS
 
     rows = [(f"`{one.name}`", one.unit or "-", one.dtype, one.meaning) for one in LAYERS.values()]
     return markdown(("layer", "unit", "type", "meaning"), rows)

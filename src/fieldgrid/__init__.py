@@ -6,162 +6,115 @@ used, so that `import fieldgrid` costs nothing.
 
 from __future__ import annotations
 
-import importlib
+import sys
+from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from fieldgrid.core.doors import door
+
 if TYPE_CHECKING:
-    from fieldgrid import figures
-    from fieldgrid.align import align_map, undo_alignment
-    from fieldgrid.build import (
-        add_recording,
-        estimate_drive,
-        estimate_trajectory,
-        local_grid,
-        visual_odometry,
+    from fieldgrid.core import BuildSettings as BuildSettings, FieldgridError as FieldgridError
+    from fieldgrid.export import (
+        Selection as Selection,
+        export_map as export_map,
+        figures as figures,
     )
-    from fieldgrid.changes import find_changes
-    from fieldgrid.convert import convert_recording
-    from fieldgrid.cost import CostCurve
-    from fieldgrid.costmap import Costmap
-    from fieldgrid.coverage import Coverage, Tracks, plan_coverage
-    from fieldgrid.errors import FieldgridError
-    from fieldgrid.evaluation import evaluate, read_truth
-    from fieldgrid.export import Selection, export_map
-    from fieldgrid.farm import Farm
-    from fieldgrid.geodesy import Datum
-    from fieldgrid.grids import GridSpec, LocalGrid
-    from fieldgrid.inspection import inspect_recording
-    from fieldgrid.lattice import Bounds
-    from fieldgrid.live import Live
-    from fieldgrid.mapfile import Mark, MarkKind, merge_maps, open_map
-    from fieldgrid.mounting import estimate_mount
-    from fieldgrid.quadtree import Near, Quadtree
-    from fieldgrid.recording import DriveOptions, PoseBody, open_drive, open_recording
-    from fieldgrid.route import Route, Vehicle, plan_route, read_vehicle
-    from fieldgrid.rows import Crop, Planting, find_rows
-    from fieldgrid.settings import BuildSettings
-    from fieldgrid.trajectory import Pose, Trajectory
-    from fieldgrid.transfer import Averaging, Transfer
+    from fieldgrid.field import (
+        Coverage as Coverage,
+        Crop as Crop,
+        Planting as Planting,
+        Route as Route,
+        Tracks as Tracks,
+        Vehicle as Vehicle,
+        align_map as align_map,
+        evaluate as evaluate,
+        find_changes as find_changes,
+        find_rows as find_rows,
+        plan_coverage as plan_coverage,
+        plan_route as plan_route,
+        read_truth as read_truth,
+        read_vehicle as read_vehicle,
+        undo_alignment as undo_alignment,
+    )
+    from fieldgrid.geometry import (
+        Bounds as Bounds,
+        Datum as Datum,
+        GridSpec as GridSpec,
+        LocalGrid as LocalGrid,
+        Pose as Pose,
+        Trajectory as Trajectory,
+    )
+    from fieldgrid.live import Live as Live
+    from fieldgrid.maps import (
+        Averaging as Averaging,
+        CostCurve as CostCurve,
+        Costmap as Costmap,
+        Farm as Farm,
+        Mark as Mark,
+        MarkKind as MarkKind,
+        Near as Near,
+        Quadtree as Quadtree,
+        Transfer as Transfer,
+        merge_maps as merge_maps,
+        open_map as open_map,
+    )
+    from fieldgrid.pipeline import (
+        add_recording as add_recording,
+        convert_recording as convert_recording,
+        estimate_drive as estimate_drive,
+        estimate_mount as estimate_mount,
+        estimate_trajectory as estimate_trajectory,
+        inspect_recording as inspect_recording,
+        local_grid as local_grid,
+        visual_odometry as visual_odometry,
+    )
+    from fieldgrid.recordings import (
+        DriveOptions as DriveOptions,
+        PoseBody as PoseBody,
+        open_drive as open_drive,
+        open_recording as open_recording,
+    )
+else:
+    _get, __dir__, __all__ = door(__name__, __file__)
 
-_HOMES = {
-    "Averaging": "transfer",
-    "Bounds": "lattice",
-    "BuildSettings": "settings",
-    "CostCurve": "cost",
-    "Costmap": "costmap",
-    "Coverage": "coverage",
-    "Crop": "rows",
-    "Datum": "geodesy",
-    "DriveOptions": "recording",
-    "Farm": "farm",
-    "FieldgridError": "errors",
-    "GridSpec": "grids",
-    "Live": "live",
-    "LocalGrid": "grids",
-    "Mark": "mapfile",
-    "MarkKind": "mapfile",
-    "Near": "quadtree",
-    "Planting": "rows",
-    "Pose": "trajectory",
-    "PoseBody": "recording",
-    "Quadtree": "quadtree",
-    "Route": "route",
-    "Selection": "export",
-    "Tracks": "coverage",
-    "Trajectory": "trajectory",
-    "Transfer": "transfer",
-    "Vehicle": "route",
-    "add_recording": "build",
-    "align_map": "align",
-    "convert_recording": "convert",
-    "estimate_drive": "build",
-    "estimate_mount": "mounting",
-    "estimate_trajectory": "build",
-    "evaluate": "evaluation",
-    "export_map": "export",
-    "figures": "",
-    "find_changes": "changes",
-    "find_rows": "rows",
-    "inspect_recording": "inspection",
-    "local_grid": "build",
-    "merge_maps": "mapfile",
-    "open_drive": "recording",
-    "open_map": "mapfile",
-    "open_recording": "recording",
-    "plan_coverage": "coverage",
-    "plan_route": "route",
-    "read_truth": "evaluation",
-    "read_vehicle": "route",
-    "undo_alignment": "align",
-    "visual_odometry": "build",
+    def __getattr__(name: str) -> Any:
+        if name == "__version__":
+            from importlib.metadata import version  # 60 ms, which no command has to wait for
+
+            return version("fieldgrid")
+        return _get(name)
+
+
+_SHOWN = {
+    "build": "pipeline",
+    "build.repose": "pipeline",
+    "evaluation": "field",
+    "fixes": "geometry",
+    "layers": "maps",
+    "live_servers": "live",
+    "publish": "core",
+    "recording": "recordings",
+    "recording.growing": "recordings",
+    "rectify": "perception",
+    "rig": "geometry",
+    "ros.gnss": "recordings",
+    "trajectory": "geometry",
+    "transfer": "maps",
 }
-
-__all__ = [
-    "Averaging",
-    "Bounds",
-    "BuildSettings",
-    "CostCurve",
-    "Costmap",
-    "Coverage",
-    "Crop",
-    "Datum",
-    "DriveOptions",
-    "Farm",
-    "FieldgridError",
-    "GridSpec",
-    "Live",
-    "LocalGrid",
-    "Mark",
-    "MarkKind",
-    "Near",
-    "Planting",
-    "Pose",
-    "PoseBody",
-    "Quadtree",
-    "Route",
-    "Selection",
-    "Tracks",
-    "Trajectory",
-    "Transfer",
-    "Vehicle",
-    "add_recording",
-    "align_map",
-    "convert_recording",
-    "estimate_drive",
-    "estimate_mount",
-    "estimate_trajectory",
-    "evaluate",
-    "export_map",
-    "figures",
-    "find_changes",
-    "find_rows",
-    "inspect_recording",
-    "local_grid",
-    "merge_maps",
-    "open_drive",
-    "open_map",
-    "open_recording",
-    "plan_coverage",
-    "plan_route",
-    "read_truth",
-    "read_vehicle",
-    "undo_alignment",
-    "visual_odometry",
-]
+"""Modules that the documentation of version 0.1.0 imports from, and where their names are now."""
 
 
-def __getattr__(name: str) -> Any:
-    if name == "__version__":
-        from importlib.metadata import version  # 60 ms, which no command has to wait for
+class _Moved(ModuleType):
+    """A module whose names are those of another one, which is imported when one is asked for."""
 
-        return version("fieldgrid")
-    home = _HOMES.get(name)
-    if home is None:
-        raise AttributeError(f"module 'fieldgrid' has no attribute {name!r}")
-    if not home:
-        return importlib.import_module(f"fieldgrid.{name}")
-    return getattr(importlib.import_module(f"fieldgrid.{home}"), name)
+    def __init__(self, name: str, home: str) -> None:
+        super().__init__(name, f"Moved to `{home}`.")
+        self._home = home
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(import_module(self._home), name)
 
 
-def __dir__() -> list[str]:
-    return __all__
+for _old, _home in _SHOWN.items():
+    sys.modules[f"{__name__}.{_old}"] = _Moved(f"{__name__}.{_old}", f"{__name__}.{_home}")

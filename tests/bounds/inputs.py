@@ -23,45 +23,43 @@ import laspy
 import numpy as np
 import zstandard
 
-from fieldgrid.cli.mark import _read
-from fieldgrid.errors import MapError
-from fieldgrid.evaluation.survey import read_survey
-from fieldgrid.evaluation.truth import read_truth
-from fieldgrid.export.speed import _turning_poses
-from fieldgrid.figures.route import read_route
-from fieldgrid.geodesy import Datum
-from fieldgrid.gnss.nmea_framing import unicore_crc
-from fieldgrid.live.journal import _MARK, _RECORD, MAGIC, read_journal
-from fieldgrid.mapfile import journal_file, open_map
-from fieldgrid.mapfile.marks import marks_of_geojson
-from fieldgrid.recording.calibration_kalibr import read_kalibr
-from fieldgrid.recording.calibration_opencv import read_opencv
-from fieldgrid.recording.cloud_files import CloudFile
-from fieldgrid.recording.copies import CACHE
-from fieldgrid.recording.depth_files import decode_depth_image
-from fieldgrid.recording.euroc import _images
-from fieldgrid.recording.fetched import fetch
-from fieldgrid.recording.frame_table import read_frames
-from fieldgrid.recording.gear_file import read_gear_spans
-from fieldgrid.recording.growing import open_growing
-from fieldgrid.recording.images import ImageFile
-from fieldgrid.recording.isoxml import read_time_log
-from fieldgrid.recording.kitti import _read_stamps
-from fieldgrid.recording.logs import read_fix_log
-from fieldgrid.recording.motion_files import read_motion
-from fieldgrid.recording.mounting import read_mounting
-from fieldgrid.recording.npy import parse_npy
-from fieldgrid.recording.pose_files import read_pose_file
-from fieldgrid.recording.settings_file import read_settings
-from fieldgrid.ros import open_bag
-from fieldgrid.route.vehicle import read_vehicle
-from fieldgrid.settings.resolve import resolve
-from fieldgrid.vectors import read_shapes
-from tests.gnss.sentences import gga, rmc
-from tests.gnss.test_ubx import pvt
-from tests.mapfile.maps import drive, write_map
-from tests.ros.samples import ROS2, samples, write_old_db3
-from tests.ros.test_hostile import PACK, chunk, rosbag1
+from fieldgrid.cli.commands.mark import _read
+from fieldgrid.core import MapError, resolve
+from fieldgrid.export.figures.route import read_route
+from fieldgrid.export.robots.speed import _turning_poses
+from fieldgrid.field import read_survey, read_truth, read_vehicle
+from fieldgrid.geometry import Datum, read_shapes
+from fieldgrid.live.kept.journal import _MARK, _RECORD, MAGIC, read_journal
+from fieldgrid.maps import marks_of_geojson, open_map
+from fieldgrid.maps.health import journal_file
+from fieldgrid.poses.gnss.nmea import unicore_crc
+from fieldgrid.recordings import (
+    CloudFile,
+    ImageFile,
+    fetch,
+    open_growing,
+    read_gear_spans,
+    read_mounting,
+)
+from fieldgrid.recordings.calibration.kalibr import read_kalibr
+from fieldgrid.recordings.calibration.opencv import read_opencv
+from fieldgrid.recordings.formats.euroc import _images
+from fieldgrid.recordings.formats.isoxml import read_time_log
+from fieldgrid.recordings.formats.kitti import _read_stamps
+from fieldgrid.recordings.formats.settings_file import read_settings
+from fieldgrid.recordings.frames.depth_files import decode_depth_image
+from fieldgrid.recordings.frames.frame_table import read_frames
+from fieldgrid.recordings.frames.npy import parse_npy
+from fieldgrid.recordings.poses.pose_files import read_pose_file
+from fieldgrid.recordings.remote.copies import CACHE
+from fieldgrid.recordings.ros.bag import open_bag
+from fieldgrid.recordings.tables.logs import read_fix_log
+from fieldgrid.recordings.tables.motion_files import read_motion
+from tests.maps.file.maps import drive, write_map
+from tests.poses.gnss.sentences import gga, rmc
+from tests.poses.gnss.test_ubx import pvt
+from tests.recordings.ros.samples import ROS2, samples, write_old_db3
+from tests.recordings.ros.test_hostile import PACK, chunk, rosbag1
 
 MILLION = 1_000_000
 TWO_LANES = Path(__file__).parents[2] / "examples" / "two_lanes"

@@ -13,7 +13,7 @@ import sys
 import traceback
 from pathlib import Path
 
-from fieldgrid.errors import FieldgridError
+from fieldgrid.core import FieldgridError
 from tests.bounds.inputs import CASES
 
 ADDRESSES_BYTES = 1 << 30

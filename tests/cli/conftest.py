@@ -15,7 +15,7 @@ from typing import NamedTuple, TextIO
 import pytest
 
 from fieldgrid.cli import main
-from fieldgrid.cli.commands import load
+from fieldgrid.cli.listing import load
 from fieldgrid.export import formats
 from tests.conftest import HANGS_S
 
@@ -84,7 +84,7 @@ def fieldgrid(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
 
     def run(*arguments: object) -> Result:
         monkeypatch.setattr(sys, "argv", ["fieldgrid", *map(str, arguments)])
-        monkeypatch.setattr("fieldgrid.cli.commands.load", loaded_once)
+        monkeypatch.setattr("fieldgrid.cli.listing.load", loaded_once)
         capsys.readouterr()
         try:
             main()

@@ -12,14 +12,13 @@ import cv2
 import numpy as np
 import pytest
 
-import fieldgrid.align as fieldgrid_align
+import fieldgrid.field as fieldgrid_field
 from fieldgrid.cli.new_drives import report_offsets
-from fieldgrid.mapfile import Transform, open_map
-from fieldgrid.rows import find_rows
-from fieldgrid.rows.report import block_quality
-from tests.align.field import SPACING_M, Field, along_one_lane, mixed, write_field
+from fieldgrid.field import block_quality, find_rows
+from fieldgrid.maps import Transform, open_map
 from tests.cli.conftest import Run
 from tests.conftest import TWO_LANES
+from tests.field.align.field import SPACING_M, Field, along_one_lane, mixed, write_field
 
 
 @pytest.fixture(scope="module")
@@ -166,9 +165,9 @@ def test_rows_are_read_here_when_a_cluster_compares(
     fieldgrid: Run, path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Else a cluster that is gone after the change would leave it without a report."""
-    align = fieldgrid_align.align_map
+    align = fieldgrid_field.align_map
     monkeypatch.setattr(
-        fieldgrid_align, "align_map", lambda *given, scheduler, **more: align(*given, **more)
+        fieldgrid_field, "align_map", lambda *given, scheduler, **more: align(*given, **more)
     )
     asked = "align", path, "--rows", "--json", "--scheduler", "tcp://127.0.0.1:1"
     found = json.loads(fieldgrid(*asked).output())
@@ -194,8 +193,8 @@ def test_of_many_pairs_those_that_agree_are_counted(capsys: pytest.CaptureFixtur
 
 def test_so_many_others_are_compared(tmp_path: Path) -> None:
     with open_map(write_field(tmp_path / "m.gpkg", along_one_lane("abcd"), 0.5)) as universal:
-        every = fieldgrid_align.align_map(universal, rounds=0).pairs
-        few = fieldgrid_align.align_map(universal, rounds=0, most_others=1).pairs
+        every = fieldgrid_field.align_map(universal, rounds=0).pairs
+        few = fieldgrid_field.align_map(universal, rounds=0, most_others=1).pairs
     assert len(every) == 6
     assert 2 <= len(few) <= 4
     assert {(one.a, one.b) for one in few} <= {(one.a, one.b) for one in every}

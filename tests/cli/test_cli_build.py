@@ -20,16 +20,13 @@ import cv2
 import numpy as np
 import pytest
 
-import fieldgrid.align as fieldgrid_align
-import fieldgrid.build as fieldgrid_build
-from fieldgrid.build import build_map
-from fieldgrid.errors import ClusterError, ConfigError
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import open_map
-from fieldgrid.reasons import grouped_reasons
-from fieldgrid.settings import BuildSettings
-from fieldgrid.transfer import Transfer
-from fieldgrid.workers import answering, connecting
+import fieldgrid.field as fieldgrid_field
+import fieldgrid.pipeline as fieldgrid_pipeline
+from fieldgrid.core import BuildSettings, ClusterError, ConfigError, grouped_reasons
+from fieldgrid.core.workers import answering, connecting
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import Transfer, open_map
+from fieldgrid.pipeline import build_map
 from tests.cli.conftest import Result, Run, a_terminal
 from tests.conftest import TWO_LANES
 
@@ -604,7 +601,7 @@ def test_a_folder_that_may_not_be_written(
 SIGNALLED = """
 import os, signal
 from pathlib import Path
-from fieldgrid.build import staging
+from fieldgrid.pipeline.staging import shares
 
 usual = staging.perceive_frame
 
@@ -798,7 +795,7 @@ def test_jobs_and_a_scheduler_exclude_each_other(fieldgrid: Run, tmp_path: Path)
 @pytest.fixture
 def gone(monkeypatch: pytest.MonkeyPatch) -> str:
     """A cluster that has staged all drives, and is gone when they are compared."""
-    build, align = fieldgrid_build.build_map, fieldgrid_align.align_map
+    build, align = fieldgrid_pipeline.build_map, fieldgrid_field.align_map
 
     def built(*given: Any, scheduler: str, **more: Any) -> Any:
         return build(*given, **more)
@@ -808,8 +805,8 @@ def gone(monkeypatch: pytest.MonkeyPatch) -> str:
             raise ClusterError(f"The Dask scheduler {scheduler} is gone; start it again.")
         return align(*given, **more)
 
-    monkeypatch.setattr(fieldgrid_build, "build_map", built)
-    monkeypatch.setattr(fieldgrid_align, "align_map", compared)
+    monkeypatch.setattr(fieldgrid_pipeline, "build_map", built)
+    monkeypatch.setattr(fieldgrid_field, "align_map", compared)
     return "tcp://127.0.0.1:1"
 
 

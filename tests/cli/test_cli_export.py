@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from fieldgrid.errors import ConfigError
+from fieldgrid.core import ConfigError, Flag, Settings, replacing, setting
 from fieldgrid.export import (
     Exported,
     ExportFormat,
@@ -20,9 +20,7 @@ from fieldgrid.export import (
     register_export_format,
     unregister_export_format,
 )
-from fieldgrid.mapfile import LAYERS, MapFile, open_map
-from fieldgrid.publish import replacing
-from fieldgrid.settings import Flag, Settings, setting
+from fieldgrid.maps import LAYERS, MapFile, open_map
 from tests.cli.conftest import Run
 from tests.export.asymmetric import write_asymmetric_map
 from tests.export.placed import faults, faults_at_centres, opened

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 import rasterio
 
-from fieldgrid import stac
-from fieldgrid.errors import MapError
-from fieldgrid.export import formats
-from fieldgrid.geodesy import Datum
-from fieldgrid.mapfile import MapFile, create_map, merge_maps, open_map
+from fieldgrid.core import MapError
+from fieldgrid.export import formats, stac
+from fieldgrid.geometry import Datum
+from fieldgrid.maps import MapFile, create_map, merge_maps, open_map
 from tests.cli.conftest import Run
 from tests.export.nav2_loader import load
-from tests.mapfile.maps import DATUM, drive, write_map, write_session
+from tests.maps.file.maps import DATUM, drive, write_map, write_session
 
 
 @pytest.fixture(scope="module")

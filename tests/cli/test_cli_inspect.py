@@ -9,10 +9,10 @@ import cv2
 import pytest
 
 from fieldgrid.cli import output
-from fieldgrid.inspection import inspect_recording
+from fieldgrid.pipeline import inspect_recording
 from tests.cli.conftest import Run
 from tests.conftest import TWO_LANES
-from tests.inspection.broken import FEW, RTK, copy_of
+from tests.pipeline.inspection.broken import FEW, RTK, copy_of
 
 LOG = ("--gnss", RTK)
 

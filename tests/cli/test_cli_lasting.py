@@ -17,16 +17,16 @@ import pytest
 import rasterio
 import shapely
 
-from fieldgrid.build import build_map
-from fieldgrid.mapfile import Change, open_map, read_datum
-from fieldgrid.palette import CHANGED, rgb
-from fieldgrid.settings import BuildSettings
-from tests.changes.worlds import Box, Drive, lane, world_map
+from fieldgrid.core import BuildSettings
+from fieldgrid.core.palette import CHANGED, rgb
+from fieldgrid.maps import Change, open_map, read_datum
+from fieldgrid.pipeline import build_map
 from tests.cli.conftest import Run
 from tests.conftest import make_small_drive
-from tests.mapfile.content import content
-from tests.mapfile.maps import one_cell, write_map
-from tests.mapfile.test_cells import later
+from tests.field.changes.worlds import Box, Drive, lane, world_map
+from tests.maps.file.content import content
+from tests.maps.file.maps import one_cell, write_map
+from tests.maps.file.test_cells import later
 from tests.once import made_once
 
 MakeDrive = Callable[..., Path]
@@ -329,7 +329,7 @@ def test_show_and_export_as_of_a_date(
         fieldgrid("export", seasons, out, "--at", at, "--overwrite").output()
         with rasterio.open(out) as raster:
             assert next(raster.sample([(2.05, 3.05)]))[0] == value, at
-    from fieldgrid import figures
+    from fieldgrid.export import figures
 
     drawn: list[set[str]] = []
     original = figures.universal_grid

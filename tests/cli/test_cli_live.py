@@ -19,10 +19,10 @@ from urllib.request import urlopen
 import pytest
 import typer
 
-from fieldgrid.cli.live_signals import kept_when_interrupted
+from fieldgrid.cli.commands.live import kept_when_interrupted
 from fieldgrid.live import live_folder
-from fieldgrid.mapfile import open_map
-from fieldgrid.recording import open_recording
+from fieldgrid.maps import open_map
+from fieldgrid.recordings import open_recording
 from tests.cli.conftest import Run, in_a_process
 from tests.conftest import make_small_drive
 from tests.live.making import begin, cut_log, slam
@@ -130,7 +130,9 @@ def test_another_writer_is_waited_for_as_long_as_is_said(
             assert "waiting for another program that writes m.gpkg, up to 0.1 s" in result.err
             assert "is in use by another program" in result.err
     with pytest.MonkeyPatch.context() as patch:  # four frames are too few to be compared
-        patch.setattr("fieldgrid.cli.live.compare", lambda out, new, wait_s: [apart(new[0])])
+        patch.setattr(
+            "fieldgrid.cli.commands.live.compare", lambda out, new, wait_s: [apart(new[0])]
+        )
         text = fieldgrid("live", "-o", out, "--finish", "--wait", 0.1).output()
     told = (
         f"\nnew against june: +0.50 m east, +0.00 m north ± 0.10 m; `fieldgrid align {out}` makes"

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Run
-from tests.mapfile.maps import drive, write_map
+from tests.maps.file.maps import drive, write_map
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from fieldgrid.recording import open_recording
+from fieldgrid.recordings import open_recording
 from tests.cli.conftest import Run
 
 MakeDrive = Callable[..., Path]

@@ -17,9 +17,8 @@ from typing import Any
 import cv2
 import pytest
 
-from fieldgrid.cli.commands import COMMANDS, load
-from fieldgrid.mapfile import Transform, open_map
-from fieldgrid.mapfile.transform import AlignmentRecord
+from fieldgrid.cli.listing import COMMANDS, load
+from fieldgrid.maps import AlignmentRecord, Transform, open_map
 from tests.cli.conftest import Run, in_a_process
 from tests.conftest import TWO_LANES
 
@@ -235,7 +234,7 @@ def test_other_kinds_of_picture(
 def test_cells_bounds_session_and_rule_reach_the_picture(
     fieldgrid: Run, two_lanes_map: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from fieldgrid import figures
+    from fieldgrid.export import figures
 
     drawn: list[Any] = []
     original = figures.universal_grid
@@ -262,7 +261,7 @@ def test_cells_bounds_session_and_rule_reach_the_picture(
 def test_a_large_map_is_drawn_with_larger_cells(
     fieldgrid: Run, two_lanes_map: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from fieldgrid.cli import show
+    from fieldgrid.cli.commands import show
 
     monkeypatch.setattr(show, "MAX_PIXELS", 400)
     out = tmp_path / "x.svg"

@@ -14,12 +14,13 @@ import pytest
 import shapely
 
 import fieldgrid as fg
+import fieldgrid.field as fieldgrid_field
 from benchmarks.planting import DATUM, Sight
-from fieldgrid import coverage
-from fieldgrid.vectors import Feature, write_features
+from fieldgrid.field.coverage.plan import OmittedLane
+from fieldgrid.geometry import Feature, write_features
 from tests.cli.conftest import Run
-from tests.route.test_plan import field as free_field
-from tests.rows.fields import straight, view_of, write_map
+from tests.field.route.test_plan import field as free_field
+from tests.field.rows.fields import straight, view_of, write_map
 
 START, GOAL = "1.25,-3,0", "1.25,33"
 
@@ -169,12 +170,12 @@ def test_fewer_passes_are_advised_where_there_can_be_fewer(
     def one_is_left_out(*asked: Any, **how: Any) -> Any:
         return replace(
             cover(*asked, **how),
-            left_out=(coverage.OmittedLane("F1-T1", "There is no path to the track", 1.0, 2.0),),
+            left_out=(OmittedLane("F1-T1", "There is no path to the track", 1.0, 2.0),),
             remedy="give a smaller vehicle",
         )
 
-    cover = coverage.plan_coverage
-    monkeypatch.setattr(coverage, "plan_coverage", one_is_left_out)
+    cover = fg.plan_coverage
+    monkeypatch.setattr(fieldgrid_field, "plan_coverage", one_is_left_out)
     asked = ("route", meadow, "--cover", "--tracks", "--width", "2", "--headland-passes", passes)
     said = fieldgrid(*asked).err
     assert "the others are driven; give a smaller vehicle" in said

@@ -12,10 +12,10 @@ import pytest
 
 import fieldgrid as fg
 from benchmarks.planting import DATUM
-from fieldgrid.lattice import Bounds, Lattice
-from fieldgrid.mapfile import MapView, open_map
+from fieldgrid.geometry import Bounds, Lattice
+from fieldgrid.maps import MapView, open_map
 from tests.cli.conftest import Run
-from tests.rows.fields import straight, view_of, write_map
+from tests.field.rows.fields import straight, view_of, write_map
 
 ROWS = straight(4, 30.0, 2.5, 25.0)
 

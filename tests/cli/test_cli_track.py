@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from fieldgrid.track import COLUMNS
+from fieldgrid.poses.track.table import COLUMNS
 from tests.cli.conftest import Run, a_terminal
 from tests.conftest import TWO_LANES
 

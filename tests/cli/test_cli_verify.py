@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from fieldgrid.workers import connecting
+from fieldgrid.core.workers import connecting
 from tests.cli.conftest import Run
-from tests.mapfile.maps import drive, write_map
+from tests.maps.file.maps import drive, write_map
 
 distributed = pytest.importorskip("distributed")
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from fieldgrid.cli import defect, output
-from fieldgrid.cli.commands import COMMANDS, load
+from fieldgrid.cli.listing import COMMANDS, load
 from tests.cli.conftest import Run, a_terminal
 from tests.conftest import TWO_LANES
 
@@ -217,7 +217,7 @@ def test_what_nobody_foresaw_is_one_sentence_with_a_file_to_send(
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("float\ndivision")
 
-    monkeypatch.setattr("fieldgrid.mapfile.open_map", broken)
+    monkeypatch.setattr("fieldgrid.maps.file.store.open_map", broken)
     monkeypatch.setattr(defect.tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr("tests.cli.conftest.DEFECTS_ALLOWED", True)
     result = fieldgrid("verify", "x.gpkg")
@@ -234,10 +234,10 @@ def test_what_nobody_foresaw_is_one_sentence_with_a_file_to_send(
     def cut(*_: object, **__: object) -> None:
         raise EOFError("marshal data too short")
 
-    monkeypatch.setattr("fieldgrid.mapfile.open_map", cut)
+    monkeypatch.setattr("fieldgrid.maps.file.store.open_map", cut)
     ended = fieldgrid("verify", "x.gpkg")
     assert (ended.status, "EOFError: marshal data too short" in ended.err) == (70, True)
-    monkeypatch.setattr("fieldgrid.mapfile.open_map", broken)
+    monkeypatch.setattr("fieldgrid.maps.file.store.open_map", broken)
     monkeypatch.setattr(defect.tempfile, "tempdir", str(tmp_path / "nowhere"))
     assert "please report it with the command" in fieldgrid("verify", "x.gpkg").err
 
@@ -251,7 +251,7 @@ def test_a_request_to_end_within_compiled_code_is_no_defect(
         except SystemExit as request:
             raise SystemError("returned a result with an exception set") from request
 
-    monkeypatch.setattr("fieldgrid.mapfile.open_map", interrupted)
+    monkeypatch.setattr("fieldgrid.maps.file.store.open_map", interrupted)
     result = fieldgrid("verify", "x.gpkg")
     assert (result.status, result.err) == (143, "")
 
@@ -260,7 +260,7 @@ def test_a_full_memory_is_a_sentence(fieldgrid: Run, monkeypatch: pytest.MonkeyP
     def greedy(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("fieldgrid.mapfile.open_map", greedy)
+    monkeypatch.setattr("fieldgrid.maps.file.store.open_map", greedy)
     assert "The memory is full" in fieldgrid("verify", "x.gpkg").sentence()
 
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from fieldgrid.build import repose
-from fieldgrid.errors import GnssError
+from fieldgrid.core import GnssError
+from fieldgrid.pipeline import repose
 from tests.cli.conftest import Run
 from tests.conftest import TWO_LANES
 

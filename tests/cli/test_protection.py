@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from fieldgrid.cli.commands import COMMANDS, load
+from fieldgrid.cli.listing import COMMANDS, load
 from fieldgrid.cli.settings_flags import SettingsFlags
 from tests.cli.conftest import Run
 

@@ -6,11 +6,11 @@ import sys
 
 LATE = (
     "apsw",
-    "fieldgrid.align",
-    "fieldgrid.export",
-    "fieldgrid.figures",
-    "fieldgrid.ros.writers",
-    "fieldgrid.view",
+    "fieldgrid.field.align",
+    "fieldgrid.export.cells",
+    "fieldgrid.export.figures",
+    "fieldgrid.recordings.ros.writers",
+    "fieldgrid.view.app",
     "matplotlib",
     "numba",
     "rosbags.convert",
@@ -23,8 +23,8 @@ it begins."""
 
 PROGRAM = """
 import json, sys
-import fieldgrid.cli.build, fieldgrid.cli.track
-import fieldgrid.build, fieldgrid.build.tracking, fieldgrid.mapfile, fieldgrid.track
+import fieldgrid.cli.commands.build, fieldgrid.cli.commands.track
+import fieldgrid.pipeline.drives, fieldgrid.pipeline.tracking, fieldgrid.maps.file.store, fieldgrid.poses.track.table
 print(json.dumps(sorted(sys.modules)))
 """
 

@@ -20,13 +20,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.build import build_map
-from fieldgrid.build.parts import parts_folder
-from fieldgrid.mapfile import open_map
-from fieldgrid.settings import BuildSettings
-from tests.build.making import SMALL_SHARES, content
+from fieldgrid.core import BuildSettings
+from fieldgrid.maps import open_map
+from fieldgrid.pipeline import build_map, parts_folder
 from tests.cli.conftest import in_a_process
 from tests.conftest import make_small_drive
+from tests.pipeline.drives.making import SMALL_SHARES, content
 
 MOST_KILLS = 3
 """Kills that one build meets at most before it is left alone."""

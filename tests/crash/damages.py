@@ -29,20 +29,19 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from fieldgrid.array_types import AnyArray
-from fieldgrid.errors import FieldgridError
-from fieldgrid.grids import (
+from fieldgrid.core import AnyArray, FieldgridError
+from fieldgrid.geometry import (
     DROP_CHANNEL,
     FOOT_CHANNEL,
     GROUND_CHANNEL,
     STEP_CHANNEL,
     TOP_CHANNEL,
+    Feature,
     GridSpec,
 )
-from fieldgrid.mapfile import Mark, MarkKind, create_map, open_map
-from fieldgrid.vectors import Feature
+from fieldgrid.maps import Mark, MarkKind, create_map, open_map
 from tests.crash.outputs import outputs
-from tests.mapfile.maps import DATUM, grid_of, pose_at, track
+from tests.maps.file.maps import DATUM, grid_of, pose_at, track
 
 PAGE = 4096
 LONGEST_S = 20

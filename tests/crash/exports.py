@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldgrid.export import export_map, formats
-from fieldgrid.mapfile import open_map
+from fieldgrid.maps import open_map
 from tests.crash.damages import make
 from tests.crash.failures import COUNT, KILL, run_in_child
 

@@ -22,8 +22,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from fieldgrid.errors import MapWriteError
-from fieldgrid.mapfile import open_map
+from fieldgrid.core import MapWriteError
+from fieldgrid.maps import open_map
 from tests.crash.operations import (
     State,
     Step,

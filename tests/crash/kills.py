@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.mapfile import database
+from fieldgrid.maps.file import database
 from tests.crash.operations import (
     State,
     check,
@@ -107,7 +107,7 @@ def _write_on(path: Path, state: State, seed: int, pipe: int, small: bool) -> No
             connection.execute("PRAGMA cache_size = 8")
             return connection
 
-        import fieldgrid.mapfile.store as store
+        import fieldgrid.maps.file.store as store
 
         store.connect = connect  # type: ignore[attr-defined]
     random, number = np.random.default_rng(seed), 0

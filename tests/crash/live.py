@@ -23,18 +23,17 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from fieldgrid.build import build_map
-from fieldgrid.errors import ConfigError
-from fieldgrid.fixes import Fix
+from fieldgrid.core import BuildSettings, ConfigError
+from fieldgrid.geometry import Fix
 from fieldgrid.live import LiveGrid, LiveResult, finish_session, live_folder, replay
-from fieldgrid.live.kept_drive import read_drive
-from fieldgrid.live.session_folder import SessionFolder
-from fieldgrid.mapfile import open_map
-from fieldgrid.recording import open_recording
-from fieldgrid.settings import BuildSettings
-from tests.build.making import content
+from fieldgrid.live.kept.kept_drive import read_drive
+from fieldgrid.live.kept.session_folder import SessionFolder
+from fieldgrid.maps import open_map
+from fieldgrid.pipeline import build_map
+from fieldgrid.recordings import open_recording
 from tests.conftest import TWO_LANES, make_small_drive
 from tests.live.making import begin, cut_log, drive_live
+from tests.pipeline.drives.making import content
 
 FRAMES = range(20, 28)
 STRANGE = 4

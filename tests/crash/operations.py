@@ -8,15 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.mapfile import (
-    Mark,
-    MarkKind,
-    Transform,
-    create_map,
-    merge_maps,
-    open_map,
-)
-from tests.mapfile.maps import CELL_M, DATUM, drive, track, write_session
+from fieldgrid.maps import Mark, MarkKind, Transform, create_map, merge_maps, open_map
+from tests.maps.file.maps import CELL_M, DATUM, drive, track, write_session
 
 State = dict[str, tuple[bool, float, float]]
 """The sessions of a map: whether each is active, the heading of its first frame as driven, and how

@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.errors import FieldgridError
+from fieldgrid.core import FieldgridError
 from fieldgrid.export import export_map
-from fieldgrid.layers import LAYERS
-from fieldgrid.mapfile import MapFile
-from tests.mapfile.content import content
+from fieldgrid.maps import LAYERS, MapFile
+from tests.maps.file.content import content
 
 _EXPORTS = ("map.geojson", "map.yaml")
 """One of shapes, one of cells."""

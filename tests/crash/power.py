@@ -27,8 +27,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.mapfile import open_map, store
-from fieldgrid.mapfile.database import keep_one_file
+from fieldgrid.maps import open_map
+from fieldgrid.maps.file import store
+from fieldgrid.maps.file.database import keep_one_file
 from tests.crash.failures import run_in_child
 from tests.crash.operations import (
     Step,
@@ -53,7 +54,7 @@ _HEAD = struct.Struct("<6Q")
 _LOOKED_AT_WHOLE = 200
 """Every so manyth state is verified, repaired and written to, too."""
 
-_OLD_FORMAT = Path(__file__).resolve().parents[1] / "mapfile" / "format2.gpkg"
+_OLD_FORMAT = Path(__file__).resolve().parents[1] / "maps" / "file" / "format2.gpkg"
 
 
 class Call(NamedTuple):

@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldgrid.mapfile import open_map
+from fieldgrid.maps import open_map
 from tests.crash.damages import Trial, in_cells, run_random
 from tests.crash.failures import run_in_child
 from tests.crash.kills import run_kills
 from tests.crash.live import run_kills as kill_live
 from tests.crash.operations import make
 from tests.crash.writers import run_writers
-from tests.mapfile.content import ANONYMOUS, content
-from tests.mapfile.maps import CELL_M, DATUM, drive, write_map, write_session
+from tests.maps.file.content import ANONYMOUS, content
+from tests.maps.file.maps import CELL_M, DATUM, drive, write_map, write_session
 
 
 @pytest.mark.parametrize("kills", [4, pytest.param(12, marks=pytest.mark.long)])

@@ -17,11 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.grids import GridSpec
-from fieldgrid.mapfile import open_map
-from fieldgrid.mapfile.database import Patience
+from fieldgrid.geometry import GridSpec
+from fieldgrid.maps import Patience, open_map
 from tests.crash.operations import make
-from tests.mapfile.maps import grid_of, pose_at
+from tests.maps.file.maps import grid_of, pose_at
 
 READERS = 2
 PATIENCE = Patience(600.0)

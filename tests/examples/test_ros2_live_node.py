@@ -13,11 +13,10 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from fieldgrid.build import build_map
-from fieldgrid.convert import convert_recording
-from fieldgrid.mapfile import open_map
-from fieldgrid.recording import open_recording
-from fieldgrid.settings import BuildSettings
+from fieldgrid.core import BuildSettings
+from fieldgrid.maps import open_map
+from fieldgrid.pipeline import build_map, convert_recording
+from fieldgrid.recordings import open_recording
 from tests.conftest import ROOT, make_small_drive
 from tests.examples.rclpy_stand_in import Node, instead_of_ros, message_class
 from tests.live.making import cut_log

@@ -16,11 +16,8 @@ import numpy as np
 import numpy.typing as npt
 import pyproj
 
-from fieldgrid.geodesy import Datum
-from fieldgrid.grids import GridSpec, LocalGrid
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import create_map
-from fieldgrid.trajectory import Pose, Status, Trajectory
+from fieldgrid.geometry import Bounds, Datum, GridSpec, LocalGrid, Pose, Status, Trajectory
+from fieldgrid.maps import create_map
 
 DATUM = Datum(39.480412345, -1.220198765, 742.0)
 CELL_M = 0.05

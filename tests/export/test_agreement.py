@@ -24,9 +24,8 @@ import shapely
 
 from fieldgrid import Costmap
 from fieldgrid.export import export_map
-from fieldgrid.geodesy import Datum
-from fieldgrid.mapfile import MapView, open_map
-from fieldgrid.trajectory import Trajectory
+from fieldgrid.geometry import Datum, Trajectory
+from fieldgrid.maps import MapView, open_map
 from tests.conftest import TWO_LANES
 from tests.export.nav2_loader import load
 from tests.export.test_rosbag import (

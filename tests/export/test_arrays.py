@@ -17,10 +17,12 @@ import rioxarray  # noqa: F401 (registers what tests ask of .rio)
 import xarray
 import zarr
 
-from fieldgrid.errors import ConfigError, MapExistsError
-from fieldgrid.export import Selection, arrays, export_map
-from fieldgrid.lattice import TILE_CELLS
-from fieldgrid.mapfile import MapFile, blocks, cf_dataset, open_map
+from fieldgrid.core import ConfigError, MapExistsError
+from fieldgrid.export import Selection, export_map
+from fieldgrid.export.cells import arrays
+from fieldgrid.geometry import TILE_CELLS
+from fieldgrid.maps import MapFile, cf_dataset, open_map
+from fieldgrid.maps.views import blocks
 from tests.export.asymmetric import (
     COARSE_M,
     DATUM,
@@ -175,9 +177,9 @@ def test_an_unknown_layer(universal: MapFile, tmp_path: Path, name: str) -> None
 FULL = """
 import resource, sys
 from pathlib import Path
-from fieldgrid.errors import MapWriteError
-from fieldgrid.export import arrays, export_map
-from fieldgrid.mapfile import open_map
+from fieldgrid.core import MapWriteError
+from fieldgrid.export.cells import arrays; from fieldgrid.export import export_map
+from fieldgrid.maps import open_map
 
 arrays.CHUNK_CELLS = 64
 folder = Path(sys.argv[2])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fieldgrid.mapfile import MapFile, open_map
+from fieldgrid.maps import MapFile, open_map
 from tests.export import asymmetric
 from tests.export.asymmetric import CELL_M, COARSE_M, EXTENT, cells, write_asymmetric_map
 

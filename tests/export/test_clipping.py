@@ -13,14 +13,13 @@ import numpy as np
 import pyogrio
 import pytest
 import shapely
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 from rosbags.highlevel import AnyReader
 
 from fieldgrid.export import Selection, export_map, formats
-from fieldgrid.export.clipping import at, stretches_inside
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import MapFile, open_map
+from fieldgrid.export.shapes.clipping import at, stretches_inside
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import MapFile, open_map
 from tests.export.asymmetric import enu, write_asymmetric_map
 
 BOX = Bounds(-2.0, -1.0, 3.0, 2.0)

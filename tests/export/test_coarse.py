@@ -11,14 +11,12 @@ import pytest
 import shapely
 
 from fieldgrid import CostCurve, Costmap
-from fieldgrid.cost import LETHAL, UNKNOWN_COST
-from fieldgrid.errors import ConfigError
+from fieldgrid.core import ConfigError
 from fieldgrid.export import Selection, export_map
-from fieldgrid.export.taskdata import OBSTACLE, UNSEEN, zone_grid
-from fieldgrid.geodesy import Datum
-from fieldgrid.grids import GridSpec, LocalGrid
-from fieldgrid.mapfile import DECISION_LAYERS, MapFile, create_map, open_map
-from fieldgrid.trajectory import Pose, Status
+from fieldgrid.export.shapes.taskdata import OBSTACLE, UNSEEN, zone_grid
+from fieldgrid.geometry import Datum, GridSpec, LocalGrid, Pose, Status
+from fieldgrid.maps import LETHAL, UNKNOWN_COST, MapFile, create_map, open_map
+from fieldgrid.maps.views.view import DECISION_LAYERS
 from tests.export.nav2_loader import load
 
 DATUM = Datum(41.0, 2.0, 100.0)

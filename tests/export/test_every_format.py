@@ -23,11 +23,11 @@ import zarr
 from mcap.writer import Writer
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
-from fieldgrid.errors import ConfigError, FieldgridError, MapExistsError
+from fieldgrid.core import ConfigError, FieldgridError, MapExistsError
 from fieldgrid.export import Selection, export_map, formats
-from fieldgrid.figures import heading, save
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import MapFile, open_map
+from fieldgrid.export.figures import heading, save
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import MapFile, open_map
 from tests.conftest import TWO_LANES
 from tests.export.asymmetric import COARSE_M, write_asymmetric_map
 from tests.once import made_once
@@ -36,9 +36,9 @@ from tests.once import made_once
 FULL = """
 import json, resource, signal, sys
 from pathlib import Path
-from fieldgrid.errors import FieldgridError
+from fieldgrid.core import FieldgridError
 from fieldgrid.export import export_map
-from fieldgrid.mapfile import open_map
+from fieldgrid.maps import open_map
 
 path, folder, limit = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
 names = json.loads(sys.argv[4])

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from fieldgrid.errors import ConfigError, MapExistsError
+from fieldgrid.core import ConfigError, MapExistsError
 from fieldgrid.export import Selection, export_map, format_of, formats
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import LAYERS, MapFile, open_map
-from tests.mapfile.maps import drive, write_map
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import LAYERS, MapFile, open_map
+from tests.maps.file.maps import drive, write_map
 
 
 @pytest.fixture(scope="module")

@@ -16,19 +16,27 @@ import rasterio.shutil
 from rasterio.enums import ColorInterp
 from rasterio.warp import transform
 
-from fieldgrid import publish
-from fieldgrid.errors import ConfigError, MapExistsError, MapWriteError
+from fieldgrid.core import ConfigError, MapExistsError, MapWriteError, publish
 from fieldgrid.export import Selection, export_change, export_map
-from fieldgrid.export.raster import check_whole
-from fieldgrid.lattice import Bounds, Lattice
-from fieldgrid.layers import GROUPS, groups_of
-from fieldgrid.mapfile import LAYERS, MEANING, Change, MapFile, open_map, overviews
-from fieldgrid.transfer import MeanFold, mean_density
+from fieldgrid.export.cells.raster import check_whole
+from fieldgrid.geometry import Bounds, Lattice
+from fieldgrid.maps import (
+    GROUPS,
+    LAYERS,
+    MEANING,
+    Change,
+    MapFile,
+    groups_of,
+    mean_density,
+    open_map,
+)
+from fieldgrid.maps.tiles import overviews
+from fieldgrid.maps.transfer import MeanFold
 from tests.export import asymmetric
 from tests.export.asymmetric import COARSE_M, write_asymmetric_map
 from tests.export.placed import faults, faults_at_centres, mutants, opened
-from tests.mapfile.maps import CELL_M, DATUM, drive, one_cell, write_map
-from tests.mapfile.test_geopackage import CENTIMETRE, POINTS, geodetic, tool
+from tests.maps.file.maps import CELL_M, DATUM, drive, one_cell, write_map
+from tests.maps.file.test_geopackage import CENTIMETRE, POINTS, geodetic, tool
 
 CELLS = ((12.35, -45.65, 173), (-30.25, 41.75, 9), (50.05, 20.05, 0))
 ALL = Selection()

@@ -13,11 +13,10 @@ import pytest
 import shapely
 from lxml import etree
 
-from fieldgrid.export import Selection
-from fieldgrid.export.guidance import TaskdataOptions
-from fieldgrid.export.taskdata import export_taskdata
-from fieldgrid.mapfile import MapFile, open_map
-from fieldgrid.rows import Block, Lane, Planting
+from fieldgrid.export import Selection, TaskdataOptions, export_taskdata
+from fieldgrid.field import Lane, Planting
+from fieldgrid.field.rows.result import Block
+from fieldgrid.maps import MapFile, open_map
 from tests.export.asymmetric import COARSE_M, write_asymmetric_map
 from tests.export.test_taskdata import places, polygon
 

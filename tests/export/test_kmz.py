@@ -12,15 +12,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from fieldgrid.errors import ConfigError, MapExistsError
+from fieldgrid.core import ConfigError, MapExistsError
 from fieldgrid.export import Selection, export_map
-from fieldgrid.export import kmz as kmz_module
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import MapFile, open_map
+from fieldgrid.export.cells import kmz as kmz_module
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import MapFile, open_map
 from tests.export.asymmetric import DATUM, enu, geodetic, probes, track, truth, write_asymmetric_map
 from tests.export.placed import compared
-from tests.mapfile.maps import drive, write_map
-from tests.mapfile.test_geopackage import tool
+from tests.maps.file.maps import drive, write_map
+from tests.maps.file.test_geopackage import tool
 
 KML = {"k": "http://www.opengis.net/kml/2.2", "gx": "http://www.google.com/kml/ext/2.2"}
 

@@ -15,11 +15,11 @@ import shapely
 from rosbags.highlevel import AnyReader
 
 from fieldgrid.export import export_map
-from fieldgrid.grids import LocalGrid
-from fieldgrid.mapfile import MapFile, Mark, MarkKind, open_map
+from fieldgrid.geometry import LocalGrid
+from fieldgrid.maps import MapFile, Mark, MarkKind, open_map
 from tests.export.nav2_loader import Grid, load
-from tests.mapfile.maps import SPEC, pose_at, write_map
-from tests.mapfile.test_marks import square
+from tests.maps.file.maps import SPEC, pose_at, write_map
+from tests.maps.file.test_marks import square
 
 # Seen is what lies 0..6 m east and -2..2 m north; in its eastern half everything is an obstacle.
 FREE, UNSAID, OBSTACLE, KEEPOUT = (4.05, 0.55), (4.05, -1.05), (1.55, 1.05), (1.55, -0.95)

@@ -18,12 +18,10 @@ from PIL import Image
 from rasterio.transform import rowcol, xy
 from rasterio.warp import transform
 
-from fieldgrid.errors import ConfigError
+from fieldgrid.core import ConfigError
 from fieldgrid.export import Selection, export_map
-from fieldgrid.farm import Farm
-from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import MapFile, create_map, open_map
+from fieldgrid.geometry import Bounds, Datum
+from fieldgrid.maps import Farm, MapFile, create_map, open_map
 from tests.export.asymmetric import (
     COARSE_M,
     DATUM,
@@ -33,7 +31,7 @@ from tests.export.asymmetric import (
     truth,
     write_asymmetric_map,
 )
-from tests.mapfile.maps import drive
+from tests.maps.file.maps import drive
 
 WORLD_M = 2.0 * math.pi * 6378137.0
 _Floats = npt.NDArray[np.float64]

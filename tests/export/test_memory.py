@@ -29,8 +29,12 @@ hold all of it with fewer than 8 bytes of each."""
 PROGRAM = """
 import os, sys
 from pathlib import Path
-from fieldgrid.export import arrays, bag_content, export_map, kmz, nav2, raster, tiles
-from fieldgrid.mapfile import blocks, open_map, overviews
+from fieldgrid.export.cells import arrays, kmz, raster, tiles
+from fieldgrid.export.robots import bag_content, nav2
+from fieldgrid.export import export_map
+from fieldgrid.maps.views import blocks
+from fieldgrid.maps import open_map
+from fieldgrid.maps.tiles import overviews
 blocks._ROWS, blocks._COLUMNS = 256, 1024
 tiles.MESSAGE_CELLS, nav2.TILE_CELLS = 500_000, 512
 bag_content.GRID_MAP_CELLS, bag_content.TILE_CELLS = 500_000, 512

@@ -13,15 +13,14 @@ import pytest
 import rasterio
 import shapely
 
-from fieldgrid.errors import ConfigError
+from fieldgrid.core import ConfigError
 from fieldgrid.export import Selection, export_map
-from fieldgrid.export.taskdata import zone_grid
-from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import MapFile, open_map
-from fieldgrid.rows.agopengps import FieldPlane
-from tests.mapfile import maps
-from tests.mapfile.maps import drive, write_map
+from fieldgrid.export.shapes.taskdata import zone_grid
+from fieldgrid.field.rows.formats.agopengps import FieldPlane
+from fieldgrid.geometry import Bounds, Datum
+from fieldgrid.maps import MapFile, open_map
+from tests.maps.file import maps
+from tests.maps.file.maps import drive, write_map
 
 DATUM = Datum(-16.8, 179.99998, 50.0)
 """The meridian of 180° is 2.1 m to the east."""

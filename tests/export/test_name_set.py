@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fieldgrid.errors import MapExistsError, MapWriteError
+from fieldgrid.core import MapExistsError, MapWriteError
 from fieldgrid.export import name_set, together
 from fieldgrid.export.name_set import held_set, show
 from fieldgrid.export.together import write_together

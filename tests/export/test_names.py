@@ -10,11 +10,11 @@ from xml.etree import ElementTree
 import pytest
 import shapely
 
-from fieldgrid.errors import ConfigError
+from fieldgrid.core import ConfigError
 from fieldgrid.export import export_map
-from fieldgrid.mapfile import MapFile, create_map, open_map
-from fieldgrid.vectors import Feature, write_features
-from tests.mapfile.maps import CELL_M, DATUM, drive, track
+from fieldgrid.geometry import Feature, write_features
+from fieldgrid.maps import MapFile, create_map, open_map
+from tests.maps.file.maps import CELL_M, DATUM, drive, track
 
 NAME = "n\x1b[31m\n<b>&]]>\ufffe"
 

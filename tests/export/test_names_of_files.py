@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from fieldgrid.errors import MapWriteError
+from fieldgrid.core import MapWriteError
 from fieldgrid.export import export_map, formats
-from fieldgrid.mapfile import open_map
-from tests.mapfile.maps import drive, write_map
+from fieldgrid.maps import open_map
+from tests.maps.file.maps import drive, write_map
 
 KEYS = ("geojson", "gpkg", "csv", "png", "shapefile")
 REMEDY = r"give another name or folder\.$|its name is too long; give a shorter one\.$"

@@ -13,12 +13,11 @@ import pytest
 import yaml
 from PIL import Image
 
-from fieldgrid import publish
-from fieldgrid.errors import ConfigError, MapExistsError, MapWriteError
+from fieldgrid.core import ConfigError, MapExistsError, MapWriteError, publish
 from fieldgrid.export import Exported, Selection, export_map, together
-from fieldgrid.export.nav2 import MODES, greys
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import MapFile, open_map
+from fieldgrid.export.robots.nav2 import MODES, greys
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import MapFile, open_map
 from tests.export.asymmetric import (
     CELL_M,
     COARSE_M,

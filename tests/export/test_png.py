@@ -8,10 +8,10 @@ import pytest
 import rasterio
 import rasterio.shutil
 
-from fieldgrid.errors import ConfigError, MapExistsError, MapWriteError
+from fieldgrid.core import ConfigError, MapExistsError, MapWriteError
 from fieldgrid.export import Selection, export_map
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import MapFile, open_map
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import MapFile, open_map
 from tests.export.asymmetric import write_asymmetric_map
 from tests.export.placed import Picture, faults, faults_at_centres, mutants, opened
 

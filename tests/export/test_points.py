@@ -16,18 +16,18 @@ import pyproj
 import pytest
 import trimesh
 
-from fieldgrid.errors import ConfigError
+from fieldgrid.core import ConfigError
 from fieldgrid.export import Selection, export_map
-from fieldgrid.grids import (
+from fieldgrid.geometry import (
     FOOT_CHANNEL,
     GROUND_CHANNEL,
     NO_GROUND_CM,
     TOP_CHANNEL,
     GridSpec,
     LocalGrid,
+    Pose,
 )
-from fieldgrid.mapfile import MapFile, create_map, open_map
-from fieldgrid.trajectory import Pose
+from fieldgrid.maps import MapFile, create_map, open_map
 from tests.export.asymmetric import DATUM, F_BOXES, cells, enu, write_asymmetric_map
 
 _Floats = npt.NDArray[np.float64]
@@ -162,7 +162,7 @@ def test_the_threshold_and_larger_cells(name: str, universal: MapFile, tmp_path:
 
 
 def test_no_obstacle_is_no_point(universal: MapFile, tmp_path: Path) -> None:
-    from fieldgrid.lattice import Bounds
+    from fieldgrid.geometry import Bounds
 
     free = Selection(Bounds(-9.0, 0.0, -6.0, 3.0))
     for name in NAMES:

@@ -14,12 +14,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from fieldgrid.errors import ConfigError, MapExistsError
+from fieldgrid.core import ConfigError, MapExistsError
 from fieldgrid.export import Selection, export_map
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import Mark, MarkKind, open_map
-from tests.mapfile.maps import drive, track, write_map
-from tests.mapfile.test_qgis import PYTHON, is_there
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import Mark, MarkKind, open_map
+from tests.maps.file.maps import drive, track, write_map
+from tests.maps.file.test_qgis import PYTHON, is_there
 
 UPPERMOST_FIRST = ["footprint", "frame_position", "trajectory", "density"]
 

@@ -6,14 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldgrid.cost import CostCurve
-from fieldgrid.export import Selection, ros_messages
-from fieldgrid.export.bag_content import BagContent, messages
-from fieldgrid.mapfile import Transform, open_map
-from fieldgrid.mapfile.corrections import HeightCorrection
-from fieldgrid.mapfile.transform import AlignmentRecord
+from fieldgrid.export import Selection
+from fieldgrid.export.robots import ros_messages
+from fieldgrid.export.robots.bag_content import BagContent, messages
+from fieldgrid.maps import AlignmentRecord, CostCurve, HeightCorrection, Transform, open_map
 from tests.export.asymmetric import SPRING, write_asymmetric_map
-from tests.mapfile.maps import track
+from tests.maps.file.maps import track
 
 
 def test_a_fix_is_what_a_receiver_gave_and_a_path_has_what_has_a_heading() -> None:

@@ -23,17 +23,14 @@ from mcap_ros2.decoder import DecoderFactory as Ros2Decoder
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 
-from fieldgrid import publish
-from fieldgrid.errors import ConfigError, MapError, MapExistsError, MapWriteError
+from fieldgrid.core import ConfigError, MapError, MapExistsError, MapWriteError, publish
 from fieldgrid.export import Exported, Selection, export_map
-from fieldgrid.export.bag_content import topic_names
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import MapFile, create_map, open_map
-from fieldgrid.pose import estimate_poses
-from fieldgrid.recording import open_drive
-from fieldgrid.rig import LeverArm, Lidar, Mount, Rig
-from fieldgrid.ros import decode, open_bag
-from fieldgrid.trajectory import Status, Trajectory
+from fieldgrid.export.robots.bag_content import topic_names
+from fieldgrid.geometry import Bounds, LeverArm, Lidar, Mount, Rig, Status, Trajectory
+from fieldgrid.maps import MapFile, create_map, open_map
+from fieldgrid.poses import estimate_poses
+from fieldgrid.recordings import decode, open_drive
+from fieldgrid.recordings.ros.bag import open_bag
 from tests.export.asymmetric import (
     CELL_M,
     DATUM,
@@ -47,8 +44,7 @@ from tests.export.asymmetric import (
     truth,
     write_asymmetric_map,
 )
-from tests.mapfile.maps import drive, write_session
-from tests.mapfile.maps import write_map as write_plain_map
+from tests.maps.file.maps import drive, write_map as write_plain_map, write_session
 from tests.simulated import K_TURN, simulate, time_ns
 
 Messages = dict[str, list[Any]]

@@ -11,9 +11,9 @@ import pytest
 import shapely
 import yaml
 
-from fieldgrid.errors import ConfigError
+from fieldgrid.core import ConfigError
 from fieldgrid.export import Selection, export_map
-from fieldgrid.mapfile import MapFile, Mark, MarkKind, open_map
+from fieldgrid.maps import MapFile, Mark, MarkKind, open_map
 from tests.export.asymmetric import COARSE_M, truth, write_asymmetric_map
 from tests.export.nav2_loader import load
 

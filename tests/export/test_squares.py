@@ -12,10 +12,11 @@ import pytest
 import shapely
 
 from fieldgrid import Quadtree
-from fieldgrid.errors import ConfigError
-from fieldgrid.export import Selection, export_map, squares
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import MapFile, open_map
+from fieldgrid.core import ConfigError
+from fieldgrid.export import Selection, export_map
+from fieldgrid.export.shapes import features as squares
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import MapFile, open_map
 from tests.export.asymmetric import probes, truth, write_asymmetric_map
 from tests.export.test_vector import READERS, Feature, exported
 

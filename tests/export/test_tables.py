@@ -12,10 +12,10 @@ import numpy.typing as npt
 import pyarrow.parquet
 import pytest
 
-from fieldgrid.errors import ConfigError, MapExistsError
+from fieldgrid.core import ConfigError, MapExistsError
 from fieldgrid.export import Selection, export_map
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import MapFile, open_map
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import MapFile, open_map
 from tests.export.asymmetric import (
     COARSE_M,
     DATUM,

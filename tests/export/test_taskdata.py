@@ -13,10 +13,11 @@ import pytest
 import shapely
 from lxml import etree
 
-from fieldgrid.errors import ConfigError, MapExistsError
-from fieldgrid.export import Selection, export_map, taskdata
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import MapFile, open_map
+from fieldgrid.core import ConfigError, MapExistsError
+from fieldgrid.export import Selection, export_map
+from fieldgrid.export.shapes import taskdata
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import MapFile, open_map
 from tests.export.asymmetric import (
     COARSE_M,
     EXTENT,

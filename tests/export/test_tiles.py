@@ -11,12 +11,14 @@ import pytest
 import yaml
 from rosbags.highlevel import AnyReader
 
-from fieldgrid.errors import ConfigError, MapExistsError
-from fieldgrid.export import Selection, bag_content, export_map, nav2, tiles
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import Mark, MarkKind, open_map
+from fieldgrid.core import ConfigError, MapExistsError
+from fieldgrid.export import Selection, export_map
+from fieldgrid.export.cells import tiles
+from fieldgrid.export.robots import bag_content, nav2
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import Mark, MarkKind, open_map
 from tests.export.nav2_loader import load
-from tests.mapfile.maps import drive, one_cell, write_map
+from tests.maps.file.maps import drive, one_cell, write_map
 
 
 @pytest.fixture(scope="module")

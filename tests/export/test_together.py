@@ -10,12 +10,10 @@ from typing import Any
 
 import pytest
 
-from fieldgrid import publish
-from fieldgrid.errors import MapExistsError, MapWriteError
+from fieldgrid.core import MapExistsError, MapWriteError, lock, publish
 from fieldgrid.export import name_set
 from fieldgrid.export.name_set import held_set
 from fieldgrid.export.together import write_together
-from fieldgrid.file_locks import lock
 from tests.export.killing import KilledAt, text, write_set
 
 

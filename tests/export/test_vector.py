@@ -21,17 +21,16 @@ import pytest
 import shapefile
 import shapely
 import shapely.geometry
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from hypothesis.extra import numpy as st_numpy
 from scipy import ndimage
 
-from fieldgrid.errors import ConfigError, MapExistsError
+from fieldgrid.core import ConfigError, MapExistsError
 from fieldgrid.export import Selection, export_map
-from fieldgrid.export.obstacles import trace_obstacles
 from fieldgrid.export.options import ShapeOptions
-from fieldgrid.lattice import Bounds, Lattice, Window
-from fieldgrid.mapfile import MapFile, MapView, create_map, open_map
+from fieldgrid.export.shapes.obstacles import trace_obstacles
+from fieldgrid.geometry import Bounds, Lattice, Window
+from fieldgrid.maps import MapFile, MapView, create_map, open_map
 from tests.export.asymmetric import (
     DATUM,
     F_BOXES,
@@ -46,7 +45,7 @@ from tests.export.asymmetric import (
     truth,
     write_asymmetric_map,
 )
-from tests.mapfile.maps import drive, write_session
+from tests.maps.file.maps import drive, write_session
 
 
 class Feature(NamedTuple):

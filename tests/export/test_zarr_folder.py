@@ -13,7 +13,7 @@ import pytest
 import zarr
 from zarr.storage import LocalStore
 
-from fieldgrid.export.zarr_folder import zarr_folder
+from fieldgrid.export.cells.zarr_folder import zarr_folder
 
 
 def write_cells(folder: Path, values: npt.NDArray[np.uint16]) -> None:

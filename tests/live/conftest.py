@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from fieldgrid.build import build_map
-from fieldgrid.recording import open_recording
-from fieldgrid.settings import BuildSettings
+from fieldgrid.core import BuildSettings
+from fieldgrid.pipeline import build_map
+from fieldgrid.recordings import open_recording
 from tests.conftest import TWO_LANES, make_small_drive
 from tests.live.making import cut_log
 
@@ -23,8 +23,8 @@ def _nothing_is_worked_out_twice(
 ) -> None:
     """What pairs show and where drives went is tested elsewhere, and that kernels are ready before
     the first frame in a process of its own."""
-    monkeypatch.setattr("fieldgrid.live.live.warm_up", lambda gridder, odometry: None)
-    monkeypatch.setattr("fieldgrid.live.live.warm_up_poses", lambda rig, settings: None)
+    monkeypatch.setattr("fieldgrid.live.session.warm_up", lambda gridder, odometry: None)
+    monkeypatch.setattr("fieldgrid.live.session.warm_up_poses", lambda rig, settings: None)
     if "worked_out_afresh" not in request.fixturenames:
         request.getfixturevalue("worked_out_once")
 

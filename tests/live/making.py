@@ -11,11 +11,10 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fieldgrid.array_types import Float64, Int64
-from fieldgrid.build import estimate_trajectory
+from fieldgrid.core import Float64, Int64
 from fieldgrid.live import Live, LiveEvent, LiveResult, replay
-from fieldgrid.recording import DriveOptions, Recording, open_drive, open_recording
-from fieldgrid.recording.pose_source import PoseSource
+from fieldgrid.pipeline import estimate_trajectory
+from fieldgrid.recordings import DriveOptions, PoseSource, Recording, open_drive, open_recording
 
 T = TypeVar("T")
 

@@ -11,11 +11,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fieldgrid.fixes import Fix
+from fieldgrid.geometry import Fix, Rig
 from fieldgrid.live import LiveResult, Pauses, Sources, What
-from fieldgrid.live.sensor_rows import Rows
-from fieldgrid.recording import Frame
-from fieldgrid.rig import Rig
+from fieldgrid.live.pose.sensor_rows import Rows
+from fieldgrid.recordings import Frame
 from tests.live.making import Told
 from tests.scenes import paper_rig
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fieldgrid.errors import ConfigError
+from fieldgrid.core import ConfigError
 from fieldgrid.live import StereoDevices, parse_devices
 from tests.live.sources import TIMEOUT_S, running
 from tests.scenes import paper_rig
@@ -58,7 +58,7 @@ def test_one_device_gives_both_sides_and_may_be_unplugged(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     device = Device()
-    monkeypatch.setattr("fieldgrid.live.camera.open_device", device.open)
+    monkeypatch.setattr("fieldgrid.live.sources.camera.open_device", device.open)
     source = StereoDevices((0,), RIG, most_fps=1000.0)
     before_ns = time.time_ns()
     with running(source) as notes:
@@ -86,7 +86,7 @@ def test_two_devices_give_a_side_each(monkeypatch: pytest.MonkeyPatch) -> None:
     def opener(number: int, size_px: tuple[int, int]) -> Device:
         return devices[number].open(number, size_px)
 
-    monkeypatch.setattr("fieldgrid.live.camera.open_device", opener)
+    monkeypatch.setattr("fieldgrid.live.sources.camera.open_device", opener)
     with running(StereoDevices((2, 0), RIG)) as notes:
         devices[2].give(coloured(10))
         devices[0].give(coloured(20)[:, :, 0])  # grey
@@ -99,7 +99,7 @@ def test_two_devices_give_a_side_each(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_no_more_pairs_are_taken_than_were_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     device = Device()
-    monkeypatch.setattr("fieldgrid.live.camera.open_device", device.open)
+    monkeypatch.setattr("fieldgrid.live.sources.camera.open_device", device.open)
     with running(StereoDevices((0,), RIG, most_fps=0.1)) as notes:
         for value in range(5):
             device.give(coloured(value, 2 * WIDTH))

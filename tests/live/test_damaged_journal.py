@@ -14,14 +14,14 @@ from typing import Any
 
 import pytest
 
-from fieldgrid.build.report import StageTimes
-from fieldgrid.errors import ConfigError, MapError, MapWriteError
+from fieldgrid.core import ConfigError, MapError, MapWriteError
 from fieldgrid.live import Live, discard_session, live_folder, replay
-from fieldgrid.live.journal import _RECORD, DAMAGED, MAGIC, Journal, read_journal
-from fieldgrid.live.kept_drive import KeptFrame
-from fieldgrid.live.session_folder import SessionFolder
-from fieldgrid.odometry import CameraStep, Refusal
-from fieldgrid.recording import open_recording
+from fieldgrid.live.kept.journal import _RECORD, DAMAGED, MAGIC, Journal, read_journal
+from fieldgrid.live.kept.kept_drive import KeptFrame
+from fieldgrid.live.kept.session_folder import SessionFolder
+from fieldgrid.perception import CameraStep, Refusal
+from fieldgrid.pipeline import StageTimes
+from fieldgrid.recordings import open_recording
 from tests.live.making import begin
 
 
@@ -30,8 +30,8 @@ def whole(short_drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a session that has pushed a whole drive and was ended."""
     out = tmp_path_factory.mktemp("whole") / "m.gpkg"
     with pytest.MonkeyPatch.context() as patch, open_recording(short_drive) as recording:
-        patch.setattr("fieldgrid.live.live.warm_up", lambda gridder, odometry: None)
-        patch.setattr("fieldgrid.live.live.warm_up_poses", lambda rig, settings: None)
+        patch.setattr("fieldgrid.live.session.warm_up", lambda gridder, odometry: None)
+        patch.setattr("fieldgrid.live.session.warm_up_poses", lambda rig, settings: None)
         live = begin(recording, out)
         replay(live, recording, rate=None)
         live.stop()
@@ -163,7 +163,7 @@ def test_the_search_behind_damage_reads_little_for_marks_of_no_record(
     mark = _RECORD.pack(b"\xf1LIV", length, 1) + b'["'
     size = path.write_bytes(MAGIC + mark * 1000 + record)
     monkeypatch.setattr(Path, "open", lambda path, _mode: Counting(io.FileIO(path)))
-    monkeypatch.setattr("fieldgrid.live.journal._SEARCHED_BYTES", 16)
+    monkeypatch.setattr("fieldgrid.live.kept.journal._SEARCHED_BYTES", 16)
     assert list(read_journal(path)) == [(DAMAGED, 14_000), ("rows", 1)]
     assert read < 6 * size
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fieldgrid.array_types import Float64
-from fieldgrid.geodesy import Datum
-from fieldgrid.live.dead_reckoning import ROLLED_S, DeadReckoning
-from fieldgrid.live.sensor_rows import MOST_NEW, rows_of
-from fieldgrid.odometry import CameraStep
-from fieldgrid.trajectory import Status, Trajectory
+from fieldgrid.core import Float64
+from fieldgrid.geometry import Datum, Status, Trajectory
+from fieldgrid.live.pose.dead_reckoning import ROLLED_S, DeadReckoning
+from fieldgrid.live.pose.sensor_rows import MOST_NEW, rows_of
+from fieldgrid.perception import CameraStep
 
 START_NS = 1_700_000_000_000_000_000
 SPEED_MPS, RATE_RAD_S = 2.0, 0.5

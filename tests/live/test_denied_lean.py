@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from fieldgrid.live.options import LiveOptions
-from fieldgrid.live.poser import Poser
-from fieldgrid.live.sensor_rows import rows_of
+from fieldgrid.live import LiveOptions
+from fieldgrid.live.pose.poser import Poser
+from fieldgrid.live.pose.sensor_rows import rows_of
 from tests.live.making import Told
 from tests.live.test_poser import DATUM, RIG, SETTINGS, at_ns, fix, frame
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fieldgrid.live.disk_state import DiskState
+from fieldgrid.live.kept.disk_state import DiskState
 
 
 def test_only_changes_are_reported_and_losses_counted_once() -> None:

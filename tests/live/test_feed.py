@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fieldgrid.errors import ConfigError
-from fieldgrid.live import Feed, feed, open_feed, parse_feed
+from fieldgrid.core import ConfigError
+from fieldgrid.live import Feed, open_feed, parse_feed
+from fieldgrid.live.servers import feed
 from tests.live.sources import TIMEOUT_S
 from tests.live.windows import documented_readers, window
 
@@ -71,7 +72,9 @@ BIG = (1200, 1200)
 def test_a_client_that_does_not_read_loses_windows_and_holds_up_nobody(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("fieldgrid.live.feed.STUCK_S", TIMEOUT_S)  # or a slow machine drops it
+    monkeypatch.setattr(
+        "fieldgrid.live.servers.feed.STUCK_S", TIMEOUT_S
+    )  # or a slow machine drops it
     with Feed("127.0.0.1", 0) as served:
         served.put(window(1, size=BIG))
         with connect(served.address) as reads, connect(served.address) as sleeps:
@@ -84,7 +87,7 @@ def test_a_client_that_does_not_read_loses_windows_and_holds_up_nobody(
 
 
 def test_a_client_that_takes_nothing_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fieldgrid.live.feed.STUCK_S", 0.05)
+    monkeypatch.setattr("fieldgrid.live.servers.feed.STUCK_S", 0.05)
     told, is_told = [], threading.Event()
 
     def tell(text: str) -> None:

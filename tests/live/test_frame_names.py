@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from fieldgrid.live import finish_session
-from fieldgrid.live.frame_names import highest_number, told_apart
-from fieldgrid.mapfile import open_map
-from fieldgrid.recording import open_recording
+from fieldgrid.live.kept.frame_names import highest_number, told_apart
+from fieldgrid.maps import open_map
+from fieldgrid.recordings import open_recording
 from tests.live.making import begin
 
 

@@ -15,17 +15,17 @@ from pathlib import Path
 
 import pytest
 
-from fieldgrid.build import build_map
-from fieldgrid.errors import MapWriteError
+from fieldgrid.core import BuildSettings, MapWriteError
 from fieldgrid.live import LiveGrid, finish_session, live_folder, replay
-from fieldgrid.live.kept_drive import POINTS
-from fieldgrid.live.session_folder import SessionFolder
-from fieldgrid.mapfile import open_map, staging
-from fieldgrid.recording import Frame, open_recording
-from fieldgrid.settings import BuildSettings
-from tests.build.making import content
+from fieldgrid.live.kept.kept_drive import POINTS
+from fieldgrid.live.kept.session_folder import SessionFolder
+from fieldgrid.maps import open_map
+from fieldgrid.maps.writing import staging
+from fieldgrid.pipeline import build_map
+from fieldgrid.recordings import Frame, open_recording
 from tests.conftest import make_small_drive
 from tests.live.making import Told, begin
+from tests.pipeline.drives.making import content
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")
 
@@ -51,8 +51,8 @@ class SmallDisk:
 @pytest.fixture
 def disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SmallDisk]:
     """No room on it is reserved for the map."""
-    monkeypatch.setattr("fieldgrid.live.kept_points.RESERVE_BYTES", 0)
-    monkeypatch.setattr("fieldgrid.live.kept_points.AGAIN_BYTES", 0)
+    monkeypatch.setattr("fieldgrid.live.kept.kept_points.RESERVE_BYTES", 0)
+    monkeypatch.setattr("fieldgrid.live.kept.kept_points.AGAIN_BYTES", 0)
     place = tmp_path / "disk"
     place.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=16m", "tmpfs", str(place)]

@@ -10,18 +10,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fieldgrid.build import build_map
-from fieldgrid.errors import ConfigError, GnssError
+from fieldgrid.core import BuildSettings, ConfigError, GnssError
+from fieldgrid.geometry import Status
 from fieldgrid.live import Live, LivePose, LiveWindow, finish_from, finish_session, replay
 from fieldgrid.live.given import check_order, pose_rows
-from fieldgrid.mapfile import open_map
-from fieldgrid.recording import DriveOptions, PoseBody, Recording, open_recording
-from fieldgrid.recording.pose_files import read_pose_file
-from fieldgrid.recording.pose_source import PoseSource
-from fieldgrid.settings import BuildSettings
-from fieldgrid.trajectory import Status
-from tests.build.making import content
+from fieldgrid.maps import open_map
+from fieldgrid.pipeline import build_map
+from fieldgrid.recordings import DriveOptions, PoseBody, PoseSource, Recording, open_recording
+from fieldgrid.recordings.poses.pose_files import read_pose_file
 from tests.live.making import Told, begin, slam, with_poses
+from tests.pipeline.drives.making import content
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")
 

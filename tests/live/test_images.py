@@ -10,11 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from fieldgrid.errors import CalibrationError, RecordingError
+from fieldgrid.core import CalibrationError, RecordingError
 from fieldgrid.live import ImageFolder
-from fieldgrid.recording import StereoFrame
-from fieldgrid.recording.growing import open_growing
-from fieldgrid.recording.options import DriveOptions
+from fieldgrid.recordings import DriveOptions, StereoFrame, open_growing
 from tests.conftest import TWO_LANES
 from tests.live.sources import append, drop, empty_copy, rows_of, running
 
@@ -58,7 +56,7 @@ def test_frames_are_taken_as_they_are_whole_and_in_order(folder: Path) -> None:
 def test_an_image_that_is_never_whole_is_given_up(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fieldgrid.live.images.GIVEN_UP_S", 0.1)
+    monkeypatch.setattr("fieldgrid.live.sources.images.GIVEN_UP_S", 0.1)
     with running(ImageFolder(open_growing(folder))) as notes:
         notes.wait_told("is watched for frames.")
         append(folder, ROWS[0])  # and no file

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fieldgrid.live.imu_stream import HELD, ImuStream
-from fieldgrid.live.sensor_rows import Rows
-from fieldgrid.recording.bag.transforms import Transforms
+from fieldgrid.live.pose.sensor_rows import Rows
+from fieldgrid.live.sources.imu_stream import HELD, ImuStream
+from fieldgrid.recordings import Transforms
 
 G = 9.81
 

@@ -11,24 +11,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldgrid.build import build_map
-from fieldgrid.errors import MapError, MapExistsError, MapWriteError
+from fieldgrid.core import BuildSettings, MapError, MapExistsError, MapWriteError
+from fieldgrid.geometry import Tilt
 from fieldgrid.live import discard_session, finish_from, finish_session, live_folder, replay
 from fieldgrid.live.finish import NOT_LEVELLED
-from fieldgrid.live.kept_drive import POINTS
-from fieldgrid.live.kept_points import AGAIN_BYTES, LOST, RESERVE_BYTES, KeptPoints
-from fieldgrid.live.points_file import _MARK, _RECORD, MAGIC, PointsFile, packed
-from fieldgrid.live.running_tilt import RunningTilt
-from fieldgrid.live.sensor_rows import KEPT_NS, rows_of
-from fieldgrid.live.session_folder import SessionFolder
-from fieldgrid.mapfile import StageFile, open_map
-from fieldgrid.recording import open_recording
-from fieldgrid.rotations import Tilt
-from fieldgrid.settings import BuildSettings
-from fieldgrid.sweep import Sweep
-from tests.build.making import content
+from fieldgrid.live.kept.kept_drive import POINTS
+from fieldgrid.live.kept.kept_points import AGAIN_BYTES, LOST, RESERVE_BYTES, KeptPoints
+from fieldgrid.live.kept.points_file import _MARK, _RECORD, MAGIC, PointsFile, packed
+from fieldgrid.live.kept.session_folder import SessionFolder
+from fieldgrid.live.pose.running_tilt import RunningTilt
+from fieldgrid.live.pose.sensor_rows import KEPT_NS, rows_of
+from fieldgrid.maps import StageFile, open_map
+from fieldgrid.perception import Sweep
+from fieldgrid.pipeline import build_map
+from fieldgrid.recordings import open_recording
 from tests.conftest import make_small_drive
 from tests.live.making import Told, begin
+from tests.pipeline.drives.making import content
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")
 
@@ -83,7 +82,7 @@ def test_a_record_that_did_not_fit_gives_its_room_back(
         return write(file, bytes(data)[:10], offset)
 
     with PointsFile(tmp_path / POINTS) as file:
-        monkeypatch.setattr("fieldgrid.live.points_file.os.pwrite", part)
+        monkeypatch.setattr("fieldgrid.live.kept.points_file.os.pwrite", part)
         with pytest.raises(OSError, match="No space"):
             file.append(RECORD)
     assert (tmp_path / POINTS).read_bytes() == MAGIC
@@ -95,7 +94,7 @@ def test_no_points_are_kept_below_the_reserve(
     usage = namedtuple("usage", "free")
     free = [RESERVE_BYTES]
     monkeypatch.setattr(
-        "fieldgrid.live.kept_points.shutil.disk_usage", lambda _path: usage(free[0])
+        "fieldgrid.live.kept.kept_points.shutil.disk_usage", lambda _path: usage(free[0])
     )
     with KeptPoints(tmp_path / POINTS, 15.0, 1 << 40, None) as kept:
         assert kept.add(RECORD, 1) is not None
@@ -327,7 +326,8 @@ def test_the_head_is_on_the_disk_when_a_session_begins(
 ) -> None:
     synced: list[bytes] = []
     monkeypatch.setattr(
-        "fieldgrid.live.points_file.os.fsync", lambda file: synced.append(os.pread(file, 99, 0))
+        "fieldgrid.live.kept.points_file.os.fsync",
+        lambda file: synced.append(os.pread(file, 99, 0)),
     )
     PointsFile(tmp_path / POINTS).close()
     assert synced == [MAGIC]

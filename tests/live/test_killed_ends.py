@@ -12,16 +12,17 @@ from typing import Any
 import cv2
 import pytest
 
-from fieldgrid.build import build_map
-from fieldgrid.errors import ConfigError, MapExistsError
-from fieldgrid.live import finish, finish_session, live_folder, replay, session_folder
-from fieldgrid.mapfile import StageFile, map_file, open_map, session
-from fieldgrid.mapfile.placing import SessionTiles
-from fieldgrid.publish import Draft
-from fieldgrid.recording import open_recording
-from fieldgrid.settings import BuildSettings
-from tests.build.making import content
+from fieldgrid.core import BuildSettings, ConfigError, Draft, MapExistsError
+from fieldgrid.live import finish, finish_session, live_folder, replay
+from fieldgrid.live.kept import session_folder
+from fieldgrid.maps import StageFile, open_map
+from fieldgrid.maps.file import map_file
+from fieldgrid.maps.writing import session
+from fieldgrid.maps.writing.placing import SessionTiles
+from fieldgrid.pipeline import build_map
+from fieldgrid.recordings import open_recording
 from tests.live.making import begin
+from tests.pipeline.drives.making import content
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")
 

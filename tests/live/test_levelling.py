@@ -12,36 +12,39 @@ import cv2
 import numpy as np
 import pytest
 
-from fieldgrid.array_types import Float64, Int64
-from fieldgrid.attitude import Attitude
-from fieldgrid.build import Progress, add_recording, build_map, estimate_drive, local_grid
-from fieldgrid.convert import convert_recording
-from fieldgrid.errors import ConfigError
-from fieldgrid.grids import GridSpec
-from fieldgrid.live import (
-    LiveGrid,
-    LiveOptions,
-    finish_from,
-    finish_session,
-    live_folder,
-    replay,
+from fieldgrid.core import BuildSettings, ConfigError, Float64, Int64
+from fieldgrid.geometry import (
+    GridSpec,
+    Orientation,
+    R_enu_level,
+    R_level_vehicle,
+    RecordedTilt,
+    Tilt,
+    from_vectors,
+    roll_pitch_deg,
 )
+from fieldgrid.live import LiveGrid, LiveOptions, finish_from, finish_session, live_folder, replay
 from fieldgrid.live.gridding_again import NO_POINTS
-from fieldgrid.live.kept_drive import POINTS, KeptFrame
-from fieldgrid.live.kept_points import UNTOLD_NS, KeptPoints
-from fieldgrid.live.points_file import PointsFile, RecordSpan, packed
-from fieldgrid.live.running_tilt import CARRIED_S, RunningTilt, square_to_ground
-from fieldgrid.live.sensor_rows import rows_of
-from fieldgrid.localgrid import LocalGridder
-from fieldgrid.mapfile import create_map, open_map
-from fieldgrid.motion import Orientation, RecordedTilt
-from fieldgrid.recording import DriveOptions, open_drive, open_recording
-from fieldgrid.rotations import R_enu_level, R_level_vehicle, Tilt, from_vectors, roll_pitch_deg
-from fieldgrid.settings import BuildSettings
-from fieldgrid.sweep import Sweep
-from tests.build.making import content
+from fieldgrid.live.kept.kept_drive import POINTS, KeptFrame
+from fieldgrid.live.kept.kept_points import UNTOLD_NS, KeptPoints
+from fieldgrid.live.kept.points_file import PointsFile, RecordSpan, packed
+from fieldgrid.live.pose.running_tilt import CARRIED_S, RunningTilt, square_to_ground
+from fieldgrid.live.pose.sensor_rows import rows_of
+from fieldgrid.maps import create_map, open_map
+from fieldgrid.perception import LocalGridder, Sweep
+from fieldgrid.pipeline import (
+    Progress,
+    add_recording,
+    build_map,
+    convert_recording,
+    estimate_drive,
+    local_grid,
+)
+from fieldgrid.poses import Attitude
+from fieldgrid.recordings import DriveOptions, open_drive, open_recording
 from tests.conftest import make_small_drive
 from tests.live.making import Told, begin
+from tests.pipeline.drives.making import content
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")
 
@@ -229,7 +232,7 @@ def test_points_of_a_drive_that_tells_no_lean_are_not_kept_for_long(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock_ns = [0]
-    monkeypatch.setattr("fieldgrid.live.kept_points.time.monotonic_ns", lambda: clock_ns[0])
+    monkeypatch.setattr("fieldgrid.live.kept.kept_points.time.monotonic_ns", lambda: clock_ns[0])
     path, record = tmp_path / POINTS, packed(Sweep(np.ones((50, 3), np.float32)), 15.0)
     level = KeptPoints(path, 15.0, 1 << 30, None)
     assert level.add(record, 1_000) is not None

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fieldgrid.build import build_map
-from fieldgrid.build.perception import Perception
-from fieldgrid.errors import (
+from fieldgrid.core import (
+    BuildSettings,
     CalibrationError,
     ConfigError,
     GnssError,
@@ -24,6 +23,7 @@ from fieldgrid.errors import (
     MapWriteError,
     RecordingError,
 )
+from fieldgrid.geometry import Rig
 from fieldgrid.live import (
     Live,
     LiveGrid,
@@ -37,18 +37,17 @@ from fieldgrid.live import (
     perceiver,
     replay,
 )
-from fieldgrid.live.journal import Journal, read_journal
+from fieldgrid.live.kept.journal import Journal, read_journal
+from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.live.perceiver import PerceivedFrame, encoded, perceive_frame
-from fieldgrid.live.poser import Poser
-from fieldgrid.live.session_folder import SessionFolder
-from fieldgrid.mapfile import StagedFrame, StageFile, open_map
-from fieldgrid.odometry import CameraStep
-from fieldgrid.recording import Frame, Recording, open_recording
-from fieldgrid.rig import Rig
-from fieldgrid.settings import BuildSettings
-from tests.build.making import content
+from fieldgrid.live.pose.poser import Poser
+from fieldgrid.maps import StagedFrame, StageFile, open_map
+from fieldgrid.perception import CameraStep
+from fieldgrid.pipeline import Perception, build_map
+from fieldgrid.recordings import Frame, Recording, open_recording
 from tests.conftest import make_small_drive
 from tests.live.making import Told, begin, drive_live
+from tests.pipeline.drives.making import content
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")
 
@@ -320,7 +319,7 @@ def test_fixes_and_rows_that_a_full_disk_costs_are_told(
     with open_recording(short_drive) as recording:
         live = begin(recording, tmp_path / "m.gpkg", on_result=told)
         monkeypatch.setattr(Journal, "_write", lambda _self: False)
-        monkeypatch.setattr("fieldgrid.live.journal.MAX_WAITING_BYTES", 2_000)
+        monkeypatch.setattr("fieldgrid.live.kept.journal.MAX_WAITING_BYTES", 2_000)
         push_fixes(live, recording)
         monkeypatch.setattr(Journal, "_write", write)
         live.push_gyro(1, 0.0)  # too large for memory yet, and then the disk takes what waits

@@ -16,30 +16,34 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from scipy.spatial.transform import Rotation
 
-from fieldgrid.attitude import Attitude
-from fieldgrid.build import build_map, estimate_drive
-from fieldgrid.convert import convert_recording
-from fieldgrid.errors import ConfigError
-from fieldgrid.live import LiveOptions, McapStream, Sources, live_folder
-from fieldgrid.live.mcap_stream import PoseTopic
-from fieldgrid.live.sensor_rows import PARTS
-from fieldgrid.mapfile import open_map
-from fieldgrid.motion import Orientation, RecordedTilt
-from fieldgrid.recording import CloudFrame, DriveOptions, PoseBody, open_drive, open_recording
-from fieldgrid.recording.cloud_files import CloudKind
-from fieldgrid.recording.depth_files import DepthFormat, DepthKind
-from fieldgrid.recording.growing import open_growing
-from fieldgrid.recording.pose_files import read_pose_file
-from fieldgrid.recording.pose_source import PoseSource
-from fieldgrid.recording.stored import PairKind
-from fieldgrid.ros.gnss import ORIENTATION, TILT, tilt_messages
-from fieldgrid.rotations import R_enu_level, R_level_vehicle
-from fieldgrid.settings import BuildSettings
-from tests.build.making import content
-from tests.build.yard import recorded as recorded_yard
+from fieldgrid.core import BuildSettings, ConfigError
+from fieldgrid.geometry import Orientation, R_enu_level, R_level_vehicle, RecordedTilt
+from fieldgrid.live import LiveOptions, McapStream, PoseTopic, Sources, live_folder
+from fieldgrid.live.pose.sensor_rows import PARTS
+from fieldgrid.maps import open_map
+from fieldgrid.pipeline import build_map, convert_recording, estimate_drive
+from fieldgrid.poses import Attitude
+from fieldgrid.recordings import (
+    ORIENTATION,
+    TILT,
+    CloudFrame,
+    CloudKind,
+    DriveOptions,
+    PairKind,
+    PoseBody,
+    PoseSource,
+    open_drive,
+    open_growing,
+    open_recording,
+)
+from fieldgrid.recordings.frames.depth_files import DepthFormat, DepthKind
+from fieldgrid.recordings.poses.pose_files import read_pose_file
+from fieldgrid.recordings.ros.gnss_messages import tilt_messages
 from tests.live.making import begin, slam
 from tests.live.sources import QUICK, Heard, running
-from tests.recording.bags import Maker
+from tests.pipeline.drives.making import content
+from tests.pipeline.drives.yard import recorded as recorded_yard
+from tests.recordings.bags import Maker
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")
 

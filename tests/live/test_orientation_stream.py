@@ -9,15 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fieldgrid.live.imu_stream import ImuStream
-from fieldgrid.live.orientation_stream import (
-    IMU_FIRST_NS,
-    SETTLED_NS,
-    OrientationStream,
-)
-from fieldgrid.live.sensor_rows import Rows
-from fieldgrid.recording.bag.leaning import LEAST_STEP_NS, ODOMETRY_FRAME_SIGMA_DEG
-from fieldgrid.recording.bag.transforms import Transforms
+from fieldgrid.live.pose.sensor_rows import Rows
+from fieldgrid.live.sources.imu_stream import ImuStream
+from fieldgrid.live.sources.orientation_stream import IMU_FIRST_NS, SETTLED_NS, OrientationStream
+from fieldgrid.recordings import LEAST_STEP_NS, ODOMETRY_FRAME_SIGMA_DEG, Transforms
 
 EVERY_NS = LEAST_STEP_NS // 2
 G = 9.81

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from fieldgrid.errors import ConfigError
+from fieldgrid.core import ConfigError
 from fieldgrid.live import Receiver
 from tests.conftest import TWO_LANES
 

@@ -12,25 +12,32 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fieldgrid.attitude import Attitude
-from fieldgrid.fixes import Fix
-from fieldgrid.geodesy import Datum
-from fieldgrid.grids import GridSpec, LocalGrid
-from fieldgrid.live.estimator import Estimator
-from fieldgrid.live.fixed_lag import KEPT_S, EstimateInputs, FixedLagSmoother
-from fieldgrid.live.options import LiveOptions
+from fieldgrid.core import BuildSettings, Quality
+from fieldgrid.geometry import (
+    Datum,
+    Fix,
+    GridSpec,
+    LeverArm,
+    LocalGrid,
+    Mount,
+    Pose,
+    Rig,
+    Status,
+    StereoCamera,
+)
+from fieldgrid.live import LiveEvent, LiveOptions, LivePose, LiveWindow, What, WindowDoubt
 from fieldgrid.live.perceiver import PerceivedFrame
-from fieldgrid.live.poser import Poser
-from fieldgrid.live.results import LiveEvent, LivePose, LiveWindow, Outbox, What, WindowDoubt
-from fieldgrid.live.running_tilt import lean_advice
-from fieldgrid.live.sensor_rows import rows_of
+from fieldgrid.live.pose.estimator import Estimator
+from fieldgrid.live.pose.fixed_lag import KEPT_S, EstimateInputs, FixedLagSmoother
+from fieldgrid.live.pose.poser import Poser
+from fieldgrid.live.pose.running_tilt import lean_advice
+from fieldgrid.live.pose.sensor_rows import rows_of
+from fieldgrid.live.results import Outbox
 from fieldgrid.live.window import PlacedGrid, RollingWindow
-from fieldgrid.odometry import CameraStep
-from fieldgrid.quality import Quality
-from fieldgrid.rig import LeverArm, Mount, Rig, StereoCamera
-from fieldgrid.settings import BuildSettings
-from fieldgrid.trajectory import Pose, Status
-from fieldgrid.transfer import MeanFold, Transfer
+from fieldgrid.maps import Transfer
+from fieldgrid.maps.transfer import MeanFold
+from fieldgrid.perception import CameraStep
+from fieldgrid.poses import Attitude
 from tests.live.making import Told
 from tests.live.sources import Heard
 
@@ -171,8 +178,10 @@ def test_no_frame_is_given_up_before_an_estimate_was_made_of_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # A machine so slow that no estimate is ready before the end: the one of the end has all.
-    monkeypatch.setattr("fieldgrid.live.poser.Estimator.ask", lambda _self, _asked: None)
-    monkeypatch.setattr("fieldgrid.live.poser.Estimator.is_free", property(lambda _self: False))
+    monkeypatch.setattr("fieldgrid.live.pose.poser.Estimator.ask", lambda _self, _asked: None)
+    monkeypatch.setattr(
+        "fieldgrid.live.pose.poser.Estimator.is_free", property(lambda _self: False)
+    )
     told = driven(20.0, 20.0, follows=True).of(LivePose)
     assert len({pose.frame_id for pose in told}) == 76
     assert all(pose.pose.status is Status.OK for pose in told)
@@ -353,7 +362,9 @@ def test_a_frame_without_a_step_waits_for_no_estimate(monkeypatch: pytest.Monkey
         poser.put(fix(k / 5.0))
     poser.put(frame(20.0, None))
     told.wait(lambda: any(one.frame_id == "20.0" for one in told.of(LivePose)))
-    monkeypatch.setattr("fieldgrid.live.poser.Estimator.is_free", property(lambda _self: False))
+    monkeypatch.setattr(
+        "fieldgrid.live.pose.poser.Estimator.is_free", property(lambda _self: False)
+    )
     put(20.0, 20.4)
     poser.put(frame(20.4, None))
     told.wait(lambda: any(window.frame_id == "20.4" for window in told.of(LiveWindow)))
@@ -379,8 +390,8 @@ def test_a_window_is_told_before_the_estimate_that_has_its_frame(
     poser.put(("gyro", rows_of("gyro", at_ns(0.0) + np.arange(700) * 20_000_000, np.zeros(700))))
     poser.put(frame(12.0, None))
     told.wait(lambda: is_shown(told, "12.0"))
-    monkeypatch.setattr("fieldgrid.live.poser.Estimator.ask", asking)
-    monkeypatch.setattr("fieldgrid.live.poser.Estimator.is_free", property(lambda _self: True))
+    monkeypatch.setattr("fieldgrid.live.pose.poser.Estimator.ask", asking)
+    monkeypatch.setattr("fieldgrid.live.pose.poser.Estimator.is_free", property(lambda _self: True))
     names = [f"{k / 5.0:.1f}" for k in range(61, 66)]
     for name in names:
         poser.put(frame(float(name), 0.2))

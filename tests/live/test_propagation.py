@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from fieldgrid.live.propagation import CARRIED_S, PropagatedPose, pose_now
-from fieldgrid.odometry import CameraStep
-from fieldgrid.pose import ErrorBudget
-from fieldgrid.settings import PoseSettings
-from fieldgrid.trajectory import Pose
-from tests.test_trajectory import at, trajectory
+from fieldgrid.core import PoseSettings
+from fieldgrid.geometry import Pose
+from fieldgrid.live.pose.propagation import CARRIED_S, PropagatedPose, pose_now
+from fieldgrid.perception import CameraStep
+from fieldgrid.poses import ErrorBudget
+from tests.geometry.test_trajectory import at, trajectory
 
 START = PropagatedPose(Pose(10**18, 5.0, 7.0, 0.5, 90.0, 0.03, 0.4, 1.0), 1)
 AHEAD = CameraStep(1.0, 0.2, -10.0, 0.02, 0.1, 0.0, 0.0, 0.0, 0.1, 50)

@@ -7,26 +7,25 @@ import sys
 
 import pytest
 
-from fieldgrid.grids import GridSpec
+from fieldgrid.core import BuildSettings
+from fieldgrid.geometry import GridSpec, Rig
 from fieldgrid.live.pushed import warm_up
-from fieldgrid.localgrid import LocalGridder
-from fieldgrid.rig import Rig
-from fieldgrid.settings import BuildSettings
+from fieldgrid.perception import LocalGridder
 from tests.conftest import HANGS_S, TWO_LANES
 from tests.scenes import depth_rig, lidar_rig, paper_rig
 
 KERNELS_LEFT = """
 import sys
-from fieldgrid.build.staging import stage_frame
-from fieldgrid.grids import GridSpec
-from fieldgrid.kernel import Kernel
+from fieldgrid.pipeline import stage_frame
+from fieldgrid.geometry import GridSpec
+from fieldgrid.core.kernels import Kernel
 from fieldgrid.live.pushed import warm_up
-from fieldgrid.localgrid import LocalGridder
-from fieldgrid.odometry import step
-from fieldgrid.recording import open_recording
-from fieldgrid.live.fixed_lag import FixedLagSmoother
+from fieldgrid.perception import LocalGridder
+from fieldgrid.perception import step
+from fieldgrid.recordings import open_recording
+from fieldgrid.live.pose.fixed_lag import FixedLagSmoother
 from fieldgrid.live.warming import warm_up_poses
-from fieldgrid.settings import BuildSettings
+from fieldgrid.core import BuildSettings
 
 compiled = Kernel.compiled
 def noted(kernel):

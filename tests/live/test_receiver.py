@@ -11,11 +11,12 @@ from typing import Any
 
 import pytest
 
-from fieldgrid.errors import ConfigError
-from fieldgrid.fixes import Fix
-from fieldgrid.gnss import parse_nmea, parse_ubx
-from fieldgrid.live import Pauses, Receiver, ReceiverStream
-from fieldgrid.live.links import open_link, parse_address
+from fieldgrid.core import ConfigError
+from fieldgrid.geometry import Fix
+from fieldgrid.live import Pauses, Receiver, ReceiverStream, parse_address
+from fieldgrid.live.sources.links import open_link
+from fieldgrid.poses.gnss.nmea import parse_nmea
+from fieldgrid.poses.gnss.ubx import parse_ubx
 from tests.conftest import TWO_LANES
 from tests.live.sources import QUICK, TIMEOUT_S, listening, running
 

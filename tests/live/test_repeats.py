@@ -8,19 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from fieldgrid.build import build_map
-from fieldgrid.build.stuck import REPEATED
-from fieldgrid.live import LiveOptions, LivePose, LiveWindow
-from fieldgrid.live.poser import Poser
-from fieldgrid.live.results import WindowDoubt
-from fieldgrid.live.sensor_rows import rows_of
-from fieldgrid.mapfile import open_map
-from fieldgrid.settings import BuildSettings
-from fieldgrid.trajectory import Status
-from tests.build.making import content
+from fieldgrid.core import BuildSettings
+from fieldgrid.geometry import Status
+from fieldgrid.live import LiveOptions, LivePose, LiveWindow, WindowDoubt
+from fieldgrid.live.pose.poser import Poser
+from fieldgrid.live.pose.sensor_rows import rows_of
+from fieldgrid.maps import open_map
+from fieldgrid.pipeline import REPEATED, build_map
 from tests.conftest import make_small_drive
 from tests.live.making import Told, cut_log, drive_live
 from tests.live.test_poser import DATUM, RIG, SETTINGS, SPEED_MPS, START_NS, at_ns, fix, frame
+from tests.pipeline.drives.making import content
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")
 

@@ -18,21 +18,18 @@ import cv2
 import numpy as np
 import pytest
 
-from fieldgrid.errors import ConfigError, MapError
-from fieldgrid.fixes import Fix
-from fieldgrid.geodesy import Datum
+from fieldgrid.core import BuildSettings, ConfigError, MapError, Quality
+from fieldgrid.geometry import Datum, Fix
 from fieldgrid.live import Live, finish_session, live_folder, replay
-from fieldgrid.live.journal import DAMAGED, MAGIC, Journal, read_journal
-from fieldgrid.live.kept_drive import PushedDrive, SessionStart
-from fieldgrid.live.sensor_rows import fix_from_json, fix_to_json
-from fieldgrid.live.session_folder import MOST_PAIRS, SessionFolder
-from fieldgrid.mapfile import StageFile, open_map
-from fieldgrid.quality import Quality
-from fieldgrid.recording import open_recording
-from fieldgrid.settings import BuildSettings
-from tests.build.making import content
+from fieldgrid.live.kept.journal import DAMAGED, MAGIC, Journal, read_journal
+from fieldgrid.live.kept.kept_drive import PushedDrive, SessionStart
+from fieldgrid.live.kept.session_folder import MOST_PAIRS, SessionFolder
+from fieldgrid.live.pose.sensor_rows import fix_from_json, fix_to_json
+from fieldgrid.maps import StageFile, open_map
+from fieldgrid.recordings import open_recording
 from tests.cli.conftest import in_a_process
 from tests.live.making import begin
+from tests.pipeline.drives.making import content
 from tests.scenes import paper_rig
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")
@@ -75,8 +72,8 @@ def test_a_full_disk_loses_only_what_memory_does_not_hold(
     path, disk = tmp_path / "journal", SmallDisk(1_000_000)
     with Journal(path) as journal:
         disk.room = 1_000
-        monkeypatch.setattr("fieldgrid.live.journal.os.pwrite", disk.pwrite)
-        monkeypatch.setattr("fieldgrid.live.journal.MAX_WAITING_BYTES", 20_000)
+        monkeypatch.setattr("fieldgrid.live.kept.journal.os.pwrite", disk.pwrite)
+        monkeypatch.setattr("fieldgrid.live.kept.journal.MAX_WAITING_BYTES", 20_000)
         # A minute of a receiver and a gyro.
         taken = [journal.append("rows", [k, 0.1 * k]) for k in range(6000)]
         assert not journal.sync()
@@ -117,7 +114,7 @@ def test_a_damaged_record_costs_itself_alone(tmp_path: Path) -> None:
 def test_records_behind_a_long_damage_are_found_and_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fieldgrid.live.journal._SEARCHED_BYTES", 64)
+    monkeypatch.setattr("fieldgrid.live.kept.journal._SEARCHED_BYTES", 64)
     path = tmp_path / "journal"
     with Journal(path) as journal:
         journal.append("rows", 1)
@@ -140,7 +137,7 @@ def test_what_a_disk_did_not_take_is_told_apart(
     path, disk = tmp_path / "journal", SmallDisk(1 << 20)
     with Journal(path) as journal:
         disk.room = 50  # the second record is written in part
-        monkeypatch.setattr("fieldgrid.live.journal.os.pwrite", disk.pwrite)
+        monkeypatch.setattr("fieldgrid.live.kept.journal.os.pwrite", disk.pwrite)
         for k in range(4):
             journal.append("rows", [k] * 5)
         on_disk = list(read_journal(path))
@@ -282,7 +279,7 @@ def test_rows_of_a_long_drive_are_joined_and_read_once_at_its_end(
     leaning_drive: Path, built_level: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each piece takes fifty times what is in it."""
-    monkeypatch.setattr("fieldgrid.live.kept_drive.PIECES", 50)
+    monkeypatch.setattr("fieldgrid.live.kept.kept_drive.PIECES", 50)
     out, reads = tmp_path / "m.gpkg", list[PushedDrive]()
     with open_recording(leaning_drive) as recording:
         live = begin(recording, out)

@@ -9,13 +9,11 @@ from typing import NoReturn
 
 import pytest
 
-from fieldgrid.build import build_map
+from fieldgrid.core import BuildSettings
 from fieldgrid.live import ImageFolder, LiveGrid, Receiver, Sources
 from fieldgrid.live.intake import CLOCK_SAMPLES, Intake, SourceEndedError, _Clocks
-from fieldgrid.recording import open_recording
-from fieldgrid.recording.growing import open_growing
-from fieldgrid.settings import BuildSettings
-from tests.build.making import content
+from fieldgrid.pipeline import build_map
+from fieldgrid.recordings import open_growing, open_recording
 from tests.live.making import begin
 from tests.live.sources import (
     QUICK,
@@ -27,6 +25,7 @@ from tests.live.sources import (
     rows_of,
     running,
 )
+from tests.pipeline.drives.making import content
 from tests.scenes import paper_rig
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")

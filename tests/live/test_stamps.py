@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fieldgrid.geometry import Status
 from fieldgrid.live import LiveOptions, LivePose, LiveWindow
-from fieldgrid.live.poser import Poser
-from fieldgrid.live.sensor_rows import rows_of
-from fieldgrid.live.stamps import FIXES, TIMES_OFF, Stamps
-from fieldgrid.recording import open_recording
-from fieldgrid.trajectory import Status
-from tests.build.making import content
+from fieldgrid.live.pose.poser import Poser
+from fieldgrid.live.pose.sensor_rows import rows_of
+from fieldgrid.live.pose.stamps import FIXES, TIMES_OFF, Stamps
+from fieldgrid.recordings import open_recording
 from tests.live.making import Told, begin
 from tests.live.test_poser import DATUM, RIG, SETTINGS, SPEED_MPS, at_ns, fix, frame
+from tests.pipeline.drives.making import content
 
 DAY_S = 86_400.0
 

@@ -7,15 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldgrid.build import SessionReport, build_map
-from fieldgrid.errors import RecordingError
+from fieldgrid.core import RecordingError, resolve
 from fieldgrid.live import Live, LiveOptions, replay
 from fieldgrid.live.pushed import PushedSource
-from fieldgrid.recording import CloudFrame, open_recording
-from fieldgrid.settings import resolve
-from tests.build.making import content
-from tests.build.yard import SETTINGS, SPEED_MPS, SWEEPS, off_m, recorded
+from fieldgrid.pipeline import SessionReport, build_map
+from fieldgrid.recordings import CloudFrame, open_recording
 from tests.live.making import begin
+from tests.pipeline.drives.making import content
+from tests.pipeline.drives.yard import SETTINGS, SPEED_MPS, SWEEPS, off_m, recorded
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +49,7 @@ def test_walls_are_where_they_are_if_the_way_is_known(
 ) -> None:
     # Of an estimate in time the speed would be known, too.
     monkeypatch.setattr(
-        "fieldgrid.live.dead_reckoning.DeadReckoning.know", lambda _self, _track: None
+        "fieldgrid.live.pose.dead_reckoning.DeadReckoning.know", lambda _self, _track: None
     )
     # Without the points of its frames the map has the grids as they were made while driving.
     report = driven(drive, tmp_path / "map.gpkg", wheels=wheels, points_gb=0.0)

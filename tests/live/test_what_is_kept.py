@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from fieldgrid.errors import MapWriteError
+from fieldgrid.core import MapWriteError
 from fieldgrid.live import Live, finish_from, finish_session
-from fieldgrid.live.journal import Journal
-from fieldgrid.live.session_folder import SessionFolder
-from fieldgrid.recording import Recording, open_recording
+from fieldgrid.live.kept.journal import Journal
+from fieldgrid.live.kept.session_folder import SessionFolder
+from fieldgrid.recordings import Recording, open_recording
 from tests.live.making import begin
 
 

@@ -6,13 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.costmap import Costmap
-from fieldgrid.fixes import FixColumns
-from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import Lattice, Window
+from fieldgrid.geometry import Datum, FixColumns, Lattice, Pose, Status, Window
 from fieldgrid.live import LiveWindow, WindowDoubt
-from fieldgrid.mapfile import MapView
-from fieldgrid.trajectory import Pose, Status
+from fieldgrid.maps import Costmap, MapView
 from tests.conftest import ROOT
 from tools.check_docs import parse_blocks
 

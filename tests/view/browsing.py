@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 import numpy as np
 from PIL import Image
 
-from fieldgrid.array_types import UInt8
+from fieldgrid.core import UInt8
 
 CHROMIUM_FLAGS = [
     "--no-sandbox",

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldgrid.grids import LocalGrid
-from fieldgrid.mapfile import open_map
-from tests.changes.worlds import Box, lane, world_map
+from fieldgrid.geometry import LocalGrid
+from fieldgrid.maps import open_map
 from tests.conftest import TWO_LANES
+from tests.field.changes.worlds import Box, lane, world_map
 from tests.view.serving import Server, serving
 
 LATER_NS = 60 * 86_400_000_000_000

@@ -10,10 +10,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from fieldgrid.view import listen, loopback_access, make_server, network_access
 from fieldgrid.view.app import Viewer, make_app
 from fieldgrid.view.farms import shown_at
-from fieldgrid.view.security import TOKEN_HEADER, loopback_access, network_access
-from fieldgrid.view.server import listen, make_server
+from fieldgrid.view.security import TOKEN_HEADER
 
 TOKEN = "a-token-of-the-tests"
 

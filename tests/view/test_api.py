@@ -21,16 +21,14 @@ import pytest
 import shapely
 from PIL import Image
 
-from fieldgrid.array_types import UInt8
-from fieldgrid.changes import find_changes
-from fieldgrid.errors import ConfigError
-from fieldgrid.lattice import Bounds, TileIndex
-from fieldgrid.layers import LAYERS
-from fieldgrid.mapfile import open_map
-from fieldgrid.palette import FOUND, SESSIONS
+from fieldgrid.core import FOUND, ConfigError, UInt8
+from fieldgrid.core.palette import SESSIONS
+from fieldgrid.field import find_changes
+from fieldgrid.geometry import Bounds, TileIndex
+from fieldgrid.maps import LAYERS, open_map
 from fieldgrid.view import view_maps, write_report
 from fieldgrid.view.maps import version_of
-from tests.mapfile.maps import drive, track, write_map, write_session
+from tests.maps.file.maps import drive, track, write_map, write_session
 from tests.view.serving import Server, serving
 
 

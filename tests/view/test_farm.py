@@ -13,15 +13,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fieldgrid.errors import ConfigError, DatumError, MapError
-from fieldgrid.farm import Farm
-from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import Bounds, TileIndex
-from fieldgrid.mapfile import Mark, MarkKind, create_map, open_map
+from fieldgrid.core import ConfigError, DatumError, MapError
+from fieldgrid.geometry import Bounds, Datum, TileIndex
+from fieldgrid.maps import Farm, Mark, MarkKind, create_map, open_map
 from fieldgrid.view import write_report
 from fieldgrid.view.farms import MOST_MAPS, ShownFarm, shown_at
 from fieldgrid.view.layers import tile_bounds
-from tests.mapfile.maps import DATUM, drive, write_session
+from tests.maps.file.maps import DATUM, drive, write_session
 from tests.view.serving import Server, serving
 
 ELSEWHERE = Datum(DATUM.lat_deg + 4e-4, DATUM.lon_deg, DATUM.height_m)

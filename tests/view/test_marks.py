@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from fieldgrid.mapfile import Mark, MarkKind, open_map
-from tests.mapfile.maps import drive, write_map
+from fieldgrid.maps import Mark, MarkKind, open_map
+from tests.maps.file.maps import drive, write_map
 from tests.view.serving import TOKEN_HEADER, Server, serving
 
 POND = {

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fieldgrid import palette
-from fieldgrid.array_types import Bool, UInt8
-from fieldgrid.mapfile import open_map
+from fieldgrid.core import Bool, UInt8, palette
+from fieldgrid.maps import open_map
 from tests.conftest import ROOT
 from tests.view.serving import Server
 

@@ -13,12 +13,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fieldgrid import palette
-from fieldgrid.errors import ConfigError
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import Mark, MarkKind, open_map
+from fieldgrid.core import ConfigError, palette
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import Mark, MarkKind, open_map
 from fieldgrid.view import write_report
-from tests.mapfile.maps import drive, track, write_map
+from tests.maps.file.maps import drive, track, write_map
 from tests.view.test_page import FREE, OBSTACLE, is_colour
 
 

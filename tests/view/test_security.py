@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from fieldgrid.view.security import Access, loopback_access, network_access
+from fieldgrid.view import loopback_access, network_access
+from fieldgrid.view.security import Access
 from tests.view.serving import TOKEN, Server, serving
 
 

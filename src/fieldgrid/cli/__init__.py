@@ -18,10 +18,10 @@ import typer
 # which then wait for each other, four times as long as one thread takes.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from fieldgrid.cli.commands import CONTEXT, Commands
+from fieldgrid.cli.listing import CONTEXT, Commands
 from fieldgrid.cli.output import log_cost
 from fieldgrid.cli.warming import tell_of_compiling
-from fieldgrid.errors import FieldgridError, printable
+from fieldgrid.core import FieldgridError, printable
 
 app = typer.Typer(
     name="fieldgrid",

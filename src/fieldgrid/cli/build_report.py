@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from fieldgrid.cli import output
 
 if TYPE_CHECKING:
-    from fieldgrid.build import PartlyBuiltError, SessionReport
+    from fieldgrid.pipeline import PartlyBuiltError, SessionReport
 
 _BAD_SHOWN = 10
 
@@ -50,7 +50,7 @@ def report_session(report: SessionReport, *, rate: bool = True) -> None:
 
 def report_remarks(report: Any) -> None:
     """Why frames have no pose, which are left out, and what else there is to say of a drive."""
-    from fieldgrid.reasons import grouped_reasons
+    from fieldgrid.core import grouped_reasons
 
     for count, example in grouped_reasons(report.reasons):
         output.report_line(f"rejected {count}: {example}")

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from fieldgrid.cli.groups import FieldsOf
-from fieldgrid.errors import ConfigError
+from fieldgrid.core import ConfigError
 
 if TYPE_CHECKING:
-    from fieldgrid.recording import DriveOptions
+    from fieldgrid.recordings import DriveOptions
 
 _PANEL = "Recording"
 _TOPIC = re.compile(r"([a-z_]+)=(\S+)")
@@ -85,7 +85,7 @@ class DriveFlags(NamedTuple):
     def options(self, columns: str | None = None) -> DriveOptions:
         """The options as `open_drive` takes them, with what `--columns` says; a usage error for
         what is none."""
-        from fieldgrid.recording import DriveOptions, columns_from_text
+        from fieldgrid.recordings import DriveOptions, columns_from_text
 
         topics: dict[str, str] = {}
         for text in self.topic or []:
@@ -110,7 +110,7 @@ class DriveFlags(NamedTuple):
 
 
 def _moment_ns(text: str, flag: str) -> int:
-    from fieldgrid.recording import epoch_s
+    from fieldgrid.recordings import epoch_s
 
     try:
         return epoch_s(text, "the moment") * 10**9

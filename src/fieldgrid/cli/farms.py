@@ -12,8 +12,7 @@ import typer
 from fieldgrid.cli import options, output
 
 if TYPE_CHECKING:
-    from fieldgrid.farm import Farm
-    from fieldgrid.mapfile import MapFile
+    from fieldgrid.maps import Farm, MapFile
 
 MapOrFarm = Annotated[
     Path,
@@ -26,8 +25,7 @@ MapOrFarm = Annotated[
 @contextmanager
 def opened(path: Path, datum_from: Path | None) -> Iterator[MapFile | Farm]:
     """A map, or the maps of a folder; what of them is left out or moved is said."""
-    from fieldgrid.farm import Farm
-    from fieldgrid.mapfile import open_map
+    from fieldgrid.maps import Farm, open_map
 
     if not path.is_dir():
         if datum_from is not None:

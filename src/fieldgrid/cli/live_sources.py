@@ -16,12 +16,9 @@ if TYPE_CHECKING:
     import threading
 
     from fieldgrid.cli.pose_flags import PoseFlags
-    from fieldgrid.geodesy import Datum
+    from fieldgrid.geometry import Datum, Rig
     from fieldgrid.live import Live
-    from fieldgrid.recording import DriveOptions, PoseBody, Recording
-    from fieldgrid.recording.growing import GrowingFolder
-    from fieldgrid.recording.stored import PairKind
-    from fieldgrid.rig import Rig
+    from fieldgrid.recordings import DriveOptions, GrowingFolder, PairKind, PoseBody, Recording
 
 _PANEL = "Sources"
 
@@ -173,19 +170,15 @@ def of_sources(flags: SourceFlags, drive: DriveFlags, poses: PoseFlags) -> LiveI
     """A receiver and a folder or a camera; a usage error where one of them is not said."""
     from fieldgrid.live import (
         ImageFolder,
+        InputSource,
         McapStream,
+        PoseTopic,
         Receiver,
         Sources,
         StereoDevices,
         parse_devices,
     )
-    from fieldgrid.live.intake import InputSource
-    from fieldgrid.live.mcap_stream import PoseTopic
-    from fieldgrid.recording import PoseBody
-    from fieldgrid.recording.folder import mounting_path
-    from fieldgrid.recording.given_poses import CAMERA_AXES
-    from fieldgrid.recording.growing import open_growing
-    from fieldgrid.recording.motion_files import AXES
+    from fieldgrid.recordings import AXES, CAMERA_AXES, PoseBody, folder_mounting_path, open_growing
 
     if flags.mcap is None and drive.gnss is None:
         raise typer.BadParameter("say where the receiver is", param_hint="--gnss")
@@ -194,7 +187,7 @@ def of_sources(flags: SourceFlags, drive: DriveFlags, poses: PoseFlags) -> LiveI
     body, pose_topic = None, None
     if flags.mcap is not None:
         folder = _rig(flags, replace(drive.options(), epoch_ns=None))  # it is of the stream
-        mounting = drive.options().find_mounting(mounting_path(folder.path), folder.path)
+        mounting = drive.options().find_mounting(folder_mounting_path(folder.path), folder.path)
         said = poses.source()
         if said is not None:
             if said.topic is None:
@@ -239,8 +232,8 @@ def of_sources(flags: SourceFlags, drive: DriveFlags, poses: PoseFlags) -> LiveI
 
 def _camera_rig(flags: SourceFlags, drive: DriveFlags) -> tuple[GrowingFolder, PairKind]:
     """The folder of --rig, which must be that of a stereo camera, and what its pairs are."""
-    from fieldgrid.errors import ConfigError
-    from fieldgrid.recording.stored import PairKind
+    from fieldgrid.core import ConfigError
+    from fieldgrid.recordings import PairKind
 
     folder = _rig(flags, drive.options())
     if not isinstance(folder.kind, PairKind):
@@ -250,7 +243,7 @@ def _camera_rig(flags: SourceFlags, drive: DriveFlags) -> tuple[GrowingFolder, P
 
 def _rig(flags: SourceFlags, options: DriveOptions) -> GrowingFolder:
     """The folder of --rig."""
-    from fieldgrid.recording.growing import open_growing
+    from fieldgrid.recordings import open_growing
 
     if flags.rig is None:
         raise typer.BadParameter(

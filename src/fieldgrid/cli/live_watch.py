@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 from fieldgrid.cli import output
 
 if TYPE_CHECKING:
-    from fieldgrid.build import Progress
-    from fieldgrid.live import Counts, Feed, Live, LiveResult, LiveWindow
-    from fieldgrid.live_servers import FoxgloveServer, LivePage
+    from fieldgrid.live import Counts, Feed, FoxgloveServer, Live, LivePage, LiveResult, LiveWindow
+    from fieldgrid.pipeline import Progress
 
 _DROPS_S = 5.0
 """Dropped frames are told so often at most."""
@@ -29,18 +28,20 @@ def open_feed_at(text: str, watch: Watch) -> Feed:
 
 def open_page(text: str, session: str) -> LivePage:
     """The page at an address."""
-    from fieldgrid.live_servers import LivePage, parse_address
+    from fieldgrid.live import LivePage, parse_server_address
 
-    page = LivePage(*parse_address(text, "--view"), session=session)
+    page = LivePage(*parse_server_address(text, "--view"), session=session)
     output.message(f"the page that follows the vehicle is {page.link}")
     return page
 
 
 def open_foxglove(text: str, session: str, watch: Watch) -> FoxgloveServer:
     """The server for Foxglove at an address."""
-    from fieldgrid.live_servers import FoxgloveServer, parse_address
+    from fieldgrid.live import FoxgloveServer, parse_server_address
 
-    server = FoxgloveServer(*parse_address(text, "--foxglove"), session=session, tell=watch.tell)
+    server = FoxgloveServer(
+        *parse_server_address(text, "--foxglove"), session=session, tell=watch.tell
+    )
     host, port = server.address
     output.message(f"Foxglove can connect to ws://{host}:{port}")
     return server

@@ -27,7 +27,7 @@ def compare(
     scheduler: str | None = None,
 ) -> list[dict[str, Any]]:
     """How new drives lie against the map, and, with `align`, their transforms in it."""
-    from fieldgrid.mapfile import open_map
+    from fieldgrid.maps import open_map
 
     patience = progress.patience(out, wait_s)
     with open_map(out, writable=align, patience=patience) as universal:
@@ -35,7 +35,10 @@ def compare(
         moving = [name for name in new if name in placed]
         if not moving or len(placed) < 2:
             return []
-        from fieldgrid.align import FINE_ROUNDS, align_map  # not for a map of one drive
+        from fieldgrid.field import (
+            FINE_ROUNDS,  # not for a map of one drive
+            align_map,
+        )
 
         with progress.stages() as show:
             found = align_map(

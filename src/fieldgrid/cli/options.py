@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from fieldgrid.geodesy import Datum
-    from fieldgrid.lattice import Bounds
+    from fieldgrid.geometry import Bounds, Datum
 
 OUTPUT, PART = "Output", "Part of the map"
 MAP_FILE = "Session and map file"
@@ -157,7 +156,7 @@ def datum(text: str | None) -> Datum | None:
     """`LAT,LON,HEIGHT`: degrees, degrees, ellipsoidal metres."""
     if text is None:
         return None
-    from fieldgrid.geodesy import Datum
+    from fieldgrid.geometry import Datum
 
     return Datum(*numbers("--datum", text, ",", "LAT,LON,HEIGHT", "41.65,-4.72,787.4"))
 
@@ -170,7 +169,7 @@ def datum_or_from(text: str | None, other: Path | None) -> Datum | None:
         )
     if other is None:
         return datum(text)
-    from fieldgrid.mapfile import read_datum
+    from fieldgrid.maps import read_datum
 
     return read_datum(other)
 
@@ -179,7 +178,7 @@ def bounds(values: tuple[float, float, float, float] | None) -> Bounds | None:
     """West, south, east, north in metres."""
     if values is None:
         return None
-    from fieldgrid.lattice import Bounds
+    from fieldgrid.geometry import Bounds
 
     return Bounds(*values)
 
@@ -194,8 +193,7 @@ def check_scheduler(scheduler: str | None, jobs: int | None) -> None:
 
 def check_outputs(written: Sequence[Path], inputs: Sequence[Path], *, overwrite: bool) -> None:
     """Refuse outputs before the work: two of one name, inputs, and what may not be replaced."""
-    from fieldgrid.errors import MapExistsError
-    from fieldgrid.publish import refuse_input
+    from fieldgrid.core import MapExistsError, refuse_input
 
     if len({path.resolve() for path in written}) < len(written):
         raise typer.BadParameter(f"{written[-1]} is the name of two outputs", param_hint="--out")

@@ -18,7 +18,7 @@ from typing import Any
 import typer
 
 from fieldgrid.cli.groups import option
-from fieldgrid.errors import printable
+from fieldgrid.core import printable
 
 _TIMES = ("time_ns", "start_ns", "stop_ns")
 """How the keys of times end in JSON; `..._offset_ns` is none."""
@@ -101,7 +101,7 @@ def with_texts(value: Any) -> Any:
 
 
 def _time_text(value: Any) -> Any:
-    from fieldgrid.utc import utc_text
+    from fieldgrid.core import utc_text
 
     if isinstance(value, list | tuple):
         return [_time_text(one) for one in value]

@@ -12,7 +12,7 @@ from fieldgrid.cli.groups import FieldsOf
 from fieldgrid.cli.options import numbers
 
 if TYPE_CHECKING:
-    from fieldgrid.recording.pose_source import PoseSource
+    from fieldgrid.recordings import PoseSource
 
 _PANEL = "Poses of another program"
 
@@ -83,7 +83,7 @@ class PoseFlags(NamedTuple):
         """The poses as `open_drive` takes them; None where nothing is said."""
         if all(value is None for value in self):
             return None
-        from fieldgrid.recording.pose_source import PoseSource
+        from fieldgrid.recordings import PoseSource
 
         point = None
         if self.poses_point is not None:

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fieldgrid.cli import output
-from fieldgrid.errors import RecordingError, printable
+from fieldgrid.core import RecordingError, printable
 
 if TYPE_CHECKING:
-    from fieldgrid.build import Progress
-    from fieldgrid.mapfile import Patience
+    from fieldgrid.maps import Patience
+    from fieldgrid.pipeline import Progress
 
 
 @contextmanager
@@ -73,7 +73,7 @@ def waits_for(path: Path, wait_s: float) -> Callable[[float], None]:
 
 def patience(path: Path, wait_s: float) -> Patience:
     """How long another writer of a map is waited for, which a message on stderr tells."""
-    from fieldgrid.mapfile import Patience
+    from fieldgrid.maps import Patience
 
     return Patience(wait_s, waits_for(path, wait_s))
 
@@ -84,7 +84,7 @@ def _waits(path: Path, wait_s: float) -> str:
 
 def fetched(recording: str) -> Path:
     """The path of a recording; one at a URL is copied to this machine, with a progress line."""
-    from fieldgrid.recording import fetch, is_url
+    from fieldgrid.recordings import fetch, is_url
 
     if not is_url(recording):
         return Path(recording)
@@ -154,8 +154,13 @@ def living() -> Iterator[Callable[[str], None] | None]:
 
 def _bar(*more: str) -> Any:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-    from rich.progress import TimeRemainingColumn as Remaining
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn as Remaining,
+    )
 
     columns = (BarColumn(), MofNCompleteColumn(), *map(TextColumn, more), Remaining())
     return Progress(

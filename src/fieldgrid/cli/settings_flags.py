@@ -12,7 +12,7 @@ import typer
 
 from fieldgrid.cli.groups import option
 from fieldgrid.cli.options import numbers
-from fieldgrid.settings import BuildSettings, DeclaredSetting, Flag, Overrides, declared
+from fieldgrid.core import BuildSettings, DeclaredSetting, Flag, Overrides, declared
 
 _PANELS = {
     "grid": "Local grid and map",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fieldgrid.cli import output
-from fieldgrid.kernel import when_compiling
+from fieldgrid.core import when_compiling
 
 
 def tell_of_compiling() -> None:

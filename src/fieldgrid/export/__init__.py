@@ -1,31 +1,38 @@
-"""A map for programs that do not read GeoPackages: one module a format.
+"""Export: a map becomes files of other programs, and figures.
 
-`export_map` is the way in; each module registers the formats that it writes with `registry`. Every
-export carries the datum, tells unknown from empty, and is written whole or not at all.
+* `registry`: `export_map` finds the `ExportFormat` by its suffix; `register_export_format`.
+* `selection`: `Selection` of bounds, cell size, layer, sessions and time.
+* `cells`: GeoTIFF, PNG, KMZ, MBTiles, arrays, tables and points of cells.
+* `shapes`: features for a GIS, ISO 11783-10 task data and guidance, QGIS projects.
+* `robots`: Nav2 maps and masks, bags for ROS, messages of Foxglove.
+* `figures`: the paper's figures; `stac`: a farm as a STAC catalogue.
+
+Each file appears whole or not at all. The styles of QGIS are in `maps`.
 """
 
-from fieldgrid.export.geotiff import export_change
-from fieldgrid.export.registry import (
-    Exported,
-    ExportFormat,
-    Holds,
-    export_map,
-    format_of,
-    formats,
-    register_export_format,
-    unregister_export_format,
-)
-from fieldgrid.export.selection import Selection
+from __future__ import annotations
 
-__all__ = [
-    "ExportFormat",
-    "Exported",
-    "Holds",
-    "Selection",
-    "export_change",
-    "export_map",
-    "format_of",
-    "formats",
-    "register_export_format",
-    "unregister_export_format",
-]
+from typing import TYPE_CHECKING
+
+from fieldgrid.core.doors import door
+
+if TYPE_CHECKING:
+    from fieldgrid.export import figures as figures
+    from fieldgrid.export.cells.geotiff import export_change as export_change
+    from fieldgrid.export.registry import (
+        Exported as Exported,
+        ExportFormat as ExportFormat,
+        Holds as Holds,
+        export_map as export_map,
+        format_of as format_of,
+        formats as formats,
+        register_export_format as register_export_format,
+        unregister_export_format as unregister_export_format,
+    )
+    from fieldgrid.export.robots import foxglove_messages as foxglove_messages
+    from fieldgrid.export.selection import Selection as Selection
+    from fieldgrid.export.shapes.guidance import TaskdataOptions as TaskdataOptions
+    from fieldgrid.export.shapes.taskdata import export_taskdata as export_taskdata
+    from fieldgrid.export.stac import write_stac as write_stac
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import Lattice, Window
+from fieldgrid.geometry import Datum, Lattice, Window
 
 VERSION = 1
 

@@ -15,9 +15,7 @@ from pathlib import Path
 from stat import S_ISREG
 from typing import NamedTuple
 
-from fieldgrid.errors import MapWriteError
-from fieldgrid.file_locks import let_go, lock_within
-from fieldgrid.publish import NO_HARD_LINKS, hold, sync, writing
+from fieldgrid.core import NO_HARD_LINKS, MapWriteError, hold, let_go, lock_within, sync, writing
 
 WAIT_S = 30.0
 """How long another program that writes the same set is waited for."""

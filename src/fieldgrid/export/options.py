@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from fieldgrid.cost import LEAST_DROP_M, LEAST_SEEN, CostCurve
-from fieldgrid.errors import ConfigError
-from fieldgrid.grids import FREE_UP_TO, OBSTACLE_ABOVE
-from fieldgrid.quadtree import LOSS
-from fieldgrid.settings import Flag, Settings, setting
+from fieldgrid.core import ConfigError, Flag, Settings, setting
+from fieldgrid.geometry import FREE_UP_TO, OBSTACLE_ABOVE
+from fieldgrid.maps import LEAST_DROP_M, LEAST_SEEN, LOSS, CostCurve
 
 
 def _obstacle_above() -> Any:

@@ -2,7 +2,7 @@
 
 A module of another package can add one::
 
-    from fieldgrid.export import Exported, ExportFormat, register_export_format
+    from fieldgrid.export.registry import Exported, ExportFormat, register_export_format
 
     def write(universal, path, selection, options, *, overwrite):
         ...
@@ -28,29 +28,36 @@ from typing import Any, NamedTuple, Protocol
 
 from pydantic import ValidationError
 
-from fieldgrid.cost import DENSITIES
-from fieldgrid.errors import ConfigError, MapError, MapExistsError
+from fieldgrid.core import (
+    ConfigError,
+    DeclaredSetting,
+    Group,
+    MapError,
+    MapExistsError,
+    Settings,
+    check_place,
+    declared,
+    first_problem,
+    load,
+)
 from fieldgrid.export.selection import Selection
-from fieldgrid.mapfile import LAYERS, MapFile, Readable, read_datum
-from fieldgrid.plugins import Group, load
-from fieldgrid.publish import check_place
-from fieldgrid.settings import DeclaredSetting, Settings, declared, first_problem
+from fieldgrid.maps import DENSITIES, LAYERS, MapFile, Readable, read_datum
 
 _BUILT_IN = (
-    "geotiff",
-    "png",
-    "mbtiles",
-    "kmz",
-    "vector",
-    "taskdata",
-    "nav2",
-    "rosbag",
-    "tables",
-    "arrays",
-    "points",
-    "qgz",
+    "cells.geotiff",
+    "cells.png",
+    "cells.mbtiles",
+    "cells.kmz",
+    "shapes.vector",
+    "shapes.taskdata",
+    "robots.nav2",
+    "robots.rosbag",
+    "cells.tables",
+    "cells.arrays",
+    "cells.points",
+    "shapes.qgz",
 )
-"""The modules beside this one that register formats, in the order of their listing."""
+"""The modules of this room that register formats, in the order of their listing."""
 
 
 class Exported(NamedTuple):

@@ -7,16 +7,9 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fieldgrid.errors import ConfigError
-from fieldgrid.lattice import Bounds, Lattice, check_inside
-from fieldgrid.mapfile import (
-    LAYERS,
-    MapBlocks,
-    MapView,
-    OverviewBlock,
-    Readable,
-    in_drive_order,
-)
+from fieldgrid.core import ConfigError
+from fieldgrid.geometry import Bounds, Lattice, check_inside
+from fieldgrid.maps import LAYERS, MapBlocks, MapView, OverviewBlock, Readable, in_drive_order
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -11,9 +11,8 @@ from contextlib import ExitStack, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
-from fieldgrid.errors import MapWriteError
+from fieldgrid.core import Draft, MapWriteError, writing
 from fieldgrid.export.name_set import NameSet, held_set, show
-from fieldgrid.publish import Draft, writing
 
 
 def is_zip(file: Path, check: Callable[[zipfile.ZipFile], bool]) -> bool:

@@ -10,34 +10,36 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from fieldgrid.build import (
-    Progress,
-    SessionReport,
-    build_map,
-    check_output,
-    check_poses,
-    estimate_drive,
-)
-from fieldgrid.build.perception import follows_camera
-from fieldgrid.build.poses import attitude_of_grids, check_images
-from fieldgrid.build.session import NewSession, check_names
-from fieldgrid.errors import (
+from fieldgrid.core import (
+    BuildSettings,
     ConfigError,
     FieldgridError,
     MapError,
     MapExistsError,
     MapWriteError,
+    Overrides,
+    first_problem,
 )
 from fieldgrid.live.gridding_again import gridded_again
-from fieldgrid.live.kept_drive import JOURNAL, PushedDrive, SessionStart, live_folder
-from fieldgrid.live.kept_points import LOST
-from fieldgrid.live.session_folder import SessionFolder, remove_unread
-from fieldgrid.mapfile import Patience, StageFile, create_map, open_map
-from fieldgrid.recording import DriveOptions, Recording, open_drive
-from fieldgrid.settings import BuildSettings, Overrides
-from fieldgrid.settings.declare import first_problem
-from fieldgrid.sweep import OriginTrack
-from fieldgrid.transfer import check_cell_sizes
+from fieldgrid.live.kept.kept_drive import JOURNAL, PushedDrive, SessionStart, live_folder
+from fieldgrid.live.kept.kept_points import LOST
+from fieldgrid.live.kept.session_folder import SessionFolder, remove_unread
+from fieldgrid.maps import Patience, StageFile, check_cell_sizes, create_map, open_map
+from fieldgrid.perception import OriginTrack
+from fieldgrid.pipeline import (
+    NewSession,
+    Progress,
+    SessionReport,
+    attitude_of_grids,
+    build_map,
+    check_images,
+    check_names,
+    check_output,
+    check_poses,
+    estimate_drive,
+    follows_camera,
+)
+from fieldgrid.recordings import DriveOptions, Recording, open_drive
 
 NOT_LEVELLED = (
     "The drive has roll and pitch, but the points of its frames were not kept, so its grids are "

@@ -7,12 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.array_types import Int64
-from fieldgrid.errors import ConfigError
-from fieldgrid.live.sensor_rows import Rows, rows_of
-from fieldgrid.recording.motion_files import check_axes
-from fieldgrid.recording.pose_files import MOST_M, OFF_UNIT, BodyPoses, rotations
-from fieldgrid.recording.pose_source import PoseBody
+from fieldgrid.core import ConfigError, Int64
+from fieldgrid.live.pose.sensor_rows import Rows, rows_of
+from fieldgrid.recordings import MOST_M, OFF_UNIT, BodyPoses, PoseBody, check_axes, rotations
 
 GIVEN_ROWS = "poses"
 """What rows of poses are called."""

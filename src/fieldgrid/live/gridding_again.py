@@ -8,20 +8,14 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 
-from fieldgrid.attitude import Attitude
-from fieldgrid.build import BadFrame, Progress
-from fieldgrid.build.perception import carried, side_by_side
-from fieldgrid.build.staging import StagedDrive, StepOutcome
-from fieldgrid.depth import CodedDepth
-from fieldgrid.grids import GridSpec
-from fieldgrid.live.kept_drive import PushedDrive
-from fieldgrid.live.points_file import GridInput
-from fieldgrid.live.session_folder import SessionFolder
-from fieldgrid.localgrid import LocalGridder
-from fieldgrid.mapfile import StagedFrame, StageFile, stage
-from fieldgrid.odometry import Refusal
-from fieldgrid.rotations import Tilt
-from fieldgrid.sweep import OriginTrack
+from fieldgrid.geometry import GridSpec, Tilt
+from fieldgrid.live.kept.kept_drive import PushedDrive
+from fieldgrid.live.kept.points_file import GridInput
+from fieldgrid.live.kept.session_folder import SessionFolder
+from fieldgrid.maps import StagedFrame, StageFile, stage
+from fieldgrid.perception import CodedDepth, LocalGridder, OriginTrack, Refusal
+from fieldgrid.pipeline import BadFrame, Progress, StagedDrive, StepOutcome, carried, side_by_side
+from fieldgrid.poses import Attitude
 
 NO_POINTS = "its points were not kept, and how the vehicle leaned was not known while driving"
 

@@ -9,14 +9,13 @@ from collections.abc import Sequence
 from statistics import median_low
 from typing import NamedTuple, Protocol
 
-from fieldgrid.build.shifts import explanation
-from fieldgrid.closing import Closing
-from fieldgrid.errors import FieldgridError
-from fieldgrid.fixes import Fix
-from fieldgrid.live.live import Live
+from fieldgrid.core import Closing, FieldgridError
+from fieldgrid.geometry import Fix
+from fieldgrid.live.pose.sensor_rows import Rows
 from fieldgrid.live.results import What
-from fieldgrid.live.sensor_rows import Rows
-from fieldgrid.recording import Frame
+from fieldgrid.live.session import Live
+from fieldgrid.pipeline import explanation
+from fieldgrid.recordings import Frame
 
 JOIN_S = 6.0
 """Time for which a source is waited for at the end: a connection that is being made takes up to

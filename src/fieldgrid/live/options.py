@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from fieldgrid.cost import CostCurve
-from fieldgrid.costmap import Inflation
-from fieldgrid.errors import ConfigError
+from fieldgrid.core import ConfigError
+from fieldgrid.maps import CostCurve, Inflation
 
 POINTS_GB = 50.0
 """Some nine hours of ten pairs of 640 x 480 a second."""

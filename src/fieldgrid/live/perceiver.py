@@ -10,24 +10,25 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from fieldgrid.build.perception import Perception, perceive_frame
-from fieldgrid.build.report import StageTimes
-from fieldgrid.build.staging import StepOutcome, encoded
-from fieldgrid.choices import MatcherKind
-from fieldgrid.errors import FieldgridError, MapWriteError
-from fieldgrid.frame_ground import FrameGround
-from fieldgrid.grids import LocalGrid
-from fieldgrid.live.kept_drive import KeptFrame
+from fieldgrid.core import FieldgridError, MapWriteError, MatcherKind
+from fieldgrid.geometry import LocalGrid, StereoCamera
+from fieldgrid.live.kept.kept_drive import KeptFrame
+from fieldgrid.live.kept.session_folder import SessionFolder
+from fieldgrid.live.pose.running_tilt import TellTilt
+from fieldgrid.live.pose.sensor_rows import check_time
+from fieldgrid.live.pose.stamps import OFF_S, Stamps
 from fieldgrid.live.results import LiveEvent, LiveGrid, LiveResult, What
-from fieldgrid.live.running_tilt import TellTilt
-from fieldgrid.live.sensor_rows import check_time
-from fieldgrid.live.session_folder import SessionFolder
-from fieldgrid.live.stamps import OFF_S, Stamps
-from fieldgrid.localgrid import LocalGridder
-from fieldgrid.odometry import CameraStep, Features, step
-from fieldgrid.recording import CloudFrame, Frame, StereoFrame
-from fieldgrid.rig import StereoCamera
-from fieldgrid.sweep import OriginTrack, Sweep
+from fieldgrid.perception import (
+    CameraStep,
+    Features,
+    FrameGround,
+    LocalGridder,
+    OriginTrack,
+    Sweep,
+    step,
+)
+from fieldgrid.pipeline import Perception, StageTimes, StepOutcome, encoded, perceive_frame
+from fieldgrid.recordings import CloudFrame, Frame, StereoFrame
 
 WORKERS = 2
 """Frames that are perceived at a time: one thread does not keep up with 10 Hz beside the poses."""

@@ -9,14 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.array_types import Float32, Float64
-from fieldgrid.build.staging import stage_frame
-from fieldgrid.errors import RecordingError
-from fieldgrid.localgrid import LocalGridder
-from fieldgrid.odometry import step
-from fieldgrid.recording import CloudFrame, DepthFrame, Frame, StereoFrame
-from fieldgrid.rig import DepthCamera, Rig, StereoCamera
-from fieldgrid.sweep import Sweep
+from fieldgrid.core import Float32, Float64, RecordingError
+from fieldgrid.geometry import DepthCamera, Rig, StereoCamera
+from fieldgrid.perception import LocalGridder, Sweep, step
+from fieldgrid.pipeline import stage_frame
+from fieldgrid.recordings import CloudFrame, DepthFrame, Frame, StereoFrame
 
 _WALL_M = 30.0
 

@@ -12,12 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import Bool, Float32
-from fieldgrid.costmap import Costmap
-from fieldgrid.fixes import FixColumns
-from fieldgrid.grids import LocalGrid
-from fieldgrid.mapfile import MapView
-from fieldgrid.trajectory import Pose
+from fieldgrid.core import Bool, Float32
+from fieldgrid.geometry import FixColumns, LocalGrid, Pose
+from fieldgrid.maps import Costmap, MapView
 
 MOST_WAITING = 256
 """Results that wait for a client; the oldest give way, and are counted."""

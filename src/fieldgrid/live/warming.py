@@ -7,20 +7,13 @@ from contextlib import suppress
 
 import numpy as np
 
-from fieldgrid.costmap import Costmap
-from fieldgrid.errors import FieldgridError
-from fieldgrid.fixes import Fix
-from fieldgrid.geodesy import Datum
-from fieldgrid.grids import GridSpec, LocalGrid
-from fieldgrid.live.fixed_lag import FixedLagSmoother
-from fieldgrid.live.sensor_rows import rows_of
+from fieldgrid.core import BuildSettings, FieldgridError, Quality
+from fieldgrid.geometry import Datum, Fix, GridSpec, LocalGrid, Pose, Rig
+from fieldgrid.live.pose.fixed_lag import FixedLagSmoother
+from fieldgrid.live.pose.sensor_rows import rows_of
 from fieldgrid.live.window import PlacedGrid, RollingWindow
-from fieldgrid.odometry import CameraStep
-from fieldgrid.quality import Quality
-from fieldgrid.rig import Rig
-from fieldgrid.settings import BuildSettings
-from fieldgrid.trajectory import Pose
-from fieldgrid.transfer import Transfer
+from fieldgrid.maps import Costmap, Transfer
+from fieldgrid.perception import CameraStep
 
 _SECONDS, _RATE_HZ, _SPEED_MPS = 8.0, 5.0, 1.0
 _DATUM = Datum(45.0, 5.0, 200.0)

@@ -7,14 +7,9 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from fieldgrid.array_types import Float32, Int64, UInt64
-from fieldgrid.geodesy import Datum
-from fieldgrid.grids import LocalGrid
-from fieldgrid.kernel import kernel
-from fieldgrid.lattice import Lattice, Window
-from fieldgrid.mapfile import MapView
-from fieldgrid.trajectory import Pose, Status
-from fieldgrid.transfer import Transfer, land, mean_density
+from fieldgrid.core import Float32, Int64, UInt64, kernel
+from fieldgrid.geometry import Datum, Lattice, LocalGrid, Pose, Status, Window
+from fieldgrid.maps import MapView, Transfer, land, mean_density
 
 UNSEEN_NS = -(1 << 62)
 

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from fieldgrid import palette
-from fieldgrid.farm import Farm
-from fieldgrid.layers import LAYERS
-from fieldgrid.mapfile import SessionInfo, in_drive_order
-from fieldgrid.mapfile.stored_features import FOUND_PREFIX
+from fieldgrid.core import palette
+from fieldgrid.maps import FOUND_PREFIX, LAYERS, Farm, SessionInfo, in_drive_order
 from fieldgrid.view import layers
 from fieldgrid.view.maps import ShownSource
 

@@ -17,11 +17,10 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
-from fieldgrid.errors import ConfigError
+from fieldgrid.core import ConfigError
 from fieldgrid.export import Selection
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import MapFile, Mark, MarkKind
-from fieldgrid.mapfile.marks import MAX_CORNERS, MAX_TEXT
+from fieldgrid.geometry import Bounds
+from fieldgrid.maps import MAX_CORNERS, MAX_TEXT, MapFile, Mark, MarkKind
 from fieldgrid.view.exports import write_export
 from fieldgrid.view.maps import ShownMap, ShownSource
 

@@ -12,12 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.array_types import AnyArray, Float64, Index, Int64
-from fieldgrid.errors import FieldgridError, MapError
-from fieldgrid.lattice import Bounds
-from fieldgrid.mapfile import DrivenMap
-from fieldgrid.rig import LeverArm
-from fieldgrid.trajectory import Trajectory, thinned
+from fieldgrid.core import AnyArray, FieldgridError, Float64, Index, Int64, MapError
+from fieldgrid.geometry import Bounds, LeverArm, Trajectory, thinned
+from fieldgrid.maps import DrivenMap
 
 MOST_ROWS = 12_000
 MOST_FRAMES = 1_500

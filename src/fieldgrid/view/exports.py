@@ -7,10 +7,9 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from fieldgrid import export
-from fieldgrid.errors import ConfigError
-from fieldgrid.export import Selection, export_map
-from fieldgrid.mapfile import Readable
+from fieldgrid.core import ConfigError
+from fieldgrid.export import Selection, export_map, formats as export_formats
+from fieldgrid.maps import Readable
 
 MOST_CELLS = 100_000_000
 """A larger part is for the command line, which says how far it is."""
@@ -18,7 +17,7 @@ MOST_CELLS = 100_000_000
 
 def formats() -> list[dict[str, str]]:
     """The formats by name, and what each is."""
-    return [{"name": name, "says": known.says} for name, known in export.formats().items()]
+    return [{"name": name, "says": known.says} for name, known in export_formats().items()]
 
 
 def write_export(
@@ -30,7 +29,7 @@ def write_export(
     is called. Raises ConfigError for a part that is too large, and what
     `export_map` raises.
     """
-    known = export.formats()
+    known = export_formats()
     if format_ not in known:
         raise ConfigError(f"{format_[:40]!r} is no format; known are {', '.join(known)}.")
     bounds = selection.bounds or universal.bounds

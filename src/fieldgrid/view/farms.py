@@ -11,12 +11,9 @@ from pathlib import Path
 from threading import RLock
 from typing import Any
 
-from fieldgrid.errors import ConfigError, MapError
-from fieldgrid.farm import Farm
-from fieldgrid.farm.catalogue import map_files
-from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import MAX_CELL_M, TILE_CELLS, Bounds, TileIndex
-from fieldgrid.mapfile import Mark
+from fieldgrid.core import ConfigError, MapError
+from fieldgrid.geometry import MAX_CELL_M, TILE_CELLS, Bounds, Datum, TileIndex
+from fieldgrid.maps import Farm, Mark, map_files
 from fieldgrid.view import drives, layers
 from fieldgrid.view.maps import ShownSource, shown_maps, stamp
 

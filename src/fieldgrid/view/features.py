@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.errors import MapError
-from fieldgrid.geodesy import Datum
-from fieldgrid.mapfile import schema
+from fieldgrid.core import MapError
+from fieldgrid.geometry import Datum
+from fieldgrid.maps import schema
 
 MOST_FEATURES = 5_000
 MOST_VERTICES = 200_000
@@ -48,9 +48,9 @@ def read_features(connection: sqlite3.Connection) -> list[dict[str, Any]]:
 
 def route_table(path: Path, datum: Datum) -> dict[str, Any]:
     """A route from a file as such a table; ConfigError for one that cannot be read."""
-    from fieldgrid.figures import read_route
+    from fieldgrid.export import figures
 
-    places = read_route(path, datum)
+    places = figures.read_route(path, datum)
     ends = np.flatnonzero(np.isnan(places[:, 0]))
     lines = [part[np.isfinite(part[:, 0])].round(3).tolist() for part in np.split(places, ends)]
     features = [

@@ -12,13 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid import palette
-from fieldgrid.array_types import AnyArray, Bool, UInt8
-from fieldgrid.grids import OBSTACLE_ABOVE
-from fieldgrid.lattice import Bounds, TileIndex, tile_window
-from fieldgrid.layers import LAYERS
-from fieldgrid.mapfile import MEANING, Change, MapView, Readable
-from fieldgrid.mapfile.png import encode_png
+from fieldgrid.core import AnyArray, Bool, UInt8, palette
+from fieldgrid.geometry import OBSTACLE_ABOVE, Bounds, TileIndex, tile_window
+from fieldgrid.maps import LAYERS, MEANING, Change, MapView, Readable, encode_png
 
 _SAMPLE_CELLS = 1 << 18
 """About how many cells the range of a layer is found from."""

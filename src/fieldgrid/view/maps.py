@@ -14,10 +14,9 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, NamedTuple, TypeVar
 
-from fieldgrid.errors import ConfigError, MapError
-from fieldgrid.geodesy import Datum
-from fieldgrid.lattice import Bounds, TileIndex
-from fieldgrid.mapfile import DrivenMap, MapFile, Mark, open_map
+from fieldgrid.core import ConfigError, MapError
+from fieldgrid.geometry import Bounds, Datum, TileIndex
+from fieldgrid.maps import DrivenMap, MapFile, Mark, open_map
 from fieldgrid.view import drives, pyramid
 from fieldgrid.view.features import read_features
 

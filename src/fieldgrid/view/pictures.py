@@ -15,7 +15,7 @@ from pathlib import Path, PurePath
 import numpy as np
 from PIL import Image
 
-from fieldgrid.errors import RecordingError
+from fieldgrid.core import RecordingError
 
 MAX_FILE_BYTES = 64 << 20
 MAX_PIXELS = 64_000_000

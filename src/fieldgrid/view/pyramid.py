@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from fieldgrid.lattice import TileIndex
-from fieldgrid.mapfile.database import connect, reading
+from fieldgrid.geometry import TileIndex
+from fieldgrid.maps import connect, reading
 
 _NAME_BYTES = 32
 """At most, of the level and the place of a tile as text."""

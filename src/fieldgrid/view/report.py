@@ -14,9 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fieldgrid.errors import ConfigError
-from fieldgrid.lattice import Bounds
-from fieldgrid.publish import mentions, refuse_input, replacing
+from fieldgrid.core import ConfigError, mentions, refuse_input, replacing
+from fieldgrid.geometry import Bounds
 from fieldgrid.view import drives, layers, page, pyramid
 from fieldgrid.view.about import describe_map
 from fieldgrid.view.features import read_features, route_table

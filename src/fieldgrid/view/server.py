@@ -11,8 +11,8 @@ from pathlib import Path
 import uvicorn
 from starlette.applications import Starlette
 
-from fieldgrid.errors import ConfigError
-from fieldgrid.geodesy import Datum
+from fieldgrid.core import ConfigError
+from fieldgrid.geometry import Datum
 from fieldgrid.view.app import Viewer, make_app
 from fieldgrid.view.farms import shown_at
 from fieldgrid.view.features import route_table

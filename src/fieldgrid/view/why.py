@@ -12,14 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.errors import CalibrationError
-from fieldgrid.grids import OBSTACLE_ABOVE
-from fieldgrid.lattice import Bounds
-from fieldgrid.layers import LAYERS
-from fieldgrid.mapfile import DrivenMap, SessionInfo
-from fieldgrid.rig import DepthCamera, Lidar, Rig, StereoCamera
-from fieldgrid.trajectory import Pose
-from fieldgrid.transfer import to_local
+from fieldgrid.core import CalibrationError
+from fieldgrid.geometry import OBSTACLE_ABOVE, Bounds, DepthCamera, Lidar, Pose, Rig, StereoCamera
+from fieldgrid.maps import LAYERS, DrivenMap, SessionInfo, to_local
 
 _NEAREST_M = 0.1
 """A point nearer to the camera's plane than this has no place in its image."""

@@ -1,0 +1,132 @@
+"""The commands, each imported when it is asked for, and how their help looks."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import inspect
+from typing import Any, NamedTuple
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from fieldgrid.cli.groups import expanded
+from fieldgrid.cli.output import VERBOSITY
+
+WIDTH = 100
+"""Help is no wider, however wide the terminal."""
+
+
+class Entry(NamedTuple):
+    """A command in the list of `fieldgrid --help`. Its module is `fieldgrid.cli.commands.NAME`."""
+
+    group: str
+    says: str
+
+
+_DRIVES, _MAPS, _USE, _HEALTH = "Drives", "Maps", "Using a map", "Health and help"
+
+COMMANDS: dict[str, Entry] = {
+    "inspect": Entry(_DRIVES, "Show what is in a recording and what would go wrong."),
+    "track": Entry(_DRIVES, "Write position, heading and gear over time, with sigmas."),
+    "mount": Entry(_DRIVES, "Estimate the mounting of the camera from the drive alone."),
+    "convert": Entry(_DRIVES, "Write a recording as one standard MCAP file."),
+    "build": Entry(_MAPS, "Make a map from recordings, or append them to one."),
+    "live": Entry(_MAPS, "Map during the drive: local grids and poses now, the map at the end."),
+    "sessions": Entry(_MAPS, "List the drives of a map; remove, restore or rename one."),
+    "mark": Entry(_MAPS, "Draw keep-outs, corrections and places on a map; undo them."),
+    "align": Entry(_MAPS, "Align the drives of a map by what they saw."),
+    "farm": Entry(_MAPS, "List a folder of maps; write a STAC catalogue of them."),
+    "merge": Entry(_MAPS, "Make one map of several, or a copy of one."),
+    "show": Entry(_USE, "Draw a map."),
+    "view": Entry(_USE, "Look at maps in the browser."),
+    "rows": Entry(_USE, "Find rows of plants, lanes, gaps and headlands."),
+    "route": Entry(_USE, "Plan a route that a vehicle can drive."),
+    "export": Entry(_USE, "Write a map for another program."),
+    "query": Entry(_USE, "List the frames behind a cell's value."),
+    "diff": Entry(_USE, "Compare a map before and after a date."),
+    "evaluate": Entry(_USE, "Compare a map with surveyed or simulated truth."),
+    "verify": Entry(_HEALTH, "Check that a map is complete and undamaged."),
+    "repair": Entry(_HEALTH, "Rebuild a map's derived tables from its frames."),
+    "info": Entry(_HEALTH, "Print versions, extras and caches, for bug reports."),
+}
+
+
+class Command(TyperCommand):
+    """A command whose help lists its options by their panels."""
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """`[OPTIONS]`, then the arguments as they are called in the text."""
+        arguments = [one for one in self.get_params(ctx) if one.param_type_name == "argument"]
+        return [
+            str(self.options_metavar),
+            *(str(one.metavar) if one.required else f"[{one.metavar}]" for one in arguments),
+        ]
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """The arguments that need a word, then the options, a panel after the other."""
+        panels: dict[str, list[tuple[str, str]]] = {}
+        for one in self.get_params(ctx):
+            if one.param_type_name == "argument":
+                if help_ := getattr(one, "help", None):
+                    panels.setdefault("Arguments", []).append((str(one.metavar), help_))
+            elif (record := one.get_help_record(ctx)) is not None:
+                panel = getattr(one, "rich_help_panel", None) or "Options"
+                panels.setdefault(panel, []).append(record)
+        for title, rows in sorted(panels.items(), key=lambda panel: panel[0] == "Options"):
+            with formatter.section(title):
+                formatter.write_dl(rows)
+
+
+class Commands(TyperGroup):
+    """All commands; only the one that runs is imported."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Their names, in the order of a user's work."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command of that name, None when there is none."""
+        if cmd_name in COMMANDS and cmd_name not in self.commands:
+            self.commands[cmd_name] = load(cmd_name)
+        return self.commands.get(cmd_name)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command. Typer answers the end of what is read with "Aborted!" and status 1, as
+        if a user had ended a question; here nothing asks, so that it is an error as any other."""
+        try:
+            return super().invoke(ctx)
+        except EOFError as error:
+            raise RuntimeError(f"EOFError: {error}") from error
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """A name that is none is answered with those that are like it."""
+        if args[0] not in COMMANDS and not args[0].startswith("-"):
+            near = difflib.get_close_matches(args[0], COMMANDS)
+            hint = f" Did you mean {', '.join(map(repr, near))}?" if near else ""
+            ctx.fail(f"No such command {args[0]!r}.{hint}")
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """A line a command, by what they are for."""
+        for group in dict.fromkeys(entry.group for entry in COMMANDS.values()):
+            with formatter.section(group):
+                formatter.write_dl(
+                    [(name, entry.says) for name, entry in COMMANDS.items() if entry.group == group]
+                )
+
+
+def load(name: str) -> Any:
+    """Import a command's module and make a command of its function."""
+    module = importlib.import_module(f"fieldgrid.cli.commands.{name}")
+    one = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    settings = {**CONTEXT, **getattr(module, "CONTEXT", {})}
+    help_text = getattr(module, "help_text", str)
+    says = help_text(inspect.getdoc(module.command))
+    one.command(name, cls=Command, context_settings=settings, help=says)(
+        expanded(module.command, VERBOSITY)
+    )
+    return typer.main.get_command(one)
+
+
+CONTEXT: dict[str, Any] = {"help_option_names": ["-h", "--help"], "max_content_width": WIDTH}

@@ -1,0 +1,1 @@
+"""Formats of cells: rasters, arrays, tables, points."""

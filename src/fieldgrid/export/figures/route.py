@@ -1,0 +1,99 @@
+"""A route from a file, to be drawn over a map."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fieldgrid.core import (
+    ConfigError,
+    Float64,
+    LimitError,
+    bounded_lines,
+    check_document,
+    counted_rows,
+    file_bytes,
+    parse_json,
+)
+from fieldgrid.geometry import Datum
+
+
+def read_route(path: str | Path, datum: Datum) -> Float64:
+    """The lines of a GeoJSON file (RFC 7946: longitude, latitude), or the poses of a table with
+    the columns east_m and north_m (`.csv`): [n, 2] metres east and north.
+
+    Several lines follow each other, apart by a row of NaN. Raises ConfigError for a file that
+    cannot be read, and one that has no line.
+    """
+    path = Path(path)
+    try:
+        size = file_bytes(path)
+        if path.suffix.lower() == ".csv":
+            return _poses(path)
+        check_document(size, path, ConfigError)
+        places = [_places(line) for line in _lines(parse_json(path.read_bytes()))]
+    except (ConfigError, LimitError):
+        raise
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read: {error.strerror}; check the name.") from error
+    except (
+        ValueError,
+        TypeError,
+        KeyError,
+        IndexError,
+        AttributeError,
+        csv.Error,
+    ) as error:
+        kind = "table of poses" if path.suffix.lower() == ".csv" else "GeoJSON with lines in it"
+        raise ConfigError(f"{path} is no {kind} ({error}).") from error
+    if not places:
+        raise ConfigError(f"{path} has no line; give GeoJSON with a LineString.")
+    parts = []
+    for lon_lat in places:
+        east, north, _ = datum.to_enu(lon_lat[:, 1], lon_lat[:, 0], datum.height_m)
+        parts += [np.stack([east, north], axis=1), np.full((1, 2), np.nan)]
+    return np.concatenate(parts[:-1])
+
+
+def _places(line: Any) -> Float64:
+    """Longitude and latitude [n, 2] of the positions of a line, which may have a height."""
+    if not line or any(len(point) < 2 for point in line):
+        raise ValueError("a position has no two numbers")
+    numbers = (value for point in line for value in point[:2])
+    return np.fromiter(numbers, np.float64, 2 * len(line)).reshape(-1, 2)
+
+
+def _poses(path: Path) -> Float64:
+    """The columns east_m and north_m of a table."""
+    with path.open(encoding="utf-8", newline="") as file:
+        table = csv.DictReader(bounded_lines(file, path))
+        if not {"east_m", "north_m"} <= set(table.fieldnames or ()):
+            raise ValueError("it has no columns east_m and north_m")
+        places = [
+            (float(row["east_m"]), float(row["north_m"])) for row in counted_rows(table, path)
+        ]
+    if len(places) < 2 or not np.isfinite(places).all():
+        raise ValueError("it has not two poses in metres")
+    return np.array(places)
+
+
+def _lines(thing: Any) -> Iterator[Any]:
+    """The coordinates of every LineString in a GeoJSON object."""
+    kind = thing["type"]
+    if kind == "FeatureCollection":
+        for feature in thing["features"]:
+            yield from _lines(feature)
+    elif kind == "Feature":
+        if thing["geometry"] is not None:
+            yield from _lines(thing["geometry"])
+    elif kind == "GeometryCollection":
+        for geometry in thing["geometries"]:
+            yield from _lines(geometry)
+    elif kind == "LineString":
+        yield thing["coordinates"]
+    elif kind == "MultiLineString":
+        yield from thing["coordinates"]

@@ -1,0 +1,1 @@
+"""Formats of robots: Nav2, ROS, Foxglove."""

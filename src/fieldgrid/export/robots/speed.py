@@ -1,0 +1,146 @@
+"""Where a vehicle is to be slow: a mask for Nav2's speed filter, in percent of its highest speed.
+
+The filter takes `BASE + MULTIPLIER * value` for the limit, and 0 for none.
+"""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.core import (
+    Bool,
+    ConfigError,
+    Flag,
+    Float64,
+    LimitError,
+    bounded_lines,
+    file_bytes,
+    setting,
+)
+from fieldgrid.export.options import CurveOptions
+from fieldgrid.maps import OCCUPIED, UNKNOWN_OCCUPANCY, MapView
+
+BASE, MULTIPLIER = 100.0, -1.0
+FILTER_INFO, FILTER_MASK = "/speed_filter_info", "/speed_filter_mask"
+_PERCENT_OF_HIGHEST = 1
+_MOST_BYTES = 200_000_000
+
+
+class SpeedOptions(CurveOptions):
+    """Where the speed is limited."""
+
+    slow_percent: int | None = setting(
+        None,
+        "speed in slow zones in percent of the maximum; writes a mask for the speed filter",
+        usual="no mask",
+        flag=Flag("--slow-percent", "1..99"),
+        ge=1,
+        le=99,
+    )
+    slow_within_m: float = setting(
+        1.0,
+        "slow within this distance of obstacles, keep-outs, turns and unseen ground",
+        flag=Flag("--slow-within", "M"),
+        ge=0.0,
+        le=50.0,
+    )
+    slow_seen_by: int = setting(
+        0,
+        "slow where fewer frames than this saw a cell",
+        flag=Flag("--slow-seen-by", "FRAMES"),
+        ge=0,
+        le=10**6,
+    )
+    slow_turns: Path | None = setting(
+        None,
+        "slow in the turns of this route",
+        usual="none",
+        flag=Flag("--slow-turns", "ROUTE.csv"),
+    )
+    slow_radius_m: float = setting(
+        10.0,
+        "largest radius that counts as a turn of a route",
+        flag=Flag("--slow-radius", "M"),
+        gt=0.0,
+        le=1000.0,
+    )
+
+
+def speed_mask(
+    view: MapView,
+    occupancy: npt.NDArray[np.int8],
+    keepout: npt.NDArray[np.int8],
+    options: SpeedOptions,
+) -> npt.NDArray[np.int8]:
+    """Values of the mask, int8 [rows north, columns east]: 0 without a limit. The view has the
+    layer `count` where the options ask for cells that few frames saw."""
+    import cv2
+
+    assert options.slow_percent is not None
+    barred = np.isin(occupancy, (OCCUPIED, UNKNOWN_OCCUPANCY)) | (keepout > 0)
+    if options.slow_turns is not None:
+        barred |= _turns(options.slow_turns, options.slow_radius_m, view)
+    # Beyond the map nothing was seen, either.
+    free = np.pad((~barred).astype(np.uint8), 1)
+    away = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    # From middle to middle; some point of either cell may be half a diagonal nearer.
+    slow = (away - np.sqrt(2.0)) * view.lattice.cell_m < options.slow_within_m
+    if options.slow_seen_by:
+        slow |= view.layer("count") < options.slow_seen_by
+    return np.where(slow, np.int8(100 - options.slow_percent), np.int8(0))
+
+
+def filter_parameters(mask: str) -> dict[str, Any]:
+    """Parameters of the two servers of Nav2 that the filter listens to."""
+    return {
+        "speed_filter_mask_server": {
+            "ros__parameters": {
+                "frame_id": "map", "topic_name": FILTER_MASK, "yaml_filename": mask,
+            }
+        },
+        "speed_costmap_filter_info_server": {
+            "ros__parameters": {
+                "type": _PERCENT_OF_HIGHEST, "filter_info_topic": FILTER_INFO,
+                "mask_topic": FILTER_MASK, "base": BASE, "multiplier": MULTIPLIER,
+            }
+        },
+    }  # fmt: skip
+
+
+def _turns(path: Path, radius_m: float, view: MapView) -> Bool:
+    """The cells of the poses in which a route turns."""
+    places, window = _turning_poses(path, radius_m), view.window
+    i, j = view.lattice.index(places[:, 0], places[:, 1])
+    i, j = i - window.i0, j - window.j0
+    found = np.zeros(window.shape, dtype=np.bool_)
+    inside = (i >= 0) & (j >= 0) & (i < window.width) & (j < window.height)
+    found[j[inside], i[inside]] = True
+    return found
+
+
+def _turning_poses(path: Path, radius_m: float) -> Float64:
+    """East and north of the poses of a route whose curvature is that of a turn."""
+    try:
+        if file_bytes(path) > _MOST_BYTES:
+            raise ConfigError(f"{path} is over {_MOST_BYTES // 10**6} MB; no route is.")
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = [
+                (float(row["east_m"]), float(row["north_m"]))
+                for row in csv.DictReader(bounded_lines(file, path))
+                if abs(float(row["curvature_1pm"])) > 1.0 / radius_m
+            ]
+    except LimitError:
+        raise
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read ({error.strerror}); check its name.") from error
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
+        raise ConfigError(
+            f"{path} is no route of `fieldgrid route -o route.csv` ({type(error).__name__}: "
+            f"{error}); plan one."
+        ) from error
+    return np.array(rows, dtype=np.float64).reshape(-1, 2)

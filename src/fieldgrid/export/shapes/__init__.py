@@ -1,0 +1,1 @@
+"""Formats of features: GIS files, task data, guidance, QGIS projects."""

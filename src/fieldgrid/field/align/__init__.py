@@ -1,0 +1,1 @@
+"""How the drives of a map lie against each other, and the transforms that make them coincide."""

@@ -1,0 +1,1 @@
+"""A map against surveyed or simulated truth, absolute: nothing is shifted or turned to fit."""

@@ -1,0 +1,1 @@
+"""Routes that a vehicle can drive over what a map has seen."""

@@ -1,0 +1,1 @@
+"""Rows as files: GIS features, Lanelet2, AgOpenGPS."""

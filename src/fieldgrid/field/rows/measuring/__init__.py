@@ -1,0 +1,1 @@
+"""Measuring one row: its line, its extent, its profile, its neighbours."""

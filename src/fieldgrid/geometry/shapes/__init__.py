@@ -1,0 +1,1 @@
+"""Curves, polylines, planes through points, and features as files."""

@@ -1,0 +1,1 @@
+"""The pose now: a fixed-lag estimate, carried to the newest frame."""

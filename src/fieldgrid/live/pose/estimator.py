@@ -1,0 +1,79 @@
+"""Estimates of the last seconds, made beside what must not wait for them: a thread of its own."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+from fieldgrid.core import FieldgridError
+from fieldgrid.live.pose.fixed_lag import EstimateInputs
+from fieldgrid.poses import Estimate
+
+MOST_SHARE = 0.35
+"""Share of one core that estimates take at most: frames come first."""
+
+
+class EstimateResult(NamedTuple):
+    """What became of an estimate: it, or why there is none, in words; `problem` is an error of this
+    program, else empty. `fixes` are those that went into it."""
+
+    asked: EstimateInputs | None
+    estimate: Estimate | None
+    why: str = ""
+    problem: str = ""
+
+
+def estimate_now(asked: EstimateInputs) -> EstimateResult:
+    """Make an estimate here and now."""
+    try:
+        return EstimateResult(asked, asked.estimate())
+    except FieldgridError as error:
+        return EstimateResult(asked, None, str(error))
+    except Exception as error:  # noqa: BLE001 - an estimate that fails does not end the mapping
+        return EstimateResult(asked, None, "poses could not be estimated", repr(error))
+
+
+class Estimator:
+    """Makes one estimate at a time and rests between them; what is made goes to `give`."""
+
+    def __init__(self, give: Callable[[EstimateResult], None]) -> None:
+        self._give = give
+        self._changed = threading.Condition()
+        self._asked: EstimateInputs | None = None
+        self._is_busy = self._closed = False
+        self._thread = threading.Thread(target=self._run, name="fieldgrid-estimates", daemon=True)
+        self._thread.start()
+
+    @property
+    def is_free(self) -> bool:
+        """Whether it takes a question now."""
+        return not self._is_busy
+
+    def ask(self, asked: EstimateInputs) -> None:
+        """Let it make an estimate; only when it is free."""
+        with self._changed:
+            self._asked, self._is_busy = asked, True
+            self._changed.notify()
+
+    def close(self) -> None:
+        """End it, with the estimate that is being made."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._asked is not None or self._closed)
+                asked, self._asked = self._asked, None
+            if asked is None:
+                return
+            start_s = time.thread_time()
+            self._give(estimate_now(asked))
+            took_s = time.thread_time() - start_s
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed, took_s * (1.0 / MOST_SHARE - 1.0))
+                self._is_busy = False

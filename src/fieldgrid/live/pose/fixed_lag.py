@@ -1,0 +1,239 @@
+"""Poses during the drive: the batch estimate over the last seconds, repeated (fixed lag)."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Collection
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.core import BuildSettings, FieldgridError, GnssError, Int64, PoseSettings
+from fieldgrid.geometry import Datum, Fix, FixColumns, Motion, Pose, Rig, Status, Trajectory
+from fieldgrid.live.given import GIVEN_ROWS, body_poses
+from fieldgrid.live.pose.sensor_rows import Rows, motion_of
+from fieldgrid.live.pose.stamps import FIXES, FRAMES
+from fieldgrid.perception import CameraStep, Refusal, steps_of
+from fieldgrid.pipeline import cell_budget
+from fieldgrid.poses import (
+    Attitude,
+    ErrorBudget,
+    Estimate,
+    estimate_poses,
+    levelling_attitude,
+    tells_attitude,
+)
+from fieldgrid.recordings import PoseBody, motion_of_body
+
+KEPT_S, GIVEN_KEPT_S = 60.0, 180.0
+"""What is older than this before the newest is forgotten, however silent the receiver is; with
+poses of another program, which only a way tells the turn of their frame."""
+
+BEFORE_NS = 5_000_000_000
+"""How long before a frame that waits for its pose an estimate begins."""
+
+FEWEST_FIXES = 3
+"""Number of fixes that an estimate needs."""
+
+
+class EstimateInputs(NamedTuple):
+    """What an estimate is made of; nothing that is pushed later changes it."""
+
+    fixes: FixColumns
+    rig: Rig
+    datum: Datum | None
+    settings: PoseSettings
+    motion: Motion
+    budget: ErrorBudget
+    frame_ns: Int64
+    known_ns: int
+    """The time of the newest fix; where none is needed, of the newest pose that was given."""
+    level_grids: bool
+    """Whether grids are level where the drive tells how its vehicle leans."""
+
+    @property
+    def is_level(self) -> bool:
+        """Whether the poses are those of level grids."""
+        return self.level_grids and tells_attitude(self.motion, self.fixes.time_ns)
+
+    def levelling(self, estimate: Estimate) -> Attitude | None:
+        """The attitude that makes grids level by the `estimate` of this, as in a build; None where
+        they are square to the ground, also since the drive denies what states its lean."""
+        if not self.level_grids:
+            return None
+        return levelling_attitude(estimate.report.attitude, self.motion, self.fixes.time_ns)
+
+    def estimate(self) -> Estimate:
+        """The poses. GnssError where there are none, which says why."""
+        return estimate_poses(
+            self.fixes,
+            self.rig,
+            self.datum,
+            self.settings,
+            self.motion,
+            self.budget,
+            frame_ns=self.frame_ns,
+            level_grids=self.level_grids,
+        )
+
+
+class FixedLagSmoother:
+    """The measurements of the last seconds, and the poses estimated from them.
+
+    Not safe to call from several threads. `window_s` is how much of the drive before the newest
+    fix goes into an estimate; poses of another program, of the `body`, are laid along all that is
+    kept.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        settings: BuildSettings,
+        datum: Datum | None,
+        window_s: float,
+        body: PoseBody | None = None,
+    ) -> None:
+        self._rig, self._settings, self._body = rig, settings, body
+        self._budget = cell_budget(rig, settings)
+        self.datum = datum
+        self._window_ns = round(window_s * 1e9)
+        self._kept_ns = round(1e9 * max(window_s, KEPT_S if body is None else GIVEN_KEPT_S))
+        self._fixes: deque[Fix] = deque()
+        self._parts: dict[str, deque[Rows]] = {}
+        self._frames: deque[tuple[int, CameraStep | None]] = deque()
+        self._last_fix_ns: int | None = None
+        self.newest_ns = 0
+
+    def add_fix(self, fix: Fix) -> None:
+        """A fix, in any order."""
+        self._fixes.append(fix)
+        self._last_fix_ns = max(fix.time_ns, self._last_fix_ns or fix.time_ns)
+        self._seen(fix.time_ns)
+
+    def add_rows(self, part: str, rows: Rows) -> None:
+        """Rows of gyro, wheels, IMU or tilt, or of poses, in any order."""
+        if len(rows.time_ns):
+            self._parts.setdefault(part, deque()).append(rows)
+            self._seen(int(rows.time_ns.max()))
+
+    def add_frame(self, time_ns: int, step: CameraStep | None) -> None:
+        """A frame, in order of time, and the camera's step to it from the one before."""
+        self._frames.append((time_ns, step))
+        self._seen(time_ns)
+
+    def forget(self, sources: Collection[str], time_ns: int) -> None:
+        """Forget what some sources (`live.stamps`) said after an instant, of another time."""
+        if FIXES in sources:
+            self._fixes = deque(fix for fix in self._fixes if fix.time_ns <= time_ns)
+            self._last_fix_ns = max((fix.time_ns for fix in self._fixes), default=None)
+        if FRAMES in sources:
+            self._frames = deque(frame for frame in self._frames if frame[0] <= time_ns)
+        for part in self._parts.keys() & set(sources):
+            chunks = self._parts[part]
+            self._parts[part] = deque(rows for rows in chunks if rows.time_ns.max() <= time_ns)
+        rows_ns = (int(chunks[-1].time_ns[-1]) for chunks in self._parts.values() if chunks)
+        frame_ns = self._frames[-1][0] if self._frames else time_ns
+        self.newest_ns = max(time_ns, frame_ns, *rows_ns)
+
+    def _seen(self, time_ns: int) -> None:
+        self.newest_ns = max(self.newest_ns, time_ns)
+        oldest_ns = self.newest_ns - self._kept_ns
+        while self._fixes and self._fixes[0].time_ns < oldest_ns:
+            self._fixes.popleft()
+        while self._frames and self._frames[0][0] < oldest_ns:
+            self._frames.popleft()
+        for chunks in self._parts.values():
+            while chunks and chunks[0].time_ns[-1] < oldest_ns:
+                chunks.popleft()
+
+    def estimate(self, oldest_ns: int, *, level_grids: bool = True) -> Estimate:
+        """The poses of the last seconds, and from before `oldest_ns` on if that is still there.
+        GnssError where there are none, which says why."""
+        found = self.asked(oldest_ns, level_grids=level_grids).estimate()
+        self.datum = found.trajectory.datum
+        return found
+
+    def asked(self, oldest_ns: int, *, level_grids: bool = True) -> EstimateInputs:
+        """What the estimate from before `oldest_ns` on is made of. GnssError where there is too
+        little."""
+        known_ns = self.told_ns
+        if known_ns is None:
+            if self._needs_fixes:
+                raise GnssError("There is no fix yet; wait for the receiver.")
+            raise GnssError("There is no pose yet; wait for the program that makes them.")
+        if self._needs_fixes and len(self._fixes) < FEWEST_FIXES:
+            raise GnssError(f"There are {len(self._fixes)} fixes yet; wait for the receiver.")
+        since_ns = min(known_ns - self._window_ns, oldest_ns - BEFORE_NS)
+        if self._body is not None:
+            since_ns = self.newest_ns - self._kept_ns
+        fixes = [fix for fix in self._fixes if fix.time_ns >= since_ns]
+        if self._needs_fixes and len(fixes) < FEWEST_FIXES:
+            silent_s = (self.newest_ns - known_ns) / 1e9
+            raise GnssError(f"There was no fix for {silent_s:.0f} s; wait for the receiver.")
+        return EstimateInputs(
+            FixColumns.of_rows(fixes),
+            self._rig,
+            self.datum,
+            self._settings.pose,
+            self._motion(since_ns),
+            self._budget,
+            np.array([t for t, _ in self._frames if t >= since_ns], dtype=np.int64),
+            known_ns,
+            level_grids,
+        )
+
+    @property
+    def _needs_fixes(self) -> bool:
+        """Whether nothing but fixes tells where the vehicle is."""
+        return self._body is None or self._settings.pose.frame_origin is None
+
+    @property
+    def told_ns(self) -> int | None:
+        """Until when something that was pushed tells where the vehicle is; None where nothing
+        does."""
+        if self._needs_fixes:
+            return self._last_fix_ns
+        given = self._parts.get(GIVEN_ROWS, ())
+        return max((int(rows.time_ns.max()) for rows in given), default=None)
+
+    def _motion(self, since_ns: int) -> Motion:
+        parts = {
+            part: [rows for rows in chunks if rows.time_ns[-1] >= since_ns]
+            for part, chunks in self._parts.items()
+        }
+        motion = motion_of(parts)
+        if self._body is not None:
+            if not parts.get(GIVEN_ROWS):
+                raise GnssError("There is no pose yet; wait for the program that makes them.")
+            poses, has_tilt = body_poses(self._body, parts[GIVEN_ROWS]), motion.tilt is not None
+            given, _ = motion_of_body(poses, self._body, self._rig, has_tilt=has_tilt)
+            return motion._replace(poses=given.poses, tilt=motion.tilt or given.tilt)
+        frames = [frame for frame in self._frames if frame[0] >= since_ns]
+        steps = [step or Refusal.NOT_COMPARED for _, step in frames[1:]]
+        if any(isinstance(step, CameraStep) for step in steps):
+            motion = motion._replace(steps=steps_of([time_ns for time_ns, _ in frames], steps))
+        return motion
+
+
+def pose_at(trajectory: Trajectory, time_ns: int) -> tuple[Pose, int]:
+    """The pose at an instant and its gear; rejected, with the reason, where nothing is known."""
+    try:
+        pose = trajectory.at(time_ns)
+    except FieldgridError:
+        reason = trajectory.reason[-1] if len(trajectory) else "no fix can be used"
+        return unknown_pose(time_ns, reason), 0
+    row = min(int(np.searchsorted(trajectory.time_ns, time_ns)), len(trajectory) - 1)
+    return pose, int(trajectory.gear[row]) if pose.status is not Status.REJECTED else 0
+
+
+def last_known_ns(trajectory: Trajectory) -> int | None:
+    """The last instant with an accepted pose; None without."""
+    known = trajectory.time_ns[trajectory.accepted]
+    return int(known[-1]) if len(known) else None
+
+
+def unknown_pose(time_ns: int, reason: str) -> Pose:
+    """A pose of which nothing is known, and why."""
+    nan = math.nan
+    return Pose(time_ns, nan, nan, nan, nan, nan, nan, nan, Status.REJECTED, reason)

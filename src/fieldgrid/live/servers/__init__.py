@@ -1,0 +1,1 @@
+"""Servers of a live session: a page, Foxglove, a feed for controllers."""

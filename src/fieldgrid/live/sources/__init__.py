@@ -1,0 +1,1 @@
+"""Sources of a live session: receivers, cameras, folders, MCAP streams."""

@@ -1,0 +1,315 @@
+"""Several maps read as if they were one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cached_property, reduce
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from fieldgrid.core import Closing, ConfigError, DatumError, MapError, runner
+from fieldgrid.geometry import MAX_DISTANCE_M, Bounds, Datum
+from fieldgrid.maps.farm.catalogue import FarmBlock, find_blocks
+from fieldgrid.maps.farm.content import FarmContent, FarmPart, moved_bounds
+from fieldgrid.maps.farm.drives import FarmDrives
+from fieldgrid.maps.farm.maps import Maps
+from fieldgrid.maps.file.header import MapHeader
+from fieldgrid.maps.file.history import during
+from fieldgrid.maps.file.map_file import MapFile
+from fieldgrid.maps.file.records import SessionInfo
+from fieldgrid.maps.layers.registry import check_layers, stored_groups
+from fieldgrid.maps.tiles.overviews import OverviewBlock, read_overviews
+from fieldgrid.maps.vector.marks import Mark
+from fieldgrid.maps.views.blocks import MapBlocks, blocks_of
+from fieldgrid.maps.views.read import Request, read_view
+from fieldgrid.maps.views.view import DECISION_LAYERS, DROP_LAYERS, MapView
+from fieldgrid.maps.writing.merge import free_name, marks_together
+from fieldgrid.maps.writing.redatum import Redatum
+from fieldgrid.maps.writing.twins import REMEDY, Twin, twin_of
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_EARTH_RADIUS_M = 6.37e6
+_REACH_M = 15.0
+"""How far from the vehicle the ground is seen."""
+
+
+class RebasedMap(NamedTuple):
+    """A map that is read in the plane of another datum, metres: how far apart the two are, and by
+    how much its ground may be too high or low. Places are exact: they go through WGS84."""
+
+    block: FarmBlock
+    distance_m: float
+    height_error_m: float
+
+
+class Farm(FarmDrives, Closing):
+    """The maps of a folder. Use it with `with`, or close it; one thread at a time.
+
+    `blocks` lists them, those that cannot be read included. `read`, `read_blocks`, `overviews` and
+    `sessions` are those of a map with all their sessions: what `merge_maps` would make of them, bit
+    for bit, without making it. So `Costmap.from_map` and `export_map` take a farm as they take a
+    map. `query`, `frames`, `trajectory` and `session_inputs` are those of a map, too, in the plane
+    of the farm, and `map_of` says which map has a session. Only maps that a window touches are
+    opened.
+
+    Maps of one datum share their plane; with a `datum` others are laid into its plane, as `moved`
+    says. The cells are the largest that a map has, by the rule of the first map; maps of other
+    cells, rules or datums are folded anew from their frames. A drive that two maps have counts
+    once. With `verify` every map is verified by `jobs` threads. ConfigError for a folder without
+    maps.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        *,
+        datum: Datum | None = None,
+        verify: bool = False,
+        jobs: int | None = None,
+    ) -> None:
+        self.path = Path(folder)
+        self.blocks = tuple(find_blocks(self.path, verify=verify, jobs=jobs))
+        self._given = datum
+        self._maps = Maps()
+
+    def close(self) -> None:
+        """Close the maps that are open."""
+        self._maps.close()
+
+    @property
+    def problems(self) -> tuple[FarmBlock, ...]:
+        """What lies in the folder and cannot be read: views leave it out."""
+        return tuple(block for block in self.blocks if block.problem)
+
+    @property
+    def datum(self) -> Datum:
+        """The origin of the plane. DatumError when the maps have several and none was given."""
+        return self._header.datum
+
+    @property
+    def cell_m(self) -> float:
+        """Side of the own cells in metres."""
+        return self._header.lattice.cell_m
+
+    @property
+    def bounds(self) -> Bounds:
+        """The extent of the observed cells in metres; of maps of other datums, up to a metre."""
+        return reduce(Bounds.union, (part.bounds for part in self._parts))
+
+    @property
+    def moved(self) -> tuple[RebasedMap, ...]:
+        """The maps of other datums, and what that does to them."""
+        found = []
+        for part in self._parts:
+            if part.moved is not None:
+                east, north, _ = part.moved.places(0.0, 0.0, 0.0)
+                distance_m = math.hypot(float(east), float(north))
+                error_m = _REACH_M * distance_m / _EARTH_RADIUS_M
+                found.append(RebasedMap(part.block, distance_m, error_m))
+        return tuple(found)
+
+    def sessions(self) -> list[SessionInfo]:
+        """The active sessions of all maps. One whose name another map has too is called
+        `NAME (MAP)`."""
+        found = []
+        for part in self._parts:
+            own = {info.name: info for info in part.block.sessions}
+            found += [replace(own[was], name=name) for name, was in part.names.items()]
+        return found
+
+    def sessions_at(self, at: str | int) -> list[str]:
+        """As `MapFile.sessions_at`."""
+        found = [info.name for info in during(at, self.sessions(), self.path)]
+        if not found:
+            raise ConfigError(
+                f"{self.path} has no session at {at}; `fieldgrid farm` lists the dates of its maps."
+            )
+        return found
+
+    def map_of(self, session: str) -> FarmBlock:
+        """The map that has a session of `sessions`; ConfigError for another."""
+        return self._part_of(session).block
+
+    def extents(self) -> dict[str, Bounds]:
+        """The extents of the maps that are read, by the names of their blocks, in metres of the
+        farm's plane."""
+        return {part.block.name: part.bounds for part in self._parts}
+
+    def marks(self) -> tuple[Mark, ...]:
+        """The marks of all maps; what two of them have counts once."""
+        return self._marks
+
+    def deciding(self, cell_m: float | None) -> tuple[str, ...]:
+        """As `MapFile.deciding`."""
+        headers = (part.block.header for part in self._parts)
+        tells = any(header is not None and "drop" in header.groups for header in headers)
+        drops = DROP_LAYERS if tells else ()
+        is_own = self._header.lattice_of(cell_m) == self._header.lattice
+        return drops if is_own else (*DECISION_LAYERS, *drops)
+
+    def read(
+        self,
+        bounds: Bounds | None = None,
+        cell_m: float | None = None,
+        *,
+        layers: Collection[str] = (),
+        at: str | int | None = None,
+        jobs: int | None = None,
+        sessions: Collection[str] | None = None,
+    ) -> MapView:
+        """What all maps together have within bounds; values and errors as in `MapFile.read`."""
+        request = self._request(bounds, cell_m, layers, at)._replace(jobs=jobs)
+        if sessions is not None:
+            for name in sessions:
+                self._part_of(name)
+            every = [info.name for info in self.sessions()]
+            known = every if request.sessions is None else request.sessions
+            chosen = tuple(name for name in known if name in set(sessions))
+            request = request._replace(sessions=None if len(chosen) == len(every) else chosen)
+        return read_view(self._content, request)
+
+    @contextmanager
+    def read_blocks(
+        self,
+        bounds: Bounds | None = None,
+        cell_m: float | None = None,
+        *,
+        layers: Collection[str] = (),
+        at: str | int | None = None,
+        jobs: int | None = None,
+        scheduler: str | Client | None = None,
+    ) -> Iterator[MapBlocks]:
+        """As `MapFile.read_blocks`. MapError when a map changes meanwhile."""
+        request = self._request(bounds, cell_m, layers, at)._replace(jobs=jobs)
+        with runner(1, scheduler) as run:
+            yield blocks_of(self._content, request, run)
+
+    @contextmanager
+    def overviews(
+        self,
+        levels: int,
+        bounds: Bounds | None = None,
+        cell_m: float | None = None,
+        *,
+        layers: Collection[str] = (),
+        at: str | int | None = None,
+        jobs: int | None = None,
+        scheduler: str | Client | None = None,
+    ) -> Iterator[Iterator[OverviewBlock]]:
+        """As `MapFile.overviews`. MapError when a map changes meanwhile."""
+        request = self._request(bounds, cell_m, layers, at)
+        with runner(jobs, scheduler) as run:
+            yield read_overviews(self._content, request, levels, run)
+
+    def _request(
+        self,
+        bounds: Bounds | None,
+        cell_m: float | None,
+        layers: Collection[str],
+        at: str | int | None,
+    ) -> Request:
+        lattice = self._header.lattice_of(cell_m)
+        sessions = None if at is None else tuple(self.sessions_at(at))
+        return Request(
+            lattice,
+            lattice.window(bounds or self.bounds),
+            self._header.transfer,
+            sessions=sessions,
+            layers=check_layers(layers),
+        )
+
+    @cached_property
+    def _usable(self) -> list[tuple[FarmBlock, MapHeader, Bounds]]:
+        """The maps that can be read and have seen anything; MapError when there is none."""
+        found = [(b, b.header, b.bounds) for b in self.blocks if b.header and b.bounds]
+        if not found:
+            why = self.problems[0].problem if self.problems else "they have no observed cell."
+            raise MapError(f"No map of {self.path} can be read: {why}")
+        return found
+
+    @cached_property
+    def _header(self) -> MapHeader:
+        (first, header, _), *others = self._usable
+        datum = self._given or header.datum
+        for other, found, _ in others:
+            if self._given is None and not found.is_datum(datum):
+                raise DatumError(
+                    f"{other.path} has the datum {found.datum.described()} and {first.path} has "
+                    f"{datum.described()}; lay all maps of {self.path} into one plane with "
+                    f"--datum-from {first.path}, or from Python with Farm(folder, datum=...)."
+                )
+        lattice = max((found.lattice for _, found, _ in self._usable), key=lambda one: one.cell_m)
+        return MapHeader(datum, lattice, header.transfer, stored_groups())
+
+    @cached_property
+    def _parts(self) -> tuple[FarmPart, ...]:
+        """The maps, each drive in one of them."""
+        parts: list[FarmPart] = []
+        names: set[str] = set()
+        for block, header, bounds in self._usable:
+            moved = None
+            if not self._header.is_datum(header.datum):
+                moved = Redatum(header.datum, self.datum)
+                bounds = moved_bounds(moved, bounds)
+                farthest_m = max(map(abs, bounds))
+                if farthest_m > MAX_DISTANCE_M:
+                    raise DatumError(
+                        f"{block.path} lies {farthest_m / 1000:.0f} km from the datum, and a plane "
+                        f"reaches {MAX_DISTANCE_M / 1000:.0f} km; give a datum between the maps, "
+                        "or make a farm of its own of those far away."
+                    )
+            own: dict[str, str] = {}
+            for info in block.sessions:
+                if not any(self._is_twin(part, (block, moved), info) for part in parts):
+                    own[free_name(info.name, block.name, {*names, *own})] = info.name
+            names |= own.keys()
+            parts.append(FarmPart(block, bounds, own, moved, self._header))
+        return tuple(parts)
+
+    def _is_twin(
+        self, part: FarmPart, other: tuple[FarmBlock, Redatum | None], info: SessionInfo
+    ) -> bool:
+        """Whether a part has the drive of another map, too; ConfigError when it lies elsewhere."""
+        block, moved = other
+        for own in part.block.sessions:
+            if own.name not in part.names.values():
+                continue
+            if part.moved is None and moved is None:
+                if own.digest != info.digest:
+                    continue
+            elif (own.first_time_ns, own.frames) != (info.first_time_ns, info.frames):
+                continue
+            one, two = self._twin(part.block, own, part.moved), self._twin(block, info, moved)
+            if not one.is_drive(two):
+                continue
+            if (why := two.contradiction(one)) is not None:
+                raise ConfigError(
+                    f"Session {info.name!r} of {block.path} is the same drive as {own.name!r} of "
+                    f"{part.block.path}, but it {why}; {REMEDY}."
+                )
+            return True
+        return False
+
+    def _twin(self, block: FarmBlock, info: SessionInfo, moved: Redatum | None) -> Twin:
+        with self._maps.reading(block) as opened:
+            return twin_of(opened.universal, info, moved)
+
+    @cached_property
+    def _marks(self) -> tuple[Mark, ...]:
+        def maps() -> Iterator[MapFile]:
+            for part in self._parts:
+                if part.block.has_marks:
+                    with self._maps.reading(part.block) as opened:
+                        yield opened.universal
+
+        found = marks_together(maps(), self.datum)
+        return tuple(mark._replace(id=number) for number, mark in enumerate(found, 1))
+
+    @cached_property
+    def _content(self) -> FarmContent:
+        return FarmContent(self._maps, self._parts, self._header, self._marks)

@@ -1,0 +1,324 @@
+"""SQLite as this package uses it: how a file is opened, and what its errors mean to a user."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sqlite3
+import threading
+import time
+import weakref
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from fieldgrid.core import MapError, MapWriteError, shortened
+
+BUSY_TIMEOUT_S = 30.0
+"""How long a writer waits for another one, or a reader for a commit to end."""
+
+_TELL_EVERY_S = 1.0
+
+MAX_VALUE_BYTES = 64 << 20
+"""The largest text or blob that is accepted from a file; the largest written is 8 MB."""
+
+
+class Patience(NamedTuple):
+    """How long a writer waits for another one, seconds; `tell` hears each second how long it has
+    waited."""
+
+    limit_s: float = BUSY_TIMEOUT_S
+    tell: Callable[[float], None] | None = None
+
+
+USUAL_PATIENCE = Patience()
+
+
+class _Connection(sqlite3.Connection):
+    """A connection that knows the process that opened it, and the device and number of its file."""
+
+    owner = 0
+    file = (0, 0)
+    thread = 0
+    """The only thread that may use it, while it has other settings than usual; 0 for any."""
+
+
+_OPEN: weakref.WeakSet[_Connection] = weakref.WeakSet()
+_REGISTER = threading.RLock()
+
+
+@contextmanager
+def open_files() -> Iterator[frozenset[tuple[int, int]]]:
+    """Device and number of each map that is open in this process. In the block no other one
+    becomes open: what closes a descriptor of one lets go of all locks that the process has on it.
+    """
+    with _REGISTER:
+        yield frozenset(connection.file for connection in _OPEN)
+
+
+def _keep_open() -> None:
+    """In a copy of the process by fork(): the connections of the other one are never closed here.
+
+    SQLite would take its open transaction for ours, and undo it under the other process.
+    """
+    for connection in _OPEN:
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(connection))
+
+
+os.register_at_fork(after_in_child=_keep_open)
+
+
+def is_ours(connection: sqlite3.Connection) -> bool:
+    """Whether this process opened it, and it is no copy by fork()."""
+    return not isinstance(connection, _Connection) or connection.owner == os.getpid()
+
+
+def _check_owner(connection: sqlite3.Connection, name: Path) -> None:
+    if not is_ours(connection):
+        raise MapError(
+            f"{name} was opened by another process, of which this one is a copy (fork); open it "
+            "again in this process."
+        )
+    if getattr(connection, "thread", 0) not in (0, threading.get_ident()):
+        raise MapError(
+            f"{name} is being verified by another thread; open the map once for each thread."
+        )
+
+
+@contextmanager
+def alone(connection: sqlite3.Connection) -> Iterator[None]:
+    """In the block, no other thread begins to read or change the map by this connection."""
+    if not isinstance(connection, _Connection):
+        yield
+        return
+    before, connection.thread = connection.thread, threading.get_ident()
+    try:
+        yield
+    finally:
+        connection.thread = before
+
+
+def connect(
+    file: Path, name: Path, *, writable: bool, patience: Patience = USUAL_PATIENCE
+) -> sqlite3.Connection:
+    """Open an existing database; `name` is what errors call it, `patience` how long a commit of
+    another program is waited for.
+
+    Also a reader opens it for writing, because a writer that was killed leaves a journal that
+    the next one to open the file must play back; `query_only` then keeps the reader one.
+    """
+    with explained(name, writing=writable):
+        connection = sqlite3.connect(
+            f"{file.resolve().as_uri()}?mode=rw",
+            uri=True,
+            timeout=patience.limit_s,
+            isolation_level=None,  # transactions begin and end where this package says
+            check_same_thread=False,  # a forgotten map may be closed by the garbage collector
+            factory=_Connection,
+        )
+    connection.owner = os.getpid()
+    try:
+        with _REGISTER:  # before it can have any lock
+            found = os.stat(file)
+            connection.file = found.st_dev, found.st_ino
+            _OPEN.add(connection)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
+        with explained(name, writing=writable):
+            # What a hostile file can do is limited: no functions with side effects from its
+            # views and triggers, and no page that lies about its cells.
+            connection.execute("PRAGMA trusted_schema = OFF")
+            connection.execute("PRAGMA cell_size_check = ON")
+            # This one reads the schema, for which it waits until a commit has ended.
+            _when_free(connection, "PRAGMA cache_size = -16384", patience)
+            connection.execute(f"PRAGMA query_only = {0 if writable else 1}")
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def keep_one_file(connection: sqlite3.Connection, *, durable: bool) -> None:
+    """Choose a rollback journal, so that a map at rest is always this one file.
+
+    A write-ahead log would let readers in during a commit, but leaves two more files beside
+    the map while anyone has it open, and copying the map without them loses what they hold.
+    A program that edited the map may have switched it to one; this switches it back. EXTRA is
+    FULL, and syncs the folder after the journal is gone: without that, a power cut just after a
+    commit can bring the journal back, which undoes it.
+    """
+    connection.execute("PRAGMA journal_mode = DELETE")
+    connection.execute(f"PRAGMA synchronous = {'EXTRA' if durable else 'OFF'}")
+
+
+def clear_journal(path: Path) -> None:
+    """Play back or delete the journal that an interrupted writer left beside a map.
+
+    Nothing happens while another program writes it, or where there is none.
+    """
+    journal = path.with_name(f"{path.name}-journal")
+    if not (path.is_file() and journal.exists()):
+        return
+    with suppress(sqlite3.Error), closing(sqlite3.connect(path, isolation_level=None)) as found:
+        found.execute("BEGIN EXCLUSIVE")  # which plays back one that is complete
+        # SQLite takes one that begins with 0 for one that was never needed, and leaves it.
+        with suppress(OSError), journal.open("rb") as opened:
+            if opened.read(1) in (b"", b"\0"):
+                journal.unlink()
+        found.execute("ROLLBACK")
+
+
+@contextmanager
+def copied(path: Path, copy: Path | None) -> Iterator[None]:
+    """Copy a map page by page, damaged ones too, to a new file that is on the disk afterwards; on
+    an error in the block it is removed. MapWriteError where it cannot be made, or is there already,
+    and then it stays. Without a `copy` nothing is done.
+
+    By SQLite, which keeps the locks that a transaction of this process has on the file: whoever
+    opens and closes it otherwise lets go of them.
+    """
+    if copy is None:
+        yield
+        return
+    try:
+        os.close(os.open(copy, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    except FileExistsError as error:
+        raise MapWriteError(
+            f"{copy} exists already, and {path} was not changed; try again, or name another file "
+            "for the copy of the map."
+        ) from error
+    except OSError as error:
+        raise MapWriteError(
+            f"{copy} could not be made ({error.strerror}), and {path} was not changed; check the "
+            "permissions of the folder."
+        ) from error
+    try:
+        with closing(sqlite3.connect(path)) as source, closing(sqlite3.connect(copy)) as target:
+            target.execute("PRAGMA synchronous = EXTRA")
+            source.backup(target)
+        yield
+    except BaseException:
+        with suppress(OSError):  # on Windows, where a worker has it open
+            copy.unlink()
+        raise
+
+
+@contextmanager
+def writing(
+    connection: sqlite3.Connection, name: Path, patience: Patience = USUAL_PATIENCE
+) -> Iterator[None]:
+    """One transaction: all of it is in the file afterwards, or, on any error, nothing."""
+    _check_owner(connection, name)
+    if connection.in_transaction:
+        raise MapWriteError(
+            f"{name} is being read or changed already, and was not changed; end that first, and "
+            "open the map once for each thread."
+        )
+    with explained(name, writing=True):
+        _when_free(connection, "BEGIN IMMEDIATE", patience)
+        try:
+            yield
+            _when_free(connection, "COMMIT", patience)
+        except BaseException:
+            _roll_back(connection)
+            raise
+
+
+def _when_free(connection: sqlite3.Connection, statement: str, patience: Patience) -> None:
+    """Execute a statement that another program may hold up."""
+    start = time.monotonic()
+    try:
+        while True:
+            left_s = patience.limit_s - (time.monotonic() - start)
+            slice_ms = round(1e3 * min(max(left_s, 0.0), _TELL_EVERY_S))
+            connection.execute(f"PRAGMA busy_timeout = {slice_ms}")
+            try:
+                connection.execute(statement)
+            except sqlite3.OperationalError as error:
+                if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY or left_s <= 0.0:
+                    raise
+                if patience.tell is not None:
+                    patience.tell(time.monotonic() - start)
+                continue
+            return
+    finally:
+        with suppress(sqlite3.Error):
+            connection.execute(f"PRAGMA busy_timeout = {round(1e3 * patience.limit_s)}")
+
+
+@contextmanager
+def reading(connection: sqlite3.Connection, name: Path) -> Iterator[None]:
+    """One state of the map for several queries, whatever a writer commits meanwhile."""
+    _check_owner(connection, name)
+    with explained(name, writing=False):
+        if connection.in_transaction:
+            yield
+            return
+        connection.execute("BEGIN")
+        try:
+            yield
+        finally:
+            _roll_back(connection)
+
+
+@contextmanager
+def explained(name: Path, *, writing: bool) -> Iterator[None]:
+    """Turn SQLite's errors into one sentence about the map called `name`."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise _explanation(error, name, writing) from error
+    except UnicodeDecodeError as error:  # of SQLite's own message about a damaged schema
+        raise _damaged(name, error.reason) from error
+
+
+def _explanation(error: sqlite3.Error, name: Path, writing: bool) -> MapError:
+    if isinstance(error, sqlite3.ProgrammingError):
+        return MapError(f"{name} is closed ({error}); open it again.")
+    said = shortened(error)
+    if said.startswith("Could not decode to UTF-8"):  # sqlite3 raises it without a code
+        return _damaged(name, said)
+    code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
+    if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+        if not writing:
+            return MapError(f"{name} is being written by another program; try again shortly.")
+        return MapWriteError(
+            f"{name} is in use by another program, and was not changed; wait until that one has "
+            "finished, or close it, and try again."
+        )
+    if code in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_FORMAT):
+        return MapError(f"{name} is not a fieldgrid map: it is not an SQLite file. Check the name.")
+    if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_TOOBIG):
+        return _damaged(name, error)
+    is_kept = getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_IOERR_DELETE
+    if not writing and (code == sqlite3.SQLITE_READONLY or is_kept):
+        return MapError(
+            f"{name} was left by a writer that was interrupted, and what that had begun cannot be "
+            "undone here, since nothing may be written; make the file and its folder writable, or "
+            f"copy it and {name.name}-journal to a folder that is."
+        )
+    if not writing:
+        return MapError(f"{name} cannot be read ({said}); check the file.")
+    if code == sqlite3.SQLITE_FULL:
+        return MapWriteError(
+            f"The disk is full and {name} was not changed; free some space and try again."
+        )
+    if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
+        return MapWriteError(
+            f"{name} cannot be written ({said}); check the permissions of the file and its folder."
+        )
+    return MapWriteError(f"{name} could not be written ({said}) and was not changed.")
+
+
+def _damaged(name: Path, why: object) -> MapError:
+    return MapError(
+        f"{name} is damaged ({shortened(why)}); restore it from a copy, and remove "
+        f"{name.name}-journal before, if it is there, or build it again."
+    )
+
+
+def _roll_back(connection: sqlite3.Connection) -> None:
+    # After a full disk SQLite has often rolled back by itself.
+    with suppress(sqlite3.Error):
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")

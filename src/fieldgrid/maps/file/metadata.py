@@ -1,0 +1,225 @@
+"""What a map keeps of a session beside its frames: its own row, its trajectory, its inputs."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fieldgrid.core import ConfigError, MapError, Quality
+from fieldgrid.geometry import Datum, Trajectory
+from fieldgrid.maps.file.arrays import (
+    Array,
+    ArrayKind,
+    array_rows,
+    read_arrays,
+    trajectory_arrays,
+    trajectory_of,
+)
+from fieldgrid.maps.file.digest import session_digest
+from fieldgrid.maps.writing.transform import IDENTITY, Transform, transform_of
+from fieldgrid.version import software_version
+
+
+class SessionMetadata(NamedTuple):
+    """What is kept of a session beside its frames; the trajectory is as driven. `created` is empty
+    for one of now."""
+
+    name: str
+    trajectory: Trajectory | None
+    config: str
+    source: str
+    source_sha256: str
+    inputs: Mapping[str, Array]
+    software_version: str
+    created: str = ""
+    transform: Transform = IDENTITY
+
+    @property
+    def heading_source(self) -> str:
+        """How the headings of the trajectory were found."""
+        return "" if self.trajectory is None else self.trajectory.heading_source
+
+    @property
+    def arrays(self) -> dict[ArrayKind, Mapping[str, Array]]:
+        """All arrays, by kind."""
+        track = self.trajectory
+        return {
+            ArrayKind.TRAJECTORY: {} if track is None else trajectory_arrays(track),
+            ArrayKind.INPUT: self.inputs,
+        }
+
+
+def session_metadata(
+    name: str,
+    trajectory: Trajectory | None,
+    config: Mapping[str, Any] | None,
+    source: str,
+    source_sha256: str,
+    inputs: Mapping[str, Array] | None,
+) -> SessionMetadata:
+    """A session of now; ConfigError for a name, config or array that cannot be stored."""
+    check_name(name)
+    metadata = SessionMetadata(
+        name,
+        trajectory,
+        as_json(config or {}),
+        source,
+        source_sha256,
+        {key: np.array(value) for key, value in (inputs or {}).items()},
+        software_version(),
+    )
+    array_rows(ArrayKind.INPUT, metadata.inputs)
+    return metadata
+
+
+def check_name(name: str) -> None:
+    """Raise ConfigError for a name that no session can have."""
+    if not name or not name.isprintable():
+        raise ConfigError(f"A session cannot be called {name!r}; give a printable name.")
+
+
+class FoundSession(NamedTuple):
+    """A session of a map."""
+
+    session_id: int
+    removed: str | None
+    metadata: SessionMetadata
+
+
+def find(connection: sqlite3.Connection, path: Path, datum: Datum, name: str) -> FoundSession:
+    """A session by its name, with all that is kept beside its frames."""
+    row = row_of(connection, path, name)
+    session_id, removed, config, source, source_sha256, software, heading_source = row[:7]
+    created, transform = row[7:]
+    try:
+        columns = read_arrays(connection, session_id, ArrayKind.TRAJECTORY)
+        metadata = SessionMetadata(
+            name=name,
+            trajectory=trajectory_of(columns, datum, heading_source) if columns else None,
+            config=str(config),
+            source=str(source),
+            source_sha256=str(source_sha256),
+            inputs=read_arrays(connection, session_id, ArrayKind.INPUT),
+            software_version=str(software),
+            created=str(created),
+            transform=transform_of(transform),
+        )
+    except MapError as error:
+        raise MapError(f"Session {name!r} of {path} is damaged: {error}") from error
+    return FoundSession(int(session_id), removed, metadata)
+
+
+def row_of(connection: sqlite3.Connection, path: Path, name: str) -> tuple[Any, ...]:
+    """What a session's own row says; ConfigError when there is none of that name."""
+    row: tuple[Any, ...] | None = connection.execute(
+        "SELECT id, removed, config, source, source_sha256, software_version, heading_source, "
+        "created, transform FROM fieldgrid_session WHERE name = CAST(? AS TEXT)",
+        # Of a command line the name may be no UTF-8, which SQLite takes as bytes alone.
+        (name.encode("utf-8", "surrogatepass"),),
+    ).fetchone()
+    if row is None:
+        known = connection.execute("SELECT name FROM fieldgrid_session ORDER BY id")
+        raise ConfigError(
+            f"{path} has no session {name!r}; it has "
+            f"{', '.join(repr(other) for (other,) in known) or 'none'}."
+        )
+    return row
+
+
+def put_arrays(
+    connection: sqlite3.Connection, session_id: int, arrays: Mapping[ArrayKind, Mapping[str, Array]]
+) -> None:
+    """Store arrays with a session in place of those of the same kind."""
+    for kind, named in arrays.items():
+        connection.execute(
+            "DELETE FROM fieldgrid_array WHERE session_id = ? AND kind = ?",
+            (session_id, kind.value),
+        )
+        connection.executemany(
+            "INSERT INTO fieldgrid_array VALUES (?, ?, ?, ?, ?, ?, ?)",
+            ((session_id, *row) for row in array_rows(kind, named)),
+        )
+
+
+def count_frames(connection: sqlite3.Connection, session_id: int) -> None:
+    """Bring what a session's own row says of its frames up to date."""
+    connection.execute(
+        "UPDATE fieldgrid_session SET (frames, accepted, first_time_ns, last_time_ns) = "
+        "(SELECT count(*), coalesce(sum(status = 'ok'), 0), min(time_ns), max(time_ns) "
+        "FROM fieldgrid_frame WHERE session_id = ?1) WHERE id = ?1",
+        (session_id,),
+    )
+
+
+def sum_up(connection: sqlite3.Connection, session_id: int, metadata: SessionMetadata) -> None:
+    """Bring a session's own row up to date with its frames and arrays."""
+    count_frames(connection, session_id)
+    (*grid, heading_source) = connection.execute(
+        "SELECT grid_width_m, grid_length_m, grid_cell_m, heading_source FROM fieldgrid_session "
+        "WHERE id = ?",
+        (session_id,),
+    ).fetchone()
+    frames = connection.execute(
+        "SELECT digest FROM fieldgrid_frame WHERE session_id = ?", (session_id,)
+    )
+    connection.execute(
+        "UPDATE fieldgrid_session SET digest = ? WHERE id = ?",
+        (digest_of(metadata, grid, heading_source, [row[0] for row in frames]), session_id),
+    )
+
+
+def digest_of(
+    metadata: SessionMetadata,
+    grid: Sequence[float | None],
+    heading_source: str,
+    frames: Sequence[str],
+) -> str:
+    """The digest of a session; `grid` is its width, length and cell, or three times None."""
+    values = (
+        metadata.source, metadata.source_sha256, metadata.config, metadata.software_version,
+        heading_source, *grid,
+    )  # fmt: skip
+    return session_digest(values, metadata.arrays, frames)
+
+
+def quality_at(track: Trajectory | None, time_ns: int) -> int | None:
+    """The quality of the accepted fix nearest in time, None where there is none.
+
+    Poses between fixes, whose quality is that of an estimate, are not asked.
+    """
+    if track is None:
+        return None
+    accepted = np.flatnonzero(track.accepted & (track.quality != Quality.ESTIMATED))
+    if accepted.size == 0:
+        return None
+    times_ns = track.time_ns[accepted]
+    after = int(np.searchsorted(times_ns, time_ns))
+    near = [k for k in (after - 1, after) if 0 <= k < accepted.size]
+    nearest = min(near, key=lambda k: abs(int(times_ns[k]) - time_ns))
+    return int(track.quality[accepted[nearest]])
+
+
+def name_is_taken(name: str, path: Path, *, removed: bool = False) -> ConfigError:
+    """The error for a second session of one name."""
+    if removed:
+        return ConfigError(
+            f"{path} has a session {name!r} that was removed; put it back with --restore, or give "
+            "another name with --name."
+        )
+    return ConfigError(f"{path} has a session {name!r} already; give another name with --name.")
+
+
+def as_json(config: Mapping[str, Any]) -> str:
+    """A session's config as it is stored; ConfigError when it is no JSON."""
+    try:
+        return json.dumps(dict(config), ensure_ascii=False, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(
+            f"The session's config cannot be stored as JSON ({error}); "
+            "use numbers, texts, lists and dictionaries."
+        ) from error

@@ -1,0 +1,299 @@
+"""Maps of format 2: read as they are, and brought to the present format in place.
+
+Format 2 kept a frame's density and mask in its own row, had no transforms and no root digest, and
+other tiles. Its pictures are those of today, so a density is read from them; everything else is
+folded anew from the frames until the map is upgraded.
+
+Maps of the present format may hold retired channel groups. Those that replace them are read from
+the frames until they are made, with the next change or, where frames are damaged, by a repair.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import sqlite3
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from fieldgrid.core import FieldgridError, MapError, Threads, quoted, shortened
+from fieldgrid.geometry import GridSpec
+from fieldgrid.maps.file import schema
+from fieldgrid.maps.file.codec import BITS, EncodedChannel, cells_sha256, decode_cells
+from fieldgrid.maps.file.digest import as_json, frame_digest
+from fieldgrid.maps.file.header import MapHeader, check_plane, reread
+from fieldgrid.maps.file.metadata import digest_of, find
+from fieldgrid.maps.file.root import seal
+from fieldgrid.maps.layers.registry import RETIRED_GROUPS, stored_groups
+from fieldgrid.maps.writing.derived import active, add_groups, rebuild
+from fieldgrid.maps.writing.subject import Subject
+
+_LOG = logging.getLogger(__name__)
+
+_GREY = "|u1"
+
+_VIEWS = (
+    "CREATE TEMP VIEW fieldgrid_session AS SELECT *, NULL AS transform FROM main.fieldgrid_session",
+    "CREATE TEMP VIEW fieldgrid_frame AS SELECT *, '' AS cells_sha256 FROM main.fieldgrid_frame",
+    "CREATE TEMP VIEW fieldgrid_grid AS "
+    f"SELECT id AS frame, 'density' AS channel, '{_GREY}' AS dtype, density AS data "
+    "FROM main.fieldgrid_frame UNION ALL "
+    f"SELECT id, 'observed', '{BITS}', observed FROM main.fieldgrid_frame",
+)
+"""What stands in for the tables of today while a map of format 2 is read."""
+
+_FRAME_COLUMNS = (
+    "frame_id, time_ns, east_m, north_m, up_m, heading_deg, position_sigma_m, heading_sigma_deg, "
+    "speed_mps, status, reason, quality, images, images_sha256"
+)
+_SESSION_COLUMNS = (
+    "id, name, created, removed, source, source_sha256, config, software_version, heading_source, "
+    "first_time_ns, last_time_ns, frames, accepted, grid_width_m, grid_length_m, grid_cell_m, "
+    "digest"
+)
+
+
+def read_as_is(connection: sqlite3.Connection) -> None:
+    """Let a map of format 2 be read like one of today."""
+    (read_only,) = connection.execute("PRAGMA query_only").fetchone()
+    connection.execute("PRAGMA query_only = 0")
+    for statement in _VIEWS:
+        connection.execute(statement)
+    connection.execute(f"PRAGMA query_only = {read_only}")
+
+
+def _drop_views(connection: sqlite3.Connection) -> None:
+    """Undo `read_as_is`, within the caller's transaction."""
+    for name in ("fieldgrid_session", "fieldgrid_frame", "fieldgrid_grid"):
+        connection.execute(f"DROP VIEW IF EXISTS temp.{name}")
+
+
+def as_it_is_now(connection: sqlite3.Connection, path: Path, header: MapHeader) -> MapHeader:
+    """The settings of a map that is about to be changed, whatever other programs have made of it
+    since `header` was read; within the caller's transaction."""
+    now = reread(connection, path, header)
+    if header.version < now.version:
+        _drop_views(connection)
+    return now
+
+
+def upgraded(header: MapHeader) -> MapHeader:
+    """The settings of a map once it is up to date."""
+    if header.version < schema.FORMAT_VERSION:
+        return header._replace(groups=stored_groups(), version=schema.FORMAT_VERSION)
+    if not header.is_old:
+        return header
+    names = {RETIRED_GROUPS.get(name, name) for name in header.groups}
+    foreign = tuple(name for name in header.groups if name in names - set(stored_groups()))
+    return header._replace(
+        groups=tuple(name for name in stored_groups() if name in names) + foreign
+    )
+
+
+def in_change(header: MapHeader) -> MapHeader:
+    """The settings of a map while it is changed: of the present format, without retired groups."""
+    if header.version < schema.FORMAT_VERSION:
+        return upgraded(header)
+    kept = tuple(name for name in header.groups if name not in RETIRED_GROUPS)
+    return header._replace(groups=kept)
+
+
+def drop_retired(connection: sqlite3.Connection, header: MapHeader) -> MapHeader:
+    """Delete the retired groups of a map, before it is changed, within the caller's transaction;
+    returns its settings without them."""
+    _delete_groups(connection, RETIRED_GROUPS)
+    without = in_change(header)
+    schema.set_groups(connection, without.groups)
+    return without
+
+
+def replace_retired(
+    connection: sqlite3.Connection, path: Path, header: MapHeader, *, strict: bool
+) -> MapHeader:
+    """Make the groups that replace retired ones, which `drop_retired` deleted, from the frames of
+    the map as it was changed; returns its settings then. `header` has those of before.
+
+    Where the frames of an active session cannot be read, the new groups are left out: then their
+    layers are read from the frames, and no change is refused for it. MapError when it is `strict`.
+    """
+    renewed = upgraded(header)
+    added = set(renewed.groups) - set(header.groups)
+    _LOG.info(
+        "%s is brought up to date: %s are made from its frames", path, ", ".join(sorted(added))
+    )
+    try:
+        add_groups(connection, path, renewed, added)
+    except MapError as error:
+        if strict:
+            raise MapError(
+                f"{path} cannot be brought up to date: {error} Take that session out with "
+                "`fieldgrid sessions --remove`, or restore a copy of the map."
+            ) from error
+        _LOG.warning(
+            "%s was changed, but not all of it was brought up to date: %s Take that session out "
+            "with `fieldgrid sessions --remove`, and make the rest with `fieldgrid repair`.",
+            path,
+            error,
+        )
+        _delete_groups(connection, added)
+        return in_change(header)
+    schema.set_groups(connection, renewed.groups)
+    return renewed
+
+
+def _delete_groups(connection: sqlite3.Connection, names: Iterable[str]) -> None:
+    """Delete groups from all tiles."""
+    for table in ("fieldgrid_session_tile", "fieldgrid_tile"):
+        connection.executemany(
+            f"DELETE FROM {table} WHERE channels = ?", [(name,) for name in names]
+        )
+
+
+def upgraded_copy(
+    connection: sqlite3.Connection, path: Path, header: MapHeader
+) -> sqlite3.Connection:
+    """A map of format 2 as it would be after an upgrade, in a temporary database; to be closed."""
+    copy = sqlite3.connect("", isolation_level=None, check_same_thread=False)
+    try:
+        connection.backup(copy)
+        copy.execute("PRAGMA trusted_schema = OFF")
+        upgrade(copy, path, header)
+        seal(copy)
+    except BaseException:
+        copy.close()
+        raise
+    return copy
+
+
+def upgrade(
+    connection: sqlite3.Connection, path: Path, header: MapHeader, without: str | None = None
+) -> None:
+    """Bring a map of format 2 to the present one, within the caller's transaction. A session that
+    it is `without` gets no tiles: it is about to be removed.
+
+    What was damaged stays so: it keeps a digest that does not fit. Raises MapError when the frames
+    of another active session cannot be read, or the datum is not that of the map's plane: format 2
+    has nothing else that confirms it.
+    """
+    check_plane(connection, path, header.datum)
+    _drop_views(connection)
+    # Other tables keep referring to the sessions by the name that the new table takes.
+    connection.execute("PRAGMA legacy_alter_table = ON")
+    for name in ("session", "frame"):
+        connection.execute(f"ALTER TABLE fieldgrid_{name} RENAME TO fieldgrid_{name}_2")
+    connection.execute("PRAGMA legacy_alter_table = OFF")
+    for name in schema.DERIVED_TABLES:
+        connection.execute(f"DROP TABLE {name}")
+    for statement in schema.own_tables():
+        if not statement.startswith(
+            ("CREATE TABLE fieldgrid_meta", "CREATE TABLE fieldgrid_array")
+        ):
+            connection.execute(statement)
+    connection.execute(
+        f"INSERT INTO fieldgrid_session ({_SESSION_COLUMNS}) "
+        f"SELECT {_SESSION_COLUMNS} FROM fieldgrid_session_2 ORDER BY id"
+    )
+    whole, unreadable = _copy_frames(connection)
+    for session_id in sorted(whole):
+        _renew_digest(connection, path, header, session_id)
+    for name in ("frame", "session"):
+        connection.execute(f"DROP TABLE fieldgrid_{name}_2")
+    connection.execute(
+        "UPDATE fieldgrid_meta SET value = ? WHERE key = 'format_version'",
+        (str(schema.FORMAT_VERSION),),
+    )
+    removed = "UPDATE fieldgrid_session SET removed = ? WHERE name = ? AND removed IS ?"
+    connection.execute(removed, ("now", without, None))
+    try:
+        rebuild(Subject(connection, path, header._replace(groups=stored_groups()), Threads()))
+    except MapError as error:
+        raise _not_upgraded(connection, path, unreadable) or error from error
+    connection.execute(removed, (None, without, "now"))
+
+
+def _not_upgraded(
+    connection: sqlite3.Connection, path: Path, unreadable: Mapping[int, str]
+) -> MapError | None:
+    """The error for frames that cannot be read, by their sessions; None where all can be."""
+    named = [
+        f"frame {quoted(unreadable[session_id])} of session {quoted(name)}"
+        for session_id, name in active(connection)
+        if session_id in unreadable
+    ]
+    if not named:
+        return None
+    return MapError(
+        f"{path} cannot be brought up to date, which each change of it begins with: "
+        f"{shortened(', '.join(named))} is damaged. Nothing was changed. Take that session out "
+        "with `fieldgrid sessions --remove`, which keeps its frames, or restore a copy of the map."
+    )
+
+
+def _copy_frames(connection: sqlite3.Connection) -> tuple[set[int], dict[int, str]]:
+    """Copy the frames; returns the sessions of which all were as they had been stored, and of those
+    with frames that cannot be read the first one."""
+    damaged, unreadable = set[int](), dict[int, str]()
+    rows = connection.execute(
+        "SELECT f.id, f.session_id, s.grid_width_m, s.grid_length_m, s.grid_cell_m, f.digest, "
+        f"{', '.join('f.' + name for name in _FRAME_COLUMNS.split(', '))} FROM fieldgrid_frame_2 "
+        "AS f JOIN fieldgrid_session_2 AS s ON s.id = f.session_id ORDER BY f.id"
+    ).fetchall()
+    for frame, session_id, width_m, length_m, cell_m, digest, *values in rows:
+        density, observed = connection.execute(
+            "SELECT density, observed FROM fieldgrid_frame_2 WHERE id = ?", (frame,)
+        ).fetchone()
+        channels = (
+            EncodedChannel("density", _GREY, density),
+            EncodedChannel("observed", BITS, observed),
+        )
+        sha256, renewed = "", str(digest)
+        try:
+            cells = decode_cells(GridSpec(width_m, length_m, cell_m), channels, "frame")
+            hashed = hashlib.sha256(as_json(values))
+            hashed.update(cells.grid.density.tobytes())
+            hashed.update(np.packbits(cells.grid.observed).tobytes())
+            sha256 = cells_sha256(cells)
+            if hashed.hexdigest() == digest:
+                renewed = frame_digest((*values, sha256))
+        except (FieldgridError, TypeError, ValueError):
+            unreadable.setdefault(session_id, str(values[0]))
+        if renewed == str(digest):
+            damaged.add(session_id)
+        connection.execute(
+            f"INSERT INTO fieldgrid_frame VALUES (?, ?{', ?' * 16})",
+            (frame, session_id, *values, sha256, renewed),
+        )
+        connection.executemany(
+            "INSERT INTO fieldgrid_grid VALUES (?, ?, ?, ?)",
+            [(frame, *channel) for channel in channels],
+        )
+    every = {row[0] for row in connection.execute("SELECT id FROM fieldgrid_session")}
+    return every - damaged, unreadable
+
+
+def _renew_digest(
+    connection: sqlite3.Connection, path: Path, header: MapHeader, session_id: int
+) -> None:
+    """Give a session the digest of today, if it was as it had been stored."""
+    name, digest, heading_source, *grid = connection.execute(
+        "SELECT name, digest, heading_source, grid_width_m, grid_length_m, grid_cell_m "
+        "FROM fieldgrid_session WHERE id = ?",
+        (session_id,),
+    ).fetchone()
+    try:
+        metadata = find(connection, path, header.datum, name).metadata
+    except MapError:
+        return
+    before, now = (
+        digest_of(metadata, grid, heading_source, [row[0] for row in rows.fetchall()])
+        for rows in (
+            connection.execute(f"SELECT digest FROM {table} WHERE session_id = ?", (session_id,))
+            for table in ("fieldgrid_frame_2", "fieldgrid_frame")
+        )
+    )
+    if before == digest:
+        connection.execute(
+            "UPDATE fieldgrid_session SET digest = ? WHERE id = ?", (now, session_id)
+        )

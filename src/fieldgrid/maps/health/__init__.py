@@ -1,0 +1,1 @@
+"""Whether a map is sound, and how it is repaired."""

@@ -1,0 +1,176 @@
+"""A map as SQLite and GeoPackage see it: the file, the layout of its tables, what they hold."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from functools import lru_cache
+from typing import Any
+
+from fieldgrid.core import shortened
+from fieldgrid.maps.file import schema
+from fieldgrid.maps.file.header import MapHeader
+from fieldgrid.maps.file.root import meddling_triggers
+from fieldgrid.maps.health.row_sums import create_sums
+from fieldgrid.maps.tiles.tiling import TileMatrixSet
+from fieldgrid.maps.vector.marks import create_marks
+from fieldgrid.maps.writing.subject import Subject
+
+MAX_PROBLEMS = 100
+"""The largest number of problems that are listed."""
+
+_STORED = {
+    "INTEGER": ("integer", "a whole number"),
+    "TINYINT": ("integer", "a whole number"),
+    "DOUBLE": ("real", "a number"),
+    "TEXT": ("text", "a text"),
+    "DATETIME": ("text", "a date and time"),
+}
+"""What SQLite holds in a column of a type, and how that is called; a blob in all others."""
+
+_TAKES_ANY_ROW = """
+SELECT NOT i."unique" AND NOT i.partial AND NOT EXISTS (
+    SELECT 1 FROM pragma_index_xinfo(i.name) AS x
+    WHERE x.key AND (x.cid = -2 OR upper(x.coll) NOT IN ('BINARY', 'NOCASE', 'RTRIM'))
+) FROM pragma_index_list(?) AS i WHERE i.name = ?
+"""
+"""Of an index: that it is not unique, and without conditions, expressions, which may fail, and
+orders of text that SQLite itself does not have."""
+
+_LARGEST_ID = 1 << 53
+"""SQLite takes no row behind the largest number that it has; some programs count no further."""
+
+
+def check_file(subject: Subject) -> Iterator[str]:
+    """The pages of the file, its header, and references between its tables."""
+    yield from check_pages(subject)
+    yield from orphans(subject.connection)
+
+
+def check_pages(subject: Subject) -> Iterator[str]:
+    """The pages of the file, and its header."""
+    connection = subject.connection
+    yield from damaged_pages(connection)
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    if version != schema.GEOPACKAGE_VERSION:
+        yield (
+            f"The file says that it is a GeoPackage of version {version}, and not "
+            f"{schema.GEOPACKAGE_VERSION}."
+        )
+
+
+def check_layout(subject: Subject) -> Iterator[str]:
+    """The tables, their indexes, and triggers that change them."""
+    connection, (known, _) = subject.connection, _layout(subject)
+    ours = set(
+        connection.execute(
+            "SELECT type, name, tbl_name, sql FROM sqlite_schema WHERE sql IS NOT NULL"
+        )
+    )
+    tables = {*(row[2] for row in known), "layer_styles"}
+    for kind, name, _, _ in sorted(known - ours):
+        yield f"The {kind} {name} is not laid out as in a map."
+    for kind, name, table, _ in sorted(ours - known):
+        if (
+            kind == "index"
+            and table in tables
+            and connection.execute(_TAKES_ANY_ROW, (table, name)).fetchall() != [(1,)]
+        ):
+            yield f"The index {name} of {table} may refuse new rows; drop it."
+    for name, table in meddling_triggers(connection):
+        yield f"A trigger {name} of {table} changes the map behind its back; drop it."
+    for (table,) in connection.execute(
+        "SELECT table_name FROM gpkg_contents WHERE datetime(last_change) IS NULL"
+    ):
+        yield f"The time at which the layer {table} was last changed is none."
+    yield from _sequences(connection)
+
+
+def check_types(subject: Subject) -> Iterator[str]:
+    """What each column of each table holds, which SQLite itself does not enforce."""
+    connection, (_, columns) = subject.connection, _layout(subject)
+    for table, column, declared, is_needed in columns:
+        held, called = _STORED.get(declared, ("blob", "a blob"))
+        allowed = f"'{held}'" if is_needed else f"'{held}', 'null'"
+        for row_id, found in connection.execute(
+            f"SELECT rowid, typeof({column}) FROM {table} WHERE typeof({column}) NOT IN ({allowed})"
+        ):
+            yield f"Row {row_id} of {table} has {found} in {column}, where {called} belongs."
+
+
+def _sequences(connection: sqlite3.Connection) -> Iterator[str]:
+    """The numbers from which SQLite counts on."""
+    rows = connection.execute("SELECT name, seq FROM sqlite_sequence").fetchall()
+    for table in schema.COUNTED_TABLES:
+        (largest,) = connection.execute(f"SELECT max(rowid) FROM {table}").fetchone()
+        if largest is None:
+            continue
+        kept = [seq for name, seq in rows if name == table]
+        if not (len(kept) == 1 and isinstance(kept[0], int) and largest <= kept[0] <= _LARGEST_ID):
+            yield f"The number of the last row of {table} is {largest}; {kept} is kept of it."
+
+
+def damaged_pages(connection: sqlite3.Connection) -> Iterator[str]:
+    """What SQLite finds wrong with its own file."""
+    for (line,) in connection.execute(f"PRAGMA integrity_check({MAX_PROBLEMS})"):
+        if line != "ok":
+            yield f"The file is damaged: {shortened(line)}."
+
+
+def orphans(connection: sqlite3.Connection, table: str = "") -> Iterator[str]:
+    """Rows of a table, or of all, that belong to nothing."""
+    check = f"foreign_key_check({table})" if table else "foreign_key_check"
+    found: dict[tuple[str, str], list[int]] = {}
+    for name, row_id, parent, _ in connection.execute(f"PRAGMA {check}"):
+        found.setdefault((name, parent), []).append(row_id)
+    # In one sentence a table: there may be as many of them as there are problems told.
+    for (name, parent), rows in found.items():
+        if len(rows) == 1:
+            yield f"Row {rows[0]} of {name} has no counterpart in {parent}."
+        else:
+            yield f"{len(rows)} rows of {name} have no counterpart in {parent}, {rows[0]} first."
+
+
+def renew_file(connection: sqlite3.Connection) -> None:
+    """Bring what `check_file` and `check_types` find of the file's own numbers up to date."""
+    connection.execute(f"PRAGMA user_version = {schema.GEOPACKAGE_VERSION}")
+    connection.execute(
+        "DELETE FROM sqlite_sequence WHERE name IS NULL OR name NOT IN "
+        "(SELECT name FROM sqlite_schema WHERE type = 'table')"
+    )
+    for table in schema.COUNTED_TABLES:
+        connection.execute("DELETE FROM sqlite_sequence WHERE name = ?", (table,))
+        connection.execute(
+            f"INSERT INTO sqlite_sequence SELECT ?, max(rowid) FROM {table} HAVING count(*)",
+            (table,),
+        )
+
+
+_Layout = tuple[frozenset[tuple[Any, ...]], tuple[tuple[str, str, str, int], ...]]
+"""The tables of a map (type, name, table, statement), and their columns (table, column, type, and
+whether it is needed)."""
+
+
+def _layout(subject: Subject) -> _Layout:
+    """The layout of a new map with the tables that the map has."""
+    connection = subject.connection
+    marks, sums = (schema.has_table(connection, f"fieldgrid_{name}") for name in ("mark", "sum"))
+    return _empty(subject.header._replace(groups=()), marks, sums)
+
+
+@lru_cache(maxsize=8)
+def _empty(header: MapHeader, marks: bool, sums: bool) -> _Layout:
+    with closing(sqlite3.connect("", isolation_level=None)) as made:
+        schema.create(made, header.datum, TileMatrixSet(header.lattice), header.transfer, ())
+        if marks:
+            create_marks(made)
+        if sums:
+            create_sums(made)
+        query = "SELECT type, name, tbl_name, sql FROM sqlite_schema WHERE sql IS NOT NULL"
+        columns = made.execute(
+            'SELECT t.name, c.name, c.type, c."notnull" OR c.pk FROM sqlite_schema AS t '
+            "JOIN pragma_table_info(t.name) AS c WHERE t.type = 'table' "
+            "AND t.name NOT LIKE 'sqlite_%' ORDER BY 1, c.cid"
+        )
+        return frozenset(made.execute(query)), tuple(columns)

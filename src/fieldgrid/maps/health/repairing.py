@@ -1,0 +1,147 @@
+"""Repairing a map: all that follows from its evidence is made again in it, and verified before it
+counts."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from itertools import chain, islice
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from fieldgrid.core import ConfigError, MapError, Runner, Threads, runner, shortened
+from fieldgrid.maps.file import schema
+from fieldgrid.maps.file.database import connect
+from fieldgrid.maps.file.header import MapHeader, read_header
+from fieldgrid.maps.file.metadata import count_frames
+from fieldgrid.maps.file.root import read_root, seal
+from fieldgrid.maps.health.file_check import MAX_PROBLEMS, damaged_pages, orphans, renew_file
+from fieldgrid.maps.health.row_sums import begin_sums, drop_sums
+from fieldgrid.maps.health.verification import LONGEST_PROBLEM, check_evidence, verify
+from fieldgrid.maps.layers.registry import stored_groups
+from fieldgrid.maps.vector.marks import TABLE, announce_marks, read_marks
+from fieldgrid.maps.vector.stored_features import check_stored
+from fieldgrid.maps.writing import derived
+from fieldgrid.maps.writing.subject import Subject
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+class Repairers(NamedTuple):
+    """Who checks frames and folds them: threads, or the workers of a cluster. Workers read `copy`,
+    the map as it was: what a change does nobody else sees before it is committed."""
+
+    runner: Runner
+    copy: Path | None = None
+
+
+@contextmanager
+def repairers(
+    jobs: int | None, scheduler: str | Client | None, keep: Path | None
+) -> Iterator[Repairers]:
+    """Threads of this process, or the workers of a cluster, to repair a map of which a copy is kept
+    at `keep`. ConfigError for a cluster without a copy, ClusterError where no scheduler answers."""
+    if scheduler is not None and keep is None:
+        raise ConfigError(
+            "The workers of a cluster read the copy that is kept of the map; leave out --in-place, "
+            "or the --scheduler."
+        )
+    with runner(jobs, scheduler) as found:
+        yield Repairers(found, None if scheduler is None else keep)
+
+
+def repair(
+    connection: sqlite3.Connection, path: Path, header: MapHeader, by: Repairers
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Rebuild everything that follows from the evidence, within the caller's transaction.
+
+    Returns the channel groups that the tiles hold now, and what is still wrong with the evidence
+    of sessions that were taken out, of which nothing is read, and with features that were found.
+
+    Raises MapError when the evidence itself is damaged, of which nothing can be made, and when
+    `verify` would still find something else; ConfigError when the workers of a cluster cannot read
+    a map of this format, ClusterError when they cannot read this one.
+    """
+    if by.copy is None:
+        return _repair(Subject(connection, path, header, by.runner))
+    with closing(connect(by.copy, by.copy, writable=False)) as copy:
+        version = read_header(copy, path).version
+        if version < schema.FORMAT_VERSION:
+            raise ConfigError(
+                f"{path} is of format {version}, which the workers of a cluster cannot fold; bring "
+                "it up to date with `fieldgrid repair --upgrade`, or leave out --scheduler."
+            )
+        return _repair(Subject(connection, path, header, by.runner, copy))
+
+
+def _repair(subject: Subject) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    connection, path, header, run, _ = subject
+    if not read_root(connection).trusted:
+        # Rows that follow from others, although the root digest covers them.
+        _replace_systems(connection, schema.reference_systems(header.datum)[-1:])
+        for (session_id,) in connection.execute("SELECT id FROM fieldgrid_session").fetchall():
+            count_frames(connection, session_id)
+        if not read_root(connection).trusted:
+            raise MapError(
+                f"{path} is not as it was written, and cannot be repaired: its settings, plane, "
+                "list of sessions or marks have changed since, and nothing tells what they were. "
+                "Nothing was written; restore a copy of the map."
+            )
+    damaged = next(
+        chain(
+            damaged_pages(connection),
+            orphans(connection, "fieldgrid_frame"),
+            orphans(connection, "fieldgrid_array"),
+            check_evidence(subject, "WHERE removed IS NULL"),
+        ),
+        None,
+    )
+    if damaged is not None:
+        raise MapError(
+            f"{path} cannot be repaired, because its evidence is damaged: "
+            f"{shortened(damaged, LONGEST_PROBLEM)} Take "
+            "that session out with `fieldgrid sessions --remove`, or restore a copy of the map."
+        )
+    # The map's own plane is under the root digest: another PROJ may word it in another way.
+    _replace_systems(connection, schema.reference_systems(header.datum)[:-1])
+    if schema.has_table(connection, TABLE):
+        read_marks(connection, removed=True)
+        announce_marks(connection)
+    derived.rebuild(subject._replace(header=header._replace(groups=stored_groups())))
+    renew_file(connection)
+    seal(connection)
+    begin_sums(connection)
+    # What was made is seen here only, until it is committed.
+    renewed = header._replace(groups=stored_groups(), version=schema.FORMAT_VERSION)
+    left = _left(Subject(connection, path, renewed, Threads(run.here)))
+    if left:  # which sums would call sound
+        drop_sums(connection)
+    return stored_groups(), (*left, *check_stored(subject))
+
+
+def _left(subject: Subject) -> tuple[str, ...]:
+    """What is wrong with the evidence of removed sessions. MapError for anything else."""
+    connection, path, header, run, _ = subject
+    removed = islice(check_evidence(subject, "WHERE removed IS NOT NULL"), MAX_PROBLEMS)
+    known = dict.fromkeys(shortened(one, LONGEST_PROBLEM) for one in removed)
+    grids = {shortened(one, LONGEST_PROBLEM) for one in orphans(connection, "fieldgrid_grid")}
+    stored = {shortened(one, LONGEST_PROBLEM) for one in check_stored(subject)}
+    problems = verify(connection, path, header, run, deep=True, rebuilt=True).problems
+    found = [problem for problem in problems if problem not in stored]
+    for problem in found:
+        if problem not in known and problem not in grids:
+            raise MapError(
+                f"{subject.path} cannot be repaired, because this does not follow from its "
+                f"evidence: {problem} Nothing was changed; restore a copy of the map."
+            )
+    return tuple(dict.fromkeys((*known, *found)))
+
+
+def _replace_systems(
+    connection: sqlite3.Connection, rows: Sequence[tuple[str, int, str, int, str, str]]
+) -> None:
+    connection.executemany(
+        "INSERT OR REPLACE INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", rows
+    )

@@ -1,0 +1,1 @@
+"""The layers that every map has, one module a subject."""

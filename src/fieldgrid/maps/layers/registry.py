@@ -1,0 +1,165 @@
+"""Which channel groups and layers there are: the built-in ones, and those of other modules."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+
+from fieldgrid.core import ConfigError, Group, PluginRegistry
+from fieldgrid.maps.layers.built_in import (
+    count,
+    density,
+    drop,
+    ground,
+    height,
+    highest,
+    lasting,
+    moved,
+    occupancy,
+    relief,
+    sessions,
+    standing,
+    traversability,
+    variance,
+)
+from fieldgrid.maps.layers.declaration import ChannelGroup, Layer
+
+_GROUPS: dict[str, ChannelGroup] = {}
+_LAYERS: dict[str, Layer] = {}
+
+RETIRED_GROUPS: Mapping[str, str] = MappingProxyType(
+    {"height": "vehicle_height", "ground": "terrain", "relief": "surface"}
+)
+"""Groups of older maps, with a value for each cell and sums over frames, and what replaces them.
+The next change of such a map makes the new ones from its frames."""
+
+GROUPS: Mapping[str, ChannelGroup] = PluginRegistry(_GROUPS, Group.LAYERS)
+"""The channel groups by name; a group may use those before it, and all may use the density."""
+
+LAYERS: Mapping[str, Layer] = PluginRegistry(_LAYERS, Group.LAYERS)
+"""The layers by name."""
+
+
+def register_group(group: ChannelGroup) -> None:
+    """Make a channel group known. New maps accumulate it from then on; `repair` adds it to others.
+
+    Raises ConfigError when its name, or that of a channel, is taken, and when what it declares does
+    not go together.
+    """
+    taken = {name for other in _GROUPS.values() for name in channel_names(other)}
+    twice = taken.intersection(channel_names(group))
+    if group.name in _GROUPS or twice:
+        what = f"channel {min(twice)!r}" if twice else f"channel group {group.name!r}"
+        raise ConfigError(f"There is a {what} already; give it another name.")
+    sources = (group.fold is not None) + (group.of_session is not None)
+    if not group.name.isidentifier() or sources != (0 if group.derived else 1):
+        raise ConfigError(
+            f"The channel group {group.name!r} needs a plain name, and either a fold over frames "
+            "or a function of a session's cells; neither, if it has no channels."
+        )
+    if group.blocks and group.expected is not None:
+        raise ConfigError(
+            f"The channel group {group.name!r} has values for blocks of cells, so that they cannot "
+            "be expected from the weight and the sum of a cell; leave `expected` out."
+        )
+    missing = [name for name in group.follows_from if name not in _GROUPS]
+    if missing or bool(group.follows_from) != group.derived:
+        raise ConfigError(
+            f"The channel group {group.name!r} must say, if and only if it has no channels, from "
+            f"which groups it follows, and these must be there{': ' * bool(missing)}"
+            f"{', '.join(missing)}."
+        )
+    _GROUPS[group.name] = group
+
+
+def register_layer(layer: Layer) -> None:
+    """Make a layer known; ConfigError for a name that is taken, or a group that is not there."""
+    if layer.name in _LAYERS or layer.name == "observed":
+        raise ConfigError(f"There is a layer {layer.name!r} already; give it another name.")
+    for name in layer.groups:
+        if name not in _GROUPS:
+            raise ConfigError(
+                f"The layer {layer.name!r} reads the channel group {name!r}, which is not there; "
+                "register the group first."
+            )
+    _LAYERS[layer.name] = layer
+
+
+def unregister(name: str) -> None:
+    """Forget the layer and the channel group of a name, as far as there are such."""
+    _LAYERS.pop(name, None)
+    _GROUPS.pop(name, None)
+
+
+def check_layers(names: Iterable[str]) -> tuple[str, ...]:
+    """The names, once it is sure that there are such layers."""
+    wanted = tuple(names)
+    for name in wanted:
+        if name not in LAYERS:
+            raise ConfigError(f"There is no layer {name!r}; there are {', '.join(LAYERS)}.")
+    return wanted
+
+
+def stored_groups() -> tuple[str, ...]:
+    """The channel groups that the tiles of a new map hold; derived ones those above the base."""
+    return tuple(GROUPS)
+
+
+def groups_of(layers: Iterable[str]) -> tuple[str, ...]:
+    """The channel groups that layers are made of, in the order of their registration."""
+    wanted = {name for layer in layers for name in LAYERS[layer].groups} | {density.GROUP.name}
+    return tuple(name for name in GROUPS if name in wanted)
+
+
+def channel_names(group: ChannelGroup) -> tuple[str, ...]:
+    """All channels of a group, those of overviews included."""
+    return (*(own.name for own in group.channels), *(extra.name for extra in group.overview))
+
+
+for _group in (
+    density.GROUP,
+    variance.GROUP,
+    count.GROUP,
+    highest.GROUP,
+    sessions.GROUP,
+    lasting.GROUP,
+    height.GROUP,
+    ground.GROUP,
+    relief.GROUP,
+    occupancy.GROUP,
+    drop.GROUP,
+    standing.GROUP,
+    moved.GROUP,
+    moved.LEFT,
+):
+    register_group(_group)
+
+for _layer in (
+    density.DENSITY,
+    count.COUNT,
+    variance.VARIANCE,
+    highest.MAX,
+    sessions.SESSIONS,
+    sessions.PERSISTENCE,
+    lasting.STATIC,
+    lasting.SEASONAL,
+    lasting.PASSING,
+    lasting.LASTING,
+    moved.MOVED,
+    moved.REMAINING,
+    height.HEIGHT,
+    ground.GROUND,
+    ground.SIGMA,
+    ground.SLOPE,
+    relief.ROUGHNESS,
+    relief.STEP,
+    drop.DROP,
+    standing.MAX_HEIGHT,
+    standing.CLEARANCE,
+    traversability.TRAVERSABILITY,
+    occupancy.OCCUPANCY,
+    density.PEAK,
+    density.SEEN_SHARE,
+    drop.SURE_SHARE,
+):
+    register_layer(_layer)

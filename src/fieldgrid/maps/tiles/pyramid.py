@@ -1,0 +1,315 @@
+"""The map over all sessions: its base tiles, the levels above, and the pictures that a GIS sees.
+
+What a session adds to a base tile is added to what is there, and what leaves is subtracted,
+modulo 2^64; maxima are made again from the sessions that stay. A quadrant of a tile above follows
+from the tile below it. So the tiles are those of a map that was made of the present sessions at
+once, at a cost that goes with the change. A commit brings the density and its pictures up to date
+at every level; the other groups of the levels above the base are left out where they changed, are
+made from the tiles below when they are read, and are filled in by `settle`, when the map is closed.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from itertools import groupby
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.core import MapError, in_order
+from fieldgrid.geometry import TILE_CELLS, TileIndex, Window, tile_window
+from fieldgrid.maps.file import schema
+from fieldgrid.maps.layers.declaration import Cells, ChannelGroup, Combine, is_nothing, nothing
+from fieldgrid.maps.layers.window import empty_cells, merge_sessions
+from fieldgrid.maps.tiles.png import encode_png
+from fieldgrid.maps.tiles.tile_codec import Box, box_of
+from fieldgrid.maps.tiles.tiles import TileTables
+from fieldgrid.maps.tiles.tiling import parent, window_of
+from fieldgrid.maps.transfer import mean_density
+from fieldgrid.maps.writing.placing import RECENT_TILES, SessionTiles, encode_groups
+
+_NO_BLOBS: Mapping[str, bytes] = {}
+_SHAPE = (TILE_CELLS, TILE_CELLS)
+
+_SETTLED_TILES = 2
+"""Of each level what the level above it need not decode again: as many as a small session touches.
+With all channels they take up to 20 MB each."""
+
+
+class _EncodedTile(NamedTuple):
+    """A tile as it is to be stored: no blobs where nothing is observed. `seen` is the extent of
+    the observed cells."""
+
+    tile: TileIndex
+    blobs: dict[str, bytes]
+    picture: bytes
+    seen: Box | None
+
+
+class Pyramid:
+    """Changes the tiles of a map, within the caller's transaction."""
+
+    def __init__(
+        self, connection: sqlite3.Connection, tables: TileTables, jobs: int | None = None
+    ) -> None:
+        self._connection = connection
+        self._tables = tables
+        self._groups = tables.groups
+        self._base = tables.matrices.base_zoom
+        self._seen: Window | None = None
+        self._jobs = jobs
+
+    def replace(self, session_id: int, new: SessionTiles | None) -> None:
+        """Put the tiles of a session in place of those that it has; None takes it out."""
+        before = self._tables.session_tiles(session_id)
+        after = set() if new is None else new.tiles
+
+        def work(tile: TileIndex) -> tuple[dict[str, bytes], _EncodedTile, Cells]:
+            leaving = self._tables.session_cells(session_id, tile) if tile in before else None
+            joining = new.cells(tile) if new is not None and tile in after else None
+            blobs = new.blobs(tile) if new is not None and tile in after else {}
+            cells = self._changed(session_id, tile, leaving, joining)
+            same = blobs if cells is joining else {}
+            encoded = self._encoded(tile, cells, self._groups, same)
+            # The levels above need no more now; what else a tile has is much.
+            density = Cells({one.name: cells[one.name] for one in self._groups[0].channels})
+            return blobs, encoded, density
+
+        changed: dict[TileIndex, Cells | None] = {}
+        for blobs, encoded, cells in in_order(work, sorted(before | after), self._jobs):
+            self._tables.put_session(session_id, encoded.tile, blobs)
+            self._put(self._base, encoded)
+            changed[encoded.tile] = cells if len(changed) < RECENT_TILES else None
+        self._raise_levels(changed, self._groups[:1])
+        self._announce(shrinks=bool(before))
+
+    def rebuild(self) -> None:
+        """Make all tiles from those of the sessions; the tables of the map are empty before."""
+        rows = self._tables.rows("SELECT DISTINCT ty, tx FROM fieldgrid_session_tile ORDER BY 1, 2")
+        tiles = [TileIndex(*row) for row in rows]
+
+        def remade(tile: TileIndex) -> _EncodedTile:
+            return self._encoded(tile, self.merged(tile), self._groups)
+
+        for encoded in in_order(remade, tiles, self._jobs):
+            self._put(self._base, encoded)
+        self._raise_levels(dict.fromkeys(tiles), self._groups)
+        self._announce(shrinks=False)
+
+    def add_to_base(self, added: Sequence[ChannelGroup]) -> None:
+        """Add groups, which the tiles of sessions have already, to the base tiles."""
+        groups = (self._groups[0], *added)
+
+        def made(tile: TileIndex) -> tuple[TileIndex, dict[str, bytes]]:
+            cells = self.merged(tile, groups=groups)
+            return tile, {} if cells is None else encode_groups(added, cells, base=True)
+
+        for tile, blobs in in_order(made, self._tables.tiles(self._base), self._jobs):
+            self._tables.add_groups(self._base, tile, blobs)
+
+    def merged(
+        self,
+        tile: TileIndex,
+        without: int | None = None,
+        groups: Sequence[ChannelGroup] | None = None,
+    ) -> Cells | None:
+        """A base tile made of what its sessions have in it, but for one; of some groups, or all."""
+        wanted = self._groups if groups is None else groups
+        parts = (
+            self._tables.session_cells(session_id, tile, wanted)
+            for session_id in self._tables.sessions_in(tile)
+            if session_id != without
+        )
+        total: Cells | None = None
+        for part in parts:
+            total = part if total is None else merge_sessions(wanted, total, part)
+        return total
+
+    def settle(self) -> None:
+        """Add to the tiles above the base what a commit has left for later."""
+        settled: dict[int, dict[TileIndex, Cells]] = defaultdict(dict)
+        for zoom, rows in groupby(self._tables.unsettled(), key=lambda row: row[0]):
+            below = settled.pop(zoom + 1, {})
+
+            def complete(
+                row: tuple[int, TileIndex, set[str]], below: Mapping[TileIndex, Cells] = below
+            ) -> tuple[TileIndex, Cells, dict[str, bytes]]:
+                level, tile, has = row
+                cells = self._tables.cells(level, tile, known=below)
+                assert cells is not None
+                kept = self._tables.kept(self._base - level)
+                lacking = [group for group in kept if group.name not in has]
+                return tile, cells, encode_groups(lacking, cells, base=False)
+
+            for tile, cells, blobs in in_order(complete, list(rows), self._jobs):
+                self._tables.add_groups(zoom, tile, blobs)
+                if len(settled[zoom]) < _SETTLED_TILES:
+                    settled[zoom][tile] = cells
+
+    def _changed(
+        self, session_id: int, tile: TileIndex, leaving: Cells | None, joining: Cells | None
+    ) -> Cells:
+        """A base tile over all sessions, after a session's share has changed."""
+        total = self._tables.cells(self._base, tile)
+        if total is None:
+            return joining or empty_cells(self._groups, _SHAPE, self._tables.block(0))
+        arrays = dict(total)
+        box = None if joining is None else box_of(joining["weight"])
+        stay: Cells | None = None
+        maxima = [
+            group
+            for group in self._groups
+            if any(channel.sessions is Combine.MAX for channel in group.channels)
+        ]
+        if leaving is not None and maxima:
+            # What is expected of the others is made of the density.
+            stay = self.merged(tile, session_id, tuple(dict.fromkeys((self._groups[0], *maxima))))
+        for of, channel in ((group, one) for group in self._groups for one in group.channels):
+            name, by_sum = channel.name, channel.sessions is Combine.SUM
+            if leaving is not None and by_sum and not is_nothing(leaving[name]):
+                arrays[name] = arrays[name] - leaving[name]
+            elif leaving is not None and not by_sum:
+                arrays[name] = nothing(arrays[name].shape) if stay is None else stay[name]
+            if joining is None or box is None or is_nothing(joining[name]):
+                continue
+            if is_nothing(value := arrays[name]):
+                arrays[name] = joining[name]
+            else:  # in place: nobody else has these arrays
+                combine = np.add if by_sum else np.maximum
+                part = (box.blocks(joining.block) if of.blocks else box).slices
+                combine(value[part], joining[name][part], out=value[part])
+        return Cells(arrays, block=total.block)
+
+    def _raise_levels(
+        self, changed: Mapping[TileIndex, Cells | None], groups: Sequence[ChannelGroup]
+    ) -> None:
+        """Bring these groups of the levels above the base up to date, and have just the levels that
+        are needed. `changed` has the base tiles that changed."""
+        matrices, corners, top = self._tables.matrices, self._tables.corners(), self._base + 1
+        if corners:
+            top = matrices.top_zoom(corners)
+        existing = self._tables.top_zoom()
+        for zoom in range(self._base - 1, top - 1, -1):
+            below: dict[TileIndex, dict[TileIndex, Cells | None]] = {}
+            if existing is None or zoom < existing:
+                for tile in self._tables.tiles(zoom + 1):
+                    below.setdefault(parent(tile), {})[tile] = None
+            for tile in changed:
+                below.setdefault(parent(tile), {})[tile] = None
+
+            def work(
+                tile: TileIndex,
+                level: int = zoom,
+                changed: Mapping[TileIndex, Cells | None] = changed,
+                below: Mapping[TileIndex, Mapping[TileIndex, Cells | None]] = below,
+            ) -> tuple[_EncodedTile, Cells]:
+                parts = {
+                    child: changed[child]
+                    if changed.get(child) is not None
+                    else self._tables.cells(level + 1, child, groups)
+                    for child in below[tile]
+                }
+                before = self._tables.cells(level, tile, groups)
+                cells = self._tables.above(level, tile, groups, before, parts)
+                kept = self._tables.kept(self._base - level)
+                stored = [group for group in groups if group in kept]
+                return self._encoded(tile, cells, stored), cells
+
+            raised: dict[TileIndex, Cells | None] = {}
+            for encoded, cells in in_order(work, sorted(below), self._jobs):
+                self._put(zoom, encoded)
+                raised[encoded.tile] = cells if len(raised) < RECENT_TILES else None
+            changed = raised
+        for table, column in (
+            ("fieldgrid_tile", "zoom"),
+            ("density", "zoom_level"),
+            ("gpkg_tile_matrix", "table_name = 'density' AND zoom_level"),
+        ):
+            self._connection.execute(f"DELETE FROM {table} WHERE {column} < ?", (top,))
+        # To be listed for a GIS.
+        self._connection.executemany(
+            "INSERT OR IGNORE INTO gpkg_tile_matrix VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            schema.zoom_levels(matrices, top),
+        )
+
+    def _encoded(
+        self,
+        tile: TileIndex,
+        cells: Cells | None,
+        groups: Sequence[ChannelGroup],
+        known: Mapping[str, bytes] = _NO_BLOBS,
+    ) -> _EncodedTile:
+        """A tile as it is to be stored; `known` has the blobs of groups that are there already."""
+        if cells is None or not cells["weight"].any():
+            return _EncodedTile(tile, {}, b"", None)
+        box = box_of(cells["weight"])
+        lacking = [group for group in groups if group.name not in known]
+        blobs = {**known, **encode_groups(lacking, cells, base=cells.base_cells == 1, box=box)}
+        return _EncodedTile(
+            tile, blobs, encode_png(*mean_density(cells["weight"], cells["sum"])), box
+        )
+
+    def _put(self, zoom: int, encoded: _EncodedTile) -> None:
+        self._tables.put(zoom, encoded.tile, encoded.blobs, encoded.picture)
+        if zoom == self._base and encoded.seen is not None:
+            self._seen = union(self._seen, _placed(encoded.tile, encoded.seen))
+
+    def _announce(self, *, shrinks: bool) -> None:
+        """Record which base cells have data, and the raster's extent for a GIS."""
+        meta = "fieldgrid_meta WHERE key = 'data_window'"
+        before = self._connection.execute(f"SELECT value FROM {meta}").fetchone()
+        window = self._seen
+        if shrinks:
+            window = self.window_at_the_edges()
+        elif before is not None:
+            window = union(window, _window_of(before[0]))
+        self._connection.execute(f"DELETE FROM {meta}")
+        bounds: tuple[float | None, ...] = (None,) * 4
+        if window is not None:
+            self._connection.execute(
+                "INSERT INTO fieldgrid_meta VALUES ('data_window', ?)", (json.dumps(list(window)),)
+            )
+            top = self._tables.top_zoom()
+            assert top is not None
+            matrices = self._tables.matrices
+            bounds = matrices.lattice.bounds(matrices.whole_cells(window, top))
+        self._connection.execute(
+            "UPDATE gpkg_contents SET (min_x, min_y, max_x, max_y) = (?, ?, ?, ?) "
+            "WHERE table_name = 'density'",
+            bounds,
+        )
+
+    def window_at_the_edges(self) -> Window | None:
+        """The observed cells' extent, by the heads of the outermost tiles."""
+        corners = self._tables.corners()
+        if not corners:
+            return None
+        (south, west), (north, east) = corners
+        window: Window | None = None
+        for tile in self._tables.tiles(self._base):
+            if tile.ty in (south, north) or tile.tx in (west, east):
+                window = union(window, _placed(tile, self._tables.observed(tile)))
+        return window
+
+
+def _placed(tile: TileIndex, part: Box) -> Window:
+    """A part of a tile, in cells of the lattice."""
+    cells, (height, width) = tile_window(tile), part.shape
+    return Window(cells.i0 + part.first_column, cells.j0 + part.first_row, width, height)
+
+
+def _window_of(text: str) -> Window:
+    try:
+        return window_of(text)
+    except ValueError as error:
+        raise MapError(
+            f"The extent of the map's cells is damaged ({error}); repair the map."
+        ) from error
+
+
+def union(a: Window | None, b: Window | None) -> Window | None:
+    """The smallest window that holds both, as far as there are such."""
+    return a.union(b) if a and b else a or b

@@ -1,0 +1,287 @@
+"""The tile tables of a map: what sessions have in base tiles, and the map at every zoom level."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import threading
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from fieldgrid.core import MapError, UInt64, parse_json
+from fieldgrid.geometry import TILE_CELLS, TileIndex, Window
+from fieldgrid.maps.layers.blocks import block_side
+from fieldgrid.maps.layers.declaration import Cells, ChannelGroup, is_nothing, nothing
+from fieldgrid.maps.layers.window import coarser, with_overviews
+from fieldgrid.maps.tiles.tile_codec import Box, stored_box, stored_channels
+from fieldgrid.maps.tiles.tiling import TileMatrixSet, children
+from fieldgrid.maps.writing.placing import decode_groups, session_cells
+
+_FARTHEST = 1 << 31
+"""Beyond the places of all tiles."""
+
+_NONE_KNOWN: Mapping[TileIndex, Cells] = MappingProxyType({})
+
+
+class TileTables:
+    """Reads and writes tiles; reading is safe from any thread. Base tiles have `levels` 0."""
+
+    def __init__(
+        self,
+        connection: sqlite3.Connection,
+        matrices: TileMatrixSet,
+        groups: Sequence[ChannelGroup],
+    ) -> None:
+        self._connection = connection
+        self._lock = threading.Lock()
+        self.matrices = matrices
+        self.groups = groups
+
+    def rows(self, query: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
+        """The rows of a query, all at once."""
+        with self._lock:
+            return self._connection.execute(query, values).fetchall()
+
+    def session_tiles(self, session_id: int) -> set[TileIndex]:
+        """The base tiles in which a session has something."""
+        return {
+            _index(*row)
+            for row in self.rows(
+                "SELECT DISTINCT ty, tx FROM fieldgrid_session_tile WHERE session_id = ?",
+                (session_id,),
+            )
+        }
+
+    def session_cells(
+        self, session_id: int, tile: TileIndex, groups: Sequence[ChannelGroup] | None = None
+    ) -> Cells:
+        """What a session has in a base tile."""
+        rows = self.rows(
+            "SELECT channels, data FROM fieldgrid_session_tile "
+            "WHERE session_id = ? AND ty = ? AND tx = ?",
+            (session_id, *tile),
+        )
+        what = f"tile {tuple(tile)} of session {session_id}"
+        return session_cells(groups or self.groups, dict(rows), what, self.block(0))
+
+    def sessions_in(self, tile: TileIndex) -> list[int]:
+        """The sessions that have something in a base tile."""
+        rows = self.rows(
+            "SELECT DISTINCT session_id FROM fieldgrid_session_tile WHERE ty = ? AND tx = ? "
+            "ORDER BY 1",
+            tile,
+        )
+        return [row[0] for row in rows]
+
+    def sessions_near(self, window: Window, among: Collection[int]) -> list[tuple[TileIndex, int]]:
+        """The base tiles that a window touches, with those sessions among some that have something
+        there."""
+        corners = list(window.tiles())
+        (south, west), (north, east) = corners[0], corners[-1]
+        rows = self.rows(
+            "SELECT DISTINCT ty, tx, session_id FROM fieldgrid_session_tile "
+            "WHERE session_id IN (SELECT value FROM json_each(?)) "
+            "AND ty BETWEEN ? AND ? AND tx BETWEEN ? AND ? ORDER BY 1, 2, 3",
+            (json.dumps(list(among)), south, north, west, east),
+        )
+        return [(_index(ty, tx), session_id) for ty, tx, session_id in rows]
+
+    def cells(
+        self,
+        zoom: int,
+        tile: TileIndex,
+        groups: Sequence[ChannelGroup] | None = None,
+        known: Mapping[TileIndex, Cells] = _NONE_KNOWN,
+    ) -> Cells | None:
+        """The channels of a tile over all sessions; None when nothing was observed there. `known`
+        has tiles of the level below, which are not read again."""
+        rows = self.rows(
+            "SELECT channels, data FROM fieldgrid_tile WHERE zoom = ? AND ty = ? AND tx = ?",
+            (zoom, *tile),
+        )
+        if not rows:
+            return None
+        blobs, levels = dict(rows), self.matrices.base_zoom - zoom
+        wanted = self.groups if groups is None else groups
+        stored = [group for group in wanted if levels == 0 or group.name in blobs]
+        what = f"tile {tuple(tile)} of level {zoom}"
+        block = self.block(levels)
+        found = dict(decode_groups(stored, blobs, what, base=levels == 0, block=block))
+        if len(stored) < len(wanted):
+            later = [group for group in wanted if group not in stored]
+            found.update(self.above(zoom, tile, later, known=known))
+        return Cells(found, 1 << 2 * levels, block)
+
+    def observed(self, tile: TileIndex) -> Box:
+        """The part of a base tile that was observed; MapError when its density is damaged."""
+        density = self.groups[0]
+        ((blob,),) = self.rows(
+            "SELECT data FROM fieldgrid_tile WHERE (zoom, ty, tx, channels) = (?, ?, ?, ?)",
+            (self.matrices.base_zoom, *tile, density.name),
+        ) or [(None,)]
+        return stored_box(density, blob, f"{density.name} of tile {tuple(tile)} of level 0")
+
+    def block(self, levels: int) -> int:
+        """Cells along the side of a block in tiles that lie `levels` above the base."""
+        return max(block_side(self.matrices.lattice) >> levels, 1)
+
+    def kept(self, levels: int) -> Sequence[ChannelGroup]:
+        """The groups that the tiles of a level hold: above the base none whose blocks are larger
+        than its cells, which would be the same once more."""
+        if levels == 0 or self.block(levels) == 1:
+            return self.groups
+        return [group for group in self.groups if not group.blocks]
+
+    def above(
+        self,
+        zoom: int,
+        tile: TileIndex,
+        groups: Sequence[ChannelGroup],
+        before: Cells | None = None,
+        below: Mapping[TileIndex, Cells | None] | None = None,
+        known: Mapping[TileIndex, Cells] = _NONE_KNOWN,
+    ) -> Cells:
+        """A tile of a level above the base, whose quadrants follow from the tiles below it.
+
+        `below` has those that changed since `before`, None for one that is gone; without it all
+        four are read, but for those `known`.
+        """
+        if below is None:
+            # Derived groups follow from others of the base.
+            first = zoom + 1 == self.matrices.base_zoom
+            sources = {name for group in groups for name in group.follows_from if first}
+            others = (group for group in self.groups if group.name in sources)
+            wanted = tuple(dict.fromkeys((self.groups[0], *others, *groups)))
+            below = {
+                child: known[child] if child in known else self.cells(zoom + 1, child, wanted)
+                for child in children(tile)
+            }
+        levels = self.matrices.base_zoom - zoom
+        block = self.block(levels)
+        arrays = dict[str, UInt64]()
+        for group in groups:
+            side = TILE_CELLS // block if group.blocks else TILE_CELLS
+            for name, _ in stored_channels(group, base=False):
+                arrays[name] = nothing((side, side)) if before is None else before[name]
+        for child, cells in below.items():
+            halved = None
+            if cells is not None:
+                if zoom + 1 == self.matrices.base_zoom:
+                    cells = with_overviews(groups, cells)
+                halved = coarser(groups, cells, 2)
+            for name, values in arrays.items():
+                part = nothing(values.shape) if halved is None else halved[name]
+                if not is_nothing(values) or not is_nothing(part):
+                    made = np.zeros(values.shape, np.uint64) if is_nothing(values) else values
+                    half = len(values) // 2
+                    j, i = half * (child.ty & 1), half * (child.tx & 1)
+                    made[j : j + half, i : i + half] = 0 if is_nothing(part) else part
+                    arrays[name] = made
+        return Cells(arrays, 1 << 2 * levels, block)
+
+    def unsettled(self) -> list[tuple[int, TileIndex, set[str]]]:
+        """The tiles above the base that lack some groups, the lower levels first, and those that
+        they have."""
+        base, whole = self.matrices.base_zoom, self.block(0).bit_length() - 1
+        rows = self.rows(
+            "SELECT zoom, ty, tx, json_group_array(channels) FROM fieldgrid_tile WHERE zoom < ? "
+            "GROUP BY 1, 2, 3 HAVING count(*) < CASE WHEN zoom > ? THEN ? ELSE ? END "
+            "ORDER BY 1 DESC, 2, 3",
+            (base, base - whole, len(self.kept(1)), len(self.groups)),
+        )
+        return [(zoom, _index(ty, tx), set(parse_json(has))) for zoom, ty, tx, has in rows]
+
+    def tiles(self, zoom: int) -> list[TileIndex]:
+        """The observed tiles of a zoom level, in order."""
+        return [
+            _index(*row)
+            for row in self.rows(
+                "SELECT ty, tx FROM fieldgrid_tile WHERE zoom = ? AND channels = 'density' "
+                "ORDER BY 1, 2",
+                (zoom,),
+            )
+        ]
+
+    def top_zoom(self) -> int | None:
+        """The uppermost level that there is."""
+        ((zoom,),) = self.rows("SELECT min(zoom) FROM fieldgrid_tile")
+        return None if zoom is None else int(zoom)
+
+    def corners(self) -> list[TileIndex]:
+        """The south-west and north-east tile of the base level's extent, if it has tiles."""
+        ((south, west, north, east),) = self.rows(
+            "SELECT min(ty), min(tx), max(ty), max(tx) FROM fieldgrid_tile WHERE zoom = ?",
+            (self.matrices.base_zoom,),
+        )
+        return [] if south is None else [_index(south, west), _index(north, east)]
+
+    def put_session(self, session_id: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
+        """Replace what a session has in a base tile; nothing when there are no blobs."""
+        with self._lock:
+            where = "session_id = ? AND ty = ? AND tx = ?"
+            self._replace("fieldgrid_session_tile", where, (session_id, *tile), blobs)
+
+    def add_to_session(self, session_id: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
+        """Add groups to what a session has in a base tile."""
+        with self._lock:
+            self._insert("fieldgrid_session_tile", (session_id, *tile), blobs)
+
+    def put(self, zoom: int, tile: TileIndex, blobs: dict[str, bytes], picture: bytes) -> None:
+        """Replace a tile over all sessions and its picture; nothing when there are no blobs."""
+        with self._lock:
+            self._replace("fieldgrid_tile", "zoom = ? AND ty = ? AND tx = ?", (zoom, *tile), blobs)
+            place = (zoom, *self.matrices.column_row(zoom, tile))
+            if not blobs:
+                self._connection.execute(
+                    "DELETE FROM density WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?",
+                    place,
+                )
+                return
+            self._connection.execute(
+                "INSERT INTO density (zoom_level, tile_column, tile_row, tile_data) "
+                "VALUES (?, ?, ?, ?) ON CONFLICT (zoom_level, tile_column, tile_row) "
+                "DO UPDATE SET tile_data = excluded.tile_data",
+                (*place, picture),
+            )
+
+    def add_groups(self, zoom: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
+        """Add groups that a tile lacks."""
+        with self._lock:
+            self._insert("fieldgrid_tile", (zoom, *tile), blobs)
+
+    def _replace(
+        self, table: str, where: str, place: tuple[int, ...], blobs: Mapping[str, bytes]
+    ) -> None:
+        """Put blobs in place of those of a tile; rows that stay as they are cost nothing."""
+        query = f"SELECT channels, data FROM {table} WHERE {where}"
+        before = dict(self._connection.execute(query, place).fetchall())
+        self._connection.executemany(
+            f"DELETE FROM {table} WHERE {where} AND channels = ?",
+            [(*place, name) for name in before if name not in blobs],
+        )
+        self._connection.executemany(
+            f"UPDATE {table} SET data = ? WHERE {where} AND channels = ?",
+            [
+                (blob, *place, name)
+                for name, blob in blobs.items()
+                if name in before and before[name] != blob
+            ],
+        )
+        added = {name: blob for name, blob in blobs.items() if name not in before}
+        self._insert(table, place, added)
+
+    def _insert(self, table: str, place: tuple[int, ...], blobs: Mapping[str, bytes]) -> None:
+        self._connection.executemany(
+            f"INSERT INTO {table} VALUES (?, ?, ?, ?, ?)",
+            [(*place, name, blob) for name, blob in blobs.items()],
+        )
+
+
+def _index(ty: object, tx: object) -> TileIndex:
+    """Where a tile lies, as it was stored."""
+    if not (isinstance(ty, int) and isinstance(tx, int) and max(abs(ty), abs(tx)) < _FARTHEST):
+        raise MapError(f"A tile lies at {ty!r}, {tx!r}, which is no place; try `fieldgrid repair`.")
+    return TileIndex(ty, tx)

@@ -1,0 +1,1 @@
+"""Marks, features for a GIS, and the styles of QGIS."""

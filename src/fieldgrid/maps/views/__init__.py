@@ -1,0 +1,1 @@
+"""Reading a map: views, their blocks, their sources, and what cells count as."""

@@ -1,0 +1,181 @@
+"""Reading a view of what a map holds, or of what several maps hold together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import reduce
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from fieldgrid.core import AnyArray, Bool, in_order
+from fieldgrid.geometry import TILE_CELLS, Lattice, Window, aligned_parts
+from fieldgrid.maps.cost import DENSITIES
+from fieldgrid.maps.file.header import MapHeader
+from fieldgrid.maps.file.records import FrameRecord
+from fieldgrid.maps.layers.declaration import Cells, Layer
+from fieldgrid.maps.layers.registry import LAYERS
+from fieldgrid.maps.transfer import Averaging, Transfer, mean_density
+from fieldgrid.maps.vector.marks import Mark
+from fieldgrid.maps.views.base_cells import enlarged
+from fieldgrid.maps.views.decision import (
+    FREE,
+    KEEPOUT,
+    OBSTACLE,
+    MarkedCells,
+    PartlyFree,
+    cells_under,
+    deciding,
+    marked_cells,
+)
+from fieldgrid.maps.views.sources import CellSource
+from fieldgrid.maps.views.view import DROP_LAYERS, MapView, empty_view
+
+_CHUNK_CELLS = 512
+"""Stored cells along the side of a square that is worked on at a time: what its channels take fits
+into the caches of a processor, and some of them at once into little memory."""
+
+
+class Request(NamedTuple):
+    """What is asked of a map; `sessions` in the order of their drives, None for all active."""
+
+    lattice: Lattice
+    window: Window
+    transfer: Transfer
+    averaging: Averaging = Averaging.MEAN
+    sessions: tuple[str, ...] | None = None
+    frame_filter: Callable[[FrameRecord], bool] | None = None
+    layers: tuple[str, ...] = ()
+    jobs: int | None = None
+    """Threads that read it, one a core when not given."""
+
+    @property
+    def beyond_density(self) -> tuple[str, ...]:
+        """The layers beside the density."""
+        return tuple(name for name in self.layers if name != "density")
+
+
+class Content(Protocol):
+    """What views are made of: the cells of a map, or of several as one. Within one state of it."""
+
+    @property
+    def header(self) -> MapHeader:
+        """The plane, the own cells and the rule by which frames were carried into them."""
+
+    def marks(self) -> tuple[Mark, ...]:
+        """The marks that are in force."""
+
+    def fill(self, view: MapView, request: Request) -> bool:
+        """Fill an empty view by a shorter way than its channels; False where there is none."""
+
+    def cell_source(self, request: Request) -> tuple[CellSource, float]:
+        """Where the cells that are asked for come from, and how many of those that are looked into
+        lie along the side of one."""
+
+
+def read_view(content: Content, request: Request) -> MapView:
+    """The view, with the marks that are in force."""
+    marks, header = content.marks(), content.header
+    view = replace(_read(content, request), marks=marks)
+    if view.is_base or "seen_share" not in request.layers:
+        return view  # which decides nothing, or by its own cells
+    windows = []
+    for mark in deciding(marks):
+        touched = header.lattice.bounds(cells_under(mark, header.lattice))
+        if part := request.lattice.window(touched).intersect(request.window):
+            windows.append(part)
+    if not windows:
+        return view
+    by = enlarged((), header.lattice, request.lattice)
+    flags, partly = np.zeros(request.window.shape, np.uint8), []
+    for chunk in chunks(reduce(Window.union, windows), by.factor):
+        base = marked_cells(marks, header.lattice, by.under(chunk))
+        found = flags[request.window.slices_of(chunk)]
+        for flag in (KEEPOUT, OBSTACLE):
+            found |= by.highest(base & np.uint8(flag), chunk)
+        free = (base & FREE) > 0
+        some, rest = (by.highest(one.view(np.uint8), chunk) > 0 for one in (free, ~free))
+        found[some & ~rest] |= np.uint8(FREE)
+        if (some & rest).any():
+            partly.append(_partly_free(content, request, chunk, some & rest))
+    return replace(view, marked=MarkedCells(flags, tuple(partly)))
+
+
+def _partly_free(content: Content, request: Request, chunk: Window, cells: Bool) -> PartlyFree:
+    """What the map's own cells say of those larger ones of which a part is marked as free."""
+    j, i = np.nonzero(cells)
+    i0, j0 = int(i.min()), int(j.min())
+    part = Window(chunk.i0 + i0, chunk.j0 + j0, int(i.max()) - i0 + 1, int(j.max()) - j0 + 1)
+    header = content.header
+    by = enlarged((), header.lattice, request.lattice)
+    names = tuple(name for name in (*DENSITIES, *DROP_LAYERS) if name in request.layers)
+    own = request._replace(lattice=header.lattice, window=by.under(part), layers=names)
+    base = _read(content, own)
+    free = (marked_cells(content.marks(), own.lattice, own.window) & FREE) > 0
+    inside = j - j0, i - i0
+    place = j + chunk.j0 - request.window.j0, i + chunk.i0 - request.window.i0
+    worst = {}
+    for name in dict.fromkeys(("density", *(name for name in names if name in DENSITIES))):
+        values = np.where(base.observed & ~free, base.layer(name), np.uint8(0))
+        worst[name] = by.highest(values, part)[inside]
+    seen = by.share((base.sure_share > 0.0) | free, part)[inside]
+    # In whole centimetres, as drops are stored.
+    drop_cm = np.rint(100.0 * np.where(free, 0.0, np.minimum(base.drop_m, 2.55)))
+    drop_m = by.highest(drop_cm.astype(np.uint8), part)[inside].astype(np.float32) / 100.0
+    return PartlyFree(*place, worst, seen, drop_m)
+
+
+def _read(content: Content, request: Request) -> MapView:
+    """What the drives saw, by the shortest way that gives the same bits."""
+    view = empty_view(
+        request.lattice,
+        request.window,
+        content.header.datum,
+        request.beyond_density,
+        is_base=request.lattice == content.header.lattice,
+    )
+    if content.fill(view, request):
+        return view
+    reach = math.floor(reach_cells(request))
+    source, factor = content.cell_source(request._replace(window=request.window.grown(reach)))
+
+    def fill(chunk: Window) -> None:
+        looked = chunk.grown(reach)
+        cells = source.merged(looked)
+        if cells is not None:
+            place, inside = view.window.slices_of(chunk), looked.slices_of(chunk)
+            view.density[place], view.observed[place] = mean_density(
+                cells["weight"][inside], cells["sum"][inside]
+            )
+            for name, array in view.layers.items():
+                array[place] = layer_values(LAYERS[name], cells, view.lattice.cell_m)[inside]
+
+    for _ in in_order(fill, chunks(request.window, factor), request.jobs):
+        pass
+    return view
+
+
+def reach_cells(request: Request) -> float:
+    """How many cells about a cell enter into what the layers say of it."""
+    around = (LAYERS[name].around for name in request.layers)
+    return max((one.reach_m for one in around if one is not None), default=0.0) / (
+        request.lattice.cell_m
+    )
+
+
+def layer_values(layer: Layer, cells: Cells, cell_m: float) -> AnyArray:
+    """What a layer says of cells of a window, and what stands for those of which nothing was
+    observed."""
+    values = np.where(cells["seen"] > 0, layer.values(cells), layer.nodata or 0)
+    if layer.around is None:
+        return values
+    return layer.around.of(values, layer.around.reach_m / cell_m)
+
+
+def chunks(window: Window, factor: float) -> Iterator[Window]:
+    """A window cut into squares of about a quarter of a million stored cells, `factor` along the
+    side of one of its own; where tiles begin, if that is a small whole number."""
+    side = TILE_CELLS if factor in (3, 5) else max(1, int(_CHUNK_CELLS / factor))
+    return aligned_parts(window, side, side)

@@ -1,0 +1,1 @@
+"""Changing a map: sessions added, folded, moved, removed, merged."""

@@ -1,0 +1,91 @@
+"""Pipeline: recordings become a map; the only room that wires perception, poses and maps.
+
+* `drives`: `build_map`, from paths and settings to sessions of a map.
+* `staging`: frames to staged frames on all cores or a cluster, kept for `--resume`.
+* `poses`: `estimate_drive` and `estimate_trajectory`; `tracking`: the same of a log alone.
+* `session`: `add_recording`, one drive into a map; `repose`: its poses estimated again.
+* `checks`: whether images, clocks and mounting fit the drive.
+* `inspection`: `inspect_recording`; `mounting`: `estimate_mount`; `convert`:
+  `convert_recording`, a drive as one MCAP.
+* `report`: `SessionReport` and `Progress`, what a build says.
+
+It knows no file format of its own, neither of recordings nor of exports.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from fieldgrid.core.doors import door
+
+if TYPE_CHECKING:
+    from fieldgrid.pipeline.checks.sensor_yaw import sensor_yaw as sensor_yaw
+    from fieldgrid.pipeline.checks.shifts import explanation as explanation
+    from fieldgrid.pipeline.checks.stuck import REPEATED as REPEATED, StuckCamera as StuckCamera
+    from fieldgrid.pipeline.convert.frames import Images as Images
+    from fieldgrid.pipeline.convert.writing import convert_recording as convert_recording
+    from fieldgrid.pipeline.drives import build_map as build_map
+    from fieldgrid.pipeline.inspection.figure import inspection_figure as inspection_figure
+    from fieldgrid.pipeline.inspection.inspector import inspect_recording as inspect_recording
+    from fieldgrid.pipeline.inspection.report import Inspection as Inspection
+    from fieldgrid.pipeline.inspection.rigs import describe_sensor as describe_sensor
+    from fieldgrid.pipeline.inspection.streams import StreamSummary as StreamSummary
+    from fieldgrid.pipeline.mounting.estimate import (
+        MountComparison as MountComparison,
+        MountEstimate as MountEstimate,
+        estimate_mount as estimate_mount,
+    )
+    from fieldgrid.pipeline.mounting.figure import mount_figure as mount_figure
+    from fieldgrid.pipeline.mounting.writing import write_estimate as write_estimate
+    from fieldgrid.pipeline.poses import (
+        attitude_of_grids as attitude_of_grids,
+        cell_budget as cell_budget,
+        check_images as check_images,
+        check_poses as check_poses,
+        estimate_drive as estimate_drive,
+        estimate_trajectory as estimate_trajectory,
+        no_ground as no_ground,
+    )
+    from fieldgrid.pipeline.report import (
+        BadFrame as BadFrame,
+        PartlyBuiltError as PartlyBuiltError,
+        Progress as Progress,
+        SessionReport as SessionReport,
+        StageTimes as StageTimes,
+    )
+    from fieldgrid.pipeline.repose import (
+        Attitudes as Attitudes,
+        attitudes_of as attitudes_of,
+        repose_map as repose_map,
+    )
+    from fieldgrid.pipeline.session import (
+        NewSession as NewSession,
+        add_recording as add_recording,
+        check_names as check_names,
+        check_output as check_output,
+    )
+    from fieldgrid.pipeline.staging.parts import (
+        found_from_json as found_from_json,
+        found_to_json as found_to_json,
+        left_behind as left_behind,
+        parts_folder as parts_folder,
+    )
+    from fieldgrid.pipeline.staging.perception import (
+        Perception as Perception,
+        carried as carried,
+        follows_camera as follows_camera,
+        local_grid as local_grid,
+        perceive_frame as perceive_frame,
+        side_by_side as side_by_side,
+        visual_odometry as visual_odometry,
+    )
+    from fieldgrid.pipeline.staging.rig_config import rig_from_config as rig_from_config
+    from fieldgrid.pipeline.staging.shares import (
+        StagedDrive as StagedDrive,
+        StepOutcome as StepOutcome,
+        encoded as encoded,
+        stage_frame as stage_frame,
+    )
+    from fieldgrid.pipeline.tracking import TrackedDrive as TrackedDrive, track_drive as track_drive
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

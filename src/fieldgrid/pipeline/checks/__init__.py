@@ -1,0 +1,1 @@
+"""What a build checks of a drive: images, clocks and mounting against the path."""

@@ -1,0 +1,123 @@
+"""Obstacles of one frame that another frame of the same place calls free ground."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from fieldgrid.core import Float64, UInt8
+from fieldgrid.geometry import FREE_UP_TO, OBSTACLE_ABOVE, GridSpec, LocalGrid, Pose, wrap_deg
+from fieldgrid.maps import to_local, to_universal
+
+NEAR_M = 0.2
+"""An obstacle cell is not denied when anything but free ground is seen so near to it: what moves
+in the wind, and the noise of the range."""
+
+TRIED = 240
+"""Number of frames, all over the drive, for which another frame beside them is looked for."""
+
+OPPOSED_DEG = 30.0
+
+_STANDS, _FREE = 1, 2
+
+FramePose = tuple[int, Pose]
+"""The number of a staged frame, and its pose."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenCells:
+    """What a frame saw: its obstacle cells at `right_m`, `ahead_m` [n], and of each cell [row,
+    column] of its grid whether it is unseen, free, or near to what stands."""
+
+    spec: GridSpec
+    right_m: Float64
+    ahead_m: Float64
+    state: UInt8
+
+    @classmethod
+    def of(cls, grid: LocalGrid) -> SeenCells:
+        """What a frame saw, by its local grid."""
+        right_m, ahead_m = grid.spec.centres_m()
+        rows, columns = np.nonzero(grid.observed & (grid.density > OBSTACLE_ABOVE))
+        reach = max(round(NEAR_M / grid.spec.cell_m), 1)
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+        stands = (grid.observed & (grid.density > FREE_UP_TO)).astype(np.uint8)
+        state = np.where(cv2.dilate(stands, disc) > 0, _STANDS, _FREE) * grid.observed
+        return cls(grid.spec, right_m[columns], ahead_m[rows], state.astype(np.uint8))
+
+    def flipped(self) -> SeenCells:
+        """What the frame saw, with left and right exchanged."""
+        return replace(self, right_m=-self.right_m, state=np.ascontiguousarray(self.state[:, ::-1]))
+
+    def denied(self, pose: Pose, other: SeenCells, other_pose: Pose) -> tuple[int, int]:
+        """Number of the obstacle cells at a pose that the other frame calls free, and number of
+        those that it saw."""
+        spec = other.spec
+        x_m, y_m = to_local(*to_universal(self.right_m, self.ahead_m, pose), other_pose)
+        i = np.floor((x_m + spec.width_m / 2.0) / spec.cell_m).astype(np.int64)
+        j = np.floor(y_m / spec.cell_m).astype(np.int64)
+        inside = (i >= 0) & (i < spec.n_x) & (j >= 0) & (j < spec.n_y)
+        state = other.state[j[inside], i[inside]]
+        return int(np.count_nonzero(state == _FREE)), int(np.count_nonzero(state))
+
+
+def following(
+    placed: Sequence[FramePose], apart_m: tuple[float, float], most: int
+) -> Iterator[tuple[FramePose, FramePose]]:
+    """At most `most` frames all over a drive, each with the next one that is at least `apart_m[0]`
+    from it, if that is at most `apart_m[1]` away."""
+    near = (_beside(placed, k, apart_m) for k in _all_over(placed))
+    return _some([pair for pair in near if pair is not None], most)
+
+
+def opposed(
+    placed: Sequence[FramePose], apart_m: float, most: int
+) -> Iterator[tuple[FramePose, FramePose]]:
+    """At most `most` pairs of frames all over a drive that look in opposite directions, within
+    `OPPOSED_DEG`, from at most `apart_m` apart: those of the two lanes beside a row."""
+    tried = [placed[k] for k in _all_over(placed)]
+    east_m, north_m, heading_deg = np.array(
+        [(pose.east_m, pose.north_m, pose.heading_deg) for _, pose in tried]
+    ).T
+    apart = np.hypot(np.subtract.outer(east_m, east_m), np.subtract.outer(north_m, north_m))
+    turned = np.abs(wrap_deg(np.subtract.outer(heading_deg, heading_deg) + 180.0))
+    first, second = np.nonzero(np.triu((apart <= apart_m) & (turned <= OPPOSED_DEG), 1))
+    pairs = zip(first.tolist(), second.tolist(), strict=True)
+    return _some([(tried[k], tried[m]) for k, m in pairs], most)
+
+
+def _all_over(placed: Sequence[FramePose]) -> list[int]:
+    """Frames by the way, so that a vehicle that stands for an hour is looked at there once."""
+    at_m = np.array([(pose.east_m, pose.north_m) for _, pose in placed]).reshape(-1, 2)
+    way_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(at_m, axis=0).T)))
+    tried = np.searchsorted(way_m, np.linspace(0.0, way_m[-1], TRIED))
+    return list(np.unique(tried).tolist())
+
+
+def _some(
+    pairs: Sequence[tuple[FramePose, FramePose]], most: int
+) -> Iterator[tuple[FramePose, FramePose]]:
+    """At most `most` of the pairs, from all along, each frame now as the one that is asked, now as
+    the one that denies."""
+    chosen = np.linspace(0, len(pairs) - 1, min(len(pairs), most)).round().astype(int)
+    for at in np.unique(chosen).tolist():
+        one, other = pairs[at]
+        yield (one, other) if at % 2 else (other, one)
+
+
+def _beside(
+    placed: Sequence[FramePose], k: int, apart_m: tuple[float, float]
+) -> tuple[FramePose, FramePose] | None:
+    """The frame with the first after it that is far enough; None where the drive ends or jumps
+    before."""
+    here = placed[k][1]
+    for later in range(k + 1, len(placed)):
+        pose = placed[later][1]
+        off_m = math.hypot(pose.east_m - here.east_m, pose.north_m - here.north_m)
+        if off_m >= apart_m[0]:
+            return (placed[k], placed[later]) if off_m <= apart_m[1] else None
+    return None

@@ -1,0 +1,203 @@
+"""Whether the images are what the calibration and the mounting say, seen from a whole drive.
+
+A camera that does not fit still gives grids, of noise. Two things tell it: frames in which no
+ground is found, and steps of the camera that its images do not tell. The mounting matters only
+to the first, so ground that is missing while steps are found speaks of height and tilt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from fieldgrid.core import (
+    BuildSettings,
+    CalibrationError,
+    FieldgridError,
+    RecordingError,
+    StopCode,
+    commonest_reason,
+)
+from fieldgrid.geometry import DepthCamera, Lidar, StereoCamera
+from fieldgrid.perception import (
+    FEWEST_TIMES,
+    SHIFT_ERROR_PX,
+    drive_misalignment,
+    features,
+    vertical_shifts,
+)
+from fieldgrid.pipeline.poses import BuildDoubt, no_ground
+from fieldgrid.pipeline.report import SessionReport
+from fieldgrid.recordings import CloudFrame, Frame, Recording
+
+GROUND_SHARE, STEP_SHARE, FEWEST_STEPS = 1 / 3, 0.1, 5
+"""Ground in fewer of the frames and steps in fewer of the pairs than these shares, of at least
+`FEWEST_STEPS` pairs, are no camera of this calibration. Two drives had ground and steps everywhere;
+with left and right swapped, ground in 12 % and 4 % of the frames and no step. Fog takes both in the
+same frames and leaves the steps of the others."""
+
+PROBES = 5
+SWAPPED_TIMES, SWAPPED_POINTS = 3.0, 30
+"""Disparities are negative when a pair, exchanged, shows `SWAPPED_TIMES` as many points with depth,
+and `SWAPPED_POINTS` at least: swapped, it was 10 and more times as many, of a right pair a tenth. A
+principal point that is far off does the same, so both are named."""
+
+HINT_SHARE = 0.05
+"""Ground that is missing in more of the frames than this deserves a remark."""
+
+
+def doubted_cameras(
+    recording: Recording, report: SessionReport, ground: int, every: int
+) -> BuildDoubt | None:
+    """The doubt that a drive which was perceived is of its calibration's cameras.
+
+    `ground` counts the frames in which the ground was found.
+    """
+    frames = len(range(0, recording.frame_count, every))
+    is_pair = isinstance(recording.rig.sensor, StereoCamera)
+    if is_pair and 2 * ground < frames and swapped(recording, every):
+        return _swapped(recording.name)
+    tried = report.camera_steps + report.camera_refusals
+    blind = tried >= FEWEST_STEPS and report.camera_steps < STEP_SHARE * tried
+    if blind and ground < GROUND_SHARE * frames:
+        error = CalibrationError(
+            f"Only {ground} of {frames} frames of {recording.name} show the ground, and only "
+            f"{report.camera_steps} of {tried} visual odometry steps can be estimated, so the "
+            "images do not fit the calibration; give the calibration of these cameras, and check "
+            "that the pairs are rectified, synchronised, and not swapped left and right."
+        )
+        return BuildDoubt(StopCode.CAMERAS_UNFIT, error)
+    return None
+
+
+def _swapped(name: str) -> BuildDoubt:
+    error = CalibrationError(
+        f"The pairs of {name} show depth only with left and right exchanged, so the two are "
+        "swapped, or the calibration is of other cameras; swap the two folders or the two columns "
+        "of frames.csv, or give the calibration of these cameras."
+    )
+    return BuildDoubt(StopCode.CAMERAS_SWAPPED, error)
+
+
+def doubted_rows(recording: Recording, every: int) -> BuildDoubt | None:
+    """The doubt about pairs whose rows do not match, by some of the frames, or whose sides are
+    swapped where they do not; nothing is raised for frames that cannot be read, which comes later.
+    """
+    if not isinstance(recording.rig.sensor, StereoCamera):
+        return None
+    camera = recording.rig.sensor
+    shifts = []
+    for frame in probes(recording, every):
+        try:
+            shifts.append(vertical_shifts(*frame.images(), camera))
+        except FieldgridError:
+            continue
+    found = drive_misalignment(shifts, (camera.width_px, camera.height_px))
+    if found is None or found.residual_px <= SHIFT_ERROR_PX:
+        return None
+    if swapped(recording, every):  # what matches then, does by chance
+        return _swapped(recording.name)
+    error = CalibrationError(
+        f"The right images of {recording.name} are {found.median_px:+.1f} pixels lower than the "
+        f"left ones ({found.matches} matches in {found.pairs} of {len(shifts)} pairs), but stereo "
+        "matching needs equal rows; calibrate the pair again, or give the rectification of these "
+        "images."
+    )
+    return BuildDoubt(StopCode.VERTICAL_MISALIGNMENT, error)
+
+
+def camera_notes(recording: Recording, report: SessionReport) -> Iterator[str]:
+    """What to look at in calibration and mounting after a build that went through."""
+    tried = report.camera_steps + report.camera_refusals
+    blind = tried >= FEWEST_STEPS and report.camera_steps < STEP_SHARE * tried
+    rig, mount = recording.rig, recording.rig.mount
+    missing = report.reasons[no_ground(rig)]
+    if missing > HINT_SHARE * report.frames:
+        what = "lidar" if isinstance(rig.sensor, Lidar) else "camera"
+        fits = ""
+        if report.camera_steps > report.camera_refusals:
+            fits = " Visual odometry succeeded, so the calibration fits."
+        yield (
+            f"No ground was found in {missing} of {report.frames} frames.{fits} Check the {what}'s "
+            f"height of {mount.height_m:g} m and tilt of {mount.tilt_deg:g}° in the mounting."
+        )
+    if blind:
+        reason = commonest_reason(report.camera_refusal_reasons.elements())
+        yield (
+            f"Only {report.camera_steps} of {tried} visual odometry steps succeeded, mostly "
+            f"because: {reason}. Unless the frames are metres apart or show little, check the "
+            "calibration, and that the pairs are rectified and synchronised."
+        )
+
+
+def sensor_notes(
+    recording: Recording, settings: BuildSettings, max_range_m: float
+) -> Iterator[str]:
+    """What a build does without for want of a pair, or of what is known of its depths."""
+    sensor = recording.rig.sensor
+    if settings.pose.uses_camera and not isinstance(sensor, StereoCamera):
+        yield "There are no stereo pairs, so there is no visual odometry."
+    if isinstance(sensor, DepthCamera) and sensor.baseline_m is None:
+        yield (
+            "The growth of the depth error with range is unknown, so depths are used up to "
+            f"{max_range_m:g} m; add the baseline to their calibration, or give --max-range."
+        )
+
+
+def has_sweeps(recording: Recording) -> bool:
+    """Whether the frames are clouds, whose points may have times of their own."""
+    return isinstance(recording.rig.sensor, Lidar)
+
+
+def sweep_notes(recording: Recording, every: int, *, is_carried: bool) -> Iterator[str]:
+    """What becomes of the motion within a sweep, by one of the clouds that can be read."""
+    if not has_sweeps(recording):
+        return
+    for frame in probes(recording, every):
+        assert isinstance(frame, CloudFrame)
+        try:
+            points_m, after_s = frame.source.sweep()
+        except RecordingError:  # which is told when the frame is staged
+            continue
+        if after_s is None and len(points_m) < FEWEST_TIMES:
+            continue
+        if after_s is None:
+            yield (
+                "The clouds have no usable times of their points, or are corrected already, so the "
+                "vehicle's motion within a sweep is not corrected."
+            )
+        elif is_carried:
+            yield (
+                f"The points of a sweep ({np.ptp(after_s):.3f} s) are corrected for the vehicle's "
+                "motion within it."
+            )
+        else:
+            yield (
+                "The points of the clouds have times, but the vehicle's trajectory is known only "
+                "after the drive, so live grids are not corrected for the motion within a sweep; "
+                "to correct it, build the drive from a recording."
+            )
+        return
+
+
+def swapped(recording: Recording, every: int) -> bool:
+    """Whether some frames of a drive, over all of it, show more with left and right exchanged."""
+    camera = recording.rig.camera
+    as_is, exchanged = [], []
+    for frame in probes(recording, every):
+        try:
+            left, right = frame.images()
+        except RecordingError:  # it was left out of the drive, too
+            continue
+        as_is.append(len(features(camera, left, right).blur_px))
+        exchanged.append(len(features(camera, right, left).blur_px))
+    points = float(np.median(exchanged)) if exchanged else 0.0
+    return points >= SWAPPED_POINTS and points > SWAPPED_TIMES * float(np.median(as_is))
+
+
+def probes(recording: Recording, every: int) -> Iterator[Frame]:
+    """At most `PROBES` frames from all over a drive, of every `every`-th."""
+    frames = len(range(0, recording.frame_count, every))
+    for k in np.linspace(0, frames - 1, min(frames, PROBES)).round().astype(int).tolist():
+        yield from recording.frames(k * every, k * every + 1)

@@ -1,0 +1,408 @@
+"""Many recordings to one map: staged side by side, put into the map one after the other.
+
+What can be checked is checked before the first image is read. Staging is shared among processes,
+of this machine or of a cluster, over drives and within long ones; poses, the fold and the map
+itself belong to this process alone. A drive that fails is left out. Staged parts lie beside the map
+until the build has done all that it can (`build.parts`).
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+from queue import Empty
+from typing import TYPE_CHECKING
+
+from fieldgrid.core import (
+    BuildSettings,
+    ClusterError,
+    ConfigError,
+    DatumError,
+    FieldgridError,
+    GnssError,
+    MapError,
+    MapExistsError,
+    RecordingError,
+    connected,
+    refuse_input,
+)
+from fieldgrid.geometry import Datum
+from fieldgrid.maps import MapFile, Patience, create_map, open_map
+from fieldgrid.pipeline.poses import attitude_of_grids, check_images, check_poses, estimate_drive
+from fieldgrid.pipeline.report import PartlyBuiltError, Progress, SessionReport
+from fieldgrid.pipeline.session import (
+    NewSession,
+    ProgressReporter,
+    check_names,
+    check_output,
+    is_in_map,
+)
+from fieldgrid.pipeline.staging.cluster import Stagers
+from fieldgrid.pipeline.staging.executor import (
+    DriveFailure,
+    DriveOrder,
+    Event,
+    Executor,
+    ShareResult,
+)
+from fieldgrid.pipeline.staging.part_key import part_key
+from fieldgrid.pipeline.staging.parts import (
+    SHARE_FRAMES,
+    DriveParts,
+    left_behind,
+    parts_folder,
+    remove_parts,
+    settle_left_behind,
+    shares_of,
+    write_part,
+)
+from fieldgrid.pipeline.staging.perception import follows_camera
+from fieldgrid.pipeline.staging.pool import Pool
+from fieldgrid.pipeline.staging.shares import stage_frames
+from fieldgrid.recordings import DriveOptions, Recording, open_drive
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+WORTH_FRAMES = 128
+"""Frames from which on processes pay: each takes a second to start, and threads do without."""
+
+_OF_A_DRIVE = (RecordingError, GnssError, DatumError)
+"""Errors that say something of one drive; others end the build."""
+
+
+@dataclass(slots=True)
+class _DriveBuild:
+    """A recording on its way into the map."""
+
+    number: int
+    path: str | Path
+    name: str
+    recording: Recording = field(init=False)
+    session: NewSession = field(init=False)
+    tell: ProgressReporter = field(init=False)
+    parts: DriveParts = field(init=False)
+    key: str = ""
+    began_s: float | None = None
+    error: FieldgridError | None = None
+
+
+def build_map(
+    paths: Sequence[str | Path],
+    out: str | Path,
+    settings: BuildSettings,
+    options: DriveOptions | None = None,
+    *,
+    datum: Datum | None = None,
+    append: bool = False,
+    overwrite: bool = False,
+    name: str | None = None,
+    every: int = 1,
+    jobs: int | None = None,
+    scheduler: str | Client | None = None,
+    resume: bool | None = None,
+    skip_bad: int | float = 0,
+    fail_fast: bool = False,
+    patience: Patience | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> list[SessionReport]:
+    """Make the map `out` from recordings, a session each, or append them to it.
+
+    Each is opened with `options` as by `open_drive`. What can be checked is checked before the
+    first image is read. `jobs` is the number of processes or, for few frames, of threads (all
+    cores if None); the map's bits do not depend on it. With a `scheduler`, the address of a Dask
+    scheduler or a client of it, its workers stage the frames instead. Of frames that cannot be read
+    at most `skip_bad` are left out: a number, or below 1 a share of the frames of each
+    drive. `patience` is how long another writer of the map is waited for.
+
+    Of several drives those that fail are left out: when the others are in the map, PartlyBuiltError
+    names them. With `fail_fast`, and for a single drive, its error is raised at once. On an error a
+    new map does not come to be and an existing one stays as it was, but for the sessions already
+    appended. What was staged then stays in `MAP.parts`, but for that of the drive that failed, and
+    with `resume` it is used. Where there is such a folder, None refuses to build and False removes
+    it. What was staged of other inputs or by other settings is refused.
+    """
+    if scheduler is not None and jobs is not None:
+        raise ConfigError("With a scheduler its workers stage the frames; leave out --jobs.")
+    build = _Build(
+        Path(out), settings, every, jobs or os.cpu_count() or 1, skip_bad, fail_fast, progress
+    )
+    check_output(build.out, append=append, overwrite=overwrite)
+    if not append:
+        refuse_input(build.out, [Path(path) for path in paths])
+    build.drives = [_DriveBuild(number, path, str(path)) for number, path in enumerate(paths)]
+    is_there = bool(resume) and build.out.exists() and not (append or overwrite)
+    with ExitStack() as opened:
+        settle_left_behind(build.out, resume)
+        if skip_bad > 0:
+            options = replace(options or DriveOptions(), incomplete=True)
+        build.open(opened, options, name)
+        if append or is_there:
+            with open_map(build.out) as existing:
+                datum = datum or existing.datum
+            universal = opened.enter_context(
+                open_map(
+                    build.out,
+                    datum=datum,
+                    cell_m=settings.map.cell_m,
+                    transfer=settings.map.transfer,
+                    patience=patience or Patience(),
+                )
+            )
+        taken = [info.name for info in universal.sessions()] if append or is_there else []
+        check_names(
+            [drive.name for drive in build.drives if not drive.error], () if resume else taken
+        )
+        if scheduler is not None:
+            build.client = opened.enter_context(connected(scheduler))
+        elif not resume:
+            build.start_processes(opened)
+        datum = build.estimate(datum)
+        if not (append or is_there):
+            universal = opened.enter_context(
+                create_map(
+                    build.out,
+                    datum,
+                    cell_m=settings.universal_cell_m,
+                    transfer=settings.map.transfer,
+                    overwrite=overwrite,
+                )
+            )
+        with ExitStack() as held:
+            build.find_parts(held, datum, resume=bool(resume))
+            reports = build.run(universal, taken, is_there=is_there)
+    remove_parts(build.out, [drive.key for drive in build.drives if drive.key])
+    failed = [(drive.name, str(drive.error)) for drive in build.drives if drive.error]
+    if failed:
+        raise PartlyBuiltError(reports, failed)
+    return reports
+
+
+@dataclass(slots=True)
+class _Build:
+    """A build while it runs."""
+
+    out: Path
+    settings: BuildSettings
+    every: int
+    jobs: int
+    skip_bad: int | float
+    fail_fast: bool
+    progress: Callable[[Progress], None] | None
+    drives: list[_DriveBuild] = field(default_factory=list)
+    client: Client | None = None
+    executor: Executor | None = None
+
+    def open(self, opened: ExitStack, options: DriveOptions | None, name: str | None) -> None:
+        """Open the recordings."""
+        for drive in self._good():
+            try:
+                drive.recording = opened.enter_context(open_drive(drive.path, options)).recording()
+                drive.name = drive.recording.name if name is None else name
+            except FieldgridError as error:
+                self._fail(drive, error)
+
+    def start_processes(self, opened: ExitStack, shares: int | None = None) -> None:
+        """Start the processes that stage, where `shares` are worth it; the shares of all drives if
+        None, while the drives are checked."""
+        if shares is None:
+            counts = [-(-drive.recording.frame_count // self.every) for drive in self._good()]
+            shares = sum(len(shares_of(count)) for count in counts)
+        if self.jobs > 1 and shares * SHARE_FRAMES >= WORTH_FRAMES:
+            self.executor = opened.enter_context(Pool(min(self.jobs, shares), self.out))
+
+    def estimate(self, datum: Datum | None) -> Datum:
+        """The datum of the map, after a look at what can be known before the first image is
+        read."""
+        for drive in self._good():
+            recording = drive.recording
+            try:
+                estimate = estimate_drive(recording, self.settings, datum)
+                trajectory = estimate.trajectory
+                check_images(recording, trajectory)
+                if recording.pose_name or not follows_camera(recording.rig, self.settings):
+                    check_poses(recording, trajectory)
+                drive.session = NewSession(
+                    recording,
+                    self.settings,
+                    attitude_of_grids(recording, estimate),
+                    drive.name,
+                    self.every,
+                    skips_bad=self.skip_bad > 0,
+                    known=trajectory,
+                )
+            except FieldgridError as error:
+                self._fail(drive, error)
+                continue
+            datum = datum or trajectory.datum
+        assert datum is not None  # there is a drive, or _good would have raised
+        return datum
+
+    def find_parts(self, held: ExitStack, datum: Datum, *, resume: bool) -> None:
+        """The parts of the drives that are there already; ConfigError for others."""
+        for drive in self._good():
+            session = drive.session
+            drive.key = part_key(session, datum)
+            drive.parts = held.enter_context(
+                DriveParts(self.out, drive.key, drive.name, str(drive.path), session.total)
+            )
+        known = {drive.key for drive in self.drives}
+        stale = [about for about in left_behind(self.out) if about.key not in known]
+        if resume and stale:
+            raise ConfigError(
+                f"The staged parts of {stale[0].name} in {parts_folder(self.out) / stale[0].key} "
+                "are of other inputs or settings than this command's, so they cannot be used; "
+                "repeat the command that made them, or remove that folder."
+            )
+
+    def run(self, universal: MapFile, taken: list[str], *, is_there: bool) -> list[SessionReport]:
+        """Stage the drives and put them into the map, in their order."""
+        reports: list[SessionReport] = []
+        missing = sum(len(drive.parts.missing()) for drive in self.drives if not drive.error)
+        with ExitStack() as running:
+            if self.client is not None and missing:
+                self.executor = running.enter_context(Stagers(self.client))
+            elif self.executor is None:
+                self.start_processes(running, missing)
+            else:  # before the folders that it writes to are let go
+                running.callback(self.executor.close)
+            for drive in self._good():
+                self._begin(drive, universal, taken)
+            for drive in self._good():
+                try:
+                    report = self._finish(drive, universal, taken, is_there=is_there)
+                except _OF_A_DRIVE as error:
+                    self._fail(drive, error)
+                except (MapError, ClusterError) as error:
+                    if not any(one.parts.frames_done for one in self.drives if not one.error):
+                        raise
+                    raise type(error)(
+                        f"{error} What was staged is kept in {parts_folder(self.out)}; the same "
+                        "command with --resume goes on from there."
+                    ) from error
+                else:
+                    reports.append(report)
+        return reports
+
+    def _begin(self, drive: _DriveBuild, universal: MapFile, taken: list[str]) -> None:
+        """Let the drive be staged, when it is its turn."""
+        try:
+            if drive.name not in taken:
+                drive.session.check(universal)
+        except _OF_A_DRIVE as error:
+            self._fail(drive, error)
+            return
+        parts = drive.parts
+        drive.tell = ProgressReporter(drive.session, self.progress)
+        if parts.frames_done:
+            drive.tell(parts.moved_m, parts.frames_done)
+        if self.executor is not None:
+            self.executor.add(
+                DriveOrder(
+                    drive.number,
+                    drive.name,
+                    drive.recording.path,
+                    drive.session.work(drive.recording.source),
+                    parts.folder,
+                    parts.missing(),
+                )
+            )
+
+    def _finish(
+        self, drive: _DriveBuild, universal: MapFile, taken: list[str], *, is_there: bool
+    ) -> SessionReport:
+        """Wait until the drive is staged, or stage it here, and put it into the map."""
+        session, parts = drive.session, drive.parts
+        start = time.perf_counter()
+        if drive.name in taken and not parts.is_complete:
+            raise ConfigError(
+                f"{self.out} has a session {drive.name!r} already, and no staged part of it to go "
+                "on with: that build had finished. Leave the recording out, or give --name."
+            )
+        if self.executor is None:
+            self._stage(drive)
+        while drive.error is None and not parts.is_complete:
+            self._next_event()
+        if drive.error is not None:
+            raise drive.error
+        parts.check_bad(self.skip_bad)
+        staged = parts.staged()
+        if drive.name in taken:
+            if not is_in_map(universal, drive.name, staged):
+                check_names([drive.name], taken)
+            session.report.notes += ("The drive was in the map already.",)
+            session.report.frames = len(staged.entries)
+        elif is_there:
+            raise MapExistsError(
+                f"{self.out} exists already; give another name, --append to add a session to it, "
+                "or --overwrite to replace it."
+            )
+        else:
+            session.add(universal, staged)
+        began_s = start if drive.began_s is None else drive.began_s
+        session.report.wall_s = time.perf_counter() - began_s
+        return session.report
+
+    def _stage(self, drive: _DriveBuild) -> None:
+        """Stage in threads of this process what is missing of a drive."""
+        parts, work = drive.parts, drive.session.work()
+        for run in parts.runs():
+            with closing(stage_frames(work, run[0].first, run[-1].last, self.jobs)) as looks:
+                for share in run:
+                    frames = islice(looks, share.last - share.first)
+                    write_part(parts.folder, self.out, share, frames, drive.tell)
+                    parts.take(share)
+                    parts.check_bad(self.skip_bad)
+
+    def _next_event(self) -> None:
+        """Take what the processes or workers tell."""
+        assert self.executor is not None
+        try:
+            # With an end, so that Ctrl-C is heard everywhere.
+            event: Event = self.executor.events.get(timeout=0.5)
+        except Empty:
+            return
+        drive = self.drives[event.drive]
+        if drive.error is not None:
+            return
+        if isinstance(event, DriveFailure):
+            if not isinstance(event.error, _OF_A_DRIVE):
+                raise event.error
+            self._fail(drive, event.error)
+        elif isinstance(event, ShareResult):
+            if drive.parts.take(event.share) is None:
+                raise MapError(
+                    f"The staged frames in {drive.parts.folder} cannot be read back; check the "
+                    "disk."
+                )
+            try:
+                drive.parts.check_bad(self.skip_bad)
+            except RecordingError as error:
+                self._fail(drive, error)
+        else:
+            if drive.began_s is None:
+                drive.began_s = event.at_s
+            drive.tell(event.moved_m, event.frames)
+
+    def _good(self) -> Iterator[_DriveBuild]:
+        """The drives that have not failed; raises when there is none."""
+        for drive in self.drives:
+            if drive.error is None:
+                yield drive
+        if all(drive.error is not None for drive in self.drives):
+            raise PartlyBuiltError([], [(one.name, str(one.error)) for one in self.drives])
+
+    def _fail(self, drive: _DriveBuild, error: FieldgridError) -> None:
+        """Leave a drive out, or end the build."""
+        drive.error = error
+        if self.executor is not None:
+            self.executor.drop(drive.number)
+        if drive.key:
+            drive.parts.remove()
+        if self.fail_fast or len(self.drives) == 1:
+            raise error

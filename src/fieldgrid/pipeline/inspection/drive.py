@@ -1,0 +1,400 @@
+"""What an inspection says of a drive, step by step in the order of a build.
+
+Each step gives the report with what it has found out, and adds to the findings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from fieldgrid.core import BuildSettings, Float64, Int64, StopCode
+from fieldgrid.geometry import GridSpec, StereoCamera, Trajectory
+from fieldgrid.perception import LocalGridder, drive_misalignment
+from fieldgrid.pipeline.checks.camera_scale import (
+    camera_scale,
+    doubted_scale,
+    scale_notes,
+    tells_heights,
+)
+from fieldgrid.pipeline.checks.doubt import doubted_cameras
+from fieldgrid.pipeline.checks.format_hints import format_hints, hint_sentence
+from fieldgrid.pipeline.checks.mirrored import doubted_mirror
+from fieldgrid.pipeline.checks.shifts import explanation
+from fieldgrid.pipeline.inspection.coverage import coverage, coverage_findings
+from fieldgrid.pipeline.inspection.findings import Finding, error, info, warning
+from fieldgrid.pipeline.inspection.fixes import (
+    fix_findings,
+    pose_findings,
+    rejections,
+    summarise_fixes,
+    sync_findings,
+    synchronisation,
+)
+from fieldgrid.pipeline.inspection.frame_pass import FramePass, Tell, look_at
+from fieldgrid.pipeline.inspection.images import (
+    image_findings,
+    misalignment_findings,
+    unread_findings,
+)
+from fieldgrid.pipeline.inspection.refusals import noted, refusal
+from fieldgrid.pipeline.inspection.report import Inspection
+from fieldgrid.pipeline.inspection.rigs import ground_seen, mount_findings
+from fieldgrid.pipeline.poses import (
+    MISPLACED_M,
+    BuildDoubt,
+    check_images,
+    check_poses,
+    clock_remedy,
+    doubted_frames,
+    doubted_imu,
+    doubted_jump,
+    doubted_yaw,
+    estimate_drive,
+    imu_notes,
+    misplaced,
+    usual_speed_mps,
+)
+from fieldgrid.pipeline.report import SessionReport
+from fieldgrid.pipeline.staging.perception import follows_camera
+from fieldgrid.poses import (
+    NO_AXLE,
+    SLOW_ERRORS,
+    WIDEST_S,
+    ClockOffset,
+    Estimate,
+    clock_notes,
+    unseen_sentence,
+    yaw_notes,
+)
+from fieldgrid.recordings import Drive, Recording
+
+# Which frames an inspection looks at: a few over the whole drive closely, and stretches of
+# neighbours for the camera's own motion.
+
+
+MOST_SAMPLES = 24
+"""Pairs that are looked at closely."""
+
+MOST_FOLLOWED = 320
+"""Frames that the camera's motion is told from: all of a short drive."""
+
+STRETCHES = 8
+
+
+def sample_every(frame_count: int) -> int:
+    """Every how many-th frame is looked at closely."""
+    return max(1, math.ceil(frame_count / MOST_SAMPLES))
+
+
+def stretches(
+    frame_ns: Int64,
+    time_ns: Int64,
+    heading_deg: Float64,
+) -> list[range]:
+    """Runs of neighbouring frames: all in one where they are few, else half of them spread over
+    the drive and half where it turns most, which tells clocks apart.
+
+    `heading_deg` [n] is what is known of the drive at `time_ns` [n] before the images are seen.
+    """
+    count = len(frame_ns)
+    if count <= MOST_FOLLOWED:
+        return [range(count)]
+    length = MOST_FOLLOWED // STRETCHES
+    starts = range(0, count - length + 1, length)
+    spread = np.linspace(0, len(starts) - 1, STRETCHES // 2).round().astype(int).tolist()
+    turn = np.abs(np.diff(np.unwrap(np.radians(np.nan_to_num(heading_deg)))))
+    turned = np.concatenate([[0.0], np.cumsum(turn)])
+    at = np.interp(frame_ns, time_ns, turned) if len(time_ns) else np.zeros(count)
+    by_turn = np.argsort([-(at[start + length - 1] - at[start]) for start in starts]).tolist()
+    chosen = list(dict.fromkeys([*spread, *by_turn]))[:STRETCHES]
+    return [range(starts[k], starts[k] + length) for k in sorted(chosen)]
+
+
+# The clocks of images and fixes: whether they tell the same time, and what to do if not.
+
+
+def clock_unknown(followed: int) -> Finding:
+    """The finding that the camera's motion in `followed` frames does not tell its clock."""
+    return info(
+        "clock-unknown",
+        f"The clock offset of the images cannot be estimated from {followed} frames: the drive is "
+        "too uniform, too short, or has poor images.",
+        "Start a drive with a few turns.",
+    )
+
+
+def clock_findings(
+    clock: ClockOffset, recording: Recording, trajectory: Trajectory
+) -> Iterator[Finding]:
+    """The finding that the images' clock is certainly off by more than the recording declares."""
+    far_m = abs(clock.offset_s) * usual_speed_mps(trajectory)
+    why = explanation(clock.offset_s, int(trajectory.time_ns[0]))
+    wrong = far_m > MISPLACED_M or abs(clock.offset_s) > WIDEST_S
+    remedy = clock_remedy(recording, clock)
+    yield (error if wrong else warning)(
+        StopCode.CLOCK_OFFSET.value,
+        f"The images are stamped {-clock.offset_s:+.3f} ± {clock.sigma_s:.3f} s against the fixes, "
+        f"by {clock.steps} steps of the camera{f' ({why})' if why else ''}"
+        f"{misplaced(clock.offset_s, trajectory, '; ')}.",
+        remedy[0].upper() + remedy[1:],
+    )
+
+
+GROUND_SHARE = 0.7
+"""Ground is found in nearly all frames of a sensor that is mounted as its mounting says."""
+
+
+def with_fixes(
+    found: Inspection, estimate: Estimate, drive: Drive, findings: list[Finding]
+) -> Inspection:
+    """The report with the fixes of a drive, judged, and the poses from them."""
+    fixes = drive.fixes().in_order()
+    accepted = estimate.trajectory.accepted[estimate.fix_row]
+    summary = summarise_fixes(fixes, accepted, estimate.report.conditioning)
+    findings += fix_findings(summary)
+    return replace(found, fixes=summary, trajectory=estimate.trajectory)
+
+
+def pose_notes(estimate: Estimate) -> Iterator[Finding]:
+    """What a build notes of the poses, but for what has findings of its own."""
+    report = estimate.report
+    if not estimate.trajectory.accepted.any():
+        return
+    own = {*clock_notes(report.clock)}
+    if report.camera_yaw is not None:
+        own.update(yaw_notes(report.camera_yaw))
+    for note in report.notes:
+        if note not in own and not note.startswith(NO_AXLE):
+            kind = info if note.startswith(SLOW_ERRORS) else warning
+            yield _with_remedy(kind, "poses", note)
+    if report.unseen:
+        yield info("unseen", unseen_sentence(report.unseen))
+
+
+def _with_remedy(kind: Callable[[str, str, str], Finding], code: str, note: str) -> Finding:
+    """A note of a build, whose remedy follows a semicolon."""
+    what, _, remedy = note.partition("; ")
+    return kind(code, f"{what.removesuffix('.')}.", remedy[:1].upper() + remedy[1:])
+
+
+def with_frames(
+    recording: Recording,
+    settings: BuildSettings,
+    found: Inspection,
+    findings: list[Finding],
+    tell: Tell | None,
+) -> Inspection:
+    """A whole recording, in the order of a build."""
+    found = replace(
+        found,
+        frames=recording.frame_count,
+        declared_offset_s=recording.rig.image_time_offset_ns / 1e9,
+    )
+    images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
+    fixes_alone: Estimate | None = None
+    with noted(findings):
+        fixes_alone = estimate_drive(recording, settings)
+        found = with_fixes(found, fixes_alone, recording, findings)
+        found = replace(found, reasons=rejections(images_ns, fixes_alone.trajectory))
+        with noted(findings, "no-overlap"):
+            check_images(recording, fixes_alone.trajectory)
+    with noted(findings):
+        gridder = LocalGridder(
+            recording.rig, GridSpec.of(settings.grid), settings.stereo, settings.density
+        )
+        seen, found = _looked(recording, settings, gridder, fixes_alone, found, findings, tell)
+        if fixes_alone is not None:
+            found = _with_poses(recording, settings, gridder, fixes_alone, seen, found, findings)
+        ground = ground_seen(seen.grounds, recording.rig.mount)
+        findings += mount_findings(ground, recording.rig.mount, found.scale)
+        found = replace(found, ground=ground)
+    return found
+
+
+def _looked(
+    recording: Recording,
+    settings: BuildSettings,
+    gridder: LocalGridder,
+    fixes_alone: Estimate | None,
+    found: Inspection,
+    findings: list[Finding],
+    tell: Tell | None,
+) -> tuple[FramePass, Inspection]:
+    """The one pass over the frames, and what it says of images and cameras."""
+    every = sample_every(recording.frame_count)
+    times_ns, heading_deg = np.zeros(0, dtype=np.int64), np.zeros(0)
+    if fixes_alone is not None:
+        track = fixes_alone.trajectory
+        times_ns, heading_deg = track.time_ns, track.heading_deg
+    images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
+    follow = follows_camera(recording.rig, settings)
+    runs = stretches(images_ns, times_ns, heading_deg) if follow else []
+    seen = look_at(recording, gridder, every, runs, tell)
+    looked = len(seen.grounds)
+    findings += unread_findings(seen.unread, looked + len(seen.unread))
+    findings += image_findings(seen.looks)
+    rows, camera = None, recording.rig.sensor
+    if isinstance(camera, StereoCamera):
+        rows = drive_misalignment(
+            [look.shifts for look in seen.looks], (camera.width_px, camera.height_px)
+        )
+        findings += misalignment_findings(rows)
+    if not seen.unread and looked:
+        findings += _camera_findings(recording, gridder, seen, every)
+    return seen, replace(
+        found,
+        looked=looked,
+        followed=seen.followed,
+        camera_steps=0 if seen.steps is None else len(seen.steps.start_ns),
+        camera_pairs=seen.tried,
+        looks=seen.looks,
+        misalignment=rows,
+    )
+
+
+def _camera_findings(
+    recording: Recording, gridder: LocalGridder, seen: FramePass, every: int
+) -> Iterator[Finding]:
+    """What a build would refuse these cameras for, were all frames like those looked at."""
+    ground = sum(one.refined for one in seen.grounds)
+    steps = 0 if seen.steps is None else len(seen.steps.start_ns)
+    report = SessionReport(recording.name, camera_steps=steps, camera_refusals=seen.tried - steps)
+    doubted = doubted_cameras(recording, report, ground, every)
+    if doubted is not None:
+        yield refusal(doubted.error, doubted.code)
+        return
+    if ground == 0:
+        readings = format_hints(recording, gridder, every)
+        yield error(
+            "no-ground",
+            f"No ground was found in any of {len(seen.grounds)} frames that were looked at, so "
+            "heights above it are not known.",
+            hint_sentence(readings)
+            if readings
+            else "Check height and tilt in mounting.json; `fieldgrid mount` measures them.",
+        )
+    elif ground < GROUND_SHARE * len(seen.grounds):
+        mount = recording.rig.mount
+        yield warning(
+            "ground-missing",
+            f"The ground was found in {ground} of {len(seen.grounds)} frames that were looked at.",
+            f"Check the height of {mount.height_m:g} m and the tilt of {mount.tilt_deg:g}° in "
+            "mounting.json; `fieldgrid mount` measures them.",
+        )
+
+
+def _with_poses(
+    recording: Recording,
+    settings: BuildSettings,
+    gridder: LocalGridder,
+    fixes_alone: Estimate,
+    seen: FramePass,
+    found: Inspection,
+    findings: list[Finding],
+) -> Inspection:
+    """The poses that frames will have, and the clocks that they depend on."""
+    with_camera, clock = None, None
+    if seen.steps is not None and len(seen.steps.start_ns):
+        with_camera = estimate_drive(recording, settings, steps=seen.steps)
+        clock = with_camera.report.clock
+    off = clock is not None and clock.is_certain
+    apart = any(finding.code == "no-overlap" for finding in findings)
+    by_way, mirrored = None, None
+    if with_camera is not None:
+        mirrored = doubted_mirror(recording, with_camera.trajectory, seen.steps)
+    if mirrored is not None:  # what else the camera contradicts follows from that
+        findings += _refusals(mirrored)
+    elif seen.steps is not None:
+        off_ns = round(clock.offset_s * 1e9) if clock is not None and off else 0
+        heights = tells_heights(recording.fixes())
+        track = fixes_alone.trajectory
+        by_way = camera_scale(seen.steps, track, off_ns, heights_told=heights)
+        findings += _refusals(doubted_scale(by_way, recording.rig))
+        notes = scale_notes(by_way, recording.rig)
+        findings += [_with_remedy(warning, StopCode.SCALE.value, note) for note in notes]
+    if with_camera is not None and mirrored is None:
+        _told_by_camera(recording, with_camera, findings)
+    if clock is not None and off:
+        findings += clock_findings(clock, recording, fixes_alone.trajectory)
+    elif clock is None and seen.followed and not (apart or (by_way is not None and by_way.is_off)):
+        findings.append(clock_unknown(seen.followed))
+    # With a wrong clock the camera's motion would be laid beside that of other moments.
+    estimate = fixes_alone if with_camera is None or off else with_camera
+    if mirrored is None and not off:
+        findings += pose_notes(estimate)
+    track = estimate.trajectory
+    images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
+    at_fixes = estimate.fix_row[track.accepted[estimate.fix_row]]
+    found = replace(
+        found,
+        sync=synchronisation(images_ns, track.time_ns[at_fixes]),
+        clock=clock,
+        scale=by_way,
+        reasons=rejections(images_ns, track),
+        trajectory=track,
+    )
+    if apart:
+        return found
+    return _with_map(recording, settings, gridder, found, findings, clocks_agree=not off)
+
+
+def _with_map(
+    recording: Recording,
+    settings: BuildSettings,
+    gridder: LocalGridder,
+    found: Inspection,
+    findings: list[Finding],
+    *,
+    clocks_agree: bool,
+) -> Inspection:
+    """The frames that will be used, and what they cover; of clocks that do not agree that says
+    nothing, and is no finding."""
+    track = found.trajectory
+    assert track is not None
+    images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
+    told: list[Finding] = []
+    with noted(findings, "no-pose"):
+        check_poses(recording, track)
+        found = replace(
+            found,
+            coverage=coverage(
+                images_ns,
+                track,
+                recording.rig,
+                GridSpec.of(settings.grid),
+                gridder.max_range_m,
+                settings.stereo.disparity_sigma_px,
+            ),
+        )
+        told += pose_findings(recording.frame_count, found.reasons)
+        told += coverage_findings(
+            found.coverage, settings.universal_cell_m, settings.map.cell_m is not None
+        )
+    if found.sync is not None:
+        told += sync_findings(found.sync)
+    findings += told if clocks_agree else []
+    return found
+
+
+def _refusals(*doubts: BuildDoubt | None) -> list[Finding]:
+    return [refusal(one.error, one.code.value) for one in doubts if one is not None]
+
+
+def _told_by_camera(recording: Recording, estimate: Estimate, findings: list[Finding]) -> None:
+    """A clock that jumps, images of other moments than stamped, a camera that looks elsewhere."""
+    askew = doubted_yaw(recording, estimate)
+    findings += _refusals(
+        doubted_jump(recording, estimate),
+        doubted_frames(recording, estimate),
+        doubted_imu(estimate),
+        askew,
+    )
+    findings += [warning(StopCode.IMU_TURNED.value, note) for note in imu_notes(estimate)]
+    yaw = estimate.report.camera_yaw
+    if yaw is not None and askew is None:
+        code = StopCode.CAMERA_YAW.value if yaw.moved is None else "camera-moved"
+        findings += [warning(code, note) for note in yaw_notes(yaw)]

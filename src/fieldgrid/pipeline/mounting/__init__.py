@@ -1,0 +1,1 @@
+"""How a sensor is mounted on its vehicle, estimated from a drive and beside what was stated."""

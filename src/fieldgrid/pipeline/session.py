@@ -1,0 +1,376 @@
+"""A recording on its way into a map, as a session.
+
+Perception is heavy and needs no pose, so frames are matched in parallel; each gives a grid and
+the camera's motion since the one before. Pose needs the whole drive, that motion included, so
+the grids wait for it on disk and meet it in order, one at a time. No image and no grid stays in
+memory.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from array import array
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fieldgrid.core import BuildSettings, CalibrationError, ConfigError, RecordingError
+from fieldgrid.geometry import Datum, GridSpec, Rig, Status, Steps, StereoCamera, Trajectory
+from fieldgrid.maps import MapFile, Session, StageFile, check_cell_sizes, check_name
+from fieldgrid.perception import LocalGridder, OriginTrack
+from fieldgrid.pipeline.checks.agreement import (
+    agreement_notes,
+    denied_share,
+    opposed_notes,
+    opposed_share,
+)
+from fieldgrid.pipeline.checks.camera_scale import (
+    camera_scale,
+    doubted_scale,
+    scale_notes,
+    tells_heights,
+)
+from fieldgrid.pipeline.checks.contradictions import FramePose
+from fieldgrid.pipeline.checks.doubt import (
+    camera_notes,
+    doubted_cameras,
+    doubted_rows,
+    has_sweeps,
+    sensor_notes,
+    sweep_notes,
+)
+from fieldgrid.pipeline.checks.format_hints import format_hints, hint_sentence
+from fieldgrid.pipeline.checks.mirrored import doubted_mirror
+from fieldgrid.pipeline.checks.sensor_yaw import doubted_sensor_yaw, sensor_yaw, sensor_yaw_notes
+from fieldgrid.pipeline.checks.stuck import StuckCamera
+from fieldgrid.pipeline.inputs import Inputs, to_arrays
+from fieldgrid.pipeline.poses import (
+    attitude_of_grids,
+    check_poses,
+    doubted_clock,
+    doubted_frames,
+    doubted_imu,
+    doubted_jump,
+    doubted_yaw,
+    estimate_drive,
+    imu_notes,
+    no_ground,
+    none_usable,
+    settle,
+)
+from fieldgrid.pipeline.report import BadFrame, Progress, SessionReport
+from fieldgrid.pipeline.staging.perception import follows_camera
+from fieldgrid.pipeline.staging.shares import (
+    DriveWork,
+    FrameProvider,
+    StagedDrive,
+    collect,
+    stage_frames,
+)
+from fieldgrid.poses import GIVEN, Attitude, tells_attitude
+from fieldgrid.recordings import Recording
+
+BAD_KEPT = 1000
+"""Frames that could not be read which a session names; it counts all of them."""
+
+
+def add_recording(
+    universal: MapFile,
+    recording: Recording,
+    settings: BuildSettings | None = None,
+    *,
+    name: str | None = None,
+    jobs: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> SessionReport:
+    """Add one drive to an open map as a session: all of it, or nothing.
+
+    Its trajectory is estimated from all that the drive carries and, if the settings ask for it,
+    from the motion that the camera saw. The map's bits do not depend on `jobs`, the number of
+    threads that decode and match (all cores if None).
+    """
+    settings = settings or BuildSettings()
+    started = time.perf_counter()
+    attitude, known = None, None
+    if tells_attitude(recording.motion(), recording.fixes().time_ns) or has_sweeps(recording):
+        estimate = estimate_drive(recording, settings, universal.datum)
+        known = estimate.trajectory
+        attitude = attitude_of_grids(recording, estimate)
+    session = NewSession(recording, settings, attitude, name, known=known)
+    session.check(universal)
+    work, threads = session.work(), jobs or os.cpu_count() or 1
+    with (
+        StageFile.temporary(universal.path) as file,
+        closing(stage_frames(work, 0, work.total, threads)) as looks,
+    ):
+        session.add(universal, collect(looks, file, ProgressReporter(session, progress)))
+    session.report.wall_s = time.perf_counter() - started
+    return session.report
+
+
+class ProgressReporter:
+    """Tells the progress of a drive, frame by frame."""
+
+    def __init__(self, session: NewSession, progress: Callable[[Progress], None] | None) -> None:
+        self._progress = progress
+        self._name, self._total = session.name, session.total
+        self.done, self._distance_m = 0, 0.0 if session.odometry else None
+        self.now()
+
+    def __call__(self, moved_m: float, frames: int = 1) -> None:
+        """`frames` more are done, over which the camera moved by `moved_m`."""
+        self.done += frames
+        if self._distance_m is not None:
+            self._distance_m += moved_m
+        self.now()
+
+    def now(self) -> None:
+        """How far the drive is."""
+        if self._progress is not None:
+            self._progress(Progress(self._name, self.done, self._total, self._distance_m))
+
+
+class NewSession:
+    """A recording on its way into a map, as a session of its own.
+
+    Its frames are staged by whoever likes (`work`), and then placed (`add`) by a trajectory that is
+    estimated, of local grids that are levelled by the `attitude`. By `known`, the trajectory as it
+    is known before a frame is staged, the points of sweeps are carried to their stamps.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        settings: BuildSettings,
+        attitude: Attitude | None,
+        name: str | None,
+        every: int = 1,
+        *,
+        skips_bad: bool = False,
+        known: Trajectory | None = None,
+    ) -> None:
+        self.recording, self.settings = recording, settings
+        self.name = recording.name if name is None else name
+        self.total = len(range(0, recording.frame_count, every))
+        self.odometry = follows_camera(recording.rig, settings) and not recording.pose_name
+        self._attitude, self.every, self._skips_bad = attitude, every, skips_bad
+        self._way = None
+        if known is not None and has_sweeps(recording):
+            self._way = OriginTrack.of(known)
+        self._gridder = LocalGridder(
+            recording.rig, GridSpec.of(settings.grid), settings.stereo, settings.density
+        )
+        self.report = SessionReport(
+            session=self.name,
+            max_range_m=self._gridder.max_range_m,
+            notes=(
+                *recording.losses,
+                *recording.notes,
+                *sensor_notes(recording, settings, self._gridder.max_range_m),
+                *sweep_notes(recording, every, is_carried=self._way is not None),
+            ),
+        )
+
+    def work(self, frames: FrameProvider | None = None) -> DriveWork:
+        """What it takes to stage the frames, which are read from the recording itself unless
+        given."""
+        return DriveWork(
+            frames or self.recording,
+            self.total,
+            self._gridder,
+            self._attitude,
+            self._way,
+            self.every,
+            self.odometry,
+            self._skips_bad,
+        )
+
+    def check(self, universal: MapFile) -> None:
+        """Raise before the drive is staged what the map would refuse at its end, and what some
+        of the frames show."""
+        check_cell_sizes(universal.cell_m, self._gridder.spec.cell_m)
+        check_names([self.name], [info.name for info in universal.sessions()])
+        self.report.notes += settle(doubted_rows(self.recording, self.every), self.settings)
+
+    def add(self, universal: MapFile, staged: StagedDrive) -> None:
+        """Add the session to the map, with the frames that were staged."""
+        recording, settings, report = self.recording, self.settings, self.report
+        report.stages.add(staged.times)
+        report.bad = tuple(staged.bad)
+        if not staged.entries:
+            raise RecordingError(
+                f"None of the {self.total} frames of {self.name} can be read. "
+                f"First: {staged.bad[0].reason}"
+            )
+        steps = None
+        if self.odometry:
+            steps, report.camera_refusal_reasons = staged.steps()
+            report.camera_steps = len(steps.start_ns)
+            report.camera_refusals = report.camera_refusal_reasons.total()
+        found = sum(entry.ground_found for entry in staged.entries)
+        if not found and (readings := format_hints(recording, self._gridder, self.every)):
+            raise CalibrationError(
+                f"No ground was found in the {len(staged.entries)} frames of {self.name}, so "
+                f"heights above it are not known. {hint_sentence(readings)}"
+            )
+        report.notes += settle(doubted_cameras(recording, report, found, self.every), settings)
+        trajectory = self._estimated(universal.datum, steps)
+        report.heading_source = trajectory.heading_source
+        with universal.add_session(
+            self.name,
+            trajectory=trajectory,
+            config=session_config(
+                settings,
+                recording.rig,
+                self._gridder,
+                self.every,
+                level_grids=self._attitude is not None,
+                poses=recording.pose_name if trajectory.heading_source == GIVEN else "",
+                bad=staged.bad,
+            ),
+            source=recording.gnss_source,
+            source_sha256=recording.gnss_sha256(),
+            inputs=to_arrays(
+                Inputs(
+                    recording.fixes(),
+                    recording.motion()._replace(steps=steps),
+                    np.array([entry.time_ns for entry in staged.entries], dtype=np.int64),
+                    np.array([entry.ground_found for entry in staged.entries], dtype=np.bool_),
+                )
+            ),
+        ) as session:
+            accepted = _place(staged, session, trajectory, recording.rig, report)
+            report.denied_share = denied_share(staged.frames, accepted)
+            report.notes += tuple(agreement_notes(report.denied_share, recording.rig))
+            report.opposed_share = opposed_share(staged.frames, accepted)
+            report.notes += tuple(opposed_notes(report.opposed_share, report.position_sigma_m))
+            if not report.camera_steps:  # which tell it better
+                found_yaw = sensor_yaw(staged.frames, accepted)
+                report.notes += settle(doubted_sensor_yaw(found_yaw, recording.rig), settings)
+                report.notes += tuple(sensor_yaw_notes(found_yaw, recording.rig))
+            report.notes += tuple(camera_notes(recording, report))
+            placed = time.perf_counter()
+        report.stages.map_s += time.perf_counter() - placed
+
+    def _estimated(self, datum: Datum, steps: Steps | None) -> Trajectory:
+        recording, report = self.recording, self.report
+        start = time.perf_counter()
+        estimate = estimate_drive(
+            recording, self.settings, datum, steps, level_grids=self._attitude is not None
+        )
+        report.stages.pose_s += time.perf_counter() - start
+        report.notes += estimate.report.notes
+        report.fixes = len(estimate.fix_row)
+        report.fixes_accepted = int(estimate.trajectory.accepted[estimate.fix_row].sum())
+        report.notes += settle(doubted_mirror(recording, estimate.trajectory, steps), self.settings)
+        heights = tells_heights(recording.fixes())
+        scale = camera_scale(steps, estimate.trajectory, heights_told=heights)
+        for doubted in (doubted_jump, doubted_clock, doubted_frames, doubted_yaw):
+            report.notes += settle(doubted(recording, estimate), self.settings)
+        report.notes += settle(doubted_scale(scale, recording.rig), self.settings)
+        report.notes += scale_notes(scale, recording.rig)
+        report.notes += settle(doubted_imu(estimate), self.settings) + imu_notes(estimate)
+        check_poses(recording, estimate.trajectory)
+        return estimate.trajectory
+
+
+def _place(
+    staged: StagedDrive, session: Session, trajectory: Trajectory, rig: Rig, report: SessionReport
+) -> list[FramePose]:
+    """The second half: every staged frame meets its pose. Returns those that are accepted."""
+    accepted: list[FramePose] = []
+    heading_sigma_deg, position_sigma_m = array("d"), array("d")
+    start, camera = time.thread_time(), StuckCamera()
+    for k, entry in enumerate(staged.entries):
+        pose = trajectory.at(entry.time_ns)
+        if pose.status is Status.OK and not entry.ground_found:
+            pose = replace(pose, status=Status.REJECTED, reason=no_ground(rig))
+        camera, pose = camera.judged(staged.frames[k].images_sha256, pose)
+        session.add_staged(staged.frames, pose, k)
+        report.frames += 1
+        report.ground_refined += entry.ground_found
+        if pose.status is not Status.OK:
+            report.rejected += 1
+            report.reasons[pose.reason] += 1
+            continue
+        report.used += 1
+        if accepted:
+            last = accepted[-1][1]
+            report.distance_m += float(
+                np.hypot(pose.east_m - last.east_m, pose.north_m - last.north_m)
+            )
+        heading_sigma_deg.append(pose.heading_sigma_deg)
+        position_sigma_m.append(pose.position_sigma_m)
+        accepted.append((k, pose))
+    if report.used == 0:
+        raise none_usable(report.session, report.reasons, rig)
+    report.heading_sigma_deg = _median(heading_sigma_deg)
+    report.position_sigma_m = _median(position_sigma_m)
+    report.stages.map_s += time.thread_time() - start
+    return accepted
+
+
+def session_config(
+    settings: BuildSettings,
+    rig: Rig,
+    gridder: LocalGridder,
+    every: int,
+    *,
+    level_grids: bool = False,
+    poses: str = "",
+    bad: Sequence[BadFrame] = (),
+) -> dict[str, Any]:
+    """The resolved settings and the rig, as they are kept with the session; `level_grids` says
+    whether the columns of its local grids are vertical, `poses` what given poses are from, `bad`
+    which frames were left out since they cannot be read."""
+    searched = isinstance(rig.sensor, StereoCamera)
+    return {
+        "settings": settings.model_dump(mode="json"),
+        "rig": rig.as_dict(),
+        "max_range_m": gridder.max_range_m,
+        **({"search": gridder.region._asdict()} if searched else {}),
+        "every": every,
+        "level_grids": level_grids,
+        **({"poses": poses} if poses else {}),
+        **({"bad_frames": len(bad), "bad": [list(one) for one in bad[:BAD_KEPT]]} if bad else {}),
+    }
+
+
+def _median(values: Sequence[float]) -> float | None:
+    return float(np.median(values)) if values else None
+
+
+def check_output(path: Path, *, append: bool, overwrite: bool) -> None:
+    """Raise before any work is done when the output cannot be what was asked for."""
+    if append and overwrite:
+        raise ConfigError("--append and --overwrite exclude each other; give one of them.")
+    if append and not path.exists():
+        raise ConfigError(f"There is no map {path} to append to; leave out --append to make it.")
+
+
+def check_names(names: Sequence[str], taken: Sequence[str]) -> None:
+    """Raise before any work is done when a session could not get its name."""
+    for k, name in enumerate(names):
+        check_name(name)
+        if name in taken:
+            raise ConfigError(f"The map has a session {name!r} already; give another with --name.")
+        if name in names[:k]:
+            raise ConfigError(
+                f"Two of the recordings are called {name!r}; build them one after the other, the "
+                "second with --append and a --name."
+            )
+
+
+def is_in_map(universal: MapFile, name: str, staged: StagedDrive) -> bool:
+    """Whether a session of the map has the frames that were staged, and no others."""
+    kept = {
+        frame.frame_id: (frame.cells_sha256, frame.images_sha256)
+        for frame in universal.frames(name)
+    }
+    frames = (staged.frames[k] for k in range(len(staged.entries)))
+    return kept == {f.frame_id: (f.cells_sha256, f.images_sha256) for f in frames}

@@ -1,0 +1,68 @@
+"""Poses: fixes and motion become a trajectory with gear, sigma and verdict.
+
+* `gnss`: bytes of receivers to fixes: NMEA (the quality of a GGA: `nmea_standard`) and UBX.
+* `gates`: `condition`, which fixes are accepted, and the reasons of the others.
+* `gears`: forward or reverse; `attitude`: roll and pitch against gravity.
+* `smoother`: `smooth`, the banded least-squares estimate of a whole drive.
+* `faults`: what contradicts the drive: clocks, gyros, leaps, the antenna, a camera's yaw.
+* `estimate`: `estimate_poses` runs these steps; `verdict` judges each pose, `report` says why.
+* `external`: poses of another program; `track`: a trajectory as `track.csv`, GPX or GeoJSON.
+
+It opens no recording, and knows no images and no map.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from fieldgrid.core.doors import door
+
+if TYPE_CHECKING:
+    from fieldgrid.poses.attitude.attitude import Attitude as Attitude
+    from fieldgrid.poses.estimate import Estimate as Estimate, estimate_poses as estimate_poses
+    from fieldgrid.poses.external.poses import GIVEN as GIVEN
+    from fieldgrid.poses.faults.camera_yaw import (
+        off_sentence as off_sentence,
+        yaw_notes as yaw_notes,
+    )
+    from fieldgrid.poses.faults.clock.change import ClockChange as ClockChange
+    from fieldgrid.poses.faults.clock.search import WIDEST_S as WIDEST_S, ClockOffset as ClockOffset
+    from fieldgrid.poses.faults.gyro.imu_turn import ImuTurn as ImuTurn
+    from fieldgrid.poses.faults.unseen import (
+        SLOW_ERRORS as SLOW_ERRORS,
+        unseen_sentence as unseen_sentence,
+    )
+    from fieldgrid.poses.gates.summary import ConditioningSummary as ConditioningSummary
+    from fieldgrid.poses.gates.verdict import Gate as Gate
+    from fieldgrid.poses.gnss.gps_time import (
+        GPS_EPOCH_UNIX_S as GPS_EPOCH_UNIX_S,
+        leap_seconds as leap_seconds,
+        unix_ns as unix_ns,
+    )
+    from fieldgrid.poses.gnss.nmea import NmeaLog as NmeaLog, NmeaStream as NmeaStream
+    from fieldgrid.poses.gnss.ubx import UbxLog as UbxLog, UbxParser as UbxParser
+    from fieldgrid.poses.levelled import (
+        levelling_attitude as levelling_attitude,
+        tells_attitude as tells_attitude,
+    )
+    from fieldgrid.poses.report import NO_AXLE as NO_AXLE, clock_notes as clock_notes
+    from fieldgrid.poses.track.formats import gpx_track as gpx_track
+    from fieldgrid.poses.track.table import (
+        Spread as Spread,
+        TrackSummary as TrackSummary,
+        check_target as check_target,
+        summarise_track as summarise_track,
+        write_track as write_track,
+    )
+    from fieldgrid.poses.travel_direction import (
+        LEAST_STEP_M as LEAST_STEP_M,
+        LEAST_WAY_M as LEAST_WAY_M,
+        MOST_TURN_DEG as MOST_TURN_DEG,
+        STRAIGHT_PER_M as STRAIGHT_PER_M,
+        Travel as Travel,
+        Ways as Ways,
+        travel as travel,
+    )
+    from fieldgrid.poses.verdict import ErrorBudget as ErrorBudget
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -1,0 +1,346 @@
+"""From fixes to the trajectory of the grid origin: the method, step by step."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.core import ConfigError, Float64, GnssError, Int64, PoseSettings
+from fieldgrid.geometry import (
+    Datum,
+    FixColumns,
+    LeverArm,
+    Motion,
+    Trajectory,
+    VehicleGeometry,
+    wrap_deg,
+)
+from fieldgrid.poses.axle import axle_forward_m, with_antenna_moved
+from fieldgrid.poses.drive import DriveEstimate, with_recorded
+from fieldgrid.poses.external.poses import CLEAR_OFFSET_DEG, place_poses
+from fieldgrid.poses.faults.camera_yaw import CameraYaw, camera_yaw
+from fieldgrid.poses.faults.clock.jump import clock_jump
+from fieldgrid.poses.faults.clock.offset import ClockFindings, check_clock
+from fieldgrid.poses.faults.convention import FEW_TURNED_SHARE, Comparison
+from fieldgrid.poses.faults.denied import (
+    DriveContradiction,
+    denied_by,
+    unsure_declared,
+    with_whole_place,
+)
+from fieldgrid.poses.faults.drifting import Drifts, drift_notes, drifts, unsure_drift
+from fieldgrid.poses.faults.excused import GyroExcuse, excused
+from fieldgrid.poses.faults.explained import explained
+from fieldgrid.poses.faults.unseen import (
+    unseen_faults,
+    unseen_of_given,
+    unsure_notes,
+    unsure_receiver,
+)
+from fieldgrid.poses.fused import Fusion, conditioned, counted_twice_note, fuse
+from fieldgrid.poses.gates.conditioning import condition
+from fieldgrid.poses.gates.summary import summarise
+from fieldgrid.poses.levelled import leaning, tells_attitude, unsure_lean
+from fieldgrid.poses.measured import RecordedHeadings
+from fieldgrid.poses.report import PoseReport, drive_notes, fix_offset
+from fieldgrid.poses.settings import HeadingSource, heading_source
+from fieldgrid.poses.slope import FLAT, slope_notes, slope_seen, unsure_slope
+from fieldgrid.poses.table import PoseTable, pose_table
+from fieldgrid.poses.verdict import ErrorBudget, judged
+
+
+class Estimate(NamedTuple):
+    """A trajectory, the row of each input fix in it (in order of time), and the report. Of given
+    poses without fixes, `fix_row` has all rows."""
+
+    trajectory: Trajectory
+    fix_row: Int64
+    report: PoseReport
+
+
+def estimate_poses(
+    fixes: FixColumns,
+    rig: VehicleGeometry | None = None,
+    datum: Datum | None = None,
+    settings: PoseSettings | None = None,
+    motion: Motion | None = None,
+    budget: ErrorBudget | None = None,
+    *,
+    frame_ns: Int64 | None = None,
+    level_grids: bool = True,
+) -> Estimate:
+    """The trajectory of the grid origin (without a rig: of the antenna) over one drive.
+
+    The plane is that of `datum`, of the first accepted fix without one. Where the drive tells how
+    the vehicle leans, all goes through its full attitude, which is known best at `frame_ns`.
+    Without `level_grids` the grids of such a drive are square to the ground all the same, as those
+    of older versions. Raises GnssError when no fix can be used, or when a recorded heading
+    contradicts the drive.
+    """
+    settings, motion = settings or PoseSettings(), motion or Motion()
+    source = heading_source(settings.heading)
+    if motion.poses is not None and source.kind == "smooth":
+        return _of_given(fixes, rig, datum, settings, motion, budget, level_grids=level_grids)
+    if settings.frame_origin is not None or settings.frame_heading_deg is not None:
+        raise ConfigError(
+            "--frame-origin and --frame-heading say where given poses lie, and none are used; give "
+            "--poses FILE with the heading smooth, or leave them out."
+        )
+    # By what the drive carries, used or not: so its grids were made.
+    level_grids = level_grids and tells_attitude(motion, fixes.time_ns)
+    # Which fixes a vehicle can have driven through, and one estimate of all that was measured.
+    found = fuse(conditioned(fixes, settings, datum), rig, motion, settings, frame_ns)
+    # A recorded heading joins once the drive has shown what it means.
+    recorded_deg, comparison, notes = _recorded(found, source, settings)
+    if motion.poses is not None:
+        notes.append(f"The given poses were not used, since headings shall be {source}.")
+    log, axle, lean = found.log, found.axle, found.lean
+    recorded = RecordedHeadings(recorded_deg)
+    if comparison is not None:
+        recorded = recorded._replace(offset_sigma_deg=settings.max_heading_offset_deg)
+    drive = _with_recorded(found, recorded) if source.kind == "smooth" else found.drive
+    # What the drive denies of clocks, antenna and camera.
+    checks = _checked(found, drive, rig, source, recorded)
+    # A row for each fix and each instant between, as unsure as all of that makes it.
+    table, fix_row = pose_table(source, log, drive, recorded_deg, axle.vehicle, settings)
+    if settings.accuracy_m is None:
+        table = unsure_receiver(table, log.accepted)
+    if source.kind == "smooth":
+        unsure_deg = found.trusted.unsure_at(table.time_ns)
+        if checks.excused is not None:
+            unsure_deg = np.hypot(unsure_deg, checks.excused.unsure_at(table.time_ns))
+        table = table._replace(heading_sigma_deg=np.hypot(table.heading_sigma_deg, unsure_deg))
+    slope = FLAT
+    if lean is not None:
+        table = unsure_lean(table, lean, level_grids=level_grids)
+    elif axle.vehicle is not None:
+        slope = slope_seen(log.accepted)
+        table = unsure_slope(table, slope, axle.vehicle, turns_seen=drive.turns_seen)
+    # Carried to the grid origin, and judged.
+    table = unsure_declared(_carried(table, axle.vehicle, source), drive, checks.denied)
+    table = unsure_drift(table, drive, checks.drifts)
+    trajectory = judged(table, log.datum, settings, budget, str(source))
+    if lean is not None:
+        trajectory = leaning(trajectory, lean, level_grids=level_grids)
+    clocks = checks.clocks
+    # A contradiction by a gyro that is excused says itself why the gyro was left out.
+    silent = found.gyro_note is None or (checks.excused is not None and checks.denied.clear)
+    report = PoseReport(
+        conditioning=summarise(log.fixes, log.verdicts),
+        attitude=None if lean is None else lean.attitude,
+        recorded=comparison,
+        clock=clocks.offset,
+        contradiction=clocks.contradiction,
+        clock_change=clocks.change,
+        jump=clock_jump(log.accepted, found.motion.steps, found.gyro),
+        camera_yaw=checks.yaw,
+        imu_turn=found.imu_turn,
+        gyro_bias_dps=drive.gyro_bias_dps,
+        offset=fix_offset(log.accepted, drive.offset_m),
+        camera_scale=drive.smoothed.camera_scale,
+        wheel_scale=drive.smoothed.wheel_scale,
+        unseen=unseen_faults(drive, rig, drift_shown=checks.drifts.is_shown),
+        notes=(
+            *(() if silent else (found.gyro_note,)),
+            *(*found.notes, *notes),
+            *(unsure_notes(log.accepted) if settings.accuracy_m is None else ()),
+            *slope_notes(slope, axle.vehicle),
+            *drift_notes(checks.drifts),
+            *drive_notes(
+                *(drive, log.accepted, rig, axle, checks.denied),
+                *(source, settings, clocks.offset, checks.yaw),
+                *(trajectory, fix_row),
+            ),
+        ),
+    )
+    return Estimate(trajectory, fix_row, report)
+
+
+class _Checks(NamedTuple):
+    clocks: ClockFindings
+    yaw: CameraYaw | None
+    denied: DriveContradiction
+    drifts: Drifts
+    excused: GyroExcuse | None
+
+
+def _checked(
+    found: Fusion,
+    drive: DriveEstimate,
+    declared: VehicleGeometry | None,
+    source: HeadingSource,
+    recorded: RecordedHeadings,
+) -> _Checks:
+    """What a drive, with its recorded headings, says of the vehicle that was declared."""
+    # A gyro of another clock than the fixes is not used, and yet tells that of the images.
+    clocks = check_clock(
+        drive, found.log.accepted, found.motion, found.axle, found.hints, recorded=found.gyro
+    )
+    smooth = source.kind == "smooth"
+    # Where a heading is recorded, a vehicle that slips sideways does not look where it goes.
+    follows_path = not np.isfinite(recorded.heading_deg).any()
+    yaw = camera_yaw(found.motion.steps, found.axle) if smooth and follows_path else None
+    denied = denied_by(drive, declared, clocks)
+    if smooth and not drive.turns_seen:
+        denied = with_whole_place(denied, partial(_with_recorded, found, recorded))
+    elif smooth:
+        denied = explained(denied, found, drive, declared)
+    excuse = None
+    if smooth and not drive.turns_seen and not drive.headings_recorded:
+        excuse = excused(found, declared)
+    if excuse is not None:
+        denied = excuse.denied
+    seen = drifts(drive, found.axle, denied, clocks, found.imu_turn) if smooth else Drifts()
+    return _Checks(clocks, yaw, denied, seen, excuse)
+
+
+def _with_recorded(
+    found: Fusion, recorded: RecordedHeadings, ahead_m: float = 0.0
+) -> DriveEstimate:
+    """The drive by its recorded headings, too, with the antenna `ahead_m` farther ahead."""
+    if not np.isfinite(recorded.heading_deg).any():
+        return found.drive
+    axle = with_antenna_moved(found.axle, ahead_m) if ahead_m else found.axle
+    return with_recorded(found.drive, found.log.accepted, found.motion, axle, recorded, found.hints)
+
+
+def _of_given(
+    fixes: FixColumns,
+    rig: VehicleGeometry | None,
+    datum: Datum | None,
+    settings: PoseSettings,
+    motion: Motion,
+    budget: ErrorBudget | None,
+    *,
+    level_grids: bool,
+) -> Estimate:
+    """The estimate of a drive whose poses another program made."""
+    assert motion.poses is not None
+    log, notes = None, []
+    origin = settings.frame_origin
+    try:
+        log = conditioned(fixes, settings, datum)
+        datum = log.datum
+        notes += [note for note in (counted_twice_note(log),) if note is not None]
+    except GnssError as problem:
+        if origin is not None and len(fixes):
+            notes.append(str(problem))
+        elif origin is None and len(fixes):
+            raise
+    if datum is None and origin is not None:
+        datum = Datum(origin.lat_deg, origin.lon_deg, origin.height_m)
+    if datum is None:
+        raise GnssError(
+            "No fix tells where the poses lie; give a log with --gnss, or declare the frame with "
+            "--frame-origin LAT,LON,HEIGHT and --frame-heading DEG."
+        )
+    placed = place_poses(
+        *(motion.poses, motion.tilt, log, rig, datum, settings, budget), level_grids=level_grids
+    )
+    found, pairs = placed.georeference, placed.pairs
+    offset = None
+    if pairs is not None:
+        offset_m = found.place(*pairs.frame_m[:, :2].T) - pairs.fixes.points_m()
+        offset = fix_offset(pairs.fixes, offset_m)
+    judged_fixes = (fixes, condition(fixes)) if log is None else (log.fixes, log.verdicts)
+    report = PoseReport(
+        conditioning=summarise(*judged_fixes),
+        attitude=placed.attitude,
+        recorded=None,
+        clock=None,
+        gyro_bias_dps=float("nan"),
+        offset=offset,
+        camera_scale=None,
+        wheel_scale=None,
+        notes=(*notes, *placed.notes),
+        georeference=found,
+        unseen=unseen_of_given(placed.trajectory, found, rig),
+    )
+    return Estimate(placed.trajectory, placed.fix_row, report)
+
+
+def _recorded(
+    fused: Fusion, source: HeadingSource, settings: PoseSettings
+) -> tuple[Float64, Comparison | None, list[str]]:
+    """Headings of the vehicle that were recorded with the accepted fixes, NaN where none can be
+    used; raises when they contradict the drive."""
+    rig, recorded = fused.axle.vehicle, fused.recorded_deg()
+    if not np.isfinite(recorded).any():
+        if source.kind == "recorded":
+            raise GnssError(
+                "No fix of this recording has a heading of its own; use --heading smooth."
+            )
+        return recorded, None, []
+    found = fused.compared()
+    if found is None:
+        note = "The drive is too short to compare the recorded heading with its course."
+        return recorded, None, [note]
+    if found.course:
+        note = (
+            "The recorded heading turns around in reverse: it is the course, not the direction of "
+            "the vehicle, and was not used."
+        )
+        if source.kind == "recorded":
+            raise GnssError(note.replace(", and was not used", "; use --heading smooth"))
+        return np.full_like(recorded, np.nan), found, [note]
+    if found.flips:
+        note = (
+            "The recorded heading turns around during the drive, and was not used: it is "
+            f"{found.offset_deg:z.0f}° off the nose at the {found.compared} fixes where that is "
+            f"known best, and the other way round at {100.0 * found.flipped:.0f} % of all."
+        )
+        if source.kind == "recorded":
+            cut = "; cut the log where it does, or use --heading smooth"
+            raise GnssError(note.replace(", and was not used", cut))
+        return np.full_like(recorded, np.nan), found, [note]
+    if found.is_denied(settings.max_heading_offset_deg):
+        sentence = (
+            f"The recorded heading {found.diagnosis()} (seen at {found.compared} fixes, "
+            f"scatter {found.scatter_deg:.1f}°); declare {found.correction(rig)} in mounting.json "
+            "(of a log alone: --heading-offset)"
+        )
+        if source.kind in ("smooth", "recorded"):
+            raise GnssError(f"{sentence}, or use --heading course.")
+        return np.full_like(recorded, np.nan), found, [f"{sentence}. It was not used."]
+    notes = []
+    if abs(found.offset_deg) > CLEAR_OFFSET_DEG:
+        notes = [
+            f"The recorded heading is {found.offset_deg:+.2f}° ± {found.offset_sigma_deg:.2f}° off "
+            "the course of the drive; taken out."
+        ]
+    used = np.asarray(wrap_deg(recorded - found.offset_deg))
+    # Of a few the robust estimate makes nothing by itself.
+    if found.flipped > (FEW_TURNED_SHARE if source.kind == "smooth" else 0.0):
+        around = fused.turned_around(found)
+        used[around] = np.nan
+        notes.append(
+            f"The recorded heading is the other way round at {np.count_nonzero(around)} of "
+            f"{np.count_nonzero(np.isfinite(recorded))} fixes, and was not used there."
+        )
+    return used, found, notes
+
+
+def _carried(table: PoseTable, rig: VehicleGeometry | None, source: HeadingSource) -> PoseTable:
+    """Rows carried to the grid origin."""
+    if rig is None:
+        return table
+    axle = LeverArm(0.0, axle_forward_m(rig), 0.0)
+    point = axle if source.kind == "smooth" else rig.antenna
+    east_m, north_m = carry_lever(table.east_m, table.north_m, table.heading_deg, point)
+    return table._replace(east_m=east_m, north_m=north_m, up_m=table.up_m - rig.antenna.up_m)
+
+
+def carry_lever(
+    antenna_e: Float64, antenna_n: Float64, heading: Float64, lever: LeverArm
+) -> tuple[Float64, Float64]:
+    """From a point of the vehicle to the grid origin: Eq. 3 of the lever arm, subtracted.
+
+    Where the heading is NaN the point's own position is kept; such a pose is rejected.
+    """
+    phi = np.radians(np.nan_to_num(heading))
+    known = ~np.isnan(heading)
+    east = antenna_e - known * (lever.right_m * np.cos(phi) + lever.forward_m * np.sin(phi))
+    north = antenna_n - known * (-lever.right_m * np.sin(phi) + lever.forward_m * np.cos(phi))
+    return east, north

@@ -1,0 +1,1 @@
+"""Poses of another program: brought to their place on Earth, and judged."""

@@ -1,0 +1,1 @@
+"""Sensors and declarations that a drive contradicts, one module a fault."""

@@ -1,0 +1,1 @@
+"""Clocks of camera and receiver: their offset, and its changes within a drive."""

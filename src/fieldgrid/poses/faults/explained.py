@@ -1,0 +1,222 @@
+"""Which of two mistakes explains that a gyro denies what was declared: the antenna's place ahead of
+the axle, or the stamps of the fixes.
+
+Both shift where the path turns against the gyro, and one step of the estimate takes the one for the
+other: a clock that is a second off is an antenna a metre farther back, to within centimetres. So
+either is put right, step by step, until nothing is left to add; what was wrong fits then, and the
+other does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.geometry import Rig, VehicleGeometry
+from fieldgrid.poses.axle import names_axle, with_antenna_moved
+from fieldgrid.poses.drive import DriveEstimate
+from fieldgrid.poses.faults.denied import (
+    LEAST_DELAY_S,
+    LEAST_LEVER_M,
+    DriveContradiction,
+    moving_places,
+    off_if_alone_m,
+)
+from fieldgrid.poses.fused import Fusion
+from fieldgrid.poses.smoother.declared import AHEAD, LATE, MOST_MISFIT, Constant, DeclaredCorrection
+
+MOST_STEPS = 8
+"""Clocks that are up to 3 s off are settled in three to six."""
+
+SETTLED_M, SETTLED_S = 0.005, 0.005
+FARTHEST_M, LATEST_S = 10.0, 10.0
+
+MOST_LEFT, RULED_OUT, CLEARLY_WORSE = 3.5, 5.0, 2.0
+"""What was wrong leaves no more sigmas than the first once it is put right, beside a gyro's scale
+that is wrong, too; the other of the two is ruled out where it leaves more than the second, or so
+many times as many with the scale as it is. Random drives (`benchmarks.late_fixes`) have 0.2 to 5
+left by the one, 3 to 80 by the other."""
+
+SLIGHT = 0.5
+"""A correction of at most this share of the least that is named is taken from one step: there a
+path hardly bends."""
+
+LEAST_MPS = 0.1
+"""A slower vehicle tells no clock from a place."""
+
+
+class Correction(NamedTuple):
+    """One of the two put right: by how much, how many sigmas are left, in all and beside a gyro's
+    scale that is wrong, too, and the drive then."""
+
+    value: Constant
+    misfit: float
+    left: float
+    drive: DriveEstimate | None
+
+    def rules_out(self, other: Correction) -> bool:
+        """Whether the drive fits this, and not the other, whatever the scale, or clearly better as
+        it is."""
+        worse = other.misfit > max(RULED_OUT, CLEARLY_WORSE * self.misfit)
+        return self.left < MOST_LEFT and (other.left > RULED_OUT or worse)
+
+
+UNTOLD = Correction(Constant(0.0, np.inf), np.inf, np.inf, None)
+
+
+class Explanation(NamedTuple):
+    """The antenna's place ahead of the axle put right, and instead of it the stamps."""
+
+    place: Correction
+    delay: Correction
+
+    @property
+    def left(self) -> float:
+        """How many sigmas are left by the one that explains more."""
+        return min(self.place.left, self.delay.left)
+
+    @property
+    def is_place(self) -> bool:
+        """Whether the place may be it."""
+        return not self.delay.rules_out(self.place)
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the stamps may be it."""
+        return not self.place.rules_out(self.delay)
+
+    def denies(self, drive: DriveEstimate, vehicle: VehicleGeometry | None) -> DriveContradiction:
+        """What that says of a vehicle and of stamps as they were declared, where one of them
+        explains all; how far positions are off at the nodes of a drive."""
+        moves = isinstance(vehicle, Rig)
+        by_place_m = abs(self.place.value.value) if moves and self.is_place else 0.0
+        by_stamps_s = self.delay.value.value if self.is_late else 0.0
+        ahead_m = self.place.value if by_place_m > LEAST_LEVER_M else None
+        late_s = self.delay.value if abs(by_stamps_s) > LEAST_DELAY_S else None
+        if not moves and self.is_place:
+            late_s = None  # it may as well be the place, which is not to be told here
+        # How far the vehicle is at each node from where it is by the gyro's clock, by which its
+        # fixes are late. Where it starts in between, that is farther than its speed tells.
+        later_ns = drive.time_ns + round(by_stamps_s * 1e9)
+        places = (drive.east_m, drive.north_m)
+        apart_m = np.hypot(*(np.interp(later_ns, drive.time_ns, one) - one for one in places))
+        off_m = np.maximum(by_place_m, np.maximum(apart_m, np.abs(by_stamps_s * drive.speed_mps)))
+        either = ahead_m is not None and late_s is not None
+        return DriveContradiction(None, ahead_m, late_s, off_m, either)
+
+
+def explained(
+    denied: DriveContradiction, found: Fusion, drive: DriveEstimate, vehicle: VehicleGeometry | None
+) -> DriveContradiction:
+    """What a gyro denies of a drive without a camera, by the mistake that explains it, or by
+    either. Where neither does, nothing is clearly denied, and positions stay as unsure. Positions
+    of a log alone are the antenna's, wherever on the `vehicle` that sits."""
+    declared = drive.smoothed.declared
+    by_gyro = drive.at.has_gyro() and not found.has_camera() and not drive.headings_recorded
+    if not by_gyro or declared.misfit_but_scale < MOST_MISFIT:
+        return denied
+    tried = _slight(declared, vehicle) or explanation(found._replace(drive=drive), vehicle)
+    if tried is None:
+        return denied
+    if tried.left > MOST_LEFT:
+        # Nothing ahead or late is denied, since neither explains the drive.
+        off_m = denied.off_m
+        if not names_axle(vehicle):
+            # A delay and the place ahead of an axle that nobody names cancel in one step.
+            places = moving_places(drive, vehicle)
+            off_m = off_if_alone_m(declared, vehicle, np.abs(drive.speed_mps), places)
+            off_m = np.hypot(off_m, 0.0 if denied.right_m is None else denied.right_m.value)
+        return denied._replace(ahead_m=None, late_s=None, off_m=off_m)
+    return tried.denies(drive, vehicle)
+
+
+def _slight(declared: DeclaredCorrection, vehicle: VehicleGeometry | None) -> Explanation | None:
+    """A small correction that explains a contradiction without another estimate; None where
+    nothing does, or what may be it is more than that."""
+    one_step = {LATE: (declared.late_s.sigma, LEAST_DELAY_S)}
+    if names_axle(vehicle):
+        one_step[AHEAD] = (declared.ahead_m.sigma, LEAST_LEVER_M)
+    found = {}
+    for k, (sigma, least) in one_step.items():
+        value, left = declared.alone[k], declared.left[k]
+        if left > MOST_LEFT:
+            continue
+        if abs(value) > SLIGHT * least:
+            return None
+        found[k] = Correction(Constant(value, sigma), left, left, None)
+    return Explanation(found.get(AHEAD, UNTOLD), found.get(LATE, UNTOLD)) if found else None
+
+
+def explanation(
+    found: Fusion,
+    vehicle: VehicleGeometry | None,
+    ahead_m: float | None = 0.0,
+    late_s: float | None = 0.0,
+) -> Explanation | None:
+    """What is left of a contradiction by a gyro once either is put right, the place beginning
+    `ahead_m`, the stamps `late_s`; what begins with None is not tried. None of a vehicle that
+    hardly moves."""
+    drive = found.drive
+    speed_mps = np.abs(drive.speed_mps)
+    usual_mps = float(np.median(speed_mps[drive.gear != 0])) if drive.gear.any() else 0.0
+    if usual_mps < LEAST_MPS:
+        return None
+    delay = UNTOLD if late_s is None else _delay(found, usual_mps, late_s)
+    # Where nobody says how far ahead of the axle the antenna sits, its place is free already.
+    free = not names_axle(vehicle)
+    place = UNTOLD if ahead_m is None or free else _place(found, ahead_m)
+    return Explanation(place, delay)
+
+
+def _place(found: Fusion, start_m: float) -> Correction:
+    """How much farther ahead the antenna sits, if that explains all."""
+
+    def moved(ahead_m: float) -> DriveEstimate:
+        return found.again(axle=with_antenna_moved(found.axle, ahead_m)).drive
+
+    first = moved(start_m) if start_m else found.drive
+    return _settled(first, start_m, moved, lambda one: one.ahead_m, (SETTLED_M, FARTHEST_M))
+
+
+def _delay(found: Fusion, usual_mps: float, start_s: float) -> Correction:
+    """How late the fixes are stamped, if that explains all."""
+    log = found.log
+
+    def stamped(late_s: float) -> DriveEstimate:
+        late_ns = round(late_s * 1e9)
+        earlier = log._replace(
+            fixes=log.fixes.replace(time_ns=log.fixes.time_ns - late_ns),
+            accepted=log.accepted._replace(time_ns=log.accepted.time_ns - late_ns),
+        )
+        return found.again(log=earlier).drive
+
+    def left_s(one: DeclaredCorrection) -> Constant:
+        # The step takes most of a delay for a place.
+        return Constant(one.late_s.value - one.ahead_m.value / usual_mps, one.late_s.sigma)
+
+    first = stamped(start_s) if start_s else found.drive
+    return _settled(first, start_s, stamped, left_s, (SETTLED_S, LATEST_S))
+
+
+def _settled(
+    drive: DriveEstimate,
+    total: float,
+    put_right: Callable[[float], DriveEstimate],
+    left: Callable[[DeclaredCorrection], Constant],
+    limits: tuple[float, float],
+) -> Correction:
+    """Put one of them right until there is nothing `left` to add, beginning with a drive that has a
+    `total`; infinitely many sigmas are left where that leads nowhere."""
+    least, most = limits
+    for _ in range(MOST_STEPS):
+        total += left(drive.smoothed.declared).value
+        if abs(total) > most:
+            return UNTOLD
+        drive = put_right(total)
+        if abs(left(drive.smoothed.declared).value) < least:
+            break
+    declared = drive.smoothed.declared
+    value = Constant(total, left(declared).sigma)
+    return Correction(value, declared.misfit, declared.misfit_but_scale, drive)

@@ -1,0 +1,1 @@
+"""Gyros that contradict the drive: scale, sense, a turned IMU, zeros."""

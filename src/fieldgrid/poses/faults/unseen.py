@@ -1,0 +1,179 @@
+"""What would not be seen if it were wrong, by the sensors that a drive has.
+
+Positions alone fit an antenna that sits elsewhere, stamps that are late and a receiver that drifts
+slowly as well as what was declared. Sigmas that covered all of this would be too large for every
+good drive; so these faults are named, and do not enter the sigmas. What does is the slow error
+that every receiver of a kind has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from enum import StrEnum
+
+import numpy as np
+
+from fieldgrid.core import Float64, Quality
+from fieldgrid.geometry import Rig, Trajectory, VehicleGeometry, least_sigma_m, position_sigma_m
+from fieldgrid.poses.accepted import AcceptedFixes
+from fieldgrid.poses.axle import names_axle
+from fieldgrid.poses.drive import DRIVING_MPS, DriveEstimate
+from fieldgrid.poses.external.georeference import Georeference
+from fieldgrid.poses.faults.denied import CLEAR_SIGMAS, FAR_M, sees_speed, sees_turns
+from fieldgrid.poses.smoother.declared import Constant
+from fieldgrid.poses.table import PoseTable
+
+FIXED_NEAR_S = 60.0
+"""A float solution so near in time to a fixed one is hardly worse than it states."""
+
+_CLEARLY, _VISIBLY_M, _LEAST_SHARE = 1.5, 0.02, 0.05
+"""Fixes whose sigmas are larger than stated by this factor and this distance are reported where
+they are at least this share. No map shows the half centimetre of RTK."""
+
+_NEARLY_ALL = 0.95
+"""What may be declared of all fixes is named where this share of them is of one quality."""
+
+SLOW_ERRORS = "A receiver's own figure does not contain its slow errors"
+"""How the note on such fixes begins."""
+
+ONE_WAY = 0.9
+"""A vehicle whose unit headings have a mean of this length heads one way: what is the same in its
+frame is then the same everywhere. Below, the scatter of the fixes beside given poses covers it by
+three sigmas."""
+
+
+class UnseenFault(StrEnum):
+    """A fault that moves poses, as the report names it."""
+
+    ANTENNA_ASIDE = "antenna aside"
+    ANTENNA_AHEAD = "antenna ahead"
+    LATE_STAMPS = "late stamps"
+    SLOW_DRIFT = "slow drift"
+
+
+_WORDS = {
+    UnseenFault.ANTENNA_ASIDE: "an antenna that sits farther left or right than declared",
+    UnseenFault.ANTENNA_AHEAD: "an antenna that sits farther ahead or back than declared",
+    UnseenFault.LATE_STAMPS: "fixes that are stamped late",
+    UnseenFault.SLOW_DRIFT: "a receiver that drifts slowly by more than it states",
+}
+
+
+def unseen_faults(
+    drive: DriveEstimate, vehicle: VehicleGeometry | None, *, drift_shown: bool
+) -> tuple[UnseenFault, ...]:
+    """The faults that this drive would not show, of a vehicle as it was declared.
+
+    Of a log alone positions are those of its antenna in its own clock, so that neither can be
+    wrong; and where nobody says where the axle is, no place ahead of it is either. `drift_shown`
+    is whether it would show a drift.
+    """
+    told, placed = drive.smoothed.declared, isinstance(vehicle, Rig)
+    turns, speed = sees_turns(drive), sees_speed(drive)
+    turned = turns or (names_axle(vehicle) and drive.headings_recorded)
+    moving = np.abs(drive.speed_mps)[np.abs(drive.speed_mps) > DRIVING_MPS]
+    usual_mps = float(np.median(moving)) if len(moving) else 0.0
+    hidden = {
+        UnseenFault.ANTENNA_ASIDE: placed and not (turned and speed and _is_told(told.right_m)),
+        UnseenFault.ANTENNA_AHEAD: placed
+        and names_axle(vehicle)
+        and not (turned and _is_told(told.ahead_m)),
+        # Only turns show stamps that are late beside a gyro's or a camera's: what moves the antenna
+        # ahead shows there, too.
+        UnseenFault.LATE_STAMPS: placed
+        and not (turns and _is_told(told.ahead_m) and _is_told(told.late_s, usual_mps)),
+        UnseenFault.SLOW_DRIFT: not drift_shown,
+    }
+    return tuple(fault for fault, unseen in hidden.items() if unseen)
+
+
+def unseen_of_given(
+    track: Trajectory, frame: Georeference, vehicle: VehicleGeometry | None
+) -> tuple[UnseenFault, ...]:
+    """The faults that poses of another program would not show, where they lie by the fixes.
+
+    What changes along the drive is scatter of the fixes beside the poses, which their sigmas
+    contain; a steady drift passes for a turn of the frame, and what is the same in the vehicle for
+    a shift of it, where the vehicle heads one way. A declared frame is not moved by the fixes.
+    """
+    if frame.by == "declared":
+        return ()
+    heading_rad = np.radians(track.heading_deg[np.isfinite(track.heading_deg)])
+    one_way = abs(np.mean(np.exp(1j * heading_rad))) > ONE_WAY
+    if not (one_way and isinstance(vehicle, Rig)):
+        return (UnseenFault.SLOW_DRIFT,)
+    ahead = (UnseenFault.ANTENNA_AHEAD,) if names_axle(vehicle) else ()
+    return (UnseenFault.ANTENNA_ASIDE, *ahead, UnseenFault.LATE_STAMPS, UnseenFault.SLOW_DRIFT)
+
+
+def _is_told(one: Constant, per_unit_m: float = 1.0) -> bool:
+    """Whether a drive denies what is off by less than :data:`FAR_M`."""
+    return CLEAR_SIGMAS * one.sigma * per_unit_m < FAR_M
+
+
+def unseen_sentence(faults: Sequence[UnseenFault]) -> str:
+    """What the faults that a drive would not show mean for its sigmas, for people."""
+    *others, last = (_WORDS[fault] for fault in faults)
+    named = f"{', '.join(others)} or {last}" if others else last
+    return f"This drive would not show {named}; no sigma covers that."
+
+
+def unsure_receiver(table: PoseTable, fixes: AcceptedFixes) -> PoseTable:
+    """The poses, their positions as unsure as if the receiver had stated at least
+    `least_sigma_m`. Neighbours share it.
+
+    The missing variance is added, and is linear in time from one fix to the next: in a gap the
+    estimate passes from the error of one end to that of the other, and what it drifts itself is
+    not the receiver's.
+    """
+    first_ns = fixes.time_ns[0]
+    at_ns, fix_ns = table.time_ns - first_ns, fixes.time_ns - first_ns
+    missing_m2 = np.interp(at_ns, fix_ns, _missing_m2(fixes))
+    return table._replace(position_sigma_m=np.sqrt(table.position_sigma_m**2 + missing_m2))
+
+
+def unsure_fit_m(fixes: AcceptedFixes) -> float:
+    """By how much a rigid fit to fixes is less sure along one axis, metres, than these state: they
+    weigh in it by what they state."""
+    return float(np.sqrt(np.average(_missing_m2(fixes), weights=1.0 / fixes.sigma_m**2)))
+
+
+def unsure_notes(fixes: AcceptedFixes) -> Iterator[str]:
+    """What the report says of fixes that count as much less sure than stated."""
+    least_m, believed_m = _least_m(fixes), _believed_m(fixes)
+    raised = (least_m > _CLEARLY * believed_m) & (least_m > believed_m + _VISIBLY_M)
+    for quality in map(Quality, np.unique(fixes.quality[raised])):
+        these = raised & (fixes.quality == quality)
+        if np.mean(these) < _LEAST_SHARE:
+            continue
+        stated_m, counts_m = np.median([fixes.stated_m[these], least_m[these]], axis=1)
+        # A declared accuracy is that of all fixes: it would spoil the others of a mixed log.
+        alone = np.mean(fixes.quality == quality) >= _NEARLY_ALL
+        remedy = "; if yours is known to be surer, as with PPP, give --accuracy METRES"
+        yield (
+            f"{SLOW_ERRORS}: {int(these.sum())} {quality.label} fixes state {stated_m:.3g} m in "
+            f"the median and count as {counts_m:.3g} m{remedy if alone else ''}."
+        )
+
+
+def _missing_m2(fixes: AcceptedFixes) -> Float64:
+    """The variance along one axis, square metres [n], that the fixes do not state."""
+    return np.maximum(_least_m(fixes) ** 2 - _believed_m(fixes) ** 2, 0.0)
+
+
+def _believed_m(fixes: AcceptedFixes) -> Float64:
+    """What the receiver states, as far as it is believed. What seams and few digits add to it are
+    other errors."""
+    return position_sigma_m(fixes.quality, fixes.stated_m)
+
+
+def _least_m(fixes: AcceptedFixes) -> Float64:
+    """The least error along one axis, metres [n]. Float positions near fixed ones are believed:
+    those vouch for them."""
+    # Which fixes [n] come within :data:`FIXED_NEAR_S` of a fixed solution.
+    fixed_ns = fixes.time_ns[fixes.quality == Quality.RTK_FIXED]
+    near_ns = round(FIXED_NEAR_S * 1e9)
+    first = np.searchsorted(fixed_ns, fixes.time_ns - near_ns)
+    stop = np.searchsorted(fixed_ns, fixes.time_ns + near_ns, side="right")
+    vouched = (fixes.quality == Quality.RTK_FLOAT) & (stop > first)
+    return np.where(vouched, 0.0, least_sigma_m(fixes.quality))

@@ -1,0 +1,377 @@
+"""One batch estimate of everything that was measured, after what each sensor says of the others.
+
+A batch estimate is made first, and again whenever it shows that a fix, the gyro, the axle or the
+attitude is not what was assumed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fieldgrid.core import Bool, Float64, GnssError, Int64, PoseSettings
+from fieldgrid.geometry import (
+    Datum,
+    FixColumns,
+    Gyro,
+    Motion,
+    Steps,
+    VehicleGeometry,
+    WheelSpeed,
+    nose_heading_deg,
+)
+from fieldgrid.poses.accepted import AcceptedFixes, accepted_fixes, datum_of, no_fix_sentence
+from fieldgrid.poses.attitude.axes import AxisTilt, axes_of_fixes
+from fieldgrid.poses.axle import Axle, axle_by_gyro, axle_of
+from fieldgrid.poses.drive import DriveEstimate, smooth_drive
+from fieldgrid.poses.faults.convention import Comparison, compare, turned_around
+from fieldgrid.poses.faults.gyro.check import GyroVerdict, with_trusted_gyro, without_wrong_gyro
+from fieldgrid.poses.faults.gyro.dead_gyro import without_dead_gyro, without_faulty_samples
+from fieldgrid.poses.faults.gyro.imu_turn import ImuTurn, imu_turn
+from fieldgrid.poses.faults.leaps.leaps import holes
+from fieldgrid.poses.faults.leaps.recorded import recorded_leaps
+from fieldgrid.poses.faults.leaps.seams import LEAST_M, SeenLeap
+from fieldgrid.poses.faults.leaps.seen import seen_leaps
+from fieldgrid.poses.faults.stray import MOST_ROUNDS, stray_fixes
+from fieldgrid.poses.gates.conditioning import condition
+from fieldgrid.poses.gates.counted_twice import counted_twice
+from fieldgrid.poses.gears.stations import GearHints, gear_hints
+from fieldgrid.poses.levelled import (
+    DENIED_IMU,
+    Lean,
+    find_lean,
+    levelled_fixes,
+    levelled_motion,
+    measures_tilt,
+)
+from fieldgrid.poses.measured import turn_back, wheel_speed_at
+from fieldgrid.poses.table import ConditionedLog
+
+# Wheels whose sign is turned round: they say that a vehicle backs up while it drives forward.
+
+
+FEWEST_STEPS, LEAST_STEP_M = 8, 0.3
+"""How many steps of the camera tell the sense of the wheels, each at least so long."""
+
+TURNED_SHARE = 0.8
+"""Share of the steps told by wheels and camera that go the other way when a sign is turned."""
+
+BACKING_SHARE, LEAST_WAY_M = 0.8, 50.0
+"""Without a camera: hardly any vehicle backs up over this share of a drive of at least this
+length."""
+
+
+def with_right_wheels(motion: Motion) -> tuple[Motion, str | None]:
+    """The motion with the wheels as the camera has them, and a sentence where their sign is, or
+    may be, turned round; None otherwise."""
+    wheels, steps = motion.wheels, motion.steps
+    if wheels is None or not turn_back(wheels):
+        return motion, None
+    other_way, told = (0, 0) if steps is None else _other_way(wheels, steps)
+    if told >= FEWEST_STEPS:
+        if other_way < TURNED_SHARE * told:
+            return motion, None
+        turned = wheels._replace(speed_mps=-wheels.speed_mps)
+        return motion._replace(wheels=turned), (
+            f"The wheels go the other way than the camera in {other_way} of {told} steps: the sign "
+            "of their speed was turned round. Correct it where it is recorded."
+        )
+    way_m = wheels.speed_mps[:-1] * np.diff(wheels.time_ns) / 1e9
+    whole_m, back_m = float(np.nansum(np.abs(way_m))), float(-np.nansum(np.minimum(way_m, 0.0)))
+    if whole_m < LEAST_WAY_M or back_m < BACKING_SHARE * whole_m:
+        return motion, None
+    return motion, (
+        f"By its wheels the vehicle backs up over {back_m:.0f} of {whole_m:.0f} m. If it drives "
+        "forward, the sign of their speed is turned round, and headings with it: correct it where "
+        "it is recorded."
+    )
+
+
+def _other_way(wheels: WheelSpeed, steps: Steps) -> tuple[int, int]:
+    """How many steps the wheels take the other way than the camera, and how many both tell."""
+    inside = [steps.start_ns + (steps.stop_ns - steps.start_ns) * k // 4 for k in (1, 2, 3)]
+    speeds = np.stack([wheel_speed_at(at_ns, wheels) for at_ns in inside])
+    one_way = (speeds > 0.0).all(axis=0) | (speeds < 0.0).all(axis=0)
+    told = one_way & (np.abs(steps.forward_m) > LEAST_STEP_M)
+    other_way = told & (speeds[0] * steps.forward_m < 0.0)
+    return int(other_way.sum()), int(told.sum())
+
+
+# Leaps of a receiver's solution that the estimate of the whole drive denies.
+#
+# Multipath moves a solution by a metre from one fix to the next, for some seconds. Where a vehicle
+# could have driven that far, no gate sees it. But the estimate goes on as vehicles do, through the
+# fixes on both sides, so that the step stands out in what the fixes differ from it.
+
+
+CLEAR_SIGMAS, STATED_SIGMAS = 10.0, 3.0
+"""Least size of a leap in sigmas of the steps of this drive, and in sigmas that fixes state."""
+
+ALONE_SHARE = 0.5
+"""The steps beside a leap differ from the estimate by no more than this share of it: what is spread
+over several steps is rather an error of the estimate, of a gear say."""
+
+SIZE_SHARE = 0.1
+"""The size of a leap is known to this share: the estimate is drawn over to it."""
+
+FEWEST_STEPS = 20
+"""Of fewer steps it is not known what is usual."""
+
+NORMAL_MAD = 1.4826
+LEAST_SIGMA_M = 1e-3
+
+
+def denied_leaps(fixes: AcceptedFixes, drive: DriveEstimate) -> tuple[SeenLeap, ...]:
+    """Where the step from one accepted fix to the next is far from that of the drive's estimate,
+    and those beside it are not."""
+    if len(fixes.time_ns) < FEWEST_STEPS:
+        return ()
+    phi = np.radians(drive.heading_deg[np.flatnonzero(drive.fix >= 0)])[1:]
+    east, north = -np.diff(drive.offset_m, axis=0).T
+    off_m = np.stack(
+        [east * np.sin(phi) + north * np.cos(phi), east * np.cos(phi) - north * np.sin(phi)]
+    )
+    hole = holes(np.diff(fixes.time_ns) / 1e9)
+    if np.count_nonzero(~hole) < FEWEST_STEPS:
+        return ()
+    # Along the path steps differ by the stamps, too.
+    usual_m = np.maximum(NORMAL_MAD * np.median(np.abs(off_m[:, ~hole]), axis=1), LEAST_SIGMA_M)
+    size_m = np.hypot(*off_m)
+    stated_m = np.hypot(fixes.sigma_m[1:], fixes.sigma_m[:-1])
+    large = np.hypot(*(off_m / usual_m[:, None])) > CLEAR_SIGMAS
+    large &= (size_m > np.maximum(LEAST_M, STATED_SIGMAS * stated_m)) & ~hole
+    beside_m = np.pad(size_m, 1)
+    large &= np.maximum(beside_m[:-2], beside_m[2:]) < ALONE_SHARE * size_m
+    drawn_m = np.pad(np.stack([east, north]), ((0, 0), (1, 1)))
+    leap_m = np.stack([east, north]) - (drawn_m[:, :-2] + drawn_m[:, 2:]) / 2.0
+    noise_m = float(np.hypot(*usual_m))
+    return tuple(
+        SeenLeap(
+            int(fixes.time_ns[k + 1]),
+            float(leap_m[0, k]),
+            float(leap_m[1, k]),
+            float(np.hypot(noise_m, SIZE_SHARE * size_m[k])),
+        )
+        for k in np.flatnonzero(large).tolist()
+    )
+
+
+class Fusion(NamedTuple):
+    """A drive, and what it was estimated from: fixes and motion, of a vehicle that stands level
+    where `lean` tells its attitude; its axle, and the gears that are known. `gyro` is the one that
+    was recorded, used or not, `trusted` what became of it, and `gyro_note` says why it was changed
+    or left out. `imu_turn` is how an IMU is turned about the vertical against what was declared.
+    `notes` say which other sensors were changed or left out."""
+
+    log: ConditionedLog
+    drive: DriveEstimate
+    motion: Motion
+    axle: Axle
+    hints: GearHints
+    gyro: Gyro | None
+    trusted: GyroVerdict
+    lean: Lean | None = None
+    imu_turn: ImuTurn | None = None
+    gyro_note: str | None = None
+    notes: tuple[str, ...] = ()
+
+    def again(self, **changes: Any) -> Fusion:
+        """The drive estimated again, with other fixes, motion or axle."""
+        new = self._replace(**changes)
+        fixes, at_ns = new.log.accepted, new.log.fixes.time_ns
+        return new._replace(drive=smooth_drive(fixes, at_ns, new.motion, new.axle, hints=new.hints))
+
+    def has_camera(self) -> bool:
+        """Whether a camera saw the vehicle move."""
+        return self.motion.steps is not None and len(self.motion.steps.start_ns) > 0
+
+    def recorded_deg(self) -> Float64:
+        """Headings of the nose that were recorded with the accepted fixes, by what is declared,
+        degrees [fixes], NaN where there is none."""
+        recorded, rig = self.log.accepted.recorded_deg, self.axle.vehicle
+        return recorded if rig is None else nose_heading_deg(rig, recorded)
+
+    def compared(self) -> Comparison | None:
+        """Recorded headings beside those of the drive; None where too little is sure."""
+        return compare(*self._headings(), self.drive.gear[self.drive.fix >= 0])
+
+    def turned_around(self, found: Comparison) -> Bool:
+        """At which accepted fixes the recorded heading is the other way round than it was found
+        to be."""
+        return turned_around(found, *self._headings())
+
+    def _headings(self) -> tuple[Float64, Float64, Float64]:
+        """Recorded headings, those of the drive, and the sigmas of these, [fixes]."""
+        drive = self.drive
+        at = drive.fix >= 0
+        # Nodes stand in the order of the accepted fixes. An unsure axle, which shifts headings one
+        # way in left and the other way in right turns, hides no convention.
+        sigma_deg = np.degrees(drive.smoothed.heading_sigma_rad[at])
+        return self.recorded_deg(), drive.heading_deg[at], sigma_deg
+
+
+def fuse(
+    log: ConditionedLog,
+    rig: VehicleGeometry | None,
+    motion: Motion,
+    settings: PoseSettings,
+    frame_ns: Int64 | None,
+) -> Fusion:
+    """One estimate of a drive from its fixes and all that its sensors say of its motion.
+
+    A first estimate shows which fixes are strays, whether the gyro fits, where the axle is and how
+    the vehicle leans (best at `frame_ns`); whatever was assumed otherwise is estimated again.
+    """
+    motion, faulty_gyro = without_faulty_samples(motion)
+    motion, dead_gyro = without_dead_gyro(log.accepted, motion)
+    motion, turned_wheels = with_right_wheels(motion)
+    gyro = motion.gyro
+    motion, wrong_gyro = without_wrong_gyro(log.accepted, motion)
+    axle, hints = axle_of(rig, motion.steps), gear_hints(settings)
+    drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
+    # Fixes that leave the drive at once and come back.
+    strays: dict[int, str] = {}
+    for _ in range(MOST_ROUNDS):
+        if not (more := stray_fixes(drive, log)):
+            break
+        strays |= more
+        log = conditioned_again(log, settings, strays)
+        drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
+    # A gyro that contradicts the drive; of one that fits, where an undeclared axle is.
+    trusted = _with_trusted_gyro(drive, log, motion, axle, hints, frame_ns)
+    notes = (counted_twice_note(log), faulty_gyro, dead_gyro, turned_wheels)
+    found = Fusion(
+        *(log, trusted.drive, trusted.motion, axle, hints, gyro, trusted),
+        imu_turn=imu_turn(trusted.motion.steps, trusted.motion.inertial),
+        gyro_note=wrong_gyro or trusted.note,
+        notes=tuple(note for note in notes if note is not None),
+    )
+    if found.drive.at.has_gyro():
+        told = axle_by_gyro(axle, found.drive.smoothed.declared.ahead_m)
+        if told != axle:
+            found = found.again(axle=told)
+    # The same of a vehicle that stands level, once its headings have told how it leans.
+    rig = found.axle.vehicle
+    axes = _stated_axes(found, settings)
+    lean, unused = find_lean(log.accepted, found.drive, found.motion, rig, frame_ns, axes)
+    found = found._replace(notes=(*found.notes, *unused))
+    if lean is not None:
+        level = log._replace(accepted=levelled_fixes(log.accepted, lean))
+        found = found.again(log=level, motion=levelled_motion(found.motion, lean), lean=lean)
+    # A solution that goes on elsewhere, as the camera sees or the estimate itself.
+    steps = found.motion.steps
+    seen = {leap.time_ns: leap for leap in denied_leaps(found.log.accepted, found.drive)}
+    if (offset_deg := _heading_offset_deg(found, settings)) is not None:
+        nose_deg, (_, ahead_m) = found.recorded_deg() - offset_deg, found.axle.frame()[0]
+        by_heading = recorded_leaps(found.log.accepted, nose_deg, ahead_m)
+        seen |= {leap.time_ns: leap for leap in by_heading}
+    if rig is not None:
+        by_camera = seen_leaps(found.log.accepted, found.drive, steps, rig.antenna)
+        seen |= {leap.time_ns: leap for leap in by_camera}
+    if seen:
+        leaps = [seen[time_ns] for time_ns in sorted(seen)]
+        unsure = accepted_fixes(log.fixes, log.verdicts, log.datum, leaps)
+        if lean is not None:
+            unsure = levelled_fixes(unsure, lean)
+        found = found.again(log=log._replace(accepted=unsure))
+    return found
+
+
+def counted_twice_note(log: ConditionedLog) -> str | None:
+    """That the log counts some seconds twice, and what it means."""
+    if not log.spans:
+        return None
+    seconds, rows = (sum(span[k] for span in log.spans) for k in (1, 2))
+    first_s = (log.spans[0].start_ns - int(log.fixes.time_ns[0])) / 1e9
+    often = "" if len(log.spans) == 1 else f", {len(log.spans)} times"
+    return (
+        f"The log counts {seconds:.1f} s twice, at two places{often} (first {first_s:.0f} s after "
+        f"its start): its clock was set back, or logs were joined. These {rows} fixes were not "
+        "used; where there are images or a gyro, cut the log there and use the part of their clock."
+    )
+
+
+def _with_trusted_gyro(
+    drive: DriveEstimate,
+    log: ConditionedLog,
+    motion: Motion,
+    axle: Axle,
+    hints: GearHints,
+    frame_ns: Int64 | None,
+) -> GyroVerdict:
+    """The drive with a gyro that fits. On hills antenna and gyro lean with the vehicle, so that
+    good ones do not fit each other: what seems wrong counts only if it does on a vehicle that is
+    levelled by this very IMU, too."""
+    at_ns = log.fixes.time_ns
+    trusted = with_trusted_gyro(drive, log.accepted, at_ns, motion, axle, hints)
+    if trusted.note is None or not measures_tilt(motion):
+        return trusted
+    lean, notes = find_lean(log.accepted, drive, motion, axle.vehicle, frame_ns)
+    if lean is None and trusted.motion.inertial is None:
+        # Nothing looks at this IMU again.
+        why = [note for note in notes if note.startswith(DENIED_IMU)]
+        return trusted._replace(note=" ".join([trusted.note, *why]))
+    if lean is None:
+        return trusted
+    fixes, level = levelled_fixes(log.accepted, lean), levelled_motion(motion, lean)
+    again = smooth_drive(fixes, at_ns, level, axle, hints=hints)
+    if with_trusted_gyro(again, fixes, at_ns, level, axle, hints).note is not None:
+        return trusted
+    return GyroVerdict(again, motion, np.zeros(len(again.time_ns)))
+
+
+def _stated_axes(found: Fusion, settings: PoseSettings) -> tuple[AxisTilt, ...]:
+    """The axes whose rise the receiver states beside its heading. Where they point is what the
+    heading shows: none, where it is none of the vehicle or was not compared with the drive."""
+    offset_deg = _heading_offset_deg(found, settings)
+    if offset_deg is None:
+        return ()
+    rig = found.axle.vehicle
+    declared_deg = (rig and rig.heading_offset_deg) or 0.0
+    return axes_of_fixes(found.log.fixes[found.log.verdicts.ok], declared_deg + offset_deg)
+
+
+def _heading_offset_deg(found: Fusion, settings: PoseSettings) -> float | None:
+    """What recorded headings have more than the nose; None where they are none of the vehicle or
+    were not compared with the drive."""
+    heading = found.compared()
+    if (
+        heading is None
+        or heading.course
+        or heading.flips
+        or heading.is_denied(settings.max_heading_offset_deg)
+    ):
+        return None
+    return heading.offset_deg
+
+
+def conditioned(
+    fixes: FixColumns, settings: PoseSettings, datum: Datum | None = None
+) -> ConditionedLog:
+    """Fixes in order of time with what the settings declare of them, judged, and the accepted
+    ones in the plane. Raises GnssError when none can be used."""
+    twice, spans = counted_twice(fixes)
+    twice = twice[np.argsort(fixes.time_ns, kind="stable")]
+    fixes = fixes.in_order()
+    if settings.quality is not None:
+        fixes = fixes.replace(quality=np.full(len(fixes), settings.quality, dtype=np.int64))
+    if settings.accuracy_m is not None:
+        fixes = fixes.replace(sigma_m=np.full(len(fixes), settings.accuracy_m))
+    verdicts = condition(fixes, settings.gnss, twice=twice)
+    if not verdicts.ok.any():
+        raise GnssError(no_fix_sentence(fixes, verdicts))
+    datum = datum or datum_of(fixes, verdicts)
+    accepted = accepted_fixes(fixes, verdicts, datum)
+    return ConditionedLog(fixes, verdicts, datum, accepted, twice, spans)
+
+
+def conditioned_again(
+    log: ConditionedLog, settings: PoseSettings, strays: Mapping[int, str]
+) -> ConditionedLog:
+    """The log judged again without the fixes `strays`, as in `condition`."""
+    verdicts = condition(log.fixes, settings.gnss, strays, log.twice)
+    if not verdicts.ok.any():
+        raise GnssError(no_fix_sentence(log.fixes, verdicts))
+    return log._replace(verdicts=verdicts, accepted=accepted_fixes(log.fixes, verdicts, log.datum))

@@ -1,0 +1,367 @@
+"""A verdict on every fix: which are fit to map with, and why the others are not.
+
+The gates are physical. A receiver's own confidence widens them at most; a jump with a confident
+covariance is still a jump. A fix is asked in this order: its place, what the receiver says of it,
+its time, whether it is one at all or a repeat, and whether a vehicle drove there, up and along.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+from types import MappingProxyType
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from fieldgrid.core import CARRIER, CODE, Bool, Float64, GateLimits, Index, Int64, Quality
+from fieldgrid.geometry import NOT_SAID, Datum, FixColumns
+from fieldgrid.poses.gates.motion_gate import (
+    MotionEnvelope,
+    Transition,
+    follow,
+    motion_envelope,
+    transition,
+)
+from fieldgrid.poses.gates.repeats import held_ns
+from fieldgrid.poses.gates.verdict import DEFAULT_LIMITS, Gate, Verdicts
+
+# Heights that run away: the sign of a solution that has come apart while it looks smooth.
+#
+# An inertial receiver without satellites drifts on evenly. No jump and no covariance need give it
+# away, but it soon climbs or sinks as nothing on wheels can.
+
+
+HALF_WINDOW_S = 2.5
+"""Rates of climb are taken over twice this."""
+
+SPIKE_S = 1.0
+"""A height that is off for less than half of this is a spike, and no climb."""
+
+SPOILT_S = 10.0
+"""How long before and after a climb the solution is not trusted either."""
+
+VALUES_AT_ONCE = 1 << 16
+"""As many are sorted together: windows are copied for it."""
+
+MOST_APART = 0.5
+"""Of a solution that climbs as nothing on wheels can in more of its fixes, none is trusted."""
+
+
+def climb_mps(time_ns: Int64, height_m: Float64) -> Float64:
+    """Rate of climb at each of n fixes ordered by time, m/s; 0 where too few are near."""
+    if len(time_ns) < 3:
+        return np.zeros(len(time_ns))
+    time_s = (time_ns - time_ns[0]) / 1e9
+    step_s = max(float(np.median(np.diff(time_s))), 1e-3)
+    size = 2 * int(SPIKE_S / step_s / 2.0) + 1
+    smooth_m = running_median(height_m, max(size, 3))
+    first = np.searchsorted(time_s, time_s - HALF_WINDOW_S)
+    last = np.searchsorted(time_s, time_s + HALF_WINDOW_S, side="right") - 1
+    span_s = time_s[last] - time_s[first]
+    rise_m = smooth_m[last] - smooth_m[first]
+    return np.where(span_s >= HALF_WINDOW_S, rise_m / np.maximum(span_s, 1e-3), 0.0)
+
+
+def running_median(values: Float64, size: int) -> Float64:
+    """The median of `size` values, an odd number, around each of n; the first and the last one
+    stand for those beyond them. SciPy's takes a tenth of a second to import."""
+    half = size // 2
+    windows = sliding_window_view(np.pad(values, half, mode="edge"), size)
+    medians, step = np.empty(len(values)), max(VALUES_AT_ONCE // size, 1)
+    for first in range(0, len(values), step):
+        part = slice(first, first + step)
+        medians[part] = np.partition(windows[part], half, axis=1)[:, half]
+    return medians
+
+
+def has_come_apart(climbing: Bool) -> bool:
+    """Whether most fixes of a solution climb as no vehicle does."""
+    return int(climbing.sum()) > MOST_APART * len(climbing)
+
+
+def spoilt(time_ns: Int64, climbing: Bool) -> Bool:
+    """Which of n fixes lie in or near a climb that no vehicle makes: all, where most climb so."""
+    at = time_ns[climbing]
+    if at.size == 0 or has_come_apart(climbing):
+        return np.full(len(time_ns), at.size > 0)
+    reach_ns = int(SPOILT_S * 1e9)
+    near = np.searchsorted(at, time_ns + reach_ns, side="right") - np.searchsorted(
+        at, time_ns - reach_ns
+    )
+    return np.asarray(near > 0)
+
+
+_LAST_NS = 2**62  # differences of such times still fit into 64 bits
+NO_STRAYS: Mapping[int, str] = MappingProxyType({})
+COUNTED_TWICE = "the log counts its time twice, at two places"
+_LOWEST_M, _HIGHEST_M = -1000.0, 10_000.0
+
+
+def condition(
+    fixes: FixColumns,
+    limits: GateLimits = DEFAULT_LIMITS,
+    strays: Mapping[int, str] = NO_STRAYS,
+    twice: Bool | None = None,
+) -> Verdicts:
+    """The verdicts on fixes, in their order. Accepted fixes increase strictly in time.
+
+    The whole drive is judged at once, so a fix may be rejected for what came after it. Where the
+    solution has moved, the fix from which it is followed is accepted with a reason: the seam.
+    `strays` are rows that an estimate of the drive denies, with the reason of each: the others are
+    judged without them, and without those whose seconds the log counts `twice`.
+    """
+    log = _Judged(fixes, limits)
+    _check_place(log)
+    _check_receiver(log)
+    if twice is not None:
+        log.reject_all(twice, Gate.CLOCK, lambda _: COUNTED_TWICE)
+    _check_time(log)
+    _check_repeats(log)
+    _check_climb(log)
+    for row, reason in strays.items():
+        if log.ok[row]:
+            log.reject(row, Gate.STRAY, reason)
+    _check_motion(log)
+    return Verdicts(log.ok, tuple(log.gate), tuple(log.reason))
+
+
+class _Judged:
+    """The fixes of a log with the verdicts as far as they are known."""
+
+    def __init__(self, fixes: FixColumns, limits: GateLimits) -> None:
+        self.fixes, self.limits = fixes, limits
+        self.ok = np.ones(len(fixes), dtype=np.bool_)
+        self.gate = [Gate.NONE] * len(fixes)
+        self.reason = [""] * len(fixes)
+
+    def rows(self) -> Index:
+        """The rows that no gate has rejected yet."""
+        return np.flatnonzero(self.ok)
+
+    def reject(self, row: int, gate: Gate, reason: str) -> None:
+        self.ok[row], self.gate[row], self.reason[row] = False, gate, reason
+
+    def reject_all(self, failed: Bool, gate: Gate, reason: Callable[[int], str]) -> None:
+        """Reject those of the rows that fail and have not been rejected yet."""
+        for row in np.flatnonzero(failed & self.ok).tolist():
+            self.reject(row, gate, reason(row))
+
+
+# --- what a fix says of itself
+
+
+def _check_place(log: _Judged) -> None:
+    """Places and times that cannot be those of a vehicle."""
+    lat, lon, height = log.fixes.lat_deg, log.fixes.lon_deg, log.fixes.height_m
+    log.reject_all(
+        ~(np.isfinite(lat) & np.isfinite(lon) & np.isfinite(height)),
+        Gate.PLACE,
+        lambda k: (
+            f"latitude {lat[k]}, longitude {lon[k]}, height {height[k]} m are not all numbers"
+        ),
+    )
+    log.reject_all(
+        ~((np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0)),
+        Gate.PLACE,
+        lambda k: f"latitude {lat[k]:.6f}, longitude {lon[k]:.6f} are not on Earth",
+    )
+    log.reject_all(
+        ~((height >= _LOWEST_M) & (height <= _HIGHEST_M)),
+        Gate.PLACE,
+        lambda k: f"height {height[k]:.1f} m is outside {_LOWEST_M:.0f}..{_HIGHEST_M:.0f} m",
+    )
+    log.reject_all(
+        (lat == 0.0) & (lon == 0.0),
+        Gate.PLACE,
+        lambda _: "latitude 0, longitude 0 is what a receiver writes without a position",
+    )
+    time_ns = log.fixes.time_ns
+    log.reject_all(
+        (time_ns >= _LAST_NS) | (time_ns <= -_LAST_NS),
+        Gate.TIME,
+        lambda k: f"time {time_ns[k]} ns is in no year from 1824 to 2116",
+    )
+
+
+def _check_receiver(log: _Judged) -> None:
+    """Fixes that are unfit by what the receiver itself says."""
+    fixes, limits = log.fixes, log.limits
+    quality, satellites, hdop, age_s = fixes.quality, fixes.satellites, fixes.hdop, fixes.age_s
+
+    def named(k: int) -> str:
+        one = Quality(int(quality[k]))
+        code = "" if one is Quality.UNKNOWN else f" {one:d}"
+        return f"quality{code} ({one.label}) is not allowed"
+
+    log.reject_all(~np.isin(quality, list(limits.allowed_quality)), Gate.QUALITY, named)
+    log.reject_all(
+        (satellites != NOT_SAID) & (satellites < limits.min_satellites),
+        Gate.SATELLITES,
+        lambda k: f"{satellites[k]} satellites < {limits.min_satellites}",
+    )
+    log.reject_all(
+        hdop > limits.max_hdop, Gate.HDOP, lambda k: f"HDOP {hdop[k]:g} > {limits.max_hdop:g}"
+    )
+    # A receiver may still write the age of a correction that it does not use.
+    most_s = np.full(len(fixes), np.inf)
+    most_s[np.isin(quality, list(CARRIER))] = limits.max_age_s
+    most_s[np.isin(quality, list(CODE))] = limits.max_code_age_s
+    log.reject_all(
+        age_s > most_s,
+        Gate.AGE,
+        lambda k: f"differential age {age_s[k]:g} s > {most_s[k]:g} s",
+    )
+
+
+# --- when it was taken
+
+
+def _check_time(log: _Judged) -> None:
+    """As few as possible are rejected for the time not to go back: one stamp far in the future
+    condemns itself, not all that follow it."""
+    rows = log.rows()
+    time_ns = log.fixes.time_ns[rows].tolist()
+    kept = _longest_rising(time_ns)
+    for k in np.setdiff1d(np.arange(len(rows)), kept).tolist():
+        after = int(np.searchsorted(kept, k))
+        before_ns = time_ns[kept[after - 1]] if after else None
+        if before_ns is not None and time_ns[k] < before_ns:
+            reason = f"time is {(before_ns - time_ns[k]) / 1e9:g} s before the last accepted fix"
+        else:
+            late_s = (time_ns[k] - time_ns[kept[after]]) / 1e9
+            reason = f"time is {late_s:g} s after that of the next fix"
+        log.reject(int(rows[k]), Gate.TIME, reason)
+
+
+def _longest_rising(values: Sequence[int]) -> Index:
+    """Indices of the longest subsequence that never falls."""
+    if all(a <= b for a, b in pairwise(values)):
+        return np.arange(len(values))
+    # Of the subsequences of each length the one that ends lowest: its last value, and where.
+    least_end: list[int] = []
+    ends_at: list[int] = []
+    before: list[int] = []
+    for k, value in enumerate(values):
+        length = bisect_right(least_end, value)
+        before.append(ends_at[length - 1] if length else -1)
+        least_end[length : length + 1] = [value]
+        ends_at[length : length + 1] = [k]
+    found = []
+    k = ends_at[-1]
+    while k >= 0:
+        found.append(k)
+        k = before[k]
+    return np.array(found[::-1], dtype=np.intp)
+
+
+def _check_repeats(log: _Judged) -> None:
+    """Rows that are no positions of their own."""
+    rows = log.rows()
+    used = log.fixes[rows]
+    age_ns = held_ns(used.time_ns, used.lat_deg, used.lon_deg, used.speed_mps)
+    for k in np.flatnonzero(age_ns >= 0):
+        reason = (
+            f"repeats the position of the fix {age_ns[k] / 1e9:.2f} s before"
+            if age_ns[k]
+            else "repeats the fix before it, place and time"
+        )
+        log.reject(int(rows[k]), Gate.REPEAT, reason)
+
+
+# --- whether a vehicle drove through it
+
+
+def _check_climb(log: _Judged) -> None:
+    """Rows that climb or sink faster than a vehicle, or lie near such."""
+    rows, limit_mps = log.rows(), log.limits.max_climb_mps
+    time_ns = log.fixes.time_ns[rows]
+    rate_mps = climb_mps(time_ns, log.fixes.height_m[rows])
+    climbing = np.abs(rate_mps) > limit_mps
+    where = "in most of the log" if has_come_apart(climbing) else f"within {SPOILT_S:g} s"
+    for k in np.flatnonzero(spoilt(time_ns, climbing)).tolist():
+        steep = "climbs" if rate_mps[k] >= 0.0 else "sinks"
+        reason = f"height {steep} at {abs(rate_mps[k]):.1f} m/s: the solution has come apart"
+        if not climbing[k]:
+            reason = f"height runs away {where}: the solution has come apart"
+        log.reject(int(rows[k]), Gate.CLIMB, reason)
+
+
+def _check_motion(log: _Judged) -> None:
+    """Judge the rows, which are ordered by time, by the motion of the whole drive."""
+    rows = log.rows()
+    if not len(rows):
+        return
+    used = log.fixes[rows]
+    envelope = motion_envelope(
+        used.time_ns, *_metres(used), used.position_sigma_m(), used.speed_mps, log.limits
+    )
+    followed = follow(envelope)
+    kept = np.flatnonzero(followed.kept)
+    jump_at = -1  # where the run of rejected fixes that agree with each other began
+    for k in np.flatnonzero(~followed.kept).tolist():
+        after = int(np.searchsorted(kept, k))
+        last = int(kept[after - 1]) if after else -1
+        carried_on = jump_at > last and transition(envelope, k - 1, k).strain <= 1.0
+        jump_at = jump_at if carried_on else k
+        log.reject(int(rows[k]), *_off_verdict(envelope, k, jump_at, last, kept[after:]))
+    parts = [*np.flatnonzero(followed.seam).tolist(), len(rows)]
+    for first, end in pairwise(parts):
+        agree = int(np.count_nonzero(followed.kept[first:end]))
+        before = int(kept[np.searchsorted(kept, first) - 1])
+        _, reason = _break(transition(envelope, before, first))
+        on_it = "1 fix agrees" if agree == 1 else f"{agree} fixes agree"
+        log.gate[rows[first]] = Gate.SEAM
+        log.reason[rows[first]] = f"the solution has moved: {on_it} on it; {reason}"
+
+
+def _off_verdict(
+    envelope: MotionEnvelope, k: int, jump_at: int, last: int, later: Index
+) -> tuple[Gate, str]:
+    """Why row `k` is not one of those that the vehicle drove through.
+
+    `last` is the accepted row before it (-1 for none) and `later` are those after it; rows
+    from `jump_at` on agree with each other.
+    """
+    if last < 0:
+        agree = f"{len(later)} later {'fix agrees' if len(later) == 1 else 'fixes agree'} elsewhere"
+        return Gate.ALONE, f"stands alone: {agree}"
+    if envelope.time_ns[k] == envelope.time_ns[last]:
+        return Gate.TIME, "time is that of the last accepted fix"
+    if jump_at < k:
+        before = f"{k - jump_at} {'fix' if k - jump_at == 1 else 'fixes'} before"
+        return Gate.JUMP, f"carries on from the jump {before}"
+    step = transition(envelope, last, k)
+    if step.strain > 1.0:
+        return _break(step)
+    if len(later) and (onward := transition(envelope, k, int(later[0]))).strain > 1.0:
+        gate, reason = _break(onward)
+        return gate, f"{reason}, to the next accepted fix"
+    return Gate.JUMP, f"lies {step.off_m:.2f} m off the way between its neighbours"
+
+
+def _break(step: Transition) -> tuple[Gate, str]:
+    """Which kind of motion a step would have been that no vehicle makes, and the sentence."""
+    seconds, explained_m = max(step.seconds, 1e-9), f"{step.explained_m:.2f} m"
+    off = f"{step.off_m:.2f} m off the way driven, where speed and accuracy explain {explained_m}"
+    speed_mps, usual_mps = step.moved_m / seconds, step.distance_m / seconds
+    if step.moved_m > step.distance_m + step.explained_m or step.off_m <= step.explained_m:
+        jump = f"jump of {step.moved_m:.2f} m in {seconds:.2f} s implies {speed_mps:.0f} m/s"
+        return Gate.JUMP, f"{jump}; {off}"
+    if abs(step.along_m) >= abs(step.across_m):
+        change = f"speed would go from {usual_mps:.1f} to {speed_mps:.1f} m/s in {seconds:.2f} s"
+        return Gate.ACCELERATION, f"{change}; {off}"
+    turn_deg = math.degrees(math.atan2(abs(step.across_m), step.distance_m + step.along_m))
+    turn = f"course would turn by {turn_deg:.0f}° in {seconds:.2f} s at {usual_mps:.1f} m/s"
+    return Gate.TURN_RATE, f"{turn}; {off}"
+
+
+def _metres(fixes: FixColumns) -> tuple[Float64, Float64]:
+    """Metres east and north of the middle of the log."""
+    # A latitude and a longitude of the log: a mean of two would be half round the Earth at 180°.
+    middle = len(fixes) // 2
+    datum = Datum(float(np.sort(fixes.lat_deg)[middle]), float(np.sort(fixes.lon_deg)[middle]), 0.0)
+    east_m, north_m, _ = datum.to_enu(fixes.lat_deg, fixes.lon_deg, fixes.height_m)
+    return east_m, north_m

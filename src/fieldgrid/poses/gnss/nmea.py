@@ -1,0 +1,252 @@
+"""NMEA 0183 to fixes, from a live receiver or from a log.
+
+A fix is what all sentences of one epoch say together. Its position is that of GGA, or of
+PTNL GGK, KSXT, BESTNAVA or PVTSLNA where there is none. RMC, VTG, GSA, GST, HDT, THS, TRA, HPR,
+PTNL AVR, PASHR, UNIHEADINGA and HEADINGA add to it; RMC, ZDA and all that have a full date
+give the date. Where a log has RMC alone, its positions serve, at height 0: it has none.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple
+
+from fieldgrid.core import GnssError
+from fieldgrid.geometry import Fix
+from fieldgrid.poses.gnss import nmea_proprietary, nmea_standard, nmea_unicore
+from fieldgrid.poses.gnss.fields import checksums
+from fieldgrid.poses.gnss.nmea_epochs import EpochLog
+
+# Intact sentences out of a stream of bytes, whatever lies between them.
+#
+# A sentence begins with ``$`` (NMEA 0183) or ``#`` (a Unicore or NovAtel log in ASCII) and ends
+# before the next of these, or at the end of its line. That alone frames the stream: a broken or
+# merged line ends where the next sentence starts, binary messages and garbage match nothing, the
+# result does not depend on how the bytes arrive, and no more than one sentence is held.
+
+
+_BLOCK = 1 << 16  # bytes searched at once
+_LONGEST = 1200  # bytes of any sentence, with room to spare
+
+# The standard's 82 bytes are exceeded by many receivers. What may stand in a sentence is printable,
+# and none of $ # *.
+_SENTENCE = re.compile(
+    rb"\$((?:(P[A-Z0-9]{3,9}|KSXT)|[A-Z][A-Z0-9]([A-Z0-9]{2,8})),)"
+    rb"(?:([ -\"%-)+-~]{0,240})\*([0-9A-Fa-f]{2})([0-9A-Fa-f]{6})?)?"
+    rb"|(#[A-Z][A-Z0-9]{3,20}A),(?:([ -\"%-)+-~]{0,1100})\*([0-9A-Fa-f]{8}))?"
+)
+_WITH_CRC = b"KSXT"  # some firmware ends this one sentence with a CRC-32
+
+
+class Framer:
+    """Cuts a stream into sentences, and counts them.
+
+    `sentences` counts the intact ones of any kind, `bad_checksum` the complete ones whose
+    checksum is wrong, `broken` those that are cut, merged or too long.
+    """
+
+    def __init__(self) -> None:
+        self.sentences = self.bad_checksum = self.broken = 0
+        self._rest = b""
+
+    def feed(self, chunk: bytes) -> Iterator[tuple[bytes, bytes]]:
+        """Intact sentences that are complete by now: what kind each is, and its text.
+
+        The kind is the formatter without the talker (``GGA``), the name of a maker's own
+        sentence (``PTNL``), or that of a log with its sign (``#BESTNAVA``). The text is all
+        that the checksum covers.
+        """
+        for start in range(0, len(chunk), _BLOCK):
+            data = self._rest + chunk[start : start + _BLOCK]
+            end = max(data.rfind(b"\n") + 1, data.rfind(b"$"), data.rfind(b"#"), 0)
+            self._rest = data[end : end + _LONGEST]
+            yield from self._intact(data[:end])
+
+    def finish(self) -> Iterator[tuple[bytes, bytes]]:
+        """The sentence at the very end, which nothing has ended yet."""
+        rest, self._rest = self._rest, b""
+        return self._intact(rest)
+
+    def _intact(self, data: bytes) -> Iterator[tuple[bytes, bytes]]:
+        found = _SENTENCE.findall(data)
+        texts = [address + body for address, _, _, body, *_ in found]
+        for one, text, total in zip(found, texts, checksums(texts), strict=True):
+            _, own, formatter, _, xor, crc, log, log_body, log_crc = one
+            if xor:
+                kind = formatter or own
+                intact = total == int(xor, 16)
+                if own == _WITH_CRC and crc and not intact:
+                    intact = unicore_crc(text) == int(xor + crc, 16)
+            elif log_crc:
+                kind, text = log, log[1:] + b"," + log_body
+                intact = unicore_crc(text) == int(log_crc, 16)
+            else:
+                self.broken += 1
+                continue
+            if intact:
+                self.sentences += 1
+                yield kind, text
+            else:
+                self.bad_checksum += 1
+
+
+def unicore_crc(text: bytes) -> int:
+    """CRC-32 as Unicore and NovAtel compute it: the common one without its inversions."""
+    return zlib.crc32(text, 0xFFFFFFFF) ^ 0xFFFFFFFF
+
+
+_CHUNK = 1 << 16
+_FIELDS = 20
+_PAD = [b""] * _FIELDS
+_UNLIMITED = 1 << 60
+_START = 4096  # bytes by which a log without sentences is known
+
+_DECODERS: dict[bytes, Callable[[list[bytes], EpochLog], None]] = {
+    **nmea_standard.DECODERS,
+    **nmea_proprietary.DECODERS,
+    **nmea_unicore.DECODERS,
+}
+
+_PACKED = {
+    b"\x1f\x8b": "gzip",
+    b"PK\x03\x04": "zip",
+    b"BZh": "bzip2",
+    b"\xfd7zXZ\x00": "xz",
+    b"\x28\xb5\x2f\xfd": "zstd",
+}
+"""How the files of programs begin that pack others."""
+
+
+class NmeaLog(NamedTuple):
+    """The fixes of a log in its order, and what was found on the way.
+
+    `sentences` counts the intact ones of any kind, `bad_checksum` the complete ones whose
+    checksum is wrong, `broken` those that are cut, merged, or say nothing that can be.
+    `no_position` counts sentences that say so where a position is due, `repeated` those of an
+    epoch that has its position already, `no_geoid` fixes whose height lacks the geoid
+    separation, `no_height` fixes that have no height at all, for which 0 stands. `undated`
+    counts positions that wait for a date, or have waited in vain.
+    """
+
+    fixes: list[Fix]
+    sentences: int = 0
+    bad_checksum: int = 0
+    broken: int = 0
+    no_position: int = 0
+    repeated: int = 0
+    no_geoid: int = 0
+    no_height: int = 0
+    undated: int = 0
+
+
+class NmeaStream:
+    """Fixes out of bytes as they come. What it gives does not depend on how they are cut.
+
+    A fix is given when `late_epochs` later times have been heard of, since any sentence may
+    come that late; 1 is right for a receiver that finishes an epoch before it starts another.
+    Of the positions that come before the first date the last `max_undated` are kept for it, so
+    that memory is bounded. While it is open whether a receiver that writes RMC alone will write
+    GGA as well, its first 20 epochs wait. Nothing in the stream makes it raise an error.
+    """
+
+    def __init__(self, *, late_epochs: int = 4, max_undated: int = 10_000) -> None:
+        if late_epochs < 1 or max_undated < 1:
+            raise ValueError(f"late_epochs {late_epochs} and max_undated {max_undated} must be > 0")
+        self._framer = Framer()
+        self._epochs = EpochLog(late_epochs, max_undated)
+
+    def feed(self, chunk: bytes) -> list[Fix]:
+        """The fixes that are complete after some more bytes, in their order."""
+        self._decode(self._framer.feed(chunk))
+        return self._epochs.fixes()
+
+    def finish(self) -> list[Fix]:
+        """The fixes that were still open when the stream ended."""
+        self._decode(self._framer.finish())
+        self._epochs.finish()
+        return self._epochs.fixes()
+
+    def log(self, fixes: list[Fix]) -> NmeaLog:
+        """What was found so far, with the fixes that the caller has kept."""
+        framer, counts, calendar = self._framer, self._epochs.counts, self._epochs.calendar
+        return NmeaLog(
+            fixes,
+            framer.sentences,
+            framer.bad_checksum,
+            framer.broken + counts.unreadable,
+            counts.no_position,
+            counts.repeated,
+            counts.no_geoid,
+            counts.no_height,
+            calendar.waiting + calendar.lost,
+        )
+
+    def _decode(self, sentences: Iterator[tuple[bytes, bytes]]) -> None:
+        epochs, decoder_of = self._epochs, _DECODERS.get
+        for kind, text in sentences:
+            decoder = decoder_of(kind)
+            if decoder is None:
+                continue
+            fields = text.split(b",")
+            if len(fields) < _FIELDS:
+                fields += _PAD
+            try:
+                decoder(fields, epochs)
+            except ValueError:
+                epochs.counts.unreadable += 1
+
+
+def parse_nmea(data: Iterable[bytes]) -> NmeaLog:
+    """Fixes of an NMEA log, given as chunks of bytes of any size or as an open binary file.
+
+    :class:`GnssError` where it is empty, packed, or holds no sentence at all, and where it has
+    positions but no date anywhere. A log without any position is none.
+    """
+    stream, start, fixes = NmeaStream(max_undated=_UNLIMITED), b"", []
+    for chunk in _chunks(data):
+        if len(start) < _START:
+            start += chunk[:_START]
+            _refuse_packed(start)
+        fixes += stream.feed(chunk)
+    fixes += stream.finish()
+    log = stream.log(fixes)
+    if not (log.sentences or log.bad_checksum or log.broken):
+        raise GnssError(_without_sentences(start))
+    if log.undated:
+        positions = "1 position" if log.undated == 1 else f"{log.undated} positions"
+        raise GnssError(
+            f"The log has {positions} but no valid RMC or ZDA sentence, which alone give the "
+            "date; let the receiver write RMC besides GGA."
+        )
+    return log
+
+
+def _chunks(data: Iterable[bytes]) -> Iterable[bytes]:
+    # Iterating over a file would give lines, and garbage may hold no end of line at all.
+    if isinstance(data, io.IOBase):
+        return iter(lambda: data.read(_CHUNK), b"")
+    return data
+
+
+def _refuse_packed(start: bytes) -> None:
+    for magic, name in _PACKED.items():
+        if start.startswith(magic):
+            raise GnssError(f"The log is packed with {name}; unpack it first.")
+
+
+def _without_sentences(start: bytes) -> str:
+    if not start:
+        return "The log is empty; take another, or record it again."
+    if b"\xb5\x62" in start:
+        return (
+            "The log has no NMEA sentence, but messages of u-blox's binary protocol; give it the "
+            "suffix .ubx, or let the receiver write NMEA."
+        )
+    what = "text of another kind" if start.isascii() else "binary data"
+    return (
+        f"The log has no NMEA sentence, only {what} (it begins with {start[:8]!r}); let the "
+        "receiver write the sentences GGA and RMC."
+    )

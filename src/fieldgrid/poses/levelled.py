@@ -1,0 +1,306 @@
+"""From a vehicle that leans to one that stands level, and back.
+
+The batch estimate is one of the plane: it takes the vehicle for level. So what leans with the
+vehicle is carried to where it would be if the vehicle stood level on its axle's place on the
+ground: the antenna of each fix, the camera's way, the gyro's axis, the wheels' speed. With the
+same attitude the pose's point is carried back.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.core import Float64, Int64
+from fieldgrid.geometry import (
+    Gyro,
+    Inertial,
+    Motion,
+    R_enu_level,
+    R_level_vehicle,
+    RecordedTilt,
+    Rig,
+    Steps,
+    Trajectory,
+    VehicleGeometry,
+    heading_rad,
+)
+from fieldgrid.poses.accepted import AcceptedFixes
+from fieldgrid.poses.attitude.attitude import Attitude
+from fieldgrid.poses.attitude.axes import ORIENTATION, AxisTilt, axes_of_orientation
+from fieldgrid.poses.attitude.estimate import estimate_attitude
+from fieldgrid.poses.attitude.measurements import AntennaTrack, KnownHeadings
+from fieldgrid.poses.axle import axle_forward_m
+from fieldgrid.poses.drive import DriveEstimate
+from fieldgrid.poses.table import PoseTable
+
+SUSPECT_PUSH_MISFIT, MOST_PUSH_MISFIT = 0.45, 8.0
+"""An accelerometer that is this number of sigmas from the motion of the fixes may be mounted
+sideways, where it is at 0.3 to 12; good ones are at 0.1 to 0.4, on real vehicles at up to 1.7, with
+shocks at up to 7. From the second on it contradicts them anyhow."""
+
+LEAST_TRIED_S = 30.0
+"""A shorter drive tells too little of how an IMU is mounted."""
+
+TWICE, CLEARLY, FITTING = 0.5, 0.75, 0.6
+"""An IMU is mounted as it fits best, where it fits twice as well there, or fits clearly better and
+is then no more than this number of sigmas off."""
+
+DENIED_IMU = "The accelerometer contradicts"
+"""How a note on such an IMU begins."""
+
+
+class Lean(NamedTuple):
+    """How a vehicle leans over a drive, and its points, [3] metres right, forward, up of the ground
+    below the sensor: the `antenna_m`, the middle of the `axle_m` on the ground, the `sensor_m`.
+    Without an IMU that fits the drive it is not `by_imu`."""
+
+    attitude: Attitude
+    antenna_m: Float64
+    axle_m: Float64
+    sensor_m: Float64
+    by_imu: bool = True
+
+    def shift_m(
+        self, time_ns: Int64, point_m: Float64, heading_deg: Float64 | None = None
+    ) -> Float64:
+        """How far the lean moves a point east, north and up [n, 3], seen from the axle."""
+        at = self.attitude.at(time_ns)
+        heading = at.heading_deg if heading_deg is None else np.nan_to_num(heading_deg)
+        moved = R_level_vehicle(at.roll_deg, at.pitch_deg) - np.eye(3)
+        return np.asarray(R_enu_level(heading) @ moved @ (point_m - self.axle_m))
+
+
+def tells_attitude(motion: Motion, fix_ns: Int64) -> bool:
+    """Whether a drive says how its vehicle leans, whatever its camera sees: an accelerometer over
+    most of what its IMU logged, recorded angles, or an orientation at most of the fixes."""
+    return measures_tilt(motion) or bool(_known(_axes_of(motion), fix_ns))
+
+
+def levelling_attitude(attitude: Attitude | None, motion: Motion, fix_ns: Int64) -> Attitude | None:
+    """The attitude by which local grids are made level, before their images are read; None where
+    nothing but the camera or antennas tells it, or the drive denies what does."""
+    if attitude is None or not tells_attitude(motion, fix_ns):
+        return None
+    by_imu = _has_force(motion) and not math.isnan(attitude.push_misfit)
+    levels = by_imu or _records_tilt(motion) or ORIENTATION in attitude.bodies
+    return attitude if levels else None
+
+
+def measures_tilt(motion: Motion) -> bool:
+    """Whether an accelerometer, over most of what its IMU logged, or recorded angles tell how the
+    vehicle leans."""
+    return _has_force(motion) or _records_tilt(motion)
+
+
+def _has_force(motion: Motion) -> bool:
+    return motion.inertial is not None and motion.inertial.feels_force()
+
+
+def _records_tilt(motion: Motion) -> bool:
+    return motion.tilt is not None and len(motion.tilt.time_ns) > 1
+
+
+def _axes_of(motion: Motion) -> tuple[AxisTilt, ...]:
+    return () if motion.orientation is None else axes_of_orientation(motion.orientation)
+
+
+def _known(axes: Sequence[AxisTilt], fix_ns: Int64) -> tuple[AxisTilt, ...]:
+    """Those of `axes` that are recorded at most of the fixes."""
+    return tuple(axis for axis in axes if axis.is_known(fix_ns).sum() * 2 > len(fix_ns))
+
+
+def find_lean(
+    fixes: AcceptedFixes,
+    drive: DriveEstimate,
+    motion: Motion,
+    rig: VehicleGeometry | None,
+    frame_ns: Int64 | None,
+    stated: Sequence[AxisTilt] = (),
+) -> tuple[Lean | None, tuple[str, ...]]:
+    """The lean of a drive whose heading is known, None where nothing tells it, and notes on what
+    was not used for it. `stated` are the axes whose rise the receiver states."""
+    if not isinstance(rig, Rig) or len(fixes.time_ns) < 2:
+        return None, ()
+    recorded = (*_axes_of(motion), *stated)
+    axes = _known(recorded, fixes.time_ns)
+    few = {axis.body for axis in recorded} - {axis.body for axis in axes}
+    notes = tuple(
+        f"Roll and pitch by the {body} are recorded at less than half of the fixes, and were not "
+        "used."
+        for body in sorted(few)
+    )
+    seen = motion.steps is not None and bool(np.isfinite(motion.steps.up_m).any())
+    measured = seen or measures_tilt(motion)
+    if not (measured or axes):
+        return None, notes
+    track = AntennaTrack(
+        fixes.time_ns,
+        np.stack([fixes.east_m, fixes.north_m, fixes.up_m], axis=1),
+        np.outer(fixes.noise.across_m, [1.0, 1.0, 2.0]),
+        fixes.sigma_m,
+        # Those of all nodes: in a hole of the fixes gyro or camera saw how the vehicle turned.
+        KnownHeadings(
+            drive.time_ns, np.degrees(drive.smoothed.state[:, 2]), drive.heading_sigma_deg
+        ),
+    )
+    antenna, sensor_m = rig.antenna, np.array([0.0, 0.0, rig.mount.height_m])
+    antenna_m = np.array([antenna.right_m, antenna.forward_m, antenna.up_m])
+    evidence = _Evidence(track, antenna_m - sensor_m, frame_ns, motion.steps, motion.tilt, axes)
+    attitude, by_imu = evidence.attitude(motion.inertial), True
+    denial = _imu_denial(evidence, motion.inertial, attitude.push_misfit)
+    if denial is not None:
+        notes = (*notes, denial)
+        attitude, by_imu = evidence.attitude(None), False
+        measured = seen or _records_tilt(motion)
+    elif not math.isnan(attitude.push_misfit):
+        attitude = attitude.if_late(drive.smoothed.declared.unsure_late_s)
+    notes = (*notes, *attitude.notes)
+    if not (measured or attitude.bodies):
+        return None, notes
+    axle_m = np.array([0.0, axle_forward_m(rig), 0.0])
+    return Lean(attitude, antenna_m, axle_m, sensor_m, by_imu), notes
+
+
+class _Evidence(NamedTuple):
+    """What tells the attitude of a drive, but for its IMU."""
+
+    track: AntennaTrack
+    antenna_m: Float64
+    frame_ns: Int64 | None
+    steps: Steps | None
+    tilt: RecordedTilt | None
+    axes: Sequence[AxisTilt]
+
+    def attitude(self, sensed: Inertial | None) -> Attitude:
+        """The attitude with an IMU, or without one."""
+        return estimate_attitude(
+            *(self.track, self.antenna_m),
+            wanted_ns=self.frame_ns,
+            sensed=sensed,
+            steps=self.steps,
+            tilt=self.tilt,
+            axes=self.axes,
+        )
+
+
+def _imu_denial(evidence: _Evidence, sensed: Inertial | None, misfit: float) -> str | None:
+    """What is wrong with an IMU that contradicts the fixes, and what to do; None if nothing is."""
+    if sensed is None or not misfit > SUSPECT_PUSH_MISFIT:
+        return None
+    left_deg, best = 0.0, misfit
+    first_ns, last_ns = evidence.track.time_ns[[0, -1]].tolist()
+    if last_ns - first_ns > LEAST_TRIED_S * 1e9:
+        left_deg, best = _best_turn(evidence, sensed, misfit)
+    if best < TWICE * misfit or best < min(CLEARLY * misfit, FITTING):
+        side = "left" if left_deg < 180.0 else "right"
+        turned = f"it fits turned by about {min(left_deg, 360.0 - left_deg):.0f}° to the {side}"
+        square = left_deg % 90.0 == 0.0
+        remedy = f"{turned}: {'correct imu_axes' if square else 'mount it square to the vehicle'}"
+    elif misfit > MOST_PUSH_MISFIT:
+        remedy = "check imu_axes, and the stamps of the IMU"
+    else:
+        return None
+    return (
+        f"{DENIED_IMU} the motion of the fixes by {misfit:.1f} sigmas and was not used for roll "
+        f"and pitch; {remedy}."
+    )
+
+
+def _best_turn(evidence: _Evidence, sensed: Inertial, misfit: float) -> tuple[float, float]:
+    """By how much an IMU is turned to the left where it fits the fixes best, to an eighth of a
+    circle, and its misfit there; as declared it is `misfit`."""
+    fits = {0.0: misfit}
+    for left_deg in (90.0, 180.0, 270.0):
+        fits[left_deg] = evidence.attitude(_turned(sensed, left_deg)).push_misfit
+    quarter_deg = min(fits, key=lambda deg: fits[deg])
+    for left_deg in ((quarter_deg - 45.0) % 360.0, quarter_deg + 45.0):
+        fits[left_deg] = evidence.attitude(_turned(sensed, left_deg)).push_misfit
+    left_deg = min(fits, key=lambda deg: fits[deg])
+    return left_deg, fits[left_deg]
+
+
+def _turned(sensed: Inertial, left_deg: float) -> Inertial:
+    """What an IMU measured, in the vehicle's axes if it is turned to the left in it."""
+    R_vehicle_imu = R_enu_level(-left_deg)
+    return sensed._replace(
+        rate_rad_s=(sensed.rate_rad_s @ R_vehicle_imu.T).astype(sensed.rate_rad_s.dtype),
+        force_mps2=(sensed.force_mps2 @ R_vehicle_imu.T).astype(sensed.force_mps2.dtype),
+    )
+
+
+def levelled_fixes(fixes: AcceptedFixes, lean: Lean) -> AcceptedFixes:
+    """The antenna where it would be on a level vehicle."""
+    east, north, up = lean.shift_m(fixes.time_ns, lean.antenna_m).T
+    return fixes._replace(
+        east_m=fixes.east_m - east, north_m=fixes.north_m - north, up_m=fixes.up_m - up
+    )
+
+
+def levelled_motion(motion: Motion, lean: Lean) -> Motion:
+    """Gyro, wheels and camera as on a level vehicle."""
+    sensed, gyro, wheels, steps = motion.inertial, motion.gyro, motion.wheels, motion.steps
+    if sensed is not None and lean.by_imu:
+        at = lean.attitude.at(sensed.time_ns)
+        roll, pitch = np.radians(at.roll_deg), np.radians(at.pitch_deg)
+        right, _, up = sensed.rate_rad_s.astype(np.float64).T
+        gyro = Gyro(sensed.time_ns, (np.sin(roll) * right - np.cos(roll) * up) / np.cos(pitch))
+    if wheels is not None:
+        pitch = np.radians(lean.attitude.at(wheels.time_ns).pitch_deg)
+        wheels = wheels._replace(speed_mps=wheels.speed_mps * np.cos(pitch))
+    return motion._replace(
+        gyro=gyro, wheels=wheels, steps=None if steps is None else _levelled_steps(steps, lean)
+    )
+
+
+def _levelled_steps(steps: Steps, lean: Lean) -> Steps:
+    """The camera's steps seen from above; those that do not tell how they rose stay as they are."""
+    known = np.isfinite(steps.up_m)
+    start, stop = (lean.attitude.at(ends) for ends in (steps.start_ns, steps.stop_ns))
+    R_start = R_level_vehicle(start.roll_deg, start.pitch_deg)
+    R_stop = R_level_vehicle(stop.roll_deg, stop.pitch_deg)
+    turned = R_enu_level(steps.turn_deg) @ R_level_vehicle(steps.roll_deg, steps.pitch_deg)
+    turn_deg = np.degrees(heading_rad(R_start @ turned))
+    way = np.stack([steps.right_m, steps.forward_m, steps.up_m], axis=1)
+    arm = lean.sensor_m - lean.axle_m
+    moved = np.einsum("nij,nj->ni", R_start, way) - (
+        R_enu_level(turn_deg) @ (R_stop - np.eye(3)) @ arm - (R_start - np.eye(3)) @ arm
+    )
+    return steps._replace(
+        right_m=np.where(known, moved[:, 0], steps.right_m),
+        forward_m=np.where(known, moved[:, 1], steps.forward_m),
+        turn_deg=np.where(known, turn_deg, steps.turn_deg),
+    )
+
+
+def leaning(trajectory: Trajectory, lean: Lean, *, level_grids: bool) -> Trajectory:
+    """The poses of a levelled drive, as the vehicle leans.
+
+    Of `level_grids` the origin lies vertically below the sensor; of others, which are square to the
+    ground ahead, below the sensor along the vehicle's own axis.
+    """
+    point_m = lean.sensor_m if level_grids else np.zeros(3)
+    time_ns = trajectory.time_ns
+    east, north, _ = lean.shift_m(time_ns, point_m, trajectory.heading_deg).T
+    return replace(
+        trajectory,
+        east_m=trajectory.east_m + east,
+        north_m=trajectory.north_m + north,
+        up_m=lean.attitude.at(time_ns).up_m - float(lean.sensor_m[2]),
+    )
+
+
+def unsure_lean(table: PoseTable, lean: Lean, *, level_grids: bool) -> PoseTable:
+    """The poses with what an unsure lean of the antenna above the origin adds to their
+    sigmas."""
+    at = lean.attitude.at(table.time_ns)
+    above_m = abs(float(lean.antenna_m[2]) - (float(lean.sensor_m[2]) if level_grids else 0.0))
+    off_m = above_m * np.radians(np.maximum(at.roll_sigma_deg, at.pitch_sigma_deg))
+    return table._replace(
+        position_sigma_m=np.hypot(table.position_sigma_m, off_m),
+        relative_sigma_m=np.hypot(table.relative_sigma_m, off_m),
+    )

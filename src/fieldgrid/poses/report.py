@@ -1,0 +1,271 @@
+"""What was found out about a drive besides its poses, and what to tell the user of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fieldgrid.core import Float64, Int64, PoseSettings, commonest_reason, utc_text
+from fieldgrid.geometry import Rig, Trajectory, VehicleGeometry, wrap_deg
+from fieldgrid.poses.accepted import CUT_AT_CLOCK, AcceptedFixes, fix_offsets
+from fieldgrid.poses.attitude.attitude import Attitude
+from fieldgrid.poses.axle import Axle, names_axle
+from fieldgrid.poses.drive import DriveEstimate
+from fieldgrid.poses.external.georeference import Georeference
+from fieldgrid.poses.faults.camera_yaw import CameraYaw, yaw_notes
+from fieldgrid.poses.faults.clock.change import ClockChange
+from fieldgrid.poses.faults.clock.jump import ClockJump
+from fieldgrid.poses.faults.clock.search import ClockOffset, MotionContradiction
+from fieldgrid.poses.faults.convention import Comparison
+from fieldgrid.poses.faults.denied import DriveContradiction, denied_notes
+from fieldgrid.poses.faults.gyro.imu_turn import ImuTurn
+from fieldgrid.poses.faults.leaps.seams import LEAP_S
+from fieldgrid.poses.faults.unseen import UnseenFault
+from fieldgrid.poses.gates.conditioning import COUNTED_TWICE
+from fieldgrid.poses.gates.summary import ConditioningSummary
+from fieldgrid.poses.gears.stations import TELL_GEARS
+from fieldgrid.poses.settings import HeadingSource
+from fieldgrid.poses.smoother.declared import Constant
+
+GOOD_FIX_M = 0.05
+"""To say that fixes are better than this admits no more headings."""
+
+NO_AXLE = "Nothing says how far the antenna sits ahead of the axle that does not steer"
+
+
+class FixOffset(NamedTuple):
+    """How far the antenna is estimated from the accepted fixes, metres: the mean east and north,
+    the median and the largest distance, and the median over the stated error; the median of the
+    mean offset over 20 s, which white noise leaves alone, and that over the stated error."""
+
+    mean_east_m: float
+    mean_north_m: float
+    median_m: float
+    most_m: float
+    median_sigmas: float
+    lasting_m: float
+    lasting_sigmas: float
+
+
+@dataclass(frozen=True, slots=True)
+class PoseReport:
+    """What was found out about a drive besides its poses.
+
+    `attitude` is how the vehicle leans, None where nothing tells it. `recorded` is a recorded
+    heading beside the estimate; `gyro_bias_dps` NaN without a gyro. `offset` compares poses with
+    their fixes. `camera_scale` and `wheel_scale` are by what share the distances of camera and
+    wheels are too long. As the camera's motion has it, `clock` is the time offset between images
+    and fixes, `jump` where the clock of images and gyro jumps, `clock_change` where that offset
+    changes otherwise, `contradiction` how much of the motion no offset explains, `camera_yaw`
+    where the camera looks, and `imu_turn` how the IMU is turned. `unseen` are faults that the drive
+    would not show: its sigmas do not cover them.
+    """
+
+    conditioning: ConditioningSummary
+    attitude: Attitude | None
+    recorded: Comparison | None
+    clock: ClockOffset | None
+    gyro_bias_dps: float
+    offset: FixOffset | None
+    camera_scale: Constant | None
+    wheel_scale: Constant | None
+    notes: tuple[str, ...]
+    georeference: Georeference | None = None
+    contradiction: MotionContradiction | None = None
+    jump: ClockJump | None = None
+    clock_change: ClockChange | None = None
+    camera_yaw: CameraYaw | None = None
+    imu_turn: ImuTurn | None = None
+    unseen: tuple[UnseenFault, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; what is unknown is null."""
+        bias = self.gyro_bias_dps
+        parts = {
+            "recorded_heading": self.recorded,
+            "clock_offset": self.clock,
+            "camera_contradiction": self.contradiction,
+            "clock_jump": self.jump,
+            "clock_change": self.clock_change,
+            "fix_offset": self.offset,
+            "camera_scale": self.camera_scale,
+            "wheel_scale": self.wheel_scale,
+            "georeference": self.georeference,
+        }
+        return {
+            "conditioning": self.conditioning.as_dict(),
+            "attitude": None if self.attitude is None else self.attitude.as_dict(),
+            **{
+                name: None if part is None else _plain(part._asdict())
+                for name, part in parts.items()
+            },
+            "camera_yaw": None if self.camera_yaw is None else self.camera_yaw.as_dict(),
+            "imu_turn": None if self.imu_turn is None else self.imu_turn.as_dict(),
+            "gyro_bias_dps": None if np.isnan(bias) else bias,
+            "unseen": [str(fault) for fault in self.unseen],
+            "notes": list(self.notes),
+        }
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    """The values with None in place of NaN."""
+    return {name: None if value != value else value for name, value in values.items()}
+
+
+def fix_offset(fixes: AcceptedFixes, offset_m: Float64) -> FixOffset:
+    """How far the antenna is estimated from the accepted fixes: `offset_m` [fixes, 2]."""
+    away_m = np.hypot(*offset_m.T)
+    east_m, north_m = offset_m.mean(axis=0).tolist()
+    lasting_m, stated_m = fix_offsets(fixes.time_ns, fixes, offset_m)
+    return FixOffset(
+        east_m,
+        north_m,
+        float(np.median(away_m)),
+        float(away_m.max()),
+        float(np.median(away_m / fixes.sigma_m)),
+        float(np.median(lasting_m)),
+        float(np.median(lasting_m / stated_m)),
+    )
+
+
+def drive_notes(
+    drive: DriveEstimate,
+    fixes: AcceptedFixes,
+    rig: VehicleGeometry | None,
+    axle: Axle,
+    denied: DriveContradiction,
+    source: HeadingSource,
+    settings: PoseSettings,
+    clock: ClockOffset | None,
+    yaw: CameraYaw | None,
+    trajectory: Trajectory,
+    fix_row: Int64,
+) -> Iterator[str]:
+    """Remarks on a drive, a sentence each; `rig` as it was declared."""
+    yield from _constant_note(source, drive, settings)
+    # That the gears that the user knows are those of another time.
+    first_ns, last_ns = (int(ns) for ns in fixes.time_ns[[0, -1]])
+    spans = settings.gear_spans
+    if spans and all(one.stop_ns < first_ns or one.start_ns > last_ns for one in spans):
+        yield (
+            "The known gears are all of a time before or after this drive, and were not used; "
+            f"their times are UTC, and it lasts from {utc_text(first_ns)} to {utc_text(last_ns)}."
+        )
+    # That the receiver's solution leaps, and what its positions count as.
+    leaps = _leaps(fixes)
+    if len(leaps):
+        first_s = (fixes.time_ns[leaps[0]] - fixes.time_ns[0]) / 1e9
+        often = "once" if len(leaps) == 1 else f"{len(leaps)} times"
+        yield (
+            f"The receiver's solution leaps {often} by more than it states (first "
+            f"{first_s:.0f} s after the start), and nothing tells which side is right: its "
+            f"positions count as good to {np.median(fixes.sigma_m):.2f} m. If you know, leave out "
+            "the fixes of the wrong one."
+        )
+    yield from clock_notes(clock)
+    if yaw is not None:
+        yield from yaw_notes(yaw)
+    if not names_axle(rig):
+        yield _no_axle(rig, axle)
+    yield from denied_notes(drive, denied)
+    if not trajectory.accepted.any():
+        yield _remedy(trajectory, fix_row, fixes, settings)
+
+
+def _constant_note(
+    source: HeadingSource, drive: DriveEstimate, settings: PoseSettings
+) -> Iterator[str]:
+    """A heading given by hand beside that of the drive."""
+    moving = (drive.gear != 0) & (drive.heading_sigma_deg < settings.max_heading_sigma_deg)
+    if source.kind != "constant" or not moving.any():
+        return
+    off = np.abs(wrap_deg(drive.heading_deg[moving] - source.constant_deg))
+    share = float(np.mean(off > 10.0))
+    if share >= 0.1:
+        yield (
+            f"The constant heading {source.constant_deg:g}° is more than 10° off the drive's own "
+            f"in {100.0 * share:.0f} % of it (median {np.median(off):.0f}°)."
+        )
+
+
+def _leaps(fixes: AcceptedFixes) -> Int64:
+    """The fixes after which the solution goes on elsewhere."""
+    return np.flatnonzero(fixes.lasting_s <= LEAP_S)
+
+
+def clock_notes(clock: ClockOffset | None) -> Iterator[str]:
+    """That the images are stamped otherwise than the fixes."""
+    if clock is not None and clock.is_certain:
+        remedy = (
+            f"and the gyro with them; if so, add {-clock.offset_s:.3f} to gnss_time_offset_s in "
+            "recording.toml, or to --gnss-offset."
+            if clock.gyro_too
+            else f"if so, add {clock.offset_s:.3f} to image_time_offset_s in recording.toml, or to "
+            "--time-offset."
+        )
+        yield (
+            f"The images seem stamped {-clock.offset_s:+.3f} s ± {clock.sigma_s:.3f} s against the "
+            f"fixes{',' if clock.gyro_too else ';'} {remedy}"
+        )
+
+
+def _no_axle(rig: VehicleGeometry | None, axle: Axle) -> str:
+    """That nobody says where the axle is, and what that means."""
+    remedy = "Say it with --antenna-ahead METRES."
+    if isinstance(rig, Rig):
+        remedy = "Declare camera_mid_from_rear_axle_ground_flu_m in mounting.json."
+    if axle.told:
+        (_, ahead_m), _ = axle.frame()
+        return f"{NO_AXLE}; by the drive it is {ahead_m:.2f} m ± {axle.sigma_m:.2f} m. {remedy}"
+    turns = "a metre is 11° at a radius of 5 m"
+    if isinstance(rig, Rig):
+        return f"{NO_AXLE}, so headings are unsure in turns: {turns}. {remedy}"
+    taken = "it is taken to be above it. Ahead of it, headings are off in turns"
+    return f"{NO_AXLE}; {taken}: {turns}. {remedy}"
+
+
+def _remedy(
+    trajectory: Trajectory, fix_row: Int64, fixes: AcceptedFixes, settings: PoseSettings
+) -> str:
+    """What to declare for poses of a refused drive to be used. The reasons are those of the poses
+    at fixes, as everywhere; there may be more between them."""
+    commonest = commonest_reason([trajectory.reason[row] for row in fix_row])
+    advice, leaps = "choose another log with --gnss", _leaps(fixes)
+    if len(leaps) and commonest.startswith(("position sigma", "heading sigma", "a cell")):
+        # What is declared of the fixes does not tell which solution was right.
+        first_s = (fixes.time_ns[leaps[0]] - fixes.time_ns[0]) / 1e9
+        advice = (
+            f"cut the log where the solution leaps (first {first_s:.0f} s after the start), and "
+            "use the parts one by one"
+        )
+    elif commonest.startswith("position sigma"):
+        advice = (
+            "if the receiver is better than that, say so with --accuracy METRES or --quality NAME "
+            "(rtk-fixed, rtk-float, differential, ...)"
+        )
+    elif commonest.startswith("the estimate lies"):
+        advice = (
+            "the fixes contradict each other by more than they state; say how good they are with "
+            "--accuracy METRES, or leave out the epochs of another receiver or of a jump"
+        )
+    elif commonest == COUNTED_TWICE:
+        advice = CUT_AT_CLOCK
+    elif commonest.startswith("forward or reverse"):
+        advice = TELL_GEARS
+    elif commonest.startswith("heading unknown"):
+        advice = "log while the vehicle drives, or record its heading"
+    elif commonest.startswith(("heading sigma", "a cell")):
+        sigma_m = float(np.median(fixes.sigma_m))
+        better = (
+            f"the fixes count as good to {sigma_m:.2f} m; if they are better, say so with "
+            "--accuracy METRES or --quality NAME, "
+        )
+        advice = (
+            f"{better if sigma_m > GOOD_FIX_M else ''}record a gyro or more fixes a second, or "
+            f"allow less with max_heading_sigma_deg (now {settings.max_heading_sigma_deg:g}) in "
+            "--config"
+        )
+    return f"No pose can be used, mostly because: {commonest}; {advice}."

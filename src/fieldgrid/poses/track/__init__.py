@@ -1,0 +1,1 @@
+"""A trajectory as a table, and as tracks for other programs."""

@@ -1,0 +1,1 @@
+"""The frames of a bag: cameras, images, depths, clouds, and where they are mounted."""

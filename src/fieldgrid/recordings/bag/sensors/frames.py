@@ -1,0 +1,294 @@
+"""The frames of a bag: planned by the stamps of their topics, read as a stream.
+
+Which message belongs to which frame is known before one is read. So an image is held only until
+its partner comes, and what belongs to no frame is not held at all.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import ClassVar, NamedTuple, Protocol
+
+import numpy as np
+
+from fieldgrid.core import Int64, RecordingError
+from fieldgrid.recordings.bag.order import WINDOW, Clock, OrderedMessages, clock, ordered, pair
+from fieldgrid.recordings.bag.sensors.clouds import MessageCloud
+from fieldgrid.recordings.bag.sensors.images import (
+    CompressedImage,
+    DepthImage,
+    DisparityImage,
+    RawImage,
+)
+from fieldgrid.recordings.bag.sensors.packed_depth import PackedDepthImage
+from fieldgrid.recordings.frames.frames import (
+    CloudFrame,
+    DepthFrame,
+    Frame,
+    PairRectifier,
+    StereoFrame,
+)
+from fieldgrid.recordings.ros.bag import Bag
+from fieldgrid.recordings.ros.model import Message
+
+MOST_HELD = 2 * WINDOW
+"""How many messages of one topic wait for those of another at most."""
+
+
+class Plan(NamedTuple):
+    """The frames: their times, increasing, and for each topic the time and the place among its
+    messages of what a frame takes from it. `notes` are remarks, a sentence each."""
+
+    time_ns: Int64
+    topics: tuple[str, ...]
+    message_ns: tuple[Int64, ...]
+    places: tuple[Int64, ...]
+    notes: tuple[str, ...]
+
+    def part(self, start: int, stop: int) -> Plan:
+        """The plan of some of the frames."""
+        chosen = slice(start, stop)
+        return self._replace(
+            time_ns=self.time_ns[chosen],
+            message_ns=tuple(times[chosen] for times in self.message_ns),
+            places=tuple(places[chosen] for places in self.places),
+        )
+
+
+class Taken(NamedTuple):
+    """A message of a frame, and its time."""
+
+    message: Message
+    time_ns: int
+
+
+class FrameMaker(Protocol):
+    """How the frames of a bag are made; it can be pickled."""
+
+    roles: ClassVar[tuple[str, ...]]
+
+    def frame(self, number: int, time_ns: int, taken: tuple[Taken, ...]) -> Frame:
+        """The frame of a number and a time, of its messages."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairMaker:
+    """Makes pairs for a calibration of `size_px`; of 16 bits the cameras fill the lower `bits`."""
+
+    roles: ClassVar[tuple[str, ...]] = ("left", "right")
+    size_px: tuple[int, int]
+    rectifier: PairRectifier | None
+    compressed: tuple[bool, ...]
+    bits: int
+
+    def frame(self, number: int, time_ns: int, taken: tuple[Taken, ...]) -> Frame:
+        """The pair, its images undecoded."""
+        left, right = (
+            CompressedImage(*one) if packed else RawImage(*one, self.bits)
+            for one, packed in zip(taken, self.compressed, strict=True)
+        )
+        return StereoFrame(f"{number:06d}", time_ns, left, right, self.size_px, self.rectifier)
+
+
+@dataclass(frozen=True, slots=True)
+class DepthMaker:
+    """Makes images of depths of messages that `kind` reads."""
+
+    roles: ClassVar[tuple[str, ...]] = ("depth",)
+    kind: type[DepthImage] | type[DisparityImage] | type[PackedDepthImage]
+    size_px: tuple[int, int]
+
+    def frame(self, number: int, time_ns: int, taken: tuple[Taken, ...]) -> Frame:
+        """The image of depths, undecoded."""
+        return DepthFrame(f"{number:06d}", time_ns, self.kind(*taken[0]), self.size_px)
+
+
+@dataclass(frozen=True, slots=True)
+class CloudMaker:
+    """Makes clouds whose axes `R`, by row, turns into right, down, forward; `corrected` are those
+    whose points were carried to one instant already."""
+
+    roles: ClassVar[tuple[str, ...]] = ("cloud",)
+    R: tuple[float, ...]
+    corrected: bool = False
+
+    def frame(self, number: int, time_ns: int, taken: tuple[Taken, ...]) -> Frame:
+        """The cloud, undecoded."""
+        return CloudFrame(f"{number:06d}", time_ns, MessageCloud(*taken[0], self.R, self.corrected))
+
+
+@dataclass(frozen=True, slots=True)
+class BagFrames:
+    """The frames of a bag (a `FrameSource`). Images stay in the
+    bag; a frame holds the bytes of its own messages."""
+
+    bag: Bag
+    plan: Plan
+    maker: FrameMaker
+
+    @property
+    def times_ns(self) -> Int64:
+        """Times of the frames, increasing."""
+        return self.plan.time_ns
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """What the messages of a frame are."""
+        return self.maker.roles
+
+    def frames(self, start: int, stop: int) -> Iterator[Frame]:
+        """Some of the frames, images undecoded; the bag is read from where they are."""
+        plan = self.plan.part(start, stop)
+        times_ns = plan.time_ns.tolist()
+        for k, taken in enumerate(read_frames(self.bag, plan)):
+            yield self.maker.frame(start + k, times_ns[k], taken)
+
+
+def plan_single(bag: Bag, topic: str) -> Plan:
+    """A frame for each message of a topic that has a time of its own."""
+    times = clock(topic, *bag.stamps(topic))
+    found = ordered(times.time_ns)
+    if not len(found.time_ns):
+        raise RecordingError(f"{bag.path}: {topic} has no message with a time; record it again.")
+    notes = [*_clock_notes(topic, times), *_order_notes(topic, found)]
+    return Plan(found.time_ns, (topic,), (found.time_ns,), (found.place,), tuple(notes))
+
+
+def plan_pairs(bag: Bag, left: str, right: str) -> Plan:
+    """A frame for each pair of messages of one moment. Raises RecordingError without any."""
+    stamps = {topic: bag.stamps(topic) for topic in (left, right)}
+    clocks = {topic: clock(topic, *stamps[topic]) for topic in (left, right)}
+    if any(one.received for one in clocks.values()):  # two clocks would not pair
+        clocks = {topic: clock(topic, *stamps[topic], received=True) for topic in (left, right)}
+    notes = [note for topic, one in clocks.items() for note in _clock_notes(topic, one)]
+    first, second = (ordered(clocks[topic].time_ns) for topic in (left, right))
+    notes += [*_order_notes(left, first), *_order_notes(right, second)]
+    pairs = pair(first.time_ns, second.time_ns)
+    if not len(pairs.left):
+        raise RecordingError(
+            f"{bag.path}: no image of {left} ({len(first.time_ns)}) is of the moment of one of "
+            f"{right} ({len(second.time_ns)}), to 10 ms; give the two topics of one stereo camera, "
+            "and trigger both sides together."
+        )
+    if pairs.apart_ns:
+        notes.append(f"Left and right are up to {pairs.apart_ns / 1e6:.3g} ms apart.")
+    if any(pairs.unpaired):
+        notes.append(
+            f"{pairs.unpaired[0]} left and {pairs.unpaired[1]} right images without a partner "
+            "skipped."
+        )
+    return Plan(
+        first.time_ns[pairs.left],
+        (left, right),
+        (first.time_ns[pairs.left], second.time_ns[pairs.right]),
+        (first.place[pairs.left], second.place[pairs.right]),
+        tuple(notes),
+    )
+
+
+def _clock_notes(topic: str, found: Clock) -> list[str]:
+    if not found.received:
+        return []
+    return [
+        f"{topic}: the recorder's times are taken, since header stamps are no UTC; they are later "
+        "by what a message takes."
+    ]
+
+
+def _order_notes(topic: str, found: OrderedMessages) -> list[str]:
+    counted = (
+        (found.timeless, "messages without a time skipped"),
+        (found.late, "messages skipped that repeat a time or come after later ones"),
+    )
+    return [f"{topic}: {count} {what}." for count, what in counted if count]
+
+
+def read_frames(bag: Bag, plan: Plan) -> Iterator[tuple[Taken, ...]]:
+    """What the frames take, in order of time. A few messages of a topic are held at most.
+
+    All topics are read in one pass as long as what belongs together lies together. Some programs
+    write one topic after the other; then each is read by itself, at the cost of a pass for each.
+    """
+    if not len(plan.time_ns):
+        return
+    where = [bag.places(topic) for topic in plan.topics]
+    starts = [int(at[places.min()]) for at, places in zip(where, plan.places, strict=True)]
+    done = 0
+    for taken in _together(bag, plan, where, min(starts)):
+        yield taken
+        done += 1
+    if done < len(plan.time_ns):
+        streams = [_alone(bag, plan, k, where[k], starts[k]) for k in range(len(plan.topics))]
+        yield from islice(zip(*streams, strict=True), done, None)
+
+
+def _together(
+    bag: Bag, plan: Plan, where: Sequence[Int64], start: int
+) -> Iterator[tuple[Taken, ...]]:
+    """The frames, until the messages of one have to be held that are more than a few."""
+    queues = {
+        topic: _Queue(plan, k, int(np.searchsorted(where[k], start)))
+        for k, topic in enumerate(plan.topics)
+    }
+    left = len(plan.time_ns)
+    for message in bag.messages(plan.topics, start):
+        queue = queues[message.topic]
+        queue.put(message)
+        while left and all(one.ready for one in queues.values()):
+            yield tuple(one.ready.popleft() for one in queues.values())
+            left -= 1
+        if not left or queue.held > MOST_HELD:
+            return
+
+
+def _alone(bag: Bag, plan: Plan, number: int, where: Int64, start: int) -> Iterator[Taken]:
+    """What the frames take from one of the topics."""
+    queue = _Queue(plan, number, int(np.searchsorted(where, start)))
+    left = len(plan.time_ns)
+    for message in bag.messages((plan.topics[number],), start):
+        queue.put(message)
+        while queue.ready:
+            yield queue.ready.popleft()
+            left -= 1
+        if not left:
+            return
+    raise RecordingError(
+        f"{bag.path} has fewer messages of {plan.topics[number]} than when it was opened; leave "
+        "it alone while it is read."
+    )
+
+
+class _Queue:
+    """The messages of one topic that frames take, brought into the order of the frames, of a
+    reading that begins with the message of a place.
+
+    Those that come before their turn wait, which :func:`ordered` has seen to be few.
+    """
+
+    def __init__(self, plan: Plan, number: int, first: int) -> None:
+        places = plan.places[number]
+        self.ready: deque[Taken] = deque()
+        self._wanted = frozenset(places.tolist())
+        self._places, self._times_ns = places, plan.message_ns[number]
+        self._next, self._seen = 0, first
+        self._early: dict[int, Message] = {}
+
+    @property
+    def held(self) -> int:
+        """How many messages are held."""
+        return len(self.ready) + len(self._early)
+
+    def put(self, message: Message) -> None:
+        """The next message of the topic, whether a frame takes it or not."""
+        place = self._seen
+        self._seen += 1
+        if place not in self._wanted:
+            return
+        self._early[place] = message
+        while self._next < len(self._places) and int(self._places[self._next]) in self._early:
+            found = self._early.pop(int(self._places[self._next]))
+            self.ready.append(Taken(found, int(self._times_ns[self._next])))
+            self._next += 1

@@ -1,0 +1,355 @@
+"""Which topic of a bag is what: by its type, then by its name, and first of all by what is said."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from fieldgrid.core import NoFramesError, RecordingError
+from fieldgrid.recordings.bag.topic_names import (
+    MADE,
+    base_name,
+    namespace,
+    right_partners,
+    side_of,
+    worth,
+)
+from fieldgrid.recordings.ros.gnss_messages import DATUM
+from fieldgrid.recordings.ros.model import Topic
+
+Sensing = Literal["stereo", "disparity", "depth", "cloud", ""]
+"""What the frames are made of; "" for a bag that has none."""
+
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+INFO, DISPARITY = "sensor_msgs/msg/CameraInfo", "stereo_msgs/msg/DisparityImage"
+CLOUD, FIX, NMEA = (
+    "sensor_msgs/msg/PointCloud2",
+    "sensor_msgs/msg/NavSatFix",
+    "nmea_msgs/msg/Sentence",
+)
+IMU, ODOMETRY = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry"
+POSE, SURE_POSE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
+FIXES = frozenset({"fix", "nmea"})
+"""The roles that give fixes, of which one is taken."""
+TF_STATIC, TF = "/tf_static", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+
+TYPES_OF_ROLES: dict[str, tuple[str, ...]] = {
+    **{"left": (IMAGE, COMPRESSED), "right": (IMAGE, COMPRESSED)},
+    **{"left_info": (INFO,), "right_info": (INFO,), "depth_info": (INFO,)},
+    **{"disparity": (DISPARITY,), "depth": (IMAGE, COMPRESSED), "cloud": (CLOUD,)},
+    **{"fix": (FIX,), "nmea": (NMEA,), "imu": (IMU,), "odometry": (ODOMETRY,)},
+    "attitude": (IMU, ODOMETRY, POSE, SURE_POSE),
+}
+_SENSORS: dict[Sensing, tuple[str, ...]] = {
+    "stereo": ("left", "right", "right_info"),
+    "disparity": ("disparity",),
+    "depth": ("depth", "depth_info"),
+    "cloud": ("cloud",),
+}
+_NO_PICTURE = re.compile(r"depth|disparity|confidence|mask|label|segment|debug|theora")
+_DEPTH = re.compile(r"depth|(?<![a-z])stereo/image_(raw|rect)$")
+"""Names of depth images; the cameras of Luxonis say just `stereo`."""
+_RECTIFIED = re.compile(r"(?<![a-z])rect")
+_MOST_LISTED = 2000
+
+
+class Choice(NamedTuple):
+    """The topics by their roles (those of `options.ROLES` that were found), and what is told.
+
+    `problem` is the error of a bag whose frames cannot be chosen, None where they are or where
+    there are none.
+    """
+
+    kind: Sensing
+    roles: Mapping[str, str]
+    notes: tuple[str, ...] = ()
+    problem: RecordingError | None = None
+
+
+def choose(
+    topics: Mapping[str, Topic],
+    given: Mapping[str, str],
+    path: Path,
+    unwanted: Collection[str] = (),
+    sensor: str | None = None,
+    partners: Mapping[str, str] | None = None,
+) -> Choice:
+    """The topics of a bag that are used; `given` names some by their role and outranks names.
+
+    `sensor` is the kind of frames to take where nothing of it is given, None for the best.
+    `partners` are calibrations of left cameras with those of their right ones, for images whose
+    names say nothing.
+    Roles that are `unwanted` stay empty. Raises RecordingError for a given topic that is not
+    there or of another type, and where the names leave a choice open; what is open about the
+    frames is told in the choice, since not everybody wants them.
+    """
+    filled = {name: topic for name, topic in topics.items() if topic.count and name != DATUM}
+    finder = _Finder(filled, {**given}, path, partners or {})
+    finder.check_given(topics)
+    kind: Sensing = ""
+    problem = None
+    try:
+        kind = finder.sensor(sensor)
+    except RecordingError as error:
+        problem = error
+    for role in ("fix", "nmea", "imu", "odometry"):
+        if role not in unwanted:
+            finder.single(role)
+    roles = finder.roles
+    if "attitude" in given:
+        roles["attitude"] = given["attitude"]
+    return Choice(kind, roles, _told(roles, filled), problem)
+
+
+def no_frames(topics: Mapping[str, Topic], path: Path) -> NoFramesError:
+    """The error of a bag in which there is nothing that frames could be made of."""
+    return NoFramesError(
+        f"{path} has no pair of a left and a right image, and neither disparity, depth image with "
+        f"its camera_info, nor point cloud; it has {listing(topics.values())}; name the images "
+        "with --topic left=NAME --topic right=NAME, or --topic depth=NAME."
+    )
+
+
+def listing(topics: Iterable[Topic]) -> str:
+    """Topics with their types, for a message."""
+    named = [f"{topic.name} ({short(topic.type)}, {topic.count})" for topic in topics]
+    text = ", ".join(sorted(named)) or "no topic at all"
+    return text if len(text) <= _MOST_LISTED else text[:_MOST_LISTED] + " ..."
+
+
+def short(kind: str) -> str:
+    """A type as people write it: sensor_msgs/Image."""
+    return kind.replace("/msg/", "/")
+
+
+def static_transforms(topics: Mapping[str, Topic], roles: Mapping[str, str]) -> list[str]:
+    """The topics of static transforms: the usual one, and those of the namespaces that the
+    topics in use are in."""
+    used = [f"/{name.lstrip('/')}" for name in roles.values()]
+    return [
+        name
+        for name in _of_types(topics, TF)
+        if name.endswith(TF_STATIC)
+        and any(other.startswith(name.removesuffix("tf_static")) for other in used)
+    ]
+
+
+def is_rectified(topic: str) -> bool:
+    """Whether an image topic is named as a rectified one, like `image_rect` or `rect/image`."""
+    return any(_RECTIFIED.search(word) for word in base_name(topic).lower().split("/")[-2:])
+
+
+def _told(roles: Mapping[str, str], topics: Mapping[str, Topic]) -> tuple[str, ...]:
+    used = ", ".join(f"{role} {topic}" for role, topic in roles.items())
+    notes = [f"Topics: {used}."] if used else []
+    left = [topic for name, topic in topics.items() if name not in roles.values()]
+    left = [topic for topic in left if topic.type in _KNOWN_TYPES]
+    if left:
+        notes.append(f"Not used: {listing(left)}.")
+    return tuple(notes)
+
+
+_KNOWN_TYPES = frozenset(
+    kind for role, kinds in TYPES_OF_ROLES.items() for kind in kinds if role != "attitude"
+)
+"""Of these a recording takes some by itself."""
+
+
+class _Finder:
+    """One search; `roles` is what it has found so far."""
+
+    def __init__(
+        self,
+        topics: Mapping[str, Topic],
+        given: dict[str, str],
+        path: Path,
+        partners: Mapping[str, str],
+    ) -> None:
+        self._topics, self._given, self._path = topics, given, path
+        self._partners = partners
+        self.roles: dict[str, str] = {}
+
+    def check_given(self, everything: Mapping[str, Topic]) -> None:
+        """Raise for a given topic that cannot be what it is said to be."""
+        for role, name in self._given.items():
+            if name not in everything:
+                raise RecordingError(
+                    f"{self._path} has no topic {name!r} for --topic {role}=; it has "
+                    f"{listing(everything.values())}."
+                )
+            found = everything[name].type
+            if found not in TYPES_OF_ROLES[role]:
+                wanted = " or ".join(short(kind) for kind in TYPES_OF_ROLES[role])
+                raise RecordingError(
+                    f"{self._path}: --topic {role}={name} is of the type {short(found)}, not "
+                    f"{wanted}; give another topic of {listing(everything.values())}."
+                )
+            if everything[name].count == 0:
+                raise RecordingError(
+                    f"{self._path}: --topic {role}={name} has no message; give another topic of "
+                    f"{listing(everything.values())}."
+                )
+
+    def sensor(self, wanted: str | None) -> Sensing:
+        """Find the topics of the given sensor, else of the wanted one, else of the best."""
+        finders: dict[Sensing, Callable[[], bool]] = {
+            "stereo": self._stereo,
+            "disparity": self._disparity,
+            "depth": self._depth,
+            "cloud": self._cloud,
+        }
+        if "left" in self._given and self._given["left"] == self._given.get("right"):
+            raise RecordingError(
+                f"{self._path}: left and right are both {self._given['left']}; give two topics."
+            )
+        asked = [kind for kind, roles in _SENSORS.items() if set(roles) & self._given.keys()]
+        if len(asked) > 1:
+            raise RecordingError(
+                f"{self._path}: the given topics are of {' and '.join(asked)}; give those of one."
+            )
+        asked = asked or [kind for kind in finders if wanted in (None, kind)]
+        return next((kind for kind in asked if finders[kind]()), "")
+
+    def single(self, role: str) -> None:
+        """Find the one topic of a role, if there is any."""
+        found = self._one_of(
+            role, _of_types(self._topics, TYPES_OF_ROLES[role]), lambda name: worth(role, name)
+        )
+        if found:
+            self.roles[role] = found
+
+    def _stereo(self) -> bool:
+        pairs = self._pairs()
+        best = min((_image_rank(pair[0], self._topics) for pair in pairs), default=None)
+        pairs = [pair for pair in pairs if _image_rank(pair[0], self._topics) == best]
+        places = {namespace(left) for left, _ in pairs}
+        if len(places) > 1:
+            named = ", ".join(f"{left} with {right}" for left, right in pairs)
+            raise RecordingError(
+                f"{self._path} has several stereo pairs: {named}; choose one with --topic "
+                f"left={pairs[0][0]}."
+            )
+        if not pairs:
+            if self._given.keys() & {"left", "right"}:
+                raise self._lacks_partner()
+            return False
+        self.roles["left"], self.roles["right"] = min(pairs, key=lambda p: (len(p[0]), p[0]))
+        for side in ("left", "right"):
+            self._info(f"{side}_info", self.roles[side], side, lone=False)
+        return True
+
+    def _pairs(self) -> list[tuple[str, str]]:
+        """Left and right topics whose names differ in nothing but the side, else those beside
+        the calibrations of one pair."""
+        left, right = self._given.get("left"), self._given.get("right")
+        if left and right:
+            return [(left, right)]
+        images = _of_types(self._topics, (IMAGE, COMPRESSED))
+        pairs = [
+            (name, partner)
+            for name in images
+            for partner in right_partners(name)
+            if partner in images
+            and not _NO_PICTURE.search(name.lower())
+            and self._topics[name].type == self._topics[partner].type
+        ]
+        pairs = pairs or [
+            (name, partner)
+            for name in images
+            for partner in images
+            if (other := self._partners.get(_beside(name, self._topics)))
+            and other == _beside(partner, self._topics)
+            and name.rpartition("/")[2] == partner.rpartition("/")[2]
+            and not _NO_PICTURE.search(name.lower())
+        ]
+        return [p for p in pairs if left in (None, p[0]) and right in (None, p[1])]
+
+    def _lacks_partner(self) -> RecordingError:
+        role = "left" if "left" in self._given else "right"
+        other = "right" if role == "left" else "left"
+        images = [t for t in self._topics.values() if t.type in (IMAGE, COMPRESSED)]
+        return RecordingError(
+            f"{self._path}: no name of a topic tells the partner of {role}={self._given[role]}; "
+            f"add --topic {other}=NAME, of {listing(images)}."
+        )
+
+    def _disparity(self) -> bool:
+        found = self._one_of("disparity", _of_types(self._topics, (DISPARITY,)), lambda _: 0)
+        if not found:
+            return False
+        self.roles["disparity"] = found
+        self._info("left_info", found, "left")
+        return True
+
+    def _depth(self) -> bool:
+        images = _of_types(self._topics, (IMAGE, COMPRESSED))
+        depths = [n for n in images if _DEPTH.search(base_name(n).lower())]
+        depths = [n for n in depths if "confidence" not in n.lower()]
+        found = self._one_of("depth", depths, self._depth_rank)
+        if not found:
+            return False
+        self.roles["depth"] = found
+        self._info("depth_info", found, "")
+        return True
+
+    def _depth_rank(self, name: str) -> tuple[bool, bool, bool, bool]:
+        """Of the depth camera itself, rectified, plain, without loss first."""
+        packed = self._topics[name].type == COMPRESSED
+        return "aligned" in name, not is_rectified(name), packed, not name.endswith("Depth")
+
+    def _cloud(self) -> bool:
+        clouds = _of_types(self._topics, (CLOUD,))
+        found = self._one_of("cloud", clouds, lambda n: MADE.search(n.lower()) is not None)
+        if not found:
+            return False
+        self.roles["cloud"] = found
+        return True
+
+    def _info(self, role: str, image: str, side: str, *, lone: bool = True) -> None:
+        """The calibration beside an image, or the only one of its side, or if it may be `lone`
+        the only one at all. That there is none is told later."""
+        infos = _of_types(self._topics, (INFO,))
+        parts = base_name(image).split("/")[:-1]
+        near = ["/".join(parts[:k]) for k in range(len(parts), 0, -1)]
+        beside = [f"{place}/camera_info" for place in (base_name(image), *near[: 2 if lone else 1])]
+        beside += [f"{place}/{side}/camera_info" for place in near if side]
+        sided = [name for name in infos if side_of(name) == side]
+        candidates = [
+            *([self._given[role]] if role in self._given else []),
+            *(name for name in beside if name in infos),
+            *(sided if len(sided) == 1 else []),
+            *(infos if lone and len(infos) == 1 else []),
+        ]
+        if candidates:
+            self.roles[role] = candidates[0]
+
+    def _one_of(self, role: str, names: list[str], worth: Callable[[str], object]) -> str:
+        """The given one, else the one that is worth most (the lowest), else ''."""
+        if role in self._given:
+            return self._given[role]
+        best = min((worth(name) for name in names), default=None)  # type: ignore[type-var]
+        names = [name for name in names if worth(name) == best]
+        if len(names) > 1:
+            raise RecordingError(
+                f"{self._path} has several topics for {role}: {', '.join(names)}; choose one with "
+                f"--topic {role}={names[0]}."
+            )
+        return names[0] if names else ""
+
+
+def _of_types(topics: Mapping[str, Topic], types: tuple[str, ...]) -> list[str]:
+    return sorted(name for name, topic in topics.items() if topic.type in types)
+
+
+def _image_rank(name: str, topics: Mapping[str, Topic]) -> tuple[bool, bool, bool]:
+    """Rectified before raw, grey before colour, plain before compressed."""
+    coloured = re.search(r"colou?r|rgb", name.lower()) is not None
+    return not is_rectified(name), coloured, topics[name].type == COMPRESSED
+
+
+def _beside(image: str, topics: Mapping[str, Topic]) -> str:
+    """The calibration below an image, else beside it."""
+    below = f"{base_name(image)}/camera_info"
+    return below if below in topics else f"{namespace(image)}/camera_info"

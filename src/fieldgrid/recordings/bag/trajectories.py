@@ -1,0 +1,121 @@
+"""A trajectory in a bag: nav_msgs/Odometry, nav_msgs/Path, or stamped poses."""
+
+from __future__ import annotations
+
+from array import array
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fieldgrid.core import RecordingError
+from fieldgrid.recordings.bag.heard import Heard
+from fieldgrid.recordings.bag.order import clock
+from fieldgrid.recordings.bag.topics import ODOMETRY, POSE, SURE_POSE, listing, short
+from fieldgrid.recordings.poses.pose_files import MOST_M, OFF_UNIT, BodyPoses, rotations
+from fieldgrid.recordings.ros.bag import Bag, Take, open_bag
+from fieldgrid.recordings.ros.model import Message
+
+_PATH = "nav_msgs/msg/Path"
+_TYPES = (ODOMETRY, POSE, SURE_POSE, _PATH)
+_SECOND_NS = 1_000_000_000
+
+
+class _Poses(Heard):
+    """The poses of a topic, [n, 7]: where, and the quaternion x, y, z, w."""
+
+    def __init__(self, type_: str) -> None:
+        super().__init__()
+        self.type = type_
+        self.values = array("d")
+        self.stamps_ns = array("q")
+        self._whole: Message | None = None
+
+    def take(self, message: Message, place: int) -> None:
+        """The next message; of paths, which grow, the last one counts."""
+        if self.type == _PATH:
+            self._whole = message
+        else:
+            super().take(message, place)
+
+    def finish(self) -> None:
+        """Read the path, once it is known which is the last."""
+        if self._whole is not None:
+            super().take(self._whole, 0)
+
+    def _add(self, message: Any, place: int) -> None:
+        if self.type == _PATH:
+            for one in message.poses:
+                stamp = one.header.stamp
+                self.stamps_ns.append(stamp.sec * _SECOND_NS + stamp.nanosec)
+                self._append(one.pose)
+            return
+        self.places.append(place)
+        self._append(message.pose if self.type == POSE else message.pose.pose)
+
+    def _append(self, pose: Any) -> None:
+        p, q = pose.position, pose.orientation
+        self.values.extend((p.x, p.y, p.z, q.x, q.y, q.z, q.w))
+
+
+def read_pose_topic(
+    path: Path, topic: str | None, offset_ns: int = 0, epoch_ns: int | None = None
+) -> BodyPoses:
+    """The poses of a topic of a bag, of the only one that has poses where none is named; `epoch_ns`
+    as `open_bag` takes it.
+
+    Raises RecordingError where there is none, several, or one whose poses are none.
+    """
+    heard: dict[str, _Poses] = {}
+
+    def listen(name: str, type_: str) -> Take | None:
+        if type_ not in _TYPES or (topic is not None and name != topic):
+            return None
+        heard[name] = _Poses(type_)
+        return heard[name].take
+
+    with open_bag(path, listen, epoch_ns) as bag:
+        name = _chosen(bag, list(heard), topic)
+        found = heard[name]
+        found.finish()
+        values = np.array(found.values, dtype=np.float64).reshape(-1, 7)
+        if found.type == _PATH:
+            stamps_ns = bag.dated(np.array(found.stamps_ns, dtype=np.int64))
+            time_ns = clock(name, stamps_ns, stamps_ns).time_ns
+        else:
+            times_ns = clock(name, *bag.stamps(name)).time_ns
+            time_ns = times_ns[np.array(found.places, dtype=np.int64)]
+    length = np.linalg.norm(values[:, 3:], axis=1)
+    good = np.isfinite(values).all(axis=1) & (np.abs(values[:, :3]) < MOST_M).all(axis=1)
+    wrong = ~(good & (np.abs(length - 1.0) < OFF_UNIT))
+    if not len(values) or wrong.any():
+        what = f"{np.count_nonzero(wrong)} of {len(values)} poses" if len(values) else "no pose"
+        why = "hold NaN, or a quaternion that has not the length 1" if len(values) else "is in it"
+        raise RecordingError(f"{path}: {what} of {name} {why}; choose another with --poses-topic.")
+    known = time_ns > 0
+    return BodyPoses(
+        f"{path.name} {name}",
+        time_ns[known] + offset_ns,
+        values[known, :3],
+        rotations(values[known, 3:]),
+    )
+
+
+def _chosen(bag: Bag, candidates: list[str], topic: str | None) -> str:
+    types = ", ".join(short(type_) for type_ in _TYPES)
+    if topic is not None and topic not in candidates:
+        there = f"is of the type {short(bag.topics[topic].type)}" if topic in bag.topics else ""
+        raise RecordingError(
+            f"{bag.path}: {topic} {there or 'is not there'}; a topic of poses is one of {types}, "
+            f"and the bag has {listing(bag.topics.values())}."
+        )
+    if not candidates:
+        raise RecordingError(
+            f"{bag.path} has no topic of poses ({types}); it has {listing(bag.topics.values())}."
+        )
+    if len(candidates) > 1:
+        raise RecordingError(
+            f"{bag.path} has several topics of poses: {', '.join(sorted(candidates))}; choose one "
+            "with --poses-topic."
+        )
+    return candidates[0]

@@ -1,0 +1,129 @@
+"""Transforms of a bag that do not change: where each frame sits on the vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fieldgrid.core import CalibrationError, Float64
+
+_DEEPEST = 64
+_MAX_FRAMES = 10_000
+_FARTHEST_M, _UNIT = 1e6, 0.01
+_SAME = 1e-6
+"""Transforms that differ by less, in metres or radians, are of one place."""
+
+
+class FrameTransform(NamedTuple):
+    """A frame seen from another: R turns its directions into the other's, `at_m` is its origin."""
+
+    R: Float64
+    at_m: Float64
+
+
+class Transforms:
+    """The tree of frames. Names are without a leading slash; the last word on a frame holds."""
+
+    def __init__(self) -> None:
+        self._parents: dict[str, tuple[str, FrameTransform]] = {}
+        self._moved: set[str] = set()
+
+    def add(self, message: Any) -> None:
+        """The transforms of a tf2_msgs/TFMessage; those that are no transform are left out."""
+        for _, (child, parent, place) in told(message):
+            if len(self._parents) < _MAX_FRAMES:
+                self._parents[child] = (parent, place)
+
+    def add_unmoved(self, message: Any) -> None:
+        """Add the transforms of a message, and note for :meth:`unmoved` the frames that move or
+        change their parent."""
+        for _, (child, parent, place) in told(message):
+            known = self._parents.get(child)
+            if known is None and len(self._parents) < _MAX_FRAMES:
+                self._parents[child] = (parent, place)
+            elif known is not None and (known[0] != parent or not _is_same(known[1], place)):
+                self._moved.add(child)
+
+    def unmoved(self) -> Transforms:
+        """The tree without the frames that were seen to move."""
+        found = Transforms()
+        found._parents = {key: at for key, at in self._parents.items() if key not in self._moved}
+        return found
+
+    def update(self, other: Transforms) -> None:
+        """Take in another tree, whose word on a frame holds."""
+        self._parents.update(other._parents)
+
+    def has(self, frame: str) -> bool:
+        """Whether a frame is in the tree."""
+        frame = _plain(frame)
+        return frame in self._parents or any(frame == p for p, _ in self._parents.values())
+
+    def place(self, frame: str, base: str) -> FrameTransform | None:
+        """A frame seen from `base`, whichever is above the other; None where nothing joins them.
+
+        Raises CalibrationError for frames that hang in a circle.
+        """
+        up, from_base = self._ancestors(_plain(frame)), self._ancestors(_plain(base))
+        shared = next((name for name in up if name in from_base), None)
+        if shared is None:
+            return None
+        of_frame, of_base = up[shared], from_base[shared]
+        R_base = of_base.R.T
+        return FrameTransform(R_base @ of_frame.R, R_base @ (of_frame.at_m - of_base.at_m))
+
+    def _ancestors(self, frame: str) -> dict[str, FrameTransform]:
+        """The frame itself and those above it, nearest first, with its place in each."""
+        here = FrameTransform(np.eye(3), np.zeros(3))
+        found = {frame: here}
+        while frame in self._parents:
+            parent, place = self._parents[frame]
+            if parent in found or len(found) > _DEEPEST:
+                raise CalibrationError(
+                    f"The static transforms of frame {frame!r} lead in a circle; record a "
+                    "/tf_static in which each frame has one parent, or write mounting.json."
+                )
+            here = FrameTransform(place.R @ here.R, place.R @ here.at_m + place.at_m)
+            found[parent] = here
+            frame = parent
+        return found
+
+
+def told(message: Any) -> Iterator[tuple[Any, tuple[str, str, FrameTransform]]]:
+    """The transforms of a message that are any, each with its child, parent and place."""
+    for one in message.transforms:
+        child, parent = _plain(one.child_frame_id), _plain(one.header.frame_id)
+        place = _place(one.transform)
+        if place is not None and child != parent:
+            yield one, (child, parent, place)
+
+
+def _is_same(one: FrameTransform, other: FrameTransform) -> bool:
+    apart_m, turned = np.abs(one.at_m - other.at_m).max(), np.abs(one.R - other.R).max()
+    return bool(apart_m < _SAME and turned < _SAME)
+
+
+def _plain(frame: str) -> str:
+    return frame.lstrip("/")
+
+
+def _place(transform: Any) -> FrameTransform | None:
+    shift, turn = transform.translation, transform.rotation
+    at_m = np.array([shift.x, shift.y, shift.z], dtype=np.float64)
+    q = np.array([turn.w, turn.x, turn.y, turn.z], dtype=np.float64)
+    if not (np.abs(at_m).max() < _FARTHEST_M and np.abs(q).max() < 2.0):  # nor NaN
+        return None
+    length = float(np.linalg.norm(q))
+    if abs(length - 1.0) > _UNIT:
+        return None
+    w, x, y, z = q / length
+    R = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return FrameTransform(R, at_m)

@@ -1,0 +1,133 @@
+"""Transforms on the topics of a bag: the tree of those that never change, and the way of the
+vehicle by those that do."""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fieldgrid.core import Float64, Int64
+from fieldgrid.recordings.bag.heard import Heard
+from fieldgrid.recordings.bag.order import clock
+from fieldgrid.recordings.bag.transforms import Transforms, told
+from fieldgrid.recordings.ros.bag import Bag
+
+_MOST_TREES = 10_000
+_ALL_OF_FIRST, _THEN_EVERY = 200, 50
+
+CHORD_NS, LONGEST_NS = 100_000_000, 1_000_000_000
+"""The speed is told over so long a way: over less, the digits of a transform make noise. Over a
+longer one than the second, nothing is told."""
+
+JUMP_MPS = 30.0
+"""Faster is no vehicle: what finds its place in a map again moves its frame at once."""
+
+_BASE = re.compile(r"(?:.*/)?base_(?:footprint|link)")
+_WORLD = {"odom": 0, "map": 1, "world": 2}
+"""Frames in which a vehicle moves, the smoothest first."""
+
+
+class FrameTrack(NamedTuple):
+    """Where the frame of a vehicle was in another, n times in the order of the record: `at_m`
+    [n, 3], and `forward` [n, 3], the direction of its x axis there."""
+
+    parent: str
+    child: str
+    time_ns: Int64
+    at_m: Float64
+    forward: Float64
+
+
+class Trees(Heard):
+    """Static transforms."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.transforms = Transforms()
+
+    def _wants(self, place: int) -> bool:
+        return place < _MOST_TREES
+
+    def _add(self, message: Any, place: int) -> None:
+        self.transforms.add(message)
+
+
+class MovingTrees(Trees):
+    """Transforms on /tf: the way of the vehicle, as long as `is_needed` says that nothing else
+    tells it, and those that never change, which some robots publish there, too."""
+
+    def __init__(self, is_needed: Callable[[], bool] = lambda: False) -> None:
+        super().__init__()
+        self._is_needed, self._is_whole = is_needed, True
+        self._ways: dict[tuple[str, str], tuple[array[int], array[float]]] = {}
+
+    def _wants(self, place: int) -> bool:
+        self._is_whole = self._is_whole and self._is_needed()
+        return self._is_whole or _is_sample(place)
+
+    def _add(self, message: Any, place: int) -> None:
+        if _is_sample(place):
+            self.transforms.add_unmoved(message)
+        for one, (child, parent, at) in told(message):
+            if parent.rpartition("/")[2] in _WORLD and _BASE.fullmatch(child):
+                stamp = one.header.stamp
+                times, values = self._ways.setdefault((parent, child), (array("q"), array("d")))
+                times.extend((place, stamp.sec * 1_000_000_000 + stamp.nanosec))
+                values.extend((*at.at_m, *at.R[:, 0]))
+
+    def way(self, bag: Bag, topic: str, *, is_mapped: bool) -> FrameTrack | None:
+        """The way of the vehicle: in `odom`, which has no jumps, before others. None where there is
+        none, or those of several vehicles, or not all was heard. In a `map` that lies on the globe
+        (`is_mapped`) it was found by the fixes, and says nothing beside them."""
+        moving = [
+            key
+            for key, (_, values) in self._ways.items()
+            if _moves(values) and not (is_mapped and _worth(key[0]) == _WORLD["map"])
+        ]
+        if not self._is_whole:
+            return None
+        best = min((_worth(parent) for parent, _ in moving), default=None)
+        found = [key for key in moving if _worth(key[0]) == best]
+        if len(found) != 1:
+            return None
+        times, values = self._ways[found[0]]
+        place, stamp_ns = np.array(times, dtype=np.int64).reshape(-1, 2).T
+        time_ns = clock(topic, bag.dated(stamp_ns), bag.stamps(topic)[1][place]).time_ns
+        columns = np.array(values, dtype=np.float64).reshape(-1, 6)[time_ns > 0]
+        return FrameTrack(*found[0], time_ns[time_ns > 0], columns[:, :3], columns[:, 3:])
+
+
+def forward_speeds(way: FrameTrack) -> tuple[Int64, Float64]:
+    """Times in the middle of chords of a tenth of a second, and the speed along the vehicle's x
+    axis on each, negative in reverse."""
+    order = np.unique(way.time_ns, return_index=True)[1]
+    time_ns, at_m, forward = way.time_ns[order], way.at_m[order], way.forward[order]
+    knots = [0]
+    while knots[-1] < len(time_ns) - 1:  # a stamp may be a little early
+        later = np.searchsorted(time_ns, time_ns[knots[-1]] + CHORD_NS - CHORD_NS // 20)
+        knots.append(min(int(later), len(time_ns) - 1))
+    first, last = np.array(knots[:-1], dtype=np.intp), np.array(knots[1:], dtype=np.intp)
+    took_ns = time_ns[last] - time_ns[first]
+    ahead = forward[first] + forward[last]
+    ahead /= np.maximum(np.linalg.norm(ahead, axis=1), 1e-9)[:, None]
+    speed_mps = np.einsum("ni,ni->n", ahead, at_m[last] - at_m[first]) / (took_ns / 1e9)
+    told_here = (took_ns <= LONGEST_NS) & (np.abs(speed_mps) < JUMP_MPS)
+    return (time_ns[first] + took_ns // 2)[told_here], speed_mps[told_here]
+
+
+def _is_sample(place: int) -> bool:
+    return place < _ALL_OF_FIRST or (place < _MOST_TREES and place % _THEN_EVERY == 0)
+
+
+def _worth(parent: str) -> int:
+    return _WORLD[parent.rpartition("/")[2]]
+
+
+def _moves(values: array[float]) -> bool:
+    """Whether a frame is seen at two places at least."""
+    columns = np.array(values, dtype=np.float64).reshape(-1, 6)
+    return bool(np.ptp(columns[:, :3], axis=0).max() > 0.0)

@@ -1,0 +1,1 @@
+"""Calibrations of cameras in all dialects, and the mounting on the vehicle."""

@@ -1,0 +1,134 @@
+"""KITTI's calibration files: three transformations and the rectified cameras to a rig.
+
+Their frames are the IMU (x forward, y left, z up), the lidar, and camera 0 before and after
+rectification (x right, y down, z forward).
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.core import CalibrationError, Float64, RecordingError
+from fieldgrid.geometry import LeverArm, Mount, Rig
+from fieldgrid.perception import camera_from_projections
+from fieldgrid.recordings.files import read_text
+
+CAMERA_HEIGHT_M = 1.65
+"""Height of the cameras above the road: in KITTI's paper and drawing, in none of its files."""
+
+_MAX_BYTES = 1 << 20
+_VEHICLE_FROM_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+class KittiCalibration(NamedTuple):
+    """What the three calibration files say of one pair of cameras."""
+
+    left: Float64  # projection from rectified camera 0, 3 x 4 px
+    right: Float64
+    size_px: tuple[int, int]
+    T_rect_imu: Float64
+    source: str
+
+    def rig(self) -> Rig:
+        """The rig; the vehicle is level when its IMU is."""
+        camera = camera_from_projections(self.left, self.right, self.size_px, self.source)
+        R_imu_rect = self.T_rect_imu[:3, :3].T
+        middle_rect = (_centre(self.left) + _centre(self.right)) / 2.0
+        middle_imu = R_imu_rect @ (middle_rect - self.T_rect_imu[:3, 3])
+        try:
+            mount = Mount(CAMERA_HEIGHT_M, *mount_angles_deg(_VEHICLE_FROM_FLU @ R_imu_rect))
+            # What oxts positions is the IMU itself.
+            right, forward, up = _VEHICLE_FROM_FLU @ -middle_imu
+            antenna = LeverArm(float(right), float(forward), float(up) + CAMERA_HEIGHT_M)
+        except CalibrationError as problem:
+            raise CalibrationError(f"{self.source}: {problem}") from problem
+        return Rig(camera, mount, antenna)
+
+
+def mount_angles_deg(R_vehicle_camera: Float64) -> tuple[float, float, float]:
+    """Tilt, roll and yaw in degrees: the inverse of `Mount.rotation`."""
+    R = R_vehicle_camera
+    tilt = math.atan2(-R[2, 2], -R[2, 1])
+    roll = -math.asin(max(-1.0, min(1.0, float(R[2, 0]))))
+    yaw = math.atan2(-R[1, 0], R[0, 0])
+    return math.degrees(tilt), math.degrees(roll), math.degrees(yaw)
+
+
+def _centre(projection: Float64) -> Float64:
+    """Optical centre in the frame of rectified camera 0, metres."""
+    try:
+        return np.asarray(-np.linalg.solve(projection[:, :3], projection[:, 3]), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        raise CalibrationError(
+            f"The projection matrix {projection.tolist()} has no inverse; restore the calibration."
+        ) from None
+
+
+def read_kitti_calibration(drive: Path, left: str, right: str) -> KittiCalibration:
+    """The calibration of cameras `left` and `right`, like "00" and "01"."""
+    cameras = _find(drive, "calib_cam_to_cam.txt")
+    table = read_entries(cameras)
+    T_cam_velo = _transform(_find(drive, "calib_velo_to_cam.txt"))
+    T_velo_imu = _transform(_find(drive, "calib_imu_to_velo.txt"))
+    T_rect_cam = np.eye(4)
+    T_rect_cam[:3, :3] = _rotation(table, "R_rect_00", cameras)
+    size = numbers(table, f"S_rect_{left}", 2, cameras)
+    return KittiCalibration(
+        left=numbers(table, f"P_rect_{left}", 12, cameras).reshape(3, 4),
+        right=numbers(table, f"P_rect_{right}", 12, cameras).reshape(3, 4),
+        size_px=(int(size[0]), int(size[1])),
+        T_rect_imu=T_rect_cam @ T_cam_velo @ T_velo_imu,
+        source=str(cameras),
+    )
+
+
+def _find(drive: Path, name: str) -> Path:
+    date = drive.resolve().parent
+    for folder in (date, drive):
+        if (folder / name).is_file():
+            return folder / name
+    raise CalibrationError(
+        f"{name} is neither in {date} nor in {drive}; unpack KITTI's calibration of that day."
+    )
+
+
+def _transform(path: Path) -> Float64:
+    table = read_entries(path)
+    T = np.eye(4)
+    T[:3, :3] = _rotation(table, "R", path)
+    T[:3, 3] = numbers(table, "T", 3, path)
+    return T
+
+
+def _rotation(table: dict[str, str], key: str, path: Path) -> Float64:
+    R = numbers(table, key, 9, path).reshape(3, 3)
+    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
+        raise CalibrationError(f"{path}: {key} is no rotation; restore the file.")
+    return R
+
+
+def read_entries(path: Path) -> dict[str, str]:
+    """Lines `key: values` of a calibration file."""
+    text = read_text(path, _MAX_BYTES, CalibrationError)
+    lines = (line.partition(":") for line in text.splitlines())
+    return {key.strip(): values for key, _, values in lines}
+
+
+def numbers(table: dict[str, str], key: str, count: int, path: Path) -> Float64:
+    """The `count` numbers of an entry."""
+    values = np.array(floats(table.get(key, ""), path), dtype=np.float64)
+    if values.size != count or not (np.abs(values) < 1e9).all():
+        raise CalibrationError(f"{path} lacks {key} with {count} numbers; restore the file.")
+    return values
+
+
+def floats(text: str, path: Path) -> list[float]:
+    """The numbers of a text, separated by white space."""
+    try:
+        return [float(word) for word in text.split()]
+    except ValueError as problem:
+        raise RecordingError(f"{path} is damaged: {problem}; copy it again.") from problem

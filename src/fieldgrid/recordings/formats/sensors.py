@@ -1,0 +1,206 @@
+"""What the frames of a plain folder are, and the sensor that they are of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.core import CalibrationError
+from fieldgrid.geometry import DepthCamera, LeverArm, Lidar, Rig
+from fieldgrid.perception import points_per_sr
+from fieldgrid.recordings.calibration.loading import read_calibration
+from fieldgrid.recordings.calibration.mounting import Mounting
+from fieldgrid.recordings.calibration.ros import read_ros_camera
+from fieldgrid.recordings.files import read_table
+from fieldgrid.recordings.formats.settings_file import RecordingSettings
+from fieldgrid.recordings.frames.cloud_files import AXES, CLOUDS, CloudFile, CloudKind
+from fieldgrid.recordings.frames.depth_files import DEPTHS, DISPARITIES, DepthFormat, DepthKind
+from fieldgrid.recordings.frames.frame_table import (
+    PAIRS,
+    TABLE,
+    FrameLayout,
+    frame_columns,
+    read_frames,
+)
+from fieldgrid.recordings.frames.image_format import image_format, stored_size_px
+from fieldgrid.recordings.stored import FrameKind, PairKind, Shot
+
+CALIBRATION = "calibration"
+DEPTH_INFO = "depth_camera_info.yaml"
+
+_MEASURED_AT = (0.5, 0.25, 0.75)
+"""Parts of the way through a drive at which clouds tell how dense they are."""
+
+_LAYOUTS = {"stereo": PAIRS, "depth": DEPTHS, "disparity": DISPARITIES, "cloud": CLOUDS}
+
+
+class SensorFrames(NamedTuple):
+    """The frames of a recording, the rig that saw them, and remarks."""
+
+    rig: Rig
+    shots: tuple[Shot, ...]
+    kind: FrameKind
+    notes: tuple[str, ...]
+    layout: FrameLayout = PAIRS
+
+
+def has_frames(path: Path) -> bool:
+    """Whether a folder has the folders of some kind of frames."""
+    return any(layout.is_in(path) for layout in _LAYOUTS.values())
+
+
+def read_seen(
+    path: Path,
+    settings: RecordingSettings,
+    mounting: Mounting,
+    offset_ns: int,
+    *,
+    incomplete: bool = False,
+    growing: bool = False,
+) -> SensorFrames:
+    """The frames of the recording in a folder.
+
+    Where there are several kinds, the settings say which, or else the first of pairs, depths,
+    disparities and clouds is taken. With `incomplete`, files of frames may be missing. With
+    `growing` all frames are still to come, and none is looked for.
+    """
+    found = _kinds(path, settings)
+    sensor = settings.sensor or next(iter(found), "stereo")
+    layout = _LAYOUTS[sensor]._replace(incomplete=incomplete, growing=growing)
+    read: dict[
+        str, Callable[[Path, RecordingSettings, Mounting, int, FrameLayout], SensorFrames]
+    ] = {
+        "stereo": _pairs,
+        "depth": _depths,
+        "disparity": _depths,
+        "cloud": _clouds,
+    }
+    seen = read[sensor](path, settings, mounting, offset_ns, layout)._replace(layout=layout)
+    others = [other for other in found if other != sensor]
+    if settings.sensor is None and others:
+        note = (
+            f"The frames are those of {sensor}; {' and '.join(others)} are there, too: say which "
+            f'in recording.toml, like sensor = "{others[0]}".'
+        )
+        return seen._replace(notes=(*seen.notes, note))
+    return seen
+
+
+def _kinds(path: Path, settings: RecordingSettings) -> list[str]:
+    """The kinds of frames that the table has columns for, or without rows there are folders for."""
+    table = path / (settings.frames or TABLE)
+    if settings.frames is not None or table.exists():
+        for _, row in read_table(table, ("frame_id",), named=frame_columns):
+            return [kind for kind, layout in _LAYOUTS.items() if row.keys() >= set(layout.columns)]
+    return [kind for kind, layout in _LAYOUTS.items() if layout.is_in(path)]
+
+
+def _pairs(
+    path: Path, settings: RecordingSettings, mounting: Mounting, offset_ns: int, layout: FrameLayout
+) -> SensorFrames:
+    shots, notes = read_frames(path, settings.frames, layout)
+    calibration = read_calibration(
+        path / CALIBRATION, settings.calibration, settings.rectified, stored_size_px(path, shots)
+    )
+    rig = mounting.rig(calibration.camera, offset_ns)
+    stored, image_notes = image_format(path, shots, settings)
+    size_px = (rig.camera.width_px, rig.camera.height_px)
+    kind = PairKind(size_px, calibration.rectifier, stored)
+    return SensorFrames(rig, shots, kind, (*calibration.notes, *notes, *image_notes))
+
+
+def _depths(
+    path: Path, settings: RecordingSettings, mounting: Mounting, offset_ns: int, layout: FrameLayout
+) -> SensorFrames:
+    rig, offset_px, calibration_notes = _depth_rig(path, settings, mounting, offset_ns)
+    camera = rig.sensor
+    assert isinstance(camera, DepthCamera)
+    if layout.columns == DEPTHS.columns:
+        stated = DepthFormat("depth", settings.scale)
+    elif camera.baseline_m is None:
+        raise CalibrationError(
+            f"{path} has disparities, and nothing says the baseline of their pair; add it to "
+            "recording.toml: [disparity] baseline_m, or give the calibration of the pair."
+        )
+    else:
+        product = camera.fx_px * camera.baseline_m
+        stated = DepthFormat("disparity", settings.scale, product, offset_px)
+    shots, notes = read_frames(path, settings.frames, layout)
+    kind = DepthKind((camera.width_px, camera.height_px), stated)
+    return SensorFrames(rig, shots, kind, (*calibration_notes, *notes))
+
+
+def _depth_rig(
+    path: Path, settings: RecordingSettings, mounting: Mounting, offset_ns: int
+) -> tuple[Rig, float, tuple[str, ...]]:
+    """The rig of a depth camera, the disparity at infinity of its pair, and remarks."""
+    info = path / CALIBRATION / (settings.calibration or DEPTH_INFO)
+    if info.exists() and (settings.calibration is None or info.name == DEPTH_INFO):
+        camera, notes = read_ros_camera(info)
+        camera = replace(camera, baseline_m=settings.baseline_m or mounting.baseline_m)
+        return mounting.rig(camera, offset_ns), 0.0, notes
+    calibration = read_calibration(path / CALIBRATION, settings.calibration, settings.rectified)
+    if calibration.rectifier is not None:
+        raise CalibrationError(
+            f"The calibration in {path / CALIBRATION} is of raw images, and depths are of "
+            f"rectified ones; give theirs as {DEPTH_INFO}."
+        )
+    pair = calibration.camera
+    f, baseline_m = pair.focal_px, settings.baseline_m or pair.baseline_m
+    size_px = (pair.width_px, pair.height_px)
+    depth_camera = DepthCamera(*size_px, f, f, pair.cx_px, pair.cy_px, baseline_m)
+    rig = mounting.rig(pair, offset_ns)  # which compares the baselines
+    note = "The depths are taken to be of the left camera of the calibrated pair."
+    return _from_left(rig, depth_camera), pair.disparity_offset_px, (*calibration.notes, note)
+
+
+def _from_left(rig: Rig, camera: DepthCamera) -> Rig:
+    """The rig of a pair as that of its left camera: all is told from below that one."""
+    left = rig.mount.rotation() @ np.array([-rig.camera.baseline_m / 2.0, 0.0, 0.0])
+    right_m, forward_m = float(left[0]), float(left[1])
+    antenna, axle_m = rig.antenna, rig.rear_axle_forward_m
+    return replace(
+        rig,
+        sensor=camera,
+        mount=replace(rig.mount, height_m=rig.mount.height_m + float(left[2])),
+        antenna=LeverArm(antenna.right_m - right_m, antenna.forward_m - forward_m, antenna.up_m),
+        rear_axle_forward_m=None if axle_m is None else axle_m - forward_m,
+    )
+
+
+def _clouds(
+    path: Path, settings: RecordingSettings, mounting: Mounting, offset_ns: int, layout: FrameLayout
+) -> SensorFrames:
+    shots, notes = read_frames(path, settings.frames, layout)
+    kind = CloudKind(settings.axes or AXES, bool(settings.corrected), settings.cloud_scale_m)
+    if settings.points_per_sr is not None:
+        return SensorFrames(
+            mounting.rig(Lidar(settings.points_per_sr), offset_ns), shots, kind, notes
+        )
+    if layout.growing:
+        raise CalibrationError(
+            f"Nothing says how dense the clouds of {path} are, and none is there to measure it; "
+            "add it to recording.toml: [cloud] points_per_sr."
+        )
+    density, name = _measured_density(path, shots, kind)
+    note = f"The lidar takes {density:.0f} points in a steradian, by {name}."
+    return SensorFrames(mounting.rig(Lidar(density), offset_ns), shots, kind, (*notes, note))
+
+
+def _measured_density(path: Path, shots: tuple[Shot, ...], kind: CloudKind) -> tuple[float, str]:
+    """Points per steradian of the middle cloud, or of another where that one is next to empty;
+    and the name of its file."""
+    refusal: CalibrationError | None = None
+    for part in _MEASURED_AT:
+        (name,) = shots[int(part * len(shots))].files
+        source = CloudFile(path / name, kind.axes, scale_m=kind.scale_m)
+        try:
+            return points_per_sr(source.read()), name
+        except CalibrationError as problem:
+            refusal = refusal or CalibrationError(f"{source.name}: {problem}")
+    assert refusal is not None
+    raise refusal

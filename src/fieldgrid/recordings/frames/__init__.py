@@ -1,0 +1,1 @@
+"""Images, depths and point clouds in files, read when they are asked for."""

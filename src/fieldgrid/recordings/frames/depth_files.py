@@ -1,0 +1,176 @@
+"""Files of depths and disparities, as cameras and matchers export them, to depths in metres."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.core import Float32, RecordingError
+from fieldgrid.recordings.files import read_bytes
+from fieldgrid.recordings.frames.frame_table import FrameLayout
+from fieldgrid.recordings.frames.frames import DepthFrame, Frame
+from fieldgrid.recordings.frames.image_header import read_header
+from fieldgrid.recordings.frames.images import MAX_PIXELS
+from fieldgrid.recordings.frames.npy import parse_npy
+from fieldgrid.recordings.stored import Shot
+
+_Any = npt.NDArray[np.generic]
+
+SUFFIXES = frozenset({".png", ".tif", ".tiff", ".npy", ".pfm"})
+"""File name endings of depths and disparities, in lower case."""
+
+DEPTHS = FrameLayout(("depth",), ("depth",), SUFFIXES, "depth image")
+DISPARITIES = FrameLayout(("disparity",), ("disparity",), SUFFIXES, "disparity image")
+
+MILLIMETRES, KITTI_DISPARITY = 0.001, 1.0 / 256.0
+"""What one unit of whole numbers is when nothing is said: of depths, metres; of disparities, px."""
+
+_MAX_BYTES = 8 * MAX_PIXELS
+_NEAREST_M, _FARTHEST_M = 0.001, 1e6
+MOST_PACKED = 2000
+"""No PNG or TIFF packs as many pixels into a byte."""
+_PFM = re.compile(rb"Pf\s+(\d{1,9})\s+(\d{1,9})\s+(-?[0-9.eE+-]{1,20})\s")
+
+
+@dataclass(frozen=True, slots=True)
+class DepthFormat:
+    """What the numbers of depth files mean.
+
+    `unit` is what one is worth, metres or px; None for the usual: whole numbers are millimetres,
+    or 1/256 px, and floats metres, or px. For disparities, depth is
+    `focal_baseline_px_m` / (disparity - `offset_px`).
+    """
+
+    role: Literal["depth", "disparity"]
+    unit: float | None = None
+    focal_baseline_px_m: float = 0.0
+    offset_px: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class DepthFile:
+    """A 16-bit PNG or TIFF, a float32 TIFF, a NumPy array or a PFM, of one channel."""
+
+    path: Path
+    format: DepthFormat
+
+    @property
+    def name(self) -> str:
+        """The path."""
+        return str(self.path)
+
+    def read(self) -> Float32:
+        """Depth along the optical axis [row, column], metres; NaN where there is none."""
+        values = _decode(read_bytes(self.path, _MAX_BYTES), self.path)
+        stated = self.format
+        whole = values.dtype.kind in "iu"
+        unit = stated.unit
+        if unit is None:
+            if whole and values.dtype.itemsize == 1:
+                raise RecordingError(
+                    f"{self.path} has 8 bit, which is not usual; say in recording.toml what one "
+                    f"is worth: [{stated.role}] scale_{'m' if stated.role == 'depth' else 'px'}."
+                )
+            usual = MILLIMETRES if stated.role == "depth" else KITTI_DISPARITY
+            unit = usual if whole else 1.0
+        with np.errstate(all="ignore"):  # what overflows is no depth
+            measured = values.astype(np.float32)
+            known = measured > 0.0
+            measured *= np.float32(unit)
+            if stated.role == "disparity":
+                measured = np.float32(stated.focal_baseline_px_m) / (
+                    measured - np.float32(stated.offset_px)
+                )
+            known &= (measured > _NEAREST_M) & (measured < _FARTHEST_M)
+        depth_m: Float32 = np.where(known, measured, np.float32(np.nan))
+        return depth_m
+
+    def sha256(self) -> str:
+        """The hash of the file."""
+        return hashlib.sha256(read_bytes(self.path, _MAX_BYTES)).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class DepthKind:
+    """Depth images for a calibration of `size_px`."""
+
+    size_px: tuple[int, int]
+    format: DepthFormat
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """Depth or disparity."""
+        return (self.format.role,)
+
+    def frame(self, folder: Path, shot: Shot) -> Frame:
+        """The depth image, unread."""
+        (name,) = shot.files
+        source = DepthFile(folder / name, self.format)
+        return DepthFrame(shot.frame_id, shot.time_ns, source, self.size_px)
+
+
+def _decode(data: bytes, path: Path) -> _Any:
+    """The numbers as stored, [row, column]."""
+    if not data:
+        raise RecordingError(f"{path} is empty; record or copy it again.")
+    if data.startswith(b"\x93NUMPY"):
+        values = parse_npy(data, str(path))
+    elif data.startswith(b"Pf"):
+        values = _pfm(data, path)
+    else:
+        values = decode_depth_image(data, str(path))
+    if values.ndim != 2 or 0 in values.shape:
+        raise RecordingError(
+            f"{path} has numbers of shape {values.shape}; depths have one channel, [row, column]."
+        )
+    return values
+
+
+def _pfm(data: bytes, path: Path) -> _Any:
+    match = _PFM.match(data)
+    if match is None:
+        raise RecordingError(f"{path} has no header of a grey PFM; write it again.")
+    width, height = int(match[1]), int(match[2])
+    order = "<" if match[3].startswith(b"-") else ">"
+    if width * height * 4 != len(data) - match.end():
+        raise RecordingError(
+            f"{path} claims {width} x {height} px and has {len(data) - match.end()} bytes of "
+            "them; it is truncated or damaged, copy it again."
+        )
+    upwards = np.frombuffer(data, dtype=f"{order}f4", offset=match.end()).reshape(height, width)
+    return upwards[::-1]
+
+
+def decode_depth_image(data: bytes, name: str) -> _Any:
+    """The numbers in a PNG or plain TIFF of one channel, [row, column]; RecordingError for what is
+    none."""
+    header = read_header(data, tiff_bits=(8, 16, 32))
+    if header is None:
+        raise RecordingError(
+            f"{name} is no PNG, plain TIFF, NumPy array or PFM; convert it, or restore it."
+        )
+    grey = data[25:26] in (b"", b"\0") if data.startswith(b"\x89PNG") else True
+    if not grey:
+        raise RecordingError(f"{name} is a colour image; depths have one channel.")
+    if header.width_px * header.height_px > MAX_PIXELS:
+        raise RecordingError(
+            f"{name} claims {header.width_px} x {header.height_px} px, more than {MAX_PIXELS} in "
+            "all; scale the images down."
+        )
+    pixels: _Any | None = None
+    if header.is_whole and header.width_px * header.height_px <= MOST_PACKED * len(data):
+        flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
+        try:
+            pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+        except cv2.error:
+            pixels = None
+    if pixels is None or pixels.shape[:2] != (header.height_px, header.width_px):
+        raise RecordingError(f"{name} is truncated or damaged; copy it again.")
+    return pixels

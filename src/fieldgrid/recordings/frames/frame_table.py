@@ -1,0 +1,224 @@
+"""The frames of a plain folder: by `frames.csv`, or by the names of the files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path, PurePath
+from typing import NamedTuple
+
+from fieldgrid.core import RecordingError, counted
+from fieldgrid.recordings.files import is_inside, parse_time_ns, read_table
+from fieldgrid.recordings.frames.images import SUFFIXES
+from fieldgrid.recordings.frames.in_folder import InFolder
+from fieldgrid.recordings.stored import Shot, checked_shots
+from fieldgrid.recordings.tables.times import NO_TIME, UNITS, TimeScale, guess_scale, to_utc_ns
+
+TimeOf = Callable[[Path], int]
+"""The time of a file that its name does not tell, UTC in nanoseconds; RecordingError without."""
+
+TABLE = "frames.csv"
+
+MAX_FRAMES = 500_000
+"""Half a day at ten frames a second. Each takes some 400 bytes."""
+
+
+class FrameLayout(NamedTuple):
+    """How one kind of frame lies in a folder: its columns in the table, the folder of each, the
+    endings of its files, what a frame and a file are called, what else tells a file's time,
+    whether files that the table names may be missing, and whether all frames are still to come."""
+
+    columns: tuple[str, ...]
+    folders: tuple[str, ...]
+    suffixes: Collection[str]
+    what: str
+    file: str = "image"
+    time_of: TimeOf | None = None
+    incomplete: bool = False
+    growing: bool = False
+
+    def is_in(self, folder: Path) -> bool:
+        """Whether all the folders are there."""
+        return all((folder / name).is_dir() for name in self.folders)
+
+
+PAIRS = FrameLayout(("left", "right"), ("left", "right"), SUFFIXES, "stereo pair")
+
+
+_DATE = re.compile(r"20\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])")
+"""How a date begins that is written without marks. As a count since 1970 it is after 2033."""
+
+FEWEST_ROWS, MOST_ASTRAY = 10, 0.02
+"""Of a table with fewer rows, or of which more are not in order of time, nothing is told of one."""
+
+
+def read_frames(
+    folder: Path, table: str | None = None, layout: FrameLayout = PAIRS
+) -> tuple[tuple[Shot, ...], tuple[str, ...]]:
+    """The frames of a folder in order of time, and remarks.
+
+    `table` is the table to read, inside the folder; else `frames.csv` if there is one.
+    """
+    if layout.growing:
+        return (), ()
+    path = folder / (table or TABLE)
+    if table is not None or path.exists():
+        in_folder = InFolder(folder)
+        shots = _from_table(path, layout, in_folder)
+        checked = checked_shots(shots, folder, layout.what, incomplete=layout.incomplete)
+        return checked, (*_out_of_order(shots, path), *_moved(in_folder, path))
+    shots, notes = _from_names(folder, layout)
+    return checked_shots(shots, folder, layout.what), notes
+
+
+def _moved(in_folder: InFolder, path: Path) -> tuple[str, ...]:
+    if not in_folder.elsewhere:
+        return ()
+    return (
+        f"{path.name} names files in {in_folder.elsewhere}, which is not here; those of the same "
+        "names in the recording are taken.",
+    )
+
+
+def _from_table(path: Path, layout: FrameLayout, in_folder: InFolder) -> list[Shot]:
+    shots: list[Shot] = []
+    for line, row in read_table(path, needed_columns(layout), named=frame_columns):
+        if len(shots) == MAX_FRAMES:
+            raise RecordingError(
+                f"{path} lists more than {MAX_FRAMES} frames; split it into several recordings."
+            )
+        shots.append(shot_of_row(row, f"{path}, line {line}", layout, in_folder))
+    return shots
+
+
+def _out_of_order(shots: Sequence[Shot], path: Path) -> tuple[str, ...]:
+    """A remark on frames whose stamps do not fit between those around them in a table that is in
+    order of time but for them."""
+    astray = [
+        at
+        for before, at, after in zip(shots, shots[1:], shots[2:], strict=False)
+        if before.time_ns <= after.time_ns and not before.time_ns <= at.time_ns <= after.time_ns
+    ]
+    if not astray or len(shots) < FEWEST_ROWS or len(astray) > max(1, MOST_ASTRAY * len(shots)):
+        return ()
+    return (
+        f"Frames that stand in {path.name} between such as were taken at another time: "
+        f"{len(astray)}, the first of them {astray[0].frame_id}. They are used where their stamps "
+        "say; if these are wrong, leave their rows out.",
+    )
+
+
+def needed_columns(layout: FrameLayout) -> tuple[str, ...]:
+    """The columns that no table of such frames lacks, besides that of the time."""
+    return ("frame_id", *layout.columns)
+
+
+def frame_columns(header: list[str]) -> list[str]:
+    """The columns of a table of frames, in which `id` is that of the frame unless there is
+    a `frame_id`."""
+    if "frame_id" in header or header.count("id") != 1:
+        return header
+    return ["frame_id" if name == "id" else name for name in header]
+
+
+def shot_of_row(
+    row: dict[str, str], where: str, layout: FrameLayout, in_folder: Callable[[str], str]
+) -> Shot:
+    """The frame that a row of a table tells; `where` is what an error calls the row, `in_folder`
+    gives the path of a file in the recording."""
+    for column in needed_columns(layout):
+        if not row[column]:
+            raise RecordingError(f"{where}: {column} is empty; fill it or remove the row.")
+    # Windows parts paths by backslashes.
+    files = tuple(in_folder(row[column].replace("\\", "/")) for column in layout.columns)
+    for name in files:
+        if not is_inside(name):
+            raise RecordingError(
+                f"{where}: {name!r} leads out of the recording; give a path inside its folder, "
+                "where a link may stand for files that lie elsewhere (ln -s THEIR_FOLDER "
+                f"{layout.folders[0]})."
+            )
+    try:
+        time_ns = parse_time_ns(row)
+    except ValueError as problem:
+        raise RecordingError(f"{where}: {problem}; correct it.") from problem
+    return Shot(time_ns, row["frame_id"], files)
+
+
+def _from_names(folder: Path, layout: FrameLayout) -> tuple[list[Shot], tuple[str, ...]]:
+    listings = [_files(folder / name, layout.suffixes) for name in layout.folders]
+    common = set.intersection(*(set(listing) for listing in listings))
+    shots: list[Shot] = []
+    for stem in common:
+        names = [found[stem] for found in listings]
+        files = tuple(f"{where}/{n}" for where, n in zip(layout.folders, names, strict=True))
+        shots.append(Shot(file_time_ns(folder, files[0], layout), stem, files))
+    told = _times_told(shots)
+    alone = sum(len(listing) for listing in listings) - len(listings) * len(common)
+    return shots, (
+        *told,
+        f"{counted(alone, 'image')} without a partner skipped.",
+    ) if alone else told
+
+
+def _times_told(shots: Sequence[Shot]) -> tuple[str, ...]:
+    """A remark on times that are those of names, and not in nanoseconds."""
+    first = min(shots, key=lambda shot: shot.frame_id, default=None)
+    found = None if first is None else _time_of_name(first.frame_id)
+    if first is None or found is None or found.time_ns != first.time_ns:
+        return ()
+    if found.scale.places == UNITS["ns"]:
+        return ()
+    return (f"The names of the files are times: {found.scale.describe()}.",)
+
+
+class _Named(NamedTuple):
+    """The time of a name in UTC nanoseconds, and the scale on which it is one."""
+
+    time_ns: int
+    scale: TimeScale
+
+
+def _time_of_name(stem: str) -> _Named | None:
+    """None for what is no time since 1980, and for a date: 2024060100001 is one with a count."""
+    scale = guess_scale("", [stem], decimal_comma=False)
+    if scale is None or scale.places is None or _DATE.match(stem) is not None:
+        return None
+    time_ns = int(to_utc_ns([stem], scale, decimal_comma=False)[0])
+    return None if time_ns == NO_TIME else _Named(time_ns, scale)
+
+
+def file_time_ns(folder: Path, file: str, layout: FrameLayout) -> int:
+    """The time of a frame by the name of its first file in nanoseconds, by what else tells it, or
+    by the name in another unit."""
+    stem = PurePath(file).stem
+    try:
+        return parse_time_ns({"time_ns": stem})
+    except ValueError:
+        named = _time_of_name(stem)
+    if layout.time_of is not None:
+        try:
+            return layout.time_of(folder / file)
+        except RecordingError:
+            if named is None:
+                raise
+    if named is None:
+        raise RecordingError(
+            f"{folder} has no {TABLE}, and the {layout.file} name {PurePath(file).name} is no UTC "
+            f"time in s, ms, us or ns; add {TABLE} with frame_id, timestamp_utc_s, "
+            f"{', '.join(layout.columns)}."
+        )
+    return named.time_ns
+
+
+def _files(folder: Path, suffixes: Collection[str]) -> dict[str, str]:
+    """Names of the files of a folder by their stem."""
+    files: dict[str, str] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in suffixes:
+            if path.stem in files:
+                raise RecordingError(
+                    f"{folder} has both {files[path.stem]} and {path.name}; remove one."
+                )
+            files[path.stem] = path.name
+    return files

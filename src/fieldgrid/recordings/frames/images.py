@@ -1,0 +1,154 @@
+"""Image files: decoded to grey, 8 bit, and refused before they can do harm."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from fieldgrid.core import RecordingError
+from fieldgrid.recordings.files import read_bytes
+from fieldgrid.recordings.frames.frames import Image
+from fieldgrid.recordings.frames.image_header import ImageHeader, read_header
+from fieldgrid.recordings.frames.pixels import BITS, to_grey
+
+SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff"})
+"""File name endings of images that can be read, in lower case."""
+
+MAX_PIXELS = 100_000_000
+_MAX_FILE_BYTES = 8 * MAX_PIXELS
+_Pixels = npt.NDArray[np.uint8 | np.uint16]
+_NAMES = {1: "mono", 3: "bgr", 4: "bgra"}
+
+
+class ImageFormat(NamedTuple):
+    """What image files do not say of themselves: the colours of a Bayer mosaic, of the first two
+    rows (like "rggb", None for none), and how many of 16 bits the camera fills."""
+
+    bayer: str | None = None
+    bits: int = BITS[-1]
+
+
+AS_STORED = ImageFormat()
+"""No mosaic, and all bits filled."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImageFile:
+    """An image in a file: PNG, JPEG, BMP, PGM, PPM or TIFF of at most `max_pixels`."""
+
+    path: Path
+    max_pixels: int = MAX_PIXELS
+    format: ImageFormat = AS_STORED
+
+    @property
+    def name(self) -> str:
+        """The path."""
+        return str(self.path)
+
+    def read(self) -> Image:
+        """Grey, 8 bit, as stored: a rotation noted in the file is not applied."""
+        return decode_image(self._bytes(), self.name, self.max_pixels, self.format)
+
+    def encoded(self) -> bytes:
+        """The file, if it is a JPEG or PNG and nothing is to be told beside it; else empty."""
+        return self_contained(self._bytes()) if self.format == AS_STORED else b""
+
+    def size_px(self) -> tuple[int, int]:
+        """(width, height) by the file's own header."""
+        header = _checked_header(self._bytes(), self.name, self.max_pixels)
+        return header.width_px, header.height_px
+
+    def is_whole(self) -> bool:
+        """Whether the end of a PNG, JPEG or TIFF is there, as far as can be seen without decoding;
+        not before its beginning is."""
+        header = read_header(self._bytes())
+        return header is not None and header.is_whole
+
+    def deep_pixels(self) -> _Pixels | None:
+        """The pixels as stored if their values have 16 bits, else None."""
+        data = self._bytes()
+        header = _checked_header(data, self.name, self.max_pixels)
+        return _pixels(data, header, self.name) if header.is_deep else None
+
+    def sha256(self) -> str:
+        """The hash of the file."""
+        return hashlib.sha256(self._bytes()).hexdigest()
+
+    def _bytes(self) -> bytes:
+        return read_bytes(self.path, _MAX_FILE_BYTES)
+
+
+def self_contained(data: bytes) -> bytes:
+    """Image data that are a JPEG or a PNG; empty for others."""
+    return data if data.startswith((b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n")) else b""
+
+
+def decode_image(
+    data: bytes, name: str, max_pixels: int = MAX_PIXELS, image_format: ImageFormat = AS_STORED
+) -> Image:
+    """Grey, 8 bit, of an encoded image as stored; `name` is what errors call it.
+
+    Colour becomes luma, a Bayer mosaic too; of 16 bit the upper 8 of those that the format says
+    to be filled are kept, the same in every image.
+    """
+    header = _checked_header(data, name, max_pixels)
+    if image_format.bayer is None and not header.is_deep:
+        grey = _pixels(data, header, name, cv2.IMREAD_GRAYSCALE)
+        return np.ascontiguousarray(grey, dtype=np.uint8)
+    pixels = _pixels(data, header, name)
+    return to_grey(pixels, _encoding(pixels, image_format, name), image_format.bits)
+
+
+def _checked_header(data: bytes, name: str, max_pixels: int) -> ImageHeader:
+    """What an image says of itself, once it is sure that such an image can be."""
+    if not data:
+        raise RecordingError(f"{name} is empty; record or copy it again.")
+    header = read_header(data)
+    if header is None:
+        raise RecordingError(
+            f"{name} is no PNG, JPEG, BMP, PGM, PPM or plain TIFF image; convert it, or restore it."
+        )
+    if header.width_px * header.height_px > max_pixels:
+        raise RecordingError(
+            f"{name} claims {header.width_px} x {header.height_px} px, more than "
+            f"{max_pixels} in all; scale the images down."
+        )
+    return header
+
+
+def _pixels(
+    data: bytes, header: ImageHeader, name: str, flags: int = cv2.IMREAD_UNCHANGED
+) -> _Pixels:
+    pixels = _decode(data, flags) if header.is_whole else None
+    if pixels is None or pixels.shape[:2] != (header.height_px, header.width_px):
+        raise RecordingError(f"{name} is truncated or damaged; copy it again.")
+    return pixels
+
+
+def _decode(data: bytes, flags: int) -> _Pixels | None:
+    # A calibration is for the pixels as stored, so no orientation tag may turn them.
+    flags |= cv2.IMREAD_IGNORE_ORIENTATION
+    try:
+        return cast(_Pixels | None, cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags))
+    except cv2.error:
+        return None
+
+
+def _encoding(pixels: _Pixels, image_format: ImageFormat, name: str) -> str:
+    """What ROS calls such pixels."""
+    depth = 8 * pixels.itemsize
+    channels = 1 if pixels.ndim == 2 else pixels.shape[2]
+    if image_format.bayer is None:
+        return f"{_NAMES[channels]}{depth}"
+    if channels != 1:
+        raise RecordingError(
+            f"{name} is a colour image, and recording.toml says that images are a Bayer mosaic; "
+            "leave bayer out."
+        )
+    return f"bayer_{image_format.bayer}{depth}"

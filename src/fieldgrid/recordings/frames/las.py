@@ -1,0 +1,183 @@
+"""The points of LAS and LAZ files: the header is checked here, and the data read by laspy."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fieldgrid.core import ConfigError, Float64, Int64, RecordingError
+from fieldgrid.perception import LONGEST_S, RawSweep
+from fieldgrid.poses import unix_ns
+from fieldgrid.recordings.files import check_regular
+
+MAX_POINTS = 20_000_000
+"""More points than any sweep has; a survey is none."""
+
+_CHUNK = 1_000_000
+_HEADER_BYTES = 375
+_WEEK_S, _ADJUSTED_S = 7 * 86_400, 1_000_000_000
+_WITHOUT_TIME = (0, 2)
+_LAYERED, _EXTRA_BYTES = 3, 14
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # of points, colours, with infrared, of wave packets
+
+
+class _Header(NamedTuple):
+    """The point format, whether the points are packed, how many they are, and whether their
+    times are GPS time."""
+
+    point_format: int
+    packed: bool
+    points: int
+    standard_time: bool
+
+
+def read_las(path: Path, max_bytes: int) -> RawSweep:
+    """x, y, z of the points, float64, of a file of at most `max_bytes`; with their UTC in
+    nanoseconds where they have GPS time (adjusted standard)."""
+    header = _checked(path, max_bytes)
+    timed = header.point_format not in _WITHOUT_TIME and header.standard_time
+    with _opened(path) as reader:
+        parts, gps_s = [], [np.zeros(0)]
+        for chunk in reader.chunk_iterator(_CHUNK):
+            parts.append(np.stack([chunk.x, chunk.y, chunk.z], axis=1))
+            if timed:
+                gps_s.append(np.asarray(chunk.gps_time))
+    points = np.concatenate(parts) if parts else np.zeros((0, 3))
+    if len(points) != header.points:
+        raise _damaged(path, f"{len(points)} of {header.points} points are there")
+    return RawSweep(points, _utc_ns(np.concatenate(gps_s)) if timed and len(points) else None)
+
+
+def _utc_ns(gps_s: Float64) -> Int64 | None:
+    """UTC of GPS times (adjusted standard) of one sweep; None where they are none."""
+    first_s = float(gps_s[0])
+    if not np.isfinite(gps_s).all() or np.ptp(gps_s) > LONGEST_S:
+        return None
+    try:
+        week, of_week_s = divmod(first_s + _ADJUSTED_S, _WEEK_S)
+        first_ns = unix_ns(int(week), round(of_week_s * 1e9))
+    except (ValueError, OverflowError):
+        return None
+    return first_ns + np.rint((gps_s - first_s) * 1e9).astype(np.int64)
+
+
+def las_time_ns(path: Path, max_bytes: int) -> int:
+    """UTC of the first point, nanoseconds; RecordingError where the file does not say it."""
+    header = _checked(path, max_bytes)
+    if header.point_format in _WITHOUT_TIME or not header.standard_time or not header.points:
+        raise RecordingError(
+            f"{path} has no points with GPS time (adjusted standard), and its name is no UTC time "
+            "in nanoseconds; add frames.csv with frame_id, timestamp_utc_s, cloud."
+        )
+    with _opened(path) as reader:
+        gps_s = float(reader.read_points(1).gps_time[0])
+    try:
+        week, of_week_s = divmod(gps_s + _ADJUSTED_S, _WEEK_S)
+        return unix_ns(int(week), round(of_week_s * 1e9))
+    except (ValueError, OverflowError) as problem:
+        raise RecordingError(
+            f"{path} starts at a GPS time of {gps_s} s (adjusted standard), which no receiver can "
+            "have seen; correct its times, or add frames.csv."
+        ) from problem
+
+
+def _checked(path: Path, max_bytes: int) -> _Header:
+    """What the header says, once it is sure that the file can hold it."""
+    size = check_regular(path)
+    if size > max_bytes:
+        raise RecordingError(f"{path} has {size} bytes, more than any sweep; cut it into sweeps.")
+    with path.open("rb") as file:
+        start = file.read(_HEADER_BYTES).ljust(_HEADER_BYTES, b"\0")
+        encoding, minor = struct.unpack("<H17xB", start[6:26])
+        offset, records, kind, point, points = struct.unpack("<IIBHI", start[96:111])
+        if minor >= 4:
+            (points,) = struct.unpack("<Q", start[247:255])
+        packed = bool(kind & 0x80)
+        whole = start.startswith(b"LASF") and offset <= size and 54 * records <= offset and point
+        if whole and packed:
+            whole = _chunks(file, offset, size) <= min(points + 1, size // 64)
+    if not whole or (not packed and offset + points * point > size):
+        raise _damaged(path, f"it claims {points} points and has {size} bytes")
+    if points > MAX_POINTS:
+        raise RecordingError(
+            f"{path} claims {points} points, more than {MAX_POINTS}; cut it into sweeps."
+        )
+    return _Header(kind & 0x3F, packed, points, bool(encoding & 1))
+
+
+def _chunks(file: Any, offset: int, size: int) -> int:
+    """How many chunks packed points claim to be in; the library would make room for them."""
+    file.seek(offset)
+    (table,) = struct.unpack("<q", file.read(8).ljust(8, b"\xff"))
+    if table == -1:  # written without going back: the place stands at the end
+        file.seek(size - 8)
+        (table,) = struct.unpack("<q", file.read(8))
+    if not offset <= table <= size - 8:
+        return 1 << 32
+    file.seek(table)
+    _, chunks = struct.unpack("<II", file.read(8))
+    return int(chunks)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """laspy's reader; what it raises on a damaged file names the file."""
+    try:
+        import laspy
+    except ImportError as error:
+        raise ConfigError(
+            f"Reading {path} takes laspy; install it with: pip install 'fieldgrid[clouds]'."
+        ) from error
+    try:
+        backend = laspy.LazBackend.Lazrs  # the one that takes chunk by chunk
+        with laspy.open(path, read_evlrs=False, laz_backend=backend) as reader:
+            for packing in reader.header.vlrs.get("LasZipVlr"):
+                _check_packing(path, reader.header, packing.record_data)
+            yield reader
+    except RecordingError:
+        raise
+    except BaseException as problem:
+        # A library on a file from strangers; what panics in it is no Exception.
+        if isinstance(problem, Exception) or type(problem).__name__ == "PanicException":
+            raise _damaged(path, problem) from problem
+        raise
+
+
+def _check_packing(path: Path, header: Any, packing: bytes) -> None:
+    """Raise RecordingError when packed points are not made of what makes a point, or a chunk of
+    them claims layers that it cannot hold.
+
+    The library makes room for the layers before it reads them, and ends the process when there is
+    none. A chunk is its first point, a number of points, the sizes of its layers, and these.
+    """
+    import lazrs
+
+    compressor, count = struct.unpack("<H30xH", packing[:34])
+    items = [struct.unpack("<HHH", packing[34 + 6 * k : 40 + 6 * k]) for k in range(count)]
+    if not items or sum(size for _, size, _ in items) != header.point_format.size:
+        raise _damaged(path, f"its points are packed in {count} parts, not of their size")
+    if compressor != _LAYERED:
+        return
+    layers = sum(size if kind == _EXTRA_BYTES else _LAYERS[kind] for kind, size, _ in items)
+    with path.open("rb") as file:
+        file.seek(header.offset_to_point_data)
+        chunks = lazrs.read_chunk_table(file, lazrs.LazVlr(packing))
+        at = header.offset_to_point_data + 8
+        if sum(points for points, _ in chunks) < header.point_count:
+            raise _damaged(path, f"its {len(chunks)} chunks hold fewer than its points")
+        for _, chunk_bytes in chunks:
+            before = header.point_format.size + 4
+            file.seek(at + before)
+            sizes = struct.unpack(f"<{layers}I", file.read(4 * layers))
+            if before + 4 * layers + sum(sizes) > chunk_bytes:
+                raise _damaged(path, f"layers of {sum(sizes)} bytes in {chunk_bytes}")
+            at += chunk_bytes
+
+
+def _damaged(path: Path, why: object) -> RecordingError:
+    return RecordingError(f"{path} is a truncated or damaged LAS or LAZ: {why}; copy it again.")

@@ -1,0 +1,93 @@
+"""One way to open a drive, whatever its format."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from fieldgrid.core import RecordingError
+from fieldgrid.recordings.bag import opening as bag
+from fieldgrid.recordings.calibration.mounting import Mounting
+from fieldgrid.recordings.drive import Drive, Recording
+from fieldgrid.recordings.format import find_format, formats, register_format
+from fieldgrid.recordings.formats import euroc, folder, kitti, kitti_odometry
+from fieldgrid.recordings.formats.foreign import about_folder, refuse_foreign
+from fieldgrid.recordings.frames.frame_table import TABLE
+from fieldgrid.recordings.options import DriveOptions
+from fieldgrid.recordings.poses.given_poses import with_given_poses
+from fieldgrid.recordings.remote.copies import is_url
+from fieldgrid.recordings.remote.fetched import fetch
+from fieldgrid.recordings.tables import logs
+from fieldgrid.recordings.tables.columns import Columns
+
+for _format in (
+    logs.FORMAT,
+    bag.FORMAT,
+    folder.FORMAT,
+    euroc.FORMAT,
+    kitti_odometry.FORMAT,
+    kitti.FORMAT,
+):
+    register_format(_format)
+
+
+def open_drive(path: str | Path, options: DriveOptions | None = None) -> Drive:
+    """The drive at a path: a recording, a bag, a folder without images, or a GNSS log alone.
+
+    A URL that fsspec knows, like `s3://vines/june-03`, is copied to this machine first
+    (`recordings.remote.fetched`).
+    Use it as a context manager. `Drive.recording` gives it as one with
+    frames. What is wrong is a RecordingError, a GnssError or a ConfigError that says what to do.
+    """
+    path = fetch(path) if is_url(path) else Path(path)
+    try:
+        if not (path.is_file() or path.is_dir()):
+            what = "is neither a file nor a folder" if path.exists() else "does not exist"
+            raise RecordingError(
+                f"{path} {what}; give the folder of a recording, a bag, or a GNSS log."
+            )
+        if path.name == TABLE:
+            raise RecordingError(f"{path} lists the frames of a recording; give its folder.")
+        found = find_format(path)
+        if found is bag.FORMAT:
+            refuse_foreign(path)  # ZED's container is that of ROS, its content is not
+        if found is None:
+            kinds = "; ".join(f"{one.looks_for} ({one.name})" for one in formats())
+            raise RecordingError(
+                f"{path} is no recording; looked for {kinds}; give one of these."
+                f"{about_folder(path)}"
+            )
+        options = options or DriveOptions()
+        drive = replace(found.open(path, options), kind=found.name)
+        given = drive.pose_source
+        if options.poses is not None:
+            given = options.poses.over(given)
+        try:
+            return with_given_poses(drive, given, options.epoch_ns)
+        except BaseException:
+            drive.close()
+            raise
+    except OSError as problem:
+        raise RecordingError(
+            f"{problem.filename or path} cannot be read: {problem.strerror}; check its permissions."
+        ) from problem
+
+
+def open_recording(
+    path: str | Path,
+    gnss: str | Path | None = None,
+    columns: Columns | None = None,
+    *,
+    topics: Mapping[str, str] | None = None,
+    mounting: str | Path | Mounting | None = None,
+    image_time_offset_ns: int | None = None,
+) -> Recording:
+    """:func:`open_drive` of a drive that must have frames, with the options by name."""
+    own = mounting if isinstance(mounting, Mounting | None) else Path(mounting)
+    drive = open_drive(path, DriveOptions(gnss, columns, topics or {}, own, image_time_offset_ns))
+    try:
+        return drive.recording()
+    except BaseException:
+        drive.close()
+        raise

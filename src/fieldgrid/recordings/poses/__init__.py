@@ -1,0 +1,1 @@
+"""Trajectories of other programs, as a recording gives them."""

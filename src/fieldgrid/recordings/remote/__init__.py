@@ -1,0 +1,1 @@
+"""Recordings at URLs: copied to this machine, and read from there."""

@@ -1,0 +1,333 @@
+"""One bag, of whatever container and of however many files."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import ExitStack
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from fieldgrid.core import (
+    MIN_TIME_NS,
+    Closing,
+    Int64,
+    LimitError,
+    RecordingError,
+    UnfoldBudget,
+    counted,
+    limits,
+)
+from fieldgrid.recordings.ros.db3 import Db3File, is_db3
+from fieldgrid.recordings.ros.definitions import has_header
+from fieldgrid.recordings.ros.folder import BagFiles, find_files, is_bag_folder, unpacked
+from fieldgrid.recordings.ros.mcap_file import MAGIC as MCAP_MAGIC, McapFile
+from fieldgrid.recordings.ros.model import BagPart, Connection, Message, Record, Topic
+from fieldgrid.recordings.ros.rosbag1 import MAGIC as ROSBAG1_MAGIC, Rosbag1File
+from fieldgrid.recordings.ros.source import ZSTD_MAGIC, inflate
+from fieldgrid.recordings.ros.sqlite_file import MAGIC as SQLITE_MAGIC, mended
+from fieldgrid.recordings.ros.stamps import stamp_ns
+
+_PARTS: dict[bytes, type[BagPart]] = {
+    ROSBAG1_MAGIC: Rosbag1File,
+    MCAP_MAGIC: McapFile,
+    SQLITE_MAGIC: Db3File,
+}
+_SUFFIXES = (".bag", ".mcap", ".db3")
+_PACKED = (".mcap.zstd", ".db3.zstd")
+_SHOWN_CLAUSES = 3
+_MOST_MESSAGES = 1_000_000  # and one more for each 8 bytes of the files
+_SPAN = 1 << 44  # places in a bag: those of one file after those of the one before
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+Take = Callable[[Message, int], None]
+"""Takes a message and its place among those of its topic."""
+
+Listen = Callable[[str, str], Take | None]
+"""Asked at the first message of a topic, by name and type: what takes its messages, if anything."""
+
+
+def as_utc(time_ns: Int64, epoch_ns: int | None) -> Int64:
+    """Times of which those of a clock that counts from its own start, if it is known when that was,
+    become UTC; 0 stays what stands for none."""
+    if epoch_ns is None:
+        return time_ns
+    return np.where((time_ns > 0) & (time_ns < MIN_TIME_NS), time_ns + epoch_ns, time_ns)
+
+
+def is_bag(path: Path) -> bool:
+    """Whether this is, by its content or else by its name, a ROS bag or the folder of one."""
+    try:
+        if path.is_dir():
+            return is_bag_folder(path)
+        if not path.is_file():
+            return False
+        start = _start(path)
+    except OSError:
+        return False
+    if path.name.endswith((*_SUFFIXES, *_PACKED)):
+        return True
+    if start.startswith(SQLITE_MAGIC):
+        return is_db3(path)  # A map is an SQLite database too.
+    return start.startswith(tuple(_PARTS))
+
+
+def open_bag(
+    path: Path, listen: Listen = lambda _name, _type: None, epoch_ns: int | None = None
+) -> Bag:
+    """Open a bag and read it once; it is to be closed. Raises RecordingError, in one sentence,
+    for what cannot be used at all; what is damaged is used as far as it can be.
+
+    What `listen` gives for a topic takes its messages in this one run. `epoch_ns` is the UTC at
+    which a clock began that counts from its own start, that of a simulation.
+    """
+    return Bag(path, listen, epoch_ns)
+
+
+class Bag(Closing):
+    """An open bag: its topics, its messages as a stream, and what of it could not be read.
+
+    `topics` counts the readable messages; `start_ns` and `end_ns` are the times at which the
+    first and the last of them were received. `damage` is empty, or one sentence. A bag can be
+    pickled; the copy reads as long as the original is open.
+    """
+
+    def __init__(self, path: Path, listen: Listen, epoch_ns: int | None = None) -> None:
+        self.path = path
+        self._epoch_ns = epoch_ns
+        self._topics: dict[str, _Topic] = {}
+        self._others: dict[str, int] = {}
+        self._notes: list[str] = []
+        self._stack = ExitStack()
+        try:
+            self._parts = self._open_parts()
+            self._bytes = sum(part.path.stat().st_size for part in self._parts)
+            self._scan(listen)
+        except BaseException as error:
+            self._stack.close()
+            if isinstance(error, OSError):
+                raise RecordingError(
+                    f"{path} cannot be read ({error.strerror}); check its permissions, and the "
+                    "space for temporary files."
+                ) from error
+            raise
+        times = [topic.received for topic in self._topics.values() if topic.received]
+        self.start_ns = min(min(received) for received in times)
+        self.end_ns = max(max(received) for received in times)
+        self.damage = self._damage()
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What was unpacked for this bag is removed when it is closed, and not when a copy is.
+        return {**self.__dict__, "_stack": ExitStack()}
+
+    @property
+    def topics(self) -> Mapping[str, Topic]:
+        """The topics by their names, in the order of these."""
+        found = {name: topic.summary() for name, topic in sorted(self._topics.items())}
+        return MappingProxyType(found)
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The names of the files that are read, in their order."""
+        return tuple(part.path.name for part in self._parts)
+
+    def close(self) -> None:
+        """Remove what was unpacked; the bag cannot be read any more."""
+        self._stack.close()
+
+    def stamps(self, topic: str) -> tuple[Int64, Int64]:
+        """The stamps in the headers of a topic's messages, 0 where the type has no header, and
+        the times at which they were received: nanoseconds, in the order of `messages`."""
+        found = self._topic(topic)
+        stamped, received = (
+            self.dated(np.array(one, dtype=np.int64)) for one in (found.stamped, found.received)
+        )
+        return stamped, received
+
+    def dated(self, time_ns: Int64) -> Int64:
+        """Times of a clock that counts from its own start as UTC, if its epoch is known; 0 stays
+        what stands for none."""
+        return as_utc(time_ns, self._epoch_ns)
+
+    def places(self, topic: str) -> Int64:
+        """Where in the bag each message of a topic is; never decreasing. Messages that lie
+        together, as in a chunk, have one place."""
+        return np.array(self._topic(topic).places, dtype=np.int64)
+
+    def messages(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[Message]:
+        """The messages of these topics, or of all, in the order of recording, from a place on."""
+        wanted = None if topics is None else frozenset(topics)
+        first, at = divmod(start, _SPAN)
+        for part in self._parts[first:]:
+            for connection, receive_ns, data, _ in self._whole(part.records(wanted, at)):
+                topic = self._topics.get(connection.topic)
+                if topic is not None and topic.takes(connection):
+                    yield Message(connection, receive_ns, bytes(data))
+            at = 0
+
+    def _topic(self, name: str) -> _Topic:
+        if name not in self._topics:
+            raise RecordingError(
+                f"{self.path} has no topic {name!r}; it has {', '.join(sorted(self._topics))}."
+            )
+        return self._topics[name]
+
+    def _open_parts(self) -> list[BagPart]:
+        files = find_files(self.path) if self.path.is_dir() else BagFiles([self.path], [])
+        self._notes += files.notes
+        if len(files.paths) == 1:
+            return [self._part(files.paths[0])]
+        parts = []
+        for path in files.paths:
+            try:
+                parts.append(self._part(path))
+            except LimitError:
+                raise
+            except RecordingError:
+                self._notes.append(f"{path.name} is empty or does not begin like any bag")
+        return parts
+
+    def _part(self, path: Path) -> BagPart:
+        if not path.is_file():
+            raise RecordingError(f"{path} is not there, or is no file; check its name.")
+        file, is_all = unpacked(path, self._stack)
+        start = _start(file)
+        if start.startswith(SQLITE_MAGIC):
+            file, note = mended(file, self._stack)
+            self._notes += [f"{path.name} {note}"] * bool(note)
+        if not is_all:
+            self._notes.append(f"{path.name} cannot be decompressed to its end")
+        for magic, kind in _PARTS.items():
+            if start.startswith(magic):
+                return kind(path, file)
+        what = "is empty" if not start else "does not begin like any bag"
+        raise RecordingError(
+            f"{path} {what}: it is not a .bag, .mcap or .db3 file that can be used; record again, "
+            "or copy it again."
+        )
+
+    def _scan(self, listen: Listen) -> None:
+        """Read everything once: topics, counts, times, places, and what is listened to."""
+        room = _MOST_MESSAGES + self._bytes // 8
+        opened, self._parts = self._parts, []
+        for part in opened:
+            place = len(self._parts) * _SPAN
+            self._parts.append(part)
+            try:
+                for record in self._whole(part.records()):
+                    self._count(record, place, listen)
+                    room -= 1
+                    if room < 0:
+                        raise LimitError(
+                            f"{self.path} holds more messages than a bag of its size can; it was "
+                            "damaged or made to do harm, record again."
+                        )
+            except LimitError:
+                raise
+            except RecordingError:
+                if len(opened) == 1:
+                    raise
+                self._parts.pop()
+                self._notes.append(f"{part.path.name} cannot be read")
+            for _, connection in part.connections.items():
+                if connection.topic not in self._topics:
+                    self._topics[connection.topic] = _Topic(connection)
+        if not any(topic.received for topic in self._topics.values()):
+            found = self._clauses()
+            raise RecordingError(
+                f"{self.path} holds no message that can be read"
+                + (f" ({found[0]})" if found else "")
+                + "; record again."
+            )
+        for topic in self._topics.values():
+            topic.take = None
+
+    def _count(self, record: Record, place: int, listen: Listen) -> None:
+        connection, receive_ns, data, at = record
+        name = connection.topic
+        topic = self._topics.get(name)
+        if topic is None:
+            topic = self._topics[name] = _Topic(connection)
+        if not topic.takes(connection):
+            self._others[name] = self._others.get(name, 0) + 1
+            return
+        number = len(topic.received)
+        if number == 0:
+            topic.take = listen(name, connection.type)
+        topic.received.append(receive_ns)
+        topic.stamped.append(stamp_ns(connection.encoding, data) if topic.has_header else 0)
+        topic.places.append(place + min(at, _SPAN - 1))
+        if topic.take is not None:
+            topic.take(Message(connection, receive_ns, bytes(data)), number)
+
+    def _whole(self, records: Iterator[Record]) -> Iterator[Record]:
+        """The records, those that are compressed one by one decompressed."""
+        budget = UnfoldBudget(self.path, self._bytes)
+        for record in records:
+            if record.connection.encoding == "cdr" and record.data[:4] == ZSTD_MAGIC:
+                # No CDR begins like this.
+                data = inflate(bytes(record.data), "zstd", limits().piece_bytes)
+                budget.spend(len(data))
+                yield record._replace(data=data)
+            else:
+                yield record
+
+    def _clauses(self) -> list[str]:
+        found = list(self._notes)
+        for part in self._parts:
+            found += part.damage.clauses(part.path.name)
+        for topic, number in self._others.items():
+            found.append(
+                f"{counted(number, 'message')} of {topic} that are not of type "
+                f"{self._topics[topic].connection.type} are left out"
+            )
+        return found
+
+    def _damage(self) -> str:
+        clauses = self._clauses()
+        if not clauses:
+            return ""
+        if len(clauses) > _SHOWN_CLAUSES:
+            rest = counted(len(clauses) - _SHOWN_CLAUSES, "further fault")
+            clauses = [*clauses[:_SHOWN_CLAUSES], rest]
+        number = sum(len(topic.received) for topic in self._topics.values())
+        used = f"{counted(number, 'message')} up to {_utc(self.end_ns)} are used"
+        return f"{'; '.join([*clauses, used])}."
+
+
+class _Topic:
+    """What is known of a topic. Its first connection says what its messages are."""
+
+    def __init__(self, connection: Connection) -> None:
+        self.connection = connection
+        self.has_header = has_header(connection)
+        self.stamped, self.received, self.places = array("q"), array("q"), array("q")
+        self.take: Take | None = None
+
+    def summary(self) -> Topic:
+        return Topic(self.connection.topic, self.connection.type, len(self.received))
+
+    def takes(self, connection: Connection) -> bool:
+        """Whether messages of this connection are what those of the topic are, though the
+        definition may be another."""
+        first = self.connection
+        return connection is first or (
+            connection.type == first.type and connection.encoding == first.encoding
+        )
+
+
+def _start(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(max(len(magic) for magic in _PARTS))
+
+
+def _utc(time_ns: int) -> str:
+    try:
+        time = _EPOCH + timedelta(seconds=time_ns // 10**9)
+    except OverflowError:
+        return f"{time_ns} ns"
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ")

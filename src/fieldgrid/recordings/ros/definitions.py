@@ -1,0 +1,259 @@
+"""What the bytes of a message mean: its definition, from the bag or from a ROS distribution."""
+
+from __future__ import annotations
+
+import re
+from functools import cache, lru_cache
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
+from rosbags.typesys import (
+    Stores,
+    TypesysError,
+    get_types_from_idl,
+    get_types_from_msg,
+    get_typestore,
+)
+from rosbags.typesys.store import Typestore
+
+from fieldgrid.core import RecordingError, quoted
+from fieldgrid.recordings.ros.model import Connection, Definition, Message
+
+_HEADER = "std_msgs/msg/Header"
+_HEADER_FIRST = re.compile(
+    r"(?:[ \t]*+(?:#[^\n]*|[^\s#][^\n#=]*+=[^\n]*)?+\r?\n)*+"  # remarks and constants
+    r"[ \t]*+(?:std_msgs/(?:msg/)?)?Header[ \t]"
+)
+_ENCODINGS = ("cdr", "ros1")
+
+_NMEA = "std_msgs/Header header\nstring sentence\n"
+_GRID_MAP = """std_msgs/Header header
+grid_map_msgs/GridMapInfo info
+string[] layers
+string[] basic_layers
+std_msgs/Float32MultiArray[] data
+uint16 outer_start_index
+uint16 inner_start_index
+"""
+_GRID_MAP_INFO = """float64 resolution
+float64 length_x
+float64 length_y
+geometry_msgs/Pose pose
+"""
+
+# In ROS 1 the header of a grid map is in its info.
+_ROS1_GRID_MAP = _GRID_MAP.removeprefix("std_msgs/Header header\n")
+_ROS1_GRID_MAP_INFO = "std_msgs/Header header\n" + _GRID_MAP_INFO
+_TF = "geometry_msgs/TransformStamped[] transforms\n"
+
+_FIRST_NAMES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
+"""What ROS 1 called a type at first."""
+
+_MATRICES = {"sensor_msgs/msg/CameraInfo": frozenset("DKRP"), "stereo_msgs/msg/DisparityImage": "T"}
+"""Fields that ROS 1 writes large, and ROS 2 small."""
+
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*){2,}", re.ASCII)
+_FIELD_NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
+_MAX_UNROLLED = 10_000
+_MAX_ARRAY = 1 << 26
+_MAX_DEPTH = 50
+_MAX_TYPES = 1000
+_IDL_LINE = "=" * 80 + "\n"
+
+# What rosbags raises for definitions that are none, on purpose and not.
+_BAD_DEFINITION = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    LookupError,
+    NameError,
+    RecursionError,
+    SyntaxError,
+    TypeError,
+    TypesysError,
+    ValueError,
+)
+_BAD_MESSAGE = (*_BAD_DEFINITION, SerdeError, MemoryError)
+
+_Fields = dict[str, Any]  # as rosbags parses them: type -> (constants, [(name, description)])
+
+
+class _NotStandardError(Exception):
+    """A type of a ROS distribution with other fields than it has there."""
+
+
+@cache
+def types() -> Typestore:
+    """The types of ROS 2 Humble, `nmea_msgs/msg/Sentence` and `grid_map_msgs/msg/GridMap`."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for text, name in (
+        (_NMEA, "nmea_msgs/msg/Sentence"),
+        (_GRID_MAP_INFO, "grid_map_msgs/msg/GridMapInfo"),
+        (_GRID_MAP, "grid_map_msgs/msg/GridMap"),
+    ):
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+@cache
+def ros1_types() -> Typestore:
+    """The types of ROS Noetic, and those beside them that are written."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    for text, name in (
+        (_TF, "tf2_msgs/msg/TFMessage"),
+        (_ROS1_GRID_MAP_INFO, "grid_map_msgs/msg/GridMapInfo"),
+        (_ROS1_GRID_MAP, "grid_map_msgs/msg/GridMap"),
+    ):
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+def has_header(connection: Connection) -> bool:
+    """Whether the messages begin with a standard header; False where that is unknown."""
+    name, definition, encoding = connection.type, connection.definition, connection.encoding
+    if encoding not in _ENCODINGS:
+        return False
+    if definition is not None and definition.syntax == "msg":  # parsing takes long
+        return _HEADER_FIRST.match(definition.text) is not None
+    try:
+        fields = _parsed(name, definition, encoding)
+        return bool(fields[name][1][0][1] == (Nodetype.NAME, _HEADER))
+    except _BAD_DEFINITION:
+        return False
+
+
+def decode(message: Message) -> Any:
+    """The message as a dataclass whose fields are named as in ROS 2, that of ROS 1 too.
+
+    A bag brings the definitions of its types along. A type that ROS has is sure to have the fields
+    that it has there. Raises RecordingError for bytes that do not fit the definition, for a type
+    without one, and for messages that are not of ROS.
+    """
+    connection, data = message.connection, message.data
+    name = connection.type
+    if connection.encoding not in _ENCODINGS:
+        raise RecordingError(
+            f"Messages of {connection.topic} are encoded as {quoted(connection.encoding)}, which "
+            "is not read; record them as ROS messages."
+        )
+    try:
+        store = _store(name, connection.definition, connection.encoding)
+    except _NotStandardError as error:
+        raise RecordingError(
+            f"The messages of {connection.topic} do not have the fields of {name} ({error}); "
+            "record them with the definition of a ROS distribution."
+        ) from error
+    except _BAD_DEFINITION as error:
+        raise RecordingError(
+            f"The type {quoted(name)} of {connection.topic} has no definition that can be read; "
+            "convert the bag with a ROS that knows the type."
+        ) from error
+    try:
+        if connection.encoding == "ros1":
+            return store.deserialize_ros1(data, name)
+        return store.deserialize_cdr(data, name)
+    except _BAD_MESSAGE as error:
+        raise RecordingError(
+            f"A message of {connection.topic} ({len(data)} bytes) does not fit its type "
+            f"{quoted(name)}; leave it out."
+        ) from error
+
+
+@cache
+def _standard(encoding: str) -> Typestore:
+    return get_typestore(Stores.ROS1_NOETIC) if encoding == "ros1" else types()
+
+
+@lru_cache(maxsize=256)
+def _store(name: str, definition: Definition | None, encoding: str) -> Typestore:
+    """A store of one definition alone, so that none is in conflict with another."""
+    store = get_typestore(Stores.EMPTY)
+    parsed = _parsed(name, definition, encoding)
+    store.register(parsed)
+    store.get_msgdef(name)
+    usual = types()
+    for own in parsed:
+        standard = _FIRST_NAMES.get(own, own)
+        if standard in usual.types:
+            _check_fields(own, store.types[own], usual.types[standard])
+    return store
+
+
+def _check_fields(name: str, kind: Any, usual: Any) -> None:
+    """Raise for a message class that lacks a field of another, or has another kind of it."""
+    fields, wanted = (
+        {
+            one.name: one.type
+            for one in cls.__dataclass_fields__.values()
+            if not one.type.startswith("ClassVar")
+        }
+        for cls in (kind, usual)
+    )
+    for key, annotation in wanted.items():
+        if fields.get(key) != annotation:
+            raise _NotStandardError(f"{name.rpartition('/')[2]} without a {key}")
+
+
+@lru_cache(maxsize=256)
+def _parsed(name: str, definition: Definition | None, encoding: str) -> _Fields:
+    """The types that a definition needs, those that it leaves out taken from the standard ones.
+
+    The constants are left out. rosbags makes code of these types and runs it, so the names, the
+    sizes and the nesting are checked to be what they should.
+    """
+    known: _Fields = dict(_standard(encoding).fielddefs)
+    if definition is not None:
+        for part in _parse(name, definition):
+            known.update(part)
+    needed: _Fields = {}
+    _collect(name, known, needed, set(), _MAX_DEPTH)
+    return needed
+
+
+def _parse(name: str, definition: Definition) -> list[Any]:
+    if definition.syntax == "msg":
+        return [get_types_from_msg(definition.text.replace("\r\n", "\n"), name)]
+    if "<<" in definition.text:
+        raise TypesysError("a shift in a definition")  # of as many bits as it likes
+    pieces = definition.text.split(_IDL_LINE)
+    idls = [piece.partition("\n")[2] if piece.startswith("IDL: ") else piece for piece in pieces]
+    return [get_types_from_idl(idl) for idl in idls if idl.strip()]
+
+
+def _collect(
+    name: str, known: _Fields, needed: _Fields, without_bytes: set[str], depth: int
+) -> None:
+    """Gather the type and the types of its fields in `needed`."""
+    if name in needed:
+        return
+    if depth == 0 or len(needed) > _MAX_TYPES:
+        raise TypesysError(f"{name} is nested too deep")
+    if not _TYPE_NAME.fullmatch(name):
+        raise TypesysError(f"{name!r} is no type")
+    fields = known[name][1]
+    has_bytes = False
+    for field, (kind, inner) in fields:
+        if not _FIELD_NAME.fullmatch(field):
+            raise TypesysError(f"{field!r} is no field")
+        element, named = (kind, inner)
+        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            (element, named), count = inner
+            # rosbags writes a line of code for each element that is not a number.
+            unrolled = element == Nodetype.NAME or named[0] == "string"
+            if kind == Nodetype.ARRAY and not 1 <= count <= (
+                _MAX_UNROLLED if unrolled else _MAX_ARRAY
+            ):
+                raise TypesysError(f"{field} of {count} elements")
+        if element == Nodetype.NAME:
+            _collect(named, known, needed, without_bytes, depth - 1)
+            if kind != Nodetype.NAME and named in without_bytes:
+                raise TypesysError(f"{field} of nothing")  # as many as the bytes claim
+        has_bytes = has_bytes or element != Nodetype.NAME or named not in without_bytes
+    if not has_bytes:
+        without_bytes.add(name)
+    large = _MATRICES.get(name, ())
+    renamed = [(field.lower() if field in large else field, kind) for field, kind in fields]
+    if len({field for field, _ in renamed}) != len(renamed):
+        raise TypesysError(f"{name} has two fields of one name")
+    needed[name] = ([], renamed)

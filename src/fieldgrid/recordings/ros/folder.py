@@ -1,0 +1,124 @@
+"""A bag that is a folder: which files it consists of, in which order.
+
+That is a ROS 2 bag, or the files that `rosbag record --split` leaves.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+import textwrap
+from contextlib import ExitStack
+from pathlib import Path, PurePath
+from typing import NamedTuple
+
+import yaml
+
+from fieldgrid.core import RecordingError, UnfoldBudget
+from fieldgrid.recordings.ros.source import ZSTD_MAGIC, unpacked_pieces
+
+METADATA = "metadata.yaml"
+_KEY = "rosbag2_bagfile_information"
+_MAX_METADATA_BYTES = 1 << 24
+_MAX_LIST_CHARS = 1 << 18
+_LIST = re.compile(r"^( *)relative_file_paths:.*\n(?:\1[ -].*\n|[ \t]*\n)*", re.MULTILINE)
+_ROS2, _ROS1 = (".db3", ".mcap"), (".bag", ".bag.active")
+_PACKED = ".zstd"
+
+
+class BagFiles(NamedTuple):
+    """The files of a bag, and clauses on what is wrong with the list of them."""
+
+    paths: list[Path]
+    notes: list[str]
+
+
+def is_bag_folder(folder: Path) -> bool:
+    """Whether the folder holds files of a bag, or the description of one."""
+    return is_ros2_folder(folder) or bool(_named(folder, _ROS1))
+
+
+def is_ros2_folder(folder: Path) -> bool:
+    """Whether the folder holds files of a ROS 2 bag, or the description of one."""
+    return bool(_named(folder, _ROS2)) or _KEY.encode() in _metadata(folder)
+
+
+def find_files(folder: Path) -> BagFiles:
+    """The files in the order of recording. Raises RecordingError where there is none."""
+    names = _listed(folder)
+    listed = [folder / PurePath(name).name for name in names]
+    missing = [path.name for path in listed if not path.is_file()]
+    paths = [path for path in listed if path.is_file()]
+    # Beside a bag there often lies what it was converted from.
+    paths = paths or _named(folder, _ROS2) or _named(folder, _ROS1)
+    if not paths:
+        raise RecordingError(
+            f"{folder} holds no .db3, .mcap or .bag file; copy all files of the bag into it."
+        )
+    notes = []
+    if missing:
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        notes.append(f"{missing[0]}{more}, named in {METADATA}, is missing")
+    return BagFiles(paths, notes)
+
+
+def unpacked(path: Path, stack: ExitStack) -> tuple[Path, bool]:
+    """The file itself, or what it holds if it is compressed; and whether that is all of it."""
+    with path.open("rb") as file:
+        if file.read(len(ZSTD_MAGIC)) != ZSTD_MAGIC:
+            return path, True
+    folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+    inner = folder / path.name.removesuffix(_PACKED)
+    return inner, _unpack(path, inner)
+
+
+def _unpack(path: Path, inner: Path) -> bool:
+    try:
+        with path.open("rb") as packed, inner.open("wb") as file:
+            for piece in unpacked_pieces(packed, UnfoldBudget(path, path.stat().st_size)):
+                file.write(piece)
+    except EOFError:
+        return False
+    except OSError as error:
+        raise RecordingError(
+            f"{path} cannot be decompressed ({error.strerror}); free some space for temporary "
+            "files, or unpack it with `zstd -d`."
+        ) from error
+    return True
+
+
+def _named(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+    """The files of the folder that are named so, packed or not, 2 before 10."""
+    found = [
+        path
+        for path in folder.iterdir()
+        if path.name.removesuffix(_PACKED).endswith(suffixes) and path.is_file()
+    ]
+    return sorted(found, key=lambda path: _natural(path.name))
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    return [(int(digits or 0), text) for text, digits in re.findall(r"(\D*)(\d{0,18})", name)]
+
+
+def _metadata(folder: Path) -> bytes:
+    path = folder / METADATA
+    if not path.is_file():
+        return b""
+    try:
+        with path.open("rb") as file:
+            return file.read(_MAX_METADATA_BYTES)
+    except OSError:
+        return b""
+
+
+def _listed(folder: Path) -> list[str]:
+    """The names that the description lists; none where it is missing or unreadable."""
+    found = _LIST.search(_metadata(folder).decode("utf-8", "replace") + "\n")
+    if found is None or len(found[0]) > _MAX_LIST_CHARS:
+        return []
+    try:
+        names = yaml.safe_load(textwrap.dedent(found[0]))["relative_file_paths"]
+    except (yaml.YAMLError, RecursionError, ValueError, LookupError, TypeError):
+        return []
+    return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []

@@ -1,0 +1,127 @@
+"""Frames that are a list of files, known when a recording opens."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from fieldgrid.core import Int64, RecordingError
+from fieldgrid.recordings.files import check_regular
+from fieldgrid.recordings.frames.frames import Frame, PairRectifier, StereoFrame
+from fieldgrid.recordings.frames.images import AS_STORED, ImageFile, ImageFormat
+
+
+class Shot(NamedTuple):
+    """A frame on disk; the paths of its files are relative to the folder of the recording."""
+
+    time_ns: int
+    frame_id: str
+    files: tuple[str, ...]
+
+
+class FrameKind(Protocol):
+    """What the files of a shot are, and the frame that they make."""
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """What each file of a shot is, of `options.ROLES`."""
+
+    def frame(self, folder: Path, shot: Shot) -> Frame:
+        """The frame, its files unread."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairKind:
+    """A left and a right image, for a calibration of `size_px`."""
+
+    size_px: tuple[int, int]
+    rectifier: PairRectifier | None = None
+    image_format: ImageFormat = AS_STORED
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """The two sides."""
+        return "left", "right"
+
+    def frame(self, folder: Path, shot: Shot) -> Frame:
+        """The pair, its images unread."""
+        left, right = (ImageFile(folder / name, format=self.image_format) for name in shot.files)
+        return StereoFrame(shot.frame_id, shot.time_ns, left, right, self.size_px, self.rectifier)
+
+
+@dataclass(frozen=True, slots=True)
+class StoredFrames:
+    """Frames that are files (a `FrameSource`): a row of text
+    each; images and clouds stay on disk, and nothing is held open."""
+
+    folder: Path
+    shots: tuple[Shot, ...]
+    kind: FrameKind
+
+    @property
+    def times_ns(self) -> Int64:
+        """Times of the frames, increasing."""
+        return np.array([shot.time_ns for shot in self.shots], dtype=np.int64)
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """What the files of a frame are."""
+        return self.kind.roles
+
+    def frames(self, start: int, stop: int) -> Iterator[Frame]:
+        """Some of the frames, unread."""
+        return (self.kind.frame(self.folder, shot) for shot in self.shots[start:stop])
+
+
+_MOST_MISSING = 1000
+"""Missing files that are counted: where so many are missing, all may be."""
+
+
+def checked_shots(
+    shots: list[Shot], folder: Path, what: str = "stereo pair", *, incomplete: bool = False
+) -> tuple[Shot, ...]:
+    """The shots in order of time, once it is sure that they can be told apart and, unless they may
+    be `incomplete`, exist; `what` is what an error calls one of them."""
+    if not shots:
+        raise RecordingError(f"{folder} has no {what}; a recording needs at least one.")
+    ordered = sorted(shots)
+    for earlier, later in pairwise(ordered):
+        if earlier.time_ns == later.time_ns:
+            raise RecordingError(
+                f"Frames {earlier.frame_id} and {later.frame_id} of {folder} have the same time "
+                f"{later.time_ns} ns; correct the time stamps."
+            )
+    seen: set[str] = set()
+    for shot in ordered:
+        if shot.frame_id in seen:
+            raise RecordingError(
+                f"The frame_id {shot.frame_id!r} occurs twice in {folder}; give each frame its own."
+            )
+        seen.add(shot.frame_id)
+    if not incomplete:
+        _check_files(ordered, folder, what)
+    return tuple(ordered)
+
+
+def _check_files(shots: list[Shot], folder: Path, what: str) -> None:
+    names = [name for shot in shots for name in shot.files]
+    missing, first = 0, None
+    for name in names:
+        try:
+            check_regular(folder / name)
+        except RecordingError as problem:
+            missing, first = missing + 1, first or problem
+            if missing == _MOST_MISSING:
+                break
+    if first is not None:
+        files = "clouds" if what == "cloud" else "images"
+        or_more = " or more" if missing == _MOST_MISSING else ""
+        raise RecordingError(
+            f"{missing}{or_more} of {len(names)} {files} are missing from {folder}; copy them, or "
+            f"let `build --skip-bad` leave their frames out. First: {first}"
+        ) from first

@@ -1,0 +1,1 @@
+"""Logs and tables: columns, times, units, fixes, gyro and wheels."""

@@ -1,0 +1,192 @@
+"""GNSS logs on disk: which one to take, of which kind it is, and its fixes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+from fieldgrid.core import RecordingError
+from fieldgrid.geometry import FixColumns
+from fieldgrid.recordings.drive import Drive
+from fieldgrid.recordings.files import DELIMITERS, open_log_bytes
+from fieldgrid.recordings.format import Format
+from fieldgrid.recordings.formats.foreign import may_hold_nmea, refuse_foreign
+from fieldgrid.recordings.formats.isoxml import is_time_log, read_time_log
+from fieldgrid.recordings.formats.rtklib import SUFFIXES as SOLUTIONS, is_solution, read_solution
+from fieldgrid.recordings.formats.settings_file import RecordingSettings
+from fieldgrid.recordings.options import DriveOptions
+from fieldgrid.recordings.tables.columns import Columns
+from fieldgrid.recordings.tables.fix_log import FixLog
+from fieldgrid.recordings.tables.fix_table import read_fix_table
+from fieldgrid.recordings.tables.stream_log import NoStreamError, looks_like_stream, read_stream
+from fieldgrid.recordings.tables.tables import COMMENTS, split_header
+
+SUFFIXES = frozenset({".nmea", ".csv", ".tsv", ".ubx"}) | SOLUTIONS
+"""File name endings of GNSS logs, in lower case; ``.gz`` may follow."""
+
+_HEAD_BYTES = 1 << 16
+_TEXT = re.compile(r"[\t -~\x80-\xff]*")
+
+
+def find_log(folder: Path, wanted: str | Path | None) -> Path | None:
+    """The log in `gnss/` of a recording, the one that is `wanted`, or None when it has none.
+
+    `wanted` is a file name in `gnss/`, a path inside the recording, or a path anywhere.
+    """
+    present = [path for path in _files(folder / "gnss") if _is_log(path)]
+    names = ", ".join(path.name for path in present) or "none"
+    if wanted is not None:
+        for path in (folder / "gnss" / wanted, folder / wanted, Path(wanted)):
+            if path.is_file() or (path.is_dir() and is_time_log(path)):
+                return path
+        raise RecordingError(
+            f"The GNSS log {str(wanted)!r} is neither in {folder / 'gnss'} nor a file of its own; "
+            f"the recording has: {names}."
+        )
+    if len(present) > 1:
+        raise RecordingError(f"{folder} has several GNSS logs: {names}; give --gnss NAME.")
+    return present[0] if present else None
+
+
+def log_name(path: Path, folder: Path) -> str:
+    """What a log is called in a recording: its path inside it, else its name."""
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.name
+
+
+def passed_over(folder: Path) -> str:
+    """A sentence on a recording without a log: what lies in `gnss/` and is not taken for one."""
+    names = ", ".join(path.name for path in _files(folder / "gnss") if not _is_log(path))
+    if not names:
+        return "No GNSS log in gnss/."
+    return f"No GNSS log in gnss/; passed over: {names[:200]} (name it with --gnss if it is one)."
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.iterdir() if p.is_file()) if folder.is_dir() else []
+
+
+def _is_log(path: Path) -> bool:
+    suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
+    if suffixes[-1:] == [".gz"]:
+        suffixes.pop()
+    return suffixes[-1:] != [] and (suffixes[-1] in SUFFIXES or _is_binary_time_log(path))
+
+
+def _is_binary_time_log(path: Path) -> bool:
+    return path.suffix.lower() == ".bin" and is_time_log(path)
+
+
+def read_fix_log(path: Path, columns: Columns | None = None) -> FixLog:
+    """The fixes of a log, whose kind is told by its content.
+
+    NMEA, UBX or both; a table (`columns` says what its names do not); a solution of RTKLIB; an
+    ISO 11783-10 time log (or the folder of a single one). Any but the last may be packed by gzip.
+    """
+    if is_time_log(path):
+        return read_time_log(path)
+    with open_log_bytes(path) as stream:
+        head = stream.read(_HEAD_BYTES)
+    if not head.strip(b"\0\r\n\t "):
+        return FixLog(FixColumns.of([]), (f"{path.name}: the file is empty.",))
+    if is_solution(head):
+        return read_solution(path, columns)
+    is_table = _looks_like_table(head)
+    # Sentences in a column are a stream, unless it is said what the columns are.
+    if looks_like_stream(head) and (columns is None or not is_table):
+        return read_stream(path)
+    if may_hold_nmea(path, head):
+        return _read_among_foreign(path, head)
+    refuse_foreign(path, head)
+    if is_table:
+        return read_fix_table(path, columns)
+    return read_stream(path)  # the receiver may have begun with something else
+
+
+def _has_columns(path: Path) -> bool:
+    """Whether a log is a table, for which it can be said what its columns are."""
+    if is_time_log(path):
+        return False
+    with open_log_bytes(path) as stream:
+        head = stream.read(_HEAD_BYTES)
+    return is_solution(head) or _looks_like_table(head)
+
+
+def _read_among_foreign(path: Path, head: bytes) -> FixLog:
+    """The fixes of a log that begins with another protocol, if any follow; else it is refused."""
+    try:
+        log = read_stream(path)
+    except NoStreamError:
+        refuse_foreign(path, head)
+        raise
+    if not len(log.fixes):
+        refuse_foreign(path, head)
+    return log
+
+
+def _looks_like_table(head: bytes) -> bool:
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return True
+    lines = [line for line in head.splitlines() if line.strip()]
+    first, _ = split_header(line.decode("latin-1") for line in lines)
+    if _TEXT.fullmatch(first) is None or not any(d in first for d in DELIMITERS):
+        return False
+    # Damaged sentences and remarks before something else than a table hold commas, too.
+    return not first.startswith(("$", "!", *COMMENTS)) or "lat" in first.lower()
+
+
+def with_log(
+    drive: Drive,
+    folder: Path,
+    log_path: Path | None,
+    settings: RecordingSettings,
+    options: DriveOptions,
+) -> Drive:
+    """A drive in a folder with the fixes of a log, or a remark that there is none."""
+    if log_path is None:
+        return replace(drive, notes=(*drive.notes, passed_over(folder)))
+    log = options.in_time(chosen_log(log_path, settings, options), settings.gnss_offset_ns)
+    return replace(
+        drive,
+        log=log,
+        gnss_source=log_name(log_path, folder),
+        gnss_path=log_path,
+        notes=drive.notes + log.notes,
+    )
+
+
+def chosen_log(path: Path, settings: RecordingSettings, options: DriveOptions) -> FixLog:
+    """The fixes of a log of a recording, whose columns are as the user says, else the recording;
+    ConfigError where the user says it of no table."""
+    _refuse_columns(path, options)
+    return read_fix_log(path, options.columns or settings.columns)
+
+
+def _refuse_columns(path: Path, options: DriveOptions) -> None:
+    if options.columns is not None and not _has_columns(path):
+        options.refuse(f"{path} is no table", "columns")
+
+
+def open_log(path: Path, options: DriveOptions) -> Drive:
+    """A log as a drive without frames, of whose vehicle nothing is known."""
+    options.refuse(f"{path} is a log already, in which none can be picked", "gnss")
+    options.refuse_of_bags(path)
+    options.refuse(f"{path} is no recording with images", "mounting", "image_time_offset_ns")
+    _refuse_columns(path, options)
+    log = options.in_time(read_fix_log(path, options.columns))
+    return Drive(
+        path=path,
+        name=path.stem,
+        log=log,
+        gnss_source=path.name,
+        gnss_path=path,
+        notes=log.notes,
+    )
+
+
+FORMAT = Format(
+    "GNSS log",
+    "a log of NMEA, UBX, RTKLIB or a table, or an ISO 11783-10 time log",
+    lambda path: path.is_file() or is_time_log(path),
+    open_log,
+)

@@ -1,0 +1,267 @@
+"""`imu/*.csv` and `odometry/*.csv` of a recording: gyro, accelerometer and wheels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fieldgrid.core import Float64, Int64, RecordingError, counted
+from fieldgrid.geometry import Gyro, Inertial, Motion, WheelSpeed
+from fieldgrid.recordings.tables.columns import Columns, speed_factor, take_apart
+from fieldgrid.recordings.tables.table_time import find_time
+from fieldgrid.recordings.tables.tables import OpenTable, open_table
+
+AXES = "flu"
+"""How an IMU is mounted when nothing is said: x forward, y left, z up."""
+
+_DIRECTIONS = {
+    **{"f": (1, 0, 0), "b": (-1, 0, 0), "l": (0, 1, 0)},
+    **{"r": (0, -1, 0), "u": (0, 0, 1), "d": (0, 0, -1)},
+}
+# Names of the three axes' rates, then whether they are in degrees.
+_RATES = (
+    ("gyro_{}_rad_s", False), ("gyro_{}_radps", False), ("gyro_{}", False), ("gyr_{}", False),
+    ("gyr{}", False), ("gyro{}", False), ("angular_velocity_{}", False), ("w{}", False),
+    ("w_{}", False), ("g{}", False), ("rate_{}", False), ("angvel_{}", False),
+    ("gyro_{}_deg_s", True), ("gyro_{}_dps", True), ("gyro_{}_degps", True),
+)  # fmt: skip
+# The same of the accelerometer, then whether they are in g.
+_FORCES = (
+    ("acc_{}_m_s2", False), ("acc_{}_mps2", False), ("acc_{}", False), ("accel_{}", False),
+    ("acc{}", False), ("accel{}", False), ("linear_acceleration_{}", False), ("a{}", False),
+    ("a_{}", False), ("acceleration_{}", False), ("accel_{}_m_s2", False),
+    ("acc_{}_g", True), ("accel_{}_g", True),
+)  # fmt: skip
+_STANDARD_GRAVITY_MPS2 = 9.80665
+
+_MOST_SENSED = 1e9
+"""Beyond any rate or force: a sample with more is none."""
+_MOSTLY = 0.5
+"""An accelerometer that says something in fewer of its rows than this says nothing."""
+_SPEEDS = (
+    *("speed", "wheel_speed", "velocity", "vel", "v", "vx", "twist_linear_x", "linear_x"),
+    *("linear_velocity", "linear_velocity_x", "forward_speed", "odometry_speed"),
+)
+
+
+class MotionFiles(NamedTuple):
+    """The motion of a recording, and remarks on its files."""
+
+    motion: Motion = Motion()
+    notes: tuple[str, ...] = ()
+
+
+class MotionSeries(NamedTuple):
+    """Values [n] or [n, k] with their times, increasing."""
+
+    time_ns: Int64
+    values: Float64
+
+
+def directions(axes: str) -> tuple[tuple[int, int, int], ...]:
+    """Where axes like flu point, one by one: forward, left, up."""
+    return tuple(_DIRECTIONS[axis] for axis in axes)
+
+
+def check_axes(axes: str) -> str:
+    """The axes, once it is sure that they are three right-handed directions like flu."""
+    if len(axes) == 3 and all(axis in _DIRECTIONS for axis in axes):
+        columns = np.array([_DIRECTIONS[axis] for axis in axes])
+        if round(float(np.linalg.det(columns))) == 1:
+            return axes
+    raise ValueError(
+        f"{axes!r} is not where the three axes of an IMU point; give a right-handed set of "
+        "f or b, l or r, u or d, like flu, frd or rfu"
+    )
+
+
+def read_motion(folder: Path, imu_axes: str = AXES) -> MotionFiles:
+    """What `imu/` and `odometry/` of a recording hold; nothing where they are not."""
+    notes: list[str] = []
+    found = [s for p in _tables(folder / "imu") if (s := _read_imu(p, imu_axes, notes))]
+    turning = _joined(found)
+    whole = _joined([(path, s) for path, s in found if np.isfinite(s.values[:1, 0]).all()])
+    wheels = _joined([s for p in _tables(folder / "odometry") if (s := _read_speed(p, notes))])
+    return MotionFiles(
+        Motion(
+            gyro=None if turning is None else Gyro(turning.time_ns, -turning.values[:, 2]),
+            wheels=None if wheels is None else WheelSpeed(*wheels),
+            inertial=None if whole is None else inertial_of(whole, notes),
+        ),
+        tuple(notes),
+    )
+
+
+def gravity_unit_mps2(usual: Float64) -> float | None:
+    """The unit of the usual specific force [3] of a drive: 1 m/s² or 1 g; None where its size is
+    not that of gravity, as in a message from which gravity was removed."""
+    size = float(np.linalg.norm(usual))
+    if 0.9 < size < 1.1:
+        return _STANDARD_GRAVITY_MPS2
+    return 1.0 if 9.0 < size < 10.6 else None
+
+
+def inertial_of(sensed: MotionSeries, notes: list[str]) -> Inertial | None:
+    """An IMU of samples [n, 6], rates and forces, whose accelerometer is believed if it sees
+    gravity, in m/s² or in g, and sees it above it. None without a sample."""
+    beyond = np.abs(sensed.values) > _MOST_SENSED
+    if beyond.any():
+        sane = ~beyond.any(axis=1)
+        sensed = MotionSeries(sensed.time_ns[sane], sensed.values[sane])
+    complete = np.isfinite(sensed.values).all(axis=1)
+    count, felt = len(sensed.time_ns), int(complete.sum())
+    if not count:
+        return None
+    if 0 < felt < count:
+        # A sample without its force is as if there were none.
+        used = "those are left out of the IMU" if felt > _MOSTLY * count else "it is not used"
+        notes.append(
+            f"The accelerometer says nothing in {count - felt} of {count} samples; {used}."
+        )
+    if felt > _MOSTLY * count:
+        sensed = MotionSeries(sensed.time_ns[complete], sensed.values[complete])
+    rates, forces = sensed.values[:, :3], sensed.values[:, 3:]
+    inertial = Inertial(sensed.time_ns, rates.astype(np.float32), forces.astype(np.float32))
+    usual = np.median(forces, axis=0)
+    without = inertial._replace(force_mps2=np.full_like(inertial.force_mps2, np.nan))
+    if not np.isfinite(usual).all():
+        return without
+    unit_mps2, up = gravity_unit_mps2(usual), float(usual[2])
+    if unit_mps2 is None or up < 0.8 * float(np.linalg.norm(usual)):
+        notes.append(
+            "The accelerometer is not used: it should see gravity upward, 9.8 m/s² or 1 g, and "
+            f"sees {usual[0]:.2f} to the right, {usual[1]:.2f} forward, {up:.2f} up; correct "
+            "imu_axes in mounting.json"
+            + (' (an IMU with x forward, y right, z down is "frd").' if up < 0.0 else ".")
+        )
+        return without
+    if unit_mps2 == 1.0:
+        return inertial
+    notes.append("The accelerometer is taken to be in g.")
+    return inertial._replace(force_mps2=inertial.force_mps2 * np.float32(unit_mps2))
+
+
+def _tables(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    endings = (".csv", ".tsv", ".csv.gz", ".tsv.gz")
+    return sorted(path for path in folder.iterdir() if path.name.lower().endswith(endings))
+
+
+def _read_imu(path: Path, axes: str, notes: list[str]) -> tuple[Path, MotionSeries] | None:
+    """Rates (rad/s) and forces (m/s²) along the vehicle's axes right, forward, up, [n, 6]; NaN
+    where a file has fewer axes. None without a gyro about the vertical."""
+    vertical = next(k for k, axis in enumerate(axes) if axis in "ud")
+    with open_table(path) as table:
+        rates = [_find(table, _RATES, axis, "w_RS_S_{} [rad s^-1]") for axis in "xyz"]
+        forces = [_find(table, _FORCES, axis, "a_RS_S_{} [m s^-2]") for axis in "xyz"]
+        upward = rates[vertical]
+        if upward is None:
+            notes.append(f"{path.name}: no column gyro_{'xyz'[vertical]}_rad_s; it is not used.")
+            return None
+        name, in_degrees = upward
+        if not name.startswith("gyro_") or not name.endswith("_rad_s"):
+            unit = "deg/s" if in_degrees else "rad/s"
+            notes.append(f"{path.name}: gyro from '{name}', taken as {unit}.")
+        turning = [found for found in rates if found is not None]
+        pushing = [found for found in forces if found is not None]
+        turning = turning if len(turning) == 3 else [upward]
+        pushing = pushing if len(pushing) == len(turning) == 3 else []
+        factors = [math.radians(1.0) if found[1] else 1.0 for found in turning]
+        factors += [_STANDARD_GRAVITY_MPS2 if found[1] else 1.0 for found in pushing]
+        named = [found[0] for found in turning + pushing]
+        read = _read(table, named, factors, notes, len(turning))
+    sensed = np.full((len(read.time_ns), 6), np.nan)
+    R_vehicle_imu = R_VEHICLE_FLU @ np.array(directions(axes), dtype=np.float64).T
+    if len(turning) == 1:
+        sensed[:, 2] = read.values[:, 0] * R_vehicle_imu[2, vertical]
+    for part in range(len(turning + pushing) // 3):
+        three = slice(3 * part, 3 * part + 3)
+        sensed[:, three] = read.values[:, three] @ R_vehicle_imu.T
+    return path, MotionSeries(read.time_ns, sensed)
+
+
+R_VEHICLE_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""From forward, left, up to the vehicle's axes right, forward, up."""
+
+
+def _find(
+    table: OpenTable, known: tuple[tuple[str, bool], ...], axis: str, euroc: str
+) -> tuple[str, bool] | None:
+    """The column of an axis, and whether its unit is the second one of its kind."""
+    for pattern, other_unit in known:
+        for name in table.header:
+            plain = "_".join("".join(c if c.isalnum() else " " for c in name.lower()).split())
+            if plain in (pattern.format(axis), pattern.format(axis) + "_rad_s"):
+                return name, other_unit
+    return (euroc.format(axis), False) if euroc.format(axis) in table.header else None
+
+
+def _read_speed(path: Path, notes: list[str]) -> tuple[Path, MotionSeries] | None:
+    with open_table(path) as table:
+        named = {take_apart(name): name for name in reversed(table.header)}
+        bases = {apart.base: apart for apart in named}
+        apart = next((bases[base] for base in _SPEEDS if base in bases), None)
+        if apart is None:
+            notes.append(f"{path.name}: no column speed_mps; it is not used.")
+            return None
+        series = _read(table, [named[apart]], [apart.factor * speed_factor(apart.unit)], notes)
+        if named[apart] != "speed_mps":
+            notes.append(
+                f"{path.name}: speed from '{named[apart]}' in {apart.unit or 'm/s (assumed)'}."
+            )
+    return path, MotionSeries(series.time_ns, series.values[:, 0])
+
+
+def _read(
+    table: OpenTable, names: list[str], factors: list[float], notes: list[str], needed: int = 1
+) -> MotionSeries:
+    """Columns [n, k] with their times, increasing; rows without one of the first `needed` of them
+    are dropped and counted."""
+    time, places = find_time(table, Columns()), [table.header.index(name) for name in names]
+    times, rows = [np.zeros(0, dtype=np.int64)], [np.zeros((0, len(names)))]
+    for block in table.blocks():
+        times.append(time.utc_ns(block))
+        rows.append(np.stack([table.numbers(block, place) for place in places], axis=1))
+    series, lost = in_order(np.concatenate(times), np.concatenate(rows) * factors, needed)
+    notes += skipped(table.path.name, lost, "row")
+    notes += time.notes
+    return series
+
+
+def in_order(times_ns: Int64, values: Float64, needed: int = 1) -> tuple[MotionSeries, int]:
+    """The rows with a time and their first `needed` values, times increasing, the first of each;
+    and how many are left out."""
+    known = (times_ns > 0) & np.isfinite(values.reshape(len(values), -1)[:, :needed]).all(axis=1)
+    kept_ns, kept = times_ns[known], values[known]
+    if np.any(np.diff(kept_ns) <= 0):
+        kept_ns, first = np.unique(kept_ns, return_index=True)
+        kept = kept[first]
+    return MotionSeries(kept_ns, kept), len(times_ns) - len(kept_ns)
+
+
+def skipped(source: str, lost: int, noun: str) -> list[str]:
+    """What is said of rows or messages that :func:`in_order` leaves out."""
+    said = f"{source}: {counted(lost, noun)} without a time or value, or repeated, skipped."
+    return [said] if lost else []
+
+
+def _joined(parts: Sequence[tuple[Path, MotionSeries]]) -> MotionSeries | None:
+    """The files of one sensor in order of time; two that overlap are two sensors."""
+    filled = sorted((p for p in parts if len(p[1].time_ns)), key=lambda p: int(p[1].time_ns[0]))
+    for (path, earlier), (other, later) in pairwise(filled):
+        if earlier.time_ns[-1] >= later.time_ns[0]:
+            raise RecordingError(
+                f"{path} and {other} overlap in time, so they are two sensors; keep one of them."
+            )
+    if len(filled) < 2:
+        return filled[0][1] if filled else None
+    return MotionSeries(
+        np.concatenate([series.time_ns for _, series in filled]),
+        np.concatenate([series.values for _, series in filled]),
+    )

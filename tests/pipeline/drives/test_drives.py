@@ -1,0 +1,400 @@
+"""Many drives: processes, those that die, builds that are ended and go on, frames that are bad."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sqlite3
+import subprocess
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fieldgrid.core import ConfigError, MapWriteError, RecordingError
+from fieldgrid.maps import Patience, open_map
+from fieldgrid.pipeline import PartlyBuiltError, Progress, drives
+from fieldgrid.pipeline.staging import parts, pool
+from tests.cli.conftest import in_a_process
+from tests.conftest import wait_for_end
+from tests.pipeline.drives import failing
+from tests.pipeline.drives.making import (
+    COURSE,
+    SMALL_SHARES,
+    MakeDrive,
+    build,
+    content,
+    count_staged,
+    damage,
+)
+
+
+@pytest.fixture(autouse=True)
+def small_shares(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parts, "SHARE_FRAMES", 2)
+
+
+@pytest.fixture
+def processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So few frames are staged by threads, else."""
+    monkeypatch.setattr(drives, "WORTH_FRAMES", 1)
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Path]:
+    """Two drives, one with a frame that cannot be read, and the map of them, built in one process
+    and in one run."""
+    from tests.conftest import make_small_drive
+
+    folder = tmp_path_factory.mktemp("two")
+    paths = [
+        make_small_drive(folder / "first", range(3, 9)),
+        make_small_drive(folder / "second", range(40, 45)),
+    ]
+    damage(paths[0] / "left" / "000005.jpg")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(parts, "SHARE_FRAMES", 100)
+        build(paths, folder / "whole.gpkg", jobs=1, skip_bad=1)
+    return paths, folder / "whole.gpkg"
+
+
+@pytest.mark.usefixtures("processes")
+@pytest.mark.usefixtures("worked_out_afresh")
+def test_processes_give_the_same_bits_also_when_one_is_killed(
+    two: tuple[list[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths, whole = two
+    monkeypatch.setattr(drives, "open_drive", failing.opening("first", 5, 1, tmp_path / "marks"))
+    out, seen = tmp_path / "m.gpkg", list[Progress]()
+    reports = build(paths, out, jobs=2, skip_bad=1, progress=seen.append)
+    assert (tmp_path / "marks").read_text() == "x"
+    assert content(out) == content(whole)
+    assert [report.session for report in reports] == ["first", "second"]
+    assert [bad.frame_id for bad in reports[0].bad] == ["000005"]
+    last = {now.session: (now.frames_done, now.frames_total) for now in seen}
+    assert last == {"first": (6, 6), "second": (5, 5)}
+    assert {path.name for path in tmp_path.iterdir()} == {"m.gpkg", "marks"}
+
+
+@pytest.mark.usefixtures("processes")
+def test_a_recording_that_kills_processes_is_named_and_left_out(
+    two: tuple[list[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths, _ = two
+    monkeypatch.setattr(pool, "DEATHS", 2)
+    monkeypatch.setattr(drives, "open_drive", failing.opening("second", 2, 9, tmp_path / "marks"))
+    with pytest.raises(PartlyBuiltError) as told:
+        build(paths, tmp_path / "m.gpkg", jobs=2, skip_bad=1)
+    (failed,) = told.value.failed
+    assert failed[0] == "second"
+    assert "Frames 2 to 3 of second have ended 2 processes of the build (signal 9)" in failed[1]
+    assert (tmp_path / "marks").read_text() == "xx"
+    with open_map(tmp_path / "m.gpkg") as universal:
+        assert [info.name for info in universal.sessions()] == ["first"]
+    assert {path.name for path in tmp_path.iterdir()} == {"m.gpkg", "marks"}
+
+
+@pytest.mark.usefixtures("processes")
+def test_an_answer_that_cannot_be_read_ends_the_build(
+    make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    odd = failing.opening("drive", 0, 1, tmp_path / "marks", failing.Raising)
+    monkeypatch.setattr(drives, "open_drive", odd)
+    with pytest.raises(TypeError, match="what"):
+        build([make_drive()], tmp_path / "m.gpkg", jobs=2)
+    assert {path.name for path in tmp_path.iterdir()} == {"drive"}
+
+
+@pytest.mark.usefixtures("processes")
+def test_processes_start_while_the_drives_are_checked(
+    make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    processes, both = list[subprocess.Popen[bytes]](), threading.Event()
+    usual_start, usual_check = pool.Pool._start, drives.estimate_drive
+
+    def start(self: pool.Pool) -> subprocess.Popen[bytes]:
+        processes.append(usual_start(self))
+        if len(processes) == 2:
+            both.set()
+        return processes[-1]
+
+    def check(*arguments: Any) -> Any:
+        assert both.wait(60.0)
+        return usual_check(*arguments)
+
+    monkeypatch.setattr(pool.Pool, "_start", start)
+    monkeypatch.setattr(drives, "estimate_drive", check)
+    build([make_drive()], tmp_path / "m.gpkg", jobs=2)
+    assert [process.returncode is not None for process in processes] == [True, True]
+
+
+@pytest.mark.usefixtures("processes")
+def test_processes_end_before_the_parts_that_they_write_are_let_go(
+    make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    running = list[int]()
+    usual = parts.DriveParts.close
+
+    def close(self: parts.DriveParts) -> None:
+        running.extend(len(one._running) for one in pools)
+        usual(self)
+
+    pools, made = list[pool.Pool](), pool.Pool.__init__
+
+    def make(self: pool.Pool, count: int, out: Path) -> None:
+        pools.append(self)
+        made(self, count, out)
+
+    def fail(*arguments: Any, **options: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pool.Pool, "__init__", make)
+    monkeypatch.setattr(parts.DriveParts, "close", close)
+    monkeypatch.setattr(drives._Build, "_finish", fail)
+    with pytest.raises(KeyboardInterrupt):
+        build([make_drive()], tmp_path / "m.gpkg", jobs=2)
+    assert running == [0]
+
+
+@pytest.mark.usefixtures("processes")
+def test_a_process_that_cannot_start_is_reported(
+    make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where Python is embedded in another program, which is not to be started again."""
+    monkeypatch.setattr(pool.sys, "executable", None)
+    with pytest.raises(TypeError):
+        build([make_drive()], tmp_path / "m.gpkg", jobs=2)
+
+
+# --- a build that is ended
+
+
+ENDED = """
+import os, signal
+from fieldgrid.pipeline.staging.parts import DriveParts
+from pathlib import Path
+
+usual, taken = DriveParts.take, []
+
+def take(self, share):
+    part = usual(self, share)
+    taken.extend([] if part is None else [share])
+    if len(taken) == {parts_done}:
+        tasks = Path("/proc/self/task").glob("*/children")
+        Path({notes!r}).write_text(" ".join(found.read_text() for found in tasks))
+        os.kill(os.getpid(), signal.{how})
+    return part
+
+DriveParts.take = take
+"""
+"""Python to run first in a build, which notes its workers and gets a signal when it has taken so
+many parts: from outside, it may be through before one has looked."""
+
+
+def ended(paths: list[Path], out: Path, parts_done: int, how: signal.Signals) -> str:
+    """A build by two processes that is ended once it has staged so many parts; what it said."""
+    notes = out.with_suffix(".workers")
+    before = SMALL_SHARES + ENDED.format(parts_done=parts_done, notes=str(notes), how=how.name)
+    child = subprocess.run(
+        in_a_process("build", *paths, "-o", out, "--jobs", 2, "--skip-bad", 1, before=before),
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        check=False,
+    )
+    errors = child.stderr
+    workers = [int(word) for word in notes.read_text().split()]
+    assert workers or not Path("/proc").exists()
+    notes.unlink()
+    for worker in workers:
+        wait_for_end(worker)
+    return errors
+
+
+@pytest.mark.parametrize(
+    ("parts_done", "how"),
+    [pytest.param(4, signal.SIGKILL, marks=pytest.mark.long), (1, signal.SIGINT)],
+)
+@pytest.mark.usefixtures("worked_out_afresh")
+def test_an_ended_build_goes_on_to_the_same_bits(
+    parts_done: int,
+    how: signal.Signals,
+    two: tuple[list[Path], Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    paths, whole = two
+    out = tmp_path / "m.gpkg"
+    errors = ended(paths, out, parts_done, how)
+    assert not out.exists()
+    if how is signal.SIGINT:
+        assert f"What was staged is kept in {out}.parts; the same command with --resume" in errors
+        assert "Traceback" not in errors
+    done = [path.stem.split("-") for path in parts.parts_folder(out).glob("*/*-*.json")]
+    staged = count_staged(monkeypatch)
+    build(paths, out, jobs=1, skip_bad=1, resume=True)
+    assert len(done) >= parts_done
+    assert sum(staged) == 11 - sum(int(last) - int(first) for first, last in done)
+    assert content(out) == content(whole)
+    assert list(tmp_path.iterdir()) == [out]
+
+
+@pytest.fixture
+def left(make_drive: MakeDrive, tmp_path: Path) -> tuple[Path, Path]:
+    """A drive, and a map of which an interrupted build has left a part of it."""
+    drive, out = make_drive(frames=range(3, 9)), tmp_path / "out" / "m.gpkg"
+    out.parent.mkdir()
+
+    def interrupt(now: Progress) -> None:
+        if now.frames_done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build([drive], out, jobs=1, progress=interrupt)
+    assert len(list(out.parent.glob("m.gpkg.parts/*/*.grids"))) == 1
+    return drive, out
+
+
+def test_what_a_build_left_that_was_killed_before_its_first_part_is_removed(
+    left: tuple[Path, Path],
+) -> None:
+    drive, out = left
+    (key,) = parts.parts_folder(out).iterdir()
+    for part in key.glob("*-*"):
+        part.unlink()
+    os.utime(key / "drive.json", (1e9, 1e9))
+    build([drive], out, settings=COURSE)  # of another key
+    assert list(out.parent.iterdir()) == [out]
+
+
+def test_parts_that_are_there_are_told(left: tuple[Path, Path]) -> None:
+    drive, out = left
+    with pytest.raises(ConfigError, match=r"m\.gpkg\.parts holds staged parts .*\(drive\); give"):
+        build([drive], out)
+    build([drive], out, resume=False)
+    assert list(out.parent.iterdir()) == [out]
+
+
+@pytest.mark.parametrize("change", ["settings", "image", "how images are read"])
+def test_parts_of_other_inputs_or_settings_are_refused(
+    change: str, left: tuple[Path, Path]
+) -> None:
+    drive, out = left
+    before = sorted(out.parent.rglob("*"))
+    if change == "image":
+        image = drive / "left" / "000003.jpg"
+        data = image.read_bytes()
+        image.unlink()  # it is a link
+        image.write_bytes(data)
+    if change == "how images are read":
+        (drive / "recording.toml").write_text("[images]\nbits = 8\n")
+    settings = {"settings": COURSE} if change == "settings" else {}
+    with pytest.raises(ConfigError, match=r"parts of drive in .* are of other inputs or settings"):
+        build([drive], out, resume=True, **settings)
+    assert sorted(out.parent.rglob("*")) == before
+
+
+def test_a_damaged_part_is_made_again(left: tuple[Path, Path], tmp_path: Path) -> None:
+    drive, out = left
+    (grids,) = out.parent.glob("m.gpkg.parts/*/*.grids")
+    data = bytearray(grids.read_bytes())
+    data[len(data) // 2] ^= 1
+    grids.write_bytes(data)
+    build([drive], out, resume=True)
+    build([drive], tmp_path / "anew.gpkg")
+    assert content(out) == content(tmp_path / "anew.gpkg")
+
+
+def test_a_drive_that_was_refused_at_its_commit_is_not_staged_again(
+    make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "m.gpkg"
+    build([make_drive("first")], out)
+    paths = [make_drive("second", range(5, 9)), make_drive("third", range(8, 10))]
+    other = sqlite3.connect(out, isolation_level=None)
+    waited: list[float] = []
+
+    def stop(waited_s: float) -> None:
+        waited.append(waited_s)
+
+    other.execute("BEGIN IMMEDIATE")
+    with pytest.raises(MapWriteError, match=r"in use by another program.* --resume goes on"):
+        build(paths, out, append=True, jobs=1, patience=Patience(0.01, stop))
+    other.execute("ROLLBACK")
+    other.close()
+    assert waited
+    staged = count_staged(monkeypatch)
+    build(paths, out, append=True, jobs=1, resume=True)
+    assert staged == [2]  # those of the third drive alone
+    with open_map(out) as universal:
+        assert [info.name for info in universal.sessions()] == ["first", "second", "third"]
+    assert not parts.parts_folder(out).exists()
+
+
+def test_a_build_that_was_ended_after_a_commit_knows_its_sessions(
+    make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "m.gpkg"
+    drive = make_drive(frames=range(3, 7))
+    with monkeypatch.context() as patched:
+        patched.setattr(drives, "remove_parts", lambda *_: None)  # it ends just before that
+        build([drive], out)
+    before = out.read_bytes()
+    (report,) = build([drive], out, resume=True)
+    assert "The drive was in the map already." in report.notes
+    assert out.read_bytes() == before
+    assert not parts.parts_folder(out).exists()
+    with pytest.raises(ConfigError, match=r"session 'drive' already, .* that build had finished"):
+        build([drive], out, resume=True)
+    assert out.read_bytes() == before
+    assert not parts.parts_folder(out).exists()
+
+
+# --- frames that are bad
+
+
+def bad(drive: Path) -> None:
+    damage(drive / "left" / "000004.jpg")
+    (drive / "right" / "000006.jpg").unlink()
+
+
+@pytest.mark.parametrize("bound", [2, 0.4])
+def test_bad_frames_are_left_out_up_to_a_bound(
+    bound: float, make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    drive, out = make_drive(frames=range(3, 8)), tmp_path / "m.gpkg"
+    bad(drive)
+    (report,) = build([drive], out, skip_bad=bound)
+    assert (report.frames, [one.frame_id for one in report.bad]) == (3, ["000004", "000006"])
+    assert "truncated" in report.bad[0].reason
+    assert "No such file" in report.bad[1].reason
+    assert report.as_dict()["bad"][1]["frame_id"] == "000006"
+    with open_map(out) as universal:
+        config = universal.sessions()[0].config
+        assert [record.frame_id for record in universal.frames()] == ["000003", "000005", "000007"]
+    assert config["bad_frames"] == 2
+    assert [frame_id for frame_id, _ in config["bad"]] == ["000004", "000006"]
+
+
+@pytest.mark.parametrize(("bound", "most"), [(1, 1), (0.39, 1)])
+def test_more_bad_frames_than_the_bound_are_refused(
+    bound: float, most: int, make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    drive = make_drive(frames=range(3, 8))
+    bad(drive)
+    said = (
+        rf"2 of 5 frames of drive cannot be read, and --skip-bad allows {most}; .*First: .*000004"
+    )
+    with pytest.raises(RecordingError, match=said):
+        build([drive], tmp_path / "m.gpkg", skip_bad=bound)
+    assert list(tmp_path.iterdir()) == [drive]
+
+
+def test_a_drive_without_a_frame_that_can_be_read(make_drive: MakeDrive, tmp_path: Path) -> None:
+    drive = make_drive(frames=range(3, 5))
+    shutil.rmtree(drive / "right")
+    with pytest.raises(RecordingError, match="None of the 2 frames of drive can be read"):
+        build([drive], tmp_path / "m.gpkg", skip_bad=1.0)
+    assert list(tmp_path.iterdir()) == [drive]

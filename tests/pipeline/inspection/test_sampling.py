@@ -1,0 +1,36 @@
+"""Which frames are looked at."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fieldgrid.pipeline.inspection.drive import MOST_FOLLOWED, MOST_SAMPLES, sample_every, stretches
+
+
+@pytest.mark.parametrize("count", [1, 2, 23, 24, 25, 50, 1000, 100_001])
+def test_samples_are_few_and_over_the_whole_drive(count: int) -> None:
+    chosen = range(0, count, sample_every(count))
+    assert 1 <= len(chosen) <= MOST_SAMPLES
+    assert len(chosen) > min(count, MOST_SAMPLES) / 2 - 1
+
+
+def test_a_short_drive_is_followed_throughout() -> None:
+    none = np.zeros(0)
+    assert stretches(np.arange(50), none.astype(np.int64), none) == [range(50)]
+
+
+def test_of_a_long_drive_the_turns_are_followed_and_some_of_all() -> None:
+    frames_ns = np.arange(10_000) * 100_000_000
+    time_ns = np.arange(0, 1_000_000_000_001, 1_000_000_000)
+    heading = np.where(time_ns < 700e9, 10.0, np.minimum(10.0 + (time_ns - 700e9) / 1e9, 190.0))
+    runs = stretches(frames_ns, time_ns, heading)
+    assert sum(len(run) for run in runs) <= MOST_FOLLOWED
+    assert [run.start for run in runs] == sorted(run.start for run in runs)
+    flat = [k for run in runs for k in run]
+    assert len(set(flat)) == len(flat)
+    assert max(flat) < 10_000
+    turning = [run for run in runs if run.stop > 7000 and run.start < 8800]
+    assert len(turning) >= 4
+    assert runs[0].start == 0
+    assert runs[-1].stop > 9900

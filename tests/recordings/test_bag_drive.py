@@ -1,0 +1,779 @@
+"""What a bag tells of the vehicle: fixes, motion, mount, other sensors, order of messages."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import sys
+import tracemalloc
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from fieldgrid.core import CalibrationError, ConfigError, RecordingError
+from fieldgrid.geometry import DepthCamera, LeverArm, Lidar, Mount, StereoCamera
+from fieldgrid.recordings import (
+    CloudFrame,
+    DepthFrame,
+    DriveOptions,
+    Recording,
+    Transforms,
+    open_drive,
+    open_recording,
+    quality_of,
+)
+from fieldgrid.recordings.bag.sensors.clouds import MessageCloud
+from tests.conftest import TWO_LANES
+from tests.recordings import bags
+from tests.recordings.bags import CONTAINERS, Container, Maker, Said
+from tests.recordings.test_packed_depth import config, png, rvl
+
+SharedData = Callable[[str], Path]
+
+UTC = 1_700_000_000_000_000_000
+STEP = 100_000_000
+P = np.array([[100.0, 0, 15.5, 0], [0, 100.0, 11.5, 0], [0, 0, 1, 0]])
+P_RIGHT = P + np.array([[0, 0, 0, -20.0], [0, 0, 0, 0], [0, 0, 0, 0]])
+LAT, LON, HEIGHT = 41.65, -4.72, 787.4
+# Camera axes (right, down, forward) in those of a vehicle (forward, left, up).
+OPTICAL = (-0.5, 0.5, -0.5, 0.5)
+
+
+def xyzw(R: np.ndarray) -> tuple[float, float, float, float]:
+    vector = cv2.Rodrigues(np.asarray(R, dtype=np.float64))[0].ravel()
+    angle = float(np.linalg.norm(vector))
+    axis = vector / angle if angle else vector
+    x, y, z = (math.sin(angle / 2) * axis).tolist()
+    return x, y, z, math.cos(angle / 2)
+
+
+def stereo_said(
+    maker: Maker, count: int = 4, size: tuple[int, int] = (24, 32), frame: str = "cam_optical"
+) -> Iterator[Said]:
+    """Pairs whose pixels tell their number, with their calibration."""
+    for k in range(count):
+        time_ns = UTC + k * STEP
+        for side, projection in (("left", P), ("right", P_RIGHT)):
+            pixels = np.full(size, k % 100 + 100 * (side == "right"), dtype=np.uint8)
+            image = maker.image(time_ns, pixels, "mono8", frame)
+            yield Said(time_ns, f"/s/{side}/image_rect", image)
+            info = maker.info(time_ns, (size[1], size[0]), projection, frame)
+            yield Said(time_ns, f"/s/{side}/camera_info", info)
+
+
+def fixes_said(maker: Maker, count: int = 4) -> Iterator[Said]:
+    for k in range(count):
+        time_ns = UTC + k * STEP
+        fix = maker.fix(time_ns, LAT + k * 1e-6, LON, HEIGHT, sigma_m=0.02)
+        yield Said(time_ns, "/fix", fix)
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Callable[..., Recording]:
+    """Writes messages and opens them as a recording, with the mounting of the example."""
+
+    def do(
+        said: Callable[[Maker], Any],
+        container: Container = "mcap",
+        *,
+        mounting: bool = True,
+        in_order: bool = True,
+        **options: Any,
+    ) -> Recording:
+        maker = Maker(container)
+        messages = list(said(maker))
+        path = tmp_path / "b" / "bag"
+        shutil.rmtree(path.parent, ignore_errors=True)
+        path = bags.write_bag(path, container, maker, messages, in_order=in_order)
+        if mounting:
+            folder = path if path.is_dir() else path.parent
+            shutil.copy(TWO_LANES / "calibration" / "mounting.json", folder)
+            text = (folder / "mounting.json").read_text()
+            (folder / "mounting.json").write_text(text.replace('"stereo_baseline_m": 0.18,', ""))
+        return open_recording(path, **options)
+
+    return do
+
+
+Opened = Callable[..., Recording]
+
+
+def numbers(recording: Recording) -> list[tuple[int, int]]:
+    """What the pixels of the pairs tell."""
+    pairs = [frame.images() for frame in recording.frames()]
+    return [(int(left[0, 0]), int(right[0, 0]) - 100) for left, right in pairs]
+
+
+# Fixes
+
+
+@pytest.mark.parametrize(
+    ("status", "sigma_m", "covariance_type", "quality"),
+    [
+        (-1, 0.01, 2, 0),
+        (0, 2.0, 2, 1),
+        (1, 2.0, 2, 9),
+        (2, 2.0, 2, 2),
+        (2, 0.3, 2, 2),
+        (2, 0.02, 2, 4),
+        (0, 0.02, 3, 4),
+        (0, 0.02, 0, 1),
+        (2, 0.0, 2, 2),
+        (-2, 2.0, 2, -1),
+        (7, 2.0, 2, -1),
+    ],
+)
+def test_the_quality_is_by_status_and_covariance(
+    status: int, sigma_m: float, covariance_type: int, quality: int
+) -> None:
+    message = Maker("mcap").fix(
+        UTC, LAT, LON, HEIGHT, status=status, sigma_m=sigma_m, covariance_type=covariance_type
+    )
+    found, stated_m = quality_of(message)
+    assert found == quality
+    known = sigma_m > 0.0 and covariance_type != 0
+    assert stated_m == (pytest.approx(sigma_m) if known else None)
+
+
+def test_the_covariance_is_east_north_up_by_row() -> None:
+    message = Maker("mcap").fix(UTC, LAT, LON, HEIGHT)
+    message.position_covariance[:] = [0.09, 5, 5, 5, 0.16, 5, 5, 5, 100.0]
+    assert quality_of(message)[1] == pytest.approx(math.sqrt(0.125))
+    for nonsense in (math.nan, math.inf, -1.0):
+        message.position_covariance[4] = nonsense
+        assert quality_of(message)[1] is None
+
+
+def test_fixes_without_position_or_height(opened: Opened) -> None:
+    def said(maker: Maker) -> Iterator[Said]:
+        yield from stereo_said(maker)
+        for k, (lat, altitude) in enumerate([(LAT, HEIGHT), (math.nan, 1.0), (LAT, math.nan)]):
+            time_ns = UTC + k * STEP
+            yield Said(time_ns, "/fix", maker.fix(time_ns, lat, LON, altitude))
+
+    with opened(said) as recording:
+        assert [fix.height_m for fix in recording.fixes()] == [HEIGHT, 0.0]
+        assert recording.fixes()[1].time_ns == UTC + 2 * STEP
+        notes = " ".join(recording.notes)
+    assert "1 message without a position" in notes
+    assert "1 message without a height" in notes
+
+
+# Motion
+
+
+def imu_said(
+    maker: Maker,
+    frame: str = "imu_link",
+    forces: tuple[float, float, float] = (0.0, 0.0, 9.81),
+    across: tuple[float, float] = (0.1, 0.2),
+    **changes: Any,
+) -> Iterator[Said]:
+    for k in range(5):
+        time_ns = UTC + k * 10_000_000
+        message = maker.imu(time_ns, (*across, 0.3 + k), frame, forces)
+        for name, value in changes.items():
+            getattr(message, name)[0] = value
+        yield Said(time_ns, "/imu/data", message)
+
+
+def test_the_gyro_turns_clockwise_about_the_vehicles_vertical(opened: Opened) -> None:
+    with opened(lambda m: [*stereo_said(m), *imu_said(m)]) as recording:
+        gyro = recording.motion().gyro
+        assert gyro is not None
+        assert gyro.rate_rad_s.tolist() == [-0.3, -1.3, -2.3, -3.3, -4.3]
+        assert gyro.time_ns.tolist() == [UTC + k * 10_000_000 for k in range(5)]
+
+
+@pytest.mark.parametrize("gravity", [9.81, 1.0])
+def test_an_imu_upside_down_is_told_by_gravity(gravity: float, opened: Opened) -> None:
+    upside_down = (0.01, 0.02, -gravity)
+    with opened(lambda m: [*stereo_said(m), *imu_said(m, forces=upside_down)]) as recording:
+        gyro = recording.motion().gyro
+        assert gyro is not None
+        assert gyro.rate_rad_s.tolist() == [0.3, 1.3, 2.3, 3.3, 4.3]
+        assert any("gravity is felt upward, along [0, 0, -1]" in n for n in recording.notes)
+
+
+@pytest.mark.parametrize(
+    "forces",
+    [(0.0, 0.0, -0.3), (0.0, 0.4, 0.0), (0.0, 0.0, -5.0), (0.0, 0.0, -12.0), (0.0, 0.0, 0.0)],
+)
+def test_forces_without_gravity_tell_no_axis(
+    forces: tuple[float, float, float], opened: Opened
+) -> None:
+    """A driver that removes gravity leaves a bias, which points anywhere."""
+    with opened(lambda m: [*stereo_said(m), *imu_said(m, forces=forces)]) as recording:
+        gyro, inertial = recording.motion().gyro, recording.motion().inertial
+        assert gyro is not None
+        assert gyro.rate_rad_s.tolist() == [-0.3, -1.3, -2.3, -3.3, -4.3]
+        assert not any("gravity is felt upward" in note for note in recording.notes)
+        assert inertial is not None
+        assert np.isnan(inertial.force_mps2).all()
+
+
+def test_an_imu_whose_other_axes_are_not_known_is_a_gyro(opened: Opened) -> None:
+    unknown = (math.nan, math.nan)
+    with opened(lambda m: [*stereo_said(m), *imu_said(m, across=unknown)]) as recording:
+        assert recording.motion().inertial is None
+        gyro = recording.motion().gyro
+        assert gyro is not None
+        assert gyro.rate_rad_s.tolist() == [-0.3, -1.3, -2.3, -3.3, -4.3]
+
+
+def test_transforms_tell_how_an_imu_sits_unless_the_mounting_does(opened: Opened) -> None:
+    down = (1.0, 0.0, 0.0, 0.0)  # half a turn about x
+
+    def said(maker: Maker) -> Iterator[Said]:
+        yield from stereo_said(maker)
+        yield from imu_said(maker)
+        tree = maker.transforms(maker.transform("base_link", "imu_link", (0, 0, 0), down))
+        yield Said(UTC, "/tf_static", tree)
+
+    with opened(said) as recording:
+        gyro = recording.motion().gyro
+        assert gyro is not None
+        assert gyro.rate_rad_s.tolist() == [0.3, 1.3, 2.3, 3.3, 4.3]
+        mounting = recording.path.parent / "mounting.json"  # type: ignore[attr-defined]
+    text = mounting.read_text()
+    mounting.write_text(text.replace('"camera_roll_deg"', '"imu_axes": "ulb", "camera_roll_deg"'))
+    with open_recording(mounting.parent / "bag.mcap") as recording:
+        gyro = recording.motion().gyro
+        assert gyro is not None
+        assert gyro.rate_rad_s.tolist() == [-0.1] * 5
+
+
+def test_an_imu_in_an_optical_frame_turns_about_its_second_axis(opened: Opened) -> None:
+    def said(maker: Maker) -> list[Said]:
+        return [*stereo_said(maker), *imu_said(maker, "camera_imu_optical_frame")]
+
+    with opened(said) as recording:
+        gyro = recording.motion().gyro
+        assert gyro is not None
+        assert gyro.rate_rad_s.tolist() == [0.2] * 5  # y points down
+        assert "/imu/data: axes taken as rdf." in recording.notes
+
+
+def test_an_imu_without_gyro_and_times_that_repeat(opened: Opened) -> None:
+    def said(maker: Maker) -> Iterator[Said]:
+        yield from stereo_said(maker)
+        yield from imu_said(maker, angular_velocity_covariance=-1.0)
+        for time_ns, speed in ((UTC, 1.0), (UTC + 2, 2.0), (UTC + 1, -1.5), (UTC + 2, 9.0)):
+            yield Said(time_ns, "/wheels/odom", maker.odometry(time_ns, speed))
+
+    with opened(said) as recording:
+        gyro, wheels = recording.motion().gyro, recording.motion().wheels
+        assert gyro is None
+        assert wheels is not None
+        assert wheels.time_ns.tolist() == [UTC, UTC + 1, UTC + 2]
+        assert wheels.speed_mps.tolist() == [1.0, -1.5, 2.0]
+        notes = " ".join(recording.notes)
+    assert "5 messages whose covariance says that there is no gyro" in notes
+    assert "/wheels/odom: 1 message without a time or value, or repeated" in notes
+
+
+# Mount by transforms
+
+
+def tree_said(
+    maker: Maker,
+    camera: Any,
+    sensor: str = "cam_optical",
+    axle_m: tuple[float, float, float] | None = None,
+) -> Iterator[Said]:
+    """A vehicle whose camera is 1.2 m ahead and 1.5 m up, and antenna 0.3 m behind, 2 m up."""
+    yield Said(
+        UTC,
+        "/tf_static",
+        maker.transforms(
+            maker.transform("base_footprint", "base_link", (0.0, 0.0, 0.5)),
+            maker.transform("base_link", "mast", (1.0, 0.1, 1.0)),
+            maker.transform("mast", sensor, (0.2, 0.0, 0.0), camera),
+            maker.transform("base_link", "gps", (-0.3, 0.0, 1.5)),
+            *([] if axle_m is None else [maker.transform("base_link", "rear_axle", axle_m)]),
+        ),
+    )
+
+
+@pytest.mark.parametrize("container", ["bag", "mcap"])
+def test_static_transforms_stand_for_a_mounting(container: Container, opened: Opened) -> None:
+    tilt = Mount(1.0, 20.0).rotation()
+    flu_of_vehicle = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    camera = xyzw(flu_of_vehicle @ tilt)
+
+    def said(maker: Maker) -> list[Said]:
+        return [*stereo_said(maker), *fixes_said(maker), *tree_said(maker, camera)]
+
+    with opened(said, container, mounting=False) as recording:
+        mount, arm = recording.rig.mount, recording.rig.antenna
+    assert mount.height_m == pytest.approx(1.5)
+    assert mount.tilt_deg == pytest.approx(20.0, abs=1e-6)
+    assert (mount.roll_deg, mount.yaw_deg) == pytest.approx((0.0, 0.0), abs=1e-6)
+    # The middle of the baseline of 0.2 m is 0.1 m right of the left camera, which is 0.1 m left.
+    assert arm.forward_m == pytest.approx(-1.5)
+    assert arm.right_m == pytest.approx(0.0, abs=1e-9)
+    assert arm.up_m == pytest.approx(2.0)
+
+
+def test_a_frame_tells_where_the_axle_is_that_does_not_steer(opened: Opened) -> None:
+    def said(maker: Maker) -> list[Said]:
+        tree = tree_said(maker, OPTICAL, axle_m=(-0.35, 0.2, 0.1))
+        return [*stereo_said(maker), *fixes_said(maker), *tree]
+
+    with opened(said, mounting=False) as recording:
+        assert recording.rig.rear_axle_forward_m == -1.55  # of the camera, 1.2 m ahead
+        # What rounding errors of quaternions add is taken off.
+        assert recording.rig.mount == Mount(1.5, 0.0)
+        assert recording.rig.antenna == LeverArm(0.0, -1.5, 2.0)
+    with opened(lambda m: [*said(m)[:-1], *tree_said(m, OPTICAL)], mounting=False) as recording:
+        assert recording.rig.rear_axle_forward_m is None
+
+
+def test_the_mount_is_that_of_the_rectified_camera(opened: Opened) -> None:
+    flu_of_vehicle = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    raw = Mount(1.0, 20.0).rotation()
+    R_rect_raw = cv2.Rodrigues(np.array([0.03, -0.02, 0.01]))[0]
+
+    def said(maker: Maker) -> list[Said]:
+        messages = [*stereo_said(maker), *fixes_said(maker)]
+        for one in messages:
+            if "info" in one.topic:
+                one.message.r[:] = R_rect_raw.ravel()
+        return [*messages, *tree_said(maker, xyzw(flu_of_vehicle @ raw))]
+
+    with opened(said, mounting=False) as recording:
+        found = recording.rig.mount.rotation()
+    np.testing.assert_allclose(found, raw @ R_rect_raw.T, atol=1e-9)
+
+
+def test_a_camera_frame_that_looks_along_x_is_no_optical_one(opened: Opened) -> None:
+    def said(maker: Maker) -> list[Said]:
+        tree = tree_said(maker, (0.0, 0.0, 0.0, 1.0), "cam_link")
+        return [*stereo_said(maker, frame="cam_link"), *fixes_said(maker), *tree]
+
+    with opened(said, mounting=False) as recording:
+        assert recording.rig.mount.tilt_deg == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_tree_without_the_antenna_or_the_ground_is_told(opened: Opened) -> None:
+    def lost_antenna(maker: Maker) -> list[Said]:
+        said = [*stereo_said(maker), *fixes_said(maker), *tree_said(maker, OPTICAL)]
+        for one in said:
+            if one.topic == "/fix":
+                one.message.header.frame_id = "mars"
+        return said
+
+    with pytest.raises(CalibrationError, match=r"not the antenna \('mars'\)"):
+        opened(lost_antenna, mounting=False)
+    with pytest.raises(
+        CalibrationError,
+        match=r"fieldgrid mount \S+ --write --antenna .* or write \S+bag\.mounting",
+    ):
+        opened(lambda m: [*stereo_said(m), *fixes_said(m)], mounting=False)
+
+    def lost_ground(maker: Maker) -> list[Said]:
+        said = [*stereo_said(maker), *fixes_said(maker), *tree_said(maker, OPTICAL)]
+        del said[-1].message.transforms[0]
+        return said
+
+    with pytest.raises(CalibrationError, match="from base_footprint to base_link, or write"):
+        opened(lost_ground, mounting=False)
+
+
+def test_transforms_in_a_circle_are_told(opened: Opened) -> None:
+    maker = Maker("mcap")
+    transforms = Transforms()
+    transforms.add(
+        maker.transforms(maker.transform("a", "b", (0, 0, 0)), maker.transform("b", "a", (0, 0, 0)))
+    )
+    with pytest.raises(CalibrationError, match="circle"):
+        transforms.place("a", "c")
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_places_agree_whichever_way_they_are_asked(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    maker, transforms = Maker("mcap"), Transforms()
+    turns = rng.normal(size=(3, 4))
+    turns /= np.linalg.norm(turns, axis=1)[:, None]
+    for (parent, child), turn in zip(
+        (("base", "a"), ("a", "b"), ("base", "c")), turns.tolist(), strict=True
+    ):
+        at = tuple(rng.normal(size=3).tolist())
+        transforms.add(maker.transforms(maker.transform(parent, child, at, tuple(turn))))
+    there, back = transforms.place("b", "c"), transforms.place("c", "b")
+    assert there is not None
+    assert back is not None
+    np.testing.assert_allclose(there.R @ back.R, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(there.R @ back.at_m + there.at_m, 0.0, atol=1e-12)
+    assert transforms.place("b", "nowhere") is None
+
+
+# Other sensors
+
+
+def test_cameras_whose_names_say_nothing_are_told_by_their_calibration(opened: Opened) -> None:
+    def said(maker: Maker, more: bool = False) -> Iterator[Said]:
+        names = {"left": "/port", "right": "/starboard"}
+        for one in stereo_said(maker):
+            _, side, last = one.topic.strip("/").split("/")
+            yield one._replace(topic=f"{names[side]}/{last}")
+            if more and side == "right":
+                yield one._replace(topic=f"/roof/{last}")
+
+    with opened(said) as recording:
+        assert recording.rig.camera.baseline_m == pytest.approx(0.2)
+        assert numbers(recording) == [(k, k) for k in range(4)]
+    with pytest.raises(RecordingError, match="no pair of a left and a right image"):
+        opened(lambda maker: said(maker, more=True))
+
+
+def test_disparity_images_are_depth_frames(opened: Opened) -> None:
+    def said(maker: Maker) -> Iterator[Said]:
+        yield from fixes_said(maker)
+        for k in range(3):
+            time_ns = UTC + k * STEP
+            values = np.full((24, 32), 10.0, dtype=np.float32)
+            image = maker.image(time_ns, values, "32FC1", "cam_optical")
+            disparity = maker.disparity(time_ns, image, 100.0, 0.2, 64.0, 1.0)
+            yield Said(time_ns, "/s/disparity", disparity)
+            info = maker.info(time_ns, (32, 24), P, "cam_optical")
+            yield Said(time_ns, "/s/left/camera_info", info)
+
+    with opened(said) as recording:
+        baseline_m = float(np.float32(0.2))  # as the message has it
+        assert recording.rig.sensor == DepthCamera(32, 24, 100.0, 100.0, 15.5, 11.5, baseline_m)
+        (frame, *_) = recording.frames()
+        assert isinstance(frame, DepthFrame)
+        assert frame.source.read()[5, 5] == np.float32(2.0)
+        assert len(frame.source.sha256()) == 64
+
+
+def test_disparities_are_of_the_left_camera_and_the_mounting_of_the_middle(
+    opened: Opened,
+) -> None:
+    def said(maker: Maker) -> Iterator[Said]:
+        values = np.full((24, 32), 10.0, dtype=np.float32)
+        image = maker.image(UTC, values, "32FC1")
+        yield Said(UTC, "/s/disparity", maker.disparity(UTC, image, 100.0, 0.2, 64.0, 1.0))
+        yield Said(UTC, "/s/left/camera_info", maker.info(UTC, (32, 24), P))
+
+    with opened(said) as recording:
+        rig = recording.rig
+    with opened(stereo_said) as recording:
+        middle = recording.rig
+    assert rig.antenna.right_m == pytest.approx(middle.antenna.right_m + 0.1)
+    assert rig.antenna.forward_m == pytest.approx(middle.antenna.forward_m)
+    assert (rig.mount, rig.antenna.up_m) == (middle.mount, middle.antenna.up_m)
+    assert rig.rear_axle_forward_m == middle.rear_axle_forward_m
+
+
+@pytest.mark.parametrize("transport", ["", "/compressed", "/compressedDepth"])
+def test_depth_images_are_depth_frames(transport: str, opened: Opened) -> None:
+    def said(maker: Maker) -> Iterator[Said]:
+        for k in range(3):
+            time_ns = UTC + k * STEP
+            depth = np.full((24, 32), 1500 + k, dtype=np.uint16)
+            image = maker.image(time_ns, depth, "16UC1")
+            if transport == "/compressed":
+                image = maker.compressed(time_ns, png(depth), "16UC1; png compressed ")
+            elif transport:
+                image = maker.compressed(
+                    time_ns, config() + rvl(depth), "16UC1; compressedDepth rvl"
+                )
+            yield Said(time_ns, f"/camera/depth/image_rect_raw{transport}", image)
+            info = maker.info(time_ns, (32, 24), P)
+            yield Said(time_ns, "/camera/depth/camera_info", info)
+
+    with opened(said) as recording:
+        assert recording.rig.sensor == DepthCamera(32, 24, 100.0, 100.0, 15.5, 11.5)
+        depths = [f.source.read()[0, 0] for f in recording.frames() if isinstance(f, DepthFrame)]
+        np.testing.assert_allclose(depths, [1.5, 1.501, 1.502], rtol=1e-6)
+
+
+def clouds_said(maker: Maker, frame: str = "lidar") -> Iterator[Said]:
+    azimuth, elevation = np.meshgrid(np.linspace(-0.5, 0.5, 60), np.linspace(-0.4, 0.1, 40))
+    ahead = np.cos(azimuth) * np.cos(elevation)
+    left = np.sin(azimuth) * np.cos(elevation)
+    points = 5.0 * np.column_stack([ahead.ravel(), left.ravel(), np.sin(elevation).ravel()])
+    for k in range(2):
+        time_ns = UTC + k * STEP
+        cloud = maker.cloud(time_ns, points.astype("<f4"), frame)
+        yield Said(time_ns, "/lidar/points", cloud)
+
+
+def test_clouds_are_turned_to_right_down_forward(opened: Opened) -> None:
+    with opened(clouds_said) as recording:
+        assert isinstance(recording.rig.sensor, Lidar)
+        # 2400 points in 1 rad of azimuth times the sines of the elevations.
+        expected = 2400 / (math.sin(0.4) + math.sin(0.1))
+        assert recording.rig.sensor.points_per_sr == pytest.approx(expected, rel=0.3)
+        (frame, *_) = recording.frames()
+        assert isinstance(frame, CloudFrame)
+        points = frame.source.read()
+    assert points[:, 2].min() > 3.0
+    assert points[:, 1].max() == pytest.approx(5.0 * math.sin(0.4), rel=1e-5)  # below the sensor
+
+
+@pytest.mark.parametrize(
+    ("topic", "settings", "corrected"),
+    [
+        ("/lidar/points", "", False),
+        ("/lidar/points_undistorted", "", True),
+        ("/lidar/points_undistorted", "[cloud]\ncorrected = false\n", False),
+        ("/lidar/points", "[cloud]\ncorrected = true\n", True),
+    ],
+)
+def test_clouds_that_were_corrected_have_no_times_any_more(
+    topic: str, settings: str, corrected: bool, opened: Opened
+) -> None:
+    def said(maker: Maker) -> list[Said]:
+        return [one._replace(topic=topic) for one in clouds_said(maker)]
+
+    with opened(said) as recording:
+        folder = recording.path.parent  # type: ignore[attr-defined]
+    (folder / "recording.toml").write_text(settings)
+    with open_recording(folder / "bag.mcap") as recording:
+        (frame, *_) = recording.frames()
+        assert isinstance(frame, CloudFrame)
+        assert isinstance(frame.source, MessageCloud)
+        assert frame.source.corrected == corrected
+
+
+def test_the_settings_tell_of_a_bag_what_it_does_not(opened: Opened) -> None:
+    settings = """
+        sensor = "cloud"
+        [cloud]
+        axes = "rdf"
+        points_per_sr = 1234.0
+    """
+
+    def said(maker: Maker) -> list[Said]:
+        return [*clouds_said(maker), *stereo_said(maker)]
+
+    with opened(said) as recording:
+        assert isinstance(recording.rig.sensor, StereoCamera)
+        folder = recording.path.parent  # type: ignore[attr-defined]
+    (folder / "recording.toml").write_text(settings)
+    with open_recording(folder / "bag.mcap") as recording:
+        assert recording.rig.sensor == Lidar(1234.0)
+        (frame, *_) = recording.frames()
+        assert isinstance(frame, CloudFrame)
+        assert frame.source.read()[:, 0].min() > 3.0  # what was ahead, taken as right
+
+
+def test_a_cloud_of_a_lidar_that_looks_back_is_turned_to_look_ahead(opened: Opened) -> None:
+    def said(maker: Maker) -> list[Said]:
+        back = (0.0, 0.0, 1.0, 0.0)  # half a turn about z
+        return [*clouds_said(maker), *fixes_said(maker), *tree_said(maker, back, "lidar")]
+
+    with opened(said, mounting=False) as recording:
+        mount = recording.rig.mount
+        assert (mount.tilt_deg, mount.roll_deg, mount.yaw_deg) == (0.0, 0.0, 0.0)
+        (frame, *_) = recording.frames()
+        assert isinstance(frame, CloudFrame)
+        assert frame.source.read()[:, 2].max() < -3.0  # what it sees lies behind the vehicle
+
+
+# Raw pairs
+
+
+def test_raw_pairs_are_rectified_by_their_calibration(
+    shared_data: SharedData, opened: Opened
+) -> None:
+    import yaml
+
+    folder = shared_data("vineyard_two_lanes")
+
+    def said(maker: Maker) -> Iterator[Said]:
+        for side in ("left", "right"):
+            path = folder / f"raw_{side}" / "000003.jpg"
+            pixels = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+            assert pixels is not None
+            name = f"stereo_raw_{side}_camera_info.yaml"
+            document = yaml.safe_load((folder / "calibration" / name).read_text())
+            matrix = {k: v["data"] for k, v in document.items() if isinstance(v, dict)}
+            info = maker.info(
+                UTC,
+                (640, 480),
+                matrix["projection_matrix"],
+                K=matrix["camera_matrix"],
+                D=matrix["distortion_coefficients"],
+                R=matrix["rectification_matrix"],
+            )
+            yield Said(UTC, f"/s/{side}/image_raw", maker.image(UTC, pixels, "mono8"))
+            yield Said(UTC, f"/s/{side}/camera_info", info)
+
+    with opened(said) as recording:
+        assert recording.rig.camera == StereoCamera(640, 480, 905.4, 316.2, 243.9, 162.972 / 905.4)
+        assert any("are raw, and rectified by" in note for note in recording.notes)
+        (frame,) = recording.frames()
+        left, right = frame.images()
+    for image, side in ((left, "left"), (right, "right")):
+        wanted = cv2.imread(str(folder / side / "000003.jpg"), cv2.IMREAD_GRAYSCALE)
+        assert wanted is not None
+        smooth = [cv2.GaussianBlur(one, (0, 0), 2.0)[40:-40, 40:-40] for one in (image, wanted)]
+        assert np.corrcoef(smooth[0].ravel(), smooth[1].ravel())[0, 1] > 0.99
+
+
+@pytest.mark.parametrize("change", ["binning", "roi", "sizes", "nan"])
+def test_calibrations_that_are_not_of_whole_images_are_told(change: str, opened: Opened) -> None:
+    def said(maker: Maker) -> list[Said]:
+        messages = list(stereo_said(maker))
+        for one in messages:
+            if one.topic == "/s/left/camera_info":
+                if change == "binning":
+                    one.message.binning_x = 2
+                elif change == "roi":
+                    one.message.roi.width = 16
+                elif change == "sizes":
+                    one.message.width = 33
+                else:
+                    one.message.p[0] = math.nan
+        return messages
+
+    with pytest.raises(CalibrationError, match="/s/left/camera_info"):
+        opened(said)
+
+
+# Order and memory
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
+def test_frames_come_in_order_though_messages_do_not(container: Container, opened: Opened) -> None:
+    def said(maker: Maker) -> list[Said]:
+        messages = list(stereo_said(maker, 12))
+        lefts = [one for one in messages if one.topic == "/s/left/image_rect"]
+        rest = [one for one in messages if one.topic != "/s/left/image_rect"]
+        lefts[2:5] = lefts[4:1:-1]
+        return lefts + rest  # and one topic after the other
+
+    with opened(said, container, in_order=False) as recording:
+        assert recording.frame_times_ns().tolist() == [UTC + k * STEP for k in range(12)]
+        assert numbers(recording) == [(k, k) for k in range(12)]
+
+
+def test_topics_that_were_written_one_after_the_other(opened: Opened) -> None:
+    def said(maker: Maker) -> list[Said]:
+        return sorted(stereo_said(maker, 90), key=lambda one: one.topic)
+
+    with opened(said, in_order=False) as recording:
+        assert numbers(recording) == [(k, k) for k in range(90)]
+
+
+def test_pairs_miss_a_side_and_the_rest_stays_together(opened: Opened) -> None:
+    def said(maker: Maker) -> list[Said]:
+        messages = list(stereo_said(maker, 10))
+        gone = {("/s/left/image_rect", 3), ("/s/right/image_rect", 6)}
+        return [m for m in messages if (m.topic, (m.receive_ns - UTC) // STEP) not in gone]
+
+    with opened(said) as recording:
+        assert numbers(recording) == [(k, k) for k in range(10) if k not in (3, 6)]
+        assert len(recording.frame_times_ns()) == recording.frame_count == 8
+        assert any("1 left and 1 right images without" in note for note in recording.notes)
+
+
+def test_a_recording_that_changes_while_it_is_read_is_told(opened: Opened, tmp_path: Path) -> None:
+    recording = opened(lambda m: stereo_said(m, 8))
+    maker = Maker("mcap")
+    bags.write_bag(tmp_path / "b" / "bag", "mcap", maker, list(stereo_said(maker, 4)))
+    with recording, pytest.raises(RecordingError, match="fewer messages"):
+        list(recording.frames())
+
+
+def peak_bytes(recording: Recording) -> int:
+    tracemalloc.start()
+    for frame in recording.frames():
+        frame.images()
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    return peak
+
+
+def test_memory_does_not_grow_with_the_recording(opened: Opened) -> None:
+    size = (240, 320)
+
+    def only_left_first(maker: Maker, count: int) -> list[Said]:
+        return sorted(stereo_said(maker, count, size), key=lambda one: one.topic)
+
+    for said, in_order in ((lambda m, n: stereo_said(m, n, size), True), (only_left_first, False)):
+        peaks = []
+        for count in (40, 160):
+            with opened(lambda m, n=count, s=said: s(m, n), "bag", in_order=in_order) as recording:
+                peaks.append(peak_bytes(recording))
+        assert peaks[1] < 1.25 * peaks[0]
+
+
+def test_memory_does_not_grow_when_a_side_stops(opened: Opened) -> None:
+    def stopped(maker: Maker, count: int) -> list[Said]:
+        messages = stereo_said(maker, count, (240, 320))
+        ends = UTC + 5 * STEP
+        return [m for m in messages if m.topic != "/s/left/image_rect" or m.receive_ns < ends]
+
+    peaks = []
+    for count in (40, 160):
+        with opened(lambda m, n=count: stopped(m, n), "bag") as recording:
+            assert recording.frame_count == 5
+            peaks.append(peak_bytes(recording))
+    assert peaks[1] < 1.25 * peaks[0]
+
+
+def test_how_many_bits_a_camera_fills_is_found_out_once(opened: Opened) -> None:
+    def said(maker: Maker) -> list[Said]:
+        messages = list(stereo_said(maker))
+        for k, one in enumerate(messages):
+            if "image" in one.topic:
+                deep = np.full((24, 32), 16 * k + 1000 * (k == 4), dtype=np.uint16)
+                image = maker.image(one.receive_ns, deep, "mono16")
+                messages[k] = one._replace(message=image)
+        return messages
+
+    with opened(said) as recording:  # the brightest has 1064, of 11 bits
+        assert any("lower 12 are taken as filled" in note for note in recording.notes)
+        left, _ = next(iter(recording.frames())).images()
+        assert left[0, 0] == 0
+        brightest = [frame.images()[0][0, 0] for frame in recording.frames()]
+        assert brightest == [0, 1064 >> 4, 128 >> 4, 192 >> 4]
+
+
+EPOCH = 1_600_000_000_000_000_000
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
+def test_a_simulations_clock_has_its_epoch_from_the_user(
+    container: Container, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fixes, images, gyro and moving transforms count from the start of the simulation."""
+    monkeypatch.setattr(sys.modules[__name__], "UTC", 5_000_000_000)
+    maker = Maker(container)
+    said = [*stereo_said(maker), *fixes_said(maker), *imu_said(maker)]
+    path = bags.write_bag(tmp_path / "bag", container, maker, said)
+    with pytest.raises(RecordingError, match=r"are no UTC: .* say with --epoch 2026"):
+        open_drive(path)
+    options = DriveOptions(unmounted=True, epoch_ns=EPOCH)
+    with open_drive(path, options).recording() as drive:
+        wanted = EPOCH + UTC + STEP * np.arange(4)
+        assert drive.fixes().time_ns.tolist() == wanted.tolist()
+        assert [frame.time_ns for frame in drive.frames()] == wanted.tolist()
+        gyro = drive.motion().gyro
+        assert gyro is not None
+        assert gyro.time_ns[0] == wanted[0]
+        assert {int(ns) // EPOCH for one in drive.topics for ns in one.stamp_ns} == {1}
+
+
+def test_what_is_stamped_in_utc_has_no_other_epoch(tmp_path: Path) -> None:
+    maker = Maker("mcap")
+    path = bags.write_bag(tmp_path / "bag", "mcap", maker, [*fixes_said(maker)])
+    with open_drive(path, DriveOptions(epoch_ns=EPOCH)) as drive:
+        assert drive.fixes().time_ns[0] == UTC
+
+
+def test_only_a_bag_has_an_epoch(tmp_path: Path) -> None:
+    (tmp_path / "fixes.csv").write_text("t,lat,lon\n0.0,41.65,-4.72\n")
+    with pytest.raises(ConfigError, match=r"is no bag; of a table .* time_epoch.*; leave --epoch"):
+        open_drive(tmp_path / "fixes.csv", DriveOptions(epoch_ns=EPOCH))

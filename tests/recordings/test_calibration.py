@@ -1,0 +1,395 @@
+"""Calibrations of raw pairs: OpenCV's, ROS's and Kalibr's files of one rig say the same."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+import yaml
+
+from fieldgrid.core import CalibrationError
+from fieldgrid.recordings.calibration.loading import Calibration, read_calibration
+
+Float64 = npt.NDArray[np.float64]
+
+SIZE = (320, 240)
+K1 = np.array([[300.0, 0, 158], [0, 302, 121], [0, 0, 1]])
+K2 = np.array([[305.0, 0, 161], [0, 304, 118], [0, 0, 1]])
+D1, D2 = [-0.15, 0.06, 0.0006, -0.0004, 0.0], [-0.16, 0.07, -0.0005, 0.0007, 0.01]
+FISH1, FISH2 = [0.02, -0.01, 0.003, -0.001], [0.01, -0.02, 0.004, 0.0]
+R, _ = cv2.Rodrigues(np.array([0.01, -0.014, 0.007]))
+T = np.array([-0.18, -0.0008, -0.0014])
+IMAGE = np.random.default_rng(2).integers(0, 256, SIZE[::-1], dtype=np.uint8)
+
+
+def numbers(values: Any) -> list[float]:
+    return [float(v) for v in np.asarray(values, dtype=np.float64).ravel()]
+
+
+def opencv(**changes: Any) -> str:
+    entries = {"K1": K1, "D1": D1, "K2": K2, "D2": D2, "R": R, "T": T, **changes}
+    lines = ["%YAML:1.0", "---", f"image_width: {SIZE[0]}", f"image_height: {SIZE[1]}"]
+    for key, value in entries.items():
+        if isinstance(value, str):
+            lines.append(f"{key}: {value}")
+        elif value is not None:
+            lines += [f"{key}: !!opencv-matrix", f"   data: {numbers(value)}"]
+    return "\n".join(lines)
+
+
+def ros(K: Float64, D: list[float], turn: Float64, P: Float64, **changes: Any) -> str:
+    matrices = {
+        "camera_matrix": K,
+        "distortion_coefficients": D,
+        "rectification_matrix": turn,
+        "projection_matrix": P,
+    }
+    document: dict[str, Any] = {k: {"data": numbers(v)} for k, v in matrices.items()}
+    document |= {"image_width": SIZE[0], "image_height": SIZE[1], "distortion_model": "plumb_bob"}
+    return yaml.safe_dump({**document, **changes})
+
+
+def kalibr(left: dict[str, Any] | None = None, right: dict[str, Any] | None = None) -> str:
+    cameras = []
+    for K, D in ((K1, D1[:4]), (K2, D2[:4])):
+        intrinsics = numbers([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
+        cameras.append(
+            {
+                "camera_model": "pinhole",
+                "distortion_coeffs": D,
+                "distortion_model": "radtan",
+                "intrinsics": intrinsics,
+                "resolution": list(SIZE),
+                "rostopic": "/cam/image_raw",
+            }
+        )
+    T_cn_cnm1 = np.vstack([np.column_stack([R, T]), [0, 0, 0, 1]])
+    cameras[1]["T_cn_cnm1"] = T_cn_cnm1.tolist()
+    return yaml.safe_dump(
+        {"cam0": {**cameras[0], **(left or {})}, "cam1": {**cameras[1], **(right or {})}}
+    )
+
+
+class Matrices(NamedTuple):
+    """What prescribes how to rectify."""
+
+    R1: Float64
+    R2: Float64
+    P1: Float64
+    P2: Float64
+
+
+def by_opencv(D_left: list[float], D_right: list[float]) -> Matrices:
+    """The matrices as OpenCV itself finds them."""
+    found = cv2.stereoRectify(
+        *(K1, np.array(D_left), K2, np.array(D_right), SIZE, R, T[:, None]),
+        flags=cv2.CALIB_ZERO_DISPARITY,
+        alpha=0,
+    )
+    return Matrices(*found[:4])
+
+
+def check(found: Calibration, D: tuple[list[float], ...], m: Matrices) -> None:
+    """The camera and the images are those of OpenCV's own functions for these matrices."""
+    camera = found.camera
+    assert (camera.width_px, camera.height_px) == SIZE
+    expected = (m.P1[0, 0], m.P1[0, 2], m.P1[1, 2], -m.P2[0, 3] / m.P2[0, 0])
+    got = (camera.focal_px, camera.cx_px, camera.cy_px, camera.baseline_m)
+    assert got == pytest.approx(expected, rel=1e-12)
+    assert found.rectifier is not None
+    images = found.rectifier(IMAGE, IMAGE)
+    for image, K, lens, turn, P in zip(images, (K1, K2), D, m[:2], m[2:], strict=True):
+        make = cv2.fisheye if len(lens) == 4 and lens in (FISH1, FISH2) else cv2
+        maps = make.initUndistortRectifyMap(
+            K, np.array(lens), turn, P[:, :3].copy(), SIZE, cv2.CV_32FC1
+        )
+        assert (image == cv2.remap(IMAGE, *maps, cv2.INTER_LINEAR)).all()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    calibration = tmp_path / "calibration"
+    calibration.mkdir()
+    return calibration
+
+
+@pytest.mark.parametrize("rectified", [None, False])
+def test_opencv_by_the_places_of_the_cameras(rectified: bool | None, folder: Path) -> None:
+    (folder / "stereo_opencv.yaml").write_text(opencv())
+    found = read_calibration(folder, rectified=rectified)
+    check(found, (D1, D2), by_opencv(D1, D2))
+    assert found.notes == ("The images are raw, and rectified by stereo_opencv.yaml.",)
+
+
+def test_opencv_as_the_file_prescribes(folder: Path) -> None:
+    m = by_opencv(D1, D2)
+    wider = [P.copy() for P in m[2:]]
+    for P in wider:
+        P[:2] *= 0.9
+        P[:2, 2] += (3.0, -2.0)
+    given = {"R1": m.R1, "R2": m.R2, "P1": wider[0], "P2": wider[1]}
+    (folder / "stereo_opencv.yaml").write_text(opencv(**given))
+    check(read_calibration(folder, rectified=False), (D1, D2), Matrices(m.R1, m.R2, *wider))
+    for rectified in (None, True):
+        found = read_calibration(folder, rectified=rectified)
+        assert found.rectifier is None
+        assert found.camera.focal_px == pytest.approx(0.9 * m.P1[0, 0])
+        # A remark only where nobody has said it.
+        assert ("if they are raw, say so" in "".join(found.notes)) == (rectified is None)
+
+
+def test_the_two_files_of_opencvs_own_program(folder: Path) -> None:
+    """They call the matrices of the lenses M1 and M2, and do not say the size of the images."""
+    m = by_opencv(D1, D2)
+    whole = opencv(R1=m.R1, R2=m.R2, P1=m.P1, P2=m.P2)
+    (folder / "stereo_opencv.yaml").write_text(whole)
+    expected = read_calibration(folder).camera
+    (folder / "stereo_opencv.yaml").unlink()
+    lenses = opencv(K1=None, K2=None, R=None, T=None, M1=K1, M2=K2).splitlines()
+    lenses = [line for line in lenses if not line.startswith("image_")]
+    (folder / "intrinsics.yml").write_text("\n".join(lenses))
+    fails(folder, r"extrinsics\.yml cannot be read")
+    places = opencv(K1=None, D1=None, K2=None, D2=None, R1=m.R1, R2=m.R2, P1=m.P1, P2=m.P2)
+    places_lines = [line for line in places.splitlines() if not line.startswith("image_")]
+    (folder / "extrinsics.yml").write_text("\n".join(places_lines))
+    fails(folder, "image_width is None; add the image size")
+    for named in (None, "intrinsics.yml"):
+        check(read_calibration(folder, named, False, SIZE), (D1, D2), m)
+        found = read_calibration(folder, named, None, SIZE)
+        assert found.camera == expected
+        assert found.notes[0].startswith("intrinsics.yml with extrinsics.yml describes how to")
+        assert found.notes[1].endswith("that of the first one is taken, 320 x 240 px.")
+    for other in ((640, 480), (160, 120)):
+        with pytest.raises(CalibrationError, match="158, 121 px, is not that of images of"):
+            read_calibration(folder, None, False, other)
+    (folder / "intrinsics.yml").unlink()
+    fails(folder, r"intrinsics\.yml cannot be read")
+
+
+@pytest.mark.parametrize(
+    "left_out", [("R", "T"), ("K1", "D1", "K2", "D2", "R", "T", "R1", "R2")], ids=["lenses", "P"]
+)
+def test_a_whole_file_called_intrinsics(left_out: tuple[str, ...], folder: Path) -> None:
+    """With P1 and P2 it needs no second file."""
+    given = by_opencv(D1, D2)._asdict() | dict.fromkeys(left_out)
+    (folder / "stereo_intrinsics.yaml").write_text(opencv(**given))
+    found = read_calibration(folder, "stereo_intrinsics.yaml", True)
+    assert found.camera.focal_px == pytest.approx(by_opencv(D1, D2).P1[0, 0])
+
+
+def test_a_calibration_in_squares_of_the_board_is_refused(folder: Path) -> None:
+    (folder / "stereo_opencv.yaml").write_text(opencv(T=T / 0.01))
+    fails(folder, "give the translation in metres", rectified=False)
+
+
+def test_a_fisheye_of_opencv_must_be_named(folder: Path) -> None:
+    path = folder / "stereo_opencv.yaml"
+    path.write_text(opencv(D1=FISH1, D2=FISH2))
+    with pytest.raises(CalibrationError, match="has 4 distortion coefficients and does not name"):
+        read_calibration(folder)
+    path.write_text(opencv(D1=FISH1, D2=FISH2, distortion_model="fisheye"))
+    matrices = cv2.fisheye.stereoRectify(
+        *(K1, np.array(FISH1), K2, np.array(FISH2), SIZE, R, T[:, None]), cv2.CALIB_ZERO_DISPARITY
+    )[:4]
+    check(read_calibration(folder), (FISH1, FISH2), Matrices(*matrices))
+
+
+def test_rational_coefficients_of_opencv(folder: Path) -> None:
+    D = [0.1, -0.05, 0.001, 0.0005, 0.01, 0.2, -0.03, 0.005]
+    (folder / "stereo_opencv.yaml").write_text(opencv(D1=D, D2=D))
+    check(read_calibration(folder), (D, D), by_opencv(D, D))
+
+
+def test_ros_files_of_raw_images(folder: Path) -> None:
+    m = by_opencv(D1, D2)
+    (folder / "stereo_left_camera_info.yaml").write_text(ros(K1, D1, m.R1, m.P1))
+    (folder / "stereo_right_camera_info.yaml").write_text(ros(K2, D2, m.R2, m.P2))
+    check(read_calibration(folder, rectified=False), (D1, D2), m)
+    as_rectified = read_calibration(folder)
+    assert as_rectified.rectifier is None
+    assert "taken as rectified" in as_rectified.notes[0]
+
+
+def test_ros_files_as_its_calibrator_calls_them(folder: Path) -> None:
+    m = by_opencv(D1, D2)
+    (folder / "left.yaml").write_text(ros(K1, D1, m.R1, m.P1))
+    with pytest.raises(CalibrationError, match=r'of left\.yaml, name .*: calibration = "\.\.\."'):
+        read_calibration(folder)
+    (folder / "right.yaml").write_text(ros(K2, D2, m.R2, m.P2))
+    check(read_calibration(folder, rectified=False), (D1, D2), m)
+    (folder / "stereo_opencv.yaml").write_text(opencv())
+    other = read_calibration(folder, rectified=False).notes
+    assert other == ("The images are raw, and rectified by stereo_opencv.yaml.",)
+
+
+def test_kalibr(folder: Path) -> None:
+    # Kalibr puts the name of the bag before its own.
+    (folder / "camchain-june.yaml").write_text(kalibr())
+    (folder / "june-camchain.yaml").write_text(kalibr())
+    with pytest.raises(CalibrationError, match=r"camchain-june\.yaml, june-camchain\.yaml; name"):
+        read_calibration(folder)
+    (folder / "camchain-june.yaml").unlink()
+    found = read_calibration(folder)
+    check(found, (D1[:4], D2[:4]), by_opencv(D1[:4], D2[:4]))
+    assert found.notes == ("The images are raw, and rectified by june-camchain.yaml.",)
+
+
+def test_kalibr_equidistant(folder: Path) -> None:
+    lens = [{"distortion_model": "equidistant", "distortion_coeffs": D} for D in (FISH1, FISH2)]
+    (folder / "camchain.yaml").write_text(kalibr(*lens))
+    matrices = cv2.fisheye.stereoRectify(
+        *(K1, np.array(FISH1), K2, np.array(FISH2), SIZE, R, T[:, None]), cv2.CALIB_ZERO_DISPARITY
+    )[:4]
+    check(read_calibration(folder), (FISH1, FISH2), Matrices(*matrices))
+
+
+def test_kalibr_of_a_pair_that_is_rectified(folder: Path) -> None:
+    straight = {
+        "distortion_model": "none",
+        "distortion_coeffs": [],
+        "intrinsics": [300, 300, 160, 120],
+    }
+    T_cn_cnm1 = np.eye(4)
+    T_cn_cnm1[0, 3] = -0.2
+    (folder / "camchain.yaml").write_text(
+        kalibr(straight, {**straight, "T_cn_cnm1": T_cn_cnm1.tolist()})
+    )
+    for rectified in (None, True, False):
+        found = read_calibration(folder, rectified=rectified)
+        assert found.rectifier is None
+        assert found.notes == ()
+        assert found.camera.baseline_m == pytest.approx(0.2)
+
+
+def test_a_file_can_be_named_of_several(folder: Path) -> None:
+    for name in ("camchain-1.yaml", "camchain-2.yaml"):
+        (folder / name).write_text(kalibr())
+    with pytest.raises(CalibrationError, match=r"camchain-1\.yaml, camchain-2\.yaml; name one in"):
+        read_calibration(folder)
+    by_kalibr = read_calibration(folder, "camchain-2.yaml")
+    assert by_kalibr.notes[0].endswith("by camchain-2.yaml.")
+    (folder.parent / "raw.yml").write_text(opencv(D1=[*D1[:4], 0.0], D2=[*D2[:4], 0.0]))
+    by_cv = read_calibration(folder, "raw.yml")
+    assert by_cv.camera.focal_px == pytest.approx(by_kalibr.camera.focal_px)
+    m = by_opencv(D1, D2)
+    (folder / "raw_left.yaml").write_text(ros(K1, D1, m.R1, m.P1))
+    (folder / "raw_right.yaml").write_text(ros(K2, D2, m.R2, m.P2))
+    check(read_calibration(folder, "raw_left.yaml", False), (D1, D2), m)
+    with pytest.raises(CalibrationError, match="name that of the left one"):
+        read_calibration(folder, "raw_right.yaml", False)
+    with pytest.raises(CalibrationError, match=r"none\.yaml cannot be read"):
+        read_calibration(folder, "none.yaml")
+
+
+def test_kalibr_says_nothing_beside_the_others(folder: Path) -> None:
+    (folder / "camchain.yaml").write_text("nothing")
+    (folder / "stereo_opencv.yaml").write_text(opencv())
+    assert read_calibration(folder).camera.baseline_m == pytest.approx(float(np.linalg.norm(T)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"D2": None}, "lacks D2 as a matrix of numbers"),
+        ({"K1": None}, "lacks K1 as a matrix of 3 x 3"),
+        ({"R": None}, "lacks R as a matrix of 3 x 3"),
+        ({"T": [0.1, 0.2]}, "lacks T as a matrix of 3 x 1"),
+        ({"T": [0.18, 0, 0]}, "swap left and right"),
+        ({"T": [-180, 0, 0]}, "m apart, which is outside"),
+        ({"D1": [0.1] * 6}, "has 6 distortion coefficients and does not name their model"),
+        ({"D1": [0.1] * 5, "distortion_model": "rational"}, "rational has 8 or 12 or 14"),
+        ({"distortion_model": "fov"}, "distortion model 'fov' is not known"),
+        ({"R1": np.eye(3)}, "lacks R2 as a matrix of 3 x 3"),
+        ({"K1": np.diag([1e8, 1e8, 1.0])}, "does not fit images of 320 x 240 px"),
+    ],
+)
+def test_an_opencv_file_that_cannot_be(changes: dict[str, Any], message: str, folder: Path) -> None:
+    (folder / "stereo_opencv.yaml").write_text(opencv(**changes))
+    fails(folder, rf"stereo_opencv\.yaml.*{message}")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"distortion_model": "fov"}, "distortion model 'fov' is not known"),
+        ({"distortion_model": "equidistant"}, "equidistant has 4 coefficients, not 5"),
+        ({"rectification_matrix": None}, "lacks rectification_matrix as a matrix of 3 x 3"),
+        ({"rectification_matrix": {"data": [0.0] * 9}}, "left camera is no rotation"),
+        ({"distortion_coefficients": {"data": [float("nan")] * 5}}, "lacks distortion_coeff"),
+        ({"image_width": 10**9}, r"is for images of \(1000000000, 240\) px"),
+        ({"projection_matrix": {"data": [0.0] * 12}}, "not calibrated"),
+    ],
+)
+def test_a_ros_file_that_cannot_be(changes: dict[str, Any], message: str, folder: Path) -> None:
+    m = by_opencv(D1, D2)
+    (folder / "stereo_left_camera_info.yaml").write_text(ros(K1, D1, m.R1, m.P1, **changes))
+    (folder / "stereo_right_camera_info.yaml").write_text(ros(K2, D2, m.R2, m.P2))
+    fails(folder, rf"camera_info\.yaml.*{message}", rectified=False)
+
+
+FISHEYE = {"distortion_model": "equidistant", "distortion_coeffs": FISH1}
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "message"),
+    [
+        ({"camera_model": "omni"}, {}, "camera_model of cam0 is 'omni', and only pinhole"),
+        ({"camera_model": None}, {}, "camera_model of cam0 is 'None', and only pinhole"),
+        ({"distortion_model": "fov"}, {}, "cam0: the distortion model 'fov' is not known"),
+        ({"distortion_coeffs": [0.1]}, {}, "plumb_bob has 4 or 5 coefficients, not 1"),
+        ({"distortion_coeffs": "none"}, {}, "lacks distortion_coeffs"),
+        ({"intrinsics": [300, 300, 160]}, {}, "lacks intrinsics as a matrix of 1 x 4"),
+        ({"intrinsics": [300, "x", 160, 2]}, {}, "lacks intrinsics"),
+        ({"resolution": [320]}, {}, r"resolution is \[320\]; give \[width, height\]"),
+        ({"resolution": [320, True]}, {}, "resolution is"),
+        ({"resolution": [0, 0]}, {}, "images of 0 x 0 px, which no camera makes"),
+        ({"resolution": [640, 480]}, {}, "both must be of one size"),
+        ({}, FISHEYE, "one lens is plumb_bob, the other equidistant"),
+        ({}, {"T_cn_cnm1": None}, "lacks T_cn_cnm1 as a matrix of 4 x 4"),
+        ({}, {"T_cn_cnm1": [[1, 0, 0]] * 4}, "lacks T_cn_cnm1 as a matrix of 4 x 4"),
+        ({}, {"T_cn_cnm1": np.zeros((4, 4)).tolist()}, "between the cameras is no rotation"),
+        ({}, {"T_cn_cnm1": np.eye(4).tolist()}, "m apart, which is outside"),
+    ],
+)
+def test_a_kalibr_file_that_cannot_be(
+    left: dict[str, Any], right: dict[str, Any], message: str, folder: Path
+) -> None:
+    (folder / "camchain.yaml").write_text(kalibr(left, right))
+    fails(folder, rf"camchain\.yaml.*{message}")
+
+
+def test_kalibr_describes_both_cameras_and_raw_images(folder: Path) -> None:
+    (folder / "camchain.yaml").write_text("cam0: {camera_model: pinhole}\ncam1: 7\n")
+    fails(folder, r"camchain\.yaml has no cam1; calibrate both")
+    (folder / "camchain.yaml").write_text(kalibr())
+    fails(folder, r"describes raw images, and recording\.toml says rectified = true", True)
+
+
+def fails(folder: Path, match: str, rectified: bool | None = None) -> None:
+    with pytest.raises(CalibrationError, match=match) as caught:
+        read_calibration(folder, rectified=rectified)
+    assert "\n" not in str(caught.value)
+    assert re.search(r"[;:] .*\.$", str(caught.value))
+
+
+def test_the_vineyards_own_files_agree(shared_data: Callable[[str], Path]) -> None:
+    folder = shared_data("vineyard_two_lanes") / "calibration"
+    by_cv = read_calibration(folder, "stereo_raw_opencv.yaml", False)
+    by_ros = read_calibration(folder, "stereo_raw_left_camera_info.yaml", False)
+    as_rectified = read_calibration(folder)
+    assert by_cv.camera == by_ros.camera
+    assert by_cv.camera.focal_baseline_px_m == as_rectified.camera.focal_baseline_px_m
+    assert as_rectified.rectifier is None
+    image = np.random.default_rng(1).integers(0, 256, (480, 640), dtype=np.uint8)
+    assert by_cv.rectifier is not None
+    assert by_ros.rectifier is not None
+    for ours, theirs in zip(
+        by_cv.rectifier(image, image), by_ros.rectifier(image, image), strict=True
+    ):
+        assert np.abs(ours.astype(int) - theirs).max() <= 1

@@ -1,0 +1,255 @@
+"""KITTI odometry sequences: their poses as fixes, a log beside them, and what they must be told."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from fieldgrid.core import CalibrationError, ConfigError, FieldgridError, RecordingError
+from fieldgrid.geometry import Datum, LeverArm, Mount, StereoCamera, wrap_deg
+from fieldgrid.recordings import Columns, open_recording
+from fieldgrid.recordings.formats.kitti_calibration import CAMERA_HEIGHT_M
+
+START_S = 1_317_384_506
+DATUM = Datum(49.0, 8.4, 110.0)
+P0 = "707.1 0 60.5 0 0 707.1 20.5 0 0 0 1 0"
+P1 = "707.1 0 60.5 -381.834 0 707.1 20.5 0 0 0 1 0"
+P2 = "707.1 0 60.5 42.426 0 707.1 20.5 0 0 0 1 0"
+P3 = "707.1 0 60.5 -339.408 0 707.1 20.5 0 0 0 1 0"
+SETTINGS = f"""
+[start]
+utc_s = {START_S}.25
+heading_deg = 30.0
+[datum]
+lat_deg = {DATUM.lat_deg}
+lon_deg = {DATUM.lon_deg}
+height_m = {DATUM.height_m}
+"""
+TABLE = f"time_ns,lat_deg,lon_deg,height_m\n{START_S}000000000,49.0,8.4,112.0\n"
+MOUNTING = {
+    "camera_height_above_ground_m": 1.7,
+    "camera_tilt_down_deg": 10.0,
+    "gnss_antenna_from_camera_mid_flu_m": [-1.0, 0.0, 0.3],
+}
+
+
+def pose(turn_deg: float, right_m: float, down_m: float, ahead_m: float) -> str:
+    """A row: turned clockwise by so much, at a place seen from the first image."""
+    c, s = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
+    return f"{c} 0 {s} {right_m} 0 1 0 {down_m} {-s} 0 {c} {ahead_m}"
+
+
+POSES = (pose(0, 0, 0, 0), pose(10, 0.1, -0.2, 1.5), pose(-20, -0.3, -0.1, 3.0))
+
+
+@pytest.fixture
+def sequence(tmp_path: Path) -> Path:
+    """Sequence 06 with three frames and its poses where KITTI puts them."""
+    folder = tmp_path / "dataset" / "sequences" / "06"
+    for side in ("image_0", "image_1"):
+        (folder / side).mkdir(parents=True)
+        for k in range(3):
+            image = np.full((40, 120), 10 * k + len(side), dtype=np.uint8)
+            assert cv2.imwrite(str(folder / side / f"{k:06d}.png"), image)
+    (folder / "calib.txt").write_text(f"P0: {P0}\nP1: {P1}\nP2: {P2}\nP3: {P3}\nTr: {P0}\n")
+    (folder / "times.txt").write_text("0.000000e+00\n1.036224e-01\n2.072000e-01\n")
+    (folder / "recording.toml").write_text(SETTINGS)
+    (tmp_path / "dataset" / "poses").mkdir()
+    (tmp_path / "dataset" / "poses" / "06.txt").write_text("\n".join(POSES) + "\n")
+    return folder
+
+
+def test_poses_are_fixes_from_the_start_that_is_declared(sequence: Path) -> None:
+    recording = open_recording(sequence)
+    start_ns = START_S * 10**9 + 250_000_000
+    times_ns = [start_ns, start_ns + 103_622_400, start_ns + 207_200_000]
+    assert recording.frame_times_ns().tolist() == times_ns
+    assert [fix.time_ns for fix in recording.fixes()] == times_ns
+    assert recording.gnss_source == "poses.txt"
+    assert recording.datum_hint == DATUM
+    c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
+    places = [(0.0, 0.0, 0.0), (0.1, 1.5, 0.2), (-0.3, 3.0, 0.1)]  # right, ahead, up
+    headings = [30.0, 40.0, 10.0]
+    for fix, (right, ahead, up), heading in zip(recording.fixes(), places, headings, strict=True):
+        enu = [float(v) for v in DATUM.to_enu(fix.lat_deg, fix.lon_deg, fix.height_m)]
+        expected = [right * c + ahead * s, ahead * c - right * s, CAMERA_HEIGHT_M + up]
+        assert enu == pytest.approx(expected, abs=1e-6)
+        assert fix.heading_deg == pytest.approx(heading)
+        assert (fix.quality, fix.sigma_m, fix.heading_sigma_deg) == (4, 0.1, 0.2)
+    assert recording.notes == (
+        "The camera height of 1.65 m is KITTI's published value; no file of the sequence gives it.",
+        "The fixes are the poses of 06.txt, taken as good to 0.1 m and 0.2°.",
+    )
+
+
+def test_the_rig_is_kittis(sequence: Path) -> None:
+    recording = open_recording(sequence)
+    rig, baseline_m = recording.rig, 381.834 / 707.1
+    assert rig.camera == StereoCamera(120, 40, 707.1, 60.5, 20.5, baseline_m)
+    assert rig.mount == Mount(1.65, 0.0)
+    assert rig.antenna == LeverArm(-baseline_m / 2, 0.0, 1.65)
+    assert rig.heading_offset_deg == 0.0
+    images = [frame.sources[0].name for frame in recording.frames()]
+    assert [Path(name).name for name in images] == ["000000.png", "000001.png", "000002.png"]
+
+
+def test_of_the_colour_pair_the_poses_are_still_those_of_camera_0(sequence: Path) -> None:
+    (sequence / "image_0").rename(sequence / "image_2")
+    (sequence / "image_1").rename(sequence / "image_3")
+    rig = open_recording(sequence).rig
+    assert rig.camera.baseline_m == pytest.approx(0.54)
+    # Camera 2 is 0.06 m to the left of camera 0, and half a baseline to the left of the middle.
+    assert rig.antenna.right_m == pytest.approx(0.06 - 0.27)
+
+
+def test_a_tilted_camera_climbs_no_hill(sequence: Path) -> None:
+    (sequence / "mounting.json").write_text(json.dumps(MOUNTING))
+    tilt = math.radians(10)
+    # 2 m level ahead is up in a camera that looks down.
+    level = pose(0, 0, -2 * math.sin(tilt), 2 * math.cos(tilt))
+    (sequence / "poses.txt").write_text("\n".join([POSES[0], level, level]))
+    recording = open_recording(sequence)
+    assert recording.rig.mount == Mount(1.7, 10.0)
+    first, second, _ = (
+        [float(v) for v in DATUM.to_enu(fix.lat_deg, fix.lon_deg, fix.height_m)]
+        for fix in recording.fixes()
+    )
+    moved = np.subtract(second, first)
+    assert moved == pytest.approx(
+        [2 * math.sin(math.pi / 6), 2 * math.cos(math.pi / 6), 0.0], abs=1e-6
+    )
+    assert recording.rig.antenna.up_m == pytest.approx(1.7)
+
+
+def test_without_a_heading_the_start_looks_north(sequence: Path) -> None:
+    settings = sequence / "recording.toml"
+    settings.write_text(SETTINGS.replace("heading_deg = 30.0\n", ""))
+    recording = open_recording(sequence)
+    assert recording.fixes()[0].heading_deg == 0.0
+    assert (
+        "Nothing says where the vehicle heads at first; that is taken as north." in recording.notes
+    )
+
+
+def test_without_poses_or_a_datum_there_are_frames_and_no_fixes(sequence: Path) -> None:
+    (sequence / "recording.toml").write_text(f"[start]\nutc_s = {START_S}\n")
+    recording = open_recording(sequence)
+    assert (recording.frame_count, len(recording.fixes()), recording.gnss_source) == (3, 0, "")
+    assert recording.notes[-1] == (
+        "No GNSS: for 06.txt to stand in for it, add [datum] to recording.toml."
+    )
+    (sequence.parents[1] / "poses" / "06.txt").unlink()
+    assert open_recording(sequence).notes[-1] == (
+        "No GNSS: neither a log nor poses.txt; give --gnss FILE."
+    )
+
+
+def test_a_log_outranks_the_poses_and_needs_a_mounting(sequence: Path, tmp_path: Path) -> None:
+    log = tmp_path / "own.csv"
+    log.write_text(TABLE)
+    with pytest.raises(CalibrationError, match=r"there is no mounting\.json"):
+        open_recording(sequence, log)
+    (sequence / "mounting.json").write_text(json.dumps(MOUNTING))
+    recording = open_recording(sequence, log)
+    assert [fix.height_m for fix in recording.fixes()] == [112.0]
+    assert recording.gnss_source == "own.csv"
+    assert recording.rig.antenna.forward_m == -1.0
+    (sequence / "gnss").mkdir()
+    log.rename(sequence / "gnss" / "own.csv")
+    assert open_recording(sequence).gnss_source == "gnss/own.csv"
+
+
+def write(path: Path, text: str) -> None:
+    path.write_text(text)
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "message"),
+    [
+        ("recording.toml", "", r"counts from 0, .* add recording\.toml with \[start\] utc_s"),
+        ("recording.toml", "[start]\nutc_s = 5\n", "utc_s is 5; give the UTC of the first frame"),
+        ("recording.toml", "[start]\nutc_s = 'x'\n", "utc_s is 'x', which is no number"),
+        ("times.txt", "0\n1\n", "3 left and 3 right images for 2 times"),
+        ("times.txt", "0\nnan\n2\n", "a time that is no second from the start"),
+        ("times.txt", "0\n1\n-2\n", "a time that is no second from the start"),
+        ("times.txt", "0\n1\nx\n", r"times\.txt is damaged: could not convert"),
+        ("times.txt", "0\n1\n1\n", "have the same time"),
+        ("calib.txt", f"P0: {P0}\n", "lacks P1 with 12 numbers"),
+        ("calib.txt", f"P0: {P0}\nP1: {P2}\n", r"baseline of -0\.06"),
+        ("poses.txt", POSES[0], "has 12 numbers, not 12 for each of 3 images"),
+        ("poses.txt", "\n".join([*POSES[:2], "nan " * 12]), "has 36 numbers, not 12 for each"),
+        ("poses.txt", "\n".join([*POSES[:2], "0 " * 12]), "holds a matrix that is no rotation"),
+        ("image_0/000000.png", "x", r"is no PNG"),
+    ],
+)
+def test_a_sequence_that_is_broken(file: str, text: str, message: str, sequence: Path) -> None:
+    (sequence / file).write_text(text)
+    with pytest.raises(FieldgridError, match=message) as caught:
+        open_recording(sequence)
+    assert isinstance(caught.value, RecordingError | CalibrationError)
+
+
+def test_what_a_sequence_cannot_use_is_refused(sequence: Path) -> None:
+    with pytest.raises(ConfigError, match="has no topics"):
+        open_recording(sequence, topics={"left": "/a"})
+    with pytest.raises(ConfigError, match="poses of a KITTI sequence are no table"):
+        open_recording(sequence, columns=Columns({"time": "t"}))
+    (sequence / "image_1" / "000002.png").unlink()
+    with pytest.raises(RecordingError, match="3 left and 2 right images for 3 times"):
+        open_recording(sequence)
+
+
+def test_the_real_sequence_06_drives_as_its_oxts_says(
+    shared_data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    folder = shared_data("kitti_2011_09_30_drive_0020")
+    (raw_path,) = (folder / "2011_09_30").glob("*_sync")
+    raw = open_recording(raw_path)
+    sequence = tmp_path / "sequences" / "06"
+    sequence.mkdir(parents=True)
+    for name in ("0", "1"):
+        (sequence / f"image_{name}").symlink_to(raw_path / f"image_0{name}" / "data")
+    rows = (folder / "native_calib.txt").read_text().splitlines()
+    (sequence / "calib.txt").write_text(f"P0: {rows[0]}\nP1: {rows[1]}\n")
+    (sequence / "poses.txt").write_text((folder / "native_poses.txt").read_text())
+    times_ns = raw.frame_times_ns()
+    (sequence / "times.txt").write_text(
+        "\n".join(f"{(t - times_ns[0]) / 1e9:.9f}" for t in times_ns.tolist())
+    )
+    assert raw.fixes()[-1].heading_deg is not None
+    fixes = raw.fixes()
+    truth_ns = np.array([fix.time_ns for fix in fixes])
+    turned = [fix.heading_deg for fix in fixes if fix.heading_deg is not None]
+    start = datetime.fromtimestamp(times_ns[0] // 10**9, UTC).timestamp()
+    text = SETTINGS.replace(f"{START_S}.25", f"{int(start)}.{int(times_ns[0]) % 10**9:09d}")
+    # Rows 0 to 11 of this oxts are interpolated; the heading at the start is that of later ones.
+    heading_deg = turned[13]
+    (sequence / "recording.toml").write_text(text.replace("= 30.0", f"= {heading_deg}"))
+    recording = open_recording(sequence)
+    assert recording.frame_times_ns().tolist() == times_ns.tolist()
+    assert recording.rig.camera.focal_px == raw.rig.camera.focal_px
+    assert recording.rig.camera.baseline_m == pytest.approx(raw.rig.camera.baseline_m, rel=1e-4)
+    ours = np.column_stack(
+        DATUM.to_enu(*np.array([(f.lat_deg, f.lon_deg, f.height_m) for f in recording.fixes()]).T)
+    )
+    place = Datum(fixes[13].lat_deg, fixes[13].lon_deg, fixes[13].height_m)
+    theirs = np.column_stack(
+        place.to_enu(*np.array([(f.lat_deg, f.lon_deg, f.height_m) for f in fixes]).T)
+    )
+    at = [np.interp(times_ns[13:50], truth_ns[12:], theirs[12:, k]) for k in range(2)]
+    length = np.hypot(*(axis - axis[0] for axis in at))
+    ours_length = np.hypot(*(ours[13:50, :2] - ours[13, :2]).T)
+    assert length[-1] > 40.0
+    # KITTI made its poses on a sphere of the equator's radius, which is 0.2 % short to the west.
+    assert np.abs(ours_length / 0.998 - length).max() < 0.03
+    found = [fix.heading_deg for fix in recording.fixes()]
+    change = wrap_deg(np.array(found[13:]) - found[13])
+    expected = wrap_deg(np.array(turned[13:]) - turned[13])
+    assert np.abs(change - expected).max() < 0.2
