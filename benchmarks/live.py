@@ -29,8 +29,8 @@ from fieldgrid.live import Live, LiveGrid, LiveOptions, LiveResult, LiveWindow, 
 from fieldgrid.live.kept.points_file import PointsFile, packed
 from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.live.pose.fixed_lag import FixedLagSmoother, pose_at, unknown_pose
-from fieldgrid.live.pose.running_tilt import KEPT_NS, RunningTilt
-from fieldgrid.live.pose.sensor_rows import PARTS, Rows
+from fieldgrid.live.pose.running_tilt import RunningTilt
+from fieldgrid.live.pose.sensor_rows import KEPT_NS, PARTS, Rows
 from fieldgrid.perception import CameraStep, CodedDepth, LocalGridder
 from fieldgrid.pipeline import convert_recording, estimate_drive, visual_odometry
 from fieldgrid.poses import Attitude, Estimate

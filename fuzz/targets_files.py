@@ -21,12 +21,12 @@ from fieldgrid.recordings import CloudFile, read_gear_spans, read_mounting
 from fieldgrid.recordings.calibration.kalibr import read_kalibr
 from fieldgrid.recordings.calibration.opencv import read_opencv
 from fieldgrid.recordings.calibration.ros import read_ros_camera
-from fieldgrid.recordings.formats.settings_file import read_settings
 from fieldgrid.recordings.frames.depth_files import decode_depth_image
 from fieldgrid.recordings.frames.image_header import read_header
 from fieldgrid.recordings.frames.images import decode_image
 from fieldgrid.recordings.frames.npy import parse_npy
 from fieldgrid.recordings.poses.pose_files import read_pose_file
+from fieldgrid.recordings.readers.settings_file import read_settings
 from fuzz.target import Target, check_sentence, written
 
 _DATUM = Datum(41.65, -4.72, 787.4)

@@ -22,9 +22,9 @@ PROMISES: dict[str, tuple[str, ...]] = {
     ),
     "an error that inspect finds stops a build, unless it is accepted": (
         "cli/test_cli_inspect.py::test_a_drive_that_would_not_build",
-        "inspection/test_broken_drives.py::test_a_build_fails_where_the_inspection_says_so",
-        "build/test_cameras.py::test_pairs_that_are_not_rectified_are_refused_unless_accepted",
-        "inspection/test_broken_drives.py::test_images_that_are_stamped_in_whole_seconds_stop_a_build",
+        "pipeline/inspection/test_broken_drives.py::test_a_build_fails_where_the_inspection_says_so",
+        "pipeline/drives/test_cameras.py::test_pairs_that_are_not_rectified_are_refused_unless_accepted",
+        "pipeline/inspection/test_broken_drives.py::test_images_that_are_stamped_in_whole_seconds_stop_a_build",
     ),
     # 0.1.0 cut obstacles, poses and cells only. `export --bounds -10 40 10 60` of the example drive
     # kept the lines of GeoJSON, KMZ and guidance and the path of a bag as they were, up to north
@@ -43,14 +43,14 @@ PROMISES: dict[str, tuple[str, ...]] = {
         "export/test_arrays.py::test_npz_is_the_truth_without_pickles",
     ),
     "a converted drive gives the map of the original": (
-        "convert/test_convert.py::test_a_converted_drive_gives_the_map_of_the_original",
+        "pipeline/convert/test_convert.py::test_a_converted_drive_gives_the_map_of_the_original",
     ),
     "a drive in another country is refused for that": (
-        "build/test_sessions.py::test_a_drive_in_another_country_is_refused_for_that_and_nothing_else",
+        "pipeline/drives/test_sessions.py::test_a_drive_in_another_country_is_refused_for_that_and_nothing_else",
     ),
     "bad frames and failed recordings cost no others": (
-        "build/test_drives.py::test_bad_frames_are_left_out_up_to_a_bound",
-        "build/test_drives.py::test_more_bad_frames_than_the_bound_are_refused",
+        "pipeline/drives/test_drives.py::test_bad_frames_are_left_out_up_to_a_bound",
+        "pipeline/drives/test_drives.py::test_more_bad_frames_than_the_bound_are_refused",
         "cli/test_cli_build.py::test_drives_that_fail_are_named_and_the_others_are_built",
     ),
     "no option is ignored": (
@@ -61,9 +61,9 @@ PROMISES: dict[str, tuple[str, ...]] = {
         "export/test_taskdata.py::test_task_data_in_one_file_are_those_of_the_folder",
     ),
     "the measured axle is written, negative places are no options, images have their folder": (
-        "mounting/test_writing.py::test_an_axle_that_was_measured_is_written",
+        "pipeline/mounting/test_writing.py::test_an_axle_that_was_measured_is_written",
         "cli/test_protection.py::test_numbers_below_zero_are_no_options",
-        "build/test_cluster.py::test_a_cluster_gives_the_same_bits_also_when_a_worker_is_killed",
+        "pipeline/drives/test_cluster.py::test_a_cluster_gives_the_same_bits_also_when_a_worker_is_killed",
     ),
     "exports are read by others": (
         "export/test_tables.py::test_a_validator_of_geoparquet_has_nothing_to_say",
@@ -76,20 +76,20 @@ PROMISES: dict[str, tuple[str, ...]] = {
         "export/test_points.py::test_each_obstacle_cell_is_a_point",
         "export/test_nav2.py::test_it_comes_back_through_the_rules_of_the_map_server",
         "export/test_squares.py::test_squares_at_the_bounds_stay_whole_and_are_left_out_where_nobody_asks",
-        "farm/test_catalogue.py::test_the_stac_catalogue_is_valid_and_others_read_it",
+        "maps/farm/test_catalogue.py::test_the_stac_catalogue_is_valid_and_others_read_it",
         "cli/test_output.py::test_a_time_in_json_has_its_text_beside_it",
     ),
     "recordings as others have them are read": (
-        "recording/test_packed_depth.py",
-        "recording/test_bag_moving.py::test_transforms_that_move_tell_what_odometry_tells",
-        "recording/test_bag_drive.py::test_cameras_whose_names_say_nothing_are_told_by_their_calibration",
-        "recording/test_motion_files.py::test_wheels_keep_their_sign",
-        "build/test_sweeps.py::test_walls_are_where_they_are",
+        "recordings/test_packed_depth.py",
+        "recordings/test_bag_moving.py::test_transforms_that_move_tell_what_odometry_tells",
+        "recordings/test_bag_drive.py::test_cameras_whose_names_say_nothing_are_told_by_their_calibration",
+        "recordings/test_motion_files.py::test_wheels_keep_their_sign",
+        "pipeline/drives/test_sweeps.py::test_walls_are_where_they_are",
     ),
     "a plain survey is a truth, and a map gets another datum without images": (
         "cli/test_evaluate_survey.py::test_a_survey_on_the_command_line",
-        "evaluation/test_survey.py::test_points_are_read_from_csv_and_geojson",
-        "mapfile/test_merge.py::test_a_map_in_the_plane_of_another_datum",
+        "field/evaluation/test_survey.py::test_points_are_read_from_csv_and_geojson",
+        "maps/file/test_merge.py::test_a_map_in_the_plane_of_another_datum",
     ),
     "the command line is that of a grown program": (
         "cli/test_command_line.py::test_completion_scripts",

@@ -98,7 +98,7 @@ def public_names() -> str:
     import fieldgrid
 
     parts = ["# Python", "", "Everything below is imported as `fieldgrid.NAME`."]
-    for name in sorted(fieldgrid.__all__, key=str.lower):
+    for name in sorted(dir(fieldgrid), key=str.lower):
         home = getattr(fieldgrid, name)
         module = getattr(home, "__module__", None)
         target = f"{module}.{name}" if module else home.__name__

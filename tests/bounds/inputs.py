@@ -43,14 +43,14 @@ from fieldgrid.recordings import (
 )
 from fieldgrid.recordings.calibration.kalibr import read_kalibr
 from fieldgrid.recordings.calibration.opencv import read_opencv
-from fieldgrid.recordings.formats.euroc import _images
-from fieldgrid.recordings.formats.isoxml import read_time_log
-from fieldgrid.recordings.formats.kitti import _read_stamps
-from fieldgrid.recordings.formats.settings_file import read_settings
 from fieldgrid.recordings.frames.depth_files import decode_depth_image
 from fieldgrid.recordings.frames.frame_table import read_frames
 from fieldgrid.recordings.frames.npy import parse_npy
 from fieldgrid.recordings.poses.pose_files import read_pose_file
+from fieldgrid.recordings.readers.euroc import _images
+from fieldgrid.recordings.readers.isoxml import read_time_log
+from fieldgrid.recordings.readers.kitti import _read_stamps
+from fieldgrid.recordings.readers.settings_file import read_settings
 from fieldgrid.recordings.remote.copies import CACHE
 from fieldgrid.recordings.ros.bag import open_bag
 from fieldgrid.recordings.tables.logs import read_fix_log

@@ -24,7 +24,8 @@ it begins."""
 PROGRAM = """
 import json, sys
 import fieldgrid.cli.commands.build, fieldgrid.cli.commands.track
-import fieldgrid.pipeline.drives, fieldgrid.pipeline.tracking, fieldgrid.maps.file.store, fieldgrid.poses.track.table
+import fieldgrid.pipeline.drives, fieldgrid.pipeline.tracking
+import fieldgrid.maps.file.store, fieldgrid.poses.track.table
 print(json.dumps(sorted(sys.modules)))
 """
 

@@ -12,10 +12,10 @@ from hypothesis import given, settings, strategies as st
 
 from fieldgrid.core import RecordingError
 from fieldgrid.recordings import ImageFile, Shot
-from fieldgrid.recordings.formats.settings_file import RecordingSettings
 from fieldgrid.recordings.frames.image_format import image_format
 from fieldgrid.recordings.frames.image_header import read_header
 from fieldgrid.recordings.frames.images import ImageFormat, decode_image
+from fieldgrid.recordings.readers.settings_file import RecordingSettings
 
 RNG = np.random.default_rng(3)
 GREY = RNG.integers(0, 256, (20, 24), dtype=np.uint8)

@@ -8,7 +8,7 @@ import pytest
 
 from fieldgrid.core import RecordingError
 from fieldgrid.geometry import Datum
-from fieldgrid.recordings.formats.settings_file import RecordingSettings, Start, read_settings
+from fieldgrid.recordings.readers.settings_file import RecordingSettings, Start, read_settings
 
 ALL = """
 name = "june-03"

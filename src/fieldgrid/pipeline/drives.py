@@ -1,9 +1,7 @@
 """Many recordings to one map: staged side by side, put into the map one after the other.
 
-What can be checked is checked before the first image is read. Staging is shared among processes,
-of this machine or of a cluster, over drives and within long ones; poses, the fold and the map
-itself belong to this process alone. A drive that fails is left out. Staged parts lie beside the map
-until the build has done all that it can (`build.parts`).
+Everything is checked before the first image is read. Processes or a cluster stage shares of
+drives; poses and the fold belong to this process. A drive that fails is left out.
 """
 
 from __future__ import annotations
@@ -22,9 +20,7 @@ from fieldgrid.core import (
     BuildSettings,
     ClusterError,
     ConfigError,
-    DatumError,
     FieldgridError,
-    GnssError,
     MapError,
     MapExistsError,
     RecordingError,
@@ -34,7 +30,7 @@ from fieldgrid.core import (
 from fieldgrid.geometry import Datum
 from fieldgrid.maps import MapFile, Patience, create_map, open_map
 from fieldgrid.pipeline.poses import attitude_of_grids, check_images, check_poses, estimate_drive
-from fieldgrid.pipeline.report import PartlyBuiltError, Progress, SessionReport
+from fieldgrid.pipeline.report import DRIVE_ERRORS, PartlyBuiltError, Progress, SessionReport
 from fieldgrid.pipeline.session import (
     NewSession,
     ProgressReporter,
@@ -71,9 +67,6 @@ if TYPE_CHECKING:
 
 WORTH_FRAMES = 128
 """Frames from which on processes pay: each takes a second to start, and threads do without."""
-
-_OF_A_DRIVE = (RecordingError, GnssError, DatumError)
-"""Errors that say something of one drive; others end the build."""
 
 
 @dataclass(slots=True)
@@ -276,7 +269,7 @@ class _Build:
             for drive in self._good():
                 try:
                     report = self._finish(drive, universal, taken, is_there=is_there)
-                except _OF_A_DRIVE as error:
+                except DRIVE_ERRORS as error:
                     self._fail(drive, error)
                 except (MapError, ClusterError) as error:
                     if not any(one.parts.frames_done for one in self.drives if not one.error):
@@ -294,7 +287,7 @@ class _Build:
         try:
             if drive.name not in taken:
                 drive.session.check(universal)
-        except _OF_A_DRIVE as error:
+        except DRIVE_ERRORS as error:
             self._fail(drive, error)
             return
         parts = drive.parts
@@ -371,15 +364,13 @@ class _Build:
         if drive.error is not None:
             return
         if isinstance(event, DriveFailure):
-            if not isinstance(event.error, _OF_A_DRIVE):
+            if not isinstance(event.error, DRIVE_ERRORS):
                 raise event.error
             self._fail(drive, event.error)
         elif isinstance(event, ShareResult):
             if drive.parts.take(event.share) is None:
-                raise MapError(
-                    f"The staged frames in {drive.parts.folder} cannot be read back; check the "
-                    "disk."
-                )
+                where = drive.parts.folder
+                raise MapError(f"The staged frames in {where} cannot be read back; check the disk.")
             try:
                 drive.parts.check_bad(self.skip_bad)
             except RecordingError as error:

@@ -61,6 +61,10 @@ USUAL_BUDGET_M = 0.25
 _NO_GROUND = "no ground was found in the {}, so heights above it are not known"
 
 
+_GNSS_OFFSET = "give --gnss-offset {0} or gnss_time_offset_s = {0} in recording.toml"
+_IMAGE_OFFSET = "give --time-offset {0} or image_time_offset_s = {0} in recording.toml"
+
+
 def estimate_drive(
     drive: Drive,
     settings: BuildSettings | None = None,
@@ -188,16 +192,8 @@ def _offset_words(recording: Recording, fixed: Span, shift_s: float) -> str:
     goes with the images, and the fixes are moved the other way."""
     gyro = recording.motion().gyro
     if gyro is not None and (gyro.time_ns[-1] < fixed.first_ns or gyro.time_ns[0] > fixed.last_ns):
-        return _gnss_offset(f"{recording.log.moved_ns / 1e9 - shift_s:.10g}")
-    return _image_offset(f"{recording.rig.image_time_offset_ns / 1e9 + shift_s:.10g}")
-
-
-def _gnss_offset(whole_s: str) -> str:
-    return f"give --gnss-offset {whole_s} or gnss_time_offset_s = {whole_s} in recording.toml"
-
-
-def _image_offset(whole_s: str) -> str:
-    return f"give --time-offset {whole_s} or image_time_offset_s = {whole_s} in recording.toml"
+        return _GNSS_OFFSET.format(f"{recording.log.moved_ns / 1e9 - shift_s:.10g}")
+    return _IMAGE_OFFSET.format(f"{recording.rig.image_time_offset_ns / 1e9 + shift_s:.10g}")
 
 
 class BuildDoubt(NamedTuple):
@@ -349,9 +345,9 @@ def clock_remedy(recording: Recording, clock: ClockOffset) -> str:
     """What to give so that images and fixes are of one clock, with what is declared already."""
     if clock.gyro_too:
         whole_s = recording.log.moved_ns / 1e9 - clock.offset_s
-        return f"the gyro goes with the images: {_gnss_offset(f'{whole_s:.3f}')}."
+        return f"the gyro goes with the images: {_GNSS_OFFSET.format(f'{whole_s:.3f}')}."
     whole_s = recording.rig.image_time_offset_ns / 1e9 + clock.offset_s
-    return f"{_image_offset(f'{whole_s:.3f}')}."
+    return f"{_IMAGE_OFFSET.format(f'{whole_s:.3f}')}."
 
 
 def usual_speed_mps(trajectory: Trajectory) -> float:

@@ -7,7 +7,10 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
-from fieldgrid.core import FieldgridError
+from fieldgrid.core import DatumError, FieldgridError, GnssError, RecordingError
+
+DRIVE_ERRORS = (RecordingError, GnssError, DatumError)
+"""Errors that say something of one drive; others end the build."""
 
 
 @dataclass(frozen=True, slots=True)

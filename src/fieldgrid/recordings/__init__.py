@@ -1,7 +1,7 @@
 """Recordings: what was on the vehicle's disk after a drive, whatever its format.
 
 * `opening`: `open_drive` and `open_recording`, with `DriveOptions` of what users say.
-* `formats`: a module a format (plain folder, KITTI, EuRoC, RTKLIB, ISO 11783-10).
+* `readers`: a module a format (plain folder, KITTI, EuRoC, RTKLIB, ISO 11783-10).
 * `bag`: bags of ROS as recordings; `ros`: their containers and messages.
 * `tables`: columns, times and units of logs; `calibration`: cameras and mounting.
 * `frames`: images, depths and clouds, read when asked for; `poses`: files of other programs.
@@ -75,11 +75,6 @@ if TYPE_CHECKING:
         register_format as register_format,
         unregister_format as unregister_format,
     )
-    from fieldgrid.recordings.formats.folder import folder_mounting_path as folder_mounting_path
-    from fieldgrid.recordings.formats.growing import (
-        GrowingFolder as GrowingFolder,
-        open_growing as open_growing,
-    )
     from fieldgrid.recordings.frames.cloud_files import (
         CloudFile as CloudFile,
         CloudKind as CloudKind,
@@ -123,6 +118,11 @@ if TYPE_CHECKING:
     from fieldgrid.recordings.poses.pose_source import (
         PoseBody as PoseBody,
         PoseSource as PoseSource,
+    )
+    from fieldgrid.recordings.readers.folder import folder_mounting_path as folder_mounting_path
+    from fieldgrid.recordings.readers.growing import (
+        GrowingFolder as GrowingFolder,
+        open_growing as open_growing,
     )
     from fieldgrid.recordings.remote.copies import (
         cache_folder as cache_folder,

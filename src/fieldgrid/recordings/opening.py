@@ -11,11 +11,11 @@ from fieldgrid.recordings.bag import opening as bag
 from fieldgrid.recordings.calibration.mounting import Mounting
 from fieldgrid.recordings.drive import Drive, Recording
 from fieldgrid.recordings.format import find_format, formats, register_format
-from fieldgrid.recordings.formats import euroc, folder, kitti, kitti_odometry
-from fieldgrid.recordings.formats.foreign import about_folder, refuse_foreign
 from fieldgrid.recordings.frames.frame_table import TABLE
 from fieldgrid.recordings.options import DriveOptions
 from fieldgrid.recordings.poses.given_poses import with_given_poses
+from fieldgrid.recordings.readers import euroc, folder, kitti, kitti_odometry
+from fieldgrid.recordings.readers.foreign import about_folder, refuse_foreign
 from fieldgrid.recordings.remote.copies import is_url
 from fieldgrid.recordings.remote.fetched import fetch
 from fieldgrid.recordings.tables import logs

@@ -23,8 +23,8 @@ from fieldgrid.recordings import looks_like_stream
 
 # Whether a receiver's log may go on in a file, told by how that begins.
 #
-# What a crash or a power cut left of an earlier log may be a cut sentence, zeros, or binary messages
-# alone. Such a file is its own; refused is only what is recognised as something else.
+# What a crash or a power cut left of an earlier log may be a cut sentence, zeros, or binary
+# messages alone. Such a file is its own; only what is recognised as something else is refused.
 
 
 _HEAD_BYTES = 1 << 16

@@ -29,8 +29,8 @@ from fieldgrid.recordings.bag.topics import (
 from fieldgrid.recordings.bag.transforms import Transforms
 from fieldgrid.recordings.bag.trees import forward_speeds
 from fieldgrid.recordings.drive import Drive
-from fieldgrid.recordings.formats.settings_file import SETTINGS, RecordingSettings, read_settings
 from fieldgrid.recordings.options import DriveOptions
+from fieldgrid.recordings.readers.settings_file import SETTINGS, RecordingSettings, read_settings
 from fieldgrid.recordings.ros.bag import Bag
 from fieldgrid.recordings.ros.gnss_messages import DETAILS, ORIENTATION, TILT
 from fieldgrid.recordings.tables.fix_log import FixLog

@@ -20,7 +20,7 @@ from fieldgrid.geometry import (
     check_offset,
 )
 from fieldgrid.recordings.files import read_text
-from fieldgrid.recordings.formats.entries import EntryTable, MisfitError, Number, entry, fitted
+from fieldgrid.recordings.readers.entries import EntryTable, MisfitError, Number, entry, fitted
 from fieldgrid.recordings.tables.motion_files import AXES, check_axes
 
 MOUNTING = "mounting.json"

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fieldgrid.core import RecordingError
-from fieldgrid.recordings.formats.settings_file import RecordingSettings
 from fieldgrid.recordings.frames.images import ImageFile, ImageFormat
 from fieldgrid.recordings.frames.pixels import BITS, Pixels, significant_bits
+from fieldgrid.recordings.readers.settings_file import RecordingSettings
 from fieldgrid.recordings.stored import Shot
 
 _SAMPLES = 5

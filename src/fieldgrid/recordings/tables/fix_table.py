@@ -17,7 +17,7 @@ from fieldgrid.geometry import (
     quality_by_sigma,
     wrap_deg,
 )
-from fieldgrid.recordings.formats.oxts import FIELDS, oxts_fixes, oxts_motion
+from fieldgrid.recordings.readers.oxts import FIELDS, oxts_fixes, oxts_motion
 from fieldgrid.recordings.tables.columns import (
     Columns,
     guess,

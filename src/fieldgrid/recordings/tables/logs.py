@@ -11,11 +11,11 @@ from fieldgrid.geometry import FixColumns
 from fieldgrid.recordings.drive import Drive
 from fieldgrid.recordings.files import DELIMITERS, open_log_bytes
 from fieldgrid.recordings.format import Format
-from fieldgrid.recordings.formats.foreign import may_hold_nmea, refuse_foreign
-from fieldgrid.recordings.formats.isoxml import is_time_log, read_time_log
-from fieldgrid.recordings.formats.rtklib import SUFFIXES as SOLUTIONS, is_solution, read_solution
-from fieldgrid.recordings.formats.settings_file import RecordingSettings
 from fieldgrid.recordings.options import DriveOptions
+from fieldgrid.recordings.readers.foreign import may_hold_nmea, refuse_foreign
+from fieldgrid.recordings.readers.isoxml import is_time_log, read_time_log
+from fieldgrid.recordings.readers.rtklib import SUFFIXES as SOLUTIONS, is_solution, read_solution
+from fieldgrid.recordings.readers.settings_file import RecordingSettings
 from fieldgrid.recordings.tables.columns import Columns
 from fieldgrid.recordings.tables.fix_log import FixLog
 from fieldgrid.recordings.tables.fix_table import read_fix_table

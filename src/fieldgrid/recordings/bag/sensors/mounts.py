@@ -18,8 +18,8 @@ from fieldgrid.recordings.calibration.mounting import (
     estimating,
     missing_mounting,
 )
-from fieldgrid.recordings.formats.kitti_calibration import mount_angles_deg
 from fieldgrid.recordings.options import NO_MOUNTING, DriveOptions
+from fieldgrid.recordings.readers.kitti_calibration import mount_angles_deg
 from fieldgrid.recordings.ros.gnss_messages import RIG
 from fieldgrid.recordings.tables.motion_files import directions
 

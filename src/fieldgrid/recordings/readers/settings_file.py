@@ -21,7 +21,10 @@ from fieldgrid.core import (
 )
 from fieldgrid.geometry import Datum
 from fieldgrid.recordings.files import is_inside, read_text
-from fieldgrid.recordings.formats.entries import (
+from fieldgrid.recordings.frames.pixels import BAYER_PATTERNS, BITS
+from fieldgrid.recordings.options import MAX_GIVEN_OFFSET_S
+from fieldgrid.recordings.poses.pose_source import PoseSource
+from fieldgrid.recordings.readers.entries import (
     EntryTable,
     Exact,
     MisfitError,
@@ -30,9 +33,6 @@ from fieldgrid.recordings.formats.entries import (
     entry,
     fitted,
 )
-from fieldgrid.recordings.frames.pixels import BAYER_PATTERNS, BITS
-from fieldgrid.recordings.options import MAX_GIVEN_OFFSET_S
-from fieldgrid.recordings.poses.pose_source import PoseSource
 from fieldgrid.recordings.tables.columns import Columns, columns_from_mapping
 from fieldgrid.recordings.tables.motion_files import check_axes
 

@@ -18,10 +18,10 @@ from fieldgrid.recordings.calibration.yaml_text import load_yaml, matrix
 from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_frames, with_motion
 from fieldgrid.recordings.files import is_inside, parse_time_ns, read_lines
 from fieldgrid.recordings.format import Format
-from fieldgrid.recordings.formats.settings_file import SETTINGS, read_settings
 from fieldgrid.recordings.frames.frame_table import MAX_FRAMES
 from fieldgrid.recordings.frames.image_format import image_format
 from fieldgrid.recordings.options import NO_MOUNTING, DriveOptions
+from fieldgrid.recordings.readers.settings_file import SETTINGS, read_settings
 from fieldgrid.recordings.stored import PairKind, Shot, StoredFrames, checked_shots
 from fieldgrid.recordings.tables.columns import Columns
 from fieldgrid.recordings.tables.logs import find_log, with_log

@@ -19,20 +19,20 @@ from fieldgrid.recordings.calibration.mounting import MOUNTING
 from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_frames
 from fieldgrid.recordings.files import read_lines
 from fieldgrid.recordings.format import Format
-from fieldgrid.recordings.formats.kitti_calibration import (
+from fieldgrid.recordings.frames.images import SUFFIXES, ImageFile
+from fieldgrid.recordings.options import NO_MOUNTING, DriveOptions
+from fieldgrid.recordings.readers.kitti_calibration import (
     CAMERA_HEIGHT_M,
     floats,
     numbers,
     read_entries,
 )
-from fieldgrid.recordings.formats.settings_file import (
+from fieldgrid.recordings.readers.settings_file import (
     SETTINGS,
     RecordingSettings,
     Start,
     read_settings,
 )
-from fieldgrid.recordings.frames.images import SUFFIXES, ImageFile
-from fieldgrid.recordings.options import NO_MOUNTING, DriveOptions
 from fieldgrid.recordings.stored import PairKind, Shot, StoredFrames, checked_shots
 from fieldgrid.recordings.tables.fix_log import FixLog
 from fieldgrid.recordings.tables.logs import chosen_log, find_log, log_name

@@ -15,13 +15,13 @@ from fieldgrid.recordings.calibration.mounting import MOUNTING
 from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_frames
 from fieldgrid.recordings.files import read_lines, read_text
 from fieldgrid.recordings.format import Format
-from fieldgrid.recordings.formats.kitti_calibration import (
+from fieldgrid.recordings.options import DriveOptions
+from fieldgrid.recordings.readers.kitti_calibration import (
     CAMERA_HEIGHT_M,
     floats,
     read_kitti_calibration,
 )
-from fieldgrid.recordings.formats.oxts import FIELDS, oxts_fixes, oxts_motion
-from fieldgrid.recordings.options import DriveOptions
+from fieldgrid.recordings.readers.oxts import FIELDS, oxts_fixes, oxts_motion
 from fieldgrid.recordings.stored import PairKind, Shot, StoredFrames, checked_shots
 from fieldgrid.recordings.tables.fix_log import FixLog
 

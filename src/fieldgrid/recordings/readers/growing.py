@@ -11,14 +11,6 @@ from pathlib import Path
 from fieldgrid.core import RecordingError
 from fieldgrid.geometry import Datum, Rig
 from fieldgrid.recordings.files import delimiter_of
-from fieldgrid.recordings.formats.folder import SESSION, folder_mounting_path
-from fieldgrid.recordings.formats.sensors import read_seen
-from fieldgrid.recordings.formats.settings_file import (
-    SETTINGS,
-    RecordingSettings,
-    read_session_datum,
-    read_settings,
-)
 from fieldgrid.recordings.frames.frame_table import (
     TABLE,
     FrameLayout,
@@ -32,6 +24,14 @@ from fieldgrid.recordings.frames.image_format import image_format
 from fieldgrid.recordings.frames.images import ImageFile
 from fieldgrid.recordings.frames.in_folder import InFolder
 from fieldgrid.recordings.options import DriveOptions
+from fieldgrid.recordings.readers.folder import SESSION, folder_mounting_path
+from fieldgrid.recordings.readers.sensors import read_seen
+from fieldgrid.recordings.readers.settings_file import (
+    SETTINGS,
+    RecordingSettings,
+    read_session_datum,
+    read_settings,
+)
 from fieldgrid.recordings.stored import FrameKind, PairKind, Shot
 
 _PIECE_BYTES = 4 << 20

@@ -16,7 +16,6 @@ from fieldgrid.recordings.calibration.loading import read_calibration
 from fieldgrid.recordings.calibration.mounting import Mounting
 from fieldgrid.recordings.calibration.ros import read_ros_camera
 from fieldgrid.recordings.files import read_table
-from fieldgrid.recordings.formats.settings_file import RecordingSettings
 from fieldgrid.recordings.frames.cloud_files import AXES, CLOUDS, CloudFile, CloudKind
 from fieldgrid.recordings.frames.depth_files import DEPTHS, DISPARITIES, DepthFormat, DepthKind
 from fieldgrid.recordings.frames.frame_table import (
@@ -27,6 +26,7 @@ from fieldgrid.recordings.frames.frame_table import (
     read_frames,
 )
 from fieldgrid.recordings.frames.image_format import image_format, stored_size_px
+from fieldgrid.recordings.readers.settings_file import RecordingSettings
 from fieldgrid.recordings.stored import FrameKind, PairKind, Shot
 
 CALIBRATION = "calibration"

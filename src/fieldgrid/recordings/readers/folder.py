@@ -10,10 +10,10 @@ from fieldgrid.recordings.calibration.loading import read_calibration
 from fieldgrid.recordings.calibration.mounting import MOUNTING, read_mounting
 from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_frames, with_motion
 from fieldgrid.recordings.format import Format
-from fieldgrid.recordings.formats.sensors import CALIBRATION, has_frames, read_seen
-from fieldgrid.recordings.formats.settings_file import SETTINGS, read_session_datum, read_settings
 from fieldgrid.recordings.frames.frame_table import TABLE
 from fieldgrid.recordings.options import NO_MOUNTING, DriveOptions
+from fieldgrid.recordings.readers.sensors import CALIBRATION, has_frames, read_seen
+from fieldgrid.recordings.readers.settings_file import SETTINGS, read_session_datum, read_settings
 from fieldgrid.recordings.stored import StoredFrames
 from fieldgrid.recordings.tables.logs import find_log, with_log
 from fieldgrid.recordings.tables.motion_files import AXES, read_motion
