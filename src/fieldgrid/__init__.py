@@ -83,7 +83,8 @@ else:
             from importlib.metadata import version  # 60 ms, which no command has to wait for
 
             return version("fieldgrid")
-        return _get(name)
+        moved = sys.modules.get(f"{__name__}.{name}")  # after `import fieldgrid.layers`
+        return _get(name) if moved is None else moved
 
 
 _SHOWN = {

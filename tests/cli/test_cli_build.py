@@ -603,15 +603,15 @@ import os, signal
 from pathlib import Path
 from fieldgrid.pipeline.staging import shares
 
-usual = staging.perceive_frame
+usual = shares.perceive_frame
 
 def perceive_frame(*frame, **options):
     if any(Path({folder!r}).iterdir()):
-        staging.perceive_frame = usual
+        shares.perceive_frame = usual
         os.kill(os.getpid(), signal.{name})
     return usual(*frame, **options)
 
-staging.perceive_frame = perceive_frame
+shares.perceive_frame = perceive_frame
 """
 """Python to run first in a build, which gets a signal with the first frame after it has begun to
 write into a folder."""

@@ -16,7 +16,7 @@ from PIL import Image
 from fieldgrid.core import ConfigError, palette
 from fieldgrid.geometry import Bounds
 from fieldgrid.maps import Mark, MarkKind, open_map
-from fieldgrid.view import write_report
+from fieldgrid.view import report, write_report
 from tests.maps.file.maps import drive, track, write_map
 from tests.view.test_page import FREE, OBSTACLE, is_colour
 
@@ -72,20 +72,22 @@ def test_a_page_has_the_map(path: Path, tmp_path: Path) -> None:
 
 
 def test_what_is_too_large_is_left_out_from_the_finest_level(
-    vineyard: Path, tmp_path: Path
+    vineyard: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = write_report([vineyard], tmp_path / "whole.html")
     assert whole.cells_m == (0.05,)
     levels = data_of(tmp_path / "whole.html")["about"]["maps"][0]["levels"]
-    less = write_report([vineyard], tmp_path / "less.html", max_bytes=whole.size_bytes - 20_000)
+    monkeypatch.setattr(report, "MAX_BYTES", whole.size_bytes - 20_000)
+    less = write_report([vineyard], tmp_path / "less.html")
     assert less.size_bytes <= whole.size_bytes - 20_000
     times = less.cells_m[0] / 0.05
     assert times in (2.0, 4.0, 8.0)
     data = data_of(tmp_path / "less.html")
     assert data["about"]["maps"][0]["levels"] == levels - int(np.log2(times))
     assert check_tiles(data, vineyard, 0) > 0
+    monkeypatch.setattr(report, "MAX_BYTES", 100_000)
     with pytest.raises(ConfigError, match="fewer maps"):
-        write_report([vineyard], tmp_path / "none.html", max_bytes=100_000)
+        write_report([vineyard], tmp_path / "none.html")
     assert not (tmp_path / "none.html").exists()
 
 

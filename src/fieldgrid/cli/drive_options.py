@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from fieldgrid.cli.groups import FieldsOf
+from fieldgrid.cli.options import refuse
 from fieldgrid.core import ConfigError
 
 if TYPE_CHECKING:
@@ -95,8 +96,7 @@ class DriveFlags(NamedTuple):
                     f"{text!r} is not ROLE=TOPIC, as in left=/camera/left/image_raw",
                     param_hint="--topic",
                 )
-            if match[1] in topics:
-                raise typer.BadParameter(f"{match[1]} is given twice", param_hint="--topic")
+            refuse(match[1] in topics, "--topic", f"{match[1]} is given twice")
             topics[match[1]] = match[2]
         return DriveOptions(
             self.gnss,
@@ -122,8 +122,7 @@ def nanoseconds(offset_s: float | None, flag: str) -> int | None:
     """The seconds of a flag in nanoseconds; a usage error for what is no number."""
     if offset_s is None:
         return None
-    if not math.isfinite(offset_s * 1e9):
-        raise typer.BadParameter(f"{offset_s} is no number of seconds", param_hint=flag)
+    refuse(not math.isfinite(offset_s * 1e9), flag, f"{offset_s} is no number of seconds")
     return round(offset_s * 1e9)
 
 

@@ -28,12 +28,12 @@ def opened(path: Path, datum_from: Path | None) -> Iterator[MapFile | Farm]:
     from fieldgrid.maps import Farm, open_map
 
     if not path.is_dir():
-        if datum_from is not None:
-            raise typer.BadParameter(
-                f"{path} is no folder of maps, and keeps its own datum; `fieldgrid merge` makes a "
-                "map of another one",
-                param_hint="--datum-from",
-            )
+        options.refuse(
+            datum_from is not None,
+            "--datum-from",
+            f"{path} is no folder of maps, and keeps its own datum; `fieldgrid merge` makes a "
+            "map of another one",
+        )
         with open_map(path) as universal:
             yield universal
         return

@@ -122,10 +122,9 @@ def load(name: str) -> Any:
     one = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     settings = {**CONTEXT, **getattr(module, "CONTEXT", {})}
     help_text = getattr(module, "help_text", str)
-    says = help_text(inspect.getdoc(module.command))
-    one.command(name, cls=Command, context_settings=settings, help=says)(
-        expanded(module.command, VERBOSITY)
-    )
+    one.command(
+        name, cls=Command, context_settings=settings, help=help_text(inspect.getdoc(module.command))
+    )(expanded(module.command, VERBOSITY))
     return typer.main.get_command(one)
 
 

@@ -163,10 +163,11 @@ def datum(text: str | None) -> Datum | None:
 
 def datum_or_from(text: str | None, other: Path | None) -> Datum | None:
     """A datum as text or as a map has it; None where neither is given."""
-    if text is not None and other is not None:
-        raise typer.BadParameter(
-            "--datum and --datum-from exclude each other", param_hint="--datum-from"
-        )
+    refuse(
+        text is not None and other is not None,
+        "--datum-from",
+        "--datum and --datum-from exclude each other",
+    )
     if other is None:
         return datum(text)
     from fieldgrid.maps import read_datum
@@ -176,19 +177,24 @@ def datum_or_from(text: str | None, other: Path | None) -> Datum | None:
 
 def bounds(values: tuple[float, float, float, float] | None) -> Bounds | None:
     """West, south, east, north in metres."""
-    if values is None:
-        return None
     from fieldgrid.geometry import Bounds
 
-    return Bounds(*values)
+    return None if values is None else Bounds(*values)
+
+
+def refuse(is_wrong: bool, flag: str, why: str) -> None:
+    """A usage error of a flag or an argument, if something is wrong."""
+    if is_wrong:
+        raise typer.BadParameter(why, param_hint=flag)
 
 
 def check_scheduler(scheduler: str | None, jobs: int | None) -> None:
     """Refuse --jobs beside a --scheduler."""
-    if scheduler is not None and jobs is not None:
-        raise typer.BadParameter(
-            "the workers of the --scheduler do the work; leave it out", param_hint="--jobs"
-        )
+    refuse(
+        scheduler is not None and jobs is not None,
+        "--jobs",
+        "the workers of the --scheduler do the work; leave it out",
+    )
 
 
 def check_outputs(written: Sequence[Path], inputs: Sequence[Path], *, overwrite: bool) -> None:
@@ -216,10 +222,11 @@ def check_figure(path: Path | None) -> None:
 def check_new_map(path: Path) -> None:
     """A usage error for a new map whose name does not show that it is one: a farm would not list
     it. Maps that exist may have any name."""
-    if path.suffix.lower() != ".gpkg" and not path.exists():
-        raise typer.BadParameter(
-            f"{path.name} does not end in .gpkg, as maps do", param_hint="--out"
-        )
+    refuse(
+        path.suffix.lower() != ".gpkg" and not path.exists(),
+        "--out",
+        f"{path.name} does not end in .gpkg, as maps do",
+    )
 
 
 def refuse_idle(ctx: typer.Context, idle: Collection[str], why: str) -> None:

@@ -140,8 +140,7 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title:
         table.add_row(*(Text(printable(cell)) for cell in row))
     # Off a terminal nothing limits the width, and a folded name could not be read back.
     width = None if sys.stdout.isatty() else 1000
-    console = Console(file=sys.stdout, highlight=False, width=width)
-    console.print(table)
+    Console(file=sys.stdout, highlight=False, width=width).print(table)
 
 
 def report_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = "") -> None:

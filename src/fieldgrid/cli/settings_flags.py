@@ -97,8 +97,8 @@ def flag_option(
 def flag_values(
     flags: Mapping[Flag, list[DeclaredSetting]], given: Mapping[str, Any]
 ) -> Iterable[tuple[DeclaredSetting, Any]]:
-    """The settings that were given by their flags; a usage error for what is not so many
-    numbers."""
+    """The settings that were given by their flags; a usage error for a text that has not a number
+    for each setting of its flag."""
     for flag, settings in flags.items():
         value = given[flag.parameter]
         if value is None:

@@ -146,8 +146,7 @@ def formats() -> Mapping[str, ExportFormat]:
     _load()
     load(Group.EXPORT_FORMATS)
     order = {f"fieldgrid.export.{module}": k for k, module in enumerate(_BUILT_IN)}
-    last = len(order)
-    found = sorted(_formats.values(), key=lambda one: order.get(one.write.__module__, last))
+    found = sorted(_formats.values(), key=lambda one: order.get(one.write.__module__, len(order)))
     return {one.name: one for one in found}
 
 

@@ -44,9 +44,12 @@ class Selection:
                 "This format needs its part of the map at once, which one process reads; leave out "
                 "--scheduler, or choose a format that goes piece by piece, as geotiff does."
             )
-        wanted = tuple(dict.fromkeys((self.layer, *layers)))
         return universal.read(
-            self.checked_bounds(universal), self.cell_m, layers=wanted, at=self.at, jobs=self.jobs
+            self.checked_bounds(universal),
+            self.cell_m,
+            layers=tuple(dict.fromkeys((self.layer, *layers))),
+            at=self.at,
+            jobs=self.jobs,
         )
 
     def checked_bounds(self, universal: Readable) -> Bounds | None:

@@ -55,8 +55,14 @@ def write_together(
     with holding as held, ExitStack() as stack:
         drafts: list[Draft] = []
         for target in targets:
-            check = ours if target == targets[-1] else None
-            drafts.append(Draft(target, overwrite=overwrite, ours=check, what=what))
+            drafts.append(
+                Draft(
+                    target,
+                    overwrite=overwrite,
+                    ours=ours if target == targets[-1] else None,
+                    what=what,
+                )
+            )
             stack.callback(drafts[-1].discard)
         for draft, write in zip(drafts, writers.values(), strict=True):
             try:

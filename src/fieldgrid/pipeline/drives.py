@@ -295,16 +295,9 @@ class _Build:
         if parts.frames_done:
             drive.tell(parts.moved_m, parts.frames_done)
         if self.executor is not None:
-            self.executor.add(
-                DriveOrder(
-                    drive.number,
-                    drive.name,
-                    drive.recording.path,
-                    drive.session.work(drive.recording.source),
-                    parts.folder,
-                    parts.missing(),
-                )
-            )
+            work = drive.session.work(drive.recording.source)
+            what = drive.number, drive.name, drive.recording.path, work
+            self.executor.add(DriveOrder(*what, parts.folder, parts.missing()))
 
     def _finish(
         self, drive: _DriveBuild, universal: MapFile, taken: list[str], *, is_there: bool

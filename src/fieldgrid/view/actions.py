@@ -83,8 +83,7 @@ def add_mark(shown: ShownSource, asked: NewMark) -> Response:
     """Add a mark; says its number."""
     texts = asked.name.strip(), asked.note.strip(), asked.author.strip()
     with _changing(shown, asked.version) as universal:
-        mark = Mark(MarkKind(asked.kind), tuple(asked.corners), *texts)
-        (number,) = universal.add_marks([mark])
+        (number,) = universal.add_marks([Mark(MarkKind(asked.kind), tuple(asked.corners), *texts)])
     return JSONResponse({"id": number})
 
 
@@ -100,8 +99,9 @@ def export(shown: ShownSource, asked: Export) -> Response:
     """Send a file, which is removed from the server's disk once it was sent."""
     bounds = None if asked.bounds is None else Bounds(*asked.bounds)
     with shown.open_alone() as universal:
-        selection = Selection(bounds, asked.cell_m, asked.layer)
-        file, folder = write_export(universal, shown.name, selection, asked.format)
+        file, folder = write_export(
+            universal, shown.name, Selection(bounds, asked.cell_m, asked.layer), asked.format
+        )
     return FileResponse(
         file,
         filename=file.name,

@@ -113,8 +113,13 @@ def make_app(viewer: Viewer) -> Starlette:
     """The application for a viewer."""
 
     def about(request: Request) -> Response:
-        described = [describe_map(k, one) for k, one in enumerate(viewer.maps)]
-        return _json({"maps": described, "writable": viewer.writable, "formats": exports.formats()})
+        return _json(
+            {
+                "maps": [describe_map(k, one) for k, one in enumerate(viewer.maps)],
+                "writable": viewer.writable,
+                "formats": exports.formats(),
+            }
+        )
 
     def tile(request: Request) -> Response:
         shown = viewer.picked(request)
@@ -166,16 +171,20 @@ def make_app(viewer: Viewer) -> Starlette:
         shown, query = viewer.picked(request), request.query_params
         with shown.open() as universal:
             name = _session_name(universal, query.get("session", ""))
-        known = shown.kept(("images", name), partial(_images, session=name))
-        names, hashes = known.get(query.get("frame", ""), ((), ()))
+        names, hashes = shown.kept(("images", name), partial(_images, session=name)).get(
+            query.get("frame", ""), ((), ())
+        )
         number = _whole(query.get("image", ""), 0, max(len(names) - 1, 0))
         if not names:
             raise ConfigError("The map has no such frame, or no images of it.")
         folders = (Path(), shown.folder, *viewer.recordings)
         sha256 = hashes[number] if number < len(hashes) else ""
         jpeg, width_px, height_px = find_picture(names[number], sha256, folders)
-        size = {"X-Image-Size": f"{width_px} {height_px}"}
-        return Response(jpeg, media_type="image/jpeg", headers=_FRESH | size)
+        return Response(
+            jpeg,
+            media_type="image/jpeg",
+            headers=_FRESH | {"X-Image-Size": f"{width_px} {height_px}"},
+        )
 
     def features(request: Request) -> Response:
         shown = viewer.picked(request)

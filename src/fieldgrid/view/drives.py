@@ -36,7 +36,6 @@ def track(universal: DrivenMap, session: str, most_rows: int = MOST_ROWS) -> dic
     reasons = list(dict.fromkeys(found.reason[k] for k in rows if found.reason[k]))
     number = {text: k for k, text in enumerate(reasons)}
     start_ns = int(found.time_ns[0]) if len(found) else 0
-    residual = _residuals(universal, session, found)
     return {
         "rows": len(rows),
         "of": len(found),
@@ -50,7 +49,7 @@ def track(universal: DrivenMap, session: str, most_rows: int = MOST_ROWS) -> dic
         "heading_sigma_deg": _listed(found.heading_sigma_deg[rows], 3),
         "position_sigma_m": _listed(found.position_sigma_m[rows], 3),
         "speed_mps": _listed(found.speed_mps[rows], 2),
-        "residual_m": _listed(residual[rows], 3),
+        "residual_m": _listed(_residuals(universal, session, found)[rows], 3),
         "gear": found.gear[rows].tolist(),
         "quality": found.quality[rows].tolist(),
         "status": [found.status[k].value for k in rows],

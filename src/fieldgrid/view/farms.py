@@ -76,8 +76,9 @@ class ShownFarm(ShownSource):
         """See `ShownSource`."""
         with self.open() as farm:
             bounds, cell_m = layers.tile_bounds(farm, level, tile)
-            view = farm.read(bounds, cell_m)
-            return layers.draw_layer(view, "density", layers.scale_of(farm, "density"))
+            return layers.draw_layer(
+                farm.read(bounds, cell_m), "density", layers.scale_of(farm, "density")
+            )
 
     def marks(self) -> tuple[Mark, ...]:
         """See `ShownSource`: those in force."""
@@ -99,8 +100,9 @@ class ShownFarm(ShownSource):
 
 def _frame_table(farm: Farm, block: str) -> drives.FrameTable:
     """The frames of a map of a farm."""
-    names = [info.name for info in farm.sessions() if farm.map_of(info.name).name == block]
-    return drives.frame_table(farm, names)
+    return drives.frame_table(
+        farm, [info.name for info in farm.sessions() if farm.map_of(info.name).name == block]
+    )
 
 
 def shown_at(paths: Sequence[Path], datum: Datum | None = None) -> tuple[ShownSource, ...]:

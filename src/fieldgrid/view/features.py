@@ -53,10 +53,14 @@ def route_table(path: Path, datum: Datum) -> dict[str, Any]:
     places = figures.read_route(path, datum)
     ends = np.flatnonzero(np.isnan(places[:, 0]))
     lines = [part[np.isfinite(part[:, 0])].round(3).tolist() for part in np.split(places, ends)]
-    features = [
-        {"geometry": [(_LINE, [line])], "attributes": {"name": path.stem}} for line in lines
-    ]
-    return {"table": path.name, "says": "a route", "features": features, "cut": False}
+    return {
+        "table": path.name,
+        "says": "a route",
+        "features": [
+            {"geometry": [(_LINE, [line])], "attributes": {"name": path.stem}} for line in lines
+        ],
+        "cut": False,
+    }
 
 
 def _read_table(connection: sqlite3.Connection, table: str, column: str) -> dict[str, Any]:

@@ -40,14 +40,13 @@ _TITLES = {"max": "highest density", "peak": "highest cell", "seen_share": "shar
 def describe(name: str) -> dict[str, Any]:
     """What the page says of a layer, but for its scale."""
     layer = LAYERS[name]
-    is_density = layer.colours.ramp == palette.DENSITY
     return {
         "name": name,
         "title": _TITLES.get(name, name),
         "says": layer.meaning,
         "unit": "" if layer.unit == "1" else layer.unit,
         "ramp": [list(stop) for stop in layer.colours.ramp],
-        "obstacle_above": OBSTACLE_ABOVE if is_density else None,
+        "obstacle_above": OBSTACLE_ABOVE if layer.colours.ramp == palette.DENSITY else None,
     }
 
 

@@ -36,8 +36,11 @@ class Identity(NamedTuple):
     @classmethod
     def of(cls, universal: DrivenMap) -> Identity:
         """That of an open map."""
-        sessions = tuple((info.name, info.created) for info in universal.sessions())
-        return cls(universal.datum, universal.cell_m, sessions)
+        return cls(
+            universal.datum,
+            universal.cell_m,
+            tuple((info.name, info.created) for info in universal.sessions()),
+        )
 
 
 class ShownSource(ABC):
@@ -153,8 +156,7 @@ class ShownMap(ShownSource):
     def density(self, level: int, tile: TileIndex) -> bytes | None:
         """See `ShownSource`: as it is stored."""
         with pyramid.stored(self.path) as connection:
-            levels = pyramid.read_levels(connection)
-            return pyramid.read_picture(connection, levels, level, tile)
+            return pyramid.read_picture(connection, pyramid.read_levels(connection), level, tile)
 
     def marks(self) -> tuple[Mark, ...]:
         """See `ShownSource`: those that were removed, too."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.resources import files
 
 from starlette.requests import Request
@@ -29,17 +28,18 @@ def read_file(name: str) -> bytes:
 def routes(front: str = "index.html") -> list[Route]:
     """A page at the root, and the files that it loads beside it."""
     return [
-        Route("/", _serving(front)),
-        *(Route(f"/{name}", _serving(name)) for name in TYPES if not name.endswith(".html")),
+        Route("/", partial(_file, name=front)),
+        *(
+            Route(f"/{name}", partial(_file, name=name))
+            for name in TYPES
+            if not name.endswith(".html")
+        ),
     ]
 
 
-def _serving(name: str) -> Callable[[Request], Response]:
-    def serve(request: Request) -> Response:
-        return Response(
-            read_file(name),
-            media_type=f"{TYPES[name]}; charset=utf-8",
-            headers={"Cache-Control": "no-cache"},
-        )
-
-    return serve
+def _file(request: Request, name: str) -> Response:
+    return Response(
+        read_file(name),
+        media_type=f"{TYPES[name]}; charset=utf-8",
+        headers={"Cache-Control": "no-cache"},
+    )

@@ -45,11 +45,10 @@ def write_report(
     out: Path,
     *,
     routes: Sequence[Path] = (),
-    max_bytes: int = MAX_BYTES,
 ) -> Report:
     """Write maps into one self-contained HTML file, with routes from files over them.
 
-    Levels that would make it larger than `max_bytes` are left out, the finest first. Raises
+    Levels that would make it larger than 20 MB are left out, the finest first. Raises
     MapError for a path that is no map, ConfigError where not even the coarsest level fits and for a
     file that is no route or a name that does not end in .html, MapExistsError for an existing file
     that is no such page, or is read here.
@@ -75,12 +74,12 @@ def write_report(
     taken = len(_document(data, title))
     for number, (shown, part) in enumerate(zip(maps, parts, strict=True)):
         about = describe_map(number, shown)
-        _add_tiles(shown, about, part, (max_bytes - taken) // len(maps) - len(json.dumps(about)))
+        _add_tiles(shown, about, part, (MAX_BYTES - taken) // len(maps) - len(json.dumps(about)))
         data["about"]["maps"].append(about)
     document = _document(data, title)
-    if len(document) > max_bytes:
+    if len(document) > MAX_BYTES:
         raise ConfigError(
-            f"{out.name} would have {len(document) / 1e6:.1f} MB, more than {max_bytes / 1e6:.1f}; "
+            f"{out.name} would have {len(document) / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.1f}; "
             "give fewer maps."
         )
     with replacing(out, ours=partial(mentions, mark=_DATA.encode()), what="a page") as draft:

@@ -69,8 +69,13 @@ class Access(NamedTuple):
 
 def loopback_access(token: str, port: int) -> Access:
     """Access to a server on 127.0.0.1 alone."""
-    names = frozenset({"127.0.0.1", "localhost", "[::1]"})
-    return Access(token, port, names, any_address=False, token_for_reading=False)
+    return Access(
+        token,
+        port,
+        frozenset({"127.0.0.1", "localhost", "[::1]"}),
+        any_address=False,
+        token_for_reading=False,
+    )
 
 
 def network_access(token: str, port: int, host: str) -> Access:
@@ -79,8 +84,13 @@ def network_access(token: str, port: int, host: str) -> Access:
     Any address will do in a Host header: rebinding needs a name.
     """
     own = socket.gethostname().lower()
-    names = frozenset({host.lower(), "localhost", own, f"{own}.local"})
-    return Access(token, port, names, any_address=True, token_for_reading=True)
+    return Access(
+        token,
+        port,
+        frozenset({host.lower(), "localhost", own, f"{own}.local"}),
+        any_address=True,
+        token_for_reading=True,
+    )
 
 
 def _is_address(name: str) -> bool:

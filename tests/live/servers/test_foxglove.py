@@ -303,8 +303,8 @@ def test_who_never_ends_a_handshake_does_not_delay_the_end(
 
 
 def test_what_waits_is_bounded_and_what_gives_way_is_counted() -> None:
-    client = foxglove._Client()
-    message = foxglove._Message(0, lambda: None)  # type: ignore[arg-type, return-value]
+    client = foxglove._FoxgloveClient()
+    message = foxglove._EncodedMessage(0, lambda: None)  # type: ignore[arg-type, return-value]
     client.offer(foxglove.FIX, message)
     assert client.next() is None  # it does not want it
     client.wants = {foxglove.FIX: 1, foxglove.GRID: 2, foxglove.POSE: 3}

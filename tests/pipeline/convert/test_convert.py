@@ -36,7 +36,7 @@ from fieldgrid.geometry import (
     WheelSpeed,
 )
 from fieldgrid.pipeline import Images, build_map, convert_recording
-from fieldgrid.recordings import DepthFrame, DriveOptions, FixLog, open_recording
+from fieldgrid.recordings import DepthFrame, Drive, DriveOptions, FixLog, open_recording
 from tests.conftest import TWO_LANES
 from tests.pipeline.mounting.drives import START_NS, Memory, in_memory, swept
 
@@ -426,7 +426,7 @@ FIXES = st.builds(
 def test_every_field_of_a_fix_comes_back(fixes: list[Fix]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         log, out = FixLog(FixColumns.of_rows(fixes)), Path(folder, "log.mcap")
-        convert_recording(fg.recording.Drive(path=Path("log"), name="log", log=log), out)
+        convert_recording(Drive(path=Path("log"), name="log", log=log), out)
         with fg.open_drive(out) as again:
             assert again.fixes() == log.fixes.in_order()
 

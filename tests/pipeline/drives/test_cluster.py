@@ -11,7 +11,7 @@ import cv2
 import pytest
 
 from fieldgrid.core import ClusterError, ConfigError
-from fieldgrid.core.workers import cluster, cluster as versions, connecting
+from fieldgrid.core.workers import cluster, connecting
 from fieldgrid.maps import open_map
 from fieldgrid.pipeline import PartlyBuiltError, Progress, drives
 from fieldgrid.pipeline.staging import parts, remote
@@ -165,8 +165,9 @@ def test_a_worker_of_another_version_ends_the_build(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    here = {**versions.versions(), "OpenCV": "9.9"}
-    monkeypatch.setattr(cluster, "versions", lambda: here)
+    usual = cluster.versions
+    asked = iter([{**usual(), "OpenCV": "9.9"}])  # here; then the worker, in this process, too
+    monkeypatch.setattr(cluster, "versions", lambda: next(asked, usual()))
     said = rf"The worker on .* has OpenCV {cv2.__version__}, not 9\.9; install there .* fieldgrid "
     with pytest.raises(ClusterError, match=said):
         build(there[0], tmp_path / "m.gpkg", scheduler=inside.scheduler_address, skip_bad=1)

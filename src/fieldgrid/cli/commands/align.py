@@ -74,8 +74,11 @@ def command(
         fieldgrid align vineyard.gpkg --undo
     """
     if undo:
-        taken = {"map_", "session", "undo", "wait_s", "as_json", "quiet", "verbose"}
-        options.refuse_given(ctx, taken, "--undo cannot use it; leave it out")
+        options.refuse_given(
+            ctx,
+            {"map_", "session", "undo", "wait_s", "as_json", "quiet", "verbose"},
+            "--undo cannot use it; leave it out",
+        )
     options.check_figure(figure)
     options.check_scheduler(scheduler, jobs)
     from fieldgrid.field import align_map, find_rows, undo_alignment

@@ -168,13 +168,17 @@ def command(
     if not recordings or out is None:
         missing = "RECORDING..." if not recordings else "--out"
         raise typer.BadParameter("it is needed, unless there is --repose", param_hint=missing)
-    if name is not None and len(recordings) > 1:
-        raise typer.BadParameter("--name is for a single recording", param_hint="--name")
+    options.refuse(
+        name is not None and len(recordings) > 1, "--name", "--name is for a single recording"
+    )
     options.check_new_map(out)
     options.check_scheduler(scheduler, jobs)
     source = poses.source()
-    if source is not None and len(recordings) > 1:
-        raise typer.BadParameter("poses are those of a single recording", param_hint="--poses")
+    options.refuse(
+        source is not None and len(recordings) > 1,
+        "--poses",
+        "poses are those of a single recording",
+    )
     from fieldgrid.core import resolve
     from fieldgrid.maps import Patience
     from fieldgrid.pipeline import PartlyBuiltError, build_map, left_behind, parts_folder

@@ -38,12 +38,10 @@ def command(
     """
     from fieldgrid.pipeline import Images, convert_recording
 
-    if images not in list(Images):
-        raise typer.BadParameter(
-            f"{images!r} is none of {', '.join(Images)}", param_hint="--images"
-        )
-    if out.suffix.lower() != ".mcap":
-        raise typer.BadParameter(f"{out.name} does not end in .mcap", param_hint="OUT.mcap")
+    options.refuse(
+        images not in list(Images), "--images", f"{images!r} is none of {', '.join(Images)}"
+    )
+    options.refuse(out.suffix.lower() != ".mcap", "OUT.mcap", f"{out.name} does not end in .mcap")
     path = progress.fetched(recording)
     with progress.counting("frames") as show:
         converted = convert_recording(
@@ -52,8 +50,11 @@ def command(
     if as_json:
         output.print_json(converted.as_dict())
         return
-    rows = [(topic, str(count)) for topic, count in converted.topics.items()]
-    output.report_table(("topic", "messages"), rows, title=f"convert {converted.recording}")
+    output.report_table(
+        ("topic", "messages"),
+        [(topic, str(count)) for topic, count in converted.topics.items()],
+        title=f"convert {converted.recording}",
+    )
     for note in converted.notes:
         output.report_line(f"note: {note}")
     output.report_line(f"mcap {converted.path}")

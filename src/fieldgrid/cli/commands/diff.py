@@ -106,11 +106,11 @@ def command(
         fieldgrid diff vineyard.gpkg --from june-03 --to 2026-09-30 -o new.kml
     """
     ending = "" if out is None else out.suffix.lower()
-    if overwrite and ending not in (*_LAYER, *_TABLES):
-        raise typer.BadParameter(
-            "it is for a layer or objects, --out FILE.tif or FILE.geojson",
-            param_hint="--overwrite",
-        )
+    options.refuse(
+        overwrite and ending not in (*_LAYER, *_TABLES),
+        "--overwrite",
+        "it is for a layer or objects, --out FILE.tif or FILE.geojson",
+    )
     from fieldgrid.field import find_changes
     from fieldgrid.geometry import check_inside
     from fieldgrid.maps import MEANING, open_map

@@ -105,8 +105,7 @@ def command(
     """
     from fieldgrid.export import Selection, export_map, format_of
 
-    if str(out) == "-":
-        raise typer.BadParameter("it is the name of a file or a folder", param_hint="OUT")
+    options.refuse(str(out) == "-", "OUT", "it is the name of a file or a folder")
     options.check_scheduler(scheduler, jobs)
     chosen = format_of(out, format_)
     _refuse_others(chosen, given)

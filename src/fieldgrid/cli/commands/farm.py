@@ -91,8 +91,10 @@ def command(
 
 
 def _print(blocks: tuple[FarmBlock, ...]) -> None:
-    columns = ("map", "ha seen", "extent m", "first", "last", "drives", "datum", "MB", "health")
-    output.print_table(columns, [_row(block) for block in blocks])
+    output.print_table(
+        ("map", "ha seen", "extent m", "first", "last", "drives", "datum", "MB", "health"),
+        [_row(block) for block in blocks],
+    )
     for block in blocks:
         if block.problem:
             output.print_line(f"{block.path.name}: {block.problem}")

@@ -94,18 +94,19 @@ def command(
         raise typer.BadParameter(f"give it without {changes[1]}", param_hint=changes[0])
     is_new = bool(changes) and changes[0] in ("--add", "--polygon", "--point")
     for flag, value in (("--kind", kind), ("--name", name), ("--note", note), ("--author", author)):
-        if value and not is_new:
-            raise typer.BadParameter("it is for a new mark only", param_hint=flag)
+        options.refuse(bool(value) and not is_new, flag, "it is for a new mark only")
     if out is None:
         options.refuse_idle(ctx, {"overwrite"}, "nothing is written; give --out")
     from fieldgrid.core import refuse_input
     from fieldgrid.geometry import write_features
     from fieldgrid.maps import Mark, MarkKind, features, marks_of_geojson, open_map
 
-    if kind is not None and kind not in set(MarkKind):
-        raise typer.BadParameter(f"{kind!r} is none of {_KINDS}", param_hint="--kind")
-    if kind is None and (polygon or point):
-        raise typer.BadParameter(f"it is needed: one of {_KINDS}", param_hint="--kind")
+    options.refuse(
+        kind is not None and kind not in set(MarkKind), "--kind", f"{kind!r} is none of {_KINDS}"
+    )
+    options.refuse(
+        kind is None and bool(polygon or point), "--kind", f"it is needed: one of {_KINDS}"
+    )
     places = _corners("--polygon", polygon) if polygon else _corners("--point", point or "")
     if out is not None:
         refuse_input(out, [map_, *([add] if add else [])])
@@ -127,8 +128,9 @@ def command(
             out, features(mark for mark in marks if mark.active), datum, overwrite=overwrite
         )
     if as_json:
-        listed = [_as_dict(mark) for mark in marks]
-        output.print_json({"map": str(map_), "root_sha256": root, "marks": listed})
+        output.print_json(
+            {"map": str(map_), "root_sha256": root, "marks": [_as_dict(mark) for mark in marks]}
+        )
         return
     output.print_table(
         ("id", "kind", "name", "where, m", "area", "author", "created", "note", ""),
@@ -144,12 +146,12 @@ def _corners(flag: str, text: str) -> tuple[tuple[float, float], ...]:
         return ()
     parts = [part for part in text.split(";") if part.strip()]
     found = [options.numbers(flag, part, ",", "E,N", "-14,50.5") for part in parts]
-    if (flag == "--point") != (len(found) == 1) or len(found) == 2:
-        raise typer.BadParameter(
-            f"{len(found)} corners are no {flag[2:]}; give --point E,N, or --polygon with three or "
-            "more corners, as in '0,0;2,0;2,3'",
-            param_hint=flag,
-        )
+    options.refuse(
+        (flag == "--point") != (len(found) == 1) or len(found) == 2,
+        flag,
+        f"{len(found)} corners are no {flag[2:]}; give --point E,N, or --polygon with three or "
+        "more corners, as in '0,0;2,0;2,3'",
+    )
     return tuple((east, north) for east, north in found)
 
 

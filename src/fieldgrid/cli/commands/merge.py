@@ -63,10 +63,11 @@ def command(
     """
     from fieldgrid.maps import Transfer, merge_maps
 
-    if transfer is not None and transfer not in {rule.value for rule in Transfer}:
-        raise typer.BadParameter(
-            f"{transfer!r} is neither centre nor area", param_hint="--transfer"
-        )
+    options.refuse(
+        transfer is not None and transfer not in {rule.value for rule in Transfer},
+        "--transfer",
+        f"{transfer!r} is neither centre nor area",
+    )
     options.check_new_map(out)
     done = merge_maps(
         maps,
@@ -78,8 +79,12 @@ def command(
         patience=partial(progress.patience, wait_s=wait_s),
     )
     if as_json:
-        sessions = [{**asdict(one), "source": str(one.source)} for one in done]
-        output.print_json({"map": str(out), "sessions": sessions})
+        output.print_json(
+            {
+                "map": str(out),
+                "sessions": [{**asdict(one), "source": str(one.source)} for one in done],
+            }
+        )
         return
     for merged in done:
         where = f"{merged.source}: session {merged.was}"

@@ -57,8 +57,7 @@ def command(
         fieldgrid mount june-03 --write --antenna -0.45 0.12 0.35
     """
     options.check_figure(figure)
-    if antenna is not None and not write:
-        raise typer.BadParameter("it is for --write", param_hint="--antenna")
+    options.refuse(antenna is not None and not write, "--antenna", "it is for --write")
     from fieldgrid.pipeline import estimate_mount, write_estimate
 
     path = progress.fetched(recording)
@@ -99,8 +98,9 @@ def _print(estimate: MountEstimate, written: Path | None, figure: Path | None) -
         for key, value in estimate.measured().items()
         if value is not None or key == "camera_yaw_deg"
     ]
-    columns = ("", "measured", "stated", "stated - measured")
-    output.print_table(columns, rows, title=f"mount {estimate.name}")
+    output.print_table(
+        ("", "measured", "stated", "stated - measured"), rows, title=f"mount {estimate.name}"
+    )
     output.print_table(("", ""), _facts(estimate))
     wrong = [one for one in compared.values() if one.disagrees]
     for one in wrong:

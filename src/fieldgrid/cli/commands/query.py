@@ -47,8 +47,12 @@ def command(
         found = universal.query(east_m, north_m, cell)
         marks = universal.marks(within=found.bounds)
     if as_json:
-        said = [{key: getattr(mark, key) for key in _SAID} for mark in marks]
-        output.print_json({**_as_dict(map_, found), "marks": said})
+        output.print_json(
+            {
+                **_as_dict(map_, found),
+                "marks": [{key: getattr(mark, key) for key in _SAID} for mark in marks],
+            }
+        )
         return
     west, south, east, north = found.bounds
     value = "not observed" if found.density is None else f"density {found.density}"

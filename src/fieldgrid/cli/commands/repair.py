@@ -51,12 +51,12 @@ def command(
         fieldgrid repair vineyard.gpkg --scheduler tcp://10.0.0.5:8786
     """
     options.check_scheduler(scheduler, jobs)
-    if scheduler is not None and (upgrade or in_place):
-        raise typer.BadParameter(
-            "its workers read the copy of the map that is kept; leave out "
-            + ("--upgrade" if upgrade else "--in-place"),
-            param_hint="--scheduler",
-        )
+    options.refuse(
+        scheduler is not None and (upgrade or in_place),
+        "--scheduler",
+        "its workers read the copy of the map that is kept; leave out "
+        + ("--upgrade" if upgrade else "--in-place"),
+    )
     from fieldgrid.maps import open_map
 
     done, left = "repaired", tuple[str, ...]()

@@ -195,8 +195,7 @@ def command(
 
     if not cover:
         for flag, given in (("--from", start), ("--to", goal)):
-            if given is None:
-                raise typer.BadParameter("it is needed, unless there is --cover", param_hint=flag)
+            options.refuse(given is None, flag, "it is needed, unless there is --cover")
         options.refuse_idle(ctx, _OF_COVER, "it is for --cover only")
     elif tracks:
         options.refuse_idle(ctx, _OF_LANES, "it is for lanes, without --tracks")
@@ -260,9 +259,13 @@ def command(
             route = plan_route(map_, origin, target, driven, **ground)
     except NoRouteError as none:
         if as_json:
-            blocked = {"east_m": none.east_m, "north_m": none.north_m}
             output.print_json(
-                {"map": str(map_), "found": False, "reason": str(none), "blocked_at": blocked}
+                {
+                    "map": str(map_),
+                    "found": False,
+                    "reason": str(none),
+                    "blocked_at": {"east_m": none.east_m, "north_m": none.north_m},
+                }
             )
         raise
     if out is not None:

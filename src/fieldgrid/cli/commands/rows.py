@@ -105,10 +105,9 @@ def command(
     from fieldgrid.maps import open_map
 
     options.check_scheduler(scheduler, jobs)
-    if keep and at is not None:
-        raise typer.BadParameter(
-            "it is for the map as it is now; leave --at out", param_hint="--keep"
-        )
+    options.refuse(
+        keep and at is not None, "--keep", "it is for the map as it is now; leave --at out"
+    )
     if out is None:
         options.refuse_idle(ctx, {"speed_limit"}, "it is for a file with lanes; give --out")
     else:

@@ -84,12 +84,12 @@ def _parsed(text: str) -> tuple[float, ...]:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = ()
-    if len(values) not in (2, 3):
-        raise typer.BadParameter(
-            f"{text!r} is not EAST,NORTH in metres or EAST,NORTH,TURN with degrees clockwise, as "
-            "in 0.12,-0.31,0.2",
-            param_hint="--shift",
-        )
+    options.refuse(
+        len(values) not in (2, 3),
+        "--shift",
+        f"{text!r} is not EAST,NORTH in metres or EAST,NORTH,TURN with degrees clockwise, as "
+        "in 0.12,-0.31,0.2",
+    )
     return values
 
 

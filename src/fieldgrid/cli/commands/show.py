@@ -85,8 +85,7 @@ def command(
         fieldgrid show maps -o farm.png --figure grid --cell 0.8
     """
     if figure in (FigureKind.TRAJECTORY, FigureKind.HEADING):
-        why = f"the figure {figure} shows no cells; leave it out"
-        options.refuse_given(ctx, _OF_ALL, why)
+        options.refuse_given(ctx, _OF_ALL, f"the figure {figure} shows no cells; leave it out")
     from fieldgrid.export import figures
 
     with opened(map_, datum_from) as universal:
@@ -107,8 +106,14 @@ def command(
                 f"{view.lattice.cell_m * 100:g} cm"
             )
             draw = figures.universal_grid if figure is FigureKind.GRID else figures.sheet
-            found = _kept(universal) if rows else ()
-            drawn = draw(view, drives, layer=layer, route=way, found=found, title=title)
+            drawn = draw(
+                view,
+                drives,
+                layer=layer,
+                route=way,
+                found=_kept(universal) if rows else (),
+                title=title,
+            )
     figures.save(drawn, out)
     if as_json:
         output.print_json({"map": str(map_), "figure": str(out)})
@@ -176,10 +181,11 @@ def _view(
     from fieldgrid.geometry import MAX_DISTANCE_M, check_inside
     from fieldgrid.maps import Averaging, Farm
 
-    if averaging not in {rule.value for rule in Averaging}:
-        raise typer.BadParameter(
-            f"{averaging!r} is neither mean nor paper", param_hint="--averaging"
-        )
+    options.refuse(
+        averaging not in {rule.value for rule in Averaging},
+        "--averaging",
+        f"{averaging!r} is neither mean nor paper",
+    )
     extent = bounds or universal.bounds
     check_inside(extent, universal.bounds)
     if cell_m is None:
@@ -196,8 +202,7 @@ def _view(
     layers, rule = () if layer == "density" else (layer,), Averaging(averaging)
     if not isinstance(universal, Farm):
         return universal.read(bounds, cell_m, layers=layers, averaging=rule, sessions=sessions)
-    if rule is Averaging.PAPER:
-        raise typer.BadParameter(
-            "it is of one map; several are joined by the mean", param_hint="--averaging"
-        )
+    options.refuse(
+        rule is Averaging.PAPER, "--averaging", "it is of one map; several are joined by the mean"
+    )
     return universal.read(bounds, cell_m, layers=layers, sessions=sessions)

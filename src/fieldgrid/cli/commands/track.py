@@ -123,9 +123,11 @@ def command(
         from fieldgrid.export import figures
 
         limit_deg = chosen.pose.max_heading_sigma_deg
-        trajectory = tracked.estimate.trajectory
         figures.save(
-            figures.track_figure(trajectory, title=tracked.name, max_sigma_deg=limit_deg), figure
+            figures.track_figure(
+                tracked.estimate.trajectory, title=tracked.name, max_sigma_deg=limit_deg
+            ),
+            figure,
         )
     summary = summarise_track(tracked.estimate)
     if as_json:
@@ -151,8 +153,11 @@ def _report(
 ) -> None:
     from fieldgrid.poses import unseen_sentence
 
-    rows = [*_fix_rows(summary), *_way_rows(summary), *_sensor_rows(summary)]
-    output.report_table(("", ""), rows, title=f"track {drive.name}")
+    output.report_table(
+        ("", ""),
+        [*_fix_rows(summary), *_way_rows(summary), *_sensor_rows(summary)],
+        title=f"track {drive.name}",
+    )
     for count, example in summary.reasons[:_MOST_REASONS]:
         output.report_line(f"rejected {count}: {example}")
     if more := summary.reasons[_MOST_REASONS:]:

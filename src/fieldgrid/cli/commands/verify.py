@@ -34,8 +34,7 @@ def command(
         fieldgrid verify vineyard.gpkg --deep --scheduler tcp://10.0.0.5:8786
     """
     options.check_scheduler(scheduler, jobs)
-    if scheduler is not None and not deep:
-        raise typer.BadParameter("it is for --deep; add that", param_hint="--scheduler")
+    options.refuse(scheduler is not None and not deep, "--scheduler", "it is for --deep; add that")
     from fieldgrid.maps import open_map
 
     with open_map(map_) as universal:

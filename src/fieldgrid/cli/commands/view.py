@@ -70,10 +70,11 @@ def command(
 
         fieldgrid view maps
     """
-    if datum_from is not None and not any(path.is_dir() for path in maps):
-        raise typer.BadParameter(
-            "it is for a folder of maps; a map keeps its own datum", param_hint="--datum-from"
-        )
+    options.refuse(
+        datum_from is not None and not any(path.is_dir() for path in maps),
+        "--datum-from",
+        "it is for a folder of maps; a map keeps its own datum",
+    )
     if html is not None:
         options.refuse_idle(ctx, _OF_SERVING, "--html serves nothing; leave it out")
         from fieldgrid.view import write_report

@@ -74,8 +74,9 @@ def export_npz(
 def _unseen_cell(blocks: MapBlocks, datum: Datum, layer: str) -> MapView:
     """A view of one cell that nobody saw, with the layers that are written beside the density."""
     names = [name for name in dict.fromkeys((layer, "count")) if name != "density"]
-    corner = Window(blocks.window.i0, blocks.window.j0, 1, 1)
-    return empty_view(blocks.lattice, corner, datum, names)
+    return empty_view(
+        blocks.lattice, Window(blocks.window.i0, blocks.window.j0, 1, 1), datum, names
+    )
 
 
 def _cells(view: MapView) -> dict[str, AnyArray]:
@@ -111,12 +112,14 @@ class _CellStore:
 
     def copy_to(self, out: IO[bytes]) -> None:
         """Write all of it as NumPy's format has it."""
-        about = {
-            "descr": np.lib.format.dtype_to_descr(self._dtype),
-            "fortran_order": False,
-            "shape": self._window.shape,
-        }
-        np.lib.format.write_array_header_1_0(out, about)
+        np.lib.format.write_array_header_1_0(
+            out,
+            {
+                "descr": np.lib.format.dtype_to_descr(self._dtype),
+                "fortran_order": False,
+                "shape": self._window.shape,
+            },
+        )
         self._file.seek(0)
         shutil.copyfileobj(self._file, out, 1 << 20)
 
@@ -302,8 +305,11 @@ def _json(value: Any) -> Any:
 
 
 def _exported(path: Path, blocks: MapBlocks, universal: Readable) -> Exported:
-    rows = (("cells", f"{blocks.window.width} x {blocks.window.height}"),)
-    return Exported((path,), rows, extent(blocks.lattice, blocks.window, universal.datum))
+    return Exported(
+        (path,),
+        (("cells", f"{blocks.window.width} x {blocks.window.height}"),),
+        extent(blocks.lattice, blocks.window, universal.datum),
+    )
 
 
 def _is_zarr(folder: Path) -> bool:

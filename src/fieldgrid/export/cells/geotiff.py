@@ -71,8 +71,10 @@ def export_change(view: ChangeView, path: str | Path, *, overwrite: bool = False
     """
     path = Path(path)
     layout = BandLayout("uint8", alpha=False, nodata=0)
-    meanings = {f"FIELDGRID_CHANGE_{kind.value}": MEANING[kind] for kind in Change}
-    tags = {**datum_tags(view.datum, view.lattice), **meanings}
+    tags = {
+        **datum_tags(view.datum, view.lattice),
+        **{f"FIELDGRID_CHANGE_{kind.value}": MEANING[kind] for kind in Change},
+    }
     with (
         replacing(path, overwrite=overwrite, ours=is_ours, what="a GeoTIFF") as file,
         gdal(path),
@@ -92,9 +94,8 @@ def _copy(
     """Have GDAL make the GeoTIFF, with overviews as given, else by `resampling`."""
     import rasterio.shutil
 
-    source = _with_overviews(raster, levels) if levels else raster.file
     rasterio.shutil.copy(
-        source,
+        _with_overviews(raster, levels) if levels else raster.file,
         file,
         driver="COG",
         compress="DEFLATE",
@@ -118,8 +119,7 @@ def _with_overviews(raster: Raster, levels: Sequence[Path]) -> Path:
     for band in tree.iter("VRTRasterBand"):
         for level in levels:
             overview = ElementTree.SubElement(band, "Overview")
-            name = ElementTree.SubElement(overview, "SourceFilename", relativeToVRT="1")
-            name.text = level.name
+            ElementTree.SubElement(overview, "SourceFilename", relativeToVRT="1").text = level.name
             ElementTree.SubElement(overview, "SourceBand").text = band.attrib["band"]
     tree.write(virtual)
     return virtual

@@ -59,37 +59,39 @@ def export_kmz(
         document, folder = _document(universal, selection, lattice)
         count = 0
         for window in windows:
-            part = Selection(
+            view = Selection(
                 lattice.bounds(window), selection.cell_m, selection.layer, selection.at
-            )
-            view = part.view(universal)
+            ).view(universal)
             if not view.observed.any():
                 continue
             name = f"pictures/{count:02d}.png"
             grey, alpha = view.layer(selection.layer), view.observed * np.uint8(255)
-            picture = grey_png(grey[::-1], alpha[::-1], level=1)
-            archive.writestr(name, picture, zipfile.ZIP_STORED)
+            archive.writestr(name, grey_png(grey[::-1], alpha[::-1], level=1), zipfile.ZIP_STORED)
             _add_overlay(folder, name, view, alone=len(windows) == 1)
             count += 1
         lines = _lines(document, universal, selection)
         marks = universal.marks(within=selection.area(universal))
         add_placemarks(document[0], features(marks), universal.datum)
-        text = ElementTree.tostring(document, encoding="utf-8", xml_declaration=True)
-        archive.writestr("doc.kml", text)
+        archive.writestr(
+            "doc.kml", ElementTree.tostring(document, encoding="utf-8", xml_declaration=True)
+        )
     rows = (
         ("layer", f"{selection.layer}: {LAYERS[selection.layer].meaning}"),
         ("cells", f"{whole.width} x {whole.height} of {lattice.cell_m:g} m"),
         ("pictures, lines, marks", f"{count}, {lines}, {len(marks)}"),
         ("datum", universal.datum.described()),
     )
-    about = {
-        "layer": selection.layer,
-        **extent(lattice, whole, universal.datum),
-        "pictures": count,
-        "lines": lines,
-        "marks": len(marks),
-    }
-    return Exported((path,), rows, about)
+    return Exported(
+        (path,),
+        rows,
+        {
+            "layer": selection.layer,
+            **extent(lattice, whole, universal.datum),
+            "pictures": count,
+            "lines": lines,
+            "marks": len(marks),
+        },
+    )
 
 
 def _is_ours(archive: zipfile.ZipFile) -> bool:
@@ -175,8 +177,11 @@ def _add_overlay(folder: ElementTree.Element, name: str, view: MapView, *, alone
             _add(box, side, f"{value:.10f}")
         _add(_add(region, "Lod"), "minLodPixels", _SHOWN_FROM_PX)
     _add(_add(overlay, "Icon"), "href", name)
-    quad = ElementTree.SubElement(overlay, f"{{{_GX}}}LatLonQuad")
-    _add(quad, "coordinates", _coordinates(lon_deg, lat_deg))
+    _add(
+        ElementTree.SubElement(overlay, f"{{{_GX}}}LatLonQuad"),
+        "coordinates",
+        _coordinates(lon_deg, lat_deg),
+    )
 
 
 def _lines(root: ElementTree.Element, universal: MapFile, selection: Selection) -> int:
@@ -184,8 +189,7 @@ def _lines(root: ElementTree.Element, universal: MapFile, selection: Selection) 
     returns how many there are."""
     import shapely
 
-    document = root[0]
-    folder = _add(document, "Folder")
+    folder = _add(root[0], "Folder")
     _add(folder, "name", "drives")
     count = 0
     for session in selection.sessions(universal):

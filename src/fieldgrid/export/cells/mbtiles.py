@@ -70,11 +70,14 @@ def export_mbtiles(
         painted(universal, path, selection, None) as raster,
         ExitStack() as opened,
     ):
-        levels = [raster.file, *write_overviews(universal, selection, raster, SMALLEST_PX)]
-        zooms = _Zooms(opened, levels, raster.plane, universal.datum.lat_deg)
+        zooms = _Zooms(
+            opened,
+            [raster.file, *write_overviews(universal, selection, raster, SMALLEST_PX)],
+            raster.plane,
+            universal.datum.lat_deg,
+        )
         try:
-            metadata = _metadata(path.stem, zooms, universal, selection, raster)
-            count = _write(file, zooms, metadata)
+            count = _write(file, zooms, _metadata(path.stem, zooms, universal, selection, raster))
         except sqlite3.Error as error:
             raise MapWriteError(
                 f"{path} could not be written ({error}); check the space on the disk."
@@ -86,8 +89,7 @@ def export_mbtiles(
         "zooms": [zooms.coarsest, zooms.finest],
         "tiles": count,
     }
-    rows = tuple(row for row in raster.rows if row[0] != "plane")
-    return Exported((path,), (*rows, *told), about)
+    return Exported((path,), (*(row for row in raster.rows if row[0] != "plane"), *told), about)
 
 
 class _Zooms:

@@ -86,7 +86,8 @@ def grey_png(grey: UInt8, alpha: UInt8, level: int) -> bytes:
     import cv2
 
     pixels = np.dstack([grey, grey, grey, alpha])
-    return bytes(cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, level])[1])
+    _, encoded = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, level])
+    return bytes(encoded)
 
 
 def _check_size(plane: PixelPlane) -> None:

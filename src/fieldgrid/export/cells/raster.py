@@ -75,9 +75,8 @@ class Scratch(ExitStack):
 
     def file(self, what: str, ending: str = ".tif") -> Path:
         """A new file; `what` tells it from the other ones of the same export."""
-        name = f"{self._target.name}.{what}{ending}"
         # It is never published, so a file of that name is safe.
-        draft = Draft(self._target.with_name(name), overwrite=True)
+        draft = Draft(self._target.with_name(f"{self._target.name}.{what}{ending}"), overwrite=True)
         # The callback holds the draft, whose file would be removed with it.
         self.callback(lambda: draft.discard())
         return draft.file
@@ -120,8 +119,13 @@ def painted(
         if other is not None:
             plane, source, file = other, file, scratch.file("projected")
             warp(source, file, other, layout, tags)
-        ground = extent(blocks.lattice, whole, universal.datum)
-        described = _description(selection.layer, ground, universal.datum, plane, epsg)
+        described = _description(
+            selection.layer,
+            extent(blocks.lattice, whole, universal.datum),
+            universal.datum,
+            plane,
+            epsg,
+        )
         yield Raster(file, plane, cells, layout, *described, scratch)
 
 
@@ -298,8 +302,14 @@ def _reprojected(source: PixelPlane, epsg: int, datum: Datum) -> PixelPlane:
             "parts by --bounds."
         )
     width, height = math.ceil(wide / side), math.ceil(high / side)
-    placed = Affine(side, 0.0, area.west_m, 0.0, -side, area.north_m)
-    return _checked(PixelPlane(max(width, 1), max(height, 1), crs, placed))
+    return _checked(
+        PixelPlane(
+            max(width, 1),
+            max(height, 1),
+            crs,
+            Affine(side, 0.0, area.west_m, 0.0, -side, area.north_m),
+        )
+    )
 
 
 def _crs_of(epsg: int) -> Any:

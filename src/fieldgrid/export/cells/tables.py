@@ -50,9 +50,11 @@ def export_csv(
                 rows += len(table["n"])
         _refuse_empty(rows, path)
 
-    metadata = json.dumps(_csvw(path, universal, selection), indent=1) + "\n"
     write_together(
-        {beside: text_writer(metadata), path: write_cells},
+        {
+            beside: text_writer(json.dumps(_csvw(path, universal, selection), indent=1) + "\n"),
+            path: write_cells,
+        },
         overwrite=overwrite,
         ours=lambda file: mentions(beside, b"http://www.w3.org/ns/csvw"),
         what="a CSV",
@@ -90,16 +92,18 @@ def export_parquet(
                 high = np.maximum(high, places.max(axis=0))
             batch = pyarrow.table({**table, **_geometry(places)})
             if writer is None:
-                about = {"fieldgrid": json.dumps(_about(universal, selection))}
-                schema = batch.schema.with_metadata(about)
+                schema = batch.schema.with_metadata(
+                    {"fieldgrid": json.dumps(_about(universal, selection))}
+                )
                 writer = open_things.enter_context(
                     pyarrow.parquet.ParquetWriter(file, schema, compression="zstd")
                 )
             writer.write_table(batch.cast(writer.schema))
             rows += len(batch)
         _refuse_empty(rows, path)
-        geo = _geoparquet(universal.datum, [*low.tolist(), *high.tolist()])
-        writer.add_key_value_metadata({"geo": json.dumps(geo)})
+        writer.add_key_value_metadata(
+            {"geo": json.dumps(_geoparquet(universal.datum, [*low.tolist(), *high.tolist()]))}
+        )
     return Exported((path,), (("cells", str(rows)),), {"cells": rows})
 
 
@@ -206,12 +210,13 @@ def _csvw(path: Path, universal: MapFile, selection: Selection) -> dict[str, Any
         {"name": name, "titles": name, "datatype": kind, "dc:description": says}
         for name, kind, says in _columns(selection.layer)
     ]
-    notes = {key: value for key, value in _about(universal, selection).items() if key != "columns"}
     return {
         "@context": "http://www.w3.org/ns/csvw",
         "url": path.name,
         "tableSchema": {"columns": columns},
-        "notes": [notes],
+        "notes": [
+            {key: value for key, value in _about(universal, selection).items() if key != "columns"}
+        ],
     }
 
 

@@ -39,8 +39,14 @@ def drives_of(universal: DrivenMap, names: Collection[str] | None = None) -> lis
                 trajectory = universal.trajectory(info.name)
             except MapError:
                 trajectory = None  # frames with poses were added without one
-            frames = tuple(universal.frames(info.name))
-            found.append(DrawnDrive(info.name, frames, trajectory, palette.session_colour(number)))
+            found.append(
+                DrawnDrive(
+                    info.name,
+                    tuple(universal.frames(info.name)),
+                    trajectory,
+                    palette.session_colour(number),
+                )
+            )
     return found
 
 

@@ -55,8 +55,11 @@ def draw_marks(axes: Axes, marks: Sequence[Mark], bounds: Bounds) -> None:
         if mark.is_point:
             axes.plot(*zip(*mark.corners, strict=True), marker="D", markersize=6, color=colour)
         else:
-            hatch = _HATCH.get(mark.kind)
-            axes.add_patch(outline_patch(mark.geometry, color=colour, linewidth=1.8, hatch=hatch))
+            axes.add_patch(
+                outline_patch(
+                    mark.geometry, color=colour, linewidth=1.8, hatch=_HATCH.get(mark.kind)
+                )
+            )
         if mark.name:
             place = mark.geometry.representative_point().coords[0]
             axes.annotate(
@@ -110,8 +113,12 @@ def draw_found(axes: Axes, features: Sequence[Feature], bounds: Bounds) -> None:
             }
             labelled.add(name)
             if kind in _WIDTHS:
-                line = ":" if is_dotted else "-"
-                axes.plot(*one.geometry.xy, linewidth=_WIDTHS[kind], linestyle=line, **style)
+                axes.plot(
+                    *one.geometry.xy,
+                    linewidth=_WIDTHS[kind],
+                    linestyle=":" if is_dotted else "-",
+                    **style,
+                )
             else:
                 # A tint would look like a value of the cells below it.
                 hatch = "//" if kind == "headland" else None

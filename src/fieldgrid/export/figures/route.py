@@ -63,8 +63,9 @@ def _places(line: Any) -> Float64:
     """Longitude and latitude [n, 2] of the positions of a line, which may have a height."""
     if not line or any(len(point) < 2 for point in line):
         raise ValueError("a position has no two numbers")
-    numbers = (value for point in line for value in point[:2])
-    return np.fromiter(numbers, np.float64, 2 * len(line)).reshape(-1, 2)
+    return np.fromiter(
+        (value for point in line for value in point[:2]), np.float64, 2 * len(line)
+    ).reshape(-1, 2)
 
 
 def _poses(path: Path) -> Float64:

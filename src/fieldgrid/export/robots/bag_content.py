@@ -91,8 +91,10 @@ class BagContent(NamedTuple):
     def about(self, messages: int) -> dict[str, Any]:
         """Size, place and numbers of messages and tiles, for a program."""
         whole, datum = self.whole, self.universal.datum
-        counts = {"messages": messages, "tiles": len(self.tiles)}
-        return extent(whole.lattice, whole.window, datum) | counts
+        return extent(whole.lattice, whole.window, datum) | {
+            "messages": messages,
+            "tiles": len(self.tiles),
+        }
 
     def rows(self, messages: int) -> tuple[tuple[str, str], ...]:
         """What a reader is told."""
@@ -139,8 +141,12 @@ def messages(content: BagContent) -> Iterator[BagMessage]:
     ]
     yield BagMessage("/tf_static", transforms(*placed), start_ns, True)
     yield BagMessage("/datum", datum_message(datum, start_ns), start_ns, True)
-    about = json.dumps(georeference(lattice, window, datum), ensure_ascii=False)
-    yield BagMessage("/georeference", text(about), start_ns, True)
+    yield BagMessage(
+        "/georeference",
+        text(json.dumps(georeference(lattice, window, datum), ensure_ascii=False)),
+        start_ns,
+        True,
+    )
     for topic, is_large, message in (
         ("/map", content.whole.is_large, _occupancy),
         ("/grid_map", bool(content.tiles), _grid_map),
@@ -149,8 +155,12 @@ def messages(content: BagContent) -> Iterator[BagMessage]:
             yield BagMessage(topic, message(content, content.selection), start_ns, True)
             continue
         named = [(f"{topic}/tile_{tile.name}", tile) for tile in content.tiles]
-        index = json.dumps([{"topic": name, **tile.about(lattice)} for name, tile in named])
-        yield BagMessage(f"{topic}/index", text(index), start_ns, True)
+        yield BagMessage(
+            f"{topic}/index",
+            text(json.dumps([{"topic": name, **tile.about(lattice)} for name, tile in named])),
+            start_ns,
+            True,
+        )
         for name, tile in named:
             yield BagMessage(name, message(content, tile.selection), start_ns, True)
     for name, track in tracks.items():
@@ -199,8 +209,9 @@ def _occupancy(content: BagContent, selection: Selection) -> Any:
 def _grid_map(content: BagContent, selection: Selection) -> Any:
     """The grid map of a part."""
     view = selection.view(content.universal, GRID_MAP_LAYERS)
-    layers = {name: view.layer(name) for name in GRID_MAP_LAYERS}
-    return ros_messages.grid_map(view, layers, content.start_ns)
+    return ros_messages.grid_map(
+        view, {name: view.layer(name) for name in GRID_MAP_LAYERS}, content.start_ns
+    )
 
 
 def _inside(track: Trajectory, area: Bounds | None) -> Bool:

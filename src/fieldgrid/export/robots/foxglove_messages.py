@@ -44,15 +44,29 @@ def grid(view: MapView, time_ns: int) -> EncodedMessage:
     Each cell has five bytes: red, green, blue and alpha, in which it is drawn, and the density.
     """
     bounds = view.bounds
-    corner = _pose((bounds.west_m, bounds.south_m, 0.0), 0.0)
-    return _grid("density", view.density, view.observed, corner, view.lattice.cell_m, MAP, time_ns)
+    return _grid(
+        "density",
+        view.density,
+        view.observed,
+        _pose((bounds.west_m, bounds.south_m, 0.0), 0.0),
+        view.lattice.cell_m,
+        MAP,
+        time_ns,
+    )
 
 
 def cost_grid(costs: UInt8, bounds: Bounds, cell_m: float, time_ns: int) -> EncodedMessage:
     """foxglove.Grid of costs [rows north, columns east] as Nav2 has them, drawn as `grid`; its
     fifth byte is the cost."""
-    corner = _pose((bounds.west_m, bounds.south_m, 0.0), 0.0)
-    return _grid("cost", costs, costs != UNKNOWN_COST, corner, cell_m, MAP, time_ns)
+    return _grid(
+        "cost",
+        costs,
+        costs != UNKNOWN_COST,
+        _pose((bounds.west_m, bounds.south_m, 0.0), 0.0),
+        cell_m,
+        MAP,
+        time_ns,
+    )
 
 
 def local_grid(local: LocalGrid, time_ns: int, base: str) -> EncodedMessage:
@@ -129,30 +143,33 @@ def location_fix(fix: Fix, frame: str) -> EncodedMessage:
     error is taken as twice the horizontal one."""
     from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 
-    message = LocationFix(
-        frame_id=frame,
-        latitude=fix.lat_deg,
-        longitude=fix.lon_deg,
-        altitude=fix.height_m,
-        position_covariance=(np.diag([1.0, 1.0, 4.0]) * fix.position_sigma_m**2)
-        .reshape(-1)
-        .tolist(),
-        position_covariance_type=LocationFix.APPROXIMATED,
+    return _encoded(
+        LocationFix(
+            frame_id=frame,
+            latitude=fix.lat_deg,
+            longitude=fix.lon_deg,
+            altitude=fix.height_m,
+            position_covariance=(np.diag([1.0, 1.0, 4.0]) * fix.position_sigma_m**2)
+            .reshape(-1)
+            .tolist(),
+            position_covariance_type=LocationFix.APPROXIMATED,
+        ),
+        fix.time_ns,
     )
-    return _encoded(message, fix.time_ns)
 
 
 def log(text: str, time_ns: int, *, is_warning: bool) -> EncodedMessage:
     """foxglove.Log of a sentence."""
     from foxglove_schemas_protobuf.Log_pb2 import Log
 
-    level = Log.WARNING if is_warning else Log.INFO
-    return _encoded(Log(level=level, message=text, name="fieldgrid"), time_ns)
+    return _encoded(
+        Log(level=Log.WARNING if is_warning else Log.INFO, message=text, name="fieldgrid"),
+        time_ns,
+    )
 
 
 def _pose_of(at: Pose) -> Any:
-    yaw_rad = float(yaw_from_heading_rad(at.heading_deg))
-    return _pose((at.east_m, at.north_m, at.up_m), yaw_rad)
+    return _pose((at.east_m, at.north_m, at.up_m), float(yaw_from_heading_rad(at.heading_deg)))
 
 
 def _pose(at_m: tuple[float, float, float], yaw_rad: float) -> Any:

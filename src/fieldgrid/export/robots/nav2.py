@@ -128,8 +128,11 @@ def export_nav2(
         what="a Nav2 map",
         gone=old if _is_speed_of(path) else (),
     )
-    cells = f"{whole.window.width} x {whole.window.height} of {whole.lattice.cell_m:g} m"
-    rows = (("mode", options.mode), ("cells", cells), *_rows(part.counts))
+    rows = (
+        ("mode", options.mode),
+        ("cells", f"{whole.window.width} x {whole.window.height} of {whole.lattice.cell_m:g} m"),
+        *_rows(part.counts),
+    )
     if gone := [file.name for file in old if not file.exists()]:
         rows += (("removed with the old map", ", ".join(gone)),)
     if left := [file.name for file in old if file.exists()]:
@@ -170,8 +173,10 @@ def _export_tiles(
             names = {"yaml": f"{tile.name}.yaml", "keepout": f"{tile.name}.keepout.yaml"}
             tiles.append({**names, **tile.about(whole.lattice)})
         about = georeference(whole.lattice, whole.window, universal.datum)
-        index = {**about, "mode": options.mode, "layer": selection.layer, "tiles": tiles}
-        (draft / _INDEX).write_text(_dumped(index), encoding="utf-8")
+        (draft / _INDEX).write_text(
+            _dumped({**about, "mode": options.mode, "layer": selection.layer, "tiles": tiles}),
+            encoding="utf-8",
+        )
     rows = (
         ("too large for one map", f"{size}: {len(tiles)} tiles of up to {TILE_CELLS} a side"),
         ("index of the tiles", f"{folder.name}/{_INDEX}"),
@@ -251,8 +256,11 @@ class _Part:
 
     def _yaml(self, picture: str, mode: str) -> str:
         bounds = self._lattice.bounds(self._window)
-        corner = bounds.west_m, bounds.south_m
-        return _dumped(_server_yaml(picture, mode, float(self._lattice.cell_m), corner))
+        return _dumped(
+            _server_yaml(
+                picture, mode, float(self._lattice.cell_m), (bounds.west_m, bounds.south_m)
+            )
+        )
 
 
 def _server_yaml(

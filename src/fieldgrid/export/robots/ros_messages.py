@@ -43,18 +43,17 @@ from fieldgrid.recordings import (
 def occupancy_grid(view: MapView, occupancy: npt.NDArray[np.int8], time_ns: int) -> Any:
     """nav_msgs/OccupancyGrid of an occupancy [rows north, columns east], as Nav2 takes it."""
     bounds = view.bounds
-    info = new(
-        "nav_msgs/MapMetaData",
-        map_load_time=time_of(time_ns),
-        resolution=view.lattice.cell_m,
-        width=view.window.width,
-        height=view.window.height,
-        origin=pose(bounds.west_m, bounds.south_m),
-    )
     return new(
         "nav_msgs/OccupancyGrid",
         header=header_of(time_ns, MAP),
-        info=info,
+        info=new(
+            "nav_msgs/MapMetaData",
+            map_load_time=time_of(time_ns),
+            resolution=view.lattice.cell_m,
+            width=view.window.width,
+            height=view.window.height,
+            origin=pose(bounds.west_m, bounds.south_m),
+        ),
         data=np.ascontiguousarray(occupancy).reshape(-1),
     )
 
@@ -100,8 +99,13 @@ def grid_map(view: MapView, layers: Mapping[str, AnyArray], time_ns: int) -> Any
 def path(track: Trajectory, rows: Int64, time_ns: int) -> Any:
     """nav_msgs/Path of some rows that have a heading; each has its own time."""
     places = np.stack([track.east_m[rows], track.north_m[rows], track.up_m[rows]], axis=1)
-    yaw_rad = yaw_from_heading_rad(track.heading_deg[rows])
-    return path_message(time_ns, MAP, track.time_ns[rows].tolist(), places, yaw_rad)
+    return path_message(
+        time_ns,
+        MAP,
+        track.time_ns[rows].tolist(),
+        places,
+        yaw_from_heading_rad(track.heading_deg[rows]),
+    )
 
 
 class Antenna(NamedTuple):
@@ -114,8 +118,13 @@ class Antenna(NamedTuple):
 def antenna_on(base: str, antenna: Antenna, time_ns: int) -> Any:
     """geometry_msgs/TransformStamped: where the antenna is in the vehicle's frame, forward, left,
     up."""
-    at_m = np.array([antenna.at.forward_m, -antenna.at.right_m, antenna.at.up_m])
-    return transform(time_ns, base, antenna.frame, at_m, turn_left(0.0))
+    return transform(
+        time_ns,
+        base,
+        antenna.frame,
+        np.array([antenna.at.forward_m, -antenna.at.right_m, antenna.at.up_m]),
+        turn_left(0.0),
+    )
 
 
 def fixes(
@@ -211,8 +220,7 @@ def earth_to_map(datum: Datum, time_ns: int) -> Any:
         z=math.sin(about_z) * math.cos(about_x),
         w=math.cos(about_z) * math.cos(about_x),
     )
-    at_m = np.array([x, y, z], dtype=np.float64)
-    return transform(time_ns, EARTH, MAP, at_m, rotation)
+    return transform(time_ns, EARTH, MAP, np.array([x, y, z], dtype=np.float64), rotation)
 
 
 def _floats(values: AnyArray, observed: Bool) -> Float32:

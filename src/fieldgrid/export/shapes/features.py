@@ -57,11 +57,12 @@ def square_layer(
         )
     west_m, south_m, side_m, part = found.west_m, found.south_m, found.side_m, found.squares
     names = np.array([state.name.lower() for state in State], dtype=np.object_)
-    shapes = shapely.box(west_m, south_m, west_m + side_m, south_m + side_m)
     return FeatureLayer(
         "quadtree",
         "Polygon",
-        np.asarray(shapes, dtype=np.object_).reshape(-1),
+        np.asarray(
+            shapely.box(west_m, south_m, west_m + side_m, south_m + side_m), dtype=np.object_
+        ).reshape(-1),
         {
             "side_m": side_m,
             "state": names[part.state],
@@ -123,8 +124,9 @@ def trajectories(universal: MapFile, selection: Selection) -> dict[str, Trajecto
     """The trajectories of the sessions in the selection by name, in the order of their drives; a
     session may have been stored without one."""
     stored = {info.name for info in universal.sessions() if info.heading_source}
-    names = [name for name in selection.sessions(universal) if name in stored]
-    return {name: universal.trajectory(name) for name in names}
+    return {
+        name: universal.trajectory(name) for name in selection.sessions(universal) if name in stored
+    }
 
 
 def _within(layer: FeatureLayer, area: Bounds | None) -> FeatureLayer:
@@ -137,18 +139,23 @@ def _within(layer: FeatureLayer, area: Bounds | None) -> FeatureLayer:
     # What only touches the area is not in it.
     points = shapely.get_dimensions(layer.geometry) == 0
     kept = np.where(points, ~shapely.is_empty(cut), shapely.area(cut) > 0.0)
-    columns = {name: values[kept] for name, values in layer.columns.items()}
-    return layer._replace(geometry=cut[kept], columns=columns)
+    return layer._replace(
+        geometry=cut[kept], columns={name: values[kept] for name, values in layer.columns.items()}
+    )
 
 
 def _marks(universal: MapFile) -> FeatureLayer:
     """What people said of places; it stands beside what the drives saw."""
     marks = universal.marks()
-    texts = {
-        key: _texts([getattr(mark, key) for mark in marks])
-        for key in ("kind", "name", "note", "author", "created")
-    }
-    return FeatureLayer("mark", "Unknown", _objects([mark.geometry for mark in marks]), texts)
+    return FeatureLayer(
+        "mark",
+        "Unknown",
+        _objects([mark.geometry for mark in marks]),
+        {
+            key: _texts([getattr(mark, key) for mark in marks])
+            for key in ("kind", "name", "note", "author", "created")
+        },
+    )
 
 
 def _obstacles(universal: MapFile, selection: Selection, options: ShapeOptions) -> FeatureLayer:

@@ -123,8 +123,11 @@ def lane_groups(planting: Planting) -> list[Any]:
     groups: list[Any] = []
     numbers = count(1)
     for block in planting.blocks:
-        lanes = [lane for lane in planting.lanes if lane.block == block.id]
-        patterns = [_swath(lane, next(numbers), planting.datum) for lane in lanes]
+        patterns = [
+            _swath(lane, next(numbers), planting.datum)
+            for lane in planting.lanes
+            if lane.block == block.id
+        ]
         if patterns:
             groups.append(
                 iso.GuidanceGroup(

@@ -62,12 +62,15 @@ def export_qgz(
     ):
         archive.writestr(f"{path.stem}.qgs", document)
     names = _names(universal)
-    rows = (
-        ("layers", ", ".join(_TITLES[name] for name in names)),
-        ("datum", universal.datum.described()),
-        ("map", universal.path.name),
+    return Exported(
+        (path,),
+        (
+            ("layers", ", ".join(_TITLES[name] for name in names)),
+            ("datum", universal.datum.described()),
+            ("map", universal.path.name),
+        ),
+        {"layers": names},
     )
-    return Exported((path,), rows, {"layers": names})
 
 
 def _is_ours(archive: zipfile.ZipFile) -> bool:
@@ -79,8 +82,7 @@ def _is_ours(archive: zipfile.ZipFile) -> bool:
 def _names(universal: MapFile) -> list[str]:
     """The layers of the project, from the lowest to the uppermost."""
     kinds = {mark.is_point for mark in universal.marks()}
-    marks = [name for name in qgis.MARKS if (qgis.MARKS[name] == "Point") in kinds]
-    return [*qgis.LAYERS, *marks]
+    return [*qgis.LAYERS, *(name for name in qgis.MARKS if (qgis.MARKS[name] == "Point") in kinds)]
 
 
 def _document(universal: MapFile, path: Path, bounds: Bounds) -> bytes:
@@ -97,10 +99,9 @@ def _document(universal: MapFile, path: Path, bounds: Bounds) -> bytes:
     order = ET.SubElement(root, "layerorder")
     names = _names(universal)
     for name in reversed(names):  # the uppermost first
-        shown = name != "frame_position"
         ET.SubElement(
             tree, "layer-tree-layer", id=_id(name), name=_TITLES[name],
-            checked="Qt::Checked" if shown else "Qt::Unchecked",
+            checked="Qt::Checked" if name != "frame_position" else "Qt::Unchecked",
             providerKey="gdal" if name == "density" else "ogr", expanded="0",
         )  # fmt: skip
         ET.SubElement(order, "layer", id=_id(name))

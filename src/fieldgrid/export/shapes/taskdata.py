@@ -95,8 +95,9 @@ def export_taskdata(
     obstacles, drives, footprints = feature_layers(
         universal, selection, options, ("obstacle", "trajectory", "footprint")
     )
-    view = selection.view(universal, universal.deciding(selection.cell_m))
-    grid = zone_grid(view, options.obstacle_above)
+    grid = zone_grid(
+        selection.view(universal, universal.deciding(selection.cell_m)), options.obstacle_above
+    )
     if planting is None and options.guidance == "lanes":
         from fieldgrid.field import find_rows  # brings 50 MB of libraries
 
@@ -238,8 +239,10 @@ def _field(
     from isoxml.models.base import v4 as iso
 
     datum = universal.datum
-    seen = footprints.geometry[footprints.columns["status"] == Status.OK.value]
-    mapped = shapely.simplify(shapely.union_all(seen), _BOUNDARY_TOLERANCE_M)
+    mapped = shapely.simplify(
+        shapely.union_all(footprints.geometry[footprints.columns["status"] == Status.OK.value]),
+        _BOUNDARY_TOLERANCE_M,
+    )
     boundary = polygons(mapped, iso.PolygonType.PartfieldBoundary, "mapped", datum)
     outlines = zip(obstacles.geometry, obstacles.columns["mean_density"], strict=True)
     shapes = [
@@ -250,8 +253,9 @@ def _field(
     keepouts, flags = [], []
     for mark in universal.marks(within=area):
         if mark.kind is MarkKind.PLACE:
-            at = mark.geometry.representative_point()
-            flags += points(at, datum, [iso.PointType.Flag], mark.name)
+            flags += points(
+                mark.geometry.representative_point(), datum, [iso.PointType.Flag], mark.name
+            )
         elif mark.kind is MarkKind.KEEPOUT:
             says = f"keep-out {mark.name}".rstrip()
             shape = mark.geometry.buffer(0.5 * universal.cell_m if mark.is_point else 0.0)

@@ -84,8 +84,11 @@ def _of_layers(write: Callable[[Sequence[FeatureLayer], Path, Datum, bool], None
         layers = _layers(universal, selection, options)
         write(layers, path, universal.datum, overwrite)
         counts = {layer.name: len(layer.geometry) for layer in layers}
-        rows = tuple((f"features in {name}", str(count)) for name, count in counts.items())
-        return Exported((path,), rows, {"features": counts})
+        return Exported(
+            (path,),
+            tuple((f"features in {name}", str(count)) for name, count in counts.items()),
+            {"features": counts},
+        )
 
     return export
 
@@ -176,8 +179,12 @@ def _export_flatgeobuf(
 def _export_dxf(layers: Sequence[FeatureLayer], path: Path, datum: Datum, overwrite: bool) -> None:
     """Write a DXF drawing in metres east and north: a layer for each kind of feature, outlines of
     areas, no attributes."""
-    features = [Feature(layer.name, shape, {}) for layer in layers for shape in layer.geometry]
-    write_features(path, features, datum, overwrite=overwrite)
+    write_features(
+        path,
+        [Feature(layer.name, shape, {}) for layer in layers for shape in layer.geometry],
+        datum,
+        overwrite=overwrite,
+    )
 
 
 @_of_layers
@@ -210,11 +217,14 @@ def _write_shapefiles(
     folder: Path, target: Path, layers: Sequence[FeatureLayer], datum: Datum
 ) -> None:
     for layer in (part for whole in layers for part in _by_type(whole)):
-        short = {_SHAPEFILE_NAMES.get(key, key): _cut(v) for key, v in layer.columns.items()}
         write_layer(
             folder / f"{layer.name}.shp",
             target,
-            layer._replace(columns=short),
+            layer._replace(
+                columns={
+                    _SHAPEFILE_NAMES.get(key, key): _cut(v) for key, v in layer.columns.items()
+                }
+            ),
             "ESRI Shapefile",
             datum.crs_wkt("WKT1_GDAL"),
         )
@@ -242,8 +252,12 @@ def _by_type(layer: FeatureLayer) -> Iterator[FeatureLayer]:
     for name, kind, rows in (
         (layer.name, "Polygon", ~points), (f"{layer.name}_point", "Point", points)
     ):  # fmt: skip
-        columns = {key: values[rows] for key, values in layer.columns.items()}
-        yield FeatureLayer(name, kind, layer.geometry[rows], columns)
+        yield FeatureLayer(
+            name,
+            kind,
+            layer.geometry[rows],
+            {key: values[rows] for key, values in layer.columns.items()},
+        )
 
 
 def _are_shapefiles(names: Iterable[str]) -> bool:
@@ -281,8 +295,9 @@ def _merged(layers: Sequence[FeatureLayer]) -> FeatureLayer:
             np.concatenate([np.ma.getdata(part) for part in parts]),
             np.concatenate([np.ma.getmaskarray(part) for part in parts]),
         )
-    geometry = np.concatenate([layer.geometry for layer in layers])
-    return FeatureLayer("fieldgrid", "Unknown", geometry, columns)
+    return FeatureLayer(
+        "fieldgrid", "Unknown", np.concatenate([layer.geometry for layer in layers]), columns
+    )
 
 
 _SHARED: Any = {
