@@ -16,7 +16,7 @@ LOWEST_M = np.float32(-0.5)
 """Points that are further below the ground of their cell than this are mistakes."""
 
 BLOCK_POINTS = 1024
-"""So many points of a cloud at a time stay in the fastest cache."""
+"""Points of a cloud in one block: they stay in the fastest cache."""
 
 
 @kernel

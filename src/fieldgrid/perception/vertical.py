@@ -37,7 +37,7 @@ class Misalignment(NamedTuple):
     """How many rows lower the right images lie, in pixels: `median_px` of all matches,
     `residual_px` the median size of a shift that may also grow across the image;
     `roll_deg` of the right camera against the left, `scatter_px` between the pairs, `matches`
-    how many points, of so many `pairs`."""
+    the number of points, and `pairs` the number of pairs that they are of."""
 
     median_px: float
     residual_px: float

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
         rate_about as rate_about,
         turns_across as turns_across,
     )
-    from fieldgrid.recordings.bag.heard import Fixes as Fixes
     from fieldgrid.recordings.bag.leaning import (
         LEAST_STEP_NS as LEAST_STEP_NS,
         ODOMETRY_FRAME_SIGMA_DEG as ODOMETRY_FRAME_SIGMA_DEG,
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
         orientation_of as orientation_of,
         stated_orientation as stated_orientation,
     )
+    from fieldgrid.recordings.bag.listeners import Fixes as Fixes
     from fieldgrid.recordings.bag.order import MAX_APART_NS as MAX_APART_NS, is_utc as is_utc
     from fieldgrid.recordings.bag.sensors.frames import (
         CloudMaker as CloudMaker,

@@ -79,20 +79,18 @@ def read_text(
         raise _no_text(path, problem, error) from problem
 
 
-def read_lines(
-    path: Path, error: type[FieldgridError] = RecordingError
-) -> Iterator[tuple[int, str]]:
+def read_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Number and text of each line of a UTF-8 text file, read as it is asked for."""
-    _check_size(path, MAX_TEXT_BYTES, error)
+    _check_size(path, MAX_TEXT_BYTES, RecordingError)
     try:
         with path.open(encoding="utf-8-sig") as file:
             for number, line in enumerate(bounded_lines(file, path), start=1):
                 check_rows(number, path)
                 yield number, line
     except UnicodeDecodeError as problem:
-        raise _no_text(path, problem, error) from problem
+        raise _no_text(path, problem, RecordingError) from problem
     except OSError as problem:
-        raise _unreadable(path, problem, error) from problem
+        raise _unreadable(path, problem, RecordingError) from problem
 
 
 @contextmanager
@@ -142,24 +140,25 @@ class _Limited(io.RawIOBase):
 def read_table(
     path: Path,
     required: Sequence[str],
-    error: type[FieldgridError] = RecordingError,
     named: Callable[[list[str]], list[str]] = list,
 ) -> Iterator[tuple[int, dict[str, str]]]:
     """Line number and columns of each row of a CSV file; short and empty cells are ''. `named`
     gives columns the names that are meant."""
-    _check_size(path, MAX_TEXT_BYTES, error)
+    _check_size(path, MAX_TEXT_BYTES, RecordingError)
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = bounded_lines(file, path)
             header = next(lines, "")
             rows = csv.reader(chain([header], lines), delimiter=delimiter_of(header))
-            yield from _rows(rows, path, required, error, named)
+            yield from _rows(rows, path, required, named)
     except csv.Error as problem:
-        raise error(f"{path} is not a CSV file: {problem}; correct or export it again.") from None
+        raise RecordingError(
+            f"{path} is not a CSV file: {problem}; correct or export it again."
+        ) from None
     except UnicodeDecodeError as problem:
-        raise _no_text(path, problem, error) from problem
+        raise _no_text(path, problem, RecordingError) from problem
     except OSError as problem:
-        raise _unreadable(path, problem, error) from problem
+        raise _unreadable(path, problem, RecordingError) from problem
 
 
 def delimiter_of(header: str) -> str:
@@ -172,13 +171,12 @@ def _rows(
     rows: Any,
     path: Path,
     required: Sequence[str],
-    error: type[FieldgridError],
     named: Callable[[list[str]], list[str]],
 ) -> Iterator[tuple[int, dict[str, str]]]:
     header = named([name.strip() for name in next(rows, [])])
     for name in required:
         if name not in header:
-            raise error(
+            raise RecordingError(
                 f"{path} has no column {name}; its header must have at least "
                 f"{', '.join(required)}. It has: {', '.join(header)[:500]}."
             )

@@ -79,7 +79,7 @@ class StoredFrames:
 
 
 _MOST_MISSING = 1000
-"""Missing files that are counted: where so many are missing, all may be."""
+"""Most missing files that are counted: beyond this number, all may be missing."""
 
 
 def checked_shots(

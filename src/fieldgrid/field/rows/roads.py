@@ -1,7 +1,7 @@
 """Roads across rows: where all rows of a block have a hole side by side, they end and others begin.
 
 Rows on both sides of a road often stand in line, and a hole in one row says nothing: plants are
-missing. A hole in every row from the first to the last is a way through, unless rows lack so many
+missing. A hole in every row from the first to the last is a way through, unless rows lack that many
 plants that some of their holes lie side by side by chance.
 """
 

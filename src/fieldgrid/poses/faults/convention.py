@@ -18,7 +18,7 @@ FEWEST = 20
 """Fewer sure headings while driving decide nothing."""
 
 FEWEST_BACK = 3
-"""So many in reverse tell a course, which turns around there, from a heading."""
+"""Least number of poses in reverse: a course turns around there, and a heading does not."""
 
 SURE_DEG = 5.0
 """Only where the heading is this sure is another compared with it."""

@@ -113,7 +113,7 @@ def condition(
     `strays` are rows that an estimate of the drive denies, with the reason of each: the others are
     judged without them, and without those whose seconds the log counts `twice`.
     """
-    log = _Judged(fixes, limits)
+    log = _VerdictTable(fixes, limits)
     _check_place(log)
     _check_receiver(log)
     if twice is not None:
@@ -128,7 +128,7 @@ def condition(
     return Verdicts(log.ok, tuple(log.gate), tuple(log.reason))
 
 
-class _Judged:
+class _VerdictTable:
     """The fixes of a log with the verdicts as far as they are known."""
 
     def __init__(self, fixes: FixColumns, limits: GateLimits) -> None:
@@ -153,7 +153,7 @@ class _Judged:
 # --- what a fix says of itself
 
 
-def _check_place(log: _Judged) -> None:
+def _check_place(log: _VerdictTable) -> None:
     """Places and times that cannot be those of a vehicle."""
     lat, lon, height = log.fixes.lat_deg, log.fixes.lon_deg, log.fixes.height_m
     log.reject_all(
@@ -186,7 +186,7 @@ def _check_place(log: _Judged) -> None:
     )
 
 
-def _check_receiver(log: _Judged) -> None:
+def _check_receiver(log: _VerdictTable) -> None:
     """Fixes that are unfit by what the receiver itself says."""
     fixes, limits = log.fixes, log.limits
     quality, satellites, hdop, age_s = fixes.quality, fixes.satellites, fixes.hdop, fixes.age_s
@@ -219,7 +219,7 @@ def _check_receiver(log: _Judged) -> None:
 # --- when it was taken
 
 
-def _check_time(log: _Judged) -> None:
+def _check_time(log: _VerdictTable) -> None:
     """As few as possible are rejected for the time not to go back: one stamp far in the future
     condemns itself, not all that follow it."""
     rows = log.rows()
@@ -257,7 +257,7 @@ def _longest_rising(values: Sequence[int]) -> Index:
     return np.array(found[::-1], dtype=np.intp)
 
 
-def _check_repeats(log: _Judged) -> None:
+def _check_repeats(log: _VerdictTable) -> None:
     """Rows that are no positions of their own."""
     rows = log.rows()
     used = log.fixes[rows]
@@ -274,7 +274,7 @@ def _check_repeats(log: _Judged) -> None:
 # --- whether a vehicle drove through it
 
 
-def _check_climb(log: _Judged) -> None:
+def _check_climb(log: _VerdictTable) -> None:
     """Rows that climb or sink faster than a vehicle, or lie near such."""
     rows, limit_mps = log.rows(), log.limits.max_climb_mps
     time_ns = log.fixes.time_ns[rows]
@@ -289,7 +289,7 @@ def _check_climb(log: _Judged) -> None:
         log.reject(int(rows[k]), Gate.CLIMB, reason)
 
 
-def _check_motion(log: _Judged) -> None:
+def _check_motion(log: _VerdictTable) -> None:
     """Judge the rows, which are ordered by time, by the motion of the whole drive."""
     rows = log.rows()
     if not len(rows):

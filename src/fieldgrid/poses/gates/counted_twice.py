@@ -17,15 +17,15 @@ from fieldgrid.geometry import FixColumns
 from fieldgrid.poses.gates.scatter import M_PER_DEG
 
 FEWEST_IN_PASS, FEWEST_TWICE = 10, 3
-"""A pass has so many rows in order of time, and so many of each are of the same seconds: rows that
-come late make shorter ones."""
+"""Least number of rows of a pass in order of time, and of rows that two passes have of the same
+seconds. Rows that come late make shorter passes."""
 
 MOST_PASSES = 200
 """A log of more passes is in no order at all."""
 
 SAME_M, SAME_SCATTERS = 0.05, 3.0
-"""Passes that lie no farther apart, or by no more than so many times what their own rows scatter,
-are one log whose rows come late or twice, or of a vehicle that stood."""
+"""Passes that lie no farther apart than this distance, or than this multiple of the scatter of their
+own rows, are one log whose rows come late or twice, or of a vehicle that stood."""
 
 
 class CountedTwice(NamedTuple):

@@ -195,7 +195,7 @@ def _differences(
 
 
 def _axis_rms(differences: Float64) -> float:
-    """The same of one axis; of few differences what their sigma hardly exceeds."""
+    """Root mean square of the differences along one axis; of few, a bound of it."""
     count = len(differences)
     if not _FEWEST_AT_ALL <= count < _FEWEST_DIFFERENCES:
         return _calm_rms(differences)

@@ -60,7 +60,7 @@ class ConditioningSummary(NamedTuple):
     short_term_sigma_m: float
 
     def as_dict(self) -> dict[str, Any]:
-        """The same as JSON can hold it: a dict of numbers, strings, lists and dicts."""
+        """The summary as JSON holds it: a dict of numbers, strings, lists and dicts."""
         return {
             "fixes": self.fixes,
             "accepted": self.accepted,

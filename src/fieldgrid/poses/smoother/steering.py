@@ -37,7 +37,7 @@ LEAST_BENT, MOST_BENT = 0.25, 2.0
 """The curvatures of a drive, as a share of the usual ones, count within these bounds."""
 
 TIGHT_SHARE = 0.98
-"""So much of its way a vehicle bends less than in its tightest turns."""
+"""Share of its way on which a vehicle bends less than in its tightest turns."""
 
 ENOUGH_TURN = np.radians(120.0)
 """A drive that never turned by this does not show how tightly its vehicle can turn."""
@@ -68,7 +68,7 @@ STRETCHES, STRETCH_NODES = 4, 1000
 
 class Steering(NamedTuple):
     """How a vehicle steers: `noise`, (1/m)/√s, is what it does all the time, and `bent` the
-    curvatures that it drives, as a share of the usual: so much it steers where no fix shows it.
+    curvatures that it drives, as a share of the usual: its steering where no fix shows it.
     `shown` are the curvatures that are expected where fixes return after a hole."""
 
     noise: float

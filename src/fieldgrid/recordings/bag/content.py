@@ -11,8 +11,8 @@ import numpy as np
 
 from fieldgrid.core import Float64, GnssError, RecordingError
 from fieldgrid.geometry import FixColumns, Gyro, Motion, Orientation, RecordedTilt, WheelSpeed
-from fieldgrid.recordings.bag.heard import Fixes, Sentences, Speeds, Texts, Turns
 from fieldgrid.recordings.bag.leaning import ODOMETRY_FRAME_SIGMA_DEG, Untold, orientation_of
+from fieldgrid.recordings.bag.listeners import Fixes, Sentences, Speeds, Texts, Turns
 from fieldgrid.recordings.bag.readings import Readings
 from fieldgrid.recordings.bag.sensors.mounts import imu_rotation, is_optical
 from fieldgrid.recordings.bag.topics import (

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from fieldgrid.recordings.bag.content import BagIndex, as_drive, find_motion, read_content
 from fieldgrid.recordings.bag.readings import Readings
+from fieldgrid.recordings.bag.sensors.frame_sensor import are_corrected, find_lidar, sense
 from fieldgrid.recordings.bag.sensors.frames import BagFrames, CloudMaker
 from fieldgrid.recordings.bag.sensors.mounts import exactly, find_mounting, mounting_path
-from fieldgrid.recordings.bag.sensors.sensed import are_corrected, find_lidar, sense
 from fieldgrid.recordings.bag.topics import short
 from fieldgrid.recordings.drive import (
     Drive,

@@ -15,15 +15,15 @@ import numpy as np
 
 from fieldgrid.core import Float64, Int64, RecordingError
 from fieldgrid.geometry import Datum, Orientation, RecordedTilt, Rig
-from fieldgrid.recordings.bag.heard import (
+from fieldgrid.recordings.bag.listeners import (
     AttitudeMessages,
     First,
     Fixes,
-    Heard,
-    Recorded,
     Sentences,
     Speeds,
     Texts,
+    TiltListener,
+    TopicListener,
     Turns,
 )
 from fieldgrid.recordings.bag.order import clock
@@ -46,7 +46,7 @@ from fieldgrid.recordings.ros.model import Message
 _TEXT = "std_msgs/msg/String"
 
 
-_ROLES: dict[str, tuple[str, type[Heard]]] = {
+_ROLES: dict[str, tuple[str, type[TopicListener]]] = {
     FIX: ("fix", Fixes),
     NMEA: ("nmea", Sentences),
     IMU: ("imu", Turns),
@@ -59,7 +59,7 @@ _TILTS: dict[str, type[RecordedTilt | Orientation]] = {
 _SAID_ONCE = {RIG: (_TEXT,), DATUM: (_TEXT, FIX)}
 
 
-_Heard = TypeVar("_Heard", bound=Heard)
+_Heard = TypeVar("_Heard", bound=TopicListener)
 
 
 class TopicSeries(NamedTuple):
@@ -77,14 +77,14 @@ class Readings:
 
     def __init__(self, given: Mapping[str, str], gnss: str | None) -> None:
         self._given, self._gnss = given, gnss
-        self._heard: dict[str, Heard] = {}
+        self._heard: dict[str, TopicListener] = {}
         self._best: dict[str, str] = {}
         self.attitude: AttitudeMessages | None = None
         self._notes: dict[str, str] = {}
 
     def listen(self, name: str, type_: str) -> Take | None:
         """What takes the messages of a topic; see :data:`fieldgrid.recordings.ros.bag.Listen`."""
-        heard: Heard | None = None
+        heard: TopicListener | None = None
         if type_ in _SAID_ONCE.get(name, ()) or type_ == INFO:
             heard = First()
         elif type_ in _ROLES:
@@ -95,7 +95,7 @@ class Readings:
         elif type_ == _TEXT and name.endswith(DETAILS):
             heard = Texts()
         elif type_ == _TEXT and name in _TILTS:
-            heard = Recorded(_TILTS[name])
+            heard = TiltListener(_TILTS[name])
         if heard is not None:
             self._heard[name] = heard
         if name != self._given.get("attitude"):
@@ -132,7 +132,7 @@ class Readings:
 
     def tilt(self, topic: str) -> RecordedTilt | Orientation | None:
         """What a converted drive keeps of roll and pitch on a topic."""
-        heard = self.of(topic, Recorded)
+        heard = self.of(topic, TiltListener)
         return None if heard is None else heard.tilts.found()
 
     def frame_id(self, topic: str | None) -> str:

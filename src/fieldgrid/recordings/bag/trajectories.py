@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.core import RecordingError
-from fieldgrid.recordings.bag.heard import Heard
+from fieldgrid.recordings.bag.listeners import TopicListener
 from fieldgrid.recordings.bag.order import clock
 from fieldgrid.recordings.bag.topics import ODOMETRY, POSE, SURE_POSE, listing, short
 from fieldgrid.recordings.poses.pose_files import MOST_M, OFF_UNIT, BodyPoses, rotations
@@ -21,7 +21,7 @@ _TYPES = (ODOMETRY, POSE, SURE_POSE, _PATH)
 _SECOND_NS = 1_000_000_000
 
 
-class _Poses(Heard):
+class _Poses(TopicListener):
     """The poses of a topic, [n, 7]: where, and the quaternion x, y, z, w."""
 
     def __init__(self, type_: str) -> None:

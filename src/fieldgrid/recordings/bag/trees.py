@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldgrid.core import Float64, Int64
-from fieldgrid.recordings.bag.heard import Heard
+from fieldgrid.recordings.bag.listeners import TopicListener
 from fieldgrid.recordings.bag.order import clock
 from fieldgrid.recordings.bag.transforms import Transforms, told
 from fieldgrid.recordings.ros.bag import Bag
@@ -42,7 +42,7 @@ class FrameTrack(NamedTuple):
     forward: Float64
 
 
-class Trees(Heard):
+class Trees(TopicListener):
     """Static transforms."""
 
     def __init__(self) -> None:

@@ -172,20 +172,20 @@ def _times_told(shots: Sequence[Shot]) -> tuple[str, ...]:
     return (f"The names of the files are times: {found.scale.describe()}.",)
 
 
-class _Named(NamedTuple):
+class _StampedName(NamedTuple):
     """The time of a name in UTC nanoseconds, and the scale on which it is one."""
 
     time_ns: int
     scale: TimeScale
 
 
-def _time_of_name(stem: str) -> _Named | None:
+def _time_of_name(stem: str) -> _StampedName | None:
     """None for what is no time since 1980, and for a date: 2024060100001 is one with a count."""
     scale = guess_scale("", [stem], decimal_comma=False)
     if scale is None or scale.places is None or _DATE.match(stem) is not None:
         return None
     time_ns = int(to_utc_ns([stem], scale, decimal_comma=False)[0])
-    return None if time_ns == NO_TIME else _Named(time_ns, scale)
+    return None if time_ns == NO_TIME else _StampedName(time_ns, scale)
 
 
 def file_time_ns(folder: Path, file: str, layout: FrameLayout) -> int:

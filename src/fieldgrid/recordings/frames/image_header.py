@@ -60,7 +60,7 @@ def _png_is_whole(data: bytes) -> bool:
 
 def _tiff(data: bytes, bits: Collection[int]) -> ImageHeader | None:
     """The first image of a TIFF, if it is of the plain kind that cameras write: in strips, with
-    so many bits. Others can ask a decoder for anything."""
+    one of these numbers of bits. Others can ask a decoder for anything."""
     order = "<" if data.startswith(b"II") else ">"
     (at,) = struct.unpack(f"{order}I", data[4:8])
     (count,) = struct.unpack(f"{order}H", data[at : at + 2])

@@ -26,7 +26,7 @@ _LAYERED, _EXTRA_BYTES = 3, 14
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # of points, colours, with infrared, of wave packets
 
 
-class _Header(NamedTuple):
+class _LasHeader(NamedTuple):
     """The point format, whether the points are packed, how many they are, and whether their
     times are GPS time."""
 
@@ -86,7 +86,7 @@ def las_time_ns(path: Path, max_bytes: int) -> int:
         ) from problem
 
 
-def _checked(path: Path, max_bytes: int) -> _Header:
+def _checked(path: Path, max_bytes: int) -> _LasHeader:
     """What the header says, once it is sure that the file can hold it."""
     size = check_regular(path)
     if size > max_bytes:
@@ -107,7 +107,7 @@ def _checked(path: Path, max_bytes: int) -> _Header:
         raise RecordingError(
             f"{path} claims {points} points, more than {MAX_POINTS}; cut it into sweeps."
         )
-    return _Header(kind & 0x3F, packed, points, bool(encoding & 1))
+    return _LasHeader(kind & 0x3F, packed, points, bool(encoding & 1))
 
 
 def _chunks(file: Any, offset: int, size: int) -> int:

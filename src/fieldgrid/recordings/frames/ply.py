@@ -24,7 +24,7 @@ _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _BLOCK_LINES = 1 << 13
 
 
-class _Header(NamedTuple):
+class _PlyHeader(NamedTuple):
     """Format, number of vertices, and name and type of their properties."""
 
     kind: str
@@ -62,7 +62,7 @@ def parse_ply(data: bytes, name: str) -> RawSweep:
     return RawSweep(points, columns[3] if len(columns) > 3 else None)
 
 
-def _parse(header: bytes) -> _Header | None:
+def _parse(header: bytes) -> _PlyHeader | None:
     """What a header says, None where it makes no sense."""
     kind, count, element = "", -1, 0
     properties: list[tuple[str, str]] = []
@@ -80,10 +80,10 @@ def _parse(header: bytes) -> _Header | None:
                 return None
     if not kind or count < 0 or not 3 <= len(properties) <= _MAX_PROPERTIES:
         return None
-    return _Header(kind, count, properties)
+    return _PlyHeader(kind, count, properties)
 
 
-def _ascii(body: bytes, header: _Header, xyz: list[int], name: str) -> npt.NDArray[np.generic]:
+def _ascii(body: bytes, header: _PlyHeader, xyz: list[int], name: str) -> npt.NDArray[np.generic]:
     width = len(header.properties)
     if 2 * header.vertices * width > len(body) + 1:  # a digit and a space
         raise _too_short(name, header.vertices, len(body))

@@ -42,7 +42,7 @@ TILT_SIGMA_DEG = 0.5
 
 _CHORD_S, _LEAST_CHORD_M = 1.0, 0.2
 _FORWARD_SHARE = 0.7
-"""So much of the way, squared, is along the vehicle's forward axis, or the axes are others."""
+"""Least share of the squared way along the forward axis; below it, the axes are others."""
 
 _R_VEHICLE_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 

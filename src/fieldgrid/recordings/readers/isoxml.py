@@ -49,7 +49,7 @@ _POSITION = (
 _ABSENT = {"C": -0x80000000, "E": 0xFFFF, "F": 0xFFFF, "G": 0xFF, "H": 0xFFFFFFFF, "I": 0xFFFF}
 
 
-class _Header(NamedTuple):
+class _TimeLogHeader(NamedTuple):
     """What a time log's header declares: the layout of a record, constants, DDIs by index."""
 
     layout: struct.Struct
@@ -143,7 +143,7 @@ def _elements(path: Path, max_bytes: int) -> Iterator[tuple[str, dict[str, str]]
     return iter(found)
 
 
-def _read_header(path: Path) -> _Header:
+def _read_header(path: Path) -> _TimeLogHeader:
     layout, names, fixed, ddis = "<", [], {}, []
     kinds = set()
     for kind, attributes in _elements(path, _MAX_HEADER_BYTES):
@@ -165,7 +165,7 @@ def _read_header(path: Path) -> _Header:
             ddis.append(_ddi(attributes.get("A", ""), path))
     if not {"TIM", "PTN"} <= kinds or "A" not in {*names, *fixed} or "B" not in {*names, *fixed}:
         raise RecordingError(f"{path} declares no position (TIM with PTN A and B); log one.")
-    return _Header(struct.Struct(layout), tuple(names), fixed, tuple(ddis))
+    return _TimeLogHeader(struct.Struct(layout), tuple(names), fixed, tuple(ddis))
 
 
 def _number(text: str, what: str) -> float:
@@ -184,7 +184,7 @@ def _ddi(text: str, path: Path) -> int:
     return int(text, 16)
 
 
-def _find_speed(header: _Header, taskdata: Path | None) -> _Speed | None:
+def _find_speed(header: _TimeLogHeader, taskdata: Path | None) -> _Speed | None:
     """The standard's speed, else the first value that the task file shows in a unit of speed."""
     if _ACTUAL_SPEED in header.ddis:
         return _Speed(header.ddis.index(_ACTUAL_SPEED), 0.0, 1e-3)
@@ -208,7 +208,7 @@ def _find_speed(header: _Header, taskdata: Path | None) -> _Speed | None:
 class _Records:
     """Reads the records of one log and counts what is odd about them."""
 
-    def __init__(self, path: Path, header: _Header, speed: _Speed | None) -> None:
+    def __init__(self, path: Path, header: _TimeLogHeader, speed: _Speed | None) -> None:
         self._path, self._header, self._speed = path, header, speed
         self._unplaced = self._untimed = 0
         self._unstated = False

@@ -43,7 +43,7 @@ class _Schema(NamedTuple):
     data: bytes
 
 
-class _Run(Run):
+class _McapRun(Run):
     chunk_mark = re.compile(
         rb"\x06.{5}\x00{3}.{28}(?:\x04\x00{3}zstd|\x03\x00{3}lz4|\x00{4})", re.DOTALL
     )
@@ -199,4 +199,4 @@ def _string(data: bytes, at: int) -> tuple[str, int]:
 class McapFile(ChunkedFile):
     """One `.mcap` file."""
 
-    run = _Run
+    run = _McapRun

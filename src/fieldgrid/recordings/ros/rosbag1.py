@@ -50,7 +50,7 @@ class _MessageHeader:
 _MESSAGE_HEADERS = {names: _MessageHeader(names) for names in permutations(_MESSAGE_FIELDS)}
 
 
-class _Run(Run):
+class _BagRun(Run):
     chunk_mark = re.compile(rb"\x04\x00\x00\x00op=\x05")
     widest_mark = _WIDEST_CHUNK_HEADER
 
@@ -242,4 +242,4 @@ def _op(header: Mapping[bytes, bytes]) -> int:
 class Rosbag1File(ChunkedFile):
     """One `.bag` file."""
 
-    run = _Run
+    run = _BagRun

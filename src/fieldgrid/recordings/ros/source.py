@@ -109,7 +109,7 @@ class _Unpacker(Protocol):
     def decompress(self, data: bytes, max_length: int, /) -> bytes: ...
 
 
-class _Unpacked:
+class _UnpackedStream:
     """A stream from an object that unpacks bit by bit."""
 
     def __init__(self, unpacker: _Unpacker, data: bytes) -> None:
@@ -125,7 +125,7 @@ class _Unpacked:
 def _lz4(data: bytes) -> _Stream:
     import lz4.frame
 
-    return _Unpacked(lz4.frame.LZ4FrameDecompressor(), data)
+    return _UnpackedStream(lz4.frame.LZ4FrameDecompressor(), data)
 
 
 def _zstd(source: bytes | BinaryIO) -> _Stream:
@@ -136,7 +136,7 @@ def _zstd(source: bytes | BinaryIO) -> _Stream:
 
 
 _CODECS: dict[str, Callable[[bytes], _Stream]] = {
-    "bz2": lambda data: _Unpacked(bz2.BZ2Decompressor(), data),
+    "bz2": lambda data: _UnpackedStream(bz2.BZ2Decompressor(), data),
     "lz4": _lz4,
     "zstd": _zstd,
 }

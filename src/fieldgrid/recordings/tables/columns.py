@@ -114,7 +114,7 @@ ROLES = ("time", *_NAMES)
 """What a column may be mapped to."""
 
 
-class Named(NamedTuple):
+class ColumnName(NamedTuple):
     """A column's name taken apart: words without unit, the unit, and a factor before it."""
 
     base: str
@@ -222,7 +222,7 @@ def how_to_say(**said: str) -> str:
     )
 
 
-def take_apart(name: str) -> Named:
+def take_apart(name: str) -> ColumnName:
     """The words of a column name: ``Speed [km/h]`` is speed in km_h."""
     words = re.sub(r"(?<=[a-z])(?=[A-Z][a-z])", "_", name)
     plain = re.sub(r"[^a-z0-9]+", "_", words.lower()).strip("_")
@@ -232,8 +232,8 @@ def take_apart(name: str) -> Named:
         if match is not None:
             if match[2]:
                 factor = float(f"{match[2]}.{match[3]}")
-            return Named(_without_prefix(match[1]), unit, factor)
-    return Named(_without_prefix(plain))
+            return ColumnName(_without_prefix(match[1]), unit, factor)
+    return ColumnName(_without_prefix(plain))
 
 
 def _without_prefix(plain: str) -> str:

@@ -216,8 +216,7 @@ def _decimal_ns(cells: Sequence[str], places: int) -> Int64:
 
 
 def _aligned_ns(cells: Sequence[str], places: int) -> Int64 | None:
-    """The same of digits that have their point in one column, as most logs write them; None of
-    others."""
+    """Nanoseconds of cells with their decimal points in one column, as in most logs; else None."""
     first = cells[0] if len(cells) else ""
     length, wide = len(first), first.find(".") if "." in first else len(first)
     text = "".join(cells)

@@ -31,7 +31,7 @@ SAME_SHARE = 0.3
 """Solutions are the same when they lie apart by this share of the usual leap between them."""
 
 MOST_AT_ONCE = 1000
-"""So many solutions are compared with all others at once."""
+"""Number of solutions that are compared with all others at once."""
 
 RETURN_S, RETURN_SHARE = 10.0, 0.5
 """Within so long of a leap a smaller step that undoes it is one, too: one that is this share of

@@ -35,7 +35,7 @@ _DIGITS = 9
 """A nanometre and less than a microradian; beyond are the rounding errors of quaternions."""
 
 
-class Mounted(NamedTuple):
+class SensorMounting(NamedTuple):
     """The mounting of a sensor, the turn of points that it does not tell, remarks, and the sensor
     itself where the bag says it exactly."""
 
@@ -68,23 +68,23 @@ def mounting_path(path: Path) -> Path:
 
 def find_mounting(
     path: Path, options: DriveOptions, transforms: Transforms, sensor: SensorFrame, antenna: str
-) -> Mounted:
+) -> SensorMounting:
     """The mounting that is given or lies beside the bag, else that of its static transforms.
 
     `antenna` is the frame of the fixes. Raises CalibrationError when nothing tells it.
     """
     usual = mounting_path(path)
     if options.mounting is not None or usual.exists():
-        return Mounted(_moved(options.find_mounting(usual, path), sensor), np.eye(3))
+        return SensorMounting(_moved(options.find_mounting(usual, path), sensor), np.eye(3))
     try:
         return _by_transforms(path, usual, transforms, sensor, antenna)
     except CalibrationError:
         if not options.unmounted:
             raise
-        return Mounted(NO_MOUNTING, np.eye(3))
+        return SensorMounting(NO_MOUNTING, np.eye(3))
 
 
-def exactly(rig: Rig) -> Mounted:
+def exactly(rig: Rig) -> SensorMounting:
     """The mounting and the sensor of a rig that the bag itself says."""
     mounting = Mounting(
         rig.mount,
@@ -94,12 +94,12 @@ def exactly(rig: Rig) -> Mounted:
         rig.heading_convention,
         source=RIG,
     )
-    return Mounted(mounting, np.eye(3), (f"Mount and antenna by {RIG}.",), rig.sensor)
+    return SensorMounting(mounting, np.eye(3), (f"Mount and antenna by {RIG}.",), rig.sensor)
 
 
 def _by_transforms(
     path: Path, usual: Path, transforms: Transforms, sensor: SensorFrame, antenna: str
-) -> Mounted:
+) -> SensorMounting:
     placed = _place(transforms, sensor.name, GROUND)
     if placed is None and _place(transforms, sensor.name, BASE) is not None:
         raise CalibrationError(
@@ -142,7 +142,7 @@ def _mounted(
     antenna: FrameTransform,
     axle: FrameTransform | None,
     sensor: SensorFrame,
-) -> Mounted:
+) -> SensorMounting:
     """The mounting by places below the ground's frame: of the sensor, the antenna, the axle."""
     R = _VEHICLE_FROM_FLU @ placed.R @ sensor.R.T
     origin = _VEHICLE_FROM_FLU @ (placed.at_m + placed.R @ sensor.R.T @ sensor.origin_m)
@@ -163,7 +163,7 @@ def _mounted(
         raise CalibrationError(f"{path}: {problem}") from problem
     axle_m = None if axle is None else _rounded((_VEHICLE_FROM_FLU @ axle.at_m - below)[1])
     source = f"{path.name}: /tf_static"
-    return Mounted(Mounting(mount, arm, axle_m, source=source), R_sensor, tuple(notes))
+    return SensorMounting(Mounting(mount, arm, axle_m, source=source), R_sensor, tuple(notes))
 
 
 def _rounded(value: float) -> float:

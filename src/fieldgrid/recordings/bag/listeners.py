@@ -22,7 +22,7 @@ from fieldgrid.recordings.ros.model import Message
 _UNLIMITED = 1 << 60
 
 
-class Heard:
+class TopicListener:
     """The messages of one topic, each decoded and added; those that do not fit their type are
     counted. `frame_id` is that of the first message."""
 
@@ -73,7 +73,7 @@ class Heard:
             yield f"{counted(count, 'message')} {what}"
 
 
-class Sentences(Heard):
+class Sentences(TopicListener):
     """NMEA in nmea_msgs/Sentence."""
 
     hashes = True
@@ -96,7 +96,7 @@ class Sentences(Heard):
         return self._log
 
 
-class Fixes(Heard):
+class Fixes(TopicListener):
     """Positions of sensor_msgs/NavSatFix."""
 
     hashes = True
@@ -136,7 +136,7 @@ class Fixes(Heard):
         )
 
 
-class Turns(Heard):
+class Turns(TopicListener):
     """Rates of turn about the axes of an IMU, rad/s, forces along them, m/s², and how it leans by
     its own estimate."""
 
@@ -163,7 +163,7 @@ class Turns(Heard):
         return np.array(self._sensed, dtype=np.float64).reshape(-1, 6)
 
 
-class Speeds(Heard):
+class Speeds(TopicListener):
     """Speeds along the x axis of the vehicle, m/s, and how it leans, by nav_msgs/Odometry."""
 
     def __init__(self) -> None:
@@ -182,7 +182,7 @@ class Speeds(Heard):
         return np.array(self._speeds, dtype=np.float64)
 
 
-class AttitudeMessages(Heard):
+class AttitudeMessages(TopicListener):
     """How the vehicle leans, by the topic that was given for it."""
 
     def __init__(self) -> None:
@@ -196,7 +196,7 @@ class AttitudeMessages(Heard):
         self.leans.add(message, place)
 
 
-class Recorded(Heard):
+class TiltListener(TopicListener):
     """Roll and pitch as a converted drive keeps them."""
 
     def __init__(self, kind: type[RecordedTilt | Orientation]) -> None:
@@ -207,7 +207,7 @@ class Recorded(Heard):
         self.tilts.add(message.data)
 
 
-class First(Heard):
+class First(TopicListener):
     """The first message of a topic: a camera says the same with every image."""
 
     message: Any = None
@@ -219,7 +219,7 @@ class First(Heard):
         self.message = message
 
 
-class Texts(Heard):
+class Texts(TopicListener):
     """What texts say of the fixes on the topic beside them."""
 
     def __init__(self) -> None:

@@ -36,7 +36,7 @@ _SAMPLES = 5
 _CORRECTED = re.compile(r"deskew|undistort|dedistort|corrected|compensated|registered")
 
 
-class Sensed(NamedTuple):
+class FrameSensor(NamedTuple):
     """The sensor of a bag, its frames and how they are made. Of a lidar neither `sensor` nor
     `maker` is known before its mount."""
 
@@ -56,7 +56,7 @@ class Sensed(NamedTuple):
         )  # fmt: skip
 
 
-def sense(content: BagIndex) -> Sensed:
+def sense(content: BagIndex) -> FrameSensor:
     """The sensor and the plan of its frames. Raises RecordingError for a bag that has none or
     leaves open which, CalibrationError where nothing tells the camera."""
     if content.choice.problem is not None:
@@ -67,7 +67,7 @@ def sense(content: BagIndex) -> Sensed:
     return kinds[content.choice.kind](content)
 
 
-def _stereo(content: BagIndex) -> Sensed:
+def _stereo(content: BagIndex) -> FrameSensor:
     bag, roles, settings = content.bag, content.roles, content.settings
     plan = plan_pairs(bag, roles["left"], roles["right"])
     bits, notes = _bits(content, plan)
@@ -86,10 +86,10 @@ def _stereo(content: BagIndex) -> Sensed:
         notes = pair.notes + notes
     middle_m = np.array([camera.baseline_m / 2.0, 0.0, 0.0])
     maker = PairMaker((camera.width_px, camera.height_px), rectifier, compressed, bits)
-    return Sensed(SensorFrame(name, R, middle_m, middle_m), plan, camera, maker, notes)
+    return FrameSensor(SensorFrame(name, R, middle_m, middle_m), plan, camera, maker, notes)
 
 
-def _disparity(content: BagIndex) -> Sensed:
+def _disparity(content: BagIndex) -> FrameSensor:
     if content.settings.baseline_m is not None:
         raise RecordingError(
             f"{content.settings_path}: baseline_m is in every message with disparities, as T; "
@@ -101,22 +101,22 @@ def _disparity(content: BagIndex) -> Sensed:
     frame = _single_frame(str(first.header.frame_id), content)
     middle_m = np.array([(camera.baseline_m or 0.0) / 2.0, 0.0, 0.0])
     maker = DepthMaker(DisparityImage, (camera.width_px, camera.height_px))
-    return Sensed(frame._replace(measured_m=middle_m), plan, camera, maker)
+    return FrameSensor(frame._replace(measured_m=middle_m), plan, camera, maker)
 
 
-def _depth(content: BagIndex) -> Sensed:
+def _depth(content: BagIndex) -> FrameSensor:
     camera = depth_camera(content, content.settings.baseline_m)
     plan = plan_single(content.bag, content.roles["depth"])
     frame = _single_frame(content.frame_id("depth_info"), content)
     is_packed = content.bag.topics[content.roles["depth"]].type == COMPRESSED
     kind = PackedDepthImage if is_packed else DepthImage
-    return Sensed(frame, plan, camera, DepthMaker(kind, (camera.width_px, camera.height_px)))
+    return FrameSensor(frame, plan, camera, DepthMaker(kind, (camera.width_px, camera.height_px)))
 
 
-def _cloud(content: BagIndex) -> Sensed:
+def _cloud(content: BagIndex) -> FrameSensor:
     plan = plan_single(content.bag, content.roles["cloud"])
     name = str(_first(content, plan).header.frame_id)
-    return Sensed(_single_frame(name, content, content.settings.axes), plan)
+    return FrameSensor(_single_frame(name, content, content.settings.axes), plan)
 
 
 def are_corrected(content: BagIndex) -> bool:
