@@ -24,8 +24,8 @@ MOST_PASSES = 200
 """A log of more passes is in no order at all."""
 
 SAME_M, SAME_SCATTERS = 0.05, 3.0
-"""Passes that lie no farther apart than this distance, or than this multiple of the scatter of their
-own rows, are one log whose rows come late or twice, or of a vehicle that stood."""
+"""Passes no farther apart than this distance, or than this multiple of the scatter of their own
+rows, are one log whose rows come late or twice, or of a vehicle that stood."""
 
 
 class CountedTwice(NamedTuple):
