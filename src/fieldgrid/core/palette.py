@@ -148,7 +148,7 @@ CHANGES = {
     "new_free": "#f2ecd8",
     "not_seen_again": "#a9b4bd",
 }
-"""What became of a cell between two moments, by the lower-case names of `mapfile.Change`."""
+"""What became of a cell between two moments, by the lower-case names of `maps.Change`."""
 
 
 def session_colour(number: int) -> str:

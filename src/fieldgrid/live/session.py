@@ -351,7 +351,7 @@ class Live(Closing):
                 self._poser.put(fix)
 
     def push_rows(self, part: str, rows: Rows) -> None:
-        """Rows of a part of the motion (`live.sensor_rows.PARTS`), in any order, or of poses."""
+        """Rows of a part of the motion (`pose.sensor_rows.PARTS`), in any order, or of poses."""
         self._check_open()
         if not len(rows.time_ns):
             return

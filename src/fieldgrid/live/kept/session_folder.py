@@ -1,7 +1,7 @@
 """The folder in which a live session stores its data beside the map, written and read back.
 
-`MAP.live/` holds `journal` (`live.journal`), `frames.grids` (a stage file), `frames.points` (points
-before gridding, `live.points_file`) and the pairs by which the cameras are checked at the end. A
+`MAP.live/` holds `journal` (`kept.journal`), `frames.grids` (a stage file), `frames.points` (points
+before gridding, `kept.points_file`) and the pairs by which the cameras are checked at the end. A
 frame counts when all files have it, so a kill between two of them loses that frame alone.
 """
 

@@ -123,7 +123,7 @@ class FixedLagSmoother:
         self._seen(time_ns)
 
     def forget(self, sources: Collection[str], time_ns: int) -> None:
-        """Forget what some sources (`live.stamps`) said after an instant, of another time."""
+        """Forget what some sources (`stamps`) said after an instant, of another time."""
         if FIXES in sources:
             self._fixes = deque(fix for fix in self._fixes if fix.time_ns <= time_ns)
             self._last_fix_ns = max((fix.time_ns for fix in self._fixes), default=None)

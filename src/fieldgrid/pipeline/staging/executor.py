@@ -1,6 +1,6 @@
 """Who stages shares of drives for a build, and what they tell it.
 
-`build.pool` does it in processes of this machine, `build.cluster` in those of a Dask cluster.
+`pool` does it in processes of this machine, `cluster` in those of a Dask cluster.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A process that stages shares of drives for a build; started by `build.pool`, never by hand.
+"""A process that stages shares of drives for a build; started by `pool`, never by hand.
 
 It takes pickled orders from its standard input and writes pickled answers to its standard output.
 When the build ends, however it does, the input ends, and the process with it.
