@@ -1,6 +1,6 @@
 """Whether the camera shows something new, judged again with each estimate of where it is.
 
-The rule is that of a build (`pipeline.checks.stuck`). Of a frame that waits for its pose it is applied anew
+The rule is that of a build (`checks.stuck`). Of a frame that waits for its pose it is applied anew
 whenever that pose changes, so what is told of a frame once it is settled is what a build says.
 """
 

@@ -1,6 +1,6 @@
 """Processes that stage shares of drives side by side.
 
-Each is a Python of its own that runs `worker` beside it: nothing of this program is copied by fork(),
+Each is a Python of its own that runs `worker`: nothing of this program is copied by fork(),
 and its main module is not run again. A thread here gives it shares and takes its answers; when it
 dies, the share is given to another.
 """

@@ -1,4 +1,4 @@
-"""A share of a drive, staged on another machine: what a worker of `pipeline.staging.cluster` runs."""
+"""A share of a drive, staged on another machine: what a worker of `cluster` runs."""
 
 from __future__ import annotations
 
