@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fieldgrid.geometry import TILE_CELLS, GridSpec, Lattice, Pose, Window
-from fieldgrid.maps import to_local, to_universal
+from fieldgrid.maps import open_map, to_local, to_universal
 from fieldgrid.maps.layers.blocks import (
     COLUMN_BITS,
     block_points,
@@ -18,6 +19,7 @@ from fieldgrid.maps.layers.blocks import (
     session_means,
 )
 from fieldgrid.maps.layers.window import at_cells
+from tests.maps.file.maps import drive, write_map
 
 SPEC = GridSpec(width_m=6.0, length_m=8.0, cell_m=0.1)
 
@@ -103,3 +105,10 @@ def test_the_blocks_of_cells() -> None:
 def test_means_are_whole_and_rounded_half_up() -> None:
     total, count = np.array([5, -5, 7, 0, -7]), np.array([2, 2, 3, 0, 3])
     np.testing.assert_array_equal(session_means(total, count), [3, -2, 2, 0, -2])
+
+
+def test_a_drive_whose_frames_reach_into_a_single_block_is_mapped(tmp_path: Path) -> None:
+    """The corner of a tile that frames without heights reach is one block of channels of zeros."""
+    path = write_map(tmp_path / "map.gpkg", [drive(200)])
+    with open_map(path) as universal:
+        assert universal.verify(deep=True).problems == ()

@@ -133,9 +133,7 @@ class WindowFold:
                 weighty = (channels[0] > 0).reshape(height, side, width, side)
                 seen = np.logical_or.reduce(weighty, axis=(1, 3))
             elif group.blocks:
-                for one in channels:
-                    if not is_nothing(one):
-                        np.multiply(one, seen, out=one)
+                channels = [one if is_nothing(one) else one * seen for one in channels]
             self._done[group.name] = channels
 
     def _channels(self, group: ChannelGroup, part: Window, whole_blocks: bool) -> Iterable[UInt64]:
