@@ -54,7 +54,7 @@ def test_json_is_what_the_function_gives(fieldgrid: Run, few: Path) -> None:
 def test_a_drive_that_would_not_build(fieldgrid: Run, tmp_path: Path) -> None:
     folder = copy_of(tmp_path / "late", FEW, moved_s=7200.0)
     result = fieldgrid("inspect", folder)
-    assert (result.status, result.err) == (1, "")
+    assert (result.status, result.err.count("fieldgrid: a build of")) == (1, 1)
     assert "error no-overlap: " in result.out
     assert "--time-offset -7200" in result.out
     assert result.out.rstrip().endswith("a build would fail")
@@ -65,7 +65,7 @@ def test_a_drive_that_would_not_build(fieldgrid: Run, tmp_path: Path) -> None:
 def test_what_cannot_be_opened_is_json_too(fieldgrid: Run, tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "nowhere"):
         result = fieldgrid("inspect", path, "--json")
-        assert (result.status, result.err) == (1, "")
+        assert (result.status, result.err.count("fieldgrid: a build of")) == (1, 1)
         told = json.loads(result.out)
         assert told["builds"] is False
         assert [finding["severity"] for finding in told["findings"]] == ["error"]
@@ -76,7 +76,7 @@ def test_what_cannot_be_opened_is_json_too(fieldgrid: Run, tmp_path: Path) -> No
 
 def test_a_log_alone(fieldgrid: Run) -> None:
     result = fieldgrid("inspect", TWO_LANES / "gnss" / RTK, "--json")
-    assert (result.status, result.err) == (1, "")
+    assert (result.status, result.err.count("fieldgrid: a build of")) == (1, 1)
     told = json.loads(result.out)
     assert told["kind"] == "GNSS log"
     assert told["fixes"]["accepted"] == 437
@@ -151,7 +151,7 @@ def test_inspect_refuses_for_a_log_what_track_does(
     fieldgrid: Run, options: tuple[str, ...], told: tuple[str, str]
 ) -> None:
     result = fieldgrid("inspect", TWO_LANES / "gnss" / RTK, *options, "--json")
-    assert (result.status, result.err) == (1, "")
+    assert (result.status, result.err.count("fieldgrid: a build of")) == (1, 1)
     (one,) = json.loads(result.out)["findings"]
     assert one["message"].endswith(told[0])
     assert one["remedy"] == told[1]

@@ -3,6 +3,7 @@
 import ast
 import json
 import math
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -21,14 +22,17 @@ def test_what_is_not_known_is_a_dash(value: float | None, text: str) -> None:
 
 
 def test_nothing_is_printed_but_what_is_printable() -> None:
-    """Names of files are in what commands say; those of a stranger move no cursor."""
+    """Names of files are in what commands say; those of a stranger move no cursor. The usage of a
+    command has none."""
     for path in Path(output.__file__).parent.glob("*.py"):
         if path.name == "output.py":
             continue
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Call) and ast.unparse(node.func) in ("print", "typer.echo"):
                 said = ast.unparse(node)
-                assert "printable(" in said or "version(" in said, f"{path.name}: {said}"
+                assert re.search(r"printable\(|version\(|print\(usage", said), (
+                    f"{path.name}: {said}"
+                )
 
 
 def test_a_time_in_json_has_its_text_beside_it(capsys: pytest.CaptureFixture[str]) -> None:

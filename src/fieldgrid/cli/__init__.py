@@ -10,7 +10,7 @@ import errno
 import os
 import signal
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -27,11 +27,12 @@ app = typer.Typer(
     name="fieldgrid",
     cls=Commands,
     help="One map in metres east and north from a stereo camera and a GNSS receiver.",
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings=CONTEXT,
 )
+
+_UsageError: Any = typer.BadParameter.__base__  # typer has no public name for it
 
 _LONGEST = 2000
 """Letters of a message: a file may hold a name of a megabyte."""
@@ -70,17 +71,28 @@ _REMEDIES = {
 
 
 def main() -> None:
-    """Run the command line; the entry point of the `fieldgrid` script."""
+    """Run the command line; the entry point of the `fieldgrid` script.
+
+    Whatever ends with a status other than 0 has its sentence on stderr.
+    """
     # A polite request to end unwinds like an error, so that nothing half-written stays.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     tell_of_compiling()
     # A name that is no UTF-8 can still be printed.
     sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
         try:
-            app(prog_name="fieldgrid")
+            asked = sys.argv[1:] or ["--help"]
+            app(asked, prog_name="fieldgrid", standalone_mode=False)
         finally:
             log_cost()
+    except _UsageError as error:
+        if error.ctx is not None:
+            usage = f"{error.ctx.get_usage()}\nTry '{error.ctx.command_path} -h' for help."
+            print(usage, end="\n\n", file=sys.stderr)
+        _end(error.format_message().rstrip(".") + ".", 2)
+    except SystemExit as request:
+        _end_at_request(request)
     except FieldgridError as error:
         _end(str(error), 1)
     except BrokenPipeError:
@@ -101,10 +113,18 @@ def main() -> None:
         while cause is not None:
             # A request to end that arrives in compiled code comes back as an error of another kind.
             if isinstance(cause, SystemExit):
-                sys.exit(cause.code)
+                _end_at_request(cause)
             cause = cause.__cause__
 
         _end(describe(error), 70)
+
+
+def _end_at_request(request: SystemExit) -> None:
+    """End as Ctrl-C or SIGTERM asked, with the last note on what is kept; other ends as they are."""
+    if request.code not in (128 + signal.SIGINT, 128 + signal.SIGTERM):
+        raise request
+    kept = getattr(request, "__notes__", [""])[-1]
+    _end(f"interrupted. {kept}".rstrip(), request.code)
 
 
 def _end(message: str, status: int) -> None:

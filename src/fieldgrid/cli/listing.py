@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import inspect
+import signal
 from typing import Any, NamedTuple
 
 import typer
@@ -93,11 +94,17 @@ class Commands(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command. Typer answers the end of what is read with "Aborted!" and status 1, as
-        if a user had ended a question; here nothing asks, so that it is an error as any other."""
+        if a user had ended a question; here nothing asks, so that it is an error as any other.
+        Ctrl-C it answers without a word; here it is a request to end, as SIGTERM is."""
         try:
             return super().invoke(ctx)
         except EOFError as error:
             raise RuntimeError(f"EOFError: {error}") from error
+        except KeyboardInterrupt as interrupt:
+            request = SystemExit(128 + signal.SIGINT)
+            for note in getattr(interrupt, "__notes__", []):
+                request.add_note(note)
+            raise request from None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """A name that is none is answered with those that are like it."""

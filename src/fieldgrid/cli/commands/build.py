@@ -205,7 +205,7 @@ def command(
                 patience=Patience(wait_s, tell.waiting),
                 progress=tell.show,
             )
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit) as end:
         kept = ""
         if left_behind(out):
             kept = (
@@ -213,9 +213,8 @@ def command(
                 "goes on from there."
             )
         what = "drive is" if len(recordings) == 1 else "drives that were not finished are"
-        said = f"fieldgrid: interrupted; the {what} not in the map.{kept}"
-        typer.echo(printable(said), err=True)
-        raise typer.Exit(130) from None
+        end.add_note(f"The {what} not in the map.{kept}")
+        raise
     except PartlyBuiltError as problem:
         partly, reports = problem, list(problem.reports)
         if not reports:

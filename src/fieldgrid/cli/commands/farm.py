@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
     from fieldgrid.maps import FarmBlock
 
+_MOST_NAMES = 5
+
 
 def command(
     ctx: typer.Context,
@@ -55,6 +57,7 @@ def command(
 
         fieldgrid farm maps --stac catalogue --cog
     """
+    from fieldgrid.core import MapError, counted
     from fieldgrid.maps import Farm, Health
 
     if stac is None:
@@ -86,8 +89,13 @@ def command(
             for name, why in failed:
                 output.print_line(f"{name} is not in the catalogue: {why}")
             output.report_line(f"{written.file}: {len(written.items)} maps")
-    if failed or any(block.health is Health.DAMAGED for block in blocks):
-        raise typer.Exit(1)
+    bad = [block.path.name for block in blocks if block.health is Health.DAMAGED]
+    bad += [name for name, _ in failed if name not in bad]
+    if bad:
+        raise MapError(
+            f"{', '.join(bad[:_MOST_NAMES])}{' ...' if len(bad) > _MOST_NAMES else ''}: "
+            f"{counted(len(bad), 'map')} of {folder} cannot be used; fieldgrid verify says why."
+        )
 
 
 def _print(blocks: tuple[FarmBlock, ...]) -> None:

@@ -39,7 +39,7 @@ def command(
         fieldgrid inspect june-03.mcap --json
     """
     options.check_figure(figure)
-    from fieldgrid.core import resolve
+    from fieldgrid.core import RecordingError, resolve
     from fieldgrid.pipeline import inspect_recording
 
     path = progress.fetched(recording)
@@ -55,7 +55,10 @@ def command(
     else:
         _print(found, figure)
     if not found.builds:
-        raise typer.Exit(1)
+        wrong = [one.code for one in found.findings if one.severity.value == "error"]
+        raise RecordingError(
+            f"a build of {found.name} would fail ({', '.join(wrong)}); the findings say what to do."
+        )
 
 
 def _print(found: Inspection, figure: Path | None) -> None:

@@ -42,16 +42,13 @@ def kept_when_interrupted(folder: Path, out: Path, way: str = "--finish") -> Ite
     try:
         yield
     except (KeyboardInterrupt, SystemExit) as end:
-        where = ""
-        if folder.exists():
-            where = (
+        # Where the end had begun, it has noted what became of the drive.
+        if folder.exists() and not hasattr(end, "__notes__"):
+            end.add_note(
                 f"What is kept of the drive is in {folder}; fieldgrid live -o {out} {way} makes "
                 "the map of it."
             )
-        # Where the end had begun, it has noted what became of the drive.
-        where = getattr(end, "__notes__", [where])[-1]
-        typer.echo(printable(f"fieldgrid: interrupted. {where}".rstrip()), err=True)
-        raise typer.Exit(130 if isinstance(end, KeyboardInterrupt) else 143) from None
+        raise
 
 
 @contextmanager

@@ -57,6 +57,7 @@ def command(
         "its workers read the copy of the map that is kept; leave out "
         + ("--upgrade" if upgrade else "--in-place"),
     )
+    from fieldgrid.core import MapError, counted
     from fieldgrid.maps import open_map
 
     done, left = "repaired", tuple[str, ...]()
@@ -79,7 +80,10 @@ def command(
             output.print_line(line)
         output.report_line(f"{done} {map_}" + (f"; as it was: {keep}" if keep else ""))
     if left:
-        raise typer.Exit(1)
+        raise MapError(
+            f"{map_} is repaired but for {counted(len(left), 'problem')} in what no repair makes "
+            "again, removed drives and features; the list says which."
+        )
 
 
 def _unused(map_: Path) -> Path:

@@ -96,7 +96,7 @@ def command(
         fieldgrid track june-03 -o track.csv --poses slam.tum --poses-axes rdf
     """
     options.check_figure(figure)
-    from fieldgrid.core import refuse_input, resolve
+    from fieldgrid.core import GnssError, refuse_input, resolve
     from fieldgrid.geometry import Carrier
     from fieldgrid.pipeline import track_drive
     from fieldgrid.poses import check_target, summarise_track, write_track
@@ -145,7 +145,10 @@ def command(
     else:
         _report(out, figure, tracked, summary)
     if not summary.ok + summary.held:
-        raise typer.Exit(1)
+        rejected, why = summary.reasons[0]
+        raise GnssError(
+            f"{tracked.name} has no usable pose; {rejected} of {summary.fixes} fixes: {why}."
+        )
 
 
 def _report(

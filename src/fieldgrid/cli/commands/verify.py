@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from fieldgrid.cli import options, output
-from fieldgrid.core import counted
+from fieldgrid.core import MapError, counted
 
 
 def command(
@@ -50,4 +50,7 @@ def command(
             f"{counted(health.frames, 'frame')}, {counted(health.tiles, 'tile')}"
         )
     if not health.sound:
-        raise typer.Exit(1)
+        raise MapError(
+            f"{map_} has {counted(len(health.problems), 'problem')}; the list says which, and "
+            f"fieldgrid repair {map_} makes everything again that the frames hold."
+        )
