@@ -73,7 +73,7 @@ def test_what_a_stranger_looks_for_is_there(name: str) -> None:
 
 def test_ways_to_install_are_named() -> None:
     text = (ROOT / "README.md").read_text()
-    for way in ("pip install fieldgrid", "pipx install", "uv tool install", "docker build"):
+    for way in ("pip install .", "pipx install", "uv tool install", "docker build"):
         assert way in text
 
 

@@ -120,7 +120,7 @@ def main() -> None:
 
 
 def _end_at_request(request: SystemExit) -> None:
-    """End as Ctrl-C or SIGTERM asked, with the last note on what is kept; other ends as they are."""
+    """End as Ctrl-C or SIGTERM asked, saying what is kept; other ends stay as they are."""
     if request.code not in (128 + signal.SIGINT, 128 + signal.SIGTERM):
         raise request
     kept = getattr(request, "__notes__", [""])[-1]

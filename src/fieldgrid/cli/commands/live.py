@@ -30,8 +30,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from fieldgrid.core import printable
-
 # What Ctrl-C and SIGTERM do to `fieldgrid live`.
 
 
