@@ -79,12 +79,15 @@ def measurements(
     speed, speed_sigma = _wheel_speeds(at.time_ns, motion.wheels, gear)
     unknown = np.full(len(at.time_ns), np.nan)
     last_fix = np.searchsorted(fixes.time_ns, at.time_ns, side="right") - 1
+    wander = np.maximum(fixes.noise.second_m, LEAST_WANDER)
+    lasting_s = np.maximum(BIAS_S, 2.0 * (fixes.sigma_m / wander) ** 2)
+    lasting_s = np.where(fixes.quality == Quality.RTK_FLOAT, FLOAT_BIAS_S, lasting_s)
     return Measurements(
         time_s=seconds(at.time_ns),
         fix_m=np.stack([at_nodes(fixes.east_m), at_nodes(fixes.north_m)], axis=1),
         fix_sigma_m=np.stack([at_nodes(np.hypot(noise_m, late_m)), at_nodes(noise_m)], axis=1),
         bias_m=bias_m,
-        bias_s=_bias_s(fixes)[np.maximum(last_fix, 0)],
+        bias_s=np.minimum(lasting_s, fixes.lasting_s)[np.maximum(last_fix, 0)],
         heading_rad=unknown,
         heading_sigma_rad=unknown,
         speed_mps=speed,
@@ -113,14 +116,6 @@ def with_headings(
         heading_sigma_rad=sigma,
         heading_offset_sigma_rad=float(np.radians(recorded.offset_sigma_deg)),
     )
-
-
-def _bias_s(fixes: AcceptedFixes) -> Float64:
-    """For how long the slow error lasts at each fix."""
-    wander = np.maximum(fixes.noise.second_m, LEAST_WANDER)
-    lasting_s = np.maximum(BIAS_S, 2.0 * (fixes.sigma_m / wander) ** 2)
-    lasting_s = np.where(fixes.quality == Quality.RTK_FLOAT, FLOAT_BIAS_S, lasting_s)
-    return np.minimum(lasting_s, fixes.lasting_s)
 
 
 def _pace_mps(fixes: AcceptedFixes) -> Float64:

@@ -99,7 +99,14 @@ class PoseReport:
             "conditioning": self.conditioning.as_dict(),
             "attitude": None if self.attitude is None else self.attitude.as_dict(),
             **{
-                name: None if part is None else _plain(part._asdict())
+                name: None
+                if part is None
+                else (
+                    {
+                        name: None if value != value else value
+                        for name, value in part._asdict().items()
+                    }
+                )
                 for name, part in parts.items()
             },
             "camera_yaw": None if self.camera_yaw is None else self.camera_yaw.as_dict(),
@@ -108,11 +115,6 @@ class PoseReport:
             "unseen": [str(fault) for fault in self.unseen],
             "notes": list(self.notes),
         }
-
-
-def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    """The values with None in place of NaN."""
-    return {name: None if value != value else value for name, value in values.items()}
 
 
 def fix_offset(fixes: AcceptedFixes, offset_m: Float64) -> FixOffset:

@@ -44,7 +44,11 @@ def counted_twice(fixes: FixColumns) -> tuple[Bool, tuple[CountedTwice, ...]]:
     time_ns = fixes.time_ns[rows]
     if not (np.diff(time_ns) < 0).any():
         return twice, ()
-    place_m = _metres(fixes.lat_deg[rows], fixes.lon_deg[rows])
+    lat_deg = fixes.lat_deg[rows]
+    lon_deg = fixes.lon_deg[rows]
+    shrink = math.cos(math.radians(float(lat_deg[0])))
+    east_deg = np.mod(lon_deg - lon_deg[0] + 180.0, 360.0) - 180.0
+    place_m = M_PER_DEG * np.stack([lat_deg - lat_deg[0], shrink * east_deg])
     edges = np.flatnonzero(np.concatenate([[True], np.diff(time_ns) < 0, [True]]))
     long = np.diff(edges) >= FEWEST_IN_PASS
     first, last = edges[:-1][long], edges[1:][long] - 1
@@ -69,13 +73,6 @@ def counted_twice(fixes: FixColumns) -> tuple[Bool, tuple[CountedTwice, ...]]:
                 seconds = (to_ns - from_ns) / 1e9
                 found.append(CountedTwice(from_ns, seconds, len(one) + len(two)))
     return twice, tuple(found)
-
-
-def _metres(lat_deg: Float64, lon_deg: Float64) -> Float64:
-    """North and east [2, n] of the first place."""
-    shrink = math.cos(math.radians(float(lat_deg[0])))
-    east_deg = np.mod(lon_deg - lon_deg[0] + 180.0, 360.0) - 180.0
-    return M_PER_DEG * np.stack([lat_deg - lat_deg[0], shrink * east_deg])
 
 
 def _alternate(time_ns: Int64, one: Index, two: Index) -> bool:

@@ -98,7 +98,10 @@ def motion_envelope(
     # The quicker end of a step, and as good as any distance where no speed is stated.
     told_step_mps = np.where(np.isnan(told_mps), limits.max_speed_mps, told_mps)
     told_step_mps = np.maximum(told_step_mps[1:], told_step_mps[:-1])
-    sigma_m = _honest(time_ns, east_m, north_m, sigma_m)
+    # The stated sigma, raised to the noise that the log has, but no more than tenfold.
+    measured_m = short_term_sigma_m(east_m, north_m, time_ns, 0.0)
+    sigma_m = np.minimum(sigma_m, _ANYWHERE_M)
+    sigma_m = np.maximum(sigma_m, np.minimum(measured_m, _SIGMA_DOUBT * sigma_m))
     noise_m = limits.sigmas * math.sqrt(2.0) * sigma_m
     return MotionEnvelope(
         time_ns,
@@ -183,13 +186,6 @@ def _credible(speed_mps: Float64, pace_mps: Float64, limits: GateLimits) -> Floa
     if told.any() and np.mean(too_slow) > _WRONG_SPEEDS:
         return np.full_like(speed_mps, np.nan)
     return speed_mps
-
-
-def _honest(time_ns: Int64, east_m: Float64, north_m: Float64, sigma_m: Float64) -> Float64:
-    """The stated sigma, raised to the noise that the log has, but no more than tenfold."""
-    measured_m = short_term_sigma_m(east_m, north_m, time_ns, 0.0)
-    sigma_m = np.minimum(sigma_m, _ANYWHERE_M)
-    return np.maximum(sigma_m, np.minimum(measured_m, _SIGMA_DOUBT * sigma_m))
 
 
 @kernel

@@ -88,7 +88,12 @@ def fix_noise(
         if math.isnan(found.across_m):
             continue
         across[own] = np.clip(found.across_m, floor_m, np.maximum(sigma_m[own], floor_m))
-        slower = _axis_sigmas(points, time_s, even, _a_second(time_s))
+        slower = _axis_sigmas(
+            points,
+            time_s,
+            even,
+            max(1, round(_SECOND_S / max(float(np.median(np.diff(time_s))), 1e-3))),
+        )
         if math.isfinite(slower.across_m):
             second[own] = max(slower.across_m, found.across_m, floor_m)
         if found.pace_mps > 0.0:
@@ -104,11 +109,6 @@ def _even(time_s: Float64) -> Bool:
     if not np.any(steps_s > 0.0):
         return np.zeros(len(steps_s), dtype=np.bool_)
     return np.asarray((steps_s > 0.0) & (steps_s <= _MAX_STEP * np.median(steps_s[steps_s > 0.0])))
-
-
-def _a_second(time_s: Float64) -> int:
-    """How many fixes come in about a second."""
-    return max(1, round(_SECOND_S / max(float(np.median(np.diff(time_s))), 1e-3)))
 
 
 class _Scatter(NamedTuple):

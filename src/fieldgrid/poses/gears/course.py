@@ -76,7 +76,8 @@ def course(
     for number in np.unique(part):
         members = np.flatnonzero(part == number)
         points = np.stack([east_m[members], north_m[members]], axis=1)
-        legs = _legs(points, sigma_m[members], baseline_m)
+        cuts = [0, *(k + 1 for k in cusps(points, sigma_m[members], baseline_m)), len(points)]
+        legs = [(a, b) for a, b in itertools.pairwise(cuts) if b > a]
         forward_parity = _longer_parity(points, legs)
         for k, (start, stop) in enumerate(legs):
             gear = 1 if k % 2 == forward_parity else -1
@@ -117,12 +118,6 @@ def cusps(points: Float64, sigma_m: Float64, baseline_m: float) -> list[int]:
         feet = (points[before[run]] + points[after[k - 1]]) / 2.0
         found.append(run + int(np.argmax(np.hypot(*(points[run:k] - feet).T))))
     return found
-
-
-def _legs(points: Float64, sigma_m: Float64, baseline_m: float) -> list[tuple[int, int]]:
-    """The path cut at its cusps: (start, stop) of each leg; a cusp ends the earlier one."""
-    cuts = [0, *(k + 1 for k in cusps(points, sigma_m, baseline_m)), len(points)]
-    return [(a, b) for a, b in itertools.pairwise(cuts) if b > a]
 
 
 def _longer_parity(points: Float64, legs: list[tuple[int, int]]) -> int:

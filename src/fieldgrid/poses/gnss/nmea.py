@@ -209,7 +209,9 @@ def parse_nmea(data: Iterable[bytes]) -> NmeaLog:
     for chunk in _chunks(data):
         if len(start) < _START:
             start += chunk[:_START]
-            _refuse_packed(start)
+            for magic, name in _PACKED.items():
+                if start.startswith(magic):
+                    raise GnssError(f"The log is packed with {name}; unpack it first.")
         fixes += stream.feed(chunk)
     fixes += stream.finish()
     log = stream.log(fixes)
@@ -229,12 +231,6 @@ def _chunks(data: Iterable[bytes]) -> Iterable[bytes]:
     if isinstance(data, io.IOBase):
         return iter(lambda: data.read(_CHUNK), b"")
     return data
-
-
-def _refuse_packed(start: bytes) -> None:
-    for magic, name in _PACKED.items():
-        if start.startswith(magic):
-            raise GnssError(f"The log is packed with {name}; unpack it first.")
 
 
 def _without_sentences(start: bytes) -> str:

@@ -47,7 +47,12 @@ class Calendar:
 
     def take(self, of_day_ns: int, unix_day: int | None, fix: Fix | None) -> list[Fix]:
         """The next epoch, whose fix has the time of day. Gives the fixes that have a date now."""
-        self._count_day(of_day_ns)
+        # Half a day back is the next day. Nearly a whole day ahead is a straggler from before
+        # midnight; less than that is a logger that was switched off.
+        if self._last_ns is not None:
+            ahead_ns = of_day_ns - self._last_ns
+            self._day += (ahead_ns < -DAY_NS // 2) - (ahead_ns > 23 * DAY_NS // 24)
+        self._last_ns = of_day_ns
         dated: list[Fix] = []
         if unix_day is not None:
             self._shift = unix_day - self._day
@@ -56,24 +61,13 @@ class Calendar:
         if fix is None:
             return dated
         if self._shift is None:
-            self._wait(fix)
+            if len(self._waiting) >= self._max_waiting:
+                self._waiting.popleft()
+                self.lost += 1
+            self._waiting.append((self._day, fix))
         else:
             dated.append(_dated(fix, self._day + self._shift))
         return dated
-
-    def _count_day(self, now_ns: int) -> None:
-        # Half a day back is the next day. Nearly a whole day ahead is a straggler from before
-        # midnight; less than that is a logger that was switched off.
-        if self._last_ns is not None:
-            ahead_ns = now_ns - self._last_ns
-            self._day += (ahead_ns < -DAY_NS // 2) - (ahead_ns > 23 * DAY_NS // 24)
-        self._last_ns = now_ns
-
-    def _wait(self, fix: Fix) -> None:
-        if len(self._waiting) >= self._max_waiting:
-            self._waiting.popleft()
-            self.lost += 1
-        self._waiting.append((self._day, fix))
 
 
 def _dated(fix: Fix, unix_day: int) -> Fix:

@@ -16,7 +16,7 @@ from fieldgrid.poses.gnss.fields import (
     unix_day,
     within,
 )
-from fieldgrid.poses.gnss.nmea_epochs import Epoch, EpochLog
+from fieldgrid.poses.gnss.nmea_epochs import EpochLog
 from fieldgrid.poses.gnss.nmea_standard import state
 from fieldgrid.poses.gnss.nmea_statements import (
     BY_ATTITUDE,
@@ -119,7 +119,12 @@ def ksxt(f: list[bytes], log: EpochLog) -> None:
         epoch.unix_day = day
     quality = _KSXT_QUALITY.get(integer(f[10]) or 0)
     if quality and f[2] and f[3] and f[4]:
-        _ksxt_position(f, quality, log, epoch)
+        lat, lon = within(f[3], 90.0), within(f[2], 180.0)
+        height, satellites = within(f[4], MAX_HEIGHT_M), integer(f[13])
+        motion = GroundVelocity(speed_mps(f[8], 1 / 3.6), direction_deg(f[7]))
+        log.place(epoch, Position(BY_KSXT, lat, lon, height, quality, satellites, has_geoid=False))
+        if epoch.motion is None:
+            epoch.motion = motion
     else:
         log.refuse(epoch, BY_KSXT)
     state(
@@ -128,15 +133,6 @@ def ksxt(f: list[bytes], log: EpochLog) -> None:
             BY_ATTITUDE, f[5], _KSXT_QUALITY.get(integer(f[11]) or 0, Quality.NONE), None, f[6]
         ),
     )
-
-
-def _ksxt_position(f: list[bytes], quality: Quality, log: EpochLog, epoch: Epoch) -> None:
-    lat, lon = within(f[3], 90.0), within(f[2], 180.0)
-    height, satellites = within(f[4], MAX_HEIGHT_M), integer(f[13])
-    motion = GroundVelocity(speed_mps(f[8], 1 / 3.6), direction_deg(f[7]))
-    log.place(epoch, Position(BY_KSXT, lat, lon, height, quality, satellites, has_geoid=False))
-    if epoch.motion is None:
-        epoch.motion = motion
 
 
 DECODERS = {b"PTNL": ptnl, b"PASHR": pashr, b"KSXT": ksxt}

@@ -255,8 +255,14 @@ class UbxParser:
             self._repeated += 1
             return
         age = flags3 >> 1 & 15
+        year, month, day, hour, minute, second = civil
+        if not (FIRST_YEAR <= year <= LAST_YEAR and hour < 24 and minute < 60 and second <= 60):
+            raise ValueError(civil)
+        if abs(nano) > 1_000_000_000:
+            raise ValueError(nano)
+        days = date(year, month, day).toordinal() - _UNIX_DAY
         epoch.fix = Fix(
-            time_ns=_utc_ns(civil, nano),
+            time_ns=((days * _DAY_S + (hour * 60 + minute) * 60 + second) * 1_000_000_000 + nano),
             lat_deg=_within(lat / 1e7, 90.0),
             lon_deg=_within(lon / 1e7, 180.0),
             height_m=height / 1e3,
@@ -315,17 +321,6 @@ class UbxParser:
         (itow_ms,) = _ITOW.unpack(payload)
         if self._open and self._open[-1].itow_ms == itow_ms:
             self._done += self._finish(len(self._open))
-
-
-def _utc_ns(civil: tuple[int, ...], nano: int) -> int:
-    """UTC of year, month, day, hour, minute, second; `nano` may be negative."""
-    year, month, day, hour, minute, second = civil
-    if not (FIRST_YEAR <= year <= LAST_YEAR and hour < 24 and minute < 60 and second <= 60):
-        raise ValueError(civil)
-    if abs(nano) > 1_000_000_000:
-        raise ValueError(nano)
-    days = date(year, month, day).toordinal() - _UNIX_DAY
-    return (days * _DAY_S + (hour * 60 + minute) * 60 + second) * 1_000_000_000 + nano
 
 
 def _quality(kind: int, flags: int) -> Quality:

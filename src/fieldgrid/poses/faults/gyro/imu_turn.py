@@ -10,9 +10,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from fieldgrid.core import Float64, Int64
+from fieldgrid.core import Float64
 from fieldgrid.geometry import Inertial, Steps
 
 FEWEST_STEPS = 15
@@ -55,7 +54,22 @@ def imu_turn(steps: Steps | None, sensed: Inertial | None) -> ImuTurn | None:
         return None
     # About the right axis plus i times about the forward one: a turn to the left is a phase.
     seen = steps.pitch_deg[told] + 1j * steps.roll_deg[told]
-    felt = _turned_deg(sensed, start_ns[told], stop_ns[told])
+    time_s = (sensed.time_ns - sensed.time_ns[0]) / 1e9
+    rate = np.nan_to_num(sensed.rate_rad_s[:, :2].astype(np.float64))
+    rate = np.degrees(rate - np.median(rate, axis=0))
+    mean: Float64 = (rate[1:] + rate[:-1]) / 2.0 * np.diff(time_s)[:, None]
+    turned = np.concatenate([[[0.0, 0.0]], np.cumsum(mean, axis=0)])
+    right, forward = (
+        np.diff(
+            [
+                np.interp((at - sensed.time_ns[0]) / 1e9, time_s, axis)
+                for at in (start_ns[told], stop_ns[told])
+            ],
+            axis=0,
+        )[0]
+        for axis in turned.T
+    )
+    felt = np.asarray(right + 1j * forward, dtype=np.complex128)
     power, both = float(np.sum(np.abs(felt) ** 2)), complex(np.sum(seen * np.conj(felt)))
     if abs(both) < LEAST_COHERENCE * math.sqrt(power * float(np.sum(np.abs(seen) ** 2))):
         return None
@@ -65,20 +79,3 @@ def imu_turn(steps: Steps | None, sensed: Inertial | None) -> ImuTurn | None:
     return ImuTurn(
         math.degrees(turn_rad), math.degrees(sigma_rad) / math.sqrt(len(left)), len(left)
     )
-
-
-def _turned_deg(sensed: Inertial, start_ns: Int64, stop_ns: Int64) -> npt.NDArray[np.complex128]:
-    """About right and forward axis [n, complex], without the gyro's bias."""
-    time_s = (sensed.time_ns - sensed.time_ns[0]) / 1e9
-    rate = np.nan_to_num(sensed.rate_rad_s[:, :2].astype(np.float64))
-    rate = np.degrees(rate - np.median(rate, axis=0))
-    mean: Float64 = (rate[1:] + rate[:-1]) / 2.0 * np.diff(time_s)[:, None]
-    turned = np.concatenate([[[0.0, 0.0]], np.cumsum(mean, axis=0)])
-    right, forward = (
-        np.diff(
-            [np.interp((at - sensed.time_ns[0]) / 1e9, time_s, axis) for at in (start_ns, stop_ns)],
-            axis=0,
-        )[0]
-        for axis in turned.T
-    )
-    return np.asarray(right + 1j * forward, dtype=np.complex128)
