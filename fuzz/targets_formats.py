@@ -9,7 +9,6 @@ import struct
 from fieldgrid.core import FieldgridError
 from fieldgrid.geometry import Fix
 from fieldgrid.poses import UbxParser
-from fieldgrid.poses.gnss.ubx import parse_ubx
 from fieldgrid.recordings.tables.logs import read_fix_log
 from fuzz.target import Target, real_starts, written
 
@@ -36,8 +35,10 @@ _TABLES = (
 
 
 def fuzz_ubx(data: bytes) -> None:
-    log = parse_ubx([data])
-    for fix in log.fixes:
+    parser = UbxParser()
+    whole = parser.feed(data) + parser.close()
+    log = parser.log(whole)
+    for fix in whole:
         _check_fix(fix)
     parser = UbxParser()
     pieces = [fix for byte in data for fix in parser.feed(bytes([byte]))] + parser.close()

@@ -15,10 +15,9 @@ from fieldgrid.core import ConfigError
 from fieldgrid.geometry import Fix
 from fieldgrid.live import Pauses, Receiver, ReceiverStream, parse_address
 from fieldgrid.live.sources.links import open_link
-from fieldgrid.poses.gnss.nmea import parse_nmea
-from fieldgrid.poses.gnss.ubx import parse_ubx
 from tests.conftest import TWO_LANES
 from tests.live.sources import QUICK, TIMEOUT_S, listening, running
+from tests.poses.gnss.sentences import parse_nmea, parse_ubx
 
 LOG = (TWO_LANES / "gnss" / "gnss_rtk.nmea").read_bytes()[:20_000]
 LOG = LOG[: LOG.rindex(b"$GPGGA")]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from fieldgrid.geometry import Fix
-from fieldgrid.poses import NmeaLog
-from fieldgrid.poses.gnss.nmea import parse_nmea
+from fieldgrid.poses import NmeaLog, NmeaStream, UbxLog, UbxParser
 
 SECOND = 1_000_000_000
 JUNE_15 = 1_308_096_000 * SECOND  # 2011-06-15T00:00:00Z
@@ -30,10 +30,23 @@ def rmc(time: str, date: str = "150611", *, speed: str = "3.0", status: str = "A
     return sentence(f"GPRMC,{time},{status},4139.02,N,00443.21,W,{speed},,{date},,,R")
 
 
+def parse_nmea(data: Iterable[bytes]) -> NmeaLog:
+    stream = NmeaStream()
+    fixes = [fix for chunk in data for fix in stream.feed(chunk)]
+    fixes += stream.finish()
+    return stream.log(fixes)
+
+
+def parse_ubx(data: Iterable[bytes]) -> UbxLog:
+    parser = UbxParser()
+    fixes = [fix for chunk in data for fix in parser.feed(chunk)]
+    fixes += parser.close()
+    return parser.log(fixes)
+
+
 def parse(*parts: bytes) -> list[Fix]:
     return parse_nmea(parts).fixes
 
 
 def read(path: Path) -> NmeaLog:
-    with path.open("rb") as file:
-        return parse_nmea(file)
+    return parse_nmea([path.read_bytes()])

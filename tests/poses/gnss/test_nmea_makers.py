@@ -8,8 +8,8 @@ import pytest
 
 from fieldgrid.core import Quality
 from fieldgrid.poses import unix_ns
-from fieldgrid.poses.gnss.nmea import parse_nmea, unicore_crc
-from tests.poses.gnss.sentences import NOON, SECOND, gga, parse, rmc, sentence
+from fieldgrid.poses.gnss.nmea import unicore_crc
+from tests.poses.gnss.sentences import NOON, SECOND, gga, parse, parse_nmea, rmc, sentence
 
 # As receivers wrote them.
 UNIHEADING = (

@@ -10,8 +10,7 @@ from hypothesis import given, strategies as st
 
 from fieldgrid.geometry import Fix
 from fieldgrid.poses import NmeaStream
-from fieldgrid.poses.gnss.nmea import parse_nmea
-from tests.poses.gnss.sentences import NOON, SECOND, gga, parse, rmc, sentence
+from tests.poses.gnss.sentences import NOON, SECOND, gga, parse, parse_nmea, rmc, sentence
 
 
 def epoch(k: int) -> list[bytes]:

@@ -298,18 +298,18 @@ def _check_motion(log: _VerdictTable) -> None:
     envelope = motion_envelope(
         used.time_ns, *_metres(used), used.position_sigma_m(), used.speed_mps, log.limits
     )
-    followed = follow(envelope)
-    kept = np.flatnonzero(followed.kept)
+    is_kept, seam = follow(envelope)
+    kept = np.flatnonzero(is_kept)
     jump_at = -1  # where the run of rejected fixes that agree with each other began
-    for k in np.flatnonzero(~followed.kept).tolist():
+    for k in np.flatnonzero(~is_kept).tolist():
         after = int(np.searchsorted(kept, k))
         last = int(kept[after - 1]) if after else -1
         carried_on = jump_at > last and transition(envelope, k - 1, k).strain <= 1.0
         jump_at = jump_at if carried_on else k
         log.reject(int(rows[k]), *_off_verdict(envelope, k, jump_at, last, kept[after:]))
-    parts = [*np.flatnonzero(followed.seam).tolist(), len(rows)]
+    parts = [*np.flatnonzero(seam).tolist(), len(rows)]
     for first, end in pairwise(parts):
-        agree = int(np.count_nonzero(followed.kept[first:end]))
+        agree = int(np.count_nonzero(is_kept[first:end]))
         before = int(kept[np.searchsorted(kept, first) - 1])
         _, reason = _break(transition(envelope, before, first))
         on_it = "1 fix agrees" if agree == 1 else f"{agree} fixes agree"

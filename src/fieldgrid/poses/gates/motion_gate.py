@@ -48,13 +48,6 @@ class MotionEnvelope(NamedTuple):
     seam_price: float
 
 
-class GateResult(NamedTuple):
-    """Rows that are kept, and those of them at which the solution has moved."""
-
-    kept: Bool
-    seam: Bool
-
-
 class Transition(NamedTuple):
     """What lies between two rows: how far apart, how far off the way, and what is explained."""
 
@@ -117,8 +110,9 @@ def motion_envelope(
     )
 
 
-def follow(envelope: MotionEnvelope) -> GateResult:
-    """The sequence of rows that keeps the most of them with the least strain."""
+def follow(envelope: MotionEnvelope) -> tuple[Bool, Bool]:
+    """The sequence of rows that keeps the most of them with the least strain: rows that are kept,
+    and those of them at which the solution has moved."""
     n = len(envelope.time_ns)
     kept, seam = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
     if n:
@@ -128,7 +122,7 @@ def follow(envelope: MotionEnvelope) -> GateResult:
         while row >= 0:
             kept[row], seam[row] = True, moved[row]
             row = int(before[row])
-    return GateResult(kept, seam)
+    return kept, seam
 
 
 def transition(envelope: MotionEnvelope, a: int, b: int) -> Transition:

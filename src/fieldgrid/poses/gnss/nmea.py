@@ -8,13 +8,11 @@ give the date. Where a log has RMC alone, its positions serve, at height 0: it h
 
 from __future__ import annotations
 
-import io
 import re
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from fieldgrid.core import GnssError
 from fieldgrid.geometry import Fix
 from fieldgrid.poses.gnss import nmea_proprietary, nmea_standard, nmea_unicore
 from fieldgrid.poses.gnss.fields import checksums
@@ -98,26 +96,14 @@ def unicore_crc(text: bytes) -> int:
     return zlib.crc32(text, 0xFFFFFFFF) ^ 0xFFFFFFFF
 
 
-_CHUNK = 1 << 16
 _FIELDS = 20
 _PAD = [b""] * _FIELDS
-_UNLIMITED = 1 << 60
-_START = 4096  # bytes by which a log without sentences is known
 
 _DECODERS: dict[bytes, Callable[[list[bytes], EpochLog], None]] = {
     **nmea_standard.DECODERS,
     **nmea_proprietary.DECODERS,
     **nmea_unicore.DECODERS,
 }
-
-_PACKED = {
-    b"\x1f\x8b": "gzip",
-    b"PK\x03\x04": "zip",
-    b"BZh": "bzip2",
-    b"\xfd7zXZ\x00": "xz",
-    b"\x28\xb5\x2f\xfd": "zstd",
-}
-"""How the files of programs begin that pack others."""
 
 
 class NmeaLog(NamedTuple):
@@ -197,52 +183,3 @@ class NmeaStream:
                 decoder(fields, epochs)
             except ValueError:
                 epochs.counts.unreadable += 1
-
-
-def parse_nmea(data: Iterable[bytes]) -> NmeaLog:
-    """Fixes of an NMEA log, given as chunks of bytes of any size or as an open binary file.
-
-    :class:`GnssError` where it is empty, packed, or holds no sentence at all, and where it has
-    positions but no date anywhere. A log without any position is none.
-    """
-    stream, start, fixes = NmeaStream(max_undated=_UNLIMITED), b"", []
-    for chunk in _chunks(data):
-        if len(start) < _START:
-            start += chunk[:_START]
-            for magic, name in _PACKED.items():
-                if start.startswith(magic):
-                    raise GnssError(f"The log is packed with {name}; unpack it first.")
-        fixes += stream.feed(chunk)
-    fixes += stream.finish()
-    log = stream.log(fixes)
-    if not (log.sentences or log.bad_checksum or log.broken):
-        raise GnssError(_without_sentences(start))
-    if log.undated:
-        positions = "1 position" if log.undated == 1 else f"{log.undated} positions"
-        raise GnssError(
-            f"The log has {positions} but no valid RMC or ZDA sentence, which alone give the "
-            "date; let the receiver write RMC besides GGA."
-        )
-    return log
-
-
-def _chunks(data: Iterable[bytes]) -> Iterable[bytes]:
-    # Iterating over a file would give lines, and garbage may hold no end of line at all.
-    if isinstance(data, io.IOBase):
-        return iter(lambda: data.read(_CHUNK), b"")
-    return data
-
-
-def _without_sentences(start: bytes) -> str:
-    if not start:
-        return "The log is empty; take another, or record it again."
-    if b"\xb5\x62" in start:
-        return (
-            "The log has no NMEA sentence, but messages of u-blox's binary protocol; give it the "
-            "suffix .ubx, or let the receiver write NMEA."
-        )
-    what = "text of another kind" if start.isascii() else "binary data"
-    return (
-        f"The log has no NMEA sentence, only {what} (it begins with {start[:8]!r}); let the "
-        "receiver write the sentences GGA and RMC."
-    )

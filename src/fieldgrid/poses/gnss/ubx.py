@@ -7,13 +7,12 @@ The result does not depend on how the bytes arrive, and little more than one mes
 
 from __future__ import annotations
 
-import io
 import math
 import struct
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from datetime import date
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,7 +23,6 @@ from fieldgrid.poses.gnss.fields import FIRST_YEAR, LAST_YEAR
 _SYNC = b"\xb5\x62"
 _FRAME = 8  # bytes around a payload
 _MAX_PAYLOAD = 4096  # the longest, raw measurements of 92 signals, has 2960
-_CHUNK = 1 << 16
 _LATE_EPOCHS = 1  # a message may come this many epochs after the one that it belongs to
 
 _UNIX_DAY = date(1970, 1, 1).toordinal()
@@ -72,23 +70,6 @@ class UbxLog(NamedTuple):
     unfixed_headings: int = 0
 
 
-def parse_ubx(data: Iterable[bytes]) -> UbxLog:
-    """Fixes of a UBX log, given as chunks of bytes of any size or as an open binary file."""
-    parser = UbxParser()
-    fixes: list[Fix] = []
-    for chunk in _chunks(data):
-        fixes += parser.feed(chunk)
-    fixes += parser.close()
-    return parser.log(fixes)
-
-
-def _chunks(data: Iterable[bytes]) -> Iterable[bytes]:
-    # Iterating over a file would give lines, of which binary messages have none.
-    if isinstance(data, io.IOBase):
-        return iter(lambda: data.read(_CHUNK), b"")
-    return data
-
-
 class _Framer:
     """Cuts a stream into messages: class and id as two bytes, and payload."""
 
@@ -134,43 +115,17 @@ def _checks(body: bytes) -> bool:
     return bool(first == body[-2] and second == body[-1])
 
 
-class _HighPrecision(NamedTuple):
-    lat_deg: float
-    lon_deg: float
-    height_m: float
-    sigma_m: float
-
-
-class _Heading(NamedTuple):
-    heading_deg: float
-    heading_sigma_deg: float
-    heading_quality: Quality | None
-    pitch_deg: float | None = None
-    tilt_sigma_deg: float | None = None
-
-
 @dataclass(slots=True)
 class _Epoch:
     """What the messages of one time of week have said so far."""
 
     itow_ms: int
     fix: Fix | None = None
-    precise: _HighPrecision | None = None
-    hdop: float | None = None
-    heading: _Heading | None = None
+    added: dict[str, Any] = field(default_factory=dict)  # fields of the fix by other messages
 
     def whole(self) -> list[Fix]:
         """The fix of the epoch with all that was added, or nothing."""
-        if self.fix is None:
-            return []
-        changes: dict[str, float | None] = {}
-        if self.precise is not None:
-            changes |= self.precise._asdict()
-        if self.hdop is not None:
-            changes["hdop"] = self.hdop
-        if self.heading is not None:
-            changes |= self.heading._asdict()
-        return [self.fix._replace(**changes)]  # type: ignore[arg-type]
+        return [] if self.fix is None else [self.fix._replace(**self.added)]
 
 
 class UbxParser:
@@ -275,21 +230,23 @@ class UbxParser:
         )
         if flags >> 5 & 1 and len(payload) >= _HEAD_VEHICLE.size:
             (vehicle,) = _HEAD_VEHICLE.unpack_from(payload)
-            epoch.heading = epoch.heading or _Heading(
-                _wrapped_deg(vehicle), heading_accuracy / 1e5, None
-            )
+            own = {
+                "heading_deg": _wrapped_deg(vehicle),
+                "heading_sigma_deg": heading_accuracy / 1e5,
+            }
+            epoch.added = own | epoch.added
 
     def _hpposllh(self, payload: bytes) -> None:
         version, flags, itow_ms, lon, lat, height, lon_hp, lat_hp, height_hp, accuracy = (
             _HPPOSLLH.unpack(payload)
         )
         if version == 0 and not flags & 1:
-            self._epoch(itow_ms).precise = _HighPrecision(
-                _within((100 * lat + lat_hp) / 1e9, 90.0),
-                _within((100 * lon + lon_hp) / 1e9, 180.0),
-                (10 * height + height_hp) / 1e4,
-                _per_axis(accuracy / 1e4),
-            )
+            self._epoch(itow_ms).added |= {
+                "lat_deg": _within((100 * lat + lat_hp) / 1e9, 90.0),
+                "lon_deg": _within((100 * lon + lon_hp) / 1e9, 180.0),
+                "height_m": (10 * height + height_hp) / 1e4,
+                "sigma_m": _per_axis(accuracy / 1e4),
+            }
 
     def _relposned(self, payload: bytes) -> None:
         if payload[:1] != b"\x01" or len(payload) != _RELPOSNED.size:
@@ -303,19 +260,19 @@ class UbxParser:
                 cm * 10.0 + rest / 10.0 for cm, rest in zip(rough, (north, east, down), strict=True)
             ]
             pitch_deg, tilt_sigma_deg = _pitch_deg(apart_mm, down_sigma / 10.0)
-            self._epoch(itow_ms).heading = _Heading(
-                _wrapped_deg(heading),
-                sigma / 1e5,
-                Quality.RTK_FIXED,
-                pitch_deg,
-                None if flags & _NORMALISED else tilt_sigma_deg,
-            )
+            self._epoch(itow_ms).added |= {
+                "heading_deg": _wrapped_deg(heading),
+                "heading_sigma_deg": sigma / 1e5,
+                "heading_quality": Quality.RTK_FIXED,
+                "pitch_deg": pitch_deg,
+                "tilt_sigma_deg": None if flags & _NORMALISED else tilt_sigma_deg,
+            }
         else:
             self._unfixed_headings += 1
 
     def _dop(self, payload: bytes) -> None:
         itow_ms, hdop = _DOP.unpack(payload)
-        self._epoch(itow_ms).hdop = hdop / 100.0
+        self._epoch(itow_ms).added["hdop"] = hdop / 100.0
 
     def _end_of_epoch(self, payload: bytes) -> None:
         (itow_ms,) = _ITOW.unpack(payload)
