@@ -5,10 +5,12 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
 
+import lz4.frame
 from mcap.writer import CompressionType, Writer
 from rosbags.convert.converter import migrate_message
 from rosbags.interfaces import (
@@ -251,6 +253,14 @@ class Ros1BagWriter:
                 self._draft.file.unlink()  # rosbags makes its files itself
                 self._writer = RosbagsRos1Writer(self._draft.file)
                 self._writer.set_compression(RosbagsRos1Writer.CompressionFormat.LZ4)
+                # ROS 1 reads no other frames: rosbags' own stop `rosbag play`.
+                self._writer.compressor = partial(
+                    lz4.frame.compress,
+                    block_size=lz4.frame.BLOCKSIZE_MAX1MB,
+                    block_linked=False,
+                    content_checksum=True,
+                    store_size=False,
+                )
                 self._writer.open()
         except BaseException:
             self._draft.discard()
