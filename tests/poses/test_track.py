@@ -39,13 +39,13 @@ AT, NS = "2011-06-15T10:30", ".000000000Z"
 GOLDEN = "\n".join(
     (
         "time_ns,lat_deg,lon_deg,height_m,east_m,north_m,heading_deg,heading_sigma_deg,"
-        "speed_mps,gear,status,reason,time",
-        f'1308133811000000000,,,,,,,,,,rejected,"quality 0 (none), not allowed",{AT}:11{NS}',
-        f"1308133812000000000,{PLACES[0]},37.123,0.321,1.500,1,ok,,{AT}:12{NS}",
+        "speed_mps,gear,status,reason,time,position_sigma_m,gear_doubt",
+        f'1308133811000000000,,,,,,,,,,rejected,"quality 0 (none), not allowed",{AT}:11{NS},,',
+        f"1308133812000000000,{PLACES[0]},37.123,0.321,1.500,1,ok,,{AT}:12{NS},0.0200,0.0000",
         f"1308133813000000000,{PLACES[1]},180.000,0.500,-0.800,-1,rejected,"
-        f'"says ""no"", twice",{AT}:13{NS}',
-        f"1308133815000000000,{PLACES[2]},-90.000,1.250,0.000,0,held,,{AT}:15{NS}",
-        f"1308133816000000000,{PLACES[3]},,,0.000,0,rejected,heading unknown,{AT}:16{NS}",
+        f'"says ""no"", twice",{AT}:13{NS},0.0200,0.0200',
+        f"1308133815000000000,{PLACES[2]},-90.000,1.250,0.000,0,held,,{AT}:15{NS},0.0200,0.0013",
+        f"1308133816000000000,{PLACES[3]},,,0.000,0,rejected,heading unknown,{AT}:16{NS},0.0200,0.0000",
         "",
     )
 )
@@ -98,7 +98,8 @@ def trajectory(**changes: Any) -> Trajectory:
 
 def estimate(**changes: Any) -> Estimate:
     """Five fixes; the fourth row of the trajectory is none of them."""
-    return Estimate(trajectory(**changes), np.array([0, 1, 2, 4, 5]), report())
+    doubt = np.array([0.5, 0.0, 0.02, 0.0, 0.00126, 0.0])
+    return Estimate(trajectory(**changes), np.array([0, 1, 2, 4, 5]), report(), doubt)
 
 
 def read(path: Path) -> list[dict[str, str]]:
@@ -161,7 +162,7 @@ def test_a_row_an_input_fix_in_order_of_time() -> None:
 def test_an_earlier_track_is_replaced(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     header = GOLDEN.splitlines()[0]
-    for earlier in (header, header.removesuffix(",time")):  # 0.1.0 wrote no text of times
+    for earlier in (header, header.partition(",time,")[0]):  # 0.1.0 ended with the reason
         path.write_text(f"{earlier}\r\nold\r\n")
         write_track(estimate(), path)
         assert path.read_text() == GOLDEN

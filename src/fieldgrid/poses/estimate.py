@@ -52,12 +52,14 @@ from fieldgrid.poses.verdict import ErrorBudget, judged
 
 
 class Estimate(NamedTuple):
-    """A trajectory, the row of each input fix in it (in order of time), and the report. Of given
-    poses without fixes, `fix_row` has all rows."""
+    """A trajectory, the row of each input fix in it (in order of time), the report, and for each
+    row the probability that the gear is the other one. Of given poses without fixes, `fix_row` has
+    all rows."""
 
     trajectory: Trajectory
     fix_row: Int64
     report: PoseReport
+    gear_doubt: Float64
 
 
 def estimate_poses(
@@ -124,16 +126,15 @@ def estimate_poses(
     trajectory = judged(table, log.datum, settings, budget, str(source))
     if lean is not None:
         trajectory = leaning(trajectory, lean, level_grids=level_grids)
-    clocks = checks.clocks
     # A contradiction by a gyro that is excused says itself why the gyro was left out.
     silent = found.gyro_note is None or (checks.excused is not None and checks.denied.clear)
     report = PoseReport(
         conditioning=summarise(log.fixes, log.verdicts),
         attitude=None if lean is None else lean.attitude,
         recorded=comparison,
-        clock=clocks.offset,
-        contradiction=clocks.contradiction,
-        clock_change=clocks.change,
+        clock=checks.clocks.offset,
+        contradiction=checks.clocks.contradiction,
+        clock_change=checks.clocks.change,
         jump=clock_jump(log.accepted, found.motion.steps, found.gyro),
         camera_yaw=checks.yaw,
         imu_turn=found.imu_turn,
@@ -150,12 +151,12 @@ def estimate_poses(
             *drift_notes(checks.drifts),
             *drive_notes(
                 *(drive, log.accepted, rig, axle, checks.denied),
-                *(source, settings, clocks.offset, checks.yaw),
+                *(source, settings, checks.clocks.offset, checks.yaw),
                 *(trajectory, fix_row),
             ),
         ),
     )
-    return Estimate(trajectory, fix_row, report)
+    return Estimate(trajectory, fix_row, report, table.gear_doubt)
 
 
 class _Checks(NamedTuple):
@@ -258,7 +259,7 @@ def _of_given(
         georeference=found,
         unseen=unseen_of_given(placed.trajectory, found, rig),
     )
-    return Estimate(placed.trajectory, placed.fix_row, report)
+    return Estimate(placed.trajectory, placed.fix_row, report, placed.gear_doubt)
 
 
 def _recorded(

@@ -88,6 +88,7 @@ class PlacedPoses(NamedTuple):
     attitude: Attitude | None
     pairs: Pairs | None
     notes: tuple[str, ...]
+    gear_doubt: Float64
 
 
 def place_poses(
@@ -131,7 +132,7 @@ def place_poses(
             "good the fixes are with --accuracy METRES, or leave --poses out, so that poses are "
             "estimated from fixes and motion."
         )
-    return PlacedPoses(trajectory, fix_row, found, attitude, pairs, tuple(notes))
+    return PlacedPoses(trajectory, fix_row, found, attitude, pairs, tuple(notes), table.gear_doubt)
 
 
 def _with_fixes(poses: GivenPoses, log: ConditionedLog | None) -> GivenRows:

@@ -79,6 +79,7 @@ def geojson_lines(estimate: Estimate) -> Iterator[str]:
                 "gear": int(track.gear[row]),
                 "status": track.status[row].value,
                 "reason": track.reason[row],
+                "gear_doubt": _known(float(estimate.gear_doubt[row])),
             },
         }
         yield json.dumps(feature, ensure_ascii=False) + ("," if k + 1 < len(rows) else "")

@@ -34,14 +34,15 @@ from fieldgrid.poses.track.formats import (
 COLUMNS = (
     *("time_ns", "lat_deg", "lon_deg", "height_m", "east_m", "north_m"),
     *("heading_deg", "heading_sigma_deg", "speed_mps", "gear", "status", "reason", "time"),
+    *("position_sigma_m", "gear_doubt"),
 )
 """The columns of `track.csv`; others read them by these names and in this order."""
 
 NO_HEADING_DEG = 90.0
 """A heading as unsure as this is none."""
 
-_HEADER = ",".join(COLUMNS[:-1])
-"""How a table begins, those of earlier versions included, which have no `time`."""
+_HEADER = ",".join(COLUMNS[:12])
+"""How a table begins, those of earlier versions included, which end with `reason`."""
 
 _OTHERS = {
     ".gpx": (GPX_START, gpx_lines),
@@ -121,7 +122,6 @@ def track_rows(estimate: Estimate) -> Iterator[tuple[str, ...]]:
         np.where(known, values[at], np.nan) for values in (track.east_m, track.north_m, track.up_m)
     )
     lat, lon, height = track.datum.to_geodetic(east, north, up)
-    named = {status: status.value for status in Status}
     yield from zip(
         map(str, track.time_ns[at].tolist()),
         _decimals(lat, 9),
@@ -133,9 +133,11 @@ def track_rows(estimate: Estimate) -> Iterator[tuple[str, ...]]:
         _decimals(np.where(directed, sigma, np.nan), 3),
         _decimals(np.where(known, track.speed_mps[at], np.nan), 3),
         (str(g) if k else "" for g, k in zip(track.gear[at].tolist(), known.tolist(), strict=True)),
-        (named[track.status[k]] for k in at.tolist()),
+        (track.status[k].value for k in at.tolist()),
         (track.reason[k] for k in at.tolist()),
         (f"{t}Z" for t in np.datetime_as_string(track.time_ns[at].astype("datetime64[ns]"))),
+        _decimals(np.where(known, track.position_sigma_m[at], np.nan), 4),
+        _decimals(np.where(known, estimate.gear_doubt[at], np.nan), 4),
         strict=True,
     )
 
