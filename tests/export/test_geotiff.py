@@ -71,7 +71,7 @@ def test_every_layer_lands_in_its_place(
 ) -> None:
     path = tmp_path / "f.tif"
     done = export_map(asymmetric_map, path, Selection(cell_m=cell_m, layer=layer))
-    assert done.paths == (path,)
+    assert done.paths == (path, path.with_suffix(".qml"))
     if layer != "count" or cell_m is None:  # larger cells are seen from neighbouring frames too
         assert faults(opened(path), layer) == []
 

@@ -21,11 +21,12 @@ from fieldgrid.export.cells.raster import (
     is_ours,
     painted,
     plane_of,
+    value_range,
 )
 from fieldgrid.export.options import PlaneOptions
 from fieldgrid.export.registry import Exported, ExportFormat, register_export_format
 from fieldgrid.export.selection import Selection
-from fieldgrid.maps import MEANING, Change, ChangeView, Readable
+from fieldgrid.maps import LAYERS, MEANING, Change, ChangeView, Readable, qgis
 
 _THREADS_A_CORE = 2
 """GDAL compresses as many blocks ahead as it has threads; with one a core some cores wait."""
@@ -49,18 +50,34 @@ def write_geotiff(
     that can be said, else 0, and nodata either way. Pixels are areas, the first row is the
     northernmost. In another plane a pixel has the value of the cell in which its centre lies.
     The tags FIELDGRID_* hold the datum, the cell, the layer and the last session that is in it.
+    Beside it lies a style of the same name (.qml), by which QGIS shows it in the colours of `show`.
 
     The file appears when it is complete; until then about three times the size of its pixels is
     used beside it. Raises MapExistsError when `path` exists and may not be overwritten,
     ConfigError when rasterio is not installed or for what cannot be selected, MapWriteError when
     it cannot be written.
     """
+    style = path.with_suffix(".qml")
     with (
+        replacing(style, overwrite=overwrite) as draft,
         replacing(path, overwrite=overwrite, ours=is_ours, what="a GeoTIFF") as file,
         painted(universal, path, selection, options.epsg) as raster,
     ):
         _copy(raster, file, write_overviews(universal, selection, raster))
-    return Exported((path,), raster.rows, raster.about)
+        draft.write_text(_style(raster, selection.layer), encoding="utf-8")
+    return Exported((path, style), raster.rows, raster.about)
+
+
+def _style(raster: Raster, layer: str) -> str:
+    """How QGIS shows a raster that lies beside this document: in the colours of `show`."""
+    import rasterio
+
+    with rasterio.open(raster.file) as pixels:
+        # Some of the pixels tell what range those values have that have none of their own.
+        shape = min(BLOCK_PX, pixels.height), min(BLOCK_PX, pixels.width)
+        known = pixels.read(1, masked=True, out_shape=shape).compressed()
+    alpha_band = 2 if raster.layout.alpha else -1
+    return qgis.raster_style(LAYERS[layer].colours.ramp, *value_range(layer, known), alpha_band)
 
 
 def export_change(view: ChangeView, path: str | Path, *, overwrite: bool = False) -> None:

@@ -231,6 +231,19 @@ def datum_tags(datum: Datum, lattice: Lattice) -> dict[str, str]:
     }
 
 
+def value_range(layer: str, known: AnyArray) -> tuple[float, float]:
+    """The least and the greatest value that has a colour, apart also where all are the same."""
+    colours = LAYERS[layer].colours
+    low, high = colours.low, colours.high
+    if low is None or high is None:
+        known = known.astype(np.float64)
+        low = float(known.min(initial=math.inf)) if low is None else low
+        high = float(known.max(initial=-math.inf)) if high is None else high
+    if low < high:
+        return low, high
+    return (low - 0.5, low + 0.5) if math.isfinite(low) else (0.0, 1.0)
+
+
 def _tags(universal: Readable, selection: Selection) -> dict[str, str]:
     """What a reader of the raster alone has to know."""
     lattice = Lattice(universal.cell_m if selection.cell_m is None else selection.cell_m)

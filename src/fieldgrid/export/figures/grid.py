@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
-from fieldgrid.core import FOUND, ROUTE, UNSEEN, AnyArray, Bool, Float64, palette
+from fieldgrid.core import FOUND, ROUTE, UNSEEN, Float64, palette
+from fieldgrid.export.cells.raster import value_range
 from fieldgrid.export.figures.drives import MOST_NAMES, DrawnDrive
 from fieldgrid.export.figures.page import (
     add_scale_bar,
@@ -175,7 +176,7 @@ def draw_grid(
     """
     bounds, values = view.bounds, view.layer(layer)
     seen = view.observed & np.isfinite(values)
-    low, high = _value_range(layer, values, seen)
+    low, high = value_range(layer, values[seen])
     axes.set_facecolor(UNSEEN)
     image = axes.imshow(
         np.ma.masked_array(values, mask=~seen),
@@ -209,19 +210,6 @@ def draw_grid(
     unit = LAYERS[layer].unit
     words = layer if unit in ("", "1") else f"{layer} ({unit})"
     bar.set_label(_DENSITY_LABEL if layer == "density" else words)
-
-
-def _value_range(layer: str, values: AnyArray, seen: Bool) -> tuple[float, float]:
-    """The least and the greatest value that has a colour, apart also where all are the same."""
-    colours = LAYERS[layer].colours
-    low, high = colours.low, colours.high
-    if low is None or high is None:
-        known = values[seen].astype(np.float64)
-        low = float(known.min(initial=math.inf)) if low is None else low
-        high = float(known.max(initial=-math.inf)) if high is None else high
-    if low < high:
-        return low, high
-    return (low - 0.5, low + 0.5) if math.isfinite(low) else (0.0, 1.0)
 
 
 def _mark_frames(axes: Axes, drives: Sequence[DrawnDrive], view: MapView) -> None:

@@ -109,7 +109,11 @@ def _listed(names: Sequence[str]) -> str:
 def fill_style(root: Element, layer: str, sessions: Sequence[tuple[str, str]]) -> None:
     """Put the parts of a layer's style into an element: a document's root, or a project's layer."""
     if layer == "density":
-        _fill_density(root)
+        stops = [
+            (value, stop.colour, _LABELS.get(value, ""))
+            for stop, value in zip(palette.DENSITY, _VALUES, strict=True)
+        ]
+        _fill_raster(root, stops, _ALPHA_BAND)
         return
     if layer in MARKS:
         _fill_marks(root, layer)
@@ -141,21 +145,32 @@ def fill_style(root: Element, layer: str, sessions: Sequence[tuple[str, str]]) -
         symbols.append(_symbol(key, kind, layer, colour, rejected=label == "rejected"))
 
 
-def _fill_density(root: Element) -> None:
+def raster_style(ramp: palette.Ramp, low: float, high: float, alpha_band: int) -> str:
+    """The QML document of a raster whose band 1 is drawn by a ramp from `low` to `high`; what its
+    `alpha_band` leaves out is not drawn (-1: it has none)."""
+    root = Element("qgis", version=VERSION, styleCategories="Symbology|Rendering")
+    stops = [(low + stop.share * (high - low), stop.colour, "") for stop in ramp]
+    _fill_raster(root, stops, alpha_band)
+    ET.indent(root)
+    return _DOCTYPE + ET.tostring(root, encoding="unicode")
+
+
+def _fill_raster(root: Element, stops: Sequence[tuple[float, str, str]], alpha_band: int) -> None:
+    """Colours at values, each with its label, and mixed between them."""
+    low, high = str(stops[0][0]), str(stops[-1][0])
     pipe = ET.SubElement(root, "pipe")
     renderer = ET.SubElement(
         pipe, "rasterrenderer", type="singlebandpseudocolor", band="1",
-        alphaBand=str(_ALPHA_BAND), opacity="1", classificationMin="0", classificationMax="255",
+        alphaBand=str(alpha_band), opacity="1", classificationMin=low, classificationMax=high,
     )  # fmt: skip
     shader = ET.SubElement(
         ET.SubElement(renderer, "rastershader"), "colorrampshader", colorRampType="INTERPOLATED",
-        classificationMode="1", minimumValue="0", maximumValue="255", clip="0",
+        classificationMode="1", minimumValue=low, maximumValue=high, clip="0",
     )  # fmt: skip
-    for stop, value in zip(palette.DENSITY, _VALUES, strict=True):
+    for value, colour, label in stops:
         ET.SubElement(
-            shader, "item", value=str(value), color=stop.colour, alpha="255",
-            label=_LABELS.get(value, str(value)),
-        )  # fmt: skip
+            shader, "item", value=str(value), color=colour, alpha="255", label=label or str(value)
+        )
     ET.SubElement(pipe, "rasterresampler", maxOversampling="2")
     ET.SubElement(root, "blendMode").text = "0"
 
