@@ -7,6 +7,7 @@ import sys
 import tracemalloc
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ import rasterio.shutil
 from rasterio.enums import ColorInterp
 from rasterio.warp import transform
 
-from fieldgrid.core import ConfigError, MapExistsError, MapWriteError, publish
+from fieldgrid.core import ConfigError, MapExistsError, MapWriteError, palette, publish
 from fieldgrid.export import Selection, export_change, export_map
 from fieldgrid.export.cells.raster import check_whole
 from fieldgrid.geometry import Bounds, Lattice
@@ -391,7 +392,25 @@ def test_an_existing_file_is_replaced_only_when_asked(tmp_path: Path, universal:
     export_map(universal, path, ALL, overwrite=True)
     with rasterio.open(path) as dataset:
         assert dataset.count == 2
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["map.gpkg", "map.tif"]
+    assert sorted(file.name for file in tmp_path.iterdir()) == [
+        *("map.gpkg", "map.qml", "map.tif"),
+    ]
+
+
+def test_qgis_shows_it_in_the_colours_of_the_layer(tmp_path: Path, universal: MapFile) -> None:
+    """By the style beside it, which QGIS opens by itself; of other layers by their own range."""
+    export_map(universal, tmp_path / "d.tif", ALL)
+    export_map(universal, tmp_path / "s.tif", Selection(layer="count"))
+    renderer, *_ = ElementTree.parse(tmp_path / "d.qml").iter("rasterrenderer")
+    assert (renderer.get("type"), renderer.get("alphaBand")) == ("singlebandpseudocolor", "2")
+    assert [(float(i.get("value", "")), i.get("color")) for i in renderer.iter("item")] == [
+        (pytest.approx(255.0 * share), colour) for share, colour in palette.DENSITY
+    ]
+    renderer, *_ = ElementTree.parse(tmp_path / "s.qml").iter("rasterrenderer")
+    assert renderer.get("alphaBand") == "-1"
+    counts = universal.read(layers=["count"]).layer("count")
+    values = [float(item.get("value", "")) for item in renderer.iter("item")]
+    assert (values[0], values[-1]) == (0.0, counts.max())
 
 
 def test_an_export_that_fails_leaves_nothing(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.core import palette
-from fieldgrid.maps import open_map
+from fieldgrid.maps import Mark, MarkKind, open_map
 from fieldgrid.maps.vector import qgis
 from tests.maps.file.maps import drive, track, write_map, write_session
 
@@ -54,6 +54,31 @@ def test_every_layer_has_a_default_style(path: Path) -> None:
         ("100", palette.DENSITY[2].colour),
         ("101", palette.DENSITY[3].colour),
     ]
+
+
+def test_marks_have_a_default_style(path: Path) -> None:
+    square = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
+    with open_map(path, writable=True) as universal:
+        universal.add_marks(
+            [Mark(MarkKind.KEEPOUT, square), Mark(MarkKind.PLACE, ((5.0, 5.0),), "gate")]
+        )
+        assert universal.verify(deep=True).sound
+    asked = (
+        "SELECT f_geometry_column, useAsDefault, styleQML FROM layer_styles "
+        "WHERE f_table_name = 'mark'"
+    )
+    ((geometry, is_default, document),) = ask(path, asked)
+    assert (geometry, is_default) == ("geom", 1)
+    filters = [rule.get("filter", "") for rule in ET.fromstring(document).iter("rule")]
+    for kind in MarkKind:
+        for shape in ("Polygon", "Point"):
+            assert f"\"kind\" = '{kind}' AND geometry_type($geometry) = '{shape}'" in filters
+    # One that a user has saved stays, also where marks are announced again.
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("UPDATE layer_styles SET styleQML = 'mine' WHERE f_table_name = 'mark'")
+    with open_map(path, writable=True) as universal:
+        universal.repair()
+    assert ask(path, asked) == [("geom", 1, "mine")]
 
 
 def test_sessions_have_their_colours_until_they_are_removed(path: Path) -> None:

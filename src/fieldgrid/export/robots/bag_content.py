@@ -167,7 +167,7 @@ def messages(content: BagContent) -> Iterator[BagMessage]:
         for number, rows in enumerate(_runs(track, area), 1):
             topic = f"/{names[name]}/path{'' if number == 1 else f'_{number}'}"
             yield BagMessage(topic, ros_messages.path(track, rows, start_ns), start_ns, True)
-    for name, track in sorted(tracks.items(), key=lambda item: _first_ns(item[1])):
+    for name, track in sorted(tracks.items(), key=lambda item: item[1].time_ns[:1].tolist()):
         wanted = track.accepted & _inside(track, area)
         base, antenna = vehicles[name]
         up_sigma_m = _up_sigma_m(content.universal, name)
@@ -246,7 +246,3 @@ def topic_names(sessions: dict[str, Any]) -> dict[str, str]:
             name, number = f"{plain}_{number}", number + 1
         found[session] = name
     return found
-
-
-def _first_ns(track: Trajectory) -> int:
-    return int(track.time_ns[0]) if len(track) else 0

@@ -133,8 +133,6 @@ def _layer(universal: MapFile, path: Path, name: str, sessions: list[tuple[str, 
     ET.SubElement(layer, "srs").append(_system(universal))
     encoding = {} if is_raster else {"encoding": "UTF-8"}
     ET.SubElement(layer, "provider", encoding).text = "gdal" if is_raster else "ogr"
-    if name in qgis.MARKS:
-        layer.set("labelsEnabled", "1")
     qgis.fill_style(layer, name, sessions)
     return layer
 

@@ -20,6 +20,7 @@ from fieldgrid.core import ConfigError, MapError
 from fieldgrid.geometry import MAX_DISTANCE_M, Bounds, Datum, Feature
 from fieldgrid.maps.file import schema
 from fieldgrid.maps.file.geometry import Ring, decode_rings, encode_point, encode_polygon
+from fieldgrid.maps.vector.styles import add_mark_style
 from fieldgrid.maps.writing.subject import Subject
 
 MAX_CORNERS, MAX_TEXT, MAX_MARKS = 2000, 500, 10_000
@@ -238,6 +239,7 @@ def announce_marks(connection: sqlite3.Connection) -> None:
         "VALUES ('mark', 'features', 'mark', 'What people said of places', ?)",
         (schema.SRS_ID,),
     )
+    add_mark_style(connection)
     connection.execute(
         "INSERT INTO gpkg_geometry_columns VALUES ('mark', 'geom', 'GEOMETRY', ?, 0, 0)",
         (schema.SRS_ID,),

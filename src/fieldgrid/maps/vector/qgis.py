@@ -10,7 +10,7 @@ from __future__ import annotations
 import html
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from itertools import chain, zip_longest
+from itertools import chain, product, zip_longest
 from xml.etree import ElementTree as ET
 from xml.etree.ElementTree import Element
 
@@ -50,7 +50,8 @@ LAYERS = ("density", *_LOOKS)
 
 
 MARKS = {"mark_area": "Polygon", "mark_point": "Point"}
-"""What people said of places, in a project: marks by their kind of geometry."""
+"""What people said of places, in a project: marks by their kind of geometry. The map file has all
+of them in one layer, `mark`."""
 
 _MARK_RULES = {
     "keepout": ("keep out", "b_diagonal"),
@@ -115,7 +116,7 @@ def fill_style(root: Element, layer: str, sessions: Sequence[tuple[str, str]]) -
         ]
         _fill_raster(root, stops, _ALPHA_BAND)
         return
-    if layer in MARKS:
+    if layer == "mark" or layer in MARKS:
         _fill_marks(root, layer)
         return
     kind, from_scale = _LOOKS[layer]
@@ -176,17 +177,20 @@ def _fill_raster(root: Element, stops: Sequence[tuple[float, str, str]], alpha_b
 
 
 def _fill_marks(root: Element, layer: str) -> None:
+    root.set("labelsEnabled", "1")
     renderer = ET.SubElement(root, "renderer-v2", type="RuleRenderer", symbollevels="0")
     rules = ET.SubElement(renderer, "rules", key="{root}")
     symbols = ET.SubElement(renderer, "symbols")
-    is_area = MARKS[layer] == "Polygon"
-    for key, (kind, (label, hatch)) in enumerate(_MARK_RULES.items()):
+    shapes = MARKS.values() if layer == "mark" else (MARKS[layer],)
+    for key, (shape, kind) in enumerate(product(shapes, _MARK_RULES)):
+        label, hatch = _MARK_RULES[kind]
         ET.SubElement(
             rules, "rule", key=f"{{{key}}}", symbol=str(key), label=label,
-            filter=f"\"kind\" = '{kind}'",
+            filter=f"\"kind\" = '{kind}' AND geometry_type($geometry) = '{shape}'",
         )  # fmt: skip
         colour = ",".join(map(str, palette.rgb(palette.MARKS[kind])))
-        shape = {"style": hatch} if is_area else {"name": "circle", "size": "3", "size_unit": "MM"}
+        is_area = shape == "Polygon"
+        form = {"style": hatch} if is_area else {"name": "circle", "size": "3", "size_unit": "MM"}
         symbol = ET.SubElement(
             symbols, "symbol", name=str(key), type="fill" if is_area else "marker", alpha="1"
         )
@@ -195,7 +199,7 @@ def _fill_marks(root: Element, layer: str) -> None:
         )
         outline = colour if is_area else "255,255,255"
         edge = {"outline_color": f"{outline},255", "outline_width": "0.5"}
-        _add_values(part, {**shape, **edge, "color": f"{colour},255"})
+        _add_values(part, {**form, **edge, "color": f"{colour},255"})
     labels = ET.SubElement(root, "labeling", type="simple")
     settings = ET.SubElement(labels, "settings")
     text = ET.SubElement(

@@ -71,18 +71,28 @@ def refresh_styles(
             (layer, _OWNER),
         ).fetchone()
         if known is None:
-            (others,) = connection.execute(
-                "SELECT count(*) FROM layer_styles WHERE f_table_name = ? AND useAsDefault",
-                (layer,),
-            ).fetchone()
             connection.execute(
                 "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, "
                 "f_geometry_column, styleName, styleQML, styleSLD, useAsDefault, description, "
-                "owner) VALUES ('', '', ?, ?, 'fieldgrid', ?, '', ?, '', ?)",
-                (layer, geometry, document, others == 0, _OWNER),
+                "owner) SELECT '', '', ?, ?, 'fieldgrid', ?, '', NOT EXISTS (SELECT 1 FROM "
+                "layer_styles WHERE f_table_name = ? AND useAsDefault), '', ?",
+                (layer, geometry, document, layer, _OWNER),
             )
         elif known[1] != document:
             connection.execute(
                 f"UPDATE layer_styles SET styleQML = ?, update_time = {NOW_SQL} WHERE id = ?",
                 (document, known[0]),
             )
+
+
+def add_mark_style(connection: sqlite3.Connection) -> None:
+    """Give the layer of marks a style, unless somebody has saved one. It names no session, so it is
+    never brought up to date, and a user may change it."""
+    connection.execute(_TABLE)
+    connection.execute(
+        "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, "
+        "f_geometry_column, styleName, styleQML, styleSLD, useAsDefault, description, owner) "
+        "SELECT '', '', 'mark', 'geom', 'fieldgrid', ?, '', 1, '', '' WHERE NOT EXISTS "
+        "(SELECT 1 FROM layer_styles WHERE f_table_name = 'mark')",
+        (qgis.style("mark", ()),),
+    )
