@@ -239,7 +239,6 @@ def announce_marks(connection: sqlite3.Connection) -> None:
         "VALUES ('mark', 'features', 'mark', 'What people said of places', ?)",
         (schema.SRS_ID,),
     )
-    add_mark_style(connection)
     connection.execute(
         "INSERT INTO gpkg_geometry_columns VALUES ('mark', 'geom', 'GEOMETRY', ?, 0, 0)",
         (schema.SRS_ID,),
@@ -258,6 +257,7 @@ def insert_marks(connection: sqlite3.Connection, marks: Sequence[Mark]) -> tuple
     """Add marks within the caller's transaction; returns their numbers."""
     if not schema.has_table(connection, TABLE):
         create_marks(connection)
+        add_mark_style(connection)
     (count,) = connection.execute("SELECT count(*) FROM fieldgrid_mark").fetchone()
     if count + len(marks) > MAX_MARKS:
         raise ConfigError(
