@@ -78,7 +78,7 @@ def test_options_that_are_not_given_are_left_to_the_format(
     export_map(universal, tmp_path / "x.tif", options={"epsg": None, "mode": None})
     with pytest.raises(ConfigError, match="geotiff has no option 'mode'; it takes epsg"):
         export_map(universal, tmp_path / "y.tif", options={"mode": "raw"})
-    assert [file.name for file in tmp_path.iterdir()] == ["x.tif"]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["x.qml", "x.tif"]
 
 
 def test_no_export_replaces_a_map(universal: MapFile, tmp_path: Path) -> None:
