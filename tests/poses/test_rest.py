@@ -6,8 +6,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from fieldgrid.geometry import Motion, Status
+from fieldgrid.poses import estimate_poses
 from fieldgrid.poses.drive import at_rest
-from tests.simulated import STOP, Command, Drive, simulate
+from tests.simulated import DATUM, STOP, Command, Drive, fixes_of, simulate, steps_of
 
 _Float64 = npt.NDArray[np.float64]
 
@@ -86,3 +88,14 @@ def test_where_and_when_does_not_matter() -> None:
 def test_too_few_fixes_say_nothing(n: int) -> None:
     zero, nan = np.zeros(n), np.full(n, np.nan)
     assert not at_rest(np.arange(n) * 0.2, zero, zero, zero + 0.01, nan).any()
+
+
+def test_a_vehicle_rests_during_a_step_of_the_camera_that_reaches_beyond_the_stop() -> None:
+    drive = simulate(STOP, 20.0, speed_mps=1.5)
+    motion = Motion(steps=steps_of(drive, 10.0, noise=1.0))
+    track = estimate_poses(fixes_of(drive, 0.2, 0.02, seed=1), None, DATUM, motion=motion).trajectory
+    second = (track.time_ns - track.time_ns[0]) / 1e9
+    inside = (second > 19.0) & (second < 24.0)
+    assert (track.gear[inside] == 0).all()
+    assert {track.status[k] for k in np.flatnonzero(inside)} == {Status.HELD}
+    assert not (track.gear < 0).any()

@@ -176,14 +176,17 @@ def smooth_drive(
     found = station_gears(fixes, at, standing, resting, motion, recorded.heading_deg, hints)
     # Between two fixes it rests only where it does at both; beyond them nobody knows.
     rest = np.interp(at.time_ns, fixes.time_ns, resting.astype(np.float64), left=0.0, right=0.0)
-    # Nodes during a step of the camera that shows motion do not rest.
-    change = np.zeros(len(at.time_ns) + 1, dtype=np.int64)
+    node_rest = rest > 0.99
+    # A step of the camera that shows motion denies the rest that all of it lies in; one that
+    # reaches beyond a rest was driven there.
     if motion.steps is not None:
-        distance_m = np.hypot(motion.steps.forward_m, motion.steps.right_m)
-        real = distance_m > np.maximum(DRIVEN_M, 4.0 * motion.steps.sigma_m)
-        np.add.at(change, np.searchsorted(at.time_ns, motion.steps.start_ns[real]), 1)
-        np.add.at(change, np.searchsorted(at.time_ns, motion.steps.stop_ns[real], side="right"), -1)
-    node_rest = (rest > 0.99) & (np.cumsum(change[:-1]) <= 0)
+        steps, moving = motion.steps, np.concatenate([[0], np.cumsum(~node_rest)])
+        distance_m = np.hypot(steps.forward_m, steps.right_m)
+        first = np.searchsorted(at.time_ns, steps.start_ns)
+        after = np.searchsorted(at.time_ns, steps.stop_ns, side="right")
+        shown = distance_m > np.maximum(DRIVEN_M, 4.0 * steps.sigma_m)
+        for k in np.flatnonzero(shown & (moving[first] == moving[after])).tolist():
+            node_rest[first[k] : after[k]] = False
     measured = measurements(fixes, at, node_rest, motion, _assigned(at, found)[0], axle.vehicle)
     measured = with_headings(measured, fixes, at, recorded)
     lever_m, step_ahead_m = axle.frame()
