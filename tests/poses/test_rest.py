@@ -98,4 +98,3 @@ def test_a_vehicle_rests_during_a_step_of_the_camera_that_reaches_beyond_the_sto
     inside = (second > 19.0) & (second < 24.0)
     assert (track.gear[inside] == 0).all()
     assert {track.status[k] for k in np.flatnonzero(inside)} == {Status.HELD}
-    assert not (track.gear < 0).any()

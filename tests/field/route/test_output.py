@@ -183,6 +183,8 @@ def test_a_route_graph_is_driven_one_way(route: Route, tmp_path: Path) -> None:
     ids = [*points, *(edge["id"] for edge in edges)]
     assert len(set(ids)) == len(ids) == len(kinds)
     assert all(isinstance(number, int) and number >= 0 for number in ids)
+    # Where it is false, Nav2 leaves out its costmap and its closed edges.
+    assert all(edge["overridable"] is True for edge in edges)
     following = {edge["startid"]: edge for edge in edges}
     assert len(following) == len(edges)
     (node,) = set(following) - {edge["endid"] for edge in edges}

@@ -97,8 +97,9 @@ def grid_map(view: MapView, layers: Mapping[str, AnyArray], time_ns: int) -> Any
 
 
 def path(track: Trajectory, rows: Int64, time_ns: int) -> Any:
-    """nav_msgs/Path of some rows that have a heading; each has its own time."""
-    places = np.stack([track.east_m[rows], track.north_m[rows], track.up_m[rows]], axis=1)
+    """nav_msgs/Path of some rows that have a heading, each with its own time, on the plane of the
+    map, where `/map` lies."""
+    places = np.column_stack([track.east_m[rows], track.north_m[rows], np.zeros(len(rows))])
     return path_message(
         time_ns,
         MAP,

@@ -111,7 +111,7 @@ def route_graph(route: Route) -> dict[str, Any]:
                 "startid": len(nodes) - 2,
                 "endid": len(nodes) - 1,
             }
-            costs = {"cost": round(math.dist(*ends), 4), "overridable": False, "metadata": about}
+            costs = {"cost": round(math.dist(*ends), 4), "overridable": True, "metadata": about}
             edges.append(_feature("LineString", ends, ids | costs))
     datum = route.datum
     return {

@@ -97,6 +97,11 @@ def check_rows_target(path: Path, speed_limit_kmh: float | None = None) -> None:
     """Raise ConfigError for a name that is none of a planting, a speed limit that no road has, and
     one for a file that cannot hold it."""
     ending = path.suffix.lower()
+    if path.name.lower().endswith(".graph.geojson"):
+        raise ConfigError(
+            f"{path.name} is the name of a route graph in metres, and rows are written in degrees; "
+            "`fieldgrid route -o` writes such graphs, and rows take another name."
+        )
     if ending not in (*FEATURE_SUFFIXES, OSM):
         known = ", ".join((*FEATURE_SUFFIXES, OSM))
         raise ConfigError(f"{path.name} ends in none of {known}; choose one of them.")
