@@ -279,9 +279,7 @@ def test_the_example_drive(fieldgrid: Run, two_lanes_map: Path, tmp_path: Path) 
     """From the first lane over the headland, as the pictures of the documentation show it."""
     out = tmp_path / "route.csv"
     asked = ("route", two_lanes_map, "--from", "-14,49.7,37", "--to", "6,76", "-o", out)
-    refused = fieldgrid(*asked).sentence()
-    assert "can drive" in refused or "stopped by an obstacle" in refused
-    told = json.loads(fieldgrid(*asked, "--obstacle-above", 130, "--json").output())
+    told = json.loads(fieldgrid(*asked, "--json").output())
     assert 32.5 < told["length_m"] < 35.0
     assert told["gear_changes"] == 0
     assert told["least_clearance_m"] >= 0.1

@@ -93,7 +93,9 @@ def test_too_few_fixes_say_nothing(n: int) -> None:
 def test_a_vehicle_rests_during_a_step_of_the_camera_that_reaches_beyond_the_stop() -> None:
     drive = simulate(STOP, 20.0, speed_mps=1.5)
     motion = Motion(steps=steps_of(drive, 10.0, noise=1.0))
-    track = estimate_poses(fixes_of(drive, 0.2, 0.02, seed=1), None, DATUM, motion=motion).trajectory
+    track = estimate_poses(
+        fixes_of(drive, 0.2, 0.02, seed=1), None, DATUM, motion=motion
+    ).trajectory
     second = (track.time_ns - track.time_ns[0]) / 1e9
     inside = (second > 19.0) & (second < 24.0)
     assert (track.gear[inside] == 0).all()

@@ -135,7 +135,8 @@ def planning_view(
     """What :func:`plan_route` reads of a map."""
     own = universal.cell_m
     size = own * max(1, math.ceil(USUAL_CELL_M / own - 1e-9)) if cell_m is None else cell_m
-    return universal.read(bounds, size, layers=universal.deciding(size), at=at)
+    layers = universal.deciding(size)
+    return universal.read(bounds, size, layers=layers, at=at, driven_is_free=True)
 
 
 def route_in_view(

@@ -18,7 +18,7 @@ from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.file.history import during, until
 from fieldgrid.maps.file.records import FrameRecord
 from fieldgrid.maps.layers.blocks import whole_blocks
-from fieldgrid.maps.layers.declaration import ChannelGroup
+from fieldgrid.maps.layers.declaration import Cells, ChannelGroup
 from fieldgrid.maps.layers.registry import GROUPS, groups_of
 from fieldgrid.maps.layers.window import with_overviews
 from fieldgrid.maps.tiles.png import decode_png
@@ -28,6 +28,7 @@ from fieldgrid.maps.transfer import Averaging, check_cell_sizes
 from fieldgrid.maps.vector.marks import Mark, read_marks
 from fieldgrid.maps.views.base_cells import Multiple, enlarged, follows_from_touched
 from fieldgrid.maps.views.change import ChangeView, latest_states, outcome, unseen
+from fieldgrid.maps.views.driven import DrivenWay
 from fieldgrid.maps.views.read import Request, chunks
 from fieldgrid.maps.views.sources import (
     CellSource,
@@ -57,6 +58,22 @@ class MapContent:
     def marks(self) -> tuple[Mark, ...]:
         """See `Content`."""
         return read_marks(self.evidence.connection)
+
+    def ways(self, request: Request) -> list[DrivenWay]:
+        """Where the drives went near a window of the own cells, in their order."""
+        names = request.sessions
+        if names is None:
+            names = tuple(info.name for info in self.evidence.active())
+        near = request.lattice.bounds(request.window)
+        frames = self.evidence.accepted(near, names, request.frame_filter)
+        groups = (GROUPS["density"],)
+        cells: dict[str, Cells] = {}
+        if len(names) > 1 and frames:
+            cells = dict(self.session_source(request, groups).by_session(request.window))
+        return [
+            DrivenWay([one for one in frames if one.session == name], cells.get(name))
+            for name in names
+        ]
 
     def fill(self, view: MapView, request: Request) -> bool:
         """See `Content`: by the paper's averaging, or from pictures."""

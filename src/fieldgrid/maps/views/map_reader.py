@@ -210,12 +210,15 @@ class MapReader:
         sessions: Collection[str] | None = None,
         frame_filter: Callable[[FrameRecord], bool] | None = None,
         jobs: int | None = None,
+        driven_is_free: bool = False,
     ) -> MapView:
         """The universal grid within `bounds` (all of it when not given) as arrays.
 
         `layers` adds to the density: any of `layers.registry.LAYERS`. `at` is a session or a date:
         the map as of then, or `FROM..TO`: of the drives of a season (`sessions_at`); `sessions` are
-        some of them by name. `jobs` threads read it, all cores when not given.
+        some of them by name. `jobs` threads read it, all cores when not given. With
+        `driven_is_free`, `MapView.decision` takes the ground under the ways of the drives for free
+        (`views.driven`).
 
         With the map's own cell or a whole multiple of it, and its own rule, it comes from the
         stored tiles, of which only those within `bounds` are touched. Anything else is folded
@@ -239,6 +242,7 @@ class MapReader:
                 frame_filter=frame_filter,
                 layers=names,
                 jobs=jobs,
+                ways=self._content.ways if driven_is_free else None,
             )
             return read_view(self._content, request)
 

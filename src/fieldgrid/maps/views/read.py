@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import reduce
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from fieldgrid.core import AnyArray, Bool, in_order
+from fieldgrid.core import AnyArray, Bool, UInt8, in_order
 from fieldgrid.geometry import TILE_CELLS, Lattice, Window, aligned_parts
 from fieldgrid.maps.cost import DENSITIES
 from fieldgrid.maps.file.header import MapHeader
@@ -26,10 +25,10 @@ from fieldgrid.maps.views.decision import (
     OBSTACLE,
     MarkedCells,
     PartlyFree,
-    cells_under,
     deciding,
     marked_cells,
 )
+from fieldgrid.maps.views.driven import DrivenWay, driven_cells
 from fieldgrid.maps.views.sources import CellSource
 from fieldgrid.maps.views.view import DROP_LAYERS, MapView, empty_view
 
@@ -50,6 +49,9 @@ class Request(NamedTuple):
     layers: tuple[str, ...] = ()
     jobs: int | None = None
     """Threads that read it, one a core when not given."""
+    ways: Callable[[Request], list[DrivenWay]] | None = None
+    """Where the drives went near a window of the own cells, in their order; None where the ground
+    under them is as the frames saw it."""
 
     @property
     def beyond_density(self) -> tuple[str, ...]:
@@ -76,22 +78,18 @@ class Content(Protocol):
 
 
 def read_view(content: Content, request: Request) -> MapView:
-    """The view, with the marks that are in force."""
-    marks, header = content.marks(), content.header
+    """The view, with the marks that are in force, and what they and the ways of drives decide."""
+    marks = content.marks()
     view = replace(_read(content, request), marks=marks)
-    if view.is_base or "seen_share" not in request.layers:
-        return view  # which decides nothing, or by its own cells
-    windows = []
-    for mark in deciding(marks):
-        touched = header.lattice.bounds(cells_under(mark, header.lattice))
-        if part := request.lattice.window(touched).intersect(request.window):
-            windows.append(part)
-    if not windows:
+    # Without ways, base cells are decided by their marks when that is asked for.
+    is_larger = not view.is_base and "seen_share" in request.layers
+    if request.ways is None and not (is_larger and deciding(marks)):
         return view
-    by = enlarged((), header.lattice, request.lattice)
+    lattice = content.header.lattice
+    by = enlarged((), lattice, request.lattice)
     flags, partly = np.zeros(request.window.shape, np.uint8), []
-    for chunk in chunks(reduce(Window.union, windows), by.factor):
-        base = marked_cells(marks, header.lattice, by.under(chunk))
+    for chunk in chunks(request.window, by.factor):
+        base = _decided(content, request._replace(lattice=lattice, window=by.under(chunk)))
         found = flags[request.window.slices_of(chunk)]
         for flag in (KEEPOUT, OBSTACLE):
             found |= by.highest(base & np.uint8(flag), chunk)
@@ -100,7 +98,17 @@ def read_view(content: Content, request: Request) -> MapView:
         found[some & ~rest] |= np.uint8(FREE)
         if (some & rest).any():
             partly.append(_partly_free(content, request, chunk, some & rest))
-    return replace(view, marked=MarkedCells(flags, tuple(partly)))
+    return (
+        replace(view, marked=MarkedCells(flags, tuple(partly))) if flags.any() or partly else view
+    )
+
+
+def _decided(content: Content, own: Request) -> UInt8:
+    """Flags of the map's own cells of a window: those of marks, and `FREE` where drives went."""
+    flags = marked_cells(content.marks(), own.lattice, own.window)
+    if own.ways is not None:
+        flags[driven_cells(own.ways(own), own.lattice, own.window)] |= np.uint8(FREE)
+    return flags
 
 
 def _partly_free(content: Content, request: Request, chunk: Window, cells: Bool) -> PartlyFree:
@@ -113,7 +121,7 @@ def _partly_free(content: Content, request: Request, chunk: Window, cells: Bool)
     names = tuple(name for name in (*DENSITIES, *DROP_LAYERS) if name in request.layers)
     own = request._replace(lattice=header.lattice, window=by.under(part), layers=names)
     base = _read(content, own)
-    free = (marked_cells(content.marks(), own.lattice, own.window) & FREE) > 0
+    free = (_decided(content, own) & FREE) > 0
     inside = j - j0, i - i0
     place = j + chunk.j0 - request.window.j0, i + chunk.i0 - request.window.i0
     worst = {}

@@ -224,7 +224,7 @@ class MapView:
         `DECISION_LAYERS`, and for drops theirs. Ground that falls by `least_drop_m` is an obstacle.
         """
         worst, seen, marked = self.worst(layer), self.sure_share, self.marked
-        if self.is_base and self.is_marked:
+        if marked is None and self.is_base and self.is_marked:
             marked = MarkedCells(marked_cells(self.marks, self.lattice, self.window))
         if marked is not None:
             return marked.decide(layer, worst, seen, self.drop_m, least_drop_m)
