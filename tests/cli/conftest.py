@@ -85,6 +85,7 @@ def fieldgrid(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
     def run(*arguments: object) -> Result:
         monkeypatch.setattr(sys, "argv", ["fieldgrid", *map(str, arguments)])
         monkeypatch.setattr("fieldgrid.cli.listing.load", loaded_once)
+        monkeypatch.setattr("fieldgrid.cli.when_compiling", lambda _: None)
         capsys.readouterr()
         try:
             main()
@@ -121,11 +122,12 @@ def in_a_process(*arguments: object, before: str = "") -> list[str]:
     """The command line of a process of its own; `before` is Python to run first in it.
 
     Ctrl-C interrupts it as one that a user begins: what a shell starts in the background ignores
-    it, with all that it starts.
+    it, with all that it starts. Whether it is the first run on a machine, no test sees.
     """
     code = (
         "import signal, sys\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        f"from fieldgrid.cli import main\n{before}\nsys.argv[0] = 'fieldgrid'\nmain()"
+        "import fieldgrid.cli\nfieldgrid.cli.when_compiling = lambda _: None\n"
+        f"{before}\nsys.argv[0] = 'fieldgrid'\nfieldgrid.cli.main()"
     )
     return [sys.executable, "-c", code, *map(str, arguments)]
 

@@ -1,20 +1,28 @@
-"""The first run on a machine says that it compiles."""
+"""The first run on a machine says that it compiles, before it does."""
 
-from collections.abc import Callable
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
-from fieldgrid.cli import output, warming
 
-
-@pytest.mark.parametrize("on_terminal", [True, False])
-def test_compiling_is_said_on_a_terminal(
-    on_terminal: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("flags", [(), ("--quiet",)])
+def test_compiling_is_said_also_where_no_terminal_is(
+    flags: tuple[str, ...], two_lanes_map: Path, tmp_path: Path
 ) -> None:
-    said: list[Callable[[], None]] = []
-    monkeypatch.setattr(warming, "when_compiling", said.append)
-    monkeypatch.setattr(output, "shows_progress", lambda: on_terminal)
-    warming.tell_of_compiling()
-    (say,) = said
-    say()
-    assert ("compiling the inner loops" in capsys.readouterr().err) == on_terminal
+    asked = [sys.executable, "-m", "fieldgrid", "rows", str(two_lanes_map), *flags]
+    first, later = (
+        subprocess.run(
+            asked,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        for _ in range(2)
+    )
+    assert first.stderr.count("fieldgrid: compiling") == (0 if flags else 1)
+    assert "fieldgrid: compiling" not in later.stderr
+    assert later.stdout == first.stdout

@@ -19,9 +19,8 @@ import typer
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from fieldgrid.cli.listing import CONTEXT, Commands
-from fieldgrid.cli.output import log_cost
-from fieldgrid.cli.warming import tell_of_compiling
-from fieldgrid.core import FieldgridError, printable
+from fieldgrid.cli.output import log_cost, message
+from fieldgrid.core import FieldgridError, printable, when_compiling
 
 app = typer.Typer(
     name="fieldgrid",
@@ -33,6 +32,10 @@ app = typer.Typer(
 )
 
 _UsageError: Any = typer.BadParameter.__base__  # typer has no public name for it
+
+_COMPILES = (
+    "compiling the inner loops for this machine, which takes up to a minute; later runs load them"
+)
 
 _LONGEST = 2000
 """Letters of a message: a file may hold a name of a megabyte."""
@@ -77,7 +80,7 @@ def main() -> None:
     """
     # A polite request to end unwinds like an error, so that nothing half-written stays.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    tell_of_compiling()
+    when_compiling(lambda: message(_COMPILES))
     # A name that is no UTF-8 can still be printed.
     sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     try:
