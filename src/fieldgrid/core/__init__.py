@@ -142,6 +142,7 @@ if TYPE_CHECKING:
     from fieldgrid.core.settings.models import (
         BuildSettings as BuildSettings,
         DensitySettings as DensitySettings,
+        FrameOrigin as FrameOrigin,
         GateLimits as GateLimits,
         GearSpan as GearSpan,
         GridSettings as GridSettings,

@@ -13,6 +13,7 @@ from fieldgrid.core import (
     ConfigError,
     DatumError,
     FieldgridError,
+    FrameOrigin,
     GnssError,
     Int64,
     RecordingError,
@@ -24,6 +25,7 @@ from fieldgrid.geometry import (
     MAX_DISTANCE_M,
     Carrier,
     Datum,
+    FixColumns,
     GridSpec,
     Lidar,
     Rig,
@@ -80,15 +82,16 @@ def estimate_drive(
     the vehicle of a drive that has no rig. `level_grids` as in `estimate_poses`. Raises DatumError
     before all else where no fix is within reach of the datum, GnssError where there is no log.
     """
-    if not drive.gnss_source and not len(drive.fixes()):
+    if not drive.gnss_source and not len(drive.fixes()) and drive.motion().poses is None:
         raise GnssError(
             f"{drive.name} has no GNSS log, without which nothing can be placed; put the log of "
-            "this drive into its folder gnss/, or name it with --gnss."
+            "this drive into its folder gnss/, name it with --gnss, or give poses with --poses. "
+            + " ".join(drive.log.notes)
         )
     settings = settings or BuildSettings()
     datum = datum or drive.datum_hint
     if datum is not None:
-        _check_reach(drive, datum)
+        _check_reach(drive, datum, settings.pose.frame_origin or drive.fixes())
     frame_ns = None
     if isinstance(drive, Recording):
         frame_ns = drive.frame_times_ns() + drive.rig.image_time_offset_ns
@@ -110,16 +113,17 @@ def attitude_of_grids(drive: Drive, estimate: Estimate) -> Attitude | None:
     return levelling_attitude(estimate.report.attitude, drive.motion(), drive.fixes().time_ns)
 
 
-def _check_reach(drive: Drive, datum: Datum) -> None:
-    """Raise DatumError when all fixes are too far from a datum: what else is wrong of a drive in
-    another country does not matter."""
-    fixes = drive.fixes()
+def _check_reach(drive: Drive, datum: Datum, places: FixColumns | FrameOrigin) -> None:
+    """Raise DatumError when all fixes, or the origin of given poses, are too far from a datum: what
+    else is wrong of a drive in another country does not matter."""
     # The chord: beyond the horizon, metres east and north are fewer again.
-    enu_m = datum.to_enu(fixes.lat_deg, fixes.lon_deg, np.nan_to_num(fixes.height_m))
-    nearest_m = float(np.fmin.reduce(np.linalg.norm(enu_m, axis=0), initial=np.inf))
+    enu_m = datum.to_enu(places.lat_deg, places.lon_deg, np.nan_to_num(places.height_m))
+    apart_m = np.ravel(np.linalg.norm(enu_m, axis=0))
+    nearest_m = float(np.fmin.reduce(apart_m, initial=np.inf))
     if MAX_DISTANCE_M < nearest_m < np.inf:
         raise DatumError(
-            f"The fixes of {drive.name} are {nearest_m / 1000:.0f} km from the datum "
+            f"The {'fixes' if isinstance(places, FixColumns) else 'poses'} of {drive.name} are "
+            f"{nearest_m / 1000:.0f} km from the datum "
             f"{datum.described()}, over {MAX_DISTANCE_M / 1000:.0f} km; build a map of its own of "
             "this drive, or give a --datum near the field."
         )

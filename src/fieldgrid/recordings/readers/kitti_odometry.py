@@ -56,7 +56,8 @@ def open_sequence(path: Path, options: DriveOptions) -> Drive:
     if settings.start is None:
         raise RecordingError(
             f"{path / _TIMES} counts from 0, and nothing says when it was driven; add {SETTINGS} "
-            "with [start] utc_s = seconds since 1970 of its first image."
+            "with [start] utc_s = seconds since 1970 of its first image, and [datum] lat_deg, "
+            "lon_deg and height_m = where that was taken, unless --gnss or --frame-origin says it."
         )
     times_ns = _times_ns(path / _TIMES, settings.start)
     log_path = find_log(path, options.gnss)
