@@ -404,3 +404,10 @@ def test_a_long_log_is_not_silent(
         text = fieldgrid("track", RTK, "-o", out, *(["--quiet"] if quiet else [])).output()
     assert "reading and estimating" not in text
     assert (b"gnss_rtk.nmea: reading and estimating" in b"".join(shown)) is not quiet
+
+
+@pytest.mark.parametrize("start", ["20", "2011-06-15T10:30:31Z"])
+def test_a_part_of_a_drive(start: str, fieldgrid: Run) -> None:
+    asked = ("track", RTK, "--from", start, "--json", "--until")
+    assert json.loads(fieldgrid(*asked, "50").output())["fixes"] == 150
+    assert "Invalid value for --until" in fieldgrid(*asked, "soon").usage()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -127,3 +128,48 @@ def nanoseconds(offset_s: float | None, flag: str) -> int | None:
 
 
 Drive = Annotated[DriveFlags, FieldsOf(DriveFlags)]
+
+
+class SpanFlags(NamedTuple):
+    """The part of a drive that is used."""
+
+    from_: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="TIME|S",
+            help="Use the drive from here on: a time of UTC, like 2026-05-14T07:30:00Z, or seconds "
+            "from its start.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    until: Annotated[
+        str | None,
+        typer.Option(
+            "--until",
+            metavar="TIME|S",
+            help="Use the drive to before this time, in the same form.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+
+    def of(self, options: DriveOptions) -> DriveOptions:
+        """The options with the part; a usage error for what is no time."""
+        return replace(
+            options,
+            from_ns=_seconds_or_moment_ns(self.from_, "--from"),
+            until_ns=_seconds_or_moment_ns(self.until, "--until"),
+        )
+
+
+def _seconds_or_moment_ns(text: str | None, flag: str) -> int | None:
+    if text is None:
+        return None
+    try:
+        seconds = float(text)
+    except ValueError:
+        return _moment_ns(text, flag)
+    return nanoseconds(seconds, flag)
+
+
+Span = Annotated[SpanFlags, FieldsOf(SpanFlags)]

@@ -60,9 +60,6 @@ TURNED_DEG = 20.0
 USUAL_BUDGET_M = 0.25
 """How far off a cell at the far end of a grid may be when nothing is asked: the paper's cell."""
 
-_NO_GROUND = "no ground was found in the {}, so heights above it are not known"
-
-
 _GNSS_OFFSET = "give --gnss-offset {0} or gnss_time_offset_s = {0} in recording.toml"
 _IMAGE_OFFSET = "give --time-offset {0} or image_time_offset_s = {0} in recording.toml"
 
@@ -83,11 +80,11 @@ def estimate_drive(
     before all else where no fix is within reach of the datum, GnssError where there is no log.
     """
     if not drive.gnss_source and not len(drive.fixes()) and drive.motion().poses is None:
-        raise GnssError(
+        why = (
             f"{drive.name} has no GNSS log, without which nothing can be placed; put the log of "
-            "this drive into its folder gnss/, name it with --gnss, or give poses with --poses. "
-            + " ".join(drive.log.notes)
+            "this drive into its folder gnss/, name it with --gnss, or give poses with --poses."
         )
+        raise GnssError(" ".join([why, *drive.log.notes]))
     settings = settings or BuildSettings()
     datum = datum or drive.datum_hint
     if datum is not None:
@@ -155,7 +152,8 @@ def cell_budget(rig: Rig, settings: BuildSettings) -> ErrorBudget:
 
 def no_ground(rig: Rig) -> str:
     """Why a frame is rejected whose ground plane could not be refined."""
-    return _NO_GROUND.format("cloud" if isinstance(rig.sensor, Lidar) else "image")
+    seen = "cloud" if isinstance(rig.sensor, Lidar) else "image"
+    return f"no ground was found in the {seen}, so heights above it are not known"
 
 
 def check_images(recording: Recording, trajectory: Trajectory) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from fieldgrid.core import RecordingError
 from fieldgrid.recordings.bag import opening as bag
 from fieldgrid.recordings.calibration.mounting import Mounting
+from fieldgrid.recordings.cutting import cut
 from fieldgrid.recordings.drive import Drive, Recording
 from fieldgrid.recordings.format import find_format, formats, register_format
 from fieldgrid.recordings.frames.frame_table import TABLE
@@ -64,7 +65,8 @@ def open_drive(path: str | Path, options: DriveOptions | None = None) -> Drive:
         if options.poses is not None:
             given = options.poses.over(given)
         try:
-            return with_given_poses(drive, given, options.epoch_ns)
+            drive = with_given_poses(drive, given, options.epoch_ns)
+            return cut(drive, options.from_ns, options.until_ns)
         except BaseException:
             drive.close()
             raise

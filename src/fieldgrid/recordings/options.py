@@ -54,7 +54,8 @@ class DriveOptions:
     another program estimated, and outrank what the recording says of them; `epoch_ns` is the UTC at
     which the clock of a bag began that counts from its own start. With `unmounted`, a
     sensor of which nothing tells how it sits gets `NO_MOUNTING`. With `incomplete`, files of frames
-    may be missing: it is the frame that then cannot be read.
+    may be missing: it is the frame that then cannot be read. `from_ns` and `until_ns` cut the drive
+    (`cutting.cut`).
     """
 
     gnss: str | Path | None = None
@@ -67,6 +68,8 @@ class DriveOptions:
     unmounted: bool = False
     incomplete: bool = False
     epoch_ns: int | None = None
+    from_ns: int | None = None
+    until_ns: int | None = None
 
     def __post_init__(self) -> None:
         for role in self.topics:

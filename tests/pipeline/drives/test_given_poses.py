@@ -92,7 +92,7 @@ def test_poses_with_a_declared_frame_need_no_fix(
         drive = as_bag(drive, tmp_path / "bag", times_ns)
     shutil.rmtree(drive / "gnss", ignore_errors=True)
     options = DriveOptions(mounting=mounting, poses=PoseSource(poses, axes="rdf"))
-    with pytest.raises(GnssError, match="declare.* --frame-origin"):
+    with pytest.raises(GnssError, match=r"declare.* --frame-origin"):
         build_map([drive], out, resolve(None, {}), options)
     (report,) = build_map([drive], out, resolve(None, DECLARED), options)
     assert (report.used, report.frames) == (3, 3)

@@ -11,7 +11,7 @@ import typer
 
 from fieldgrid.cli import options, output, progress
 from fieldgrid.cli.build_report import report_drives, report_remarks, report_session
-from fieldgrid.cli.drive_options import Drive
+from fieldgrid.cli.drive_options import Drive, Span
 from fieldgrid.cli.new_drives import compare, report_offsets
 from fieldgrid.cli.pose_flags import Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
@@ -70,6 +70,7 @@ def command(
         ),
     ] = None,
     drive: Drive,
+    span: Span,
     poses: Poses,
     settings: Annotated[Overrides, SettingsFlags()],
     align: Annotated[
@@ -191,7 +192,7 @@ def command(
                 paths,
                 out,
                 resolve(config, settings),
-                replace(drive.options(), poses=source),
+                replace(span.of(drive.options()), poses=source),
                 datum=options.datum_or_from(datum, datum_from),
                 append=append,
                 overwrite=overwrite,

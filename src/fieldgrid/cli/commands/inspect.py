@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fieldgrid.cli import options, output, progress
-from fieldgrid.cli.drive_options import Drive
+from fieldgrid.cli.drive_options import Drive, Span
 from fieldgrid.core import printable
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ def command(
         str, typer.Argument(metavar="RECORDING|LOG", help="A recording, or a GNSS log.")
     ],
     drive: Drive,
+    span: Span,
     figure: options.Figure = None,
     config: options.Config = None,
     as_json: options.AsJson = False,
@@ -44,7 +45,7 @@ def command(
 
     path = progress.fetched(recording)
     with progress.counting("frames") as tell:
-        found = inspect_recording(path, resolve(config, {}), drive.options(), tell=tell)
+        found = inspect_recording(path, resolve(config, {}), span.of(drive.options()), tell=tell)
     if figure is not None:
         from fieldgrid.export import figures
         from fieldgrid.pipeline import inspection_figure

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fieldgrid.cli import options, output, progress
-from fieldgrid.cli.drive_options import Drive
+from fieldgrid.cli.drive_options import Drive, Span
 from fieldgrid.cli.pose_flags import Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
 from fieldgrid.core import Overrides
@@ -32,6 +32,7 @@ def command(
         str, typer.Argument(metavar="RECORDING|LOG", help="A recording, or a GNSS log.")
     ],
     drive: Drive,
+    span: Span,
     poses: Poses,
     settings: Annotated[Overrides, SettingsFlags(*_SETTINGS)],
     out: Annotated[
@@ -103,7 +104,7 @@ def command(
     from fieldgrid.recordings import read_gear_spans
 
     origin = options.datum(datum)
-    opening = replace(drive.options(columns), poses=poses.source())
+    opening = replace(span.of(drive.options(columns)), poses=poses.source())
     if gear is not None:
         known = {**settings.get("pose", {}), "gear_spans": read_gear_spans(gear)}
         settings = {**settings, "pose": known}
