@@ -130,7 +130,7 @@ def _fix_rows(found: Inspection) -> Iterator[tuple[str, str]]:
             output.number(fixes.age_s, 1, "s"),
         )
         yield from (
-            ("fixes accepted", f"{fixes.log.accepted} of {fixes.log.fixes}"),
+            ("fixes accepted", f"{fixes.accepted} of {fixes.log.fixes}"),
             ("quality", ", ".join(f"{name} {output.percent(share, 0)}" for name, share in best)),
             ("satellites / hdop / age, median", " / ".join(medians)),
             ("sigma of a fix, median", output.number(fixes.sigma_m, 3, "m")),

@@ -27,7 +27,6 @@ from fieldgrid.pipeline.checks.shifts import explanation
 from fieldgrid.pipeline.inspection.coverage import coverage, coverage_findings
 from fieldgrid.pipeline.inspection.findings import Finding, error, info, warning
 from fieldgrid.pipeline.inspection.fixes import (
-    fix_findings,
     pose_findings,
     rejections,
     summarise_fixes,
@@ -148,14 +147,11 @@ GROUND_SHARE = 0.7
 """Ground is found in nearly all frames of a sensor that is mounted as its mounting says."""
 
 
-def with_fixes(
-    found: Inspection, estimate: Estimate, drive: Drive, findings: list[Finding]
-) -> Inspection:
-    """The report with the fixes of a drive, judged, and the poses from them."""
+def with_fixes(found: Inspection, estimate: Estimate, drive: Drive) -> Inspection:
+    """The report with the fixes of a drive, judged by an estimate, and its poses."""
     fixes = drive.fixes().in_order()
     accepted = estimate.trajectory.accepted[estimate.fix_row]
     summary = summarise_fixes(fixes, accepted, estimate.report.conditioning)
-    findings += fix_findings(summary)
     return replace(found, fixes=summary, trajectory=estimate.trajectory)
 
 
@@ -198,7 +194,7 @@ def with_frames(
     fixes_alone: Estimate | None = None
     with noted(findings):
         fixes_alone = estimate_drive(recording, settings)
-        found = with_fixes(found, fixes_alone, recording, findings)
+        found = with_fixes(found, fixes_alone, recording)
         found = replace(found, reasons=rejections(images_ns, fixes_alone.trajectory))
         with noted(findings, "no-overlap"):
             check_images(recording, fixes_alone.trajectory)
@@ -330,12 +326,11 @@ def _with_poses(
     images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
     at_fixes = estimate.fix_row[track.accepted[estimate.fix_row]]
     found = replace(
-        found,
+        with_fixes(found, estimate, recording),
         sync=synchronisation(images_ns, track.time_ns[at_fixes]),
         clock=clock,
         scale=by_way,
         reasons=rejections(images_ns, track),
-        trajectory=track,
     )
     if apart:
         return found

@@ -48,9 +48,11 @@ class FixStretch(NamedTuple):
 
 
 class FixSummary(NamedTuple):
-    """The fixes in numbers; None for what the receiver does not say."""
+    """The fixes in numbers; None for what the receiver does not say. `accepted` are those with a
+    pose that a build uses, of those that `log` lets pass."""
 
     log: ConditioningSummary
+    accepted: int
     quality: dict[str, float]
     satellites: float | None
     hdop: float | None
@@ -62,6 +64,7 @@ class FixSummary(NamedTuple):
         """Plain values for JSON."""
         return {
             **self.log.as_dict(),
+            "accepted": self.accepted,
             "quality_share": self.quality,
             "satellites_median": self.satellites,
             "hdop_median": self.hdop,
@@ -76,6 +79,7 @@ def summarise_fixes(fixes: FixColumns, accepted: Bool, log: ConditioningSummary)
     counts = sorted(log.quality, key=lambda one: -one[1])
     return FixSummary(
         log=log,
+        accepted=int(accepted.sum()),
         quality={quality.label: count / len(fixes) for quality, count in counts},
         satellites=_median(fixes.satellites[fixes.satellites != NOT_SAID]),
         hdop=_median(fixes.hdop),

@@ -15,6 +15,7 @@ from fieldgrid.core import (
 )
 from fieldgrid.pipeline.inspection.drive import pose_notes, with_fixes, with_frames
 from fieldgrid.pipeline.inspection.findings import error, in_order, info, warning
+from fieldgrid.pipeline.inspection.fixes import fix_findings
 from fieldgrid.pipeline.inspection.frame_pass import Tell
 from fieldgrid.pipeline.inspection.refusals import noted, refusal
 from fieldgrid.pipeline.inspection.report import Inspection
@@ -96,11 +97,13 @@ def _inspected(
         times_ns = drive.fixes().time_ns
         with noted(findings):
             estimate = estimate_drive(drive, settings)
-            found = with_fixes(found, estimate, drive, findings)
+            found = with_fixes(found, estimate, drive)
             findings += pose_notes(estimate)
     else:
         times_ns = recording.frame_times_ns()
         found = with_frames(recording, settings, found, findings, tell)
+    if found.fixes is not None:
+        findings += fix_findings(found.fixes)
     findings += [info("note", note) for note in drive.notes]
     return replace(
         found,
