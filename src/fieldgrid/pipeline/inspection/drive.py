@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from fieldgrid.core import BuildSettings, Float64, Int64, StopCode
-from fieldgrid.geometry import GridSpec, StereoCamera, Trajectory
+from fieldgrid.geometry import GridSpec, Steps, StereoCamera, Trajectory
 from fieldgrid.perception import LocalGridder, drive_misalignment
 from fieldgrid.pipeline.checks.camera_scale import (
     camera_scale,
@@ -334,13 +334,15 @@ def _with_poses(
     )
     if apart:
         return found
-    return _with_map(recording, settings, gridder, found, findings, clocks_agree=not off)
+    steps = None if estimate is fixes_alone else seen.steps
+    return _with_map(recording, settings, gridder, steps, found, findings, clocks_agree=not off)
 
 
 def _with_map(
     recording: Recording,
     settings: BuildSettings,
     gridder: LocalGridder,
+    steps: Steps | None,
     found: Inspection,
     findings: list[Finding],
     *,
@@ -365,7 +367,7 @@ def _with_map(
                 settings.stereo.disparity_sigma_px,
             ),
         )
-        told += pose_findings(recording.frame_count, found.reasons)
+        told += pose_findings(recording, settings, steps, found.reasons)
         told += coverage_findings(
             found.coverage, settings.universal_cell_m, settings.map.cell_m is not None
         )

@@ -4,14 +4,26 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Bool, Float64, Int64, Quality, commonest_reason, grouped_reasons
-from fieldgrid.geometry import MAX_GAP_NS, NOT_SAID, FixColumns, Status, Trajectory
+from fieldgrid.core import (
+    Bool,
+    BuildSettings,
+    FieldgridError,
+    Float64,
+    Int64,
+    Quality,
+    commonest_reason,
+    grouped_reasons,
+)
+from fieldgrid.geometry import MAX_GAP_NS, NOT_SAID, FixColumns, Status, Steps, Trajectory
 from fieldgrid.pipeline.inspection.findings import Finding, info, warning
+from fieldgrid.pipeline.poses import estimate_drive
 from fieldgrid.poses import ConditioningSummary, Gate
+from fieldgrid.recordings import Recording
 
 REJECTED_SHARE, UNUSABLE_SHARE = 0.1, 0.1
 """More of the fixes, or of the frames, than this are worth a warning."""
@@ -23,6 +35,8 @@ COARSE_QUANTUM_M = 0.05
 """Positions that are written more coarsely than a cell."""
 
 POOR_SIGMA_M = 0.5
+
+_HEADINGS = ("smooth", "recorded", "course")
 
 STRETCHES = 10
 """Parts of equal time over which the quality is told."""
@@ -171,16 +185,29 @@ def sync_findings(sync: Sync) -> Iterator[Finding]:
         )
 
 
-def pose_findings(frames: int, reasons: Counter[str]) -> Iterator[Finding]:
-    """How many frames will be without a pose, and mostly why."""
-    lost = reasons.total()
+def pose_findings(
+    recording: Recording, settings: BuildSettings, steps: Steps | None, reasons: Counter[str]
+) -> Iterator[Finding]:
+    """How many frames will be without a pose, mostly why, and the heading that gives more of them
+    one, where one does."""
+    lost, frames = reasons.total(), recording.frame_count
     if lost > UNUSABLE_SHARE * frames:
         count, reason = grouped_reasons(reasons)[0]
+        images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
+        fewest, advice = lost, ""
+        for heading in _HEADINGS:
+            pose = settings.pose.model_copy(update={"heading": heading})
+            with suppress(FieldgridError):
+                other = settings.model_copy(update={"pose": pose})
+                track = estimate_drive(recording, other, steps=steps).trajectory
+                left = rejections(images_ns, track).total()
+                if left < fewest:
+                    fewest, advice = left, f"With --heading {heading} {frames - left} have one. "
         yield warning(
             "frames-unusable",
             f"{lost} of {frames} frames will have no usable pose, {count} of them because: "
             f"{reason}.",
-            "See `fieldgrid track --figure`; try another --gnss, --heading or --budget.",
+            f"{advice}See `fieldgrid track --figure`.",
         )
 
 

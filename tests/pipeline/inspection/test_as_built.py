@@ -1,0 +1,30 @@
+"""An inspection counts what a build uses, and advises what it has tried."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from fieldgrid.core import resolve
+from fieldgrid.pipeline import build_map, inspect_recording
+
+SharedData = Callable[[str], Path]
+
+
+def test_the_counts_are_those_of_a_build(shared_data: SharedData, tmp_path: Path) -> None:
+    """Of a drive some of whose fixes have no usable pose."""
+    drive = shared_data("kitti_2011_09_26_drive_0013_part")
+    found = inspect_recording(drive)
+    assert found.fixes is not None
+    (built,) = build_map([drive], tmp_path / "a.gpkg", resolve(None, {}))
+    assert (found.fixes.accepted, found.fixes.log.accepted) == (built.fixes_accepted, built.fixes)
+    assert built.fixes_accepted < built.fixes
+    assert found.fixes.as_dict()["accepted"] == built.fixes_accepted
+    assert found.frames_usable == built.used
+    (lost,) = (one for one in found.findings if one.code == "frames-unusable")
+    advised = re.match(r"With --heading (\w+) (\d+) have one\.", lost.remedy)
+    assert advised is not None
+    settings = resolve(None, {"pose": {"heading": advised[1]}})
+    (better,) = build_map([drive], tmp_path / "b.gpkg", settings)
+    assert better.used == int(advised[2]) > built.used
