@@ -155,7 +155,7 @@ def test_positions_say_what_a_leap_shows(leap_m: float, at_share: float) -> None
         # To say that the fixes are good would not help.
         (note,) = (one for one in found.report.notes if one.startswith("No pose can be used"))
         assert (
-            f"cut the log where the solution leaps (first {at_share * drive.time_s[-1]:.0f} s"
+            f"cut the drive where the solution leaps (first {at_share * drive.time_s[-1]:.0f} s"
             in note
         )
         assert "--accuracy" not in note

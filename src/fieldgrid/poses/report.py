@@ -240,8 +240,8 @@ def _remedy(
         # What is declared of the fixes does not tell which solution was right.
         first_s = (fixes.time_ns[leaps[0]] - fixes.time_ns[0]) / 1e9
         advice = (
-            f"cut the log where the solution leaps (first {first_s:.0f} s after the start), and "
-            "use the parts one by one"
+            f"cut the drive where the solution leaps (first {first_s:.0f} s after the start), and "
+            f"use the parts one by one, with --until {first_s:.0f} and with --from {first_s:.0f}"
         )
     elif commonest.startswith("position sigma"):
         advice = (
