@@ -22,7 +22,7 @@ help: ## Show this list
 demo: .venv/installed ## Map the example drive, draw the map and compare it with the truth
 	@mkdir -p build/demo
 	$(BIN)/fieldgrid build examples/two_lanes -o build/demo/two_lanes.gpkg --overwrite --gnss gnss_rtk.nmea
-	$(BIN)/fieldgrid show build/demo/two_lanes.gpkg -o build/demo/two_lanes.png
+	$(BIN)/fieldgrid show build/demo/two_lanes.gpkg -o build/demo/two_lanes.png --overwrite
 	$(BIN)/fieldgrid evaluate build/demo/two_lanes.gpkg examples/two_lanes/truth
 
 test: .venv/installed ## Run the tests

@@ -341,7 +341,7 @@ FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "no log": (
         lambda drive: (drive / "gnss" / "gnss_rtk.nmea").unlink(),
-        r"has no GNSS log, .*; put the log of this drive into its folder gnss/, or name it with",
+        r"has no GNSS log, .*put the log of this drive into its folder gnss/, name it with",
     ),
     "no fix in the log": (without_fixes, "holds no position at all; .*--gnss"),
     "no frame": (
@@ -832,3 +832,18 @@ def test_drives_that_cannot_be_aligned_on_the_cluster_are_reported(
     assert [one["session"] for one in told["failed"]] == ["june-17"]
     assert "is gone; start it again." in result.err
     assert "fieldgrid: 2 of 3 drives are in the map. june-17: " in result.err
+
+
+def test_cells_of_centimetres_given_as_metres_are_asked_about(
+    fieldgrid: Run, out: Path, make_drive: MakeDrive
+) -> None:
+    build = ("build", make_drive(), "-o", out, "--cell", "5")
+    assert "--cell 0.05" in fieldgrid(*build).sentence()
+    assert tree(out.parent) == {}
+    fieldgrid(*build, "--accept", "coarse-cells").output()
+
+
+def test_a_map_is_built_without_settings(out: Path, make_drive: MakeDrive) -> None:
+    (report,) = build_map([make_drive()], out)
+    with open_map(out) as universal:
+        assert [one.name for one in universal.sessions()] == [report.session]

@@ -341,13 +341,14 @@ def test_show_and_export_as_of_a_date(
     monkeypatch.setattr(figures, "universal_grid", spy)
     show = ["show", seasons, "-o", tmp_path / "x.png", "--figure", "grid"]
     fieldgrid(*show, "--at", "2026-06-02").output()
-    fieldgrid(*show, "--session", "2").output()
+    fieldgrid(*show, "--session", "2", "--overwrite").output()
     assert drawn == [{"0", "1"}, {"2"}]
     assert (
         "has no session '2'; it has '0'"
-        in fieldgrid(*show, "--session", "2", "--at", "0").sentence()
+        in fieldgrid(*show, "--session", "2", "--at", "0", "--overwrite").sentence()
     )
-    assert "no session up to 2020-01-01" in fieldgrid(*show, "--at", "2020-01-01").sentence()
+    refused = fieldgrid(*show, "--at", "2020-01-01", "--overwrite").sentence()
+    assert "no session up to 2020-01-01" in refused
 
 
 # --- layers

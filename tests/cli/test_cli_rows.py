@@ -124,7 +124,10 @@ def test_rows_are_kept_in_the_map_and_shown(fieldgrid: Run, field: Path, tmp_pat
     assert 0.005 < differs.mean() < 0.5
 
     fieldgrid("sessions", path, "--rename", "june-03", "june-04")
-    assert "has changed since its rows were found" in fieldgrid(*show, out, "--rows").err
+    assert (
+        "has changed since its rows were found"
+        in fieldgrid(*show, out, "--rows", "--overwrite").err
+    )
 
 
 def test_rows_of_an_older_state_are_not_kept(fieldgrid: Run, field: Path) -> None:

@@ -82,7 +82,9 @@ def test_no_image_is_needed(fieldgrid: Run, tmp_path: Path, out: Path) -> None:
     assert bare["gyro_bias_dps"] is not None
     antenna = rows(out)
     shutil.copytree(TWO_LANES / "calibration", folder / "calibration")
-    fieldgrid("track", folder, "-o", out, *SF1, "--datum", "41.65,-4.72,787.4").output()
+    fieldgrid(
+        "track", folder, "-o", out, "--overwrite", *SF1, "--datum", "41.65,-4.72,787.4"
+    ).output()
     # With the rig, poses are those of the ground below the camera, not of the antenna.
     # Heights are smoothed where the lean is known, so the fixes' own noise lies between the two.
     height_m = [
@@ -150,7 +152,9 @@ def test_what_is_known_of_a_drive_can_be_said(fieldgrid: Run, tmp_path: Path, ou
     """The receiver's accuracy or quality, the gear at the start, and gears of spans."""
     stated = json.loads(fieldgrid("track", SF1_LOG, "-o", out, "--json").output())
     better = json.loads(
-        fieldgrid("track", SF1_LOG, "-o", out, "--accuracy", "0.1", "--json").output()
+        fieldgrid(
+            "track", SF1_LOG, "-o", out, "--overwrite", "--accuracy", "0.1", "--json"
+        ).output()
     )
     assert better["position_sigma_m"]["median"] < 0.5 * stated["position_sigma_m"]["median"]
     float_too = json.loads(
@@ -159,6 +163,7 @@ def test_what_is_known_of_a_drive_can_be_said(fieldgrid: Run, tmp_path: Path, ou
             SF1_LOG,
             "-o",
             out,
+            "--overwrite",
             "--quality",
             "rtk-float",
             "--json",
@@ -167,14 +172,14 @@ def test_what_is_known_of_a_drive_can_be_said(fieldgrid: Run, tmp_path: Path, ou
     assert set(
         float_too["quality"] if "quality" in float_too else float_too["conditioning"]["quality"]
     ) == {"RTK float"}
-    first = fieldgrid("track", SF1_LOG, "-o", out, "--starts", "reverse", "--json")
+    first = fieldgrid("track", SF1_LOG, "-o", out, "--overwrite", "--starts", "reverse", "--json")
     assert json.loads(first.output())["reverse_s"] > json.loads(first.out)["forward_s"]
     times = [int(row["time_ns"]) for row in rows(out)]
     gears = tmp_path / "gears.csv"
     gears.write_text(f"from,to,gear\n{times[0] - 1},{times[-1]},forward\n")
-    known = fieldgrid("track", SF1_LOG, "-o", out, "--gear", gears, "--json")
+    known = fieldgrid("track", SF1_LOG, "-o", out, "--overwrite", "--gear", gears, "--json")
     assert json.loads(known.output())["reverse_s"] < 0.5 * stated["reverse_s"]
-    wrong = fieldgrid("track", SF1_LOG, "-o", out, "--quality", "superb")
+    wrong = fieldgrid("track", SF1_LOG, "-o", out, "--overwrite", "--quality", "superb")
     assert wrong.status == 1
     assert "there is no quality 'superb' of a fix; give one of" in wrong.err
 
@@ -240,7 +245,8 @@ def test_a_figure_beside_the_table(end: str, fieldgrid: Run, out: Path) -> None:
 def test_a_second_track_replaces_the_first(fieldgrid: Run, out: Path) -> None:
     fieldgrid("track", RTK, "-o", out).output()
     once = out.read_bytes()
-    fieldgrid("track", RTK, "-o", out).output()
+    assert str(out) in fieldgrid("track", RTK, "-o", out).sentence()
+    fieldgrid("track", RTK, "-o", out, "--overwrite").output()
     assert out.read_bytes() == once  # the same drive, the same bits
 
 

@@ -35,7 +35,7 @@ def tree(folder: Path) -> dict[Path, bytes]:
         ("track DRIVE -o DRIVE/frames.csv", "exists already and is no track"),
         ("track DRIVE -o IMAGE", "ends in none of .csv, .gpx"),
         ("track DRIVE -o x.track", "ends in none of .csv, .gpx"),
-        ("show MAP -o IMAGE", "names no format that a figure can have"),
+        ("show MAP -o IMAGE --overwrite", "names no format that a figure can have"),
         ("show MAP -o x.csv", "end it in .png, .pdf or .svg"),
         ("export MAP IMAGE --format png --overwrite", "is not a PNG that fieldgrid"),
         ("export MAP DRIVE/frames.csv --overwrite", "is not a CSV that fieldgrid has written"),
@@ -103,8 +103,8 @@ def test_our_own_are_replaced(fieldgrid: Run, make_drive: MakeDrive, tmp_path: P
     for _ in range(2):
         fieldgrid("build", drive, "-o", map_, "--overwrite").output()
         fieldgrid("merge", map_, "-o", tmp_path / "b.gpkg", "--overwrite").output()
-        fieldgrid("track", drive, "-o", drive / "track.csv").output()
-        fieldgrid("show", map_, "-o", tmp_path / "a.png").output()
+        fieldgrid("track", drive, "-o", drive / "track.csv", "--overwrite").output()
+        fieldgrid("show", map_, "-o", tmp_path / "a.png", "--overwrite").output()
 
 
 # --- options
@@ -129,8 +129,10 @@ MODES: dict[str, tuple[str, set[str]]] = {
         "build --repose MAP",
         {"repose", "name", "config", *SettingsFlags("pose").names()},
     ),
-    "trajectory": ("show MAP -o x.png --figure trajectory", {"out", "figure", "at", "session"}),
-    "heading": ("show MAP -o x.png --figure heading", {"out", "figure", "at", "session"}),
+    "trajectory": ("show MAP -o x.png --figure trajectory",
+                   {"out", "figure", "at", "session", "overwrite"}),
+    "heading": ("show MAP -o x.png --figure heading",
+                {"out", "figure", "at", "session", "overwrite"}),
     "no picture": (
         "diff MAP --from 2000-01-01 --to june",
         {"from_", "to", "out", "cell", "bounds"},

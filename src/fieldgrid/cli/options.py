@@ -197,10 +197,15 @@ def check_scheduler(scheduler: str | None, jobs: int | None) -> None:
     )
 
 
-def check_outputs(written: Sequence[Path], inputs: Sequence[Path], *, overwrite: bool) -> None:
-    """Refuse outputs before the work: two of one name, inputs, and what may not be replaced."""
+def check_outputs(
+    outputs: Sequence[Path | None], inputs: Sequence[Path], *, overwrite: bool
+) -> None:
+    """Refuse outputs before the work: two of one name, inputs, and what may not be replaced. None
+    stands for an output that was not asked for."""
     from fieldgrid.core import MapExistsError, refuse_input
 
+    written = [path for path in outputs if path is not None]
+    refuse(overwrite and not written, "--overwrite", "nothing is written; name a file")
     if len({path.resolve() for path in written}) < len(written):
         raise typer.BadParameter(f"{written[-1]} is the name of two outputs", param_hint="--out")
     for path in written:

@@ -34,6 +34,7 @@ class StopCode(StrEnum):
     VERTICAL_MISALIGNMENT = "vertical-misalignment"
     CAMERAS_SWAPPED = "cameras-swapped"
     CAMERAS_UNFIT = "cameras-unfit"
+    COARSE_CELLS = "coarse-cells"
 
 
 class GearName(StrEnum):

@@ -29,7 +29,14 @@ from fieldgrid.core import (
 )
 from fieldgrid.geometry import Datum
 from fieldgrid.maps import MapFile, Patience, create_map, open_map
-from fieldgrid.pipeline.poses import attitude_of_grids, check_images, check_poses, estimate_drive
+from fieldgrid.pipeline.checks.doubt import doubted_cell
+from fieldgrid.pipeline.poses import (
+    attitude_of_grids,
+    check_images,
+    check_poses,
+    estimate_drive,
+    settle,
+)
 from fieldgrid.pipeline.report import DRIVE_ERRORS, PartlyBuiltError, Progress, SessionReport
 from fieldgrid.pipeline.session import (
     NewSession,
@@ -88,7 +95,7 @@ class _DriveBuild:
 def build_map(
     paths: Sequence[str | Path],
     out: str | Path,
-    settings: BuildSettings,
+    settings: BuildSettings | None = None,
     options: DriveOptions | None = None,
     *,
     datum: Datum | None = None,
@@ -122,6 +129,7 @@ def build_map(
     """
     if scheduler is not None and jobs is not None:
         raise ConfigError("With a scheduler its workers stage the frames; leave out --jobs.")
+    settings = settings or BuildSettings()
     build = _Build(
         Path(out), settings, every, jobs or os.cpu_count() or 1, skip_bad, fail_fast, progress
     )
@@ -210,13 +218,13 @@ class _Build:
             self.executor = opened.enter_context(Pool(min(self.jobs, shares), self.out))
 
     def estimate(self, datum: Datum | None) -> Datum:
-        """The datum of the map, after a look at what can be known before the first image is
-        read."""
+        """The datum of the map, after a look at what no image has to be read for."""
         for drive in self._good():
             recording = drive.recording
             try:
                 estimate = estimate_drive(recording, self.settings, datum)
                 trajectory = estimate.trajectory
+                settle(doubted_cell(trajectory, self.settings), self.settings)
                 check_images(recording, trajectory)
                 if recording.pose_name or not follows_camera(recording.rig, self.settings):
                     check_poses(recording, trajectory)

@@ -52,6 +52,7 @@ def command(
         ),
     ] = False,
     figure: options.Figure = None,
+    overwrite: options.Overwrite = False,
     wait_s: options.Wait = options.USUAL_WAIT_S,
     jobs: options.Jobs = None,
     scheduler: options.Scheduler = None,
@@ -80,6 +81,7 @@ def command(
             "--undo cannot use it; leave it out",
         )
     options.check_figure(figure)
+    options.check_outputs([figure], [], overwrite=overwrite)
     options.check_scheduler(scheduler, jobs)
     from fieldgrid.field import align_map, find_rows, undo_alignment
     from fieldgrid.maps import open_map

@@ -106,11 +106,7 @@ def command(
         fieldgrid diff vineyard.gpkg --from june-03 --to 2026-09-30 -o new.kml
     """
     ending = "" if out is None else out.suffix.lower()
-    options.refuse(
-        overwrite and ending not in (*_LAYER, *_TABLES),
-        "--overwrite",
-        "it is for a layer or objects, --out FILE.tif or FILE.geojson",
-    )
+    options.check_outputs([out], [map_], overwrite=overwrite)
     from fieldgrid.field import find_changes
     from fieldgrid.geometry import check_inside
     from fieldgrid.maps import MEANING, open_map
@@ -137,7 +133,7 @@ def command(
         )
     view = changes.view
     if out is not None:
-        _write(changes, out, map_, overwrite=overwrite)
+        _write(changes, out, overwrite=overwrite)
     areas = {kind: view.area_m2(kind) for kind in MEANING}
     if as_json:
         from fieldgrid.field import change_features
@@ -188,17 +184,15 @@ def command(
         output.print_line(f"{kind} {out}")
 
 
-def _write(changes: Changes, out: Path, map_: Path, *, overwrite: bool) -> None:
+def _write(changes: Changes, out: Path, *, overwrite: bool) -> None:
     ending = out.suffix.lower()
     if ending in _LAYER:
         from fieldgrid.export import export_change
 
         export_change(changes.view, out, overwrite=overwrite)
     elif ending in _TABLES:
-        from fieldgrid.core import refuse_input
         from fieldgrid.field import write_changes
 
-        refuse_input(out, [map_])
         write_changes(changes, out, overwrite=overwrite)
     else:
         from fieldgrid.export import figures

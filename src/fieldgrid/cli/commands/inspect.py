@@ -25,6 +25,7 @@ def command(
     drive: Drive,
     span: Span,
     figure: options.Figure = None,
+    overwrite: options.Overwrite = False,
     config: options.Config = None,
     as_json: options.AsJson = False,
 ) -> None:
@@ -40,6 +41,7 @@ def command(
         fieldgrid inspect june-03.mcap --json
     """
     options.check_figure(figure)
+    options.check_outputs([figure], [], overwrite=overwrite)
     from fieldgrid.core import RecordingError, resolve
     from fieldgrid.pipeline import inspect_recording
 

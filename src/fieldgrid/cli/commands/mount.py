@@ -43,6 +43,7 @@ def command(
         typer.Option(min=1, metavar="N", help="Take every N-th frame [default: a metre apart]."),
     ] = None,
     figure: options.Figure = None,
+    overwrite: options.Overwrite = False,
     jobs: options.Jobs = None,
     as_json: options.AsJson = False,
 ) -> None:
@@ -57,6 +58,7 @@ def command(
         fieldgrid mount june-03 --write --antenna -0.45 0.12 0.35
     """
     options.check_figure(figure)
+    options.check_outputs([figure], [], overwrite=overwrite)
     options.refuse(antenna is not None and not write, "--antenna", "it is for --write")
     from fieldgrid.pipeline import estimate_mount, write_estimate
 

@@ -202,8 +202,6 @@ def command(
     else:
         options.refuse_idle(ctx, _OF_TRACKS, "it is for --tracks only")
     written = [path for path in (out, swaths, agopengps) if path is not None]
-    if not written:
-        options.refuse_idle(ctx, {"overwrite"}, "nothing is written; give --out")
     if swaths is None:
         options.refuse_idle(ctx, {"speed_limit"}, "it is for a file with lanes; give --swaths")
     origin, target = _place("--from", start), _place("--to", goal)

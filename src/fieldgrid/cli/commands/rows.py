@@ -113,8 +113,6 @@ def command(
     else:
         check_rows_target(out, speed_limit)
     written = [path for path in (out, agopengps) if path is not None]
-    if not written:
-        options.refuse_idle(ctx, {"overwrite"}, "nothing is written; give --out")
     options.check_outputs(written, [map_, *([truth] if truth else [])], overwrite=overwrite)
     low, high = options.spacing(spacing)
     planted = crop_named(crop).changed(

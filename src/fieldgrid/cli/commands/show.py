@@ -29,7 +29,8 @@ class FigureKind(StrEnum):
     HEADING = "heading"
 
 
-_OF_ALL = {"map_", "out", "figure", "at", "session", "datum_from", "as_json", "quiet", "verbose"}
+_OF_ALL = {"map_", "out", "figure", "at", "session", "datum_from"}
+_OF_ALL |= {"overwrite", "as_json", "quiet", "verbose"}
 """The parameters that count for every figure; the others are of the universal grid."""
 
 
@@ -68,6 +69,7 @@ def command(
         ),
     ] = "mean",
     datum_from: options.DatumFrom = None,
+    overwrite: options.Overwrite = False,
     as_json: options.AsJson = False,
 ) -> None:
     """Draw a map: universal grid, trajectory with grid positions, heading against time.
@@ -86,6 +88,7 @@ def command(
     """
     if figure in (FigureKind.TRAJECTORY, FigureKind.HEADING):
         options.refuse_given(ctx, _OF_ALL, f"the figure {figure} shows no cells; leave it out")
+    options.check_outputs([out], [map_], overwrite=overwrite)
     from fieldgrid.export import figures
 
     with opened(map_, datum_from) as universal:

@@ -80,6 +80,7 @@ def command(
     datum: options.DatumText = None,
     config: options.Config = None,
     figure: options.Figure = None,
+    overwrite: options.Overwrite = False,
     as_json: options.AsJson = False,
 ) -> None:
     """Estimate position, heading and gear of the vehicle with their sigmas, one row per GNSS fix.
@@ -97,7 +98,7 @@ def command(
         fieldgrid track june-03 -o track.csv --poses slam.tum --poses-axes rdf
     """
     options.check_figure(figure)
-    from fieldgrid.core import GnssError, refuse_input, resolve
+    from fieldgrid.core import GnssError, resolve
     from fieldgrid.geometry import Carrier
     from fieldgrid.pipeline import track_drive
     from fieldgrid.poses import check_target, summarise_track, write_track
@@ -114,8 +115,7 @@ def command(
     if out is not None:
         check_target(out)
     path = progress.fetched(recording)
-    if out is not None:
-        refuse_input(out, [path])
+    options.check_outputs([out, figure], [path], overwrite=overwrite)
     with progress.working(f"{path.name}: reading and estimating"):
         tracked = track_drive(path, chosen, opening, datum=origin, carrier=carrier)
     if out is not None:

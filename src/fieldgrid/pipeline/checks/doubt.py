@@ -7,6 +7,7 @@ to the first, so ground that is missing while steps are found speaks of height a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -14,12 +15,13 @@ import numpy as np
 from fieldgrid.core import (
     BuildSettings,
     CalibrationError,
+    ConfigError,
     FieldgridError,
     RecordingError,
     StopCode,
     commonest_reason,
 )
-from fieldgrid.geometry import DepthCamera, Lidar, StereoCamera
+from fieldgrid.geometry import DepthCamera, Lidar, StereoCamera, Trajectory
 from fieldgrid.perception import (
     FEWEST_TIMES,
     SHIFT_ERROR_PX,
@@ -42,6 +44,9 @@ SWAPPED_TIMES, SWAPPED_POINTS = 3.0, 30
 """Disparities are negative when a pair, exchanged, shows `SWAPPED_TIMES` as many points with depth,
 and `SWAPPED_POINTS` at least: swapped, it was 10 and more times as many, of a right pair a tenth. A
 principal point that is far off does the same, so both are named."""
+
+FEWEST_CELLS = 100
+"""Cells of a metre and more are meant where so many of them lie across a drive."""
 
 HINT_SHARE = 0.05
 """Ground that is missing in more of the frames than this deserves a remark."""
@@ -78,6 +83,23 @@ def _swapped(name: str) -> BuildDoubt:
         "of frames.csv, or give the calibration of these cameras."
     )
     return BuildDoubt(StopCode.CAMERAS_SWAPPED, error)
+
+
+def doubted_cell(trajectory: Trajectory, settings: BuildSettings) -> BuildDoubt | None:
+    """The doubt about cells that may be centimetres given as metres: of a metre or more, and fewer
+    than `FEWEST_CELLS` across the drive."""
+    cell_m, ok = settings.universal_cell_m, trajectory.accepted
+    if cell_m < 1.0 or not ok.any():
+        return None
+    way_m = max(np.ptp(trajectory.east_m[ok]), np.ptp(trajectory.north_m[ok]))
+    cells = math.ceil((way_m + 2.0 * settings.grid.length_m) / cell_m)
+    if cells >= FEWEST_CELLS:
+        return None
+    error = ConfigError(
+        f"Cells of {cell_m:g} m leave at most {cells} of them across this drive; --cell is in "
+        f"metres: for {cell_m:g} cm give --cell {cell_m / 100.0:g}."
+    )
+    return BuildDoubt(StopCode.COARSE_CELLS, error)
 
 
 def doubted_rows(recording: Recording, every: int) -> BuildDoubt | None:
