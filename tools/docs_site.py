@@ -78,9 +78,10 @@ def commands() -> str:
     import typer
 
     from fieldgrid.cli import app
+    from fieldgrid.cli.listing import SHOWS_ALL
 
     group = typer.main.get_command(app)
-    parts = ["# Commands", "", "Made from the command line itself: `fieldgrid COMMAND --help`."]
+    parts = ["# Commands", "", "Made from the command line itself: `fieldgrid COMMAND --help-all`."]
     context = typer.Context(
         group, info_name="fieldgrid", max_content_width=WIDTH, terminal_width=WIDTH
     )
@@ -89,6 +90,7 @@ def commands() -> str:
         own = typer.Context(
             command, info_name=name, parent=context, max_content_width=WIDTH, terminal_width=WIDTH
         )
+        own.meta[SHOWS_ALL] = True
         parts += ["", f"## fieldgrid {name}", "", "```text", command.get_help(own).strip(), "```"]
     return "\n".join(parts) + "\n"
 

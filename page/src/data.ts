@@ -5,6 +5,7 @@ export type Bounds = [west: number, south: number, east: number, north: number];
 
 export interface Layer {
   name: string;
+  subject: string;
   title: string;
   says: string;
   unit: string;

@@ -38,7 +38,7 @@ def test_no_line_of_help_is_cut_or_too_long(
     name: str | None, columns: str, fieldgrid: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", columns)
-    text = fieldgrid(*([] if name is None else [name]), "--help").output()
+    text = fieldgrid(*([] if name is None else [name, "--help-all"])).output()
     lines = text.splitlines()
     assert max(map(len, lines)) <= min(int(columns), 100)
     assert not [line for line in lines if line.endswith("...") and "Usage" not in line]
@@ -48,21 +48,21 @@ def test_no_line_of_help_is_cut_or_too_long(
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_option_shows_its_default_once(name: str, fieldgrid: Run) -> None:
-    for line in re.split(r"\n(?=  -)", fieldgrid(name, "--help").output()):
+    for line in re.split(r"\n(?=  -)", fieldgrid(name, "--help-all").output()):
         assert line.count("default:") <= 1, line
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_help_shows_how_it_is_used(name: str, fieldgrid: Run) -> None:
     _, found, examples = re.split(
-        r"\n  (Examples?:)\n", fieldgrid(name, "--help").output(), maxsplit=1
+        r"\n  (Examples?:)\n", fieldgrid(name, "--help-all").output(), maxsplit=1
     )
     assert found
     assert f"fieldgrid {name}" in examples
 
 
 def test_options_are_grouped(fieldgrid: Run) -> None:
-    text = fieldgrid("build", "--help").output()
+    text = fieldgrid("build", "--help-all").output()
     headings = re.findall(r"^(\w.*):$", text, re.MULTILINE)
     assert headings[:2] == ["Session and map file", "Recording"]
     assert headings[-1] == "Options"
@@ -81,7 +81,7 @@ def test_a_command_like_another_is_suggested(fieldgrid: Run) -> None:
 def test_every_command_reports_as_json_or_says_why_not(fieldgrid: Run) -> None:
     """`--json` for every command that reports."""
     for name in COMMANDS:
-        assert "--json" in fieldgrid(name, "--help").output(), name
+        assert "--json" in fieldgrid(name, "--help-all").output(), name
 
 
 # --- completion
@@ -317,3 +317,25 @@ def test_looking_at_a_map_compiles_nothing(two_lanes_map: Path, command: str) ->
 def test_each_command_has_the_name_of_its_module() -> None:
     for name in COMMANDS:
         assert load(name).name == name
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_shows_a_dozen_options_and_help_all_the_others(name: str, fieldgrid: Run) -> None:
+    def shown(*flags: str) -> set[str]:
+        text = re.split("Examples?:", fieldgrid(name, *flags).output())[1]
+        return set(re.findall(r"^  (?:-\w, )?(--[a-z-]+)", text, re.MULTILINE))
+
+    options = {
+        max((text for text in one.opts if text.startswith("--")), key=len)
+        for one in load(name).params
+        if one.param_type_name == "option"
+    } | {"--help"}
+    usual = COMMANDS[name].usual.split()
+    if not usual:
+        assert shown("-h") == options - {"--help-all"}
+        assert len(options) <= 13
+        return
+    assert shown("-h") == {*usual, "--help", "--help-all"} & options
+    assert len(usual) <= 12
+    assert set(usual) < options
+    assert shown("--help-all") == options

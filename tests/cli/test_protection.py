@@ -122,7 +122,7 @@ def test_every_option_is_read(name: str) -> None:
     assert [one for one in arguments if one not in read] == []
 
 
-ALWAYS = {"as_json", "quiet", "verbose", "help"}
+ALWAYS = {"as_json", "quiet", "verbose", "help", "help_all"}
 MODES: dict[str, tuple[str, set[str]]] = {
     # what decides that others cannot count, and those that still do
     "poses again": (

@@ -52,7 +52,12 @@ export function layersPanel(store: Store): HTMLElement {
   }
 
   function begin(): void {
-    choice.replaceChildren(...store.state.map.layers.map((layer) => el("option", { value: layer.name }, layer.title)));
+    const { layers } = store.state.map;
+    const subjects = [...new Set(layers.map((layer) => layer.subject))];
+    choice.replaceChildren(...subjects.map((subject) =>
+      el("optgroup", { label: subject }, ...layers
+        .filter((layer) => layer.subject === subject)
+        .map((layer) => el("option", { value: layer.name }, layer.title)))));
     choice.value = store.state.layer;
     overlays.querySelector<HTMLElement>("#choice-blocks")!.hidden = !store.state.map.blocks;
     drawGears();

@@ -6,12 +6,13 @@ import difflib
 import importlib
 import inspect
 import signal
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from fieldgrid.cli.groups import expanded
+from fieldgrid.cli.groups import expanded, option
 from fieldgrid.cli.output import VERBOSITY
 
 WIDTH = 100
@@ -19,33 +20,94 @@ WIDTH = 100
 
 
 class Entry(NamedTuple):
-    """A command in the list of `fieldgrid --help`. Its module is `fieldgrid.cli.commands.NAME`."""
+    """A command in the list of `fieldgrid --help`. Its module is `fieldgrid.cli.commands.NAME`.
+
+    `usual` are the options that its help shows; `--help-all` shows the others too. Without any it
+    shows all.
+    """
 
     group: str
     says: str
+    usual: str = ""
 
+
+SHOWS_ALL = "fieldgrid.shows_all"
 
 _DRIVES, _MAPS, _USE, _HEALTH = "Drives", "Maps", "Using a map", "Health and help"
 
 COMMANDS: dict[str, Entry] = {
-    "inspect": Entry(_DRIVES, "Show what is in a recording and what would go wrong."),
-    "track": Entry(_DRIVES, "Write position, heading and gear over time, with sigmas."),
-    "mount": Entry(_DRIVES, "Estimate the mounting of the camera from the drive alone."),
+    "inspect": Entry(
+        _DRIVES,
+        "Show what is in a recording and what would go wrong.",
+        "--gnss --topic --mounting --time-offset --from --until --figure --json",
+    ),
+    "track": Entry(
+        _DRIVES,
+        "Write position, heading and gear over time, with sigmas.",
+        "--gnss --out --figure --columns --from --until --heading --accuracy "
+        "--quality --poses --datum --json",
+    ),
+    "mount": Entry(
+        _DRIVES,
+        "Estimate the mounting of the camera from the drive alone.",
+        "--gnss --topic --mounting --write --antenna --figure --jobs --json",
+    ),
     "convert": Entry(_DRIVES, "Write a recording as one standard MCAP file."),
-    "build": Entry(_MAPS, "Make a map from recordings, or append them to one."),
-    "live": Entry(_MAPS, "Map during the drive: local grids and poses now, the map at the end."),
+    "build": Entry(
+        _MAPS,
+        "Make a map from recordings, or append them to one.",
+        "--out --append --overwrite --name --gnss --mounting --poses --heading "
+        "--grid --cell --align --resume",
+    ),
+    "live": Entry(
+        _MAPS,
+        "Map during the drive: local grids and poses now, the map at the end.",
+        "--out --images --camera --mcap --gnss --rig --replay --finish --view "
+        "--foxglove --cell --append",
+    ),
     "sessions": Entry(_MAPS, "List the drives of a map; remove, restore or rename one."),
-    "mark": Entry(_MAPS, "Draw keep-outs, corrections and places on a map; undo them."),
-    "align": Entry(_MAPS, "Align the drives of a map by what they saw."),
+    "mark": Entry(
+        _MAPS,
+        "Draw keep-outs, corrections and places on a map; undo them.",
+        "--add --polygon --point --kind --name --note --remove --restore --out --json",
+    ),
+    "align": Entry(
+        _MAPS,
+        "Align the drives of a map by what they saw.",
+        "--session --to --reach --dry-run --undo --rows --figure --json",
+    ),
     "farm": Entry(_MAPS, "List a folder of maps; write a STAC catalogue of them."),
     "merge": Entry(_MAPS, "Make one map of several, or a copy of one."),
-    "show": Entry(_USE, "Draw a map."),
+    "show": Entry(
+        _USE,
+        "Draw a map.",
+        "--out --figure --layer --cell --bounds --at --session --route --rows --overwrite --json",
+    ),
     "view": Entry(_USE, "Look at maps in the browser."),
-    "rows": Entry(_USE, "Find rows of plants, lanes, gaps and headlands."),
-    "route": Entry(_USE, "Plan a route that a vehicle can drive."),
-    "export": Entry(_USE, "Write a map for another program."),
+    "rows": Entry(
+        _USE,
+        "Find rows of plants, lanes, gaps and headlands.",
+        "--out --crop --spacing --obstacle-above --headland --bounds --at --keep "
+        "--agopengps --truth --overwrite --json",
+    ),
+    "route": Entry(
+        _USE,
+        "Plan a route that a vehicle can drive.",
+        "--from --to --cover --crop --vehicle --out --swaths --boundary "
+        "--allow-unknown --at --overwrite --json",
+    ),
+    "export": Entry(
+        _USE,
+        "Write a map for another program.",
+        "--format --layer --cell --bounds --at --epsg --obstacle-above --features "
+        "--guidance --overwrite --jobs --json",
+    ),
     "query": Entry(_USE, "List the frames behind a cell's value."),
-    "diff": Entry(_USE, "Compare a map before and after a date."),
+    "diff": Entry(
+        _USE,
+        "Compare a map before and after a date.",
+        "--from --to --out --min-area --min-confidence --cell --bounds --overwrite --json",
+    ),
     "evaluate": Entry(_USE, "Compare a map with surveyed or simulated truth."),
     "verify": Entry(_HEALTH, "Check that a map is complete and undamaged."),
     "repair": Entry(_HEALTH, "Rebuild a map's derived tables from its frames."),
@@ -67,7 +129,12 @@ class Command(TyperCommand):
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """The arguments that need a word, then the options, a panel after the other."""
         panels: dict[str, list[tuple[str, str]]] = {}
+        usual = COMMANDS[str(self.name)].usual.split()
+        hides = usual and not ctx.meta.get(SHOWS_ALL)
+        shown = {*usual, "--help", "--help-all"}
         for one in self.get_params(ctx):
+            if hides and one.param_type_name == "option" and not shown.intersection(one.opts):
+                continue
             if one.param_type_name == "argument":
                 if help_ := getattr(one, "help", None):
                     panels.setdefault("Arguments", []).append((str(one.metavar), help_))
@@ -77,6 +144,29 @@ class Command(TyperCommand):
         for title, rows in sorted(panels.items(), key=lambda panel: panel[0] == "Options"):
             with formatter.section(title):
                 formatter.write_dl(rows)
+
+
+class _HelpAll:
+    """`--help-all`, which is `hidden` where the help shows all options itself."""
+
+    def __init__(self, hidden: bool) -> None:
+        self._hidden = hidden
+
+    def parameters(self) -> Iterable[inspect.Parameter]:
+        says = "Show all options and exit."
+        info = typer.Option(
+            "--help-all", is_eager=True, callback=self._show, help=says, hidden=self._hidden
+        )
+        return [option("help_all", bool, False, info)]
+
+    def value(self, given: Mapping[str, Any]) -> None:
+        """Nothing: it acts when it is read."""
+
+    def _show(self, ctx: typer.Context, wanted: bool) -> None:
+        if wanted:
+            ctx.meta[SHOWS_ALL] = True
+            typer.echo(ctx.get_help())
+            raise typer.Exit
 
 
 class Commands(TyperGroup):
@@ -131,7 +221,7 @@ def load(name: str) -> Any:
     help_text = getattr(module, "help_text", str)
     one.command(
         name, cls=Command, context_settings=settings, help=help_text(inspect.getdoc(module.command))
-    )(expanded(module.command, VERBOSITY))
+    )(expanded(module.command, VERBOSITY, _HelpAll(not COMMANDS[name].usual)))
     return typer.main.get_command(one)
 
 

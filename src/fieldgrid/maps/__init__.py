@@ -87,6 +87,7 @@ if TYPE_CHECKING:
         channel_names as channel_names,
         check_layers as check_layers,
         groups_of as groups_of,
+        layers_by_subject as layers_by_subject,
         register_group as register_group,
         register_layer as register_layer,
         stored_groups as stored_groups,

@@ -14,7 +14,7 @@ import numpy as np
 
 from fieldgrid.core import AnyArray, Bool, UInt8, palette
 from fieldgrid.geometry import OBSTACLE_ABOVE, Bounds, TileIndex, tile_window
-from fieldgrid.maps import LAYERS, MEANING, Change, MapView, Readable, encode_png
+from fieldgrid.maps import LAYERS, MEANING, Change, MapView, Readable, encode_png, layers_by_subject
 
 _SAMPLE_CELLS = 1 << 18
 """About how many cells the range of a layer is found from."""
@@ -42,6 +42,7 @@ def describe(name: str) -> dict[str, Any]:
     layer = LAYERS[name]
     return {
         "name": name,
+        "subject": next(key for key, names in layers_by_subject().items() if name in names),
         "title": _TITLES.get(name, name),
         "says": layer.meaning,
         "unit": "" if layer.unit == "1" else layer.unit,

@@ -89,7 +89,9 @@ def command(
 
     {formats}
 
-    Layers of a map: {layers}.
+    Layers of a map; density is the 3D density of the paper's universal grid:
+
+    {layers}
 
     Examples:
 
@@ -141,11 +143,16 @@ def command(
 
 def help_text(text: str) -> str:
     """The help, with the formats and layers that there are."""
+    from fieldgrid.maps import layers_by_subject
+
     rows = [(one.name, " ".join(one.endings), one.says) for one in _formats().values()]
     width, wider = (max(len(row[k]) for row in rows) for k in (0, 1))
     table = "\n".join(f"  {name:{width}}  {end:{wider}}  {says}" for name, end, says in rows)
     listed = f"Formats, by their names and endings:\n\n\b\n{table}"
-    return text.format(formats=listed, layers=", ".join(_layers()))
+    layers = "\n".join(
+        f"  {title}:\n      {' '.join(names)}" for title, names in layers_by_subject().items()
+    )
+    return text.format(formats=listed, layers=f"\b\n{layers}")
 
 
 def _formats() -> Mapping[str, ExportFormat]:

@@ -39,6 +39,13 @@ GROUPS: Mapping[str, ChannelGroup] = PluginRegistry(_GROUPS, Group.LAYERS)
 LAYERS: Mapping[str, Layer] = PluginRegistry(_LAYERS, Group.LAYERS)
 """The layers by name."""
 
+_SUBJECTS = {
+    "What the frames saw": "density peak max variance count seen_share sure_share",
+    "The ground": "ground ground_sigma height slope roughness step drop traversability",
+    "What stands on it": "occupancy max_height clearance",
+    "Over time": "sessions persistence static seasonal passing lasting moved remaining",
+}
+
 
 def register_group(group: ChannelGroup) -> None:
     """Make a channel group known. New maps accumulate it from then on; `repair` adds it to others.
@@ -98,6 +105,14 @@ def check_layers(names: Iterable[str]) -> tuple[str, ...]:
         if name not in LAYERS:
             raise ConfigError(f"There is no layer {name!r}; there are {', '.join(LAYERS)}.")
     return wanted
+
+
+def layers_by_subject() -> dict[str, list[str]]:
+    """The names of all layers by what they tell; those of other packages come last."""
+    found = {title: names.split() for title, names in _SUBJECTS.items()}
+    placed = {name for names in found.values() for name in names}
+    others = [name for name in LAYERS if name not in placed]
+    return found | {"Of other packages": others} if others else found
 
 
 def stored_groups() -> tuple[str, ...]:
