@@ -23,7 +23,8 @@ SF1_LOG = RTK.with_name("gnss_sf1.nmea")
 SF1 = ("--gnss", "gnss_sf1.nmea")
 KEYS = {
     *("track", "figure", "drive", "gnss", "datum", "heading_source", "fixes", "ok", "held"),
-    *("rejected", "reasons", "duration_s", "distance_m", "forward_s", "reverse_s", "standing_s"),
+    *("repeated", "rejected", "reasons", "duration_s", "distance_m"),
+    *("forward_s", "reverse_s", "standing_s"),
     *("reversals", "heading_sigma_deg", "position_sigma_m", "conditioning", "recorded_heading"),
     *("clock_offset", "clock_jump", "clock_change", "camera_contradiction", "camera_yaw"),
     "imu_turn",
@@ -60,7 +61,7 @@ def test_the_table_of_a_recording(fieldgrid: Run, out: Path) -> None:
     assert times == sorted(times)
     assert re.search(rf"^fixes +{len(found)}$", text, re.MULTILINE)
     rejected = [row for row in found if row["status"] == "rejected"]
-    assert re.search(rf"^rejected +{len(rejected)}$", text, re.MULTILINE)
+    assert re.search(rf"^written twice / rejected +0 / {len(rejected)}$", text, re.MULTILINE)
     assert all(row["reason"] for row in rejected)
     assert {row["status"] for row in found} == {"ok", "held", "rejected"}
     assert {row["gear"] for row in found} == {"1", "0", "-1"}
@@ -127,7 +128,8 @@ def test_json_is_one_object_and_nothing_else(fieldgrid: Run, out: Path) -> None:
     assert result["gnss"] == "gnss/gnss_sf1.nmea"
     assert result["datum"] == {"lat_deg": 41.65, "lon_deg": -4.72, "height_m": 787.4}
     assert result["fixes"] == len(rows(out))
-    assert result["fixes"] == result["ok"] + result["held"] + result["rejected"]
+    kinds = ("ok", "held", "repeated", "rejected")
+    assert result["fixes"] == sum(result[kind] for kind in kinds)
     assert sum(reason["fixes"] for reason in result["reasons"]) == result["rejected"]
     assert result["reversals"] == 2
     assert result["heading_sigma_deg"]["median"] < result["heading_sigma_deg"]["p95"]
@@ -417,3 +419,30 @@ def test_a_part_of_a_drive(start: str, fieldgrid: Run) -> None:
     asked = ("track", RTK, "--from", start, "--json", "--until")
     assert json.loads(fieldgrid(*asked, "50").output())["fixes"] == 150
     assert "Invalid value for --until" in fieldgrid(*asked, "soon").usage()
+
+
+def test_rows_that_are_written_twice_are_no_loss(fieldgrid: Run, tmp_path: Path) -> None:
+    """A log of 20 Hz of a receiver that solves at 10 Hz."""
+    log = tmp_path / "log.csv"
+    lines = ["time,lat,lon,height,quality"]
+    for k in range(400):
+        place = k // 2 * 2
+        lines.append(f"{1_700_000_000 + 0.05 * k:.2f},{48.1 + 1e-6 * place + 1e-8 * (place * 79 % 17):.8f},11.5,400,4")
+    log.write_text("\n".join(lines))
+    told = json.loads(fieldgrid("track", log, "--json").output())
+    assert (told["repeated"], told["rejected"], told["reasons"]) == (200, 0, [])
+
+
+def test_a_column_of_times_is_known_by_its_values(fieldgrid: Run, tmp_path: Path) -> None:
+    """A name that says nothing; a number that does not rise is no time."""
+    log = tmp_path / "log.csv"
+    lines = ["serial,clock,lat,lon,height,quality"]
+    for k in range(100):
+        lines.append(f"1500000000,{1477388576.379 + k:.3f},{48.1 + 1e-5 * k:.7f},11.5,400,4")
+    log.write_text("\n".join(lines))
+    out = tmp_path / "track.csv"
+    text = fieldgrid("track", log, "-o", out).output()
+    assert "time from 'clock' (s since 1970)" in text
+    assert rows(out)[0]["time_ns"] == "1477388576379000000"
+    log.write_text("\n".join(line.replace("1477388576", "147") for line in lines[:2]))
+    assert "no column with UTC times" in fieldgrid("track", log).sentence()

@@ -185,7 +185,7 @@ def _fix_rows(summary: TrackSummary) -> list[tuple[str, str]]:
     return [
         ("fixes", str(summary.fixes)),
         ("accepted, moving / held at rest", f"{summary.ok} / {summary.held}"),
-        ("rejected", str(summary.rejected)),
+        ("written twice / rejected", f"{summary.repeated} / {summary.rejected}"),
         ("rate", output.number(log.rate_hz, 1, "Hz")),
         ("gaps without a usable fix", f"{len(log.gaps)}{longest}"),
         ("seams (shifts of the solution)", str(len(log.seams))),

@@ -26,7 +26,7 @@ from fieldgrid.poses.gates.motion_gate import (
     transition,
 )
 from fieldgrid.poses.gates.repeats import held_ns
-from fieldgrid.poses.gates.verdict import DEFAULT_LIMITS, Gate, Verdicts
+from fieldgrid.poses.gates.verdict import DEFAULT_LIMITS, REPEATS, Gate, Verdicts
 
 # Heights that run away: the sign of a solution that has come apart while it looks smooth.
 #
@@ -264,9 +264,9 @@ def _check_repeats(log: _VerdictTable) -> None:
     age_ns = held_ns(used.time_ns, used.lat_deg, used.lon_deg, used.speed_mps)
     for k in np.flatnonzero(age_ns >= 0):
         reason = (
-            f"repeats the position of the fix {age_ns[k] / 1e9:.2f} s before"
+            f"{REPEATS} position of the fix {age_ns[k] / 1e9:.2f} s before"
             if age_ns[k]
-            else "repeats the fix before it, place and time"
+            else f"{REPEATS} fix before it, place and time"
         )
         log.reject(int(rows[k]), Gate.REPEAT, reason)
 

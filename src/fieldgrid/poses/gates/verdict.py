@@ -7,6 +7,9 @@ from typing import NamedTuple
 
 from fieldgrid.core import Bool, GateLimits
 
+REPEATS = "repeats the"
+"""How the reasons of fixes begin that a receiver or logger has written again: they are no loss."""
+
 
 class Gate(StrEnum):
     """Which gate a fix failed, for programs; the sentence beside it is for people.

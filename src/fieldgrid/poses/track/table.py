@@ -21,6 +21,7 @@ from fieldgrid.core import (
 )
 from fieldgrid.geometry import MAX_DISTANCE_M, MAX_GAP_NS, Datum, Status, Trajectory, wrap_deg
 from fieldgrid.poses.estimate import Estimate
+from fieldgrid.poses.gates.verdict import REPEATS
 from fieldgrid.poses.report import PoseReport
 from fieldgrid.poses.track.formats import (
     GEOJSON_START,
@@ -170,14 +171,15 @@ class GearTimes(NamedTuple):
 class TrackSummary:
     """A track in numbers. Counts are of input fixes, sigmas of the accepted among them.
 
-    `reasons` are those of rejected fixes, the commonest first: how many, and one of the
-    sentences that differ in numbers only.
+    `repeated` are fixes that were written again, and no loss. `reasons` are those of rejected
+    fixes, the commonest first: how many, and one of the sentences that differ in numbers only.
     """
 
     datum: Datum
     heading_source: str
     ok: int
     held: int
+    repeated: int
     rejected: int
     reasons: tuple[tuple[int, str], ...]
     duration_s: float
@@ -190,7 +192,7 @@ class TrackSummary:
     @property
     def fixes(self) -> int:
         """How many fixes went in."""
-        return self.ok + self.held + self.rejected
+        return self.ok + self.held + self.repeated + self.rejected
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON; what is unknown is null."""
@@ -205,6 +207,7 @@ class TrackSummary:
             "fixes": self.fixes,
             "ok": self.ok,
             "held": self.held,
+            "repeated": self.repeated,
             "rejected": self.rejected,
             "reasons": [{"fixes": count, "example": example} for count, example in self.reasons],
             "duration_s": self.duration_s,
@@ -220,7 +223,8 @@ def summarise_track(estimate: Estimate) -> TrackSummary:
     """Count verdicts, gears and reasons of a track, and measure its way."""
     track, at = estimate.trajectory, estimate.fix_row
     statuses = Counter(track.status[k] for k in at.tolist())
-    refused = (k for k in at.tolist() if track.status[k] is Status.REJECTED)
+    refused = Counter(track.reason[k] for k in at.tolist() if track.status[k] is Status.REJECTED)
+    repeated = sum(refused.pop(why) for why in list(refused) if why.startswith(REPEATS))
     used = at[track.accepted[at]]
     first_ns, last_ns = track.time_ns[at].min(), track.time_ns[at].max()
     # Times in each gear, over the poses that follow each other closely; an estimate that is too
@@ -238,8 +242,9 @@ def summarise_track(estimate: Estimate) -> TrackSummary:
         heading_source=track.heading_source,
         ok=statuses[Status.OK],
         held=statuses[Status.HELD],
-        rejected=statuses[Status.REJECTED],
-        reasons=tuple(grouped_reasons(Counter(track.reason[k] for k in refused))),
+        repeated=repeated,
+        rejected=refused.total(),
+        reasons=tuple(grouped_reasons(refused)),
         duration_s=float(last_ns - first_ns) / 1e9,
         distance_m=track.length_m(),
         gears=GearTimes(forward_s, reverse_s, standing_s, int(np.count_nonzero(np.diff(moving)))),

@@ -26,6 +26,9 @@ _FIRST_WEEK = 1024
 """Of August 1999: no drive is older, but a receiver may count modulo 1024."""
 
 
+_YEAR_2000_NS = 946_684_800 * 10**9
+
+
 class TimeColumn(NamedTuple):
     """A table's time: one column, a date beside a time of day, or a week beside a time of week."""
 
@@ -49,6 +52,14 @@ class TimeColumn(NamedTuple):
                 block.line + problem.place, self.place, cells[problem.place], "is no UTC time"
             ) from None
 
+    def rises(self) -> bool:
+        """Whether the first rows are moments after 2000 that never fall: no name has to say it."""
+        try:
+            times_ns = self.utc_ns(self.table.sample)
+        except RecordingError:
+            return False
+        return bool(times_ns[0] > _YEAR_2000_NS and (np.diff(times_ns) >= 0).all())
+
     def _cells(self, block: TableRows) -> list[str]:
         cells = block.cells(self.place)
         if self.date_place is None:
@@ -71,6 +82,9 @@ def find_time(table: OpenTable, columns: Columns) -> TimeColumn:
             return week
     names = [said] if said else time_candidates(table.header)
     found = [time for name in names if (time := _column(table, name, columns)) is not None]
+    if not (found or said or columns.time_epoch or columns.time_units):
+        others = (_column(table, name, columns) for name in table.header if name not in names)
+        found = [time for time in others if time is not None and time.rises()]
     if not found:
         tried = f" ({', '.join(_shown(table, n) for n in names)[:200]} can not be read as one)"
         raise RecordingError(
