@@ -444,5 +444,5 @@ def test_a_column_of_times_is_known_by_its_values(fieldgrid: Run, tmp_path: Path
     text = fieldgrid("track", log, "-o", out).output()
     assert "time from 'clock' (s since 1970)" in text
     assert rows(out)[0]["time_ns"] == "1477388576379000000"
-    log.write_text("\n".join(line.replace("1477388576", "147") for line in lines[:2]))
-    assert "no column with UTC times" in fieldgrid("track", log).sentence()
+    log.write_text("\n".join(line.replace("1477388576", "147") for line in lines))
+    assert "no column with UTC times" in fieldgrid("track", log, "-q").sentence()

@@ -176,23 +176,20 @@ def smooth_drive(
     found = station_gears(fixes, at, standing, resting, motion, recorded.heading_deg, hints)
     # Between two fixes it rests only where it does at both; beyond them nobody knows.
     rest = np.interp(at.time_ns, fixes.time_ns, resting.astype(np.float64), left=0.0, right=0.0)
-    node_rest = rest > 0.99
-    # A step of the camera that shows motion denies the rest that all of it lies in; one that
-    # reaches beyond a rest was driven there.
+    # Nodes during a step of the camera that shows motion do not rest.
+    change = np.zeros(len(at.time_ns) + 1, dtype=np.int64)
     if motion.steps is not None:
-        steps, moving = motion.steps, np.concatenate([[0], np.cumsum(~node_rest)])
-        distance_m = np.hypot(steps.forward_m, steps.right_m)
-        first = np.searchsorted(at.time_ns, steps.start_ns)
-        after = np.searchsorted(at.time_ns, steps.stop_ns, side="right")
-        shown = distance_m > np.maximum(DRIVEN_M, 4.0 * steps.sigma_m)
-        for k in np.flatnonzero(shown & (moving[first] == moving[after])).tolist():
-            node_rest[first[k] : after[k]] = False
+        distance_m = np.hypot(motion.steps.forward_m, motion.steps.right_m)
+        real = distance_m > np.maximum(DRIVEN_M, 4.0 * motion.steps.sigma_m)
+        np.add.at(change, np.searchsorted(at.time_ns, motion.steps.start_ns[real]), 1)
+        np.add.at(change, np.searchsorted(at.time_ns, motion.steps.stop_ns[real], side="right"), -1)
+    node_rest = (rest > 0.99) & (np.cumsum(change[:-1]) <= 0)
     measured = measurements(fixes, at, node_rest, motion, _assigned(at, found)[0], axle.vehicle)
     measured = with_headings(measured, fixes, at, recorded)
     lever_m, step_ahead_m = axle.frame()
     # Not a name here, nor `*axle.frame()`: either would keep the guess, which `smooth` lets go.
     smoothed = smooth(measured, first_guess(fixes, at, found, measured), lever_m, step_ahead_m)
-    return _drive(fixes, at, measured, found, smoothed, axle)
+    return _drive(fixes, at, measured, found, smoothed, axle, rest > 0.99)
 
 
 def with_recorded(
@@ -213,7 +210,7 @@ def with_recorded(
         return smooth_drive(fixes, drive.time_ns, motion, axle, recorded, hints)
     measured = with_headings(drive.measured, fixes, drive.at, recorded)
     smoothed = refine(drive.smoothed, measured, *axle.frame())
-    return _drive(fixes, drive.at, measured, found, smoothed, axle)
+    return _drive(fixes, drive.at, measured, found, smoothed, axle, drive.resting)
 
 
 def _standing(fixes: AcceptedFixes) -> Bool:
@@ -237,10 +234,12 @@ def _drive(
     found: StationGears,
     smoothed: SmoothedDrive,
     axle: Axle,
+    rested: Bool,
 ) -> DriveEstimate:
     assigned, doubt = _assigned(at, found)
-    resting = measured.standing
     east, north, heading, speed = smoothed.state[:, :4].T
+    # A step of the camera that reaches beyond a stop was driven there, so it denies none of it.
+    resting = measured.standing | rested & (np.abs(speed) < DRIVING_MPS)
     turns = at._replace(turned_rad=measured.seen_turns_rad())
     denied = contradicted_gear(turns, assigned, speed) & (doubt > SETTLED_DOUBT)
     doubt = np.where(denied, 1.0, doubt)

@@ -140,9 +140,7 @@ def test_a_map_says_what_its_poses_are_from(
     headings = np.array([pose.heading_deg for pose in before.values()])
     assert np.abs(headings - truth.heading_deg[k]).max() < 0.2
     monkeypatch.setattr("sys.argv", ["fieldgrid", "sessions", str(out)])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 0
+    main()
     assert "poses of slam.tum" in capsys.readouterr().out
     (again,) = repose_map(out)
     assert again.heading_source == "given poses"
