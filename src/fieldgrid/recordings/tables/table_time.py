@@ -53,12 +53,13 @@ class TimeColumn(NamedTuple):
             ) from None
 
     def rises(self) -> bool:
-        """Whether the first rows are moments after 2000 that never fall: no name has to say it."""
+        """Whether the first rows are moments after 2000 that rise: no name has to say it."""
         try:
             times_ns = self.utc_ns(self.table.sample)
         except RecordingError:
             return False
-        return bool(times_ns[0] > _YEAR_2000_NS and (np.diff(times_ns) >= 0).all())
+        rises = times_ns[-1] > times_ns[0] and bool((np.diff(times_ns) >= 0).all())
+        return rises and bool(times_ns[0] > _YEAR_2000_NS)
 
     def _cells(self, block: TableRows) -> list[str]:
         cells = block.cells(self.place)
