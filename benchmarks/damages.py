@@ -235,9 +235,21 @@ def _grainy(image: np.ndarray) -> np.ndarray:
     return np.clip(image + rng.normal(0.0, 25.0, image.shape), 0, 255).astype(np.uint8)
 
 
-def _hard_pressed(image: np.ndarray) -> np.ndarray:
-    _, pressed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 8])
-    return cv2.imdecode(pressed, cv2.IMREAD_GRAYSCALE)
+def _pressed(quality: int) -> Callable[[np.ndarray], np.ndarray]:
+    def press(image: np.ndarray) -> np.ndarray:
+        _, pressed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        return cv2.imdecode(pressed, cv2.IMREAD_GRAYSCALE)
+
+    return press
+
+
+def _longer_focal(folder: Path) -> None:
+    """The calibration of 3 % more focal length, with the same baseline."""
+    path = folder / "calibration" / "stereo_opencv.yaml"
+    text = path.read_text()
+    for number in ("905.4", "162.972"):
+        text = text.replace(number, f"{1.03 * float(number):.6f}")
+    path.write_text(text)
 
 
 def _all(*damages: Damage) -> Damage:
@@ -316,7 +328,16 @@ DAMAGES: dict[str, Damage] = {
     "right camera pushed 1.5 px aside": seen(_shifted(1.5, 0.0), "right", HALF),
     "images of an eighth of the light": seen(lambda i: (i / 8).astype(np.uint8), "left right"),
     "noise of 25 grey levels": seen(_grainy, "left right"),
-    "stored as JPEG of quality 8": seen(_hard_pressed, "left right"),
+    "stored as JPEG of quality 8": seen(_pressed(8), "left right"),
+    "stored as JPEG of quality 20": seen(_pressed(20), "left right"),
+    "right camera of 0.3 of the light": seen(lambda i: (0.3 * i).astype(np.uint8), "right"),
+    "right camera of 0.6 of the light and 20 more": seen(
+        lambda i: np.clip(0.6 * i + 20.0, 0, 255).astype(np.uint8), "right"
+    ),
+    "right camera 1 px down": seen(_shifted(0.0, 1.0), "right"),
+    "blur of 1.5 px": seen(lambda i: cv2.GaussianBlur(i, (0, 0), 1.5), "left right"),
+    "focal length of 3 % more": _longer_focal,
+    "antenna 0.15 m to the left": mounted("gnss_antenna_from_camera_mid_flu_m", (0.0, 0.15, 0.0)),
     "six black images": seen(lambda i: 0 * i, "left right", slice(20, 26)),
 }
 

@@ -23,7 +23,7 @@ from fieldgrid.live import perceiver
 from fieldgrid.perception import features, step, stereo, vertical_shifts
 from fieldgrid.pipeline import poses, repose
 from fieldgrid.pipeline.checks import doubt
-from fieldgrid.pipeline.inspection import frame_pass
+from fieldgrid.pipeline.inspection import frame_pass, measures
 from fieldgrid.pipeline.mounting import frame_probe
 from fieldgrid.pipeline.staging import perception, shares as staging
 from fieldgrid.poses import drive, estimate_poses, levelled
@@ -41,7 +41,7 @@ KEPT_BYTES = 200 << 20
 USES: tuple[tuple[Callable[..., Any], tuple[object, ...]], ...] = (
     (features, (doubt, frame_probe, frame_pass, perception, staging)),
     (step, (perceiver, perception)),
-    (vertical_shifts, (doubt, frame_pass)),
+    (vertical_shifts, (measures,)),
     (smooth, (drive,)),
     (refine, (clock_search, drive)),
     (estimate_attitude, (levelled,)),

@@ -427,7 +427,8 @@ def test_rows_that_are_written_twice_are_no_loss(fieldgrid: Run, tmp_path: Path)
     lines = ["time,lat,lon,height,quality"]
     for k in range(400):
         place = k // 2 * 2
-        lines.append(f"{1_700_000_000 + 0.05 * k:.2f},{48.1 + 1e-6 * place + 1e-8 * (place * 79 % 17):.8f},11.5,400,4")
+        lat = 48.1 + 1e-6 * place + 1e-8 * (place * 79 % 17)
+        lines.append(f"{1_700_000_000 + 0.05 * k:.2f},{lat:.8f},11.5,400,4")
     log.write_text("\n".join(lines))
     told = json.loads(fieldgrid("track", log, "--json").output())
     assert (told["repeated"], told["rejected"], told["reasons"]) == (200, 0, [])

@@ -15,7 +15,13 @@ from pydantic import ValidationError
 from fieldgrid.core import CalibrationError, ConfigError, MatcherKind, StereoSettings
 from fieldgrid.geometry import LeverArm, Mount, Rig, StereoCamera
 from fieldgrid.perception import StereoMatcher, whole_image
-from fieldgrid.perception.stereo import INVALID, SearchRegion, between_row_pairs, search_region
+from fieldgrid.perception.stereo import (
+    INVALID,
+    SearchRegion,
+    between_row_pairs,
+    equally_exposed,
+    search_region,
+)
 from tests.scenes import paper_rig
 
 SMALL = StereoCamera(240, 120, 200.0, 120.0, 60.0, 0.2)
@@ -46,6 +52,23 @@ def matcher(
 
 
 MATCHERS = [(kind, 1) for kind in MatcherKind] + [(MatcherKind.SGBM, 2), (MatcherKind.SGBM_3WAY, 2)]
+
+
+@pytest.mark.parametrize("side", [0, 1])
+@pytest.mark.parametrize(("gain", "offset"), [(0.3, 0.0), (0.6, 30.0), (0.25, 40.0)])
+def test_another_exposure_of_one_side_costs_little(side: int, gain: float, offset: float) -> None:
+    images = list(pair(11))
+    expected = matcher(MatcherKind.SGBM_3WAY).disparity(*images).values
+    images[side] = np.rint(gain * images[side] + offset).astype(np.uint8)
+    found = matcher(MatcherKind.SGBM_3WAY).disparity(*images).values
+    right = (expected >= 0) & (np.abs(found - expected) <= 4)
+    assert right.sum() > 0.97 * (expected >= 0).sum()
+
+
+def test_pairs_of_one_exposure_are_matched_as_they_are() -> None:
+    left, right = pair(11)
+    for one, other in zip(equally_exposed(left, right), (left, right), strict=True):
+        assert one is other
 
 
 @pytest.mark.parametrize(("kind", "row_step"), MATCHERS)

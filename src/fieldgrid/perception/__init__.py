@@ -43,6 +43,7 @@ if TYPE_CHECKING:
         rectify_by_projections as rectify_by_projections,
     )
     from fieldgrid.perception.stereo import (
+        EXPOSURE_RATIO as EXPOSURE_RATIO,
         SUBPIXELS as SUBPIXELS,
         StereoMatcher as StereoMatcher,
         whole_image as whole_image,

@@ -9,7 +9,14 @@ from typing import NamedTuple, Protocol
 import cv2
 import numpy as np
 
-from fieldgrid.core import CalibrationError, ConfigError, Int16, MatcherKind, StereoSettings, UInt8
+from fieldgrid.core import (
+    CalibrationError,
+    ConfigError,
+    Int16,
+    MatcherKind,
+    StereoSettings,
+    UInt8,
+)
 from fieldgrid.geometry import Rig, StereoCamera
 
 SUBPIXELS = 16
@@ -20,6 +27,10 @@ INVALID = np.int16(-SUBPIXELS)
 
 LEVEL_MARGIN_DEG = 4.0
 """How far the vehicle may pitch before the slice leaves the searched rows."""
+
+
+EXPOSURE_RATIO = 1.25
+"""From here on a pair's images are brought to the same exposure: below, the matcher bears it."""
 
 
 class SearchRegion(NamedTuple):
@@ -109,13 +120,26 @@ class StereoMatcher:
         if not hasattr(self._local, "matcher"):
             self._local.matcher = make_matcher(self.settings, self.region.num_disparities)
         rows = slice(self.region.row_start, self.region.row_stop)
-        left, right = left[rows], right[rows]
+        left, right = equally_exposed(left[rows], right[rows])
         if self.settings.row_step == 1:
             values = self._local.matcher.compute(left, right)
         else:
             values = self._local.matcher.compute(row_pair_means(left), row_pair_means(right))
             values = between_row_pairs(values, self.settings.speckle_step_px, len(left))
         return Disparity(values, self.region.row_start)
+
+
+def equally_exposed(left: UInt8, right: UInt8) -> tuple[UInt8, UInt8]:
+    """A pair [rows, columns] of one exposure: where they differ by more than `EXPOSURE_RATIO`, the
+    darker image gets the mean and the standard deviation of the brighter one."""
+    pair = [left, right]
+    means, deviations = np.array([np.ravel(cv2.meanStdDev(image)) for image in pair]).T
+    dark, bright = np.argsort(means)
+    if means[bright] > EXPOSURE_RATIO * max(means[dark], 1.0):
+        gain = deviations[bright] / max(deviations[dark], 1.0)
+        offset = means[bright] - gain * means[dark]
+        pair[dark] = np.asarray(cv2.addWeighted(pair[dark], gain, pair[dark], 0.0, offset))
+    return pair[0], pair[1]
 
 
 def row_pair_means(image: UInt8) -> UInt8:

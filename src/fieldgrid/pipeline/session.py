@@ -41,6 +41,8 @@ from fieldgrid.pipeline.checks.doubt import (
     doubted_cameras,
     doubted_rows,
     has_sweeps,
+    image_notes,
+    probed_images,
     sensor_notes,
     sweep_notes,
 )
@@ -195,7 +197,10 @@ class NewSession:
         of the frames show."""
         check_cell_sizes(universal.cell_m, self._gridder.spec.cell_m)
         check_names([self.name], [info.name for info in universal.sessions()])
-        self.report.notes += settle(doubted_rows(self.recording, self.every), self.settings)
+        images = tuple(probed_images(self.recording, self.every))
+        doubted = doubted_rows(self.recording, self.every, images)
+        self.report.notes += settle(doubted, self.settings)
+        self.report.notes += tuple(image_notes(self.recording, images))
 
     def add(self, universal: MapFile, staged: StagedDrive) -> None:
         """Add the session to the map, with the frames that were staged."""

@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings, strategies as st
 
+from fieldgrid.geometry import StereoCamera
 from fieldgrid.perception import FrameGround, drive_misalignment
 from fieldgrid.perception.vertical import misalignment
-from fieldgrid.pipeline.inspection.measures import PairMeasures, blur, exposure
+from fieldgrid.pipeline.inspection.measures import ImageMeasures, PairMeasures, blur
 
 SIZE_PX = (640, 480)
 
 
 def look(shifts: np.ndarray) -> PairMeasures:
     ground = FrameGround(2.0, 0.0, 0.0, True)
-    return PairMeasures("0", 0, (100.0, 100.0), 0.0, 0.0, 0.2, 500, shifts, ground, 0.5)
+    images = ImageMeasures((100.0, 100.0), 0.0, 0.0, 0.2, shifts)
+    return PairMeasures("0", 0, images, 500, ground, 0.5)
 
 
 def shifts_of(seed: int, constant_px: float, per_width_px: float, wrong: float) -> np.ndarray:
@@ -77,5 +79,8 @@ def test_blur_does_not_depend_on_contrast() -> None:
 
 
 def test_exposure_is_that_of_the_worse_image() -> None:
-    dark, bright = np.zeros((10, 10), np.uint8), np.full((10, 10), 255, np.uint8)
-    assert exposure(dark, bright) == ((0.0, 255.0), 1.0, 1.0)
+    camera = StereoCamera(64, 48, 100.0, 31.5, 23.5, 0.2)
+    size = (camera.height_px, camera.width_px)
+    found = ImageMeasures.of(np.zeros(size, np.uint8), np.full(size, 255, np.uint8), camera)
+    assert found[:3] == ((0.0, 255.0), 1.0, 1.0)
+    assert (found.is_dark, found.exposure_ratio) == (True, 255.0)

@@ -148,7 +148,7 @@ def _fix_rows(found: Inspection) -> Iterator[tuple[str, str]]:
 def _image_rows(found: Inspection) -> Iterator[tuple[str, str]]:
     looks = found.looks
     if looks:
-        middle = sorted(look.blur for look in looks)[len(looks) // 2]
+        middle = sorted(look.images.blur for look in looks)[len(looks) // 2]
         points = sorted(look.points for look in looks)[len(looks) // 2]
         yield "blur, median", f"{middle:.2f}"
         yield "points with depth, median", str(points)

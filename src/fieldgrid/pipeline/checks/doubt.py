@@ -8,7 +8,8 @@ to the first, so ground that is missing while steps are found speaks of height a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -25,10 +26,13 @@ from fieldgrid.geometry import DepthCamera, Lidar, StereoCamera, Trajectory
 from fieldgrid.perception import (
     FEWEST_TIMES,
     SHIFT_ERROR_PX,
+    Misalignment,
     drive_misalignment,
     features,
-    vertical_shifts,
 )
+from fieldgrid.pipeline.inspection.findings import Severity
+from fieldgrid.pipeline.inspection.images import image_findings, misalignment_findings
+from fieldgrid.pipeline.inspection.measures import ImageMeasures
 from fieldgrid.pipeline.poses import BuildDoubt, no_ground
 from fieldgrid.pipeline.report import SessionReport
 from fieldgrid.recordings import CloudFrame, Frame, Recording
@@ -102,31 +106,50 @@ def doubted_cell(trajectory: Trajectory, settings: BuildSettings) -> BuildDoubt 
     return BuildDoubt(StopCode.COARSE_CELLS, error)
 
 
-def doubted_rows(recording: Recording, every: int) -> BuildDoubt | None:
-    """The doubt about pairs whose rows do not match, by some of the frames, or whose sides are
-    swapped where they do not; nothing is raised for frames that cannot be read, which comes later.
-    """
-    if not isinstance(recording.rig.sensor, StereoCamera):
-        return None
+def probed_images(recording: Recording, every: int) -> Iterator[ImageMeasures]:
+    """What some of the pairs are like; nothing is raised for frames that cannot be read, which
+    comes later."""
     camera = recording.rig.sensor
-    shifts = []
+    if not isinstance(camera, StereoCamera):
+        return
     for frame in probes(recording, every):
-        try:
-            shifts.append(vertical_shifts(*frame.images(), camera))
-        except FieldgridError:
-            continue
-    found = drive_misalignment(shifts, (camera.width_px, camera.height_px))
+        with suppress(FieldgridError):
+            yield ImageMeasures.of(*frame.images(), camera)
+
+
+def doubted_rows(
+    recording: Recording, every: int, images: Sequence[ImageMeasures]
+) -> BuildDoubt | None:
+    """The doubt about pairs whose rows do not match, by the `images` of some, or whose sides are
+    swapped where they do not."""
+    found = _misalignment(recording, images)
     if found is None or found.residual_px <= SHIFT_ERROR_PX:
         return None
     if swapped(recording, every):  # what matches then, does by chance
         return _swapped(recording.name)
     error = CalibrationError(
         f"The right images of {recording.name} are {found.median_px:+.1f} pixels lower than the "
-        f"left ones ({found.matches} matches in {found.pairs} of {len(shifts)} pairs), but stereo "
+        f"left ones ({found.matches} matches in {found.pairs} of {len(images)} pairs), but stereo "
         "matching needs equal rows; calibrate the pair again, or give the rectification of these "
         "images."
     )
     return BuildDoubt(StopCode.VERTICAL_MISALIGNMENT, error)
+
+
+def image_notes(recording: Recording, images: Sequence[ImageMeasures]) -> Iterator[str]:
+    """The warnings of an inspection about some of the pairs."""
+    found = _misalignment(recording, images)
+    for one in (*image_findings(images), *misalignment_findings(found)):
+        if one.severity is Severity.WARNING:
+            yield f"{one.message} {one.remedy}"
+
+
+def _misalignment(recording: Recording, images: Sequence[ImageMeasures]) -> Misalignment | None:
+    camera = recording.rig.sensor
+    if not isinstance(camera, StereoCamera):
+        return None
+    size = camera.width_px, camera.height_px
+    return drive_misalignment([image.shifts for image in images], size)
 
 
 def camera_notes(recording: Recording, report: SessionReport) -> Iterator[str]:

@@ -37,6 +37,7 @@ from fieldgrid.pipeline.inspection.frame_pass import FramePass, Tell, look_at
 from fieldgrid.pipeline.inspection.images import (
     image_findings,
     misalignment_findings,
+    texture_findings,
     unread_findings,
 )
 from fieldgrid.pipeline.inspection.refusals import noted, refusal
@@ -232,11 +233,13 @@ def _looked(
     seen = look_at(recording, gridder, every, runs, tell)
     looked = len(seen.grounds)
     findings += unread_findings(seen.unread, looked + len(seen.unread))
-    findings += image_findings(seen.looks)
+    images = [look.images for look in seen.looks]
+    findings += image_findings(images)
+    findings += texture_findings(seen.looks)
     rows, camera = None, recording.rig.sensor
     if isinstance(camera, StereoCamera):
         rows = drive_misalignment(
-            [look.shifts for look in seen.looks], (camera.width_px, camera.height_px)
+            [image.shifts for image in images], (camera.width_px, camera.height_px)
         )
         findings += misalignment_findings(rows)
     if not seen.unread and looked:

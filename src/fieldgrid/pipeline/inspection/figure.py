@@ -78,9 +78,10 @@ def _draw_images(axes: Axes, found: Inspection) -> None:
         _empty(axes, "no pairs were looked at")
         return
     time_s = np.array([look.time_ns - looks[0].time_ns for look in looks]) / 1e9
-    axes.plot(time_s, [look.brightness[0] / 255.0 for look in looks], ".-", label="brightness left")
-    axes.plot(time_s, [look.brightness[1] / 255.0 for look in looks], ".-", label="right")
-    axes.plot(time_s, [look.blur for look in looks], ".-", label="blur")
+    left, right = np.array([look.images.brightness for look in looks]).T / 255.0
+    axes.plot(time_s, left, ".-", label="brightness left")
+    axes.plot(time_s, right, ".-", label="right")
+    axes.plot(time_s, [look.images.blur for look in looks], ".-", label="blur")
     shifts = [np.nan if look.shift_px is None else look.shift_px for look in looks]
     axes.plot(time_s, shifts, ".-", color=STATED, label="rows off (px)")
     known = [shift for shift in shifts if np.isfinite(shift)]

@@ -11,8 +11,8 @@ import numpy as np
 
 from fieldgrid.core import CalibrationError, FieldgridError
 from fieldgrid.geometry import Steps, StereoCamera
-from fieldgrid.perception import Features, FrameGround, LocalGridder, features, vertical_shifts
-from fieldgrid.pipeline.inspection.measures import PairMeasures, blur, exposure
+from fieldgrid.perception import Features, FrameGround, LocalGridder, features
+from fieldgrid.pipeline.inspection.measures import ImageMeasures, PairMeasures
 from fieldgrid.pipeline.staging.perception import CameraMotion, perceive_frame, side_by_side
 from fieldgrid.recordings import Frame, Image, Recording
 
@@ -124,17 +124,12 @@ def _pairs(
 def _look(
     frame: Frame, left: Image, right: Image, seen: Features, gridder: LocalGridder
 ) -> PairMeasures:
-    brightness, dark, saturated = exposure(left, right)
     grid, ground = gridder(left, right)
     return PairMeasures(
         frame_id=frame.frame_id,
         time_ns=frame.time_ns,
-        brightness=brightness,
-        dark_share=dark,
-        saturated_share=saturated,
-        blur=max(blur(left), blur(right)),
+        images=ImageMeasures.of(left, right, gridder.rig.camera),
         points=len(seen.blur_px),
-        shifts=vertical_shifts(left, right, gridder.rig.camera),
         ground=ground,
         observed_share=float(grid.observed.mean()),
     )

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from fieldgrid.core import StopCode
-from fieldgrid.perception import SHIFT_ERROR_PX, Misalignment
+from fieldgrid.perception import EXPOSURE_RATIO, SHIFT_ERROR_PX, Misalignment
 from fieldgrid.pipeline.inspection.findings import Finding, error, warning
 from fieldgrid.pipeline.inspection.frame_pass import UnreadFrame
-from fieldgrid.pipeline.inspection.measures import PairMeasures
-
-DARK_SHARE, DARK_MEAN = 0.5, 30.0
-"""An image is dark when half of it is noise, or its mean is so low."""
+from fieldgrid.pipeline.inspection.measures import ImageMeasures, PairMeasures
 
 SATURATED_SHARE = 0.25
 """Sky and sun take some of any image; a quarter is too much."""
@@ -23,9 +20,6 @@ BLURRED = 0.42
 
 FEWEST_POINTS = 60
 """Odometry needs 30 in each of two frames, and not all are found again."""
-
-EXPOSURE_RATIO = 1.25
-"""The brighter image of a pair is brighter by more than this."""
 
 WORTH_SHARE = 0.2
 """A fault in fewer of the pairs than this, and in fewer than two, is chance."""
@@ -56,15 +50,29 @@ def unread_findings(unread: Sequence[UnreadFrame], looked: int) -> Iterator[Find
         )
 
 
-def image_findings(looks: Sequence[PairMeasures]) -> Iterator[Finding]:
-    """Exposure, sharpness and texture."""
+def _faulty(are_so: Sequence[bool]) -> int:
+    """How many pairs have a fault, 0 where it may be chance."""
+    found = sum(are_so)
+    return found if found >= max(2.0, WORTH_SHARE * len(are_so)) or all(are_so) else 0
+
+
+def texture_findings(looks: Sequence[PairMeasures]) -> Iterator[Finding]:
+    """Pairs that show too little for visual odometry."""
+    plain = _faulty([not look.images.is_dark and look.points < FEWEST_POINTS for look in looks])
+    if plain:
+        yield warning(
+            "images-plain",
+            f"{plain} of {len(looks)} examined pairs show fewer than {FEWEST_POINTS} points "
+            f"with depth; the median is {np.median([look.points for look in looks]):.0f}.",
+            "If the images are not fogged or featureless, check the calibration, and that left and "
+            "right are synchronised.",
+        )
+
+
+def image_findings(looks: Sequence[ImageMeasures]) -> Iterator[Finding]:
+    """Exposure and sharpness."""
     count = len(looks)
-
-    def share(is_so: Callable[[PairMeasures], bool]) -> int:
-        found = sum(is_so(look) for look in looks)
-        return found if found >= max(2.0, WORTH_SHARE * count) or found == count else 0
-
-    dark = share(_is_dark)
+    dark = _faulty([look.is_dark for look in looks])
     if dark:
         yield warning(
             "images-dark",
@@ -72,7 +80,7 @@ def image_findings(looks: Sequence[PairMeasures]) -> Iterator[Finding]:
             f"{min(min(look.brightness) for look in looks):.0f} of 255.",
             "Expose longer, open the lens, or drive by day.",
         )
-    saturated = share(lambda look: look.saturated_share > SATURATED_SHARE)
+    saturated = _faulty([look.saturated_share > SATURATED_SHARE for look in looks])
     if saturated:
         most = max(look.saturated_share for look in looks)
         yield warning(
@@ -81,9 +89,9 @@ def image_findings(looks: Sequence[PairMeasures]) -> Iterator[Finding]:
             f"{100.0 * most:.0f} % of the image.",
             "Expose for the ground, not for the sky; shorten the exposure.",
         )
-    blurred = share(lambda look: not _is_dark(look) and look.blur > BLURRED)
+    blurred = _faulty([not look.is_dark and look.blur > BLURRED for look in looks])
     if blurred:
-        worst = max(look.blur for look in looks if not _is_dark(look))
+        worst = max(look.blur for look in looks if not look.is_dark)
         yield warning(
             "images-blurred",
             f"{blurred} of {count} examined pairs are blurred: {worst:.2f} "
@@ -91,23 +99,15 @@ def image_findings(looks: Sequence[PairMeasures]) -> Iterator[Finding]:
             "1.5 pixels.",
             "Focus and clean the lenses, and shorten the exposure.",
         )
-    plain = share(lambda look: not _is_dark(look) and look.points < FEWEST_POINTS)
-    if plain:
-        yield warning(
-            "images-plain",
-            f"{plain} of {count} examined pairs show fewer than {FEWEST_POINTS} points "
-            f"with depth; the median is {np.median([look.points for look in looks]):.0f}.",
-            "If the images are not fogged or featureless, check the calibration, and that left and "
-            "right are synchronised.",
-        )
-    unequal = share(lambda look: _ratio(look) > EXPOSURE_RATIO)
-    if unequal:
-        ratio = float(np.median([_ratio(look) for look in looks]))
+    ratios = [look.exposure_ratio for look in looks]
+    if _faulty([ratio > EXPOSURE_RATIO for ratio in ratios]):
+        ratio = float(np.median(ratios))
         yield warning(
             "exposure-differs",
             f"Left and right differ in brightness by a factor of {ratio:.2f} (median of {count} "
             "pairs).",
-            "Use the same exposure and gain for both cameras.",
+            "They are brought to the same exposure before they are matched; better, use the same "
+            "exposure and gain for both cameras.",
         )
 
 
@@ -135,13 +135,3 @@ def misalignment_findings(found: Misalignment | None) -> Iterator[Finding]:
             "to pair.",
             "Trigger both cameras at once, and check that neither is loose.",
         )
-
-
-def _is_dark(look: PairMeasures) -> bool:
-    return look.dark_share > DARK_SHARE or min(look.brightness) < DARK_MEAN
-
-
-def _ratio(look: PairMeasures) -> float:
-    """How many times brighter the brighter image is."""
-    low, high = sorted(look.brightness)
-    return high / max(low, 1.0)
