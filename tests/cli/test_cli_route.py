@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import re
+import shlex
 import xml.etree.ElementTree as ElementTree
 import zipfile
 from dataclasses import replace
@@ -229,6 +231,31 @@ def test_a_thing_in_the_start(fieldgrid: Run, field: Path) -> None:
     sentence = fieldgrid("route", field, "--from", "3.75,10", "--to", GOAL).sentence()
     assert "not free" in sentence
     assert "an obstacle at 3." in sentence
+
+
+@pytest.mark.parametrize(("density", "cells"), [(130, 1), (130, 3), (200, 1)])
+def test_a_refusal_names_the_weak_cells_that_block_and_the_mark_that_frees_them(
+    fieldgrid: Run, tmp_path: Path, density: int, cells: int
+) -> None:
+    """A cell stands in the gap of a wall, or several, or one that is seen clearly."""
+    view = free_field(obstacles=[(10.0, 0.0, 10.2, 4.0), (10.0, 6.0, 10.2, 10.0)])
+    side = slice(25 - cells // 2, 26 + cells // 2)
+    view.density[side, slice(50 - cells // 2, 51 + cells // 2)] = density
+    universal, vehicle = write_map(tmp_path / "gap.gpkg", view), tmp_path / "wide.toml"
+    vehicle.write_text("width_m = 1.2\nfront_m = 0.8\nrear_m = 0.4\n")
+    asked = ("route", universal, "--from", "105,-45", "--to", "115,-45", "--vehicle", vehicle)
+    sentence = fieldgrid(*asked).sentence()
+    assert ("110.10,-44.90 (density 130, seen by 1 of 1 frame: june-03 " in sentence) == (
+        (density, cells) == (130, 1)
+    )
+    named = re.search("`(fieldgrid mark gap.gpkg [^`]*)`", sentence)
+    if named is None:
+        assert "give another start or goal" in sentence
+        return
+    _, command, _, *options = shlex.split(named[1])
+    fieldgrid(command, universal, *options).output()
+    told = json.loads(fieldgrid(*asked, "--json").output())
+    assert told["length_m"] == pytest.approx(10.0, abs=0.5)
 
 
 def test_larger_cells_keep_the_obstacles_of_the_map(fieldgrid: Run, field: Path) -> None:

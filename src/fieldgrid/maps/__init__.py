@@ -126,6 +126,7 @@ if TYPE_CHECKING:
         Change as Change,
         ChangeView as ChangeView,
     )
+    from fieldgrid.maps.views.driven import DRIVEN_WIDTH_M as DRIVEN_WIDTH_M
     from fieldgrid.maps.views.provenance import Provenance as Provenance
     from fieldgrid.maps.views.readable import DrivenMap as DrivenMap, Readable as Readable
     from fieldgrid.maps.views.view import (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,18 +10,22 @@ import pytest
 
 from fieldgrid import Datum, GridSpec, LocalGrid, Pose, open_map, plan_route
 from fieldgrid.core import NoRouteError
+from fieldgrid.field import Vehicle
+from fieldgrid.field.route.plan import planning_view
 from fieldgrid.maps import MapFile
 
 SPEC = GridSpec(6.0, 8.0, 0.1)
 
 
-def add(universal: MapFile, day: int, north_dm: range, *, sees: bool) -> None:
+def add(
+    universal: MapFile, day: int, north_dm: range, *, sees: bool, columns: Sequence[int] = (30,)
+) -> None:
     """A drive to the north that sees a cell 6 m north of the datum as an obstacle, or free."""
     with universal.add_session(f"day {day}") as session:
         for k, dm in enumerate(north_dm):
             density = np.zeros(SPEC.shape, np.uint8)
             if sees and dm < 60:
-                density[60 - dm, 30] = 200
+                density[60 - dm, columns] = 200
             grid = LocalGrid(SPEC, density, np.full(SPEC.shape, True))
             time_ns = (1_700_000_000 + 86_400 * day + k) * 1_000_000_000
             pose = Pose(time_ns, 0.0, dm / 10.0, 0.0, 0.0, 0.02, 0.3, 1.0)
@@ -43,3 +48,19 @@ def test_a_cell_that_was_driven_over_is_free_until_it_is_seen_again(
             plan_route(path, (0.0, 5.8, 0.0), (0.0, 8.0, 0.0))
     else:
         assert plan_route(*asked).length_m == pytest.approx(6.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("width_m", "is_free"), [(0.5, False), (1.0, True), (3.0, True)])
+def test_no_more_of_it_is_free_than_the_vehicle_needs(
+    tmp_path: Path, width_m: float, is_free: bool
+) -> None:
+    """A cell 0.35 m beside the way is within the width of 1.2 m, and one 0.85 m beside it is not:
+    a wide vehicle frees no ground that a narrow one may have driven along."""
+    path = tmp_path / "map.gpkg"
+    with open_map(path, datum=Datum(39.4, -1.2, 700.0), cell_m=0.1) as universal:
+        add(universal, 0, range(0, 100, 10), sees=True, columns=(33, 38))
+        view = planning_view(universal, Vehicle(width_m=width_m), 0.1, None, None)
+    worst = view.decision().worst
+    j, i = 60 - view.window.j0, 3 - view.window.i0
+    assert (worst[j, i] == 0) == is_free
+    assert worst[j, i + 5] > 100

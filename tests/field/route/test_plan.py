@@ -314,28 +314,3 @@ def test_places_that_cannot_be(
 ) -> None:
     with pytest.raises(ConfigError, match=words):
         route_in_view(field(), start, goal, SMALL)
-
-
-@pytest.mark.parametrize(
-    ("density", "cells", "told"),
-    [
-        (130, 1, "give another start or goal, --obstacle-above 130 if the isolated obstacle cells"),
-        (130, 3, "give another start or goal, a smaller vehicle or --allow-unknown if the unseen"),
-        (200, 1, "give another start or goal, a smaller vehicle or --allow-unknown if the unseen"),
-    ],
-)
-def test_what_may_help_past_weak_cells_that_stand_alone(
-    density: int, cells: int, told: str
-) -> None:
-    """In the gap of a wall stand a few cells: a wall of its own, strong or weak alone."""
-    view = field(obstacles=[(10.0, 0.0, 10.2, 4.0), (10.0, 6.0, 10.2, 10.0)])
-    side = slice(25 - cells // 2, 25 - cells // 2 + cells)
-    view.density[side, 50 - cells // 2 : 51 + cells // 2] = density
-    wide = replace(SMALL, width_m=1.2)
-    with pytest.raises(NoRouteError) as refused:
-        route_in_view(view, at(5, 5), at(15, 5), wide)
-    assert told in str(refused.value)
-    searcher = searcher_of(view, wide, allow_unknown=True, curve=None)
-    assert "--allow-unknown" not in remedy(searcher, [(110.1, -45.0)])
-    ignored = CostCurve(obstacle_above=density)
-    assert route_in_view(view, at(5, 5), at(15, 5), wide, curve=ignored).length_m >= 10.0

@@ -29,6 +29,7 @@ from fieldgrid.field.route.plan import (
     planning_view,
     remedy,
     searcher_of,
+    weak_cells,
 )
 from fieldgrid.field.route.search import Searcher, SearchPose
 from fieldgrid.field.route.vehicle import Vehicle
@@ -144,10 +145,11 @@ def plan_coverage(
     if work is None:
         above = OBSTACLE_ABOVE if curve is None else curve.obstacle_above
         work = find_rows(universal, crop=crop, bounds=bounds, obstacle_above=above, at=at)
-    view = planning_view(universal, cell_m, bounds, at)
+    vehicle = vehicle or Vehicle()
+    view = planning_view(universal, vehicle, cell_m, bounds, at)
     return coverage_in_view(
         view, work, vehicle, lanes=lanes, start=start, goal=goal,
-        allow_unknown=allow_unknown, curve=curve, progress=progress,
+        allow_unknown=allow_unknown, curve=curve, progress=progress, universal=universal,
     )  # fmt: skip
 
 
@@ -162,9 +164,10 @@ def coverage_in_view(
     allow_unknown: bool = False,
     curve: CostCurve | None = None,
     progress: Progress | None = None,
+    universal: MapFile | None = None,
 ) -> Coverage:
     """Plan a coverage as :func:`plan_coverage` does, in a view that was read already, as
-    `route_in_view` takes it."""
+    `route_in_view` takes it, and the map."""
     for name, place in (("start", start), ("goal", goal)):
         if place is not None:
             check_place(name, place)
@@ -207,13 +210,18 @@ def coverage_in_view(
         nodes, cost_m = order.nodes, order.cost - sum(float(worth[k]) for k in missed)
         left_out += [_unreached(network, nodes, k, driven[k][0]) for k in missed]
     left_out.sort(key=lambda entry: [lane.id for lane in asked].index(entry.lane))
-    helps = remedy(searcher, [(lane.east_m, lane.north_m) for lane in left_out]) if left_out else ""
+    helps = ""
+    if left_out:
+        omitted = left_out[0]
+        first = next(lane for lane in asked if lane.id == omitted.lane)
+        helps = weak_cells(
+            searcher, lambda on: drive_lane(on, first, backwards=False).samples, universal
+        ) or remedy(searcher, [(lane.east_m, lane.north_m) for lane in left_out])
     if not nodes:
-        first = left_out[0]
         no_lane = f"None of {len(asked)} lanes" if len(asked) > 1 else "No lane"
         raise NoRouteError(
-            f"{no_lane} can be covered; of {first.lane}: {first.reason}",
-            first.east_m, first.north_m, helps,
+            f"{no_lane} can be covered; of {omitted.lane}: {omitted.reason}",
+            omitted.east_m, omitted.north_m, helps,
         )  # fmt: skip
     samples = _assembled(network, nodes)
     names = np.array(["", *(lane.id for lane, _ in driven)])

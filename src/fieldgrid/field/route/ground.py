@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -144,21 +144,15 @@ class Ground:
         k = int(np.argmin((x - east_m) ** 2 + (y - north_m) ** 2))
         return float(x[k]), float(y[k])
 
-    def weak_near(self, east_m: float, north_m: float, within_m: float) -> int:
-        """The highest density of the weak obstacle cells within `within_m` of a point that stand
-        alone, few together; 0 where there is none."""
-        (j0, i0), (j1, i1) = (
-            self._cell(east_m + side * within_m, north_m + side * within_m) for side in (-1, 1)
-        )
-        part = np.s_[max(j0, 0) : max(j1 + 1, 0), max(i0, 0) : max(i1 + 1, 0)]
-        obstacle = (self.cells[part] == OBSTACLE).view(np.uint8)
-        if not obstacle.any():
-            return 0
+    def without_weak(self) -> Ground:
+        """The ground as if nothing stood in its weak obstacle cells that stand alone, few
+        together."""
+        obstacle = (self.cells == OBSTACLE).view(np.uint8)
         _, label, found, _ = cv2.connectedComponentsWithStats(obstacle, connectivity=8)
-        alone = found[:, cv2.CC_STAT_AREA] <= _FEW_CELLS
-        alone[0] = False  # what is no obstacle
-        weak = self.density[part] <= (self.obstacle_above + 255) // 2
-        return int(np.where(alone[label] & weak, self.density[part], 0).max())
+        alone = found[label, cv2.CC_STAT_AREA] <= _FEW_CELLS
+        weak = (obstacle > 0) & alone & (self.density <= (self.obstacle_above + 255) // 2)
+        blocked = np.where(weak, np.uint8(0), self.blocked)
+        return replace(self, blocked=blocked, to_blocked_m=_to_blocked_m(blocked, self.cell_m))
 
     @property
     def is_unseen_blocked(self) -> bool:

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import shapely
 
-from fieldgrid.core import ConfigError, Float64, Int64, NoRouteError
+from fieldgrid.core import ConfigError, Float64, Int64, NoRouteError, counted
 from fieldgrid.field.route.ground import Ground
 from fieldgrid.field.route.path import Path
 from fieldgrid.field.route.search import MAX_STATES, Searcher, SearchPose
 from fieldgrid.field.route.vehicle import Vehicle
-from fieldgrid.field.route.verify import find_fault
+from fieldgrid.field.route.verify import find_fault, swept_hulls
 from fieldgrid.geometry import Bounds, Datum, wrap_deg, yaw_from_heading_rad
-from fieldgrid.maps import CostCurve, MapFile, MapView, open_map
-
-if TYPE_CHECKING:
-    import shapely
+from fieldgrid.maps import DRIVEN_WIDTH_M, CostCurve, MapFile, MapView, open_map
 
 USUAL_CELL_M = 0.2
 """Cells that a route is planned on, where the map's own are smaller: stereo leaves pinholes in the
@@ -31,7 +28,8 @@ NEAR_M = 1.0
 """Clearances are exact up to here, and at least this beyond."""
 
 _HEADINGS = 24
-
+_MOST_NAMED = 3
+"""Cells that a refusal names, and frames that saw one."""
 
 _MARK_REMEDY = "remove the mark with `fieldgrid mark --remove`"
 
@@ -65,8 +63,6 @@ class Route:
     @property
     def geometry(self) -> shapely.LineString:
         """The way of the reference point, metres east and north."""
-        import shapely
-
         return shapely.LineString(np.column_stack([self.east_m, self.north_m]))
 
     @property
@@ -125,18 +121,27 @@ def plan_route(
                 opened, start, goal, vehicle, allow_unknown=allow_unknown, cell_m=cell_m,
                 bounds=bounds, curve=curve, at=at,
             )  # fmt: skip
-    view = planning_view(universal, cell_m, bounds, at)
-    return route_in_view(view, start, goal, vehicle, allow_unknown=allow_unknown, curve=curve)
+    vehicle = vehicle or Vehicle()
+    view = planning_view(universal, vehicle, cell_m, bounds, at)
+    return route_in_view(
+        view, start, goal, vehicle, allow_unknown=allow_unknown, curve=curve, universal=universal
+    )
 
 
 def planning_view(
-    universal: MapFile, cell_m: float | None, bounds: Bounds | None, at: str | int | None
+    universal: MapFile,
+    vehicle: Vehicle,
+    cell_m: float | None,
+    bounds: Bounds | None,
+    at: str | int | None,
 ) -> MapView:
-    """What :func:`plan_route` reads of a map."""
+    """What :func:`plan_route` reads of a map. Of the ground that was driven over, as much is free
+    as the vehicle needs, but no more than another one is sure to have been wide."""
     own = universal.cell_m
     size = own * max(1, math.ceil(USUAL_CELL_M / own - 1e-9)) if cell_m is None else cell_m
     layers = universal.deciding(size)
-    return universal.read(bounds, size, layers=layers, at=at, driven_is_free=True)
+    driven_m = min(vehicle.work_width_m + 2.0 * vehicle.clearance_m, DRIVEN_WIDTH_M)
+    return universal.read(bounds, size, layers=layers, at=at, driven_m=driven_m)
 
 
 def route_in_view(
@@ -148,9 +153,11 @@ def route_in_view(
     allow_unknown: bool = False,
     curve: CostCurve | None = None,
     max_poses: int = MAX_STATES,
+    universal: MapFile | None = None,
 ) -> Route:
     """Plan a route as :func:`plan_route` does, in a view that was read with the layers that
-    `MapFile.deciding` names. `max_poses` is the largest number of poses that are searched."""
+    `MapFile.deciding` names. `max_poses` is the largest number of poses that are searched. With the
+    map of the view, a refusal names the weak cells that block."""
     vehicle = vehicle or Vehicle()
     for name, place in (("start", start), ("goal", goal)):
         check_place(name, place)
@@ -161,10 +168,63 @@ def route_in_view(
             f"The start and the goal are both {start[0]:g},{start[1]:g}; give two places."
         )
     searcher = searcher_of(view, vehicle, allow_unknown=allow_unknown, curve=curve)
-    starts = free_poses(searcher, start, "start", view.bounds)
-    goals = free_poses(searcher, goal, "goal", view.bounds)
-    samples = find_way(searcher, starts, goals, "from the start to the goal", max_poses)
+
+    def way(on: Searcher) -> Float64:
+        starts = free_poses(on, start, "start", view.bounds)
+        goals = free_poses(on, goal, "goal", view.bounds)
+        return find_way(on, starts, goals, "from the start to the goal", max_poses)
+
+    try:
+        samples = way(searcher)
+    except NoRouteError as none:
+        helps = weak_cells(searcher, way, universal)
+        if not helps:
+            raise
+        raise NoRouteError(none.reason, none.east_m, none.north_m, helps) from none
     return checked_route(searcher, samples, np.full(len(samples), ""), view.datum)
+
+
+def weak_cells(
+    searcher: Searcher, way: Callable[[Searcher], Float64], universal: MapFile | None
+) -> str:
+    """The weak obstacle cells that stand alone on a way that would be free without them, the frames
+    that saw them and the marks that free them; '' where that does not help."""
+    ground, vehicle = searcher.ground, searcher.vehicle
+    without = ground.without_weak()
+    j, i = np.nonzero(ground.blocked != without.blocked)
+    if universal is None or not len(j):
+        return ""
+    try:
+        samples = way(Searcher(without, vehicle))
+    except NoRouteError:
+        return ""
+    hulls, bulge_m = swept_hulls(Path.of_samples(samples, ground.west_m, ground.south_m), vehicle)
+    west, south = ground.west_m + i * ground.cell_m, ground.south_m + j * ground.cell_m
+    boxes = shapely.box(west, south, west + ground.cell_m, south + ground.cell_m)
+    _, met = shapely.STRtree(boxes).query(hulls, "dwithin", vehicle.clearance_m + bulge_m)
+    cells, marks = [], []
+    for box in boxes[np.unique(met)[:_MOST_NAMED]]:
+        # Of the map's own cells in it, the one that decided.
+        view = universal.read(Bounds(*box.bounds))
+        row, column = np.unravel_index(int(view.density.argmax()), view.density.shape)
+        east_m, north_m = view.lattice.centres(view.window)
+        found = universal.query(float(east_m[column]), float(north_m[row]))
+        seen = [one for one in found.contributions if one.density > ground.obstacle_above]
+        frames = ", ".join(f"{one.session} {one.frame_id}" for one in seen[:_MOST_NAMED])
+        cells.append(
+            f"{found.east_m:.2f},{found.north_m:.2f} (density {found.density}, seen by "
+            f"{len(seen)} of {counted(len(found.contributions), 'frame')}: {frames})"
+        )
+        # A mark frees what lies in it with all of itself.
+        corners = shapely.get_coordinates(shapely.box(*box.buffer(0.01).bounds))[:-1]
+        marks.append(
+            f"`fieldgrid mark {universal.path.name} --kind free --polygon "
+            f'"{";".join(f"{east:.2f},{north:.2f}" for east, north in corners)}"`'
+        )
+    return (
+        f"there is a way if nothing stands at {' and '.join(cells)}; "
+        f"where that is so, run {' and '.join(marks)}"
+    )
 
 
 def searcher_of(
@@ -211,17 +271,10 @@ def find_way(
 def remedy(searcher: Searcher, places_m: Sequence[tuple[float, float]], first: str = "") -> str:
     """What may help against what blocks a vehicle near some places, metres east and north; `first`
     is what else does."""
-    ground, vehicle = searcher.ground, searcher.vehicle
+    ground = searcher.ground
     unmarked = [place for place in places_m if not ground.is_marked(*place)]
     helps = [first] if first else []
     if unmarked:
-        within_m = NEAR_M + vehicle.clearance_m + vehicle.reach_m
-        weak = max(ground.weak_near(*place, within_m) for place in unmarked)
-        if weak:
-            helps.append(
-                f"--obstacle-above {weak} if the isolated obstacle cells there are false "
-                "(`fieldgrid query` shows the frames that they are from)"
-            )
         helps.append("a smaller vehicle")
         if ground.is_unseen_blocked:
             helps.append("--allow-unknown if the unseen ground is known to be free")

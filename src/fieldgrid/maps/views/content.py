@@ -59,7 +59,7 @@ class MapContent:
         """See `Content`."""
         return read_marks(self.evidence.connection)
 
-    def ways(self, request: Request) -> list[DrivenWay]:
+    def ways(self, width_m: float, request: Request) -> list[DrivenWay]:
         """Where the drives went near a window of the own cells, in their order."""
         names = request.sessions
         if names is None:
@@ -71,7 +71,7 @@ class MapContent:
         if len(names) > 1 and frames:
             cells = dict(self.session_source(request, groups).by_session(request.window))
         return [
-            DrivenWay([one for one in frames if one.session == name], cells.get(name))
+            DrivenWay([one for one in frames if one.session == name], cells.get(name), width_m)
             for name in names
         ]
 

@@ -20,7 +20,7 @@ from fieldgrid.maps.layers.declaration import Cells
 from fieldgrid.maps.transfer import mean_density
 
 DRIVEN_WIDTH_M = 1.2
-"""Width of a vehicle of which nothing is known."""
+"""Width of the ground that a vehicle of which nothing is known drove over."""
 
 _FARTHEST_M, _BULGE_M = 5.0, 0.3
 """Frames farther apart, or with an arc between them that leaves the straight line by more, leave
@@ -28,26 +28,33 @@ open where the vehicle went."""
 
 
 class DrivenWay(NamedTuple):
-    """The accepted frames of a session near a window, in time order, and its own cells in it."""
+    """The accepted frames of a session near a window, in time order, its own cells in it, and the
+    width of the ground that is free along them."""
 
     frames: Sequence[FrameRecord]
     cells: Cells | None
+    width_m: float
 
 
 def driven_cells(ways: Sequence[DrivenWay], lattice: Lattice, window: Window) -> Bool:
     """Which cells of a window lie with all of them under a way; `ways` in the order of drives."""
     driven = np.zeros(window.shape, dtype=np.bool_)
-    for frames, cells in ways:
+    for frames, cells, width_m in ways:
         if cells is not None and driven.any():
             density, seen = mean_density(cells["weight"], cells["sum"])
             driven &= ~(seen & (density > OBSTACLE_ABOVE))
         for before, after in pairwise([*frames[:1], *frames]):
-            _cover(driven, before, after, lattice, window)
+            _cover(driven, before, after, width_m, lattice, window)
     return driven
 
 
 def _cover(
-    driven: Bool, before: FrameRecord, after: FrameRecord, lattice: Lattice, window: Window
+    driven: Bool,
+    before: FrameRecord,
+    after: FrameRecord,
+    width_m: float,
+    lattice: Lattice,
+    window: Window,
 ) -> None:
     """Mark the cells under the way from one frame to the next."""
     a, b = before.pose, after.pose
@@ -56,7 +63,7 @@ def _cover(
     turn = math.radians(abs(math.remainder(b.heading_deg - a.heading_deg, 360.0)))
     if length_m > _FARTHEST_M or length_m * turn / 8.0 > _BULGE_M:
         return
-    half = 0.5 * DRIVEN_WIDTH_M * lattice.cells_per_m
+    half = 0.5 * width_m * lattice.cells_per_m
     start = np.array([a.east_m, a.north_m]) * lattice.cells_per_m
     ends = np.stack([start, start + way * lattice.cells_per_m])
     (i0, j0), (i1, j1) = np.floor(ends.min(axis=0) - half), np.ceil(ends.max(axis=0) + half)

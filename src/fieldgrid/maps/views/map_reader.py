@@ -7,6 +7,7 @@ import sqlite3
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -210,15 +211,14 @@ class MapReader:
         sessions: Collection[str] | None = None,
         frame_filter: Callable[[FrameRecord], bool] | None = None,
         jobs: int | None = None,
-        driven_is_free: bool = False,
+        driven_m: float = 0.0,
     ) -> MapView:
         """The universal grid within `bounds` (all of it when not given) as arrays.
 
         `layers` adds to the density: any of `layers.registry.LAYERS`. `at` is a session or a date:
         the map as of then, or `FROM..TO`: of the drives of a season (`sessions_at`); `sessions` are
-        some of them by name. `jobs` threads read it, all cores when not given. With
-        `driven_is_free`, `MapView.decision` takes the ground under the ways of the drives for free
-        (`views.driven`).
+        some of them by name. `jobs` threads read it, all cores when not given. The ground along the
+        ways of the drives, `driven_m` wide, is free for `MapView.decision` (`views.driven`).
 
         With the map's own cell or a whole multiple of it, and its own rule, it comes from the
         stored tiles, of which only those within `bounds` are touched. Anything else is folded
@@ -242,7 +242,7 @@ class MapReader:
                 frame_filter=frame_filter,
                 layers=names,
                 jobs=jobs,
-                ways=self._content.ways if driven_is_free else None,
+                ways=partial(self._content.ways, driven_m) if driven_m else None,
             )
             return read_view(self._content, request)
 
