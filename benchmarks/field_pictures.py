@@ -20,14 +20,13 @@ from fieldgrid.core import UInt8
 from fieldgrid.core.palette import SESSIONS
 from fieldgrid.field import Route, Tracks, Vehicle, find_rows, plan_coverage, plan_route
 from fieldgrid.field.coverage.plan import coverage_in_view
+from fieldgrid.field.route.plan import planning_view
 from fieldgrid.field.route.verify import swept_hulls
 from fieldgrid.geometry import Lattice, Window
 from fieldgrid.maps import LETHAL, UNKNOWN_COST, CostCurve, MapFile, MapView, open_map
-from fieldgrid.maps.views.view import DECISION_LAYERS
 
-CURVE = CostCurve(obstacle_above=130)
 ROUTES = (
-    ("#c0392b", (-14.0, 49.7, 37.0), (6.0, 76.0), False),
+    ("#c0392b", (-14.0, 50.0, 37.0), (6.0, 76.0), False),
     ("#2b5fd6", (-8.0, 57.7, 37.0), (-1.7, 61.2, -143.0), True),
 )
 SEED = 44
@@ -55,9 +54,9 @@ def draw_tracks(out: Path) -> None:
 def draw_routes(universal: MapFile, out: Path) -> None:
     """Draw what routes sweep over what they keep away from."""
     figure = _figure(1)
-    axes = _over_costs(figure, 111, universal.read(cell_m=0.2, layers=DECISION_LAYERS), CURVE)
+    axes = _over_costs(figure, 111, planning_view(universal, Vehicle(), None, None, None))
     for colour, start, goal, any_ in ROUTES:
-        route = plan_route(universal, start, goal, Vehicle(), allow_unknown=any_, curve=CURVE)
+        route = plan_route(universal, start, goal, Vehicle(), allow_unknown=any_)
         print(route.length_m, route.turning_share, route.cusps, route.least_clearance_m)
         _draw_route(axes, route, slice(None), colour)
         axes.plot(route.east_m[0], route.north_m[0], "o", color=colour, ms=5)
@@ -68,15 +67,13 @@ def draw_routes(universal: MapFile, out: Path) -> None:
 def draw_coverage(universal: MapFile, out: Path) -> None:
     """Draw the coverage of the map's driven lanes, and that of a field of the benchmark."""
     task = random_field(SEED)
-    view = universal.read(cell_m=0.2, layers=DECISION_LAYERS)
+    view = planning_view(universal, Vehicle(), None, None, None)
     driven = [lane.id for lane in find_rows(universal).lanes if lane.driven]
-    ours = plan_coverage(universal, Vehicle(), lanes=driven, allow_unknown=True, curve=CURVE)
+    ours = plan_coverage(universal, Vehicle(), lanes=driven, allow_unknown=True)
     other = coverage_in_view(task.view, task.planting, task.vehicle)
     figure = _figure(2)
-    for place, shown, curve, coverage in (
-        (121, view, CURVE, ours), (122, task.view, CostCurve(), other),
-    ):  # fmt: skip
-        axes, route = _over_costs(figure, place, shown, curve), coverage.route
+    for place, shown, coverage in ((121, view, ours), (122, task.view, other)):
+        axes, route = _over_costs(figure, place, shown), coverage.route
         print(route.length_m, coverage.turning_share, route.cusps, route.least_clearance_m)
         print(task.vehicle, [entry.lane for entry in coverage.left_out])
         _draw_route(axes, route, slice(None), "#2b5fd6")
@@ -102,8 +99,8 @@ def _figure(columns: int) -> Figure:
     return figure
 
 
-def _over_costs(figure: Figure, place: int, view: MapView, curve: CostCurve) -> Axes:
-    cost: UInt8 = curve.cost(view.peak, view.seen_share)
+def _over_costs(figure: Figure, place: int, view: MapView) -> Axes:
+    cost: UInt8 = CostCurve().cost(*view.decision())
     return _over(figure, place, view, cost == LETHAL, cost == UNKNOWN_COST)
 
 

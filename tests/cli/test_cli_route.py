@@ -305,8 +305,14 @@ def test_inputs_are_never_overwritten(fieldgrid: Run, field: Path) -> None:
 def test_the_example_drive(fieldgrid: Run, two_lanes_map: Path, tmp_path: Path) -> None:
     """From the first lane over the headland, as the pictures of the documentation show it."""
     out = tmp_path / "route.csv"
-    asked = ("route", two_lanes_map, "--from", "-14,49.7,37", "--to", "6,76", "-o", out)
+    asked = ("route", two_lanes_map, "--from", "-14,50,37", "--to", "6,76", "-o", out)
     told = json.loads(fieldgrid(*asked, "--json").output())
     assert 32.5 < told["length_m"] < 35.0
     assert told["gear_changes"] == 0
     assert told["least_clearance_m"] >= 0.1
+    cover = ("route", two_lanes_map, "--cover", "--lanes", "B1-L1,B1-L2", "--allow-unknown")
+    told = json.loads(fieldgrid(*cover, "--json").output())
+    assert told["left_out"] == []
+    assert told["length_m"] < 70.0
+    ends = ("--from", "-20,42", "--to", "-17,40")
+    assert json.loads(fieldgrid(*cover, *ends, "--json").output())["length_m"] < 90.0

@@ -338,5 +338,5 @@ def free_poses(
     assert fault is not None
     raise NoRouteError(
         f"{what} is not free: {fault.reason}", fault.east_m, fault.north_m,
-        "give another position or heading, or a smaller vehicle",
+        remedy(searcher, [(fault.east_m, fault.north_m)], "another position or heading"),
     )  # fmt: skip
