@@ -131,10 +131,13 @@ def _corrections(
     far = {n for n, part in zip(chosen, parts, strict=True) if np.abs(up_m[part]).max() > FAR_M}
     if far:
         return corrections, far, shared
+    # Which drives saw ground of one place, by what the ground says of their submaps.
+    drive_of = np.repeat(np.arange(len(parts)), [*map(len, parts)])
+    of_drive = sparse.csr_array((np.ones(count), (drive_of, np.arange(count))))
     least_m = _turned_out(
         np.array([np.sqrt(np.mean(up_m[part] ** 2)) for part in parts]),
         np.array([np.median(stated_m[part]) for part in parts]),
-        _shared(normal, parts),
+        np.asarray((of_drive @ abs(normal) @ of_drive.T).toarray() > 0.0),
     )
     met = normal.diagonal() > 0.0
     for n, drive, part, sigma_m in zip(chosen, own, parts, least_m.tolist(), strict=True):
@@ -143,14 +146,6 @@ def _corrections(
                 tuple(drive.time_ns.tolist()), tuple(up_m[part].tolist()), sigma_m
             )
     return corrections, set(), shared
-
-
-def _shared(normal: sparse.csr_array, parts: Sequence[Int64]) -> Bool:
-    """Which drives saw ground of one place [n, n], by what the ground says of their submaps."""
-    count = sum(map(len, parts))
-    drive_of = np.repeat(np.arange(len(parts)), [*map(len, parts)])
-    of_drive = sparse.csr_array((np.ones(count), (drive_of, np.arange(count))))
-    return np.asarray((of_drive @ abs(normal) @ of_drive.T).toarray() > 0.0)
 
 
 def _turned_out(found_m: Float64, stated_m: Float64, shares: Bool) -> Float64:

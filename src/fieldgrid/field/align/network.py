@@ -87,7 +87,10 @@ def solve(
     face = int(offsets[-1])
     start = np.zeros(face + 2)
     for drive, transform, at in zip(drives, now, offsets, strict=False):
-        start[at : at + 3] = _shift_and_turn(drive, transform)
+        # Shift of the drive's pivot and turn (radians), whatever pivot the transform has.
+        east_m, north_m = drive.pivot_m
+        east, north = replace(transform, wander=None).points(east_m, north_m, 0)
+        start[at : at + 3] = east - east_m, north - north_m, np.radians(transform.turn_deg)
         if transform.wander is not None:
             wander = np.column_stack(transform.wander.at(drive.time_ns))
             start[at + 3 : at + 3 + wander.size] = wander.ravel()
@@ -246,13 +249,6 @@ def wrong_ones(
             found[n] = max(size for pair, size in apart_m.items() if n in pair)
         apart_m = {pair: size for pair, size in apart_m.items() if not wrong & set(pair)}
     return found
-
-
-def _shift_and_turn(drive: SubmapDrive, transform: Transform) -> Float64:
-    """Shift of the drive's pivot and turn (radians) of a transform, whatever pivot it has."""
-    east_m, north_m = drive.pivot_m
-    east, north = replace(transform, wander=None).points(east_m, north_m, 0)
-    return np.array([east - east_m, north - north_m, np.radians(transform.turn_deg)])
 
 
 def _transform(drive: SubmapDrive, now: Transform, x: Float64) -> Transform:

@@ -107,7 +107,13 @@ def draw(
         fold = WindowFold(lattice, window, rule, [GROUP])
         for grid, pose in zip(grids, turned, strict=True):
             fold.add(FrameCells(grid, {}), pose)
-        window, cells = _cropped(window, fold.cells())
+        cells = fold.cells()
+        # The part that was seen; one cell where none was.
+        rows, columns = (np.flatnonzero(cells.observed.any(axis=axis)) for axis in (1, 0))
+        j0, j1 = (int(rows[0]), int(rows[-1])) if len(rows) else (0, 0)
+        i0, i1 = (int(columns[0]), int(columns[-1])) if len(columns) else (0, 0)
+        window = Window(window.i0 + i0, window.j0 + j0, i1 - i0 + 1, j1 - j0 + 1)
+        cells = Cells({k: of[j0 : j1 + 1, i0 : i1 + 1] for k, of in cells.items()})
         weight, seen = cells["weight"], cells.observed
         density = cells["sum"] / np.maximum(weight, np.uint64(1))
         value = np.minimum(density * (255.0 / FULL), 255.0).astype(np.uint8)
@@ -119,13 +125,3 @@ def draw(
             SubmapImage(lattice, window, value, seen, track, facing, int(np.count_nonzero(seen)))
         )
     return pictures
-
-
-def _cropped(window: Window, cells: Cells) -> tuple[Window, Cells]:
-    """The part of a window that was seen; one cell of it where none was."""
-    rows, columns = (np.flatnonzero(cells.observed.any(axis=axis)) for axis in (1, 0))
-    j0, j1 = (int(rows[0]), int(rows[-1])) if len(rows) else (0, 0)
-    i0, i1 = (int(columns[0]), int(columns[-1])) if len(columns) else (0, 0)
-    inside = slice(j0, j1 + 1), slice(i0, i1 + 1)
-    part = Window(window.i0 + i0, window.j0 + j0, i1 - i0 + 1, j1 - j0 + 1)
-    return part, Cells({name: values[inside] for name, values in cells.items()})

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from fieldgrid.core import ConfigError
 from fieldgrid.field.changes.cells import (
     CellChanges,
-    SideDrives,
     changed_cells,
     squares,
     surroundings,
@@ -17,7 +16,7 @@ from fieldgrid.field.changes.objects import described, things_of, votes_of, with
 from fieldgrid.field.changes.observations import observers
 from fieldgrid.field.changes.relative_sigmas import RelativeSigma, relative_sigmas
 from fieldgrid.field.changes.result import ChangedObject, ChangeKind, Changes
-from fieldgrid.geometry import Bounds, Lattice, Window
+from fieldgrid.geometry import Bounds
 from fieldgrid.maps import Change, MapFile
 
 SIGMAS, GROWTH_M, MOVED_M, MIN_AREA_M2, MIN_CONFIDENCE = 3.0, 0.4, 3.0, 0.05, 0.5
@@ -66,8 +65,20 @@ def find_changes(
     beside: Mapping[str, RelativeSigma] = {}
     if position_sigma_m is None and places:
         beside = relative_sigmas(universal, view.before, view.after)
+    infos = {info.name: info for info in universal.sessions()}
+    wide = [surroundings(place, view.lattice) for place in places]
     before, after = (
-        _drives(universal, names, view.lattice, places, position_sigma_m, beside)
+        {
+            name: observers(
+                universal.frames(name, with_grid=True),
+                infos[name],
+                view.lattice,
+                wide,
+                position_sigma_m,
+                beside.get(name),
+            )
+            for name in names
+        }
         for names in (view.before, view.after)
     )
     parts = [changed_cells(before, after, view.lattice, place, sigmas) for place in places]
@@ -88,27 +99,3 @@ def find_changes(
     sure = [o for o in with_moved(found, moved_m) if o.confidence >= min_confidence]
     sure.sort(key=lambda o: (-o.confidence, -o.area_m2, o.east_m, o.north_m))
     return Changes(tuple(o._replace(id=f"c{k}") for k, o in enumerate(sure, 1)), view)
-
-
-def _drives(
-    universal: MapFile,
-    names: Sequence[str],
-    lattice: Lattice,
-    places: Sequence[Window],
-    position_sigma_m: float | None,
-    beside: Mapping[str, RelativeSigma],
-) -> SideDrives:
-    """The frames of some drives that reach into the surroundings of some places."""
-    infos = {info.name: info for info in universal.sessions()}
-    wide = [surroundings(place, lattice) for place in places]
-    return {
-        name: observers(
-            universal.frames(name, with_grid=True),
-            infos[name],
-            lattice,
-            wide,
-            position_sigma_m,
-            beside.get(name),
-        )
-        for name in names
-    }

@@ -164,7 +164,11 @@ def described(
     area = area.buffer(cell_m, join_style="mitre").buffer(-cell_m, join_style="mitre")
     east_m, north_m = (corners.mean(axis=0) + 0.5 * cell_m).tolist()
     lat_deg, lon_deg, _ = datum.to_geodetic(east_m, north_m, 0.0)
-    length_m, width_m, heading_deg = _sides(area)
+    # Of the smallest rectangle around it; the heading is within (-90, 90].
+    outline = shapely.get_coordinates(shapely.minimum_rotated_rectangle(area))
+    way = np.diff(outline[:3], axis=0)
+    lengths_m = np.hypot(*way.T)
+    heading_deg = math.degrees(math.atan2(*way[lengths_m.argmax()]))
     return ChangedObject(
         id="",
         kind=thing.kind,
@@ -174,9 +178,9 @@ def described(
         north_m=north_m,
         lat_deg=float(lat_deg),
         lon_deg=float(lon_deg),
-        length_m=length_m,
-        width_m=width_m,
-        heading_deg=heading_deg,
+        length_m=float(lengths_m.max()),
+        width_m=float(lengths_m.min()),
+        heading_deg=heading_deg - 180.0 * math.ceil((heading_deg - 90.0) / 180.0),
         confidence=probability(stood.stood, stood.freed)
         * probability(freed.freed, freed.stood)
         * (1.0 - elsewhere),
@@ -192,16 +196,6 @@ def described(
 def _named(drives: SideDrives, numbers: Int16) -> tuple[str, ...]:
     names = tuple(drives)
     return tuple(names[k] for k in np.unique(numbers))
-
-
-def _sides(area: shapely.Geometry) -> tuple[float, float, float]:
-    """Length, width and heading (-90, 90] of the smallest rectangle around an area."""
-    sides = np.diff(shapely.get_coordinates(shapely.minimum_rotated_rectangle(area))[:3], axis=0)
-    first, second = np.hypot(*sides.T).tolist()
-    east_m, north_m = sides[0 if first >= second else 1].tolist()
-    heading_deg = math.degrees(math.atan2(east_m, north_m))
-    heading_deg -= 180.0 * math.ceil((heading_deg - 90.0) / 180.0)
-    return max(first, second), min(first, second), heading_deg
 
 
 def with_moved(objects: Sequence[ChangedObject], moved_m: float) -> list[ChangedObject]:

@@ -197,11 +197,14 @@ def coverage_in_view(
         else:
             left_out.append(OmittedLane(lane.id, none.reason, none.east_m, none.north_m))
     nodes: list[int] = []
-    cost_m = 0.0
+    cost_m, headland = 0.0, None
+    if laid is not None:  # turns belong there
+        around = shapely.box(*searcher.ground.bounds_m).difference(_core(laid, searcher.vehicle))
+        headland = Searcher(searcher.ground.confined(around), searcher.vehicle)
     network = Network(
         searcher, [p for _, passes in driven for p in passes], starts, goals,
         lambda done, total: said(len(asked) + done, len(asked) + total),
-        None if laid is None else _headland(searcher, laid),
+        headland,
     )  # fmt: skip
     if driven:
         worth = np.array([_WORTH * lane.length_m for lane, _ in driven])
@@ -243,13 +246,6 @@ def coverage_in_view(
 def _core(laid: TrackLayout, vehicle: Vehicle) -> shapely.Geometry:
     """The ground that tracks alone lead over: a vehicle at the end of one stays out of it."""
     return laid.inner.buffer(-(vehicle.reach_m + vehicle.clearance_m + 0.5 * laid.wide_m))
-
-
-def _headland(searcher: Searcher, laid: TrackLayout) -> Searcher:
-    """What plans on the headland alone, where turns belong."""
-    all_m = shapely.box(*searcher.ground.bounds_m)
-    ground = searcher.ground.confined(all_m.difference(_core(laid, searcher.vehicle)))
-    return Searcher(ground, searcher.vehicle)
 
 
 def _swaths(laid: TrackLayout, route: Route) -> Swaths:

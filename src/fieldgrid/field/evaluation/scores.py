@@ -30,7 +30,6 @@ from fieldgrid.geometry import (
     FREE_UP_TO,
     GROUND_CHANNEL,
     OBSTACLE_ABOVE,
-    Datum,
     GridSpec,
     Status,
     wrap_deg,
@@ -65,7 +64,14 @@ def evaluate(
 
     Raises TruthError when the datums differ, or no frame of the map is in the truth.
     """
-    _check_datum(universal.datum, truth.datum)
+    if truth.datum is not None:
+        lat, lon, height = truth.datum.lat_deg, truth.datum.lon_deg, truth.datum.height_m
+        offset_m = float(np.linalg.norm(universal.datum.to_enu(lat, lon, height)))
+        if offset_m > 0.001:
+            raise TruthError(
+                f"The truth's origin {lat}, {lon}, {height} m lies {offset_m:.3f} m from the map's "
+                f"datum; build the map with --datum {lat},{lon},{height}."
+            )
     matched: list[tuple[FrameRecord, TruthPose]] = []
     unmatched = 0
     times = np.array([pose.time_ns for pose in truth.poses], dtype=np.int64)
@@ -83,11 +89,22 @@ def evaluate(
     on_rows = [pair for pair in matched if pair[1].forward_on_row]
     groups = [("forward on the rows", on_rows)] if on_rows else []
     groups.append(("all frames", matched))
+    counts = Counter(record.session for record, _ in matched if record.accepted)
     return Evaluation(
         cell_m=universal.cell_m,
         observable_pixels=observable_pixels,
         unmatched_frames=unmatched,
-        unlevelled_frames=_unlevelled(universal, [one for one, _ in matched if one.accepted]),
+        # Of sessions that tell no lean. Frames of those that do keep heights of the ground, unless
+        # they found none.
+        unlevelled_frames=sum(
+            count
+            for name, count in counts.items()
+            if not any(
+                channel.name == GROUND_CHANNEL
+                for frame in universal.frames(name, with_grid=True)
+                for channel in frame.load()
+            )
+        ),
         groups=tuple(
             GroupScores(
                 name, _score_map(universal, truth, pairs, observable_pixels), _score_poses(pairs)
@@ -97,21 +114,6 @@ def evaluate(
         frames=tuple(_frame_error(record, pose) for record, pose in matched),
         terrain=None if truth.ground is None else score_terrain(universal, truth.ground),
         attitude=score_attitude(attitudes or {}, matched),
-    )
-
-
-def _unlevelled(universal: MapFile, records: list[FrameRecord]) -> int:
-    """How many are of sessions that tell no lean. Frames of those that do keep heights of the
-    ground, unless they found none."""
-    counts = Counter(record.session for record in records)
-    return sum(
-        count
-        for name, count in counts.items()
-        if not any(
-            channel.name == GROUND_CHANNEL
-            for frame in universal.frames(name, with_grid=True)
-            for channel in frame.load()
-        )
     )
 
 
@@ -272,17 +274,3 @@ def _within(errors: Float64, sigmas: Sequence[float]) -> float | None:
 
 def _quantile(values: Float64, share: float) -> float | None:
     return float(np.quantile(values, share)) if values.size else None
-
-
-def _check_datum(of_map: Datum, of_truth: Datum | None) -> None:
-    if of_truth is None:
-        return
-    offset_m = float(
-        np.linalg.norm(of_map.to_enu(of_truth.lat_deg, of_truth.lon_deg, of_truth.height_m))
-    )
-    if offset_m > 0.001:
-        raise TruthError(
-            f"The truth's origin {of_truth.lat_deg}, {of_truth.lon_deg}, {of_truth.height_m} m "
-            f"lies {offset_m:.3f} m from the map's datum; build the map with "
-            f"--datum {of_truth.lat_deg},{of_truth.lon_deg},{of_truth.height_m}."
-        )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -85,7 +84,22 @@ def write_route(route: Route, path: Path, *, overwrite: bool = False) -> None:
         elif suffix == ".csv":
             writer_ = csv.writer(file, lineterminator="\n")
             writer_.writerow(COLUMNS)
-            writer_.writerows(_rows(route))
+            writer_.writerows(
+                (
+                    f"{east:.6f}", f"{north:.6f}", f"{heading:.6f}", f"{gear:d}",
+                    f"{curvature + 0.0:.6f}", f"{clearance:.3f}", lane,
+                )
+                for east, north, heading, gear, curvature, clearance, lane in zip(
+                    route.east_m.tolist(),
+                    route.north_m.tolist(),
+                    wrap_deg(np.round(route.heading_deg, 6)).tolist(),
+                    route.gear.tolist(),
+                    route.curvature_1pm.tolist(),
+                    route.clearance_m.tolist(),
+                    route.lane.tolist(),
+                    strict=True,
+                )
+            )  # fmt: skip
         else:
             json.dump(mission(route) if suffix == ".plan" else route_graph(route), file, indent=1)
 
@@ -108,21 +122,3 @@ def route_features(route: Route) -> list[Feature]:
             )
         )  # fmt: skip
     return found
-
-
-def _rows(route: Route) -> Iterator[tuple[str, ...]]:
-    for row in zip(
-        route.east_m.tolist(),
-        route.north_m.tolist(),
-        wrap_deg(np.round(route.heading_deg, 6)).tolist(),
-        route.gear.tolist(),
-        route.curvature_1pm.tolist(),
-        route.clearance_m.tolist(),
-        route.lane.tolist(),
-        strict=True,
-    ):
-        east, north, heading, gear, curvature, clearance, lane = row
-        yield (
-            f"{east:.6f}", f"{north:.6f}", f"{heading:.6f}", f"{gear:d}", f"{curvature + 0.0:.6f}",
-            f"{clearance:.3f}", lane,
-        )  # fmt: skip

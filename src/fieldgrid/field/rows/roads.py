@@ -100,7 +100,9 @@ def split_at_roads(
             missing = others
             for hole in road:
                 cuts.setdefault(hole.row, []).append(hole.span_m)
-        if not is_road or (_row_count(road) < _SURE_ROWS and _is_ragged(edges_m)):
+        # Of each edge two numbers were fitted.
+        off_m = np.sqrt((edges_m**2).sum(axis=0) / max(len(edges_m) - 2, 1)).min()
+        if not is_road or (_row_count(road) < _SURE_ROWS and off_m > _RAGGED_M):
             lines = tuple(
                 shapely.LineString(part(rows[hole.row].line, *hole.span_m)) for hole in road
             )
@@ -111,11 +113,6 @@ def split_at_roads(
 
 def _row_count(road: list[_Hole]) -> int:
     return len({hole.row for hole in road})
-
-
-def _is_ragged(edges_m: Float64) -> bool:
-    # Of each edge two numbers were fitted.
-    return bool(np.sqrt((edges_m**2).sum(axis=0) / max(len(edges_m) - 2, 1)).min() > _RAGGED_M)
 
 
 def _chance(

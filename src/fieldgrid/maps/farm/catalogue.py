@@ -12,7 +12,6 @@ from fieldgrid.core import ConfigError, FieldgridError, MapError
 from fieldgrid.geometry import Bounds
 from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.file.history import in_drive_order
-from fieldgrid.maps.file.map_file import MapFile
 from fieldgrid.maps.file.records import SessionInfo
 from fieldgrid.maps.file.store import open_map
 
@@ -103,9 +102,22 @@ def map_files(folder: Path) -> list[Path]:
 def _block(file: Path, verify: bool, jobs: int | None) -> FarmBlock:
     size = file.stat().st_size
     try:
-        with open_map(file) as universal:
+        with open_map(file) as universal, universal.content() as content:
             universal.check_quickly()
-            found = _read(universal, size)
+            seen, header = content.seen_cells(), content.header
+            sessions = content.evidence.sessions()
+            found = FarmBlock(
+                universal.path,
+                size,
+                Health.OPENS,
+                header=header,
+                area_m2=seen * header.lattice.cell_m**2,
+                bounds=universal.bounds if seen else None,
+                sessions=tuple(in_drive_order(sessions)),
+                removed=sum(not info.active for info in sessions),
+                has_marks=bool(content.marks()),
+                root_sha256=universal.root_sha256,
+            )
             problems = universal.verify(jobs).problems if verify else ()
     except (FieldgridError, OSError) as error:
         foreign = isinstance(error, MapError) and "is not a fieldgrid map" in str(error)
@@ -114,24 +126,6 @@ def _block(file: Path, verify: bool, jobs: int | None) -> FarmBlock:
         more = f" and {len(problems) - 1} problems more" if len(problems) > 1 else ""
         return FarmBlock(file, size, Health.DAMAGED, f"{problems[0]}{more}")
     return found._replace(health=Health.SOUND) if verify else found
-
-
-def _read(universal: MapFile, size: int) -> FarmBlock:
-    with universal.content() as content:
-        seen, header = content.seen_cells(), content.header
-        sessions = content.evidence.sessions()
-        return FarmBlock(
-            universal.path,
-            size,
-            Health.OPENS,
-            header=header,
-            area_m2=seen * header.lattice.cell_m**2,
-            bounds=universal.bounds if seen else None,
-            sessions=tuple(in_drive_order(sessions)),
-            removed=sum(not info.active for info in sessions),
-            has_marks=bool(content.marks()),
-            root_sha256=universal.root_sha256,
-        )
 
 
 def _moment(time_ns: int) -> datetime:

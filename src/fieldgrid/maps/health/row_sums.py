@@ -126,9 +126,15 @@ class RowCounter:
         for table, event in product(columns, _EVENTS):
             name = f"{table}_{event}"
             if name not in there:
+                # A value as it is hashed: text as x and the digits of its bytes.
                 counted = (
                     f"fieldgrid_count('{table}', {sign}, "
-                    f"{', '.join(_hashable(f'{row}.{column}') for column in columns[table])})"
+                    + ", ".join(
+                        f"CASE typeof({row}.{column}) WHEN 'text' THEN 'x' || hex({row}.{column}) "
+                        f"ELSE {row}.{column} END"
+                        for column in columns[table]
+                    )
+                    + ")"
                     for row, sign in _EVENTS[event].items()
                 )
                 self._connection.execute(
@@ -144,11 +150,6 @@ def _note_root(connection: sqlite3.Connection) -> None:
     connection.execute(
         "INSERT OR REPLACE INTO fieldgrid_sum VALUES (?, ?)", (_ROOT, root_in_meta(connection))
     )
-
-
-def _hashable(column: str) -> str:
-    """A value as it is hashed: text as x and the digits of its bytes."""
-    return f"CASE typeof({column}) WHEN 'text' THEN 'x' || hex({column}) ELSE {column} END"
 
 
 def _written(total: int) -> str:

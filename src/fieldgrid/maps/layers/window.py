@@ -96,10 +96,12 @@ class WindowFold:
                 else group.of_session(Cells(arrays))
             )
             for one, values in zip(group.channels, channels, strict=True):
-                if group is self._groups[0]:  # that kernels take
-                    arrays[one.name] = np.ascontiguousarray(values)
-                else:
-                    arrays[one.name] = _own(values)
+                # An array of its own, which does without the others' memory; kernels take the
+                # first ones.
+                is_held = group is self._groups[0] or has_any(values)
+                arrays[one.name] = (
+                    np.ascontiguousarray(values) if is_held else nothing(values.shape)
+                )
         return Cells(arrays, block=self._side if whole_blocks else 1)
 
     def _within(self, whole: Window, cells: Cells) -> Cells:
@@ -168,11 +170,6 @@ def at_cells(values: UInt64, window: Window, side: int) -> UInt64:
         )
     )
     return values[rows][:, columns]
-
-
-def _own(values: UInt64) -> UInt64:
-    """A part of a channel as an array of its own, which does without the others' memory."""
-    return np.ascontiguousarray(values) if has_any(values) else nothing(values.shape)
 
 
 @kernel

@@ -171,27 +171,24 @@ def _split(cells: _SquareStats, rule: Rule, window: Window) -> Squares:
         if level in rule.levels:
             one = levels[level]
             whole = one.whole(rule, 1 << 2 * level) if level else np.ones_like(covered)
-            found.append(_taken(one, level, window, whole & one.known & ~covered))
+            taken = whole & one.known & ~covered
+            j, i = np.nonzero(taken)
+            found.append(
+                Squares(
+                    np.full(len(j), level, dtype=np.uint8),
+                    ((j << level) + window.j0).astype(np.int32),
+                    ((i << level) + window.i0).astype(np.int32),
+                    one.mean[taken],
+                    np.where(one.observed[taken] > 0, one.lowest[taken], np.uint8(0)),
+                    one.highest[taken],
+                    one.seen[taken] / np.float32(1 << 2 * level),
+                    one.most[taken],
+                )
+            )
             covered |= whole
         if level:
             covered = covered.repeat(2, axis=0).repeat(2, axis=1)
     return joined(found)
-
-
-def _taken(of: _SquareStats, level: int, window: Window, which: Bool) -> Squares:
-    """Some squares of a level of a window."""
-    j, i = np.nonzero(which)
-    count = of.observed[which]
-    return Squares(
-        np.full(len(j), level, dtype=np.uint8),
-        ((j << level) + window.j0).astype(np.int32),
-        ((i << level) + window.i0).astype(np.int32),
-        of.mean[which],
-        np.where(count > 0, of.lowest[which], np.uint8(0)),
-        of.highest[which],
-        of.seen[which] / np.float32(1 << 2 * level),
-        of.most[which],
-    )
 
 
 def joined(parts: Sequence[Squares]) -> Squares:

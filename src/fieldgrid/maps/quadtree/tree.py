@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -98,9 +98,16 @@ class Quadtree:
 
     @classmethod
     def _of(cls, blocks: MapBlocks, datum: Datum, rule: Rule, layer: str) -> Self:
-        found = joined(
-            _counted(part for view in blocks.views for part in squares_of(view, rule, layer))
-        )
+        parts, count = [], 0
+        for part in (one for view in blocks.views for one in squares_of(view, rule, layer)):
+            parts.append(part)
+            count += len(part.level)
+            if count > MAX_SQUARES:
+                raise ConfigError(
+                    f"There are more than {MAX_SQUARES / 1e6:.0f} million squares; give smaller "
+                    "bounds, a larger cell or a larger loss."
+                )
+        found = joined(parts)
         order = np.lexsort((found.column, found.row, found.level))
         sides_m = tuple((1 << level) / blocks.lattice.cells_per_m for level in rule.levels)
         squares = Squares._make(column[order] for column in found)
@@ -155,17 +162,3 @@ class Quadtree:
 def _key(row: AnyArray, column: AnyArray) -> Int64:
     """A number a square that sorts those of one side by row, then by column."""
     return np.asarray(row, dtype=np.int64) * (1 << 32) + column
-
-
-def _counted(parts: Iterable[Squares]) -> list[Squares]:
-    """The parts; ConfigError when they have too many squares together."""
-    found, count = [], 0
-    for part in parts:
-        found.append(part)
-        count += len(part.level)
-        if count > MAX_SQUARES:
-            raise ConfigError(
-                f"There are more than {MAX_SQUARES / 1e6:.0f} million squares; give smaller "
-                "bounds, a larger cell or a larger loss."
-            )
-    return found

@@ -265,7 +265,12 @@ class Pyramid:
         if shrinks:
             window = self.window_at_the_edges()
         elif before is not None:
-            window = union(window, _window_of(before[0]))
+            try:
+                window = union(window, window_of(before[0]))
+            except ValueError as error:
+                raise MapError(
+                    f"The extent of the map's cells is damaged ({error}); repair the map."
+                ) from error
         self._connection.execute(f"DELETE FROM {meta}")
         bounds: tuple[float | None, ...] = (None,) * 4
         if window is not None:
@@ -299,15 +304,6 @@ def _placed(tile: TileIndex, part: Box) -> Window:
     """A part of a tile, in cells of the lattice."""
     cells, (height, width) = tile_window(tile), part.shape
     return Window(cells.i0 + part.first_column, cells.j0 + part.first_row, width, height)
-
-
-def _window_of(text: str) -> Window:
-    try:
-        return window_of(text)
-    except ValueError as error:
-        raise MapError(
-            f"The extent of the map's cells is damaged ({error}); repair the map."
-        ) from error
 
 
 def union(a: Window | None, b: Window | None) -> Window | None:

@@ -44,7 +44,17 @@ def show_session(
 ) -> None:
     """Put the features of a session into the layers."""
     _insert(connection, session_id, "trajectory", _fixes(name, track))
-    _insert(connection, session_id, "frame_position", _positions(frames))
+    positions = (
+        (
+            ((frame.pose.east_m, frame.pose.north_m),),
+            (
+                frame.session, frame.frame_id, frame.pose.time_ns, _moment(frame.pose.time_ns),
+                frame.pose.heading_deg, frame.quality, frame.pose.status, frame.pose.reason,
+            ),
+        )
+        for frame in frames
+    )  # fmt: skip
+    _insert(connection, session_id, "frame_position", positions)
     _insert(connection, session_id, "footprint", _footprints(frames))
     announce_extents(connection)
 
@@ -71,18 +81,6 @@ def _fixes(name: str, track: Trajectory | None) -> Iterator[_Feature]:
     places = zip(track.east_m.tolist(), track.north_m.tolist(), strict=True)
     for place, row, verdict in zip(places, rows, verdicts, strict=True):
         yield (place,), (name, *row, *verdict)
-
-
-def _positions(frames: list[FrameRecord]) -> Iterator[_Feature]:
-    for frame in frames:
-        pose = frame.pose
-        yield (
-            ((pose.east_m, pose.north_m),),
-            (
-                frame.session, frame.frame_id, pose.time_ns, _moment(pose.time_ns),
-                pose.heading_deg, frame.quality, pose.status, pose.reason,
-            ),
-        )  # fmt: skip
 
 
 def _footprints(frames: list[FrameRecord]) -> Iterator[_Feature]:

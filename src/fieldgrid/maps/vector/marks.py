@@ -217,16 +217,7 @@ _LISTED = [
         *("geom", "GEOMETRY", schema.SRS_ID, 0, 0),
     )
 ]
-"""What `_listed` gives of a map that is right."""
-
-
-def _listed(connection: sqlite3.Connection) -> list[tuple[object, ...]]:
-    """What a GIS is told of the layer of marks."""
-    return connection.execute(
-        "SELECT data_type, identifier, description, min_x, min_y, max_x, max_y, c.srs_id, "
-        "column_name, geometry_type_name, g.srs_id, z, m FROM gpkg_contents AS c "
-        "JOIN gpkg_geometry_columns AS g USING (table_name) WHERE table_name = 'mark'"
-    ).fetchall()
+"""What a GIS is told of the layer of marks, of a map that is right."""
 
 
 def announce_marks(connection: sqlite3.Connection) -> None:
@@ -249,7 +240,12 @@ def check_marks(subject: Subject) -> Iterator[str]:
     """Every mark, and whether a GIS is told of them."""
     connection = subject.connection
     read_marks(connection, removed=True)
-    if schema.has_table(connection, TABLE) and _listed(connection) != _LISTED:
+    listed = connection.execute(
+        "SELECT data_type, identifier, description, min_x, min_y, max_x, max_y, c.srs_id, "
+        "column_name, geometry_type_name, g.srs_id, z, m FROM gpkg_contents AS c "
+        "JOIN gpkg_geometry_columns AS g USING (table_name) WHERE table_name = 'mark'"
+    )
+    if schema.has_table(connection, TABLE) and listed.fetchall() != _LISTED:
         yield "The layer mark is not listed as it should be; repair the map."
 
 

@@ -19,7 +19,7 @@ from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.file.metadata import SessionMetadata, find
 from fieldgrid.maps.file.records import FrameRecord
 from fieldgrid.maps.file.schema import NOW_SQL
-from fieldgrid.maps.layers.declaration import Cells, ChannelGroup
+from fieldgrid.maps.layers.declaration import ChannelGroup
 from fieldgrid.maps.tiles.pyramid import Pyramid
 from fieldgrid.maps.tiles.tiles import TileTables
 from fieldgrid.maps.tiles.tiling import TileMatrixSet
@@ -98,10 +98,9 @@ class SessionFold(PickledByArguments):
 
     def __call__(self, place: tuple[int, int]) -> list[tuple[TileIndex, dict[str, bytes]]]:
         """The tiles of a square that the frames observed."""
-        return self.squares.fold(place, self._encoded)
-
-    def _encoded(self, tile: TileIndex, cells: Cells) -> tuple[TileIndex, dict[str, bytes]]:
-        return tile, encoded_of_session(self._groups, cells)
+        return self.squares.fold(
+            place, lambda tile, cells: (tile, encoded_of_session(self._groups, cells))
+        )
 
 
 def squares_of(subject: Subject, session_id: int, groups: Sequence[ChannelGroup]) -> TileSquares:

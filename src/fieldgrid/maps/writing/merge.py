@@ -72,8 +72,13 @@ def merge_maps(
             )
             for path in paths
         ]
-        if datum is None:
-            _check_datum(maps)
+        for other in maps[1:]:
+            if datum is None and not maps[0].has_datum(other.datum):
+                raise DatumError(
+                    f"{other.path} has the datum {other.datum.described()} and {paths[0]} has "
+                    f"{maps[0].datum.described()}, so their cells do not coincide; bring them into "
+                    f"one plane with --datum-from {paths[0]}."
+                )
         target = opened.enter_context(
             create_map(
                 out,
@@ -214,14 +219,3 @@ def free_name(name: str, stem: str, taken: Collection[str]) -> str:
         candidate = f"{name} ({stem} {count})"
         count += 1
     return candidate
-
-
-def _check_datum(maps: Sequence[MapFile]) -> None:
-    first = maps[0]
-    for other in maps[1:]:
-        if not first.has_datum(other.datum):
-            raise DatumError(
-                f"{other.path} has the datum {other.datum.described()} and {first.path} has "
-                f"{first.datum.described()}, so their cells do not coincide; bring them into "
-                f"one plane with --datum-from {first.path}."
-            )

@@ -146,7 +146,18 @@ def repose(
             "UPDATE fieldgrid_session SET config = ? WHERE id = ?", (metadata.config, session_id)
         )
     records = frames_of(connection, session_id)
-    _check_complete(path, name, [record.frame_id for record in records], poses)
+    frames = [record.frame_id for record in records]
+    missing = [frame for frame in frames if frame not in poses]
+    if missing:
+        raise ConfigError(
+            f"Poses are missing for {len(missing)} of the {len(frames)} frames of session "
+            f"{name!r}, the first {missing[0]!r}; give each frame one, marked rejected if need be."
+        )
+    strange = sorted(poses.keys() - set(frames))
+    if strange:
+        raise ConfigError(
+            f"Session {name!r} of {path} has no frame {strange[0]!r}; give poses of its own frames."
+        )
     for record in records:
         pose = poses[record.frame_id]
         check_pose(metadata.transform.pose(pose))
@@ -178,17 +189,3 @@ def _place_again(
     groups = header.writable_groups(path)
     with SessionTiles.folded(frames, header.lattice, header.transfer, groups) as tiles:
         derived.show(connection, header, found.session_id, found.metadata, tiles, path)
-
-
-def _check_complete(path: Path, name: str, frames: list[str], poses: Mapping[str, Pose]) -> None:
-    missing = [frame for frame in frames if frame not in poses]
-    if missing:
-        raise ConfigError(
-            f"Poses are missing for {len(missing)} of the {len(frames)} frames of session "
-            f"{name!r}, the first {missing[0]!r}; give each frame one, marked rejected if need be."
-        )
-    strange = sorted(poses.keys() - set(frames))
-    if strange:
-        raise ConfigError(
-            f"Session {name!r} of {path} has no frame {strange[0]!r}; give poses of its own frames."
-        )

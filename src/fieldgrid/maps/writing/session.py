@@ -190,7 +190,23 @@ class Session:
                 tiles = stack.enter_context(self._folded(frames, groups))
             session_id = self._insert_session()
             for pending in self._frames.values():
-                self._insert_frame(session_id, pending)
+                frame = pending.stage[pending.number]
+                values = frame_values(
+                    replace(pending.pose, time_ns=frame.time_ns),
+                    frame.frame_id,
+                    pending.quality,
+                    frame.images,
+                    frame.images_sha256,
+                    frame.cells_sha256,
+                )
+                cursor = self._connection.execute(
+                    f"INSERT INTO fieldgrid_frame VALUES (NULL, ?{', ?' * 16})",
+                    (session_id, *values, frame_digest(values)),
+                )
+                self._connection.executemany(
+                    "INSERT INTO fieldgrid_grid VALUES (?, ?, ?, ?)",
+                    [(cursor.lastrowid, *channel) for channel in frame.channels],
+                )
             put_arrays(self._connection, session_id, self._metadata.arrays)
             sum_up(self._connection, session_id, self._metadata)
             derived.show(self._connection, header, session_id, self._metadata, tiles, self._path)
@@ -200,25 +216,6 @@ class Session:
     ) -> SessionTiles:
         with explained(self._path, writing=True):
             return SessionTiles.folded(frames, self._header.lattice, self._header.transfer, groups)
-
-    def _insert_frame(self, session_id: int, pending: _PendingFrame) -> None:
-        frame = pending.stage[pending.number]
-        values = frame_values(
-            replace(pending.pose, time_ns=frame.time_ns),
-            frame.frame_id,
-            pending.quality,
-            frame.images,
-            frame.images_sha256,
-            frame.cells_sha256,
-        )
-        cursor = self._connection.execute(
-            f"INSERT INTO fieldgrid_frame VALUES (NULL, ?{', ?' * 16})",
-            (session_id, *values, frame_digest(values)),
-        )
-        self._connection.executemany(
-            "INSERT INTO fieldgrid_grid VALUES (?, ?, ?, ?)",
-            [(cursor.lastrowid, *channel) for channel in frame.channels],
-        )
 
     def _insert_session(self) -> int:
         metadata, spec = self._metadata, self._spec

@@ -236,21 +236,19 @@ def _agreeing(weight: UInt64, weighted_cm: UInt64) -> UInt64:
     return (2 * mean * total - mean * mean * own).view(np.uint64)
 
 
-def _bin(k: int) -> tuple[Channel, Channel, Channel]:
-    weight, weighted_cm = f"ground_weight_{k}", f"ground_cm_{k}"
-    return (
-        Channel(weight, coarser=Combine.ABSENT),
-        Channel(weighted_cm, coarser=Combine.ABSENT, signed=True),
+_BINS = [
+    (
+        Channel(f"ground_weight_{k}", coarser=Combine.ABSENT),
+        Channel(f"ground_cm_{k}", coarser=Combine.ABSENT, signed=True),
         Channel(
             f"ground_squares_{k}",
             coarser=Combine.ABSENT,
             guess=_agreeing,
-            guessed_from=(weight, weighted_cm),
+            guessed_from=(f"ground_weight_{k}", f"ground_cm_{k}"),
         ),
     )
-
-
-_BINS = [_bin(k) for k in range(BINS)]
+    for k in range(BINS)
+]
 
 GROUP = ChannelGroup(
     "terrain",
