@@ -95,6 +95,23 @@ def test_covering_says_what_is_left_out(fieldgrid: Run, field: Path, tmp_path: P
     fieldgrid("show", field, "-o", tmp_path / "work.png", "--route", out).output()
 
 
+def test_covering_names_the_weak_cell_that_closes_a_lane(fieldgrid: Run, tmp_path: Path) -> None:
+    sight = Sight(noise_per_m2=0.0, hole_share=0.0, margin_m=6.0, headland_m=6.0)
+    view = view_of(straight(3, 20.0, 2.5), sight)
+    i, j = (int(index) for index in view.lattice.index(1.28, 10.05))
+    view.density[j - view.window.j0, i - view.window.i0] = 140
+    universal = write_map(tmp_path / "rows.gpkg", view)
+    done = fieldgrid("route", universal, "--cover")
+    assert done.status == 1
+    assert "of B1-L1: There is no path along the lane" in done.err
+    assert "1.25,10.05 (density 140, seen by 1 of 1 frame: june-03 " in done.err
+    named = re.search("`(fieldgrid mark rows.gpkg [^`]*)`", done.err)
+    assert named is not None
+    _, command, _, *options = shlex.split(named[1])
+    fieldgrid(command, universal, *options).output()
+    assert "2 of 2" in fieldgrid("route", universal, "--cover").output()
+
+
 def test_covering_the_lanes_that_can_be(fieldgrid: Run, field: Path) -> None:
     asked = ("route", field, "--cover", "--lanes", "B1-L3, B1-L1", "--from", "0,-4", "--json")
     told = json.loads(fieldgrid(*asked).output())

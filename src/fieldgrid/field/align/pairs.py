@@ -10,7 +10,7 @@ import numpy as np
 from scipy import fft
 from scipy.spatial import cKDTree
 
-from fieldgrid.core import Bool, Float64
+from fieldgrid.core import Float64
 from fieldgrid.field.align.submaps import SubmapImage
 
 LEAST_SHARE = 0.25
@@ -197,13 +197,13 @@ def _shares(a: SubmapImage, b: SubmapImage, reach_m: float) -> Float64:
     step = max(round(COARSE_M / a.lattice.cell_m), 1)
     most = int(reach_m / (step * a.lattice.cell_m))
     window = a.window.union(b.window)
-    shape = -(-window.height // step) + 2 * most, -(-window.width // step) + 2 * most
+    rows, columns = -(-window.height // step), -(-window.width // step)
+    shape = rows + 2 * most, columns + 2 * most
     seen = np.zeros((2, *shape))
     for of, picture in zip(seen, (a, b), strict=True):
-        i0, j0 = picture.window.i0 - window.i0, picture.window.j0 - window.j0
-        blocks = _blocks(picture.seen, j0 % step, i0 % step, step)
-        j, i = j0 // step, i0 // step
-        of[j : j + blocks.shape[0], i : i + blocks.shape[1]] = blocks
+        whole = np.zeros((rows * step, columns * step), np.uint8)
+        whole[window.slices_of(picture.window)] = picture.seen
+        of[:rows, :columns] = whole.reshape(rows, step, columns, step).sum(axis=(1, 3))
     spectra = fft.rfft2(seen)
     # The sums are whole numbers: shifts and pairs that are equal are so to the last bit.
     shared = np.rint(fft.irfft2(spectra[0] * np.conj(spectra[1]), shape))
@@ -211,15 +211,6 @@ def _shares(a: SubmapImage, b: SubmapImage, reach_m: float) -> Float64:
     near = shared[np.ix_(every, every)]
     inside = np.hypot(*np.meshgrid(every, every)) * step * a.lattice.cell_m <= reach_m
     return np.asarray(near[inside] / step**2 / max(min(a.cells, b.cells), 1))
-
-
-def _blocks(seen: Bool, j: int, i: int, step: int) -> Float64:
-    """How many cells were seen in each block of `step` by `step`; the first begins `j` rows and `i`
-    columns before the array."""
-    height, width = (-(-(n + first) // step) for n, first in zip(seen.shape, (j, i), strict=True))
-    padded = np.zeros((height * step, width * step), np.uint8)
-    padded[j : j + seen.shape[0], i : i + seen.shape[1]] = seen
-    return np.asarray(padded.reshape(height, step, width, step).sum(axis=(1, 3), dtype=np.float64))
 
 
 def bounded(pairs: Iterable[Overlap]) -> list[Overlap]:

@@ -124,7 +124,12 @@ class SubmapCorrelator:
         part = b.window.intersect(self._window)
         if part is None or min(_obstacle_m2(a), _obstacle_m2(b)) < LEAST_OBSTACLE_M2:
             return None
-        value_b, seen_b = _on(b, part, self._window)
+        # Of that part, over all columns of the window; 0 outside.
+        value_b, seen_b = np.zeros((2, part.height, self._window.width), np.float32)
+        there, here = self._window.slices_of(part)[1], b.window.slices_of(part)
+        value_b[:, there] = b.value[here]
+        value_b /= np.float32(255.0)
+        seen_b[:, there] = b.seen[here]
         least_cells = LEAST_SHARE * min(a.cells, b.cells)
         if float(seen_b.sum()) < least_cells:
             return None
@@ -171,17 +176,6 @@ class SubmapCorrelator:
 def _obstacle_m2(picture: SubmapImage) -> float:
     """How much ground with full obstacles would have as much of them."""
     return float(picture.value.sum()) / 255.0 * picture.lattice.cell_m**2
-
-
-def _on(picture: SubmapImage, part: Window, window: Window) -> tuple[Float32, Float32]:
-    """The values, 0..1, and the seen cells of a part of a picture, over all columns of a window
-    that contains it, 0 outside."""
-    value, seen = (np.zeros((part.height, window.width), np.float32) for _ in range(2))
-    there, here = window.slices_of(part)[1], picture.window.slices_of(part)
-    value[:, there] = picture.value[here]
-    value /= np.float32(255.0)
-    seen[:, there] = picture.seen[here]
-    return value, seen
 
 
 def _correlated_cells(a: SubmapImage, b: SubmapImage, at: Window) -> float:

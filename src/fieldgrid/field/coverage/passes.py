@@ -10,14 +10,11 @@ import shapely
 
 from fieldgrid.core import Float64, NoRouteError
 from fieldgrid.field.route.footprint import BULGE_M
-from fieldgrid.field.route.path import Path
-from fieldgrid.field.route.plan import find_way, remedy
+from fieldgrid.field.route.plan import find_way, remedy, standing_fault
 from fieldgrid.field.route.search import Searcher, SearchPose
-from fieldgrid.field.route.verify import find_fault
 from fieldgrid.field.rows.result import Lane
 from fieldgrid.geometry import (
     extended,
-    heading_from_yaw_rad,
     lengths,
     normals,
     part,
@@ -83,7 +80,13 @@ def drive_lane(searcher: Searcher, lane: Lane, *, backwards: bool) -> Pass:
             return Pass(samples, *at)
     for name, at_m, found in (("near", 0.0, starts), ("far", lengths(inner)[-1], stops)):
         if not found:
-            raise _standing_fault(searcher, name, _poses(inner, np.array([at_m]), 0.0))
+            fault = standing_fault(searcher, _poses(inner, np.array([at_m]), 0.0)[0])
+            raise NoRouteError(
+                f"At the {name} end of the lane the vehicle has no room: {fault.reason}",
+                fault.east_m,
+                fault.north_m,
+                remedy(searcher, [fault[1:]]),
+            )
     return _around(searcher, lane, inner, next(iter(starts.items())), next(iter(stops.items())))
 
 
@@ -187,19 +190,3 @@ def _around(
     samples = find_way(inside, [start], [stop], "along the lane", _MAX_POSES)
     samples[:, :2] += shift
     return Pass(samples, first[1], last[1])
-
-
-def _standing_fault(searcher: Searcher, name: str, pose: Float64) -> NoRouteError:
-    """Why a vehicle cannot stand at one end of a lane, whose pose [1, 3] is given."""
-    ground = searcher.ground
-    east, north = pose[:, 0] + ground.west_m, pose[:, 1] + ground.south_m
-    heading, none = heading_from_yaw_rad(pose[:, 2]), np.array([0.0])
-    fault = find_fault(Path(east, north, heading, np.array([1]), none), ground, searcher.vehicle)
-    why, place = "something is too near", (float(east[0]), float(north[0]))
-    if fault is not None:
-        why, place = fault.reason, (fault.east_m, fault.north_m)
-    return NoRouteError(
-        f"At the {name} end of the lane the vehicle has no room: {why}",
-        *place,
-        remedy(searcher, [place]),
-    )

@@ -304,22 +304,21 @@ def _unreached(network: Network, nodes: list[int], k: int, lane: Lane) -> Omitte
     exits = [p.stop for p in (network.passes[node] for node in nodes) if p is not None]
     origins: list[SearchPose] = network.starts[:1] or exits
     place = (entries[0].x + searcher.ground.west_m, entries[0].y + searcher.ground.south_m)
-    for origin in origins:
-        for entry in entries:
-            if np.isfinite(searcher.distance_left(entry)[searcher.coarse_place(origin)]):
-                radius = searcher.vehicle.turning_radius_m
-                return OmittedLane(
-                    lane.id,
-                    "no way was found that leads to it from the other lanes and on, with a turning "
-                    f"radius of {radius:g} m"
-                    f"{'' if searcher.vehicle.reverse else ' and no reverse'}",
-                    *place,
-                )
-    try:
-        find_way(searcher, origins[:1], entries[:1], "to the lane", 1)
-    except NoRouteError as none:
-        return OmittedLane(lane.id, none.reason, none.east_m, none.north_m)
-    return OmittedLane(lane.id, "no way leads to it", *place)
+    if not any(
+        np.isfinite(searcher.distance_left(entry)[searcher.coarse_place(origin)])
+        for origin in origins
+        for entry in entries
+    ):
+        try:
+            find_way(searcher, origins[:1], entries[:1], "to the lane", 1)
+        except NoRouteError as none:
+            return OmittedLane(lane.id, none.reason, none.east_m, none.north_m)
+    reason = (
+        "no way was found that leads to it from the other lanes and on, with a turning radius of "
+        f"{searcher.vehicle.turning_radius_m:g} m"
+        f"{'' if searcher.vehicle.reverse else ' and no reverse'}"
+    )
+    return OmittedLane(lane.id, reason, *place)
 
 
 def _assembled(network: Network, nodes: list[int]) -> Float64:

@@ -61,8 +61,14 @@ class Ground:
         cell_m = 1.0 / view.lattice.cells_per_m
         margin = math.ceil(margin_m / cell_m)
         height, width = view.density.shape
-        _check_size(width + 2 * margin, height + 2 * margin, cell_m)
-        cells = np.full((height + 2 * margin, width + 2 * margin), UNSEEN, dtype=np.uint8)
+        rows, columns = height + 2 * margin, width + 2 * margin
+        if rows * columns > MAX_CELLS or max(rows, columns) > MAX_SIDE:
+            raise ConfigError(
+                f"A route over {columns} x {rows} cells of {cell_m:g} m is over "
+                f"{MAX_CELLS / 1e6:.0f} million cells or {MAX_SIDE} along a side; give smaller "
+                "--bounds or a larger --cell."
+            )
+        cells = np.full((rows, columns), UNSEEN, dtype=np.uint8)
         density = np.zeros_like(cells)
         inside = np.s_[margin : margin + height, margin : margin + width]
         inner = cells[inside]
@@ -70,8 +76,8 @@ class Ground:
         classes[LETHAL], classes[UNKNOWN_COST] = OBSTACLE, UNSEEN
         worst, share, keepout = view.decision(least_drop_m=curve.least_drop_m)
         for first in range(0, height, _BLOCK_ROWS):
-            rows = slice(first, first + _BLOCK_ROWS)
-            inner[rows] = classes[curve.cost(worst[rows], share[rows])]
+            some = slice(first, first + _BLOCK_ROWS)
+            inner[some] = classes[curve.cost(worst[some], share[some])]
         density[inside] = worst
         if view.marks:
             said = decision.marked_cells(view.marks, view.lattice, view.window.grown(margin))
@@ -173,15 +179,6 @@ class Ground:
         return (
             math.floor((north_m - self.south_m) / self.cell_m),
             math.floor((east_m - self.west_m) / self.cell_m),
-        )
-
-
-def _check_size(width: int, height: int, cell_m: float) -> None:
-    if width * height > MAX_CELLS or max(width, height) > MAX_SIDE:
-        raise ConfigError(
-            f"A route over {width} x {height} cells of {cell_m:g} m is over "
-            f"{MAX_CELLS / 1e6:.0f} million cells or {MAX_SIDE} along a side; give smaller "
-            "--bounds or a larger --cell."
         )
 
 

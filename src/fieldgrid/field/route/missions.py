@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import shapely
@@ -22,21 +22,14 @@ _RELATIVE_ALTITUDE, _MISSION = 3, 2
 _ARDUPILOT, _ROVER = 3, 10
 
 
-class RouteStretch(NamedTuple):
-    """Poses of a route in one gear and one lane, by their numbers."""
-
-    poses: slice
-    gear: int
-    lane: str
-
-
-def stretches(route: Route) -> list[RouteStretch]:
-    """The stretches of a route, each to the first pose of the next where the gear stays."""
+def stretches(route: Route) -> list[tuple[slice, int, str]]:
+    """The stretches of a route in one gear and one lane: their poses by number, to the first one of
+    the next where the gear stays, the gear and the lane."""
     turns = np.diff(route.gear) != 0
     ends = [0, *(np.flatnonzero(turns | (route.lane[:-1] != route.lane[1:])) + 1).tolist()]
     slices = [slice(a, b + int(not turns[b - 1])) for a, b in itertools.pairwise(ends)]
     slices.append(slice(ends[-1], len(route.gear)))
-    return [RouteStretch(s, int(route.gear[s.start]), str(route.lane[s.start])) for s in slices]
+    return [(s, int(route.gear[s.start]), str(route.lane[s.start])) for s in slices]
 
 
 def _vertices(route: Route, poses: slice) -> Float64:
@@ -59,11 +52,11 @@ def mission(route: Route) -> dict[str, Any]:
         )  # fmt: skip
 
     gear, last = 1, (math.nan, math.nan)
-    for stretch in stretches(route):
-        if stretch.gear != gear:
-            gear = stretch.gear
+    for poses, of_stretch, _ in stretches(route):
+        if of_stretch != gear:
+            gear = of_stretch
             add(_SET_REVERSE, _MISSION, [float(gear < 0), 0, 0, 0, 0, 0, 0])
-        points = _vertices(route, stretch.poses)
+        points = _vertices(route, poses)
         lat, lon, _ = route.datum.to_geodetic(points[:, 0], points[:, 1], np.zeros(len(points)))
         for place in zip(lat.round(9).tolist(), lon.round(9).tolist(), strict=True):
             if place != last:
@@ -90,15 +83,15 @@ def mission(route: Route) -> dict[str, Any]:
 def route_graph(route: Route) -> dict[str, Any]:
     """A graph for the route server of Nav2, in metres of the frame `map`: a node a vertex, and an
     edge in the direction of driving from each to the next, which costs its length."""
-    points = [_vertices(route, stretch.poses) for stretch in stretches(route)]
+    points = [_vertices(route, poses) for poses, _, _ in stretches(route)]
     nodes: list[dict[str, Any]] = []
     edges: list[dict[str, Any]] = []
     # Ids of nodes and of edges are told apart by no reader.
     first_edge = sum(len(one) for one in points)
-    for stretch, places in zip(stretches(route), points, strict=True):
-        clearance = round(float(route.clearance_m[stretch.poses].min()), 3)
-        about: dict[str, Any] = {"gear": stretch.gear, "clearance_m": clearance}
-        about |= {"lane": stretch.lane} if stretch.lane else {}
+    for (poses, gear, lane), places in zip(stretches(route), points, strict=True):
+        clearance = round(float(route.clearance_m[poses].min()), 3)
+        about: dict[str, Any] = {"gear": gear, "clearance_m": clearance}
+        about |= {"lane": lane} if lane else {}
         for place in places.round(4).tolist():
             if nodes and nodes[-1]["geometry"]["coordinates"] == place:
                 continue

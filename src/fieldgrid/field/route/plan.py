@@ -16,7 +16,7 @@ from fieldgrid.field.route.ground import Ground
 from fieldgrid.field.route.path import Path
 from fieldgrid.field.route.search import MAX_STATES, Searcher, SearchPose
 from fieldgrid.field.route.vehicle import Vehicle
-from fieldgrid.field.route.verify import find_fault, swept_hulls
+from fieldgrid.field.route.verify import Fault, find_fault, swept_hulls
 from fieldgrid.geometry import Bounds, Datum, wrap_deg, yaw_from_heading_rad
 from fieldgrid.maps import DRIVEN_WIDTH_M, CostCurve, MapFile, MapView, open_map
 
@@ -30,8 +30,6 @@ NEAR_M = 1.0
 _HEADINGS = 24
 _MOST_NAMED = 3
 """Cells that a refusal names, and frames that saw one."""
-
-_MARK_REMEDY = "remove the mark with `fieldgrid mark --remove`"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,9 +137,8 @@ def planning_view(
     as the vehicle needs, but no more than another one is sure to have been wide."""
     own = universal.cell_m
     size = own * max(1, math.ceil(USUAL_CELL_M / own - 1e-9)) if cell_m is None else cell_m
-    layers = universal.deciding(size)
     driven_m = min(vehicle.work_width_m + 2.0 * vehicle.clearance_m, DRIVEN_WIDTH_M)
-    return universal.read(bounds, size, layers=layers, at=at, driven_m=driven_m)
+    return universal.read(bounds, size, layers=universal.deciding(size), at=at, driven_m=driven_m)
 
 
 def route_in_view(
@@ -158,7 +155,6 @@ def route_in_view(
     """Plan a route as :func:`plan_route` does, in a view that was read with the layers that
     `MapFile.deciding` names. `max_poses` is the largest number of poses that are searched. With the
     map of the view, a refusal names the weak cells that block."""
-    vehicle = vehicle or Vehicle()
     for name, place in (("start", start), ("goal", goal)):
         check_place(name, place)
     if math.dist(start[:2], goal[:2]) < 1e-3 and (
@@ -167,7 +163,7 @@ def route_in_view(
         raise ConfigError(
             f"The start and the goal are both {start[0]:g},{start[1]:g}; give two places."
         )
-    searcher = searcher_of(view, vehicle, allow_unknown=allow_unknown, curve=curve)
+    searcher = searcher_of(view, vehicle or Vehicle(), allow_unknown=allow_unknown, curve=curve)
 
     def way(on: Searcher) -> Float64:
         starts = free_poses(on, start, "start", view.bounds)
@@ -280,7 +276,9 @@ def remedy(searcher: Searcher, places_m: Sequence[tuple[float, float]], first: s
             helps.append("--allow-unknown if the unseen ground is known to be free")
     listed = " or ".join([", ".join(helps[:-1]), helps[-1]] if helps[:-1] else helps)
     ways = [f"give {listed}"] if helps else []
-    return ", or ".join(ways if len(unmarked) == len(places_m) else [*ways, _MARK_REMEDY])
+    if len(unmarked) < len(places_m):
+        ways.append("remove the mark with `fieldgrid mark --remove`")
+    return ", or ".join(ways)
 
 
 _OTHER_PLACES = "another start or goal"
@@ -302,6 +300,14 @@ def checked_route(
     return Route(datum, vehicle, *path, searcher.gaps_m(samples[:, :3], NEAR_M), lane)
 
 
+def standing_fault(searcher: Searcher, pose: Float64) -> Fault:
+    """Why a vehicle cannot stand in a pose [3] that is not free."""
+    ground = searcher.ground
+    path = Path.of_samples(np.array([[*pose, 1.0, 0.0]]), ground.west_m, ground.south_m)
+    fault = find_fault(path, ground, searcher.vehicle)
+    return fault or Fault("something is too near", float(path.east_m[0]), float(path.north_m[0]))
+
+
 def check_place(name: str, place: tuple[float, ...]) -> None:
     """Raise ConfigError for numbers that are no place; `name` says what it is for."""
     if len(place) not in (2, 3) or not all(math.isfinite(value) for value in place):
@@ -316,7 +322,7 @@ def free_poses(
 ) -> list[SearchPose]:
     """The poses at a place in which the vehicle may stand: one, or those of all headings. Raises
     NoRouteError where there is none."""
-    ground, vehicle = searcher.ground, searcher.vehicle
+    ground = searcher.ground
     headings = place[2:] or tuple(np.arange(_HEADINGS) * 360.0 / _HEADINGS)
     yaws = yaw_from_heading_rad(np.array(headings))
     x, y = place[0] - ground.west_m, place[1] - ground.south_m
@@ -332,10 +338,7 @@ def free_poses(
             f"{seen.south_m:.1f}..{seen.north_m:.1f} m north,",
             place[0], place[1], "give another position",
         )  # fmt: skip
-    first = np.array([0.0])
-    standing = Path(first + place[0], first + place[1], first + headings[0], np.array([1]), first)
-    fault = find_fault(standing, ground, vehicle)
-    assert fault is not None
+    fault = standing_fault(searcher, poses[0])
     raise NoRouteError(
         f"{what} is not free: {fault.reason}", fault.east_m, fault.north_m,
         remedy(searcher, [(fault.east_m, fault.north_m)], "another position or heading"),

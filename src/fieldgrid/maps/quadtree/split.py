@@ -136,28 +136,26 @@ def squares_of(view: MapView, rule: Rule, layer: str) -> Iterator[Squares]:
         observed = view.observed[place]
         if not observed.any() and (cost == UNKNOWN_COST).all():
             continue
-        cells = _cells(observed, density[place], seen, cost)
+        # The cells of the part as squares of level 0.
+        state = np.full(cost.shape, State.DOUBT, dtype=np.uint8)
+        for value, means in (
+            (0, State.FREE), (LETHAL, State.OBSTACLE), (UNKNOWN_COST, State.UNSEEN),
+        ):  # fmt: skip
+            state[cost == value] = means
+        highest = np.where(observed, density[place], np.uint8(0))
+        cells = _SquareStats(
+            observed.astype(np.uint32),
+            highest.astype(np.uint32),
+            np.where(observed, density[place], _NONE),
+            highest,
+            seen.astype(np.float32),
+            np.where(state > State.UNSEEN, state, _NONE),
+            state,
+            np.zeros(cost.shape, dtype=np.bool_),
+        )
         if rule.near is not None:
             cells = cells._replace(alone=close_cells(rule.near, view.lattice, part))
         yield _split(cells.within(chunk.shape, chunk.slices_of(part)), rule, chunk)
-
-
-def _cells(observed: Bool, density: UInt8, seen: Float32, cost: UInt8) -> _SquareStats:
-    """The cells of a window as squares of level 0."""
-    state = np.full(cost.shape, State.DOUBT, dtype=np.uint8)
-    for value, means in ((0, State.FREE), (LETHAL, State.OBSTACLE), (UNKNOWN_COST, State.UNSEEN)):
-        state[cost == value] = means
-    highest = np.where(observed, density, np.uint8(0))
-    return _SquareStats(
-        observed.astype(np.uint32),
-        highest.astype(np.uint32),
-        np.where(observed, density, _NONE),
-        highest,
-        seen.astype(np.float32),
-        np.where(state > State.UNSEEN, state, _NONE),
-        state,
-        np.zeros(cost.shape, dtype=np.bool_),
-    )
 
 
 def _split(cells: _SquareStats, rule: Rule, window: Window) -> Squares:

@@ -82,8 +82,9 @@ def read_view(content: Content, request: Request) -> MapView:
     marks = content.marks()
     view = replace(_read(content, request), marks=marks)
     # Without ways, base cells are decided by their marks when that is asked for.
-    is_larger = not view.is_base and "seen_share" in request.layers
-    if request.ways is None and not (is_larger and deciding(marks)):
+    if request.ways is None and (
+        view.is_base or "seen_share" not in request.layers or not deciding(marks)
+    ):
         return view
     lattice = content.header.lattice
     by = enlarged((), lattice, request.lattice)

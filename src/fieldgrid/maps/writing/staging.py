@@ -158,7 +158,23 @@ class StageFile(Closing):
 
     def append(self, frame: StagedFrame) -> int:
         """Write a frame behind the others; returns its index. MapWriteError on a full disk."""
-        record = _packed(frame)
+        spec = frame.spec
+        header = json.dumps(
+            [
+                frame.frame_id,
+                frame.time_ns,
+                [spec.width_m, spec.length_m, spec.cell_m],
+                [[name, dtype, len(data)] for name, dtype, data in frame.channels],
+                frame.cells_sha256,
+                frame.images,
+                frame.images_sha256,
+                frame.ground_found,
+            ],
+            ensure_ascii=False,
+        ).encode()
+        data = b"".join(channel.data for channel in frame.channels)
+        check = zlib.crc32(data, zlib.crc32(header))
+        record = _FRAME.pack(_MARK, len(header), len(data), check) + header + data
         try:
             self._write(record)
         except OSError as error:
@@ -307,26 +323,6 @@ def _write_all(file: int, data: bytes | bytearray, offset: int) -> None:
     while left:  # a disk that fills up takes a part first
         written = os.pwrite(file, left, offset)
         left, offset = left[written:], offset + written
-
-
-def _packed(frame: StagedFrame) -> bytes:
-    spec = frame.spec
-    header = json.dumps(
-        [
-            frame.frame_id,
-            frame.time_ns,
-            [spec.width_m, spec.length_m, spec.cell_m],
-            [[name, dtype, len(data)] for name, dtype, data in frame.channels],
-            frame.cells_sha256,
-            frame.images,
-            frame.images_sha256,
-            frame.ground_found,
-        ],
-        ensure_ascii=False,
-    ).encode()
-    data = b"".join(channel.data for channel in frame.channels)
-    check = zlib.crc32(data, zlib.crc32(header))
-    return _FRAME.pack(_MARK, len(header), len(data), check) + header + data
 
 
 def _unpacked(record: bytes) -> StagedFrame | None:

@@ -83,7 +83,9 @@ def neighbour_pairs(lines: list[Float64], crop: Crop) -> tuple[list[Pair], float
         found = distances.min(axis=0)
         for n, other in enumerate(others):
             mine = (nearest == n) & np.isfinite(found)
-            if mine.sum() * _STEP_M >= _MIN_SHARED_M and _parallel(lines[k], lines[other]):
+            u, v = lines[k][-1] - lines[k][0], lines[other][-1] - lines[other][0]
+            is_parallel = abs(u @ v) / (np.hypot(*u) * np.hypot(*v)) > _MAX_ANGLE
+            if mine.sum() * _STEP_M >= _MIN_SHARED_M and is_parallel:
                 facing.append((k, other, found[mine], sample[mine]))
     usual = float(np.median([np.median(d) for _, _, d, _ in facing])) if facing else np.nan
     pairs = []
@@ -144,8 +146,3 @@ def is_apart(line: Float64, points: cKDTree, apart_m: float) -> bool:
 def _at(line: Float64, s: Float64) -> Float64:
     along = lengths(line)
     return np.column_stack([np.interp(s, along, line[:, 0]), np.interp(s, along, line[:, 1])])
-
-
-def _parallel(a: Float64, b: Float64) -> bool:
-    u, v = a[-1] - a[0], b[-1] - b[0]
-    return bool(abs(u @ v) / (np.hypot(*u) * np.hypot(*v)) > _MAX_ANGLE)
