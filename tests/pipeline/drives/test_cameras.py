@@ -12,7 +12,7 @@ import pytest
 
 from fieldgrid.core import BuildSettings, CalibrationError, ConfigError, FieldgridError, resolve
 from fieldgrid.maps import open_map
-from fieldgrid.pipeline import add_recording
+from fieldgrid.pipeline import add_recording, inspect_recording
 from fieldgrid.recordings import open_recording
 from tests.pipeline.drives.making import (
     COURSE,
@@ -171,3 +171,24 @@ def test_what_does_not_fit_the_map_is_refused_before_the_images(
     ):
         add_recording(universal, recording, name="first")
     assert out.read_bytes() == before
+
+
+def test_a_build_says_of_the_images_what_an_inspection_says(
+    make_drive: MakeDrive, tmp_path: Path
+) -> None:
+    drive = make_drive(frames=range(3, 9))
+    for path in [*(drive / "left").iterdir(), *(drive / "right").iterdir()]:
+        sharp = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        assert sharp is not None
+        path.unlink()  # a link to the image of the example
+        cv2.imwrite(str(path), cv2.GaussianBlur(sharp, (0, 0), 2.5))
+    said = [
+        f"{one.message} {one.remedy}"
+        for one in inspect_recording(drive).findings
+        if one.code == "images-blurred"
+    ]
+    assert len(said) == 1
+    clean = make_drive("clean", frames=range(3, 9))
+    for path, expected in ((drive, True), (clean, False)):
+        (report,) = build([path], tmp_path / f"{path.name}.gpkg")
+        assert any("are blurred: " in note for note in report.notes) == expected
