@@ -333,6 +333,19 @@ def test_a_ros_file_that_cannot_be(changes: dict[str, Any], message: str, folder
     fails(folder, rf"camera_info\.yaml.*{message}", rectified=False)
 
 
+def test_rectified_pairs_have_no_rotation_to_rectify_them(folder: Path) -> None:
+    m = by_opencv(D1, D2)
+    left, right = (folder / f"stereo_{side}_camera_info.yaml" for side in ("left", "right"))
+    left.write_text(ros(K1, D1, np.eye(3), m.P1))
+    right.write_text(ros(K2, D2, m.R2, m.P2))
+    turn_deg = np.degrees(np.linalg.norm(cv2.Rodrigues(m.R2)[0]))
+    said = rf"right_camera_info.*by {turn_deg:.2f} degrees.*leave `rectified` out"
+    fails(folder, said, rectified=True)
+    assert "taken as rectified" in read_calibration(folder).notes[0]
+    right.write_text(ros(K2, D2, np.eye(3), m.P2))
+    assert read_calibration(folder, rectified=True).notes == ()
+
+
 FISHEYE = {"distortion_model": "equidistant", "distortion_coeffs": FISH1}
 
 

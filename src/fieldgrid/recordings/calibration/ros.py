@@ -19,10 +19,13 @@ from fieldgrid.recordings.calibration.calibrated import (
 from fieldgrid.recordings.calibration.yaml_text import image_size, load_yaml, matrix
 
 _INTRINSICS = ((0, 0), (1, 1), (0, 2), (1, 2))  # fx, fy, cx, cy
+_STRAIGHT_DEG = 0.01
+"""A rotation below it moves no pixel by a quarter of its side."""
 
 
 def read_ros(left: Path, right: Path, rectified: bool | None) -> Calibration:
-    """The calibration in two files. Images are rectified unless the contrary is said."""
+    """The calibration in two files. Images are rectified unless the contrary is said. Where it is
+    said that they are, a rotation to rectify them contradicts it: CalibrationError."""
     infos = _Info.read(left), _Info.read(right)
     if infos[0].size_px != infos[1].size_px:
         raise CalibrationError(
@@ -37,6 +40,14 @@ def read_ros(left: Path, right: Path, rectified: bool | None) -> Calibration:
             first, second, (R_left, R_right), (P_left, P_right), str(right)
         )
         return rectified_here(found, left)
+    for info in infos:
+        if rectified and info.turn_deg > _STRAIGHT_DEG:
+            raise CalibrationError(
+                f"{info.path}: rectification_matrix turns the camera by {info.turn_deg:.2f} "
+                "degrees, and recording.toml says that the images are rectified; give the "
+                "calibration of the rectified pair (the identity there, and in camera_matrix what "
+                "is in projection_matrix), or leave `rectified` out."
+            )
     camera = camera_from_projections(P_left, P_right, infos[0].size_px, str(right))
     told = rectified is True or not any(info.distortion.any() for info in infos)
     return Calibration(camera, () if told else (taken_as_rectified(left),))
@@ -73,6 +84,14 @@ class _Info(NamedTuple):
 
     def matrix(self, key: str, shape: tuple[int, int] | None) -> Float64:
         return matrix(self.document, key, shape, self.path)
+
+    @property
+    def turn_deg(self) -> float:
+        """By which angle the images are turned to rectify them; 0 where the file has none."""
+        if "rectification_matrix" not in self.document:
+            return 0.0
+        trace = np.trace(self.matrix("rectification_matrix", (3, 3)))
+        return float(np.degrees(np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))))
 
     @property
     def distortion(self) -> Float64:
