@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import builtins
 import errno
+import json
 import re
+import subprocess
 import sys
 import tracemalloc
 from pathlib import Path
@@ -36,6 +38,7 @@ from fieldgrid.maps.transfer import MeanFold
 from tests.export import asymmetric
 from tests.export.asymmetric import COARSE_M, write_asymmetric_map
 from tests.export.placed import faults, faults_at_centres, mutants, opened
+from tests.maps.file import test_qgis
 from tests.maps.file.maps import CELL_M, DATUM, drive, one_cell, write_map
 from tests.maps.file.test_geopackage import CENTIMETRE, POINTS, geodetic, tool
 
@@ -392,9 +395,7 @@ def test_an_existing_file_is_replaced_only_when_asked(tmp_path: Path, universal:
     export_map(universal, path, ALL, overwrite=True)
     with rasterio.open(path) as dataset:
         assert dataset.count == 2
-    assert sorted(file.name for file in tmp_path.iterdir()) == [
-        *("map.gpkg", "map.qml", "map.tif"),
-    ]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["map.gpkg", "map.tif"]
 
 
 def test_qgis_shows_it_in_the_colours_of_the_layer(tmp_path: Path, universal: MapFile) -> None:
@@ -411,6 +412,51 @@ def test_qgis_shows_it_in_the_colours_of_the_layer(tmp_path: Path, universal: Ma
     counts = universal.read(layers=["count"]).layer("count")
     values = [float(item.get("value", "")) for item in renderer.iter("item")]
     assert (values[0], values[-1]) == (0.0, counts.max())
+
+
+def test_no_style_is_put_on_a_map_of_the_same_name(tmp_path: Path, universal: MapFile) -> None:
+    """QGIS takes `map.qml` for `map.tif` and `map.gpkg` alike, and their bands differ."""
+    done = export_map(universal, tmp_path / "map.tif", ALL)
+    assert done.paths == (tmp_path / "map.tif",)
+    assert dict(done.rows)["style"] == "none: QGIS would use it for map.gpkg, too; give another name"
+    assert not (tmp_path / "map.qml").exists()
+
+
+def test_a_style_that_a_user_has_saved_stays(tmp_path: Path, universal: MapFile) -> None:
+    path, style = tmp_path / "f.tif", tmp_path / "f.qml"
+    export_map(universal, path, Selection(layer="count"))
+    export_map(universal, path, ALL, overwrite=True)
+    assert 'alphaBand="2"' in style.read_text()
+    saved = style.read_text().replace('version="3.22.0"', 'version="3.22.16-Białowieża"')
+    style.write_text(saved, encoding="utf-8")
+    done = export_map(universal, path, ALL, overwrite=True)
+    assert (done.paths, dict(done.rows)["style"]) == ((path,), "f.qml as it was")
+    assert style.read_text(encoding="utf-8") == saved
+
+
+BY_QGIS = """
+import json, os, sys
+from qgis.core import QgsApplication, QgsRasterLayer
+application = QgsApplication([], False)
+application.initQgis()
+layers = [QgsRasterLayer(path, "cells", "gdal") for path in sys.argv[1:]]
+print(json.dumps([[one.renderer().type(), one.renderer().alphaBand()] for one in layers]))
+sys.stdout.flush()
+os._exit(0)  # QGIS may crash when it is taken down in the wrong order
+"""
+
+
+def test_qgis_itself_takes_the_style(tmp_path: Path, universal: MapFile) -> None:
+    if not test_qgis.is_there():
+        pytest.skip("QGIS's library (Debian's python3-qgis) is not installed")
+    files = [str(tmp_path / name) for name in ("d.tif", "map.tif", "map.gpkg")]
+    for path in files[:2]:
+        export_map(universal, path, ALL)
+    asked = [test_qgis.PYTHON, "-c", BY_QGIS, *files]
+    environment = {"QT_QPA_PLATFORM": "offscreen", "HOME": str(tmp_path)}
+    done = subprocess.run(asked, capture_output=True, text=True, timeout=120, env=environment)
+    drawn = [["singlebandpseudocolor", 2], ["singlebandgray", 2], ["multibandcolor", 4]]
+    assert json.loads(done.stdout) == drawn, done.stderr
 
 
 def test_an_export_that_fails_leaves_nothing(

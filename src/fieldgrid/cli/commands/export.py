@@ -95,7 +95,7 @@ def command(
 
     Examples:
 
-        fieldgrid export vineyard.gpkg vineyard.tif --cell 0.25
+        fieldgrid export vineyard.gpkg density.tif --cell 0.25
 
         fieldgrid export vineyard.gpkg posts.tif --layer max --at 2026-06-03
 

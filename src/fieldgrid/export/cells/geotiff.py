@@ -50,21 +50,29 @@ def write_geotiff(
     that can be said, else 0, and nodata either way. Pixels are areas, the first row is the
     northernmost. In another plane a pixel has the value of the cell in which its centre lies.
     The tags FIELDGRID_* hold the datum, the cell, the layer and the last session that is in it.
-    Beside it lies a style of the same name (.qml), by which QGIS shows it in the colours of `show`.
+    Beside it lies a style of the same name (.qml), by which QGIS shows it in the colours of `show`;
+    not where QGIS would take that style for a map of this name, too, nor over one of a user.
 
     The file appears when it is complete; until then about three times the size of its pixels is
     used beside it. Raises MapExistsError when `path` exists and may not be overwritten,
     ConfigError when rasterio is not installed or for what cannot be selected, MapWriteError when
     it cannot be written.
     """
-    style = path.with_suffix(".qml")
+    style, why_none = path.with_suffix(".qml"), ""
+    if path.with_suffix(".gpkg").exists():
+        why_none = f"none: QGIS would use it for {path.stem}.gpkg, too; give another name"
+    elif style.exists() and not qgis.is_raster_style(style):
+        why_none = f"{style.name} as it was"
     with (
-        replacing(style, overwrite=overwrite) as draft,
         replacing(path, overwrite=overwrite, ours=is_ours, what="a GeoTIFF") as file,
         painted(universal, path, selection, options.epsg) as raster,
     ):
         _copy(raster, file, write_overviews(universal, selection, raster))
-        draft.write_text(_style(raster, selection.layer), encoding="utf-8")
+        if not why_none:
+            with replacing(style) as draft:
+                draft.write_text(_style(raster, selection.layer), encoding="utf-8")
+    if why_none:
+        return Exported((path,), (*raster.rows, ("style", why_none)), raster.about)
     return Exported((path, style), raster.rows, raster.about)
 
 

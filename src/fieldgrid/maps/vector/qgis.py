@@ -11,6 +11,7 @@ import html
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import chain, product, zip_longest
+from pathlib import Path
 from xml.etree import ElementTree as ET
 from xml.etree.ElementTree import Element
 
@@ -20,6 +21,9 @@ VERSION = "3.22.0"
 """Of QGIS, whose styles these are; later ones read them, too."""
 
 _DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
+
+_RASTER = "Symbology|Rendering"
+"""The parts that the document of a raster has."""
 
 _ALPHA_BAND = 4
 """GDAL shows the grey and alpha of a GeoPackage's tiles as red, green, blue and alpha."""
@@ -149,11 +153,18 @@ def fill_style(root: Element, layer: str, sessions: Sequence[tuple[str, str]]) -
 def raster_style(ramp: palette.Ramp, low: float, high: float, alpha_band: int) -> str:
     """The QML document of a raster whose band 1 is drawn by a ramp from `low` to `high`; what its
     `alpha_band` leaves out is not drawn (-1: it has none)."""
-    root = Element("qgis", version=VERSION, styleCategories="Symbology|Rendering")
+    root = Element("qgis", version=VERSION, styleCategories=_RASTER)
     stops = [(low + stop.share * (high - low), stop.colour, "") for stop in ramp]
     _fill_raster(root, stops, alpha_band)
     ET.indent(root)
     return _DOCTYPE + ET.tostring(root, encoding="unicode")
+
+
+def is_raster_style(path: Path) -> bool:
+    """Whether a document is one of `raster_style`, and not one that QGIS has saved."""
+    begins = f'{_DOCTYPE}<qgis version="{VERSION}" styleCategories="{_RASTER}">\n'.encode()
+    with path.open("rb") as file:
+        return file.read(len(begins)) == begins
 
 
 def _fill_raster(root: Element, stops: Sequence[tuple[float, str, str]], alpha_band: int) -> None:
