@@ -418,7 +418,9 @@ def test_no_style_is_put_on_a_map_of_the_same_name(tmp_path: Path, universal: Ma
     """QGIS takes `map.qml` for `map.tif` and `map.gpkg` alike, and their bands differ."""
     done = export_map(universal, tmp_path / "map.tif", ALL)
     assert done.paths == (tmp_path / "map.tif",)
-    assert dict(done.rows)["style"] == "none: QGIS would use it for map.gpkg, too; give another name"
+    assert (
+        dict(done.rows)["style"] == "none: QGIS would use it for map.gpkg, too; give another name"
+    )
     assert not (tmp_path / "map.qml").exists()
 
 
