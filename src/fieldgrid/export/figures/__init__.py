@@ -5,38 +5,34 @@ colour; the same as in `fieldgrid view`. Figures are made without pyplot, so tha
 and no global state is involved.
 """
 
-from fieldgrid.core import UNSEEN
-from fieldgrid.export.figures.alignment import alignment_scores
-from fieldgrid.export.figures.drives import (
-    DrawnDrive,
-    draw_heading,
-    draw_trajectory,
-    drives_of,
-    heading,
-    trajectory,
-)
-from fieldgrid.export.figures.grid import change, draw_grid, universal_grid
-from fieldgrid.export.figures.page import new_figure, save
-from fieldgrid.export.figures.route import read_route
-from fieldgrid.export.figures.sheet import sheet
-from fieldgrid.export.figures.track import MOST_POINTS, track_figure
+from __future__ import annotations
 
-__all__ = [
-    "MOST_POINTS",
-    "UNSEEN",
-    "DrawnDrive",
-    "alignment_scores",
-    "change",
-    "draw_grid",
-    "draw_heading",
-    "draw_trajectory",
-    "drives_of",
-    "heading",
-    "new_figure",
-    "read_route",
-    "save",
-    "sheet",
-    "track_figure",
-    "trajectory",
-    "universal_grid",
-]
+from typing import TYPE_CHECKING
+
+from fieldgrid.core.doors import door
+
+if TYPE_CHECKING:
+    from fieldgrid.core import UNSEEN as UNSEEN
+    from fieldgrid.export.figures.alignment import alignment_scores as alignment_scores
+    from fieldgrid.export.figures.drives import (
+        DrawnDrive as DrawnDrive,
+        draw_heading as draw_heading,
+        draw_trajectory as draw_trajectory,
+        drives_of as drives_of,
+        heading as heading,
+        trajectory as trajectory,
+    )
+    from fieldgrid.export.figures.grid import (
+        change as change,
+        draw_grid as draw_grid,
+        universal_grid as universal_grid,
+    )
+    from fieldgrid.export.figures.overview import sheet as sheet
+    from fieldgrid.export.figures.page import new_figure as new_figure, save as save
+    from fieldgrid.export.figures.route import read_route as read_route
+    from fieldgrid.export.figures.track import (
+        MOST_POINTS as MOST_POINTS,
+        track_figure as track_figure,
+    )
+else:
+    __getattr__, __dir__, __all__ = door(__name__, __file__)
