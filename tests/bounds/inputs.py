@@ -25,8 +25,7 @@ import zstandard
 
 from fieldgrid.cli.commands.mark import _read
 from fieldgrid.core import MapError, resolve
-from fieldgrid.export.figures.route import read_route
-from fieldgrid.export.robots.speed import _turning_poses
+from fieldgrid.export.route_file import read_poses, read_route
 from fieldgrid.field import read_survey, read_truth, read_vehicle
 from fieldgrid.geometry import Datum, read_shapes
 from fieldgrid.live.kept.journal import _MARK, _RECORD, MAGIC, read_journal
@@ -619,7 +618,7 @@ def route_poses(folder: Path) -> Read:
     path = put(
         folder / "r.csv", lambda: "east_m,north_m,curvature_1pm\n" + MILLION * "1.0,2.0,9.0\n"
     )
-    return lambda: _turning_poses(path, 4.0)
+    return lambda: read_poses(path, "east_m", "north_m", "curvature_1pm")
 
 
 @case

@@ -198,7 +198,7 @@ def test_a_map_that_is_named_as_a_mask_stays(universal: MapFile, tmp_path: Path)
         ({"slow_percent": 0}, "slow_percent"),
         ({"slow_percent": 100}, "slow_percent"),
         ({"slow_percent": 50, "slow_turns": "none.csv"}, "none.csv cannot be read"),
-        ({"slow_percent": 50, "slow_turns": __file__}, "is no route of"),
+        ({"slow_percent": 50, "slow_turns": __file__}, "is no table of poses"),
     ],
 )
 def test_what_cannot_be(

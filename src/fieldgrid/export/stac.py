@@ -73,8 +73,6 @@ def write_stac(
         for block in farm.blocks
         if block not in usable
     ]
-    if not usable:
-        raise ConfigError(f"No map of {farm.path} can be in a catalogue: {left_out[0][1]}")
     with replacing_folder(
         folder, overwrite=overwrite, ours=_is_ours, what="a STAC catalogue of a farm"
     ) as draft:
@@ -87,7 +85,13 @@ def write_stac(
                     if with_cog:
                         (draft / place).mkdir(parents=True)
                         export_map(universal, draft / place / f"{id_}.tif")
-                        item.add_asset("density", _cog(id_))
+                        density = pystac.Asset(
+                            f"./{id_}.tif",
+                            title="3D density, 0..255, and alpha where a cell was observed",
+                            media_type=pystac.MediaType.COG,
+                            roles=["data", "visual"],
+                        )
+                        item.add_asset("density", density)
             except MapWriteError:
                 raise
             except MapError as error:
@@ -149,9 +153,7 @@ def _ids(names: Iterable[str]) -> list[str]:
 
 def _id(name: str) -> str:
     """A name as it can be a folder's, and a part of an address without being quoted."""
-    safe = _UNSAFE.sub("_", name)
-    while len(safe.encode()) > _LONGEST_ID:
-        safe = safe[:-1]
+    safe = _UNSAFE.sub("_", name).encode()[:_LONGEST_ID].decode(errors="ignore")
     return safe if safe.strip("._") else "map"
 
 
@@ -207,17 +209,6 @@ def _item(universal: MapFile, block: FarmBlock, id_: str, folder: Path) -> Any:
         ),
     )
     return item
-
-
-def _cog(id_: str) -> Any:
-    import pystac
-
-    return pystac.Asset(
-        f"./{id_}.tif",
-        title="3D density, 0..255, and alpha where a cell was observed",
-        media_type=pystac.MediaType.COG,
-        roles=["data", "visual"],
-    )
 
 
 def _footprint(universal: MapFile) -> Any:

@@ -258,15 +258,6 @@ class _Disk(io.RawIOBase):
         if self._failed is not None:
             raise self._failed
 
-    def readable(self) -> bool:
-        return True
-
-    def writable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
     def readinto(self, buffer: Any) -> int:
         view = memoryview(buffer).cast("B")
         data = self._file.read(len(view))

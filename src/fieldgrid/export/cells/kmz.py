@@ -34,6 +34,9 @@ MAX_PICTURES = 64
 _KML = "http://www.opengis.net/kml/2.2"
 _GX = "http://www.google.com/kml/ext/2.2"
 _LINE_STYLE = "drive"
+_MOST_BYTES = 1 << 16
+"""Of a document, in which its datum is found."""
+
 _SHOWN_FROM_PX = "64"
 """A picture is loaded when it is this large on the screen."""
 
@@ -48,7 +51,8 @@ def export_kmz(
     more than 64 pictures of 2048 x 2048 cells, MapExistsError when `path` exists and may not be
     overwritten, MapWriteError when it cannot be written.
     """
-    ours = partial(is_zip, check=_is_ours)
+    mark = b"datum_lat_deg"
+    ours = partial(is_zip, check=lambda old: mark in old.open("doc.kml").read(_MOST_BYTES))
     with (
         replacing(path, overwrite=overwrite, ours=ours, what="a KMZ") as file,
         selection.blocks(universal) as blocks,
@@ -92,10 +96,6 @@ def export_kmz(
             "marks": len(marks),
         },
     )
-
-
-def _is_ours(archive: zipfile.ZipFile) -> bool:
-    return b"datum_lat_deg" in archive.open("doc.kml").read(1 << 16)
 
 
 def _cut(whole: Window, lattice: Lattice) -> Iterator[Window]:

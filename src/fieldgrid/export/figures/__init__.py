@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     )
     from fieldgrid.export.figures.overview import sheet as sheet
     from fieldgrid.export.figures.page import new_figure as new_figure, save as save
-    from fieldgrid.export.figures.route import read_route as read_route
     from fieldgrid.export.figures.track import (
         MOST_POINTS as MOST_POINTS,
         track_figure as track_figure,
     )
+    from fieldgrid.export.route_file import read_route as read_route
 else:
     __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -84,8 +84,6 @@ def draw_marks(axes: Axes, marks: Sequence[Mark], bounds: Bounds) -> None:
     ]
     if handles:
         axes.legend(handles=handles, loc="upper left", fontsize="small")
-        # A mark that leaves the part that is drawn does not widen it.
-        axes.set(xlim=(bounds.west_m, bounds.east_m), ylim=(bounds.south_m, bounds.north_m))
 
 
 # Rows and what lies between them, drawn over a map.
@@ -99,7 +97,7 @@ _NAMED = {"lane": 0.4, "row": 0.0}
 """Kinds that have their names beside them: at which share of the length of their lines."""
 
 
-def draw_found(axes: Axes, features: Sequence[Feature], bounds: Bounds) -> None:
+def draw_found(axes: Axes, features: Sequence[Feature]) -> None:
     """Draw the rows, lanes, gaps, headlands and obstacles of a map, rows and lanes with their
     names; a lane that was not driven is dotted. The first of each kind has a label for a legend.
     """
@@ -134,8 +132,6 @@ def draw_found(axes: Axes, features: Sequence[Feature], bounds: Bounds) -> None:
                     annotation_clip=True,
                     bbox={"facecolor": "white", "alpha": 0.7, "pad": 0.8, "linewidth": 0.0},
                 )
-    # What leaves the part that is drawn does not widen it.
-    axes.set(xlim=(bounds.west_m, bounds.east_m), ylim=(bounds.south_m, bounds.north_m))
 
 
 _DENSITY_LABEL = "3D density (> 100: obstacle; tinted: unseen)"
@@ -193,13 +189,13 @@ def draw_grid(
         draw_relief(axes, view, values, seen)
     _mark_frames(axes, drives, view)
     if found:
-        draw_found(axes, found, bounds)
+        draw_found(axes, found)
     if route is not None:
         axes.plot(route[:, 0], route[:, 1], color="white", linewidth=3.4)
         axes.plot(route[:, 0], route[:, 1], color=ROUTE, linewidth=1.8, label="route")
-        # A route that leaves the part that is drawn does not widen it.
-        axes.set(xlim=(bounds.west_m, bounds.east_m), ylim=(bounds.south_m, bounds.north_m))
     draw_marks(axes, view.marks, bounds)
+    # What leaves the part that is drawn does not widen it.
+    axes.set(xlim=(bounds.west_m, bounds.east_m), ylim=(bounds.south_m, bounds.north_m))
     name_axes(axes, title or f"universal grid, cells of {view.lattice.cell_m * 100:g} cm")
     add_scale_bar(axes, bounds.east_m - bounds.west_m)
     if is_wide(bounds):

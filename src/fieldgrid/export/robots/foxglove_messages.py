@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Bool, ConfigError, UInt8
+from fieldgrid.core import Bool, UInt8
 from fieldgrid.geometry import Bounds, Fix, LocalGrid, Pose, yaw_from_heading_rad
 from fieldgrid.maps import UNKNOWN_COST, MapView
 from fieldgrid.recordings import MAP
@@ -25,17 +25,6 @@ class EncodedMessage(NamedTuple):
     schema_name: str
     schema: bytes
     data: bytes
-
-
-def check_installed() -> None:
-    """Raise ConfigError when the schemas of Foxglove are not installed."""
-    try:
-        import foxglove_schemas_protobuf  # noqa: F401
-    except ImportError as error:
-        raise ConfigError(
-            "An MCAP file for Foxglove needs its schemas, which are not installed; run: "
-            "pip install 'fieldgrid[foxglove]', or take the format rosbag2."
-        ) from error
 
 
 def grid(view: MapView, time_ns: int) -> EncodedMessage:

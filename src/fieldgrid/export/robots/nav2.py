@@ -281,28 +281,22 @@ def _server_yaml(
 def _is_speed_of(path: Path) -> bool:
     """Whether the files of a speed mask beside a map are what :func:`export_nav2` has written."""
     picture, mask, parameters = (path.with_suffix(ending) for ending in _SPEED_ENDINGS)
-    is_map = mask.with_suffix(".georef.json").exists()  # of that name, without a mask's purpose
-    if is_map or _content(parameters) != filter_parameters(mask.name):
+    if mask.with_suffix(".georef.json").exists():  # a map of that name, without a mask's purpose
         return False
-    if not mask.exists():
-        return True
-    found = _content(mask)
-    form = _server_yaml(picture.name, "raw", 0.0, (0.0, 0.0))
-    if not isinstance(found, dict) or list(found) != list(form):
+    if _text(parameters) != _dumped(filter_parameters(mask.name)):
         return False
-    return all(found[key] == form[key] for key in form if key not in ("resolution", "origin"))
+    form = _dumped(_server_yaml(picture.name, "raw", 0.0, (0.0, 0.0)))
+    # Between these are the side of the cells and the corner of the picture.
+    begin, end = form[: form.index("resolution")], form[form.index("negate") :]
+    found = _text(mask)
+    return not mask.exists() or (found.startswith(begin) and found.endswith(end))
 
 
-def _content(path: Path) -> Any:
-    """What a small YAML file has in it; None for another file."""
-    import yaml
-
-    with suppress(OSError, ValueError, RecursionError, yaml.YAMLError):
-        with path.open(encoding="utf-8") as file:
-            text = file.read(_MOST_CHARACTERS + 1)
-        if len(text) <= _MOST_CHARACTERS:
-            return yaml.safe_load(text)
-    return None
+def _text(path: Path) -> str:
+    """What a small file says; nothing of one that cannot be read."""
+    with suppress(OSError, ValueError), path.open(encoding="utf-8") as file:
+        return file.read(_MOST_CHARACTERS)
+    return ""
 
 
 def greys(mode: str) -> UInt8:

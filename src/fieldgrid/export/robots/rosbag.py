@@ -8,7 +8,7 @@ from typing import Literal
 from fieldgrid.core import ConfigError, Flag, setting
 from fieldgrid.export.cells.tiles import MESSAGE_CELLS
 from fieldgrid.export.options import CurveOptions
-from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
+from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format, require
 from fieldgrid.export.robots import foxglove_messages
 from fieldgrid.export.robots.bag_content import BagContent, messages
 from fieldgrid.export.selection import Selection
@@ -51,7 +51,7 @@ def export_mcap(
     """
     for_foxglove = options.messages == "foxglove"
     if for_foxglove:
-        foxglove_messages.check_installed()
+        require("An MCAP file for Foxglove", "foxglove", "foxglove_schemas_protobuf")
     content = BagContent.of(universal, selection, options.curve())
     if for_foxglove and content.whole.is_large:
         raise ConfigError(

@@ -5,7 +5,6 @@ The filter takes `BASE + MULTIPLIER * value` for the limit, and 0 for none.
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -14,21 +13,16 @@ import numpy.typing as npt
 
 from fieldgrid.core import (
     Bool,
-    ConfigError,
     Flag,
-    Float64,
-    LimitError,
-    bounded_lines,
-    file_bytes,
     setting,
 )
 from fieldgrid.export.options import CurveOptions
+from fieldgrid.export.route_file import read_poses
 from fieldgrid.maps import OCCUPIED, UNKNOWN_OCCUPANCY, MapView
 
 BASE, MULTIPLIER = 100.0, -1.0
 FILTER_INFO, FILTER_MASK = "/speed_filter_info", "/speed_filter_mask"
 _PERCENT_OF_HIGHEST = 1
-_MOST_BYTES = 200_000_000
 
 
 class SpeedOptions(CurveOptions):
@@ -114,33 +108,11 @@ def filter_parameters(mask: str) -> dict[str, Any]:
 
 def _turns(path: Path, radius_m: float, view: MapView) -> Bool:
     """The cells of the poses in which a route turns."""
-    places, window = _turning_poses(path, radius_m), view.window
-    i, j = view.lattice.index(places[:, 0], places[:, 1])
+    east_m, north_m, curvature = read_poses(path, "east_m", "north_m", "curvature_1pm").T
+    in_turn, window = np.abs(curvature) > 1.0 / radius_m, view.window
+    i, j = view.lattice.index(east_m[in_turn], north_m[in_turn])
     i, j = i - window.i0, j - window.j0
     found = np.zeros(window.shape, dtype=np.bool_)
     inside = (i >= 0) & (j >= 0) & (i < window.width) & (j < window.height)
     found[j[inside], i[inside]] = True
     return found
-
-
-def _turning_poses(path: Path, radius_m: float) -> Float64:
-    """East and north of the poses of a route whose curvature is that of a turn."""
-    try:
-        if file_bytes(path) > _MOST_BYTES:
-            raise ConfigError(f"{path} is over {_MOST_BYTES // 10**6} MB; no route is.")
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = [
-                (float(row["east_m"]), float(row["north_m"]))
-                for row in csv.DictReader(bounded_lines(file, path))
-                if abs(float(row["curvature_1pm"])) > 1.0 / radius_m
-            ]
-    except LimitError:
-        raise
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be read ({error.strerror}); check its name.") from error
-    except (KeyError, TypeError, ValueError, csv.Error) as error:
-        raise ConfigError(
-            f"{path} is no route of `fieldgrid route -o route.csv` ({type(error).__name__}: "
-            f"{error}); plan one."
-        ) from error
-    return np.array(rows, dtype=np.float64).reshape(-1, 2)

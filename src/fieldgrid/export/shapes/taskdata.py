@@ -126,7 +126,13 @@ def export_taskdata(
                 for name in _FILES:
                     archive.write(folder / name, f"TASKDATA/{name}")
     else:
-        with replacing_folder(path, overwrite=overwrite, ours=_is_taskdata, what=what) as draft:
+        # A terminal's own task data hold more: the logs of its work, which are nowhere else.
+        with replacing_folder(
+            path,
+            overwrite=overwrite,
+            ours=lambda folder: {entry.name for entry in folder.iterdir()} == set(_FILES),
+            what=what,
+        ) as draft:
             _write(draft, field, grid)
     rows, columns = grid.zones.shape
     guidance = "guidance curves" if planting is None else "swaths"
@@ -144,11 +150,6 @@ def export_taskdata(
             "grid_of_zones": [columns, rows],
         },
     )
-
-
-def _is_taskdata(folder: Path) -> bool:
-    # A terminal's own task data hold more: the logs of its work, which are nowhere else.
-    return {entry.name for entry in folder.iterdir()} == set(_FILES)
 
 
 class ZoneGrid(NamedTuple):

@@ -1,9 +1,10 @@
-"""A route from a file, to be drawn over a map."""
+"""A route from a file."""
 
 from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -30,26 +31,11 @@ def read_route(path: str | Path, datum: Datum) -> Float64:
     cannot be read, and one that has no line.
     """
     path = Path(path)
-    try:
-        size = file_bytes(path)
-        if path.suffix.lower() == ".csv":
-            return _poses(path)
-        check_document(size, path, ConfigError)
+    if path.suffix.lower() == ".csv":
+        return read_poses(path, "east_m", "north_m")
+    with _reading(path, "GeoJSON with lines in it"):
+        check_document(file_bytes(path), path, ConfigError)
         places = [_places(line) for line in _lines(parse_json(path.read_bytes()))]
-    except (ConfigError, LimitError):
-        raise
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be read: {error.strerror}; check the name.") from error
-    except (
-        ValueError,
-        TypeError,
-        KeyError,
-        IndexError,
-        AttributeError,
-        csv.Error,
-    ) as error:
-        kind = "table of poses" if path.suffix.lower() == ".csv" else "GeoJSON with lines in it"
-        raise ConfigError(f"{path} is no {kind} ({error}).") from error
     if not places:
         raise ConfigError(f"{path} has no line; give GeoJSON with a LineString.")
     parts = []
@@ -68,18 +54,44 @@ def _places(line: Any) -> Float64:
     ).reshape(-1, 2)
 
 
-def _poses(path: Path) -> Float64:
-    """The columns east_m and north_m of a table."""
-    with path.open(encoding="utf-8", newline="") as file:
+def read_poses(path: Path, *columns: str) -> Float64:
+    """Columns of numbers of a table of poses [n, columns], the first two east and north in metres.
+
+    Raises ConfigError for a file that cannot be read as one.
+    """
+    with (
+        _reading(path, "table of poses, as `fieldgrid route -o route.csv` writes it"),
+        path.open(encoding="utf-8-sig", newline="") as file,
+    ):
         table = csv.DictReader(bounded_lines(file, path))
-        if not {"east_m", "north_m"} <= set(table.fieldnames or ()):
-            raise ValueError("it has no columns east_m and north_m")
-        places = [
-            (float(row["east_m"]), float(row["north_m"])) for row in counted_rows(table, path)
-        ]
-    if len(places) < 2 or not np.isfinite(places).all():
-        raise ValueError("it has not two poses in metres")
-    return np.array(places)
+        if not set(columns) <= set(table.fieldnames or ()):
+            raise ValueError(f"it has no columns {' and '.join(columns)}")
+        poses = np.array(
+            [[float(row[name]) for name in columns] for row in counted_rows(table, path)]
+        )
+        if len(poses) < 2 or not np.isfinite(poses[:, :2]).all():
+            raise ValueError("it has not two poses in metres")
+    return poses
+
+
+@contextmanager
+def _reading(path: Path, what: str) -> Iterator[None]:
+    """Errors of reading a file as a ConfigError, which says that it is not `what`."""
+    try:
+        yield
+    except (ConfigError, LimitError):
+        raise
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read: {error.strerror}; check the name.") from error
+    except (
+        ValueError,
+        TypeError,
+        KeyError,
+        IndexError,
+        AttributeError,
+        csv.Error,
+    ) as error:
+        raise ConfigError(f"{path} is no {what} ({error}).") from error
 
 
 def _lines(thing: Any) -> Iterator[Any]:
