@@ -33,8 +33,8 @@ def read_route(path: str | Path, datum: Datum) -> Float64:
     path = Path(path)
     if path.suffix.lower() == ".csv":
         return read_poses(path, "east_m", "north_m")
-    with _reading(path, "GeoJSON with lines in it"):
-        check_document(file_bytes(path), path, ConfigError)
+    with _reading(path, "GeoJSON with lines in it") as size:
+        check_document(size, path, ConfigError)
         places = [_places(line) for line in _lines(parse_json(path.read_bytes()))]
     if not places:
         raise ConfigError(f"{path} has no line; give GeoJSON with a LineString.")
@@ -75,10 +75,11 @@ def read_poses(path: Path, *columns: str) -> Float64:
 
 
 @contextmanager
-def _reading(path: Path, what: str) -> Iterator[None]:
-    """Errors of reading a file as a ConfigError, which says that it is not `what`."""
+def _reading(path: Path, what: str) -> Iterator[int]:
+    """The size of a file; errors of reading it as a ConfigError, which says that it is not `what`.
+    """
     try:
-        yield
+        yield file_bytes(path)
     except (ConfigError, LimitError):
         raise
     except OSError as error:
