@@ -20,8 +20,10 @@ def killed_at() -> Iterator[KilledAt]:
 @pytest.fixture(autouse=True)
 def bags_are_read_by_ros(request: pytest.FixtureRequest) -> Iterator[None]:
     """The library of ROS 1 reads each bag of it that a test leaves in its folder."""
+    # Asked for before the test, so that it is still there after it.
+    asked = "tmp_path" in request.fixturenames and rosbag_is_there()
+    folder = request.getfixturevalue("tmp_path") if asked else None
     yield
-    folder = request.node.funcargs.get("tmp_path")
-    if folder is not None and rosbag_is_there():
+    if folder is not None:
         for path in folder.rglob("*.bag"):
             check_by_rosbag(path)
