@@ -76,8 +76,7 @@ def read_poses(path: Path, *columns: str) -> Float64:
 
 @contextmanager
 def _reading(path: Path, what: str) -> Iterator[int]:
-    """The size of a file; errors of reading it as a ConfigError, which says that it is not `what`.
-    """
+    """The size of a file. An error of reading it becomes one that says that it is not `what`."""
     try:
         yield file_bytes(path)
     except (ConfigError, LimitError):
