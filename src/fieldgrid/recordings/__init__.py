@@ -127,7 +127,6 @@ if TYPE_CHECKING:
     from fieldgrid.recordings.remote.copies import (
         cache_folder as cache_folder,
         copy_of as copy_of,
-        digest_of as digest_of,
         in_cache as in_cache,
         is_url as is_url,
         read_manifest as read_manifest,

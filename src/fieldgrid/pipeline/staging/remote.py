@@ -16,14 +16,13 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fieldgrid.core import ClusterError, FieldgridError, MapWriteError, check_is_here, quoted
+from fieldgrid.core import ClusterError, FieldgridError, MapWriteError, check_is_here
 from fieldgrid.pipeline.staging.parts import Share, part_bytes, write_part
 from fieldgrid.pipeline.staging.shares import DriveWork, FrameOutcome, stage_frames
 from fieldgrid.pipeline.staging.worker import not_importable, unpacked
 from fieldgrid.recordings import (
     cache_folder,
     copy_of,
-    digest_of,
     fetch,
     fetch_some,
     in_cache,
@@ -37,15 +36,13 @@ _AT_HOME = "leave out --scheduler"
 class RecordingPlace(NamedTuple):
     """Where a recording lies, for all workers: its absolute path, the size of a file, None of a
     folder, and the folder that a relative path was given from, else empty. Of the copy of a
-    recording at a URL, that, the version of the copy and that of what it has `kept`, else empty:
-    each worker makes its own."""
+    recording at a URL, that and the version of the copy, else empty: each worker makes its own."""
 
     path: str
     size: int | None
     given_from: str
     url: str
     version: str
-    kept: str
 
 
 class StagedShare(NamedTuple):
@@ -63,10 +60,8 @@ def place_of(recording: Path) -> RecordingPlace:
     given_from = "" if recording.is_absolute() else str(Path.cwd())
     url = url_of(path)
     if url is None:
-        return RecordingPlace(str(path), size, given_from, "", "", "")
-    manifest = read_manifest(path)
-    kept = digest_of(manifest.kept())
-    return RecordingPlace(str(path), size, given_from, url, manifest.version, kept)
+        return RecordingPlace(str(path), size, given_from, "", "")
+    return RecordingPlace(str(path), size, given_from, url, read_manifest(path).version)
 
 
 class _PathPickler(pickle.Pickler):
@@ -91,7 +86,7 @@ def packed(work: DriveWork) -> bytes:
 
 
 def stage_share(
-    work: bytes, share: tuple[int, int], place: tuple[str, int | None, str, str, str, str]
+    work: bytes, share: tuple[int, int], place: tuple[str, int | None, str, str, str]
 ) -> StagedShare:
     """Stage the frames number `share[0]` to before `share[1]` of a drive, `packed`.
 
@@ -137,40 +132,20 @@ def _fetch(place: RecordingPlace, work: DriveWork, share: Share) -> None:
     over, since others may be needed then. ClusterError where that cannot be."""
     url, version = place.url, place.version
     copy = copy_of(url)
-    manifest = read_manifest(copy)
-    if (url, version) not in _fetched or manifest.version != version:
-        files = set() if work.skips_bad else _files_of(work, share)
-        try:
-            if files and fetch_some(url, version, files):
-                return
-            fetch(url)
-        except FieldgridError as error:
-            raise ClusterError(f"The worker on {platform.node()} has no copy: {error}") from error
-        manifest = read_manifest(copy)
-        if manifest.version != version:
-            told = f"{url} has changed since this build began; build it again when it is at rest."
-            if manifest.unlisted:
-                told += (
-                    f" The worker on {platform.node()} may not list "
-                    f"{quoted(', '.join(manifest.unlisted), 200)} there; if other machines may, "
-                    "allow it for all."
-                )
-            raise ClusterError(told)
-        _fetched.add((url, version))
-    if manifest.unlisted and digest_of(manifest.kept()) != place.kept:
-        _check_listed(place, manifest.unlisted, _files_of(work, share))
-
-
-def _check_listed(place: RecordingPlace, unlisted: Iterable[str], files: set[Path]) -> None:
-    """ClusterError where a file of the frames lies in a folder that the worker may not list: its
-    copy has no such file, or that of another time."""
-    for folder in unlisted:
-        if any(file.is_relative_to(copy_of(place.url) / folder) for file in files):
-            raise ClusterError(
-                f"The worker on {platform.node()} may not list the folder {quoted(folder, 200)} of "
-                f"{place.url}, and its copy has not the files of it that this build began with; "
-                f"allow reading it there, or {_AT_HOME}."
-            )
+    if (url, version) in _fetched and read_manifest(copy).version == version:
+        return
+    files = set() if work.skips_bad else _files_of(work, share)
+    try:
+        if files and fetch_some(url, version, files):
+            return
+        fetch(url)
+    except FieldgridError as error:
+        raise ClusterError(f"The worker on {platform.node()} has no copy: {error}") from error
+    if read_manifest(copy).version != version:
+        raise ClusterError(
+            f"{url} has changed since this build began; build it again when it is at rest."
+        )
+    _fetched.add((url, version))
 
 
 _unpacked = lru_cache(maxsize=2)(partial(unpacked, remedy=_AT_HOME))

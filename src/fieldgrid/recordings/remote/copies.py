@@ -76,26 +76,17 @@ def digest_of(versions: Mapping[str, str]) -> str:
 
 
 class Manifest(NamedTuple):
-    """The URL of a copy, the versions of the files that it has by their relative paths, whether
-    these are all files that the URL showed to this user, of one listing, and the folders there that
-    could not be listed then. A `lost+found` that nobody may list leaves a copy whole."""
+    """The URL of a copy, the versions of the files that it has by their relative paths, and whether
+    these are all files of the URL, of one listing."""
 
     url: str
     versions: Mapping[str, str]
     is_whole: bool = False
-    unlisted: tuple[str, ...] = ()
 
     @property
     def version(self) -> str:
-        """A digest of the versions of the files: two copies of one version are alike, but for what
-        they have `kept`."""
-        kept = self.kept()
-        return digest_of({name: at for name, at in self.versions.items() if name not in kept})
-
-    def kept(self) -> dict[str, str]:
-        """The versions of the files that an earlier listing had in folders that are `unlisted`."""
-        inside = tuple(f"{folder}/" for folder in self.unlisted)
-        return {name: at for name, at in self.versions.items() if name.startswith(inside)}
+        """A digest of the versions of the files: two copies of one version are alike."""
+        return digest_of(self.versions)
 
 
 def place_in(copy: Path, name: str) -> Path:
@@ -124,19 +115,12 @@ def read_manifest(copy: Path) -> Manifest:
                 for name, version in found["files"].items()
                 if isinstance(version, str) and (not name or is_inside(name))
             }
-            folders = found.get("unlisted")
-            unlisted = folders if isinstance(folders, list) else []
-            return Manifest(
-                str(found.get("url", "")),
-                versions,
-                found.get("whole") is True,
-                tuple(folder for folder in unlisted if isinstance(folder, str)),
-            )
+            return Manifest(str(found.get("url", "")), versions, found.get("whole") is True)
     return Manifest("", {})
 
 
 def is_whole(copy: Path) -> bool:
-    """Whether a copy has all files that its URL shows to this user, as they were at one time."""
+    """Whether a copy has all files of its URL, as they were at one time."""
     manifest = read_manifest(copy)
     return manifest.is_whole and all(place_in(copy, name).exists() for name in manifest.versions)
 
@@ -147,12 +131,7 @@ def write_manifest(copy: Path, noted: Manifest) -> None:
     if manifest.is_symlink():
         manifest.unlink()  # it would be followed
     with replacing(manifest) as draft:
-        content = {
-            "url": noted.url,
-            "files": noted.versions,
-            "whole": noted.is_whole,
-            "unlisted": noted.unlisted,
-        }
+        content = {"url": noted.url, "files": noted.versions, "whole": noted.is_whole}
         draft.write_text(json.dumps(content), "utf-8")
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import shutil
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -44,14 +44,21 @@ _LISTED_S = 60.0
 """How long a listing of the files at a URL counts for those who fetch some of them."""
 
 
+Progress = Callable[[int, int], None]
+"""Is told how many files are here, and of how many."""
+
+
+def _unseen(done: int, total: int) -> None:
+    """Show nothing."""
+
+
 class _Listing(NamedTuple):
-    """The files of a recording at a URL, by their paths relative to it, the folders that could not
-    be listed, and when they were listed, by the monotonic clock."""
+    """The files of a recording at a URL, by their paths relative to it, and when they were listed,
+    by the monotonic clock."""
 
     url: str
     system: Any
     files: Mapping[str, RemoteFile]
-    unlisted: tuple[str, ...]
     at_s: float
 
     @property
@@ -64,7 +71,7 @@ _listings: dict[str, _Listing] = {}
 """The last listing of each URL of which some files were fetched."""
 
 
-def fetch(url: str, *, progress: Callable[[int, int], None] | None = None) -> Path:
+def fetch(url: str, *, progress: Progress | None = None) -> Path:
     """The path of a recording at a URL, after its copy is made or brought up to date.
 
     `progress` is called with the number of files that are here and of all. Files that are no longer
@@ -82,7 +89,7 @@ def fetch(url: str, *, progress: Callable[[int, int], None] | None = None) -> Pa
             f"{url} is an archive; name the folder in it that is the recording, as in "
             f"zip://FOLDER::{url}"
         )
-    return _fetched(url, progress or (lambda done, total: None))
+    return _fetched(url, progress or _unseen)
 
 
 def fetch_some(url: str, version: str, paths: Collection[Path]) -> bool:
@@ -101,11 +108,11 @@ def fetch_some(url: str, version: str, paths: Collection[Path]) -> bool:
     names = [path.relative_to(copy).as_posix() for path in paths if path.is_relative_to(copy)]
     if len(names) < len(paths) or not found.files.keys() >= set(names):
         return False
-    _bring_up_to_date(found, names, lambda done, total: None)
+    _bring_up_to_date(found, names, _unseen)
     return True
 
 
-def _fetched(url: str, progress: Callable[[int, int], None]) -> Path:
+def _fetched(url: str, progress: Progress) -> Path:
     """The path of what is at a URL, an archive included, after its copy is up to date."""
     found = _listing(url)
     if isinstance(found, Path):
@@ -122,9 +129,9 @@ def _listing(url: str) -> _Listing | Path:
         if not set(protocols).isdisjoint(_HERE):
             return Path(root)
         system.invalidate_cache()  # of listings: another process may have written since
-        remote = listed_files(system, root, url)
-        check_unfolding(url, remote.files)
-    return _Listing(url, system, *remote, time.monotonic())
+        files = listed_files(system, root, url)
+        check_unfolding(url, files)
+    return _Listing(url, system, files, time.monotonic())
 
 
 def _file_system(url: str) -> tuple[Any, str]:
@@ -138,109 +145,32 @@ def _file_system(url: str) -> tuple[Any, str]:
         # A web server that gives no parts of a file: its archive is copied as a whole.
         if not archive.startswith("http"):
             raise
-        found = url_to_fs(f"{folder}::file://{_fetched(archive, lambda done, total: None)}")
+        found = url_to_fs(f"{folder}::file://{_fetched(archive, _unseen)}")
     return found
 
 
-def _bring_up_to_date(
-    listing: _Listing, wanted: Collection[str], progress: Callable[[int, int], None]
-) -> None:
+def _bring_up_to_date(listing: _Listing, wanted: Collection[str], progress: Progress) -> None:
     """Fetch what the copy lacks of the files that are wanted, and remove what is at the URL no
     longer."""
-    copy = copy_of(listing.url)
+    copy, is_file = copy_of(listing.url), "" in listing.files
     with writing_copy(copy), only_here(copy) as is_alone:
-        _check_kind(copy, is_file="" in listing.files)
+        if copy.exists() and copy.is_file() != is_file:
+            raise RecordingError(
+                f"{copy} is a copy of when there was a {'folder' if is_file else 'file'} at the "
+                f"URL, and there is a {'file' if is_file else 'folder'} now; remove it."
+            )
         with drafts_of(copy, is_alone=is_alone) as drafts:
             _fetch_missing(listing, copy, drafts, wanted, progress)
 
 
 def _fetch_missing(
-    listing: _Listing,
-    copy: Path,
-    drafts: Path,
-    wanted: Collection[str],
-    progress: Callable[[int, int], None],
+    listing: _Listing, copy: Path, drafts: Path, wanted: Collection[str], progress: Progress
 ) -> None:
     """The manifest is written after each batch, so that a fetch that is interrupted goes on from
     there."""
-    url, system, remote, unlisted, _ = listing
-    manifest = read_manifest(copy)
-    missing = [name for name in wanted if not _is_here(remote[name], copy, name, manifest)]
-    _check_room(url, sum(remote[name].size or 0 for name in missing))
-    noted, known = manifest, dict(manifest.versions)
-    gone = known.keys() - remote.keys() - Manifest(url, known, unlisted=unlisted).kept().keys()
-    check_links(copy, [*missing, *gone])
-    for first in range(0, len(missing), _BATCH):
-        progress(len(wanted) - len(missing) + first, len(wanted))
-        names = missing[first : first + _BATCH]
-        with from_backend(url):
-            fetched = _fetch_batch(system, remote, names, drafts, url)
-        if noted.is_whole:  # from here on it mixes two versions
-            write_manifest(copy, noted._replace(is_whole=False))
-        for name, draft in fetched.items():
-            place = place_in(copy, name)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            draft.replace(place)
-        known |= {name: remote[name].version for name in names}
-        noted = Manifest(url, dict(known), unlisted=unlisted)
-        write_manifest(copy, noted)
-    for name in gone:
-        with suppress(FileNotFoundError, NotADirectoryError, IsADirectoryError):
-            place_in(copy, name).unlink()
-    left = {name: known[name] for name in known if name not in gone}
-    is_whole = left == {name: file.version for name, file in remote.items()}
-    if (done := Manifest(url, left, is_whole, unlisted)) != noted:
-        write_manifest(copy, done)
-    progress(len(wanted), len(wanted))
-
-
-def _is_here(file: RemoteFile, copy: Path, name: str, manifest: Manifest) -> bool:
-    """Whether the copy has this version of a file."""
-    if file.size is None or manifest.versions.get(name) != file.version:
-        return False
-    try:
-        return place_in(copy, name).stat().st_size == file.size
-    except OSError:
-        return False
-
-
-def _fetch_batch(
-    system: Any, remote: Mapping[str, RemoteFile], names: list[str], folder: Path, url: str
-) -> dict[str, Path]:
-    """Fetch some files; returns where they are, by name, when all of their bytes are here."""
-    drafts = {name: folder / str(number) for number, name in enumerate(names)}
-    _get(system, [remote[name] for name in names], list(drafts.values()))
-    for name, draft in drafts.items():
-        size, expected = draft.lstat().st_size, remote[name].size
-        if expected is not None and size != expected:
-            raise RecordingError(
-                f"{name or url} arrived with {size} of its {expected} bytes; repeat the "
-                "command, which goes on from there."
-            )
-    return drafts
-
-
-def _get(system: Any, files: Sequence[RemoteFile], drafts: Sequence[Path]) -> None:
-    """Copy files here. Those that links lead to are read: some libraries would copy the link."""
-    both = list(zip(files, drafts, strict=True))
-    plain = [(file.path, str(draft)) for file, draft in both if not file.is_link]
-    if plain:
-        system.get(*map(list, zip(*plain, strict=True)))
-    for file, draft in both:
-        if file.is_link:
-            with system.open(file.path, "rb") as source, draft.open("wb") as target:
-                shutil.copyfileobj(source, target)
-
-
-def _check_kind(copy: Path, *, is_file: bool) -> None:
-    if copy.exists() and copy.is_file() != is_file:
-        raise RecordingError(
-            f"{copy} is a copy of when there was a {'folder' if is_file else 'file'} at the URL, "
-            f"and there is a {'file' if is_file else 'folder'} now; remove it."
-        )
-
-
-def _check_room(url: str, size: int) -> None:
+    url, remote, noted = listing.url, listing.files, read_manifest(copy)
+    missing = [name for name in wanted if not _is_here(remote[name], copy, name, noted)]
+    size = sum(remote[name].size or 0 for name in missing)
     folder = cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
     free = shutil.disk_usage(folder).free
@@ -249,3 +179,50 @@ def _check_room(url: str, size: int) -> None:
             f"{url} has {size / 1e9:.1f} GB to fetch and {folder} has room for {free / 1e9:.1f} "
             f"GB; free some, or set {CACHE} to a folder on a larger disk."
         )
+    known = dict(noted.versions)
+    gone = known.keys() - remote.keys()
+    check_links(copy, [*missing, *gone])
+    for first in range(0, len(missing), _BATCH):
+        progress(len(wanted) - len(missing) + first, len(wanted))
+        names = missing[first : first + _BATCH]
+        fetched = _fetch_batch(listing, names, drafts)
+        if noted.is_whole:  # from here on it mixes two versions
+            write_manifest(copy, noted._replace(is_whole=False))
+        for name, draft in fetched.items():
+            place = place_in(copy, name)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            draft.replace(place)
+            known[name] = remote[name].version
+        noted = Manifest(url, dict(known))
+        write_manifest(copy, noted)
+    for name in gone:
+        with suppress(FileNotFoundError, NotADirectoryError, IsADirectoryError):
+            place_in(copy, name).unlink()
+        del known[name]
+    done = Manifest(url, known, known == {name: file.version for name, file in remote.items()})
+    if done != noted:
+        write_manifest(copy, done)
+    progress(len(wanted), len(wanted))
+
+
+def _is_here(file: RemoteFile, copy: Path, name: str, manifest: Manifest) -> bool:
+    """Whether the copy has this version of a file."""
+    place = place_in(copy, name)
+    is_known = file.size is not None and manifest.versions.get(name) == file.version
+    return is_known and place.exists() and place.stat().st_size == file.size
+
+
+def _fetch_batch(listing: _Listing, names: list[str], folder: Path) -> dict[str, Path]:
+    """Fetch some files; returns where they are, by name, when all of their bytes are here."""
+    drafts = {name: folder / str(number) for number, name in enumerate(names)}
+    with from_backend(listing.url):
+        paths = [listing.files[name].path for name in names]
+        listing.system.get(paths, list(map(str, drafts.values())))
+        for name, draft in drafts.items():
+            size, expected = draft.lstat().st_size, listing.files[name].size
+            if expected is not None and size != expected:
+                raise RecordingError(
+                    f"{name or listing.url} arrived with {size} of its {expected} bytes; repeat "
+                    "the command, which goes on from there."
+                )
+    return drafts
