@@ -84,7 +84,8 @@ def to_grey(pixels: Pixels, encoding: str, bits: int = 16) -> Image:
             "record it again, or correct its encoding."
         )
     grey = _luma(np.ascontiguousarray(pixels), encoding)
-    return _upper(grey, bits) if grey.dtype == np.uint16 else np.asarray(grey, dtype=np.uint8)
+    upper = np.minimum(grey >> (bits - 8), 255) if grey.dtype == np.uint16 else grey
+    return np.asarray(upper, dtype=np.uint8)
 
 
 def _luma(pixels: Pixels, encoding: str) -> Pixels:
@@ -102,10 +103,6 @@ def _luma(pixels: Pixels, encoding: str) -> Pixels:
         # Every pixel has its own luma; the chroma beside it is shared by two.
         return np.ascontiguousarray(pixels[..., _YUV[encoding]])
     return pixels if code is None else cast(Pixels, cv2.cvtColor(pixels, code))
-
-
-def _upper(grey: Pixels, bits: int) -> Image:
-    return np.asarray(np.minimum(grey >> (bits - 8), 255), dtype=np.uint8)
 
 
 def significant_bits(samples: Iterable[Pixels]) -> int:

@@ -88,17 +88,12 @@ def rotations(quaternions: Float64) -> Float64:
     """Rotations [n, 3, 3] of quaternions x, y, z, w [n, 4], which need not have the length 1."""
     q = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
     x, y, z, w = q.T
-    R = np.empty((len(q), 3, 3))
-    R[:, 0, 0] = 1.0 - 2.0 * (y * y + z * z)
-    R[:, 0, 1] = 2.0 * (x * y - z * w)
-    R[:, 0, 2] = 2.0 * (x * z + y * w)
-    R[:, 1, 0] = 2.0 * (x * y + z * w)
-    R[:, 1, 1] = 1.0 - 2.0 * (x * x + z * z)
-    R[:, 1, 2] = 2.0 * (y * z - x * w)
-    R[:, 2, 0] = 2.0 * (x * z - y * w)
-    R[:, 2, 1] = 2.0 * (y * z + x * w)
-    R[:, 2, 2] = 1.0 - 2.0 * (x * x + y * y)
-    return R
+    rows = (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
+        (2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
+        (2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
+    )
+    return np.moveaxis(np.array(rows), 2, 0).copy()
 
 
 class _Numbers(NamedTuple):

@@ -108,7 +108,9 @@ def _frames(
     path: Path, left: str, right: str, times_ns: list[int]
 ) -> tuple[StereoCamera, StoredFrames]:
     shots = checked_shots(_shots(path, left, right, times_ns), path)
-    camera = _camera(path, left, right, ImageFile(path / shots[0].files[0]).size_px())
+    matrices = _projection(path, left), _projection(path, right)
+    size_px = ImageFile(path / shots[0].files[0]).size_px()
+    camera = camera_from_projections(*matrices, size_px, str(path / _CALIBRATION))
     return camera, StoredFrames(path, shots, PairKind((camera.width_px, camera.height_px)))
 
 
@@ -148,11 +150,6 @@ def _projection(path: Path, number: str) -> Float64:
     return numbers(read_entries(file), f"P{number}", 12, file).reshape(3, 4)
 
 
-def _camera(path: Path, left: str, right: str, size_px: tuple[int, int]) -> StereoCamera:
-    matrices = _projection(path, left), _projection(path, right)
-    return camera_from_projections(*matrices, size_px, str(path / _CALIBRATION))
-
-
 def _own_mount(path: Path, options: DriveOptions) -> tuple[Mount, tuple[str, ...]]:
     """How the cameras sit, by a mounting that is given, else as KITTI's; and a remark."""
     if options.mounting is not None or (path / MOUNTING).exists():
@@ -176,7 +173,9 @@ def _poses_as_fixes(
     path: Path, times_ns: list[int], settings: RecordingSettings, mount: Mount
 ) -> FixLog:
     """The fixes that the poses come to; none, and what is missing for them."""
-    file = next((p for p in _pose_files(path) if p.is_file()), None)
+    name = path.resolve().name
+    places = (path / _POSES, path.resolve().parent.parent / "poses" / f"{name}.txt")
+    file = next((p for p in places if p.is_file()), None)
     if file is None:
         return FixLog(
             FixColumns.of([]), (f"No GNSS: neither a log nor {_POSES}; give --gnss FILE.",)
@@ -193,11 +192,6 @@ def _poses_as_fixes(
     if settings.start.heading_deg is None:
         notes.append("Nothing says where the vehicle heads at first; that is taken as north.")
     return FixLog(fixes, tuple(notes))
-
-
-def _pose_files(path: Path) -> tuple[Path, ...]:
-    beside = path.resolve().parent.parent / "poses" / f"{path.resolve().name}.txt"
-    return path / _POSES, beside
 
 
 def _poses(path: Path, count: int) -> Float64:

@@ -284,7 +284,10 @@ def length_factor(unit: str) -> float:
 
 def metres(cell: str) -> float | None:
     """The length of a cell that has its unit with it, like 2625.5 ft; None of another."""
-    match = re.fullmatch(r"\s*([+-]?\d+(?:\.\d*)?)\s*([A-Za-z][A-Za-z .]*?)\.?\s*", cell)
+    # Bounded, since the parts of the pattern can share what is between them.
+    match = re.fullmatch(
+        r"([+-]?\d{1,20}(?:\.\d{0,20})?)\s{0,9}([A-Za-z][A-Za-z .]{0,30}?)\.?", cell.strip()
+    )
     unit = "" if match is None else re.sub(r"[ .]+", "_", match[2].lower())
     return None if match is None or unit not in _LENGTHS else float(match[1]) * _LENGTHS[unit]
 

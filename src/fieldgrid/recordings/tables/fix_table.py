@@ -169,18 +169,21 @@ class _Plan:
 
     def _optional(self, block: TableRows, keep: Index) -> dict[str, npt.ArrayLike]:
         """What fixes may lack, by the field of a fix."""
-        value = {r: self._numbers(r, block)[keep] for r in _NUMBERS if r in self.places}
+        value = {
+            r: self.table.numbers(block, self.places[r])[keep] for r in _NUMBERS if r in self.places
+        }
         sigma = value.get("sigma")
         if sigma is None and "accuracy" in value:
             sigma = value["accuracy"] * (self._length("accuracy") / np.sqrt(2.0))
         elif sigma is not None:
             sigma = sigma * self._length("sigma")
+        course = self._degrees("course", value)
         fields: dict[str, Float64 | None] = {
             "sigma_m": sigma,
             "hdop": value.get("hdop"),
             "age_s": value.get("age"),
             "heading_sigma_deg": self._degrees("heading_sigma", value),
-            "course_deg": self._wrapped(self._degrees("course", value)),
+            "course_deg": None if course is None else wrap_deg(course),
             "heading_deg": self._heading(value, block, keep),
         }
         if "speed" in value:
@@ -190,9 +193,6 @@ class _Plan:
         if "satellites" in self.places:
             said["satellites"] = self._satellites(block, keep)
         return said
-
-    def _numbers(self, role: str, block: TableRows) -> Float64:
-        return self.table.numbers(block, self.places[role])
 
     def _unit(self, role: str) -> tuple[str, float]:
         named = take_apart(self.table.header[self.places[role]])
@@ -229,9 +229,6 @@ class _Plan:
         if role not in value:
             return None
         return np.degrees(value[role]) if is_radians(self._unit(role)[0]) else value[role]
-
-    def _wrapped(self, angles: Float64 | None) -> Float64 | None:
-        return None if angles is None else wrap_deg(angles)
 
     def _heading(self, value: dict[str, Float64], block: TableRows, keep: Index) -> Float64 | None:
         """Headings clockwise from north; NaN where they are marked as not valid."""

@@ -17,6 +17,9 @@ _E7 = 1e8
 """Beyond this whole numbers are 1e-7 degrees, as u-blox and MAVLink count: coordinates of
 projections are no larger."""
 
+_LONGEST = 100
+"""No angle is written with more signs; the pattern takes the cube of their number."""
+
 _PART = r"(\d+(?:\.\d+)?)"
 _ANGLE = re.compile(
     rf"([NSEW]?)\s*([+-]?){_PART}\s*(?:°|º|deg|d|\s)?\s*"
@@ -115,7 +118,8 @@ def longitude(cell: str) -> float | None:
 
 
 def _degrees(cell: str, sides: str) -> float | None:
-    match = _ANGLE.fullmatch(cell.strip())
+    text = cell.strip()
+    match = _ANGLE.fullmatch(text) if len(text) <= _LONGEST else None
     if match is None:
         return None
     before, sign, whole, minutes, seconds, after = match.groups()

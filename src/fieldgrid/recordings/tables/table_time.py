@@ -94,7 +94,8 @@ def find_time(table: OpenTable, columns: Columns) -> TimeColumn:
             "gps_ms, gps_us or gps_ns; of GPS's weeks, name both columns: week=COLUMN,tow=COLUMN; "
             "of a time that counts from the start of a drive or a week, or from midnight, "
             "say when that was with time_epoch=2026-05-14T07:30:00Z; write a date with time like "
-            "2026-05-14T07:30:00.25Z, or with its day first like 14.05.2026 07:30:00.25. "
+            "2026-05-14T07:30:00.25Z, with hours from 0 to 23, or with its day first like "
+            "14.05.2026 07:30:00.25. "
             f"It has: {', '.join(table.header)[:500]}."
         )
     time = _finest(found) if len(found) > 1 else found[0]

@@ -35,9 +35,6 @@ _CIVIL = re.compile(
 )
 _DAY_FIRST = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})[.,T ]\s*(\d:)?", re.ASCII)
 _CLOCK = re.compile(r"\s*(\d\d?):(\d\d):(\d\d)((?:\.\d*)?)\s*", re.ASCII)
-_HALF_DAY = re.compile(
-    r"(.*[T _-])(\d\d?)([:.-]\d\d[:.-]\d\d(?:[.,]\d{1,12})?)\s*([AP])\.?M\.?", re.I | re.A
-)
 _REST = re.compile(
     r"(?:[.,:](\d{1,12}))?\s*(?:Z|UTC|GMT)?\s*([+-](?:0\d|1[0-5]):?(?:\d\d)?)?", re.I | re.A
 )
@@ -90,7 +87,7 @@ def guess_scale(name: str, cells: Sequence[str], decimal_comma: bool) -> TimeSca
         unit = next((unit for size, unit in sizes if size <= value < 1e20), None)
         if not _is_compact_date(cell):
             return None if unit is None else TimeScale(UNITS[unit])
-    cell = _as_of_a_day(cell)
+    cell = _year_first(cell)
     match = _CIVIL.match(cell)
     if match is None:
         return None
@@ -110,18 +107,6 @@ def _year_first(cell: str) -> str:
     day, month, year, hour = match.groups()
     rest = cell.lstrip()[match.end() :]
     return f"{year}-{month:>02}-{day:>02} {'0' + hour if hour else ''}{rest}"
-
-
-def _as_of_a_day(cell: str) -> str:
-    """A date and time with its year first, and with the hours of a whole day: 02:30:15 PM is
-    14:30:15. An hour that no clock of half a day shows leaves the cell as it is, which then is no
-    time."""
-    cell = _year_first(cell)
-    match = _HALF_DAY.fullmatch(cell.strip()) if cell.rstrip()[-1:] in ("M", "m", ".") else None
-    if match is None or not 1 <= int(match[2]) <= 12:
-        return cell
-    hour = int(match[2]) % 12 + (12 if match[4] in "Pp" else 0)
-    return f"{match[1]}{hour:02}{match[3]}"
 
 
 def _since_midnight(cell: str, places: int) -> str:
@@ -146,7 +131,7 @@ def to_utc_ns(cells: Sequence[str], scale: TimeScale, decimal_comma: bool) -> In
     A cell that cannot be read raises :class:`UnreadableTimeError`, which has its place.
     """
     if scale.places is None:
-        times_ns = _civil_ns([_as_of_a_day(cell) for cell in cells], scale)
+        times_ns = _civil_ns([_year_first(cell) for cell in cells], scale)
         return _valid(_of_gps_clock(times_ns) if scale.gps else times_ns)
     if decimal_comma:
         cells = [cell.replace(",", ".") for cell in cells]
