@@ -104,24 +104,20 @@ def checked_shots(
             )
         seen.add(shot.frame_id)
     if not incomplete:
-        _check_files(ordered, folder, what)
+        names = [name for shot in ordered for name in shot.files]
+        missing, first = 0, None
+        for name in names:
+            try:
+                check_regular(folder / name)
+            except RecordingError as problem:
+                missing, first = missing + 1, first or problem
+                if missing == _MOST_MISSING:
+                    break
+        if first is not None:
+            files = "clouds" if what == "cloud" else "images"
+            or_more = " or more" if missing == _MOST_MISSING else ""
+            raise RecordingError(
+                f"{missing}{or_more} of {len(names)} {files} are missing from {folder}; copy them, "
+                f"or let `build --skip-bad` leave their frames out. First: {first}"
+            ) from first
     return tuple(ordered)
-
-
-def _check_files(shots: list[Shot], folder: Path, what: str) -> None:
-    names = [name for shot in shots for name in shot.files]
-    missing, first = 0, None
-    for name in names:
-        try:
-            check_regular(folder / name)
-        except RecordingError as problem:
-            missing, first = missing + 1, first or problem
-            if missing == _MOST_MISSING:
-                break
-    if first is not None:
-        files = "clouds" if what == "cloud" else "images"
-        or_more = " or more" if missing == _MOST_MISSING else ""
-        raise RecordingError(
-            f"{missing}{or_more} of {len(names)} {files} are missing from {folder}; copy them, or "
-            f"let `build --skip-bad` leave their frames out. First: {first}"
-        ) from first

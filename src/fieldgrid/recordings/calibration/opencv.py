@@ -46,14 +46,23 @@ def read_opencv(
     when it knows of nothing that rectifying would change. `size_px` is the (width, height) of the
     images, where the file does not say it.
     """
-    document = _document(path)
+    document = load_yaml(path)
+    for theirs, ours in (("M1", "K1"), ("M2", "K2")):
+        if theirs in document:
+            document.setdefault(ours, document[theirs])
     if extrinsics is not None:
         document |= load_yaml(extrinsics)
         path = path.with_name(f"{path.name} with {extrinsics.name}")
     if size_px is None or {"image_width", "image_height"} & document.keys():
         return _calibration(document, path, rectified)
     width, height = size_px
-    _check_middle(document, path, size_px)
+    middle_px = matrix(document, "K1", (3, 3), path)[:2, 2]
+    if (np.abs(middle_px / size_px - 0.5) > _MOST_ASIDE).any():
+        raise CalibrationError(
+            f"{path} does not say the size of its images, and the middle of the lens, "
+            f"{middle_px[0]:.0f}, {middle_px[1]:.0f} px, is not that of images of {size_px[0]} x "
+            f"{size_px[1]} px; add image_width and image_height, or calibrate with such images."
+        )
     document |= {"image_width": width, "image_height": height}
     note = (
         f"{path.name} does not say the size of its images; that of the first one is taken, "
@@ -63,20 +72,11 @@ def read_opencv(
     return found._replace(notes=(*found.notes, note))
 
 
-def _check_middle(document: Mapping[str, Any], path: Path, size_px: tuple[int, int]) -> None:
-    """Refuse a lens whose middle is not about that of the images: it is for images of another
-    size."""
-    middle_px = matrix(document, "K1", (3, 3), path)[:2, 2]
-    if (np.abs(middle_px / size_px - 0.5) > _MOST_ASIDE).any():
-        raise CalibrationError(
-            f"{path} does not say the size of its images, and the middle of the lens, "
-            f"{middle_px[0]:.0f}, {middle_px[1]:.0f} px, is not that of images of {size_px[0]} x "
-            f"{size_px[1]} px; add image_width and image_height, or calibrate with such images."
-        )
-
-
 def _calibration(document: Mapping[str, Any], path: Path, rectified: bool | None) -> Calibration:
-    straight = _is_undistorted(document, path)
+    turns = [matrix(document, k, (3, 3), path) for k in ("R", "R1", "R2") if k in document]
+    lenses = [matrix(document, k, None, path) for k in ("D1", "D2") if k in document]
+    turned = any(np.abs(turn - np.eye(3)).max() > 1e-6 for turn in turns)
+    straight = not turned and all(not lens.any() for lens in lenses)
     projected = "P1" in document or "P2" in document
     if rectified is False or (rectified is None and not straight and not projected):
         return rectified_here(_rectification(document, path), path)
@@ -95,23 +95,6 @@ def _calibration(document: Mapping[str, Any], path: Path, rectified: bool | None
     shift = matrix(document, "T", (3, 1), path)
     left, right = np.hstack([k_left, np.zeros((3, 1))]), np.hstack([k_right, k_right @ shift])
     return Calibration(camera_from_projections(left, right, size_px, str(path)))
-
-
-def _document(path: Path) -> dict[str, Any]:
-    """The entries of a file under the names of `stereo_opencv.yaml`."""
-    entries = load_yaml(path)
-    for theirs, ours in (("M1", "K1"), ("M2", "K2")):
-        if theirs in entries:
-            entries.setdefault(ours, entries[theirs])
-    return entries
-
-
-def _is_undistorted(document: Mapping[str, Any], path: Path) -> bool:
-    """Whether the matrices of the file say that raw images are rectified as they are."""
-    turns = [matrix(document, k, (3, 3), path) for k in ("R", "R1", "R2") if k in document]
-    lenses = [matrix(document, k, None, path) for k in ("D1", "D2") if k in document]
-    turned = any(np.abs(turn - np.eye(3)).max() > 1e-6 for turn in turns)
-    return not turned and all(not lens.any() for lens in lenses)
 
 
 def _rectification(document: Mapping[str, Any], path: Path) -> Rectification:

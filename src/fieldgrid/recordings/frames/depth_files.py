@@ -123,7 +123,18 @@ def _decode(data: bytes, path: Path) -> _Any:
     if data.startswith(b"\x93NUMPY"):
         values = parse_npy(data, str(path))
     elif data.startswith(b"Pf"):
-        values = _pfm(data, path)
+        match = _PFM.match(data)
+        if match is None:
+            raise RecordingError(f"{path} has no header of a grey PFM; write it again.")
+        width, height = int(match[1]), int(match[2])
+        order = "<" if match[3].startswith(b"-") else ">"
+        if width * height * 4 != len(data) - match.end():
+            raise RecordingError(
+                f"{path} claims {width} x {height} px and has {len(data) - match.end()} bytes of "
+                "them; it is truncated or damaged, copy it again."
+            )
+        upwards = np.frombuffer(data, dtype=f"{order}f4", offset=match.end()).reshape(height, width)
+        values = upwards[::-1]
     else:
         values = decode_depth_image(data, str(path))
     if values.ndim != 2 or 0 in values.shape:
@@ -131,21 +142,6 @@ def _decode(data: bytes, path: Path) -> _Any:
             f"{path} has numbers of shape {values.shape}; depths have one channel, [row, column]."
         )
     return values
-
-
-def _pfm(data: bytes, path: Path) -> _Any:
-    match = _PFM.match(data)
-    if match is None:
-        raise RecordingError(f"{path} has no header of a grey PFM; write it again.")
-    width, height = int(match[1]), int(match[2])
-    order = "<" if match[3].startswith(b"-") else ">"
-    if width * height * 4 != len(data) - match.end():
-        raise RecordingError(
-            f"{path} claims {width} x {height} px and has {len(data) - match.end()} bytes of "
-            "them; it is truncated or damaged, copy it again."
-        )
-    upwards = np.frombuffer(data, dtype=f"{order}f4", offset=match.end()).reshape(height, width)
-    return upwards[::-1]
 
 
 def decode_depth_image(data: bytes, name: str) -> _Any:

@@ -35,7 +35,12 @@ def read_header(data: bytes, tiff_bits: Collection[int] = (8, 16)) -> ImageHeade
     try:
         if data.startswith(b"\x89PNG\r\n\x1a\n"):
             width, height, depth = struct.unpack(">IIB", data[16:25])
-            return ImageHeader(width, height, depth == 16, _png_is_whole(data))
+            # Whether all chunks are there: a decoder makes room for what they claim.
+            at, kind = 8, b""
+            while kind != b"IEND" and at + 12 <= len(data):
+                kind = data[at + 4 : at + 8]
+                at += 12 + int.from_bytes(data[at : at + 4], "big")
+            return ImageHeader(width, height, depth == 16, kind == b"IEND" and at <= len(data))
         if data.startswith(b"\xff\xd8"):
             return _jpeg(data)
         if data.startswith(b"BM"):
@@ -47,15 +52,6 @@ def read_header(data: bytes, tiff_bits: Collection[int] = (8, 16)) -> ImageHeade
         return None
     match = _PNM.match(data)
     return None if match is None else ImageHeader(int(match[1]), int(match[2]), int(match[3]) > 255)
-
-
-def _png_is_whole(data: bytes) -> bool:
-    """Whether all chunks up to the last are there; a decoder makes room for what they claim."""
-    at, kind = 8, b""
-    while kind != b"IEND" and at + 12 <= len(data):
-        kind = data[at + 4 : at + 8]
-        at += 12 + int.from_bytes(data[at : at + 4], "big")
-    return kind == b"IEND" and at <= len(data)
 
 
 def _tiff(data: bytes, bits: Collection[int]) -> ImageHeader | None:

@@ -44,7 +44,11 @@ def _checked(data: bytes, name: str) -> int:
     found = _HEADER.match(data[:_MAX_HEADER])
     if found is None:
         raise RecordingError(f"{name} has no header of a PCD; export the cloud again.")
-    header = _entries(found[0])
+    header: dict[str, list[int]] = {}  # of the entries that count bytes
+    for line in found[0].decode("latin-1").splitlines():
+        key, *values = line.split() or [""]
+        if key in ("SIZE", "COUNT", "POINTS", "WIDTH", "HEIGHT"):
+            header[key] = [int(v) for v in values if v.isdecimal() and len(v) < 16]
     counts = header.get("COUNT", [1] * len(header.get("SIZE", [])))
     point = sum(size * count for size, count in zip(header.get("SIZE", []), counts, strict=False))
     (points, *_) = header.get("POINTS") or [-1]
@@ -67,13 +71,3 @@ def _checked(data: bytes, name: str) -> int:
             "damaged, copy it again."
         )
     return points
-
-
-def _entries(header: bytes) -> dict[str, list[int]]:
-    """The entries that count bytes; what is no such number is left out."""
-    entries = {}
-    for line in header.decode("latin-1").splitlines():
-        key, *values = line.split() or [""]
-        if key in ("SIZE", "COUNT", "POINTS", "WIDTH", "HEIGHT"):
-            entries[key] = [int(v) for v in values if v.isdecimal() and len(v) < 16]
-    return entries

@@ -8,7 +8,6 @@ from decimal import Decimal
 from typing import Annotated, Any, TypeVar, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
-from pydantic.fields import FieldInfo
 
 LIMIT = 10**9
 """No length, angle or offset is as large."""
@@ -64,7 +63,16 @@ def fitted(model: type[Model], document: Any) -> Model:
     except ValidationError as error:
         # A key that is not known may be the misspelt one that is missing.
         first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
-    table, info, key = _at(model, first["loc"])
+    # The innermost table and entry at a place, and the entry's key.
+    table: type[EntryTable] = model
+    info, key = None, ""
+    for part in map(str, first["loc"]):
+        if part not in table.model_fields:
+            break
+        info, key = table.model_fields[part], part
+        for kind in (info.annotation, *get_args(info.annotation)):
+            if isinstance(kind, type) and issubclass(kind, EntryTable):
+                table = kind
     value = first["input"]
     value = str(value) if isinstance(value, Decimal) else reprlib.repr(value)
     if first["type"] == "extra_forbidden":
@@ -78,18 +86,3 @@ def fitted(model: type[Model], document: Any) -> Model:
         raise MisfitError(f": {key} is {value}; give a table [{key}].")
     why = f", which {first['ctx']['error']}" if first["type"] == "value_error" else ""
     raise MisfitError(f": {key} is {value}{why}; {info.description}.")
-
-
-def _at(
-    model: type[EntryTable], place: tuple[int | str, ...]
-) -> tuple[type[EntryTable], FieldInfo | None, str]:
-    """The innermost table and entry at a place, and the entry's key."""
-    info, key = None, ""
-    for part in map(str, place):
-        if part not in model.model_fields:
-            break
-        info, key = model.model_fields[part], part
-        for kind in (info.annotation, *get_args(info.annotation)):
-            if isinstance(kind, type) and issubclass(kind, EntryTable):
-                model = kind
-    return model, info, key

@@ -224,7 +224,11 @@ class _Records:
                 break
             for value_at in range(at + size + 1, stop, 5):
                 if data[value_at] >= len(self._header.ddis):
-                    raise self._damaged(at, data[value_at])
+                    raise RecordingError(
+                        f"{self._path}, byte {at}: value {data[value_at]} of a record is not "
+                        f"among the {len(self._header.ddis)} of its header; the two do not belong "
+                        "together, or the log is damaged: copy both again."
+                    )
                 if self._speed is not None and data[value_at] == self._speed.place:
                     raw = int.from_bytes(data[value_at + 1 : value_at + 5], "little", signed=True)
                     speed_mps = abs((raw + self._speed.offset) * self._speed.scale)
@@ -234,13 +238,6 @@ class _Records:
                 fixes.append(fix)
             at = stop
         return FixLog(FixColumns.of_rows(fixes), tuple(self._notes(len(data) - at)))
-
-    def _damaged(self, at: int, index: int) -> RecordingError:
-        return RecordingError(
-            f"{self._path}, byte {at}: value {index} of a record is not among the "
-            f"{len(self._header.ddis)} of its header; the two do not belong together, or the "
-            "log is damaged: copy both again."
-        )
 
     def _fix(self, raw: dict[str, int], speed_mps: float | None) -> Fix | None:
         value = {

@@ -53,7 +53,22 @@ def open_kitti(path: Path, options: DriveOptions) -> Drive:
 def _recording(drive: Drive, folder: Path, options: DriveOptions) -> Recording:
     left, right = _cameras(folder)
     rig = _rig(folder, left, right, options)
-    listed = _shots(folder, left, right, options.incomplete)
+    names_left, names_right = (
+        _listing(folder / f"image_{left}"),
+        _listing(folder / f"image_{right}"),
+    )
+    different = sorted(set(names_left) ^ set(names_right))
+    if different and not options.incomplete:
+        raise RecordingError(
+            f"{folder}: image_{left} and image_{right} do not hold the same files, "
+            f"{different[0]} is only in one; unpack the drive again."
+        )
+    names = sorted({*names_left, *names_right})
+    times_ns = _read_stamps(folder / f"image_{left}", len(names), "images")
+    listed = [
+        Shot(time_ns, Path(name).stem, (f"image_{left}/data/{name}", f"image_{right}/data/{name}"))
+        for time_ns, name in zip(times_ns, names, strict=True)
+    ]
     shots = checked_shots(listed, folder, incomplete=options.incomplete)
     kind = PairKind((rig.camera.width_px, rig.camera.height_px))
     return as_recording(drive, rig, StoredFrames(folder, shots, kind), _height_note(rig))
@@ -91,22 +106,6 @@ def _cameras(drive: Path) -> tuple[str, str]:
         f"{drive} has neither image_00 and image_01 nor image_02 and image_03 with data; "
         "unpack the images of the drive."
     )
-
-
-def _shots(drive: Path, left: str, right: str, incomplete: bool) -> list[Shot]:
-    names_left, names_right = _listing(drive / f"image_{left}"), _listing(drive / f"image_{right}")
-    different = sorted(set(names_left) ^ set(names_right))
-    if different and not incomplete:
-        raise RecordingError(
-            f"{drive}: image_{left} and image_{right} do not hold the same files, "
-            f"{different[0]} is only in one; unpack the drive again."
-        )
-    names = sorted({*names_left, *names_right})
-    times_ns = _read_stamps(drive / f"image_{left}", len(names), "images")
-    return [
-        Shot(time_ns, Path(name).stem, (f"image_{left}/data/{name}", f"image_{right}/data/{name}"))
-        for time_ns, name in zip(times_ns, names, strict=True)
-    ]
 
 
 def _oxts(drive: Path) -> tuple[Int64, Float64]:

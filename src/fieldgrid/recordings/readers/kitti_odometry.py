@@ -107,7 +107,22 @@ def open_sequence(path: Path, options: DriveOptions) -> Drive:
 def _frames(
     path: Path, left: str, right: str, times_ns: list[int]
 ) -> tuple[StereoCamera, StoredFrames]:
-    shots = checked_shots(_shots(path, left, right, times_ns), path)
+    listings = [
+        sorted(p.name for p in (path / f"image_{n}").iterdir() if p.suffix.lower() in SUFFIXES)
+        for n in (left, right)
+    ]
+    if not len(listings[0]) == len(listings[1]) == len(times_ns):
+        raise RecordingError(
+            f"{path} has {len(listings[0])} left and {len(listings[1])} right images for "
+            f"{len(times_ns)} times; unpack the sequence again."
+        )
+    shots = checked_shots(
+        [
+            Shot(time_ns, Path(a).stem, (f"image_{left}/{a}", f"image_{right}/{b}"))
+            for time_ns, a, b in zip(times_ns, *listings, strict=True)
+        ],
+        path,
+    )
     matrices = _projection(path, left), _projection(path, right)
     size_px = ImageFile(path / shots[0].files[0]).size_px()
     camera = camera_from_projections(*matrices, size_px, str(path / _CALIBRATION))
@@ -127,22 +142,6 @@ def _times_ns(path: Path, start: Start) -> list[int]:
     if not all(0.0 <= time_s < 1e6 for time_s in times_s):
         raise RecordingError(f"{path} holds a time that is no second from the start; restore it.")
     return [start.time_ns + round(time_s * 1e9) for time_s in times_s]
-
-
-def _shots(path: Path, left: str, right: str, times_ns: list[int]) -> list[Shot]:
-    listings = [
-        sorted(p.name for p in (path / f"image_{n}").iterdir() if p.suffix.lower() in SUFFIXES)
-        for n in (left, right)
-    ]
-    if not len(listings[0]) == len(listings[1]) == len(times_ns):
-        raise RecordingError(
-            f"{path} has {len(listings[0])} left and {len(listings[1])} right images for "
-            f"{len(times_ns)} times; unpack the sequence again."
-        )
-    return [
-        Shot(time_ns, Path(a).stem, (f"image_{left}/{a}", f"image_{right}/{b}"))
-        for time_ns, a, b in zip(times_ns, *listings, strict=True)
-    ]
 
 
 def _projection(path: Path, number: str) -> Float64:

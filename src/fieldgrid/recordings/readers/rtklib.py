@@ -105,8 +105,26 @@ def read_solution(path: Path, columns: Columns | None = None) -> FixLog:
     """
     with _open_lines(path) as lines:
         found, first = _read_header(lines)
-        scale = _scale(path, found, columns)
-        _check_frame(path, found)
+        said = "" if columns is None else columns.time_zone
+        if not said and found.scale not in _SCALES:
+            header = f"calls its time {found.scale!r}" if found.scale else "has no header"
+            raise RecordingError(
+                f"{path} is a solution like RTKLIB's, and {header}: its times may be those of GPS "
+                "or UTC, 18 s apart; say which they are: "
+                f"{how_to_say(time_zone='GPST')}, or UTC in its place."
+            )
+        scale = zone_scale(said or _SCALES[found.scale])
+        if found.place == _ENU:
+            raise RecordingError(
+                f"{path} counts metres from a base station; let RTKLIB write latitude, longitude "
+                "and height: out-solformat = llh."
+            )
+        if found.datum.lower() in ("tokyo", "pulkovo"):
+            raise RecordingError(
+                f"{path} has positions in the datum {found.datum}; let RTKLIB write them in WGS84."
+            )
+        if "q" not in found.rest or "ns" not in found.rest:
+            raise RecordingError(f"{path} lacks the columns Q and ns; let RTKLIB write it again.")
         words = _words(_of_one_header(path, chain([first], lines), found), found.mark)
         width = 0
         parts: list[FixColumns] = []
@@ -165,7 +183,13 @@ def _with_remark(found: _Columns, line: str) -> _Columns:
     frame = re.search(r"lat/lon/height=(\w+)/(\w+)", line)
     if frame is not None:
         found = found._replace(datum=frame[1], heights=frame[2])
-    return _named(line, found) if _names_columns(line) else found
+    if not _names_columns(line):
+        return found
+    mark = _mark(line)
+    scale, *names = line.lstrip("% ").replace(mark or " ", " ").split()
+    place = next(place for place in _WIDTHS if place[0] in line)
+    rest = tuple(name.lower() for name in names[3:])
+    return found._replace(scale=scale, place=place, rest=rest, mark=mark)
 
 
 def _of_one_header(path: Path, lines: Iterable[str], found: _Columns) -> Iterator[str]:
@@ -179,42 +203,8 @@ def _of_one_header(path: Path, lines: Iterable[str], found: _Columns) -> Iterato
         yield line
 
 
-def _named(line: str, found: _Columns) -> _Columns:
-    mark = _mark(line)
-    scale, *names = line.lstrip("% ").replace(mark or " ", " ").split()
-    place = next(place for place in _WIDTHS if place[0] in line)
-    rest = tuple(name.lower() for name in names[3:])
-    return found._replace(scale=scale, place=place, rest=rest, mark=mark)
-
-
 def _mark(line: str) -> str:
     return next((mark for mark in _MARKS if mark in line), "")
-
-
-def _scale(path: Path, found: _Columns, columns: Columns | None) -> TimeScale:
-    said = "" if columns is None else columns.time_zone
-    if not said and found.scale not in _SCALES:
-        header = f"calls its time {found.scale!r}" if found.scale else "has no header"
-        raise RecordingError(
-            f"{path} is a solution like RTKLIB's, and {header}: its times may be those of GPS or "
-            "UTC, 18 s apart; say which they are: "
-            f"{how_to_say(time_zone='GPST')}, or UTC in its place."
-        )
-    return zone_scale(said or _SCALES[found.scale])
-
-
-def _check_frame(path: Path, found: _Columns) -> None:
-    if found.place == _ENU:
-        raise RecordingError(
-            f"{path} counts metres from a base station; let RTKLIB write latitude, longitude and "
-            "height: out-solformat = llh."
-        )
-    if found.datum.lower() in ("tokyo", "pulkovo"):
-        raise RecordingError(
-            f"{path} has positions in the datum {found.datum}; let RTKLIB write them in WGS84."
-        )
-    if "q" not in found.rest or "ns" not in found.rest:
-        raise RecordingError(f"{path} lacks the columns Q and ns; let RTKLIB write it again.")
 
 
 def _words(lines: Iterable[str], mark: str) -> Iterator[list[str]]:
@@ -273,16 +263,15 @@ def _fixes(rows: _Rows, found: _Columns, scale: TimeScale) -> FixColumns:
         lat_deg=lat[keep],
         lon_deg=lon[keep],
         height_m=height[keep],
-        quality=[_quality(code) for code in of["q"][keep].tolist()],
+        quality=[
+            _QUALITIES[int(code)] if 0 <= code < len(_QUALITIES) else Quality.UNKNOWN
+            for code in of["q"][keep].tolist()
+        ],
         satellites=of["ns"][keep].astype(np.int64),
         sigma_m=np.where((sigma > 0.0) & np.isfinite(sigma), sigma, np.nan)[keep],
         # What is computed afterwards also takes corrections that came later.
         age_s=np.abs(of.get("age(s)", unsaid))[keep],
     )
-
-
-def _quality(code: float) -> Quality:
-    return _QUALITIES[int(code)] if 0 <= code < len(_QUALITIES) else Quality.UNKNOWN
 
 
 def _positions(place: Float64, names: _Place) -> tuple[Float64, Float64, Float64]:
@@ -302,14 +291,10 @@ def _degrees(parts: Float64) -> Float64:
 def _times_ns(times: list[list[str]], scale: TimeScale) -> Int64:
     """UTC nanoseconds, :data:`NO_TIME` of what is no time."""
     try:
-        return _all_times_ns(times, scale)
+        if not times or "/" in times[0][0]:
+            return to_utc_ns([" ".join(words) for words in times], scale, decimal_comma=False)
+        return gps_week_ns([week for week, _ in times], [of_week for _, of_week in times], 9)
     except UnreadableTimeError:
         if len(times) == 1:
             return np.array([NO_TIME], dtype=np.int64)
         return np.concatenate([_times_ns([words], scale) for words in times])
-
-
-def _all_times_ns(times: list[list[str]], scale: TimeScale) -> Int64:
-    if not times or "/" in times[0][0]:
-        return to_utc_ns([" ".join(words) for words in times], scale, decimal_comma=False)
-    return gps_week_ns([week for week, _ in times], [of_week for _, of_week in times], 9)

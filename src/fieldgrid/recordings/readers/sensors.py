@@ -155,20 +155,21 @@ def _depth_rig(
     depth_camera = DepthCamera(*size_px, f, f, pair.cx_px, pair.cy_px, baseline_m)
     rig = mounting.rig(pair, offset_ns)  # which compares the baselines
     note = "The depths are taken to be of the left camera of the calibrated pair."
-    return _from_left(rig, depth_camera), pair.disparity_offset_px, (*calibration.notes, note)
-
-
-def _from_left(rig: Rig, camera: DepthCamera) -> Rig:
-    """The rig of a pair as that of its left camera: all is told from below that one."""
     left = rig.mount.rotation() @ np.array([-rig.camera.baseline_m / 2.0, 0.0, 0.0])
     right_m, forward_m = float(left[0]), float(left[1])
     antenna, axle_m = rig.antenna, rig.rear_axle_forward_m
-    return replace(
-        rig,
-        sensor=camera,
-        mount=replace(rig.mount, height_m=rig.mount.height_m + float(left[2])),
-        antenna=LeverArm(antenna.right_m - right_m, antenna.forward_m - forward_m, antenna.up_m),
-        rear_axle_forward_m=None if axle_m is None else axle_m - forward_m,
+    return (
+        replace(
+            rig,
+            sensor=depth_camera,
+            mount=replace(rig.mount, height_m=rig.mount.height_m + float(left[2])),
+            antenna=LeverArm(
+                antenna.right_m - right_m, antenna.forward_m - forward_m, antenna.up_m
+            ),
+            rear_axle_forward_m=None if axle_m is None else axle_m - forward_m,
+        ),
+        pair.disparity_offset_px,
+        (*calibration.notes, note),
     )
 
 

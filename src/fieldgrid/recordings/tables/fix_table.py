@@ -55,30 +55,26 @@ def read_fix_table(path: Path, columns: Columns | None = None) -> FixLog:
     """The fixes of a table; `columns` says what its names do not."""
     with open_table(path) as table:
         if set(FIELDS) <= set(table.header):
-            return _read_oxts(table)
+            time = find_time(table, Columns())
+            places = [table.header.index(name) for name in FIELDS]
+            blocks = [
+                (time.utc_ns(block), np.column_stack([table.numbers(block, k) for k in places]))
+                for block in table.blocks()
+            ]
+            times_ns = np.concatenate([times for times, _ in blocks])
+            rows = np.concatenate([values for _, values in blocks])
+            usable = (times_ns > 0) & np.isfinite(rows).all(axis=1)
+            notes: tuple[str, ...] = (
+                f"{table.path.name}: rows of an OXTS INS; their heights are above mean sea level.",
+            )
+            if not usable.all():
+                notes += (f"{table.path.name}: {(~usable).sum()} incomplete rows skipped.",)
+            times_ns, rows = times_ns[usable], rows[usable]
+            return FixLog(oxts_fixes(times_ns, rows), notes, oxts_motion(times_ns, rows))
         plan = _Plan(table, columns or Columns())
         fixes = FixColumns.joined(plan.fixes(block) for block in table.blocks())
         plan.check_heights()
         return FixLog(fixes, plan.notes())
-
-
-def _read_oxts(table: OpenTable) -> FixLog:
-    time = find_time(table, Columns())
-    places = [table.header.index(name) for name in FIELDS]
-    blocks = [
-        (time.utc_ns(block), np.column_stack([table.numbers(block, k) for k in places]))
-        for block in table.blocks()
-    ]
-    times_ns = np.concatenate([times for times, _ in blocks])
-    rows = np.concatenate([values for _, values in blocks])
-    usable = (times_ns > 0) & np.isfinite(rows).all(axis=1)
-    notes: tuple[str, ...] = (
-        f"{table.path.name}: rows of an OXTS INS; their heights are above mean sea level.",
-    )
-    if not usable.all():
-        notes += (f"{table.path.name}: {(~usable).sum()} incomplete rows skipped.",)
-    times_ns, rows = times_ns[usable], rows[usable]
-    return FixLog(oxts_fixes(times_ns, rows), notes, oxts_motion(times_ns, rows))
 
 
 @dataclass
@@ -147,28 +143,6 @@ class _Plan:
         keep = np.flatnonzero(placed & timed)
         heights_m = self._heights(block)[keep]
         missing = np.isnan(heights_m)
-        fixes = FixColumns.of(
-            times_ns[keep],
-            lat_deg=lat[keep],
-            lon_deg=lon[keep],
-            height_m=np.where(missing, 0.0, heights_m),
-            **self._optional(block, keep),
-        )
-        self.heights_m.append(heights_m[~missing & (fixes.quality != Quality.NONE)])
-        return fixes
-
-    def check_heights(self) -> None:
-        """Refuse heights that no field has, by all rows that were read and have a position."""
-        heights_m = np.concatenate([*self.heights_m, np.empty(0)])
-        if heights_m.size and np.median(np.abs(heights_m)) > _HIGHEST_M:
-            raise RecordingError(
-                f"{self.table.path}: {self.table.header[self.places['height']]} is "
-                f"{np.median(heights_m):.12g} m, higher than any field; say its unit: "
-                f"{how_to_say(height_units='mm')}, or cm or ft."
-            )
-
-    def _optional(self, block: TableRows, keep: Index) -> dict[str, npt.ArrayLike]:
-        """What fixes may lack, by the field of a fix."""
         value = {
             r: self.table.numbers(block, self.places[r])[keep] for r in _NUMBERS if r in self.places
         }
@@ -187,12 +161,35 @@ class _Plan:
             "heading_deg": self._heading(value, block, keep),
         }
         if "speed" in value:
-            fields["speed_mps"] = np.abs(value["speed"]) * self._speed()
+            unit, factor = self._unit("speed")
+            if self.columns.speed_units:
+                unit, factor = self.columns.speed_units, 1.0
+            fields["speed_mps"] = np.abs(value["speed"]) * (factor * speed_factor(unit))
         said: dict[str, npt.ArrayLike] = {k: v for k, v in fields.items() if v is not None}
         said["quality"] = self._qualities(block, keep, sigma)
         if "satellites" in self.places:
-            said["satellites"] = self._satellites(block, keep)
-        return said
+            cells = self._kept("satellites", block, keep)
+            known = {cell: _fewest(cell) for cell in set(cells)}
+            said["satellites"] = [known[cell] for cell in cells]
+        fixes = FixColumns.of(
+            times_ns[keep],
+            lat_deg=lat[keep],
+            lon_deg=lon[keep],
+            height_m=np.where(missing, 0.0, heights_m),
+            **said,
+        )
+        self.heights_m.append(heights_m[~missing & (fixes.quality != Quality.NONE)])
+        return fixes
+
+    def check_heights(self) -> None:
+        """Refuse heights that no field has, by all rows that were read and have a position."""
+        heights_m = np.concatenate([*self.heights_m, np.empty(0)])
+        if heights_m.size and np.median(np.abs(heights_m)) > _HIGHEST_M:
+            raise RecordingError(
+                f"{self.table.path}: {self.table.header[self.places['height']]} is "
+                f"{np.median(heights_m):.12g} m, higher than any field; say its unit: "
+                f"{how_to_say(height_units='mm')}, or cm or ft."
+            )
 
     def _unit(self, role: str) -> tuple[str, float]:
         named = take_apart(self.table.header[self.places[role]])
@@ -201,14 +198,6 @@ class _Plan:
     def _length(self, role: str) -> float:
         unit, factor = self._unit(role)
         return factor * length_factor(unit)
-
-    def _speed(self) -> float:
-        unit, factor = self._unit("speed")
-        return (
-            speed_factor(self.columns.speed_units)
-            if self.columns.speed_units
-            else (factor * speed_factor(unit))
-        )
 
     def _heights(self, block: TableRows) -> Float64:
         """Metres, NaN where a row has none."""
@@ -255,11 +244,6 @@ class _Plan:
         read = read_qualities(self._kept("quality", block, keep), numbers_are_gga=said)
         self.unknown.update(read.unknown)
         return read.codes
-
-    def _satellites(self, block: TableRows, keep: Index) -> list[int]:
-        cells = self._kept("satellites", block, keep)
-        known = {cell: _fewest(cell) for cell in set(cells)}
-        return [known[cell] for cell in cells]
 
     def _kept(self, role: str, block: TableRows, keep: Index) -> list[str]:
         """The cells of the rows that become fixes."""

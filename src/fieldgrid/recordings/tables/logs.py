@@ -70,11 +70,9 @@ def _is_log(path: Path) -> bool:
     suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
     if suffixes[-1:] == [".gz"]:
         suffixes.pop()
-    return suffixes[-1:] != [] and (suffixes[-1] in SUFFIXES or _is_binary_time_log(path))
-
-
-def _is_binary_time_log(path: Path) -> bool:
-    return path.suffix.lower() == ".bin" and is_time_log(path)
+    return suffixes[-1:] != [] and (
+        suffixes[-1] in SUFFIXES or (path.suffix.lower() == ".bin" and is_time_log(path))
+    )
 
 
 def read_fix_log(path: Path, columns: Columns | None = None) -> FixLog:

@@ -33,7 +33,16 @@ def read_stream(path: Path) -> FixLog:
 
     :class:`NoStreamError` where there is neither, :class:`GnssError` for positions without a date.
     """
-    (nmea, from_nmea), (ubx, from_ubx) = _parse(path)
+    # Both parsers read the same bytes; what belongs to the one is noise to the other.
+    sentences, messages = NmeaStream(max_undated=_UNLIMITED), UbxParser()
+    from_nmea, from_ubx = _Fixes(), _Fixes()
+    with open_log_bytes(path) as stream:
+        while chunk := stream.read(_CHUNK):
+            from_nmea.add(sentences.feed(chunk))
+            from_ubx.add(messages.feed(chunk))
+    from_nmea.add(sentences.finish())
+    from_ubx.add(messages.close())
+    nmea, ubx = sentences.log([]), messages.log([])
     if not (nmea.sentences or nmea.bad_checksum or nmea.broken or ubx.messages):
         raise NoStreamError(
             f"{path} is no bag and no GNSS log that is known: no NMEA sentence, no UBX message, no "
@@ -78,22 +87,6 @@ class _Fixes:
         self._parts.append(FixColumns.of_rows(self._rows))
         self._packed += len(self._rows)
         self._rows = []
-
-
-def _parse(path: Path) -> tuple[tuple[NmeaLog, _Fixes], tuple[UbxLog, _Fixes]]:
-    """Both parsers over the same bytes; what belongs to the one is noise to the other.
-
-    The counts of each, without the fixes, and the fixes.
-    """
-    sentences, messages = NmeaStream(max_undated=_UNLIMITED), UbxParser()
-    from_nmea, from_ubx = _Fixes(), _Fixes()
-    with open_log_bytes(path) as stream:
-        while chunk := stream.read(_CHUNK):
-            from_nmea.add(sentences.feed(chunk))
-            from_ubx.add(messages.feed(chunk))
-    from_nmea.add(sentences.finish())
-    from_ubx.add(messages.close())
-    return (sentences.log([]), from_nmea), (messages.log([]), from_ubx)
 
 
 def nmea_notes(log: NmeaLog) -> list[str]:

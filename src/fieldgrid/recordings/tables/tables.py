@@ -68,7 +68,10 @@ class OpenTable:
         if not first:
             raise RecordingError(f"{self.path} is empty; give a table with a header.")
         self._delimiter = delimiter_of(first)
-        self.header = self._header(first)
+        (names,) = csv.reader([first.lstrip("#% ")], delimiter=self._delimiter)
+        if len(names) > _MAX_COLUMNS:
+            raise RecordingError(f"{self.path} has {len(names)} columns; check the file.")
+        self.header = tuple(name.strip() for name in names)
         self._line -= len(taken)
         self._lines = chain(taken, self._lines)
         self._quoted: Iterator[list[str]] | None = None
@@ -86,12 +89,6 @@ class OpenTable:
         for line in self._lines:
             self._line += 1
             yield line
-
-    def _header(self, line: str) -> tuple[str, ...]:
-        (names,) = csv.reader([line.lstrip("#% ")], delimiter=self._delimiter)
-        if len(names) > _MAX_COLUMNS:
-            raise RecordingError(f"{self.path} has {len(names)} columns; check the file.")
-        return tuple(name.strip() for name in names)
 
     def blocks(self) -> Iterator[TableRows]:
         """All rows from the first; empty lines are rows without cells."""

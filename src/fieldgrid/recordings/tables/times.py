@@ -85,7 +85,8 @@ def guess_scale(name: str, cells: Sequence[str], decimal_comma: bool) -> TimeSca
             return TimeScale(UNITS["s"], origin_s=_YEAR_1980_S)
         sizes = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (GPS_EPOCH_UNIX_S, "s"))
         unit = next((unit for size, unit in sizes if size <= value < 1e20), None)
-        if not _is_compact_date(cell):
+        date_time = r"(19[89]|20\d)\d(0\d|1[0-2])[0-3]\d[0-2]\d[0-5]\d[0-6]\d(\.\d*)?"
+        if re.fullmatch(date_time, cell) is None:
             return None if unit is None else TimeScale(UNITS[unit])
     cell = _year_first(cell)
     match = _CIVIL.match(cell)
@@ -119,12 +120,6 @@ def _since_midnight(cell: str, places: int) -> str:
     return f"{seconds.scaleb(9 - places):f}"
 
 
-def _is_compact_date(cell: str) -> bool:
-    """Whether a number is a date like 20240920144022, as which it would be no time otherwise."""
-    date_time = r"(19[89]|20\d)\d(0\d|1[0-2])[0-3]\d[0-2]\d[0-5]\d[0-6]\d(\.\d*)?"
-    return re.fullmatch(date_time, cell) is not None
-
-
 def to_utc_ns(cells: Sequence[str], scale: TimeScale, decimal_comma: bool) -> Int64:
     """UTC nanoseconds of a column, :data:`NO_TIME` where there is none.
 
@@ -132,7 +127,9 @@ def to_utc_ns(cells: Sequence[str], scale: TimeScale, decimal_comma: bool) -> In
     """
     if scale.places is None:
         times_ns = _civil_ns([_year_first(cell) for cell in cells], scale)
-        return _valid(_of_gps_clock(times_ns) if scale.gps else times_ns)
+        if scale.gps:
+            times_ns = _from_gps(*np.divmod(times_ns - GPS_EPOCH_UNIX_S * _S, _WEEK_NS))
+        return _valid(times_ns)
     if decimal_comma:
         cells = [cell.replace(",", ".") for cell in cells]
     if scale.declared:
@@ -169,11 +166,6 @@ def _from_gps(weeks: Int64, of_week_ns: Int64) -> Int64:
         except ValueError:
             times_ns.append(NO_TIME)
     return np.array(times_ns, dtype=np.int64)
-
-
-def _of_gps_clock(times_ns: Int64) -> Int64:
-    """UTC of what a clock of GPS time showed, as if it had been UTC."""
-    return _from_gps(*np.divmod(times_ns - GPS_EPOCH_UNIX_S * _S, _WEEK_NS))
 
 
 def _valid(time_ns: Int64) -> Int64:
