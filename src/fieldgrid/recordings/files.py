@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path, PurePath
-from typing import Any, BinaryIO, cast
+from typing import BinaryIO, cast
 
 from fieldgrid.core import (
     MAX_TIME_NS,
@@ -37,10 +37,10 @@ _SECONDS = re.compile(r"(\d{1,12})(?:\.(\d+))?")
 
 def check_regular(path: Path, error: type[FieldgridError] = RecordingError) -> int:
     """The size in bytes of a regular file; a missing one, a folder or a pipe is an error."""
-    try:
+    if "\0" in str(path):
+        raise error(f"{str(path)!r} is no path of a file: it holds a NUL; correct it.")
+    with _reading(path, error):
         status = path.stat()
-    except (OSError, ValueError) as problem:  # ValueError: a NUL in the name
-        raise _unreadable(path, problem, error) from problem
     if not stat.S_ISREG(status.st_mode):
         raise error(f"{path} is not a regular file; put the file itself there.")
     return status.st_size
@@ -61,55 +61,38 @@ def read_bytes(
 ) -> bytes:
     """The content of a regular file of at most `max_bytes`."""
     _check_size(path, max_bytes, error)
-    try:
-        with path.open("rb") as file:
-            # Python makes room for all that is asked for, before it reads.
-            return file.read(min(os.fstat(file.fileno()).st_size + 1, max_bytes))
-    except OSError as problem:
-        raise _unreadable(path, problem, error) from problem
+    with _reading(path, error), path.open("rb") as file:
+        # Python makes room for all that is asked for, before it reads.
+        return file.read(min(os.fstat(file.fileno()).st_size + 1, max_bytes))
 
 
 def read_text(
     path: Path, max_bytes: int = MAX_TEXT_BYTES, error: type[FieldgridError] = RecordingError
 ) -> str:
     """The content of a UTF-8 text file, with or without a byte order mark."""
-    try:
+    with _reading(path, error):
         return read_bytes(path, max_bytes, error).decode("utf-8-sig")
-    except UnicodeDecodeError as problem:
-        raise _no_text(path, problem, error) from problem
 
 
 def read_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Number and text of each line of a UTF-8 text file, read as it is asked for."""
     _check_size(path, MAX_TEXT_BYTES, RecordingError)
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            for number, line in enumerate(bounded_lines(file, path), start=1):
-                check_rows(number, path)
-                yield number, line
-    except UnicodeDecodeError as problem:
-        raise _no_text(path, problem, RecordingError) from problem
-    except OSError as problem:
-        raise _unreadable(path, problem, RecordingError) from problem
+    with _reading(path), path.open(encoding="utf-8-sig") as file:
+        for number, line in enumerate(bounded_lines(file, path), start=1):
+            check_rows(number, path)
+            yield number, line
 
 
 @contextmanager
 def open_log_bytes(path: Path) -> Iterator[BinaryIO]:
     """A log as a stream of bytes, unpacked where it is packed by gzip, whatever its name."""
     size = check_regular(path)
-    try:
-        with path.open("rb") as file:
-            packed = file.read(2) == b"\x1f\x8b"
-            file.seek(0)
-            source = cast(BinaryIO, gzip.GzipFile(fileobj=file)) if packed else file
-            budget = UnfoldBudget(path, size, is_log=True) if packed else None
-            yield cast(BinaryIO, io.BufferedReader(_Limited(source, path, budget), 1 << 16))
-    except (EOFError, zlib.error, gzip.BadGzipFile) as problem:
-        raise RecordingError(
-            f"{path} is a damaged gzip file: {problem}; pack it again, or unpack what is whole."
-        ) from problem
-    except OSError as problem:
-        raise _unreadable(path, problem, RecordingError) from problem
+    with _reading(path), path.open("rb") as file:
+        packed = file.read(2) == b"\x1f\x8b"
+        file.seek(0)
+        source = cast(BinaryIO, gzip.GzipFile(fileobj=file)) if packed else file
+        budget = UnfoldBudget(path, size, is_log=True) if packed else None
+        yield cast(BinaryIO, io.BufferedReader(_Limited(source, path, budget), 1 << 16))
 
 
 class _Limited(io.RawIOBase):
@@ -145,45 +128,27 @@ def read_table(
     """Line number and columns of each row of a CSV file; short and empty cells are ''. `named`
     gives columns the names that are meant."""
     _check_size(path, MAX_TEXT_BYTES, RecordingError)
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            lines = bounded_lines(file, path)
-            header = next(lines, "")
-            rows = csv.reader(chain([header], lines), delimiter=delimiter_of(header))
-            yield from _rows(rows, path, required, named)
-    except csv.Error as problem:
-        raise RecordingError(
-            f"{path} is not a CSV file: {problem}; correct or export it again."
-        ) from None
-    except UnicodeDecodeError as problem:
-        raise _no_text(path, problem, RecordingError) from problem
-    except OSError as problem:
-        raise _unreadable(path, problem, RecordingError) from problem
+    with _reading(path), path.open(encoding="utf-8-sig", newline="") as file:
+        lines = bounded_lines(file, path)
+        first = next(lines, "")
+        rows = csv.reader(chain([first], lines), delimiter=delimiter_of(first))
+        header = named([name.strip() for name in next(rows, [])])
+        for name in required:
+            if name not in header:
+                raise RecordingError(
+                    f"{path} has no column {name}; its header must have at least "
+                    f"{', '.join(required)}. It has: {', '.join(header)[:500]}."
+                )
+        for row in rows:
+            cells = [cell.strip() for cell in row] + [""] * len(header)
+            if any(cells):
+                yield rows.line_num, dict(zip(header, cells, strict=False))
 
 
 def delimiter_of(header: str) -> str:
     """What parts the columns of a table: comma, or the semicolon, tab or bar that spreadsheets of
     countries with a decimal comma write."""
     return max(DELIMITERS, key=header.count)
-
-
-def _rows(
-    rows: Any,
-    path: Path,
-    required: Sequence[str],
-    named: Callable[[list[str]], list[str]],
-) -> Iterator[tuple[int, dict[str, str]]]:
-    header = named([name.strip() for name in next(rows, [])])
-    for name in required:
-        if name not in header:
-            raise RecordingError(
-                f"{path} has no column {name}; its header must have at least "
-                f"{', '.join(required)}. It has: {', '.join(header)[:500]}."
-            )
-    for row in rows:
-        cells = [cell.strip() for cell in row] + [""] * len(header)
-        if any(cells):
-            yield rows.line_num, dict(zip(header, cells, strict=False))
 
 
 def parse_time_ns(row: dict[str, str]) -> int:
@@ -223,15 +188,24 @@ def _check_size(path: Path, max_bytes: int, error: type[FieldgridError]) -> None
         )
 
 
-def _no_text(
-    path: Path, problem: UnicodeDecodeError, error: type[FieldgridError]
-) -> FieldgridError:
-    return error(
-        f"{path} is not UTF-8 text: byte {problem.start} cannot be decoded; "
-        "save it as UTF-8, or restore it if it is damaged."
-    )
-
-
-def _unreadable(path: Path, problem: Exception, error: type[FieldgridError]) -> FieldgridError:
-    why = getattr(problem, "strerror", None) or str(problem)
-    return error(f"{path} cannot be read: {why}; check the path and the disk.")
+@contextmanager
+def _reading(path: Path, error: type[FieldgridError] = RecordingError) -> Iterator[None]:
+    """Makes what goes wrong with a file an error that names it."""
+    try:
+        yield
+    except UnicodeDecodeError as problem:
+        raise error(
+            f"{path} is not UTF-8 text: byte {problem.start} cannot be decoded; "
+            "save it as UTF-8, or restore it if it is damaged."
+        ) from problem
+    except csv.Error as problem:
+        raise error(
+            f"{path} is not a CSV file: {problem}; correct or export it again."
+        ) from problem
+    except (EOFError, zlib.error, gzip.BadGzipFile) as problem:
+        raise error(
+            f"{path} is a damaged gzip file: {problem}; pack it again, or unpack what is whole."
+        ) from problem
+    except OSError as problem:
+        why = problem.strerror or str(problem)
+        raise error(f"{path} cannot be read: {why}; check the path and the disk.") from problem

@@ -62,12 +62,27 @@ def read_frames(
     if layout.growing:
         return (), ()
     path = folder / (table or TABLE)
+    shots: list[Shot] = []
     if table is not None or path.exists():
         in_folder = InFolder(folder)
-        shots = _from_table(path, layout, in_folder)
+        for line, row in read_table(path, needed_columns(layout), named=frame_columns):
+            if len(shots) == MAX_FRAMES:
+                raise RecordingError(
+                    f"{path} lists more than {MAX_FRAMES} frames; split it into several recordings."
+                )
+            shots.append(shot_of_row(row, f"{path}, line {line}", layout, in_folder))
         checked = checked_shots(shots, folder, layout.what, incomplete=layout.incomplete)
         return checked, (*_out_of_order(shots, path), *_moved(in_folder, path))
-    shots, notes = _from_names(folder, layout)
+    listings = [_files(folder / name, layout.suffixes) for name in layout.folders]
+    common = set.intersection(*(set(listing) for listing in listings))
+    for stem in common:
+        names = [found[stem] for found in listings]
+        files = tuple(f"{where}/{n}" for where, n in zip(layout.folders, names, strict=True))
+        shots.append(Shot(file_time_ns(folder, files[0], layout), stem, files))
+    notes = _times_told(shots)
+    alone = sum(len(listing) for listing in listings) - len(listings) * len(common)
+    if alone:
+        notes += (f"{counted(alone, 'image')} without a partner skipped.",)
     return checked_shots(shots, folder, layout.what), notes
 
 
@@ -78,17 +93,6 @@ def _moved(in_folder: InFolder, path: Path) -> tuple[str, ...]:
         f"{path.name} names files in {in_folder.elsewhere}, which is not here; those of the same "
         "names in the recording are taken.",
     )
-
-
-def _from_table(path: Path, layout: FrameLayout, in_folder: InFolder) -> list[Shot]:
-    shots: list[Shot] = []
-    for line, row in read_table(path, needed_columns(layout), named=frame_columns):
-        if len(shots) == MAX_FRAMES:
-            raise RecordingError(
-                f"{path} lists more than {MAX_FRAMES} frames; split it into several recordings."
-            )
-        shots.append(shot_of_row(row, f"{path}, line {line}", layout, in_folder))
-    return shots
 
 
 def _out_of_order(shots: Sequence[Shot], path: Path) -> tuple[str, ...]:
@@ -143,22 +147,6 @@ def shot_of_row(
     except ValueError as problem:
         raise RecordingError(f"{where}: {problem}; correct it.") from problem
     return Shot(time_ns, row["frame_id"], files)
-
-
-def _from_names(folder: Path, layout: FrameLayout) -> tuple[list[Shot], tuple[str, ...]]:
-    listings = [_files(folder / name, layout.suffixes) for name in layout.folders]
-    common = set.intersection(*(set(listing) for listing in listings))
-    shots: list[Shot] = []
-    for stem in common:
-        names = [found[stem] for found in listings]
-        files = tuple(f"{where}/{n}" for where, n in zip(layout.folders, names, strict=True))
-        shots.append(Shot(file_time_ns(folder, files[0], layout), stem, files))
-    told = _times_told(shots)
-    alone = sum(len(listing) for listing in listings) - len(listings) * len(common)
-    return shots, (
-        *told,
-        f"{counted(alone, 'image')} without a partner skipped.",
-    ) if alone else told
 
 
 def _times_told(shots: Sequence[Shot]) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from pathlib import Path, PurePath
 import numpy as np
 
 from fieldgrid.core import CalibrationError, Float64, RecordingError, counted
-from fieldgrid.geometry import Gyro, Motion, RawCamera
+from fieldgrid.geometry import Gyro, Motion
 from fieldgrid.perception import Rectification, is_rotation, rectify_by_pose
 from fieldgrid.recordings.calibration.kalibr import pinhole
 from fieldgrid.recordings.calibration.mounting import MOUNTING, Mounting
@@ -66,7 +66,13 @@ def open_euroc(path: Path, options: DriveOptions) -> Drive:
     )
 
     def make(drive: Drive) -> Recording:
-        rectification = _rectification(mav)
+        left, right = (
+            pinhole(load_yaml(path), path, path.parent.name, coefficients="distortion_coefficients")
+            for path in (mav / _LEFT / _SENSOR, mav / _RIGHT / _SENSOR)
+        )
+        T_body_left, T_body_right = (_pose(mav / name / _SENSOR) for name in (_LEFT, _RIGHT))
+        T = np.linalg.inv(T_body_right) @ T_body_left
+        rectification = rectify_by_pose(left, right, T[:3, :3], T[:3, 3], str(mav))
         camera = rectification.camera
         mounting = options.find_mounting(mounting_path(path), path)
         shots, frame_notes = _shots(folder, mav, options.incomplete)
@@ -164,18 +170,6 @@ def _images(camera: Path) -> dict[int, str]:
             )
         images[time_ns] = name
     return images
-
-
-def _rectification(mav: Path) -> Rectification:
-    """The cameras by their intrinsics and their places on the body."""
-    left, right = (_camera(mav / name / _SENSOR, name) for name in (_LEFT, _RIGHT))
-    T_body_left, T_body_right = (_pose(mav / name / _SENSOR) for name in (_LEFT, _RIGHT))
-    T_right_left = np.linalg.inv(T_body_right) @ T_body_left
-    return rectify_by_pose(left, right, T_right_left[:3, :3], T_right_left[:3, 3], str(mav))
-
-
-def _camera(path: Path, name: str) -> RawCamera:
-    return pinhole(load_yaml(path), path, name, coefficients="distortion_coefficients")
 
 
 def _pose(path: Path) -> Float64:

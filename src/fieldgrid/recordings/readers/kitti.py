@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.core import Float64, Int64, RecordingError
+from fieldgrid.core import RecordingError
 from fieldgrid.geometry import Rig
 from fieldgrid.recordings.calibration.mounting import MOUNTING
 from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_frames
@@ -39,7 +39,11 @@ def open_kitti(path: Path, options: DriveOptions) -> Drive:
         options.refuse(f"A KITTI drive has its fixes in oxts, and not in {options.gnss}", "gnss")
     options.refuse("The fixes of a KITTI drive are no table", "columns")
     folder = drives[0]
-    times_ns, rows = _oxts(folder)
+    files = _listing(folder / "oxts")
+    stamps_ns = _read_stamps(folder / "oxts", len(files), "rows of oxts")
+    numbers = [_row(folder / "oxts" / "data" / name) for name in files]
+    times_ns = np.array(stamps_ns, dtype=np.int64)
+    rows = np.array(numbers).reshape(len(files), len(FIELDS))
     drive = Drive(
         path=path,
         name=folder.resolve().name,
@@ -52,11 +56,12 @@ def open_kitti(path: Path, options: DriveOptions) -> Drive:
 
 def _recording(drive: Drive, folder: Path, options: DriveOptions) -> Recording:
     left, right = _cameras(folder)
-    rig = _rig(folder, left, right, options)
-    names_left, names_right = (
-        _listing(folder / f"image_{left}"),
-        _listing(folder / f"image_{right}"),
-    )
+    rig, offset_ns = read_kitti_calibration(folder, left, right).rig(), options.offset_or(0)
+    if options.mounting is None and not (folder / MOUNTING).exists():
+        rig = replace(rig, image_time_offset_ns=offset_ns)
+    else:
+        rig = options.find_mounting(folder / MOUNTING, folder).rig(rig.sensor, offset_ns)
+    names_left, names_right = (_listing(folder / f"image_{side}") for side in (left, right))
     different = sorted(set(names_left) ^ set(names_right))
     if different and not options.incomplete:
         raise RecordingError(
@@ -83,14 +88,6 @@ def _height_note(rig: Rig) -> tuple[str, ...]:
     )
 
 
-def _rig(drive: Path, left: str, right: str, options: DriveOptions) -> Rig:
-    """KITTI's own rig, unless another mounting is given or lies in the drive."""
-    rig, offset_ns = read_kitti_calibration(drive, left, right).rig(), options.offset_or(0)
-    if options.mounting is None and not (drive / MOUNTING).exists():
-        return replace(rig, image_time_offset_ns=offset_ns)
-    return options.find_mounting(drive / MOUNTING, drive).rig(rig.sensor, offset_ns)
-
-
 def _drives(path: Path) -> list[Path]:
     """Drives at a path, right below it, or in a folder of a date below it."""
     candidates = [path, *sorted(path.glob("*_sync")), *sorted(path.glob("*/*_sync"))]
@@ -106,14 +103,6 @@ def _cameras(drive: Path) -> tuple[str, str]:
         f"{drive} has neither image_00 and image_01 nor image_02 and image_03 with data; "
         "unpack the images of the drive."
     )
-
-
-def _oxts(drive: Path) -> tuple[Int64, Float64]:
-    """The times of the rows of oxts, and the rows."""
-    names = _listing(drive / "oxts")
-    times_ns = _read_stamps(drive / "oxts", len(names), "rows of oxts")
-    rows = [_row(drive / "oxts" / "data" / name) for name in names]
-    return np.array(times_ns, dtype=np.int64), np.array(rows).reshape(len(rows), len(FIELDS))
 
 
 def _row(path: Path) -> list[float]:

@@ -100,7 +100,12 @@ def find_time(table: OpenTable, columns: Columns) -> TimeColumn:
         )
     time = _finest(found) if len(found) > 1 else found[0]
     _check_zone(time, columns.time_zone)
-    return _noted(time, bool(said))
+    name = time.table.header[time.place]
+    if name in _OWN or (said and time.scale.places is not None):
+        return time
+    beside = "" if time.date_place is None else f" and '{time.table.header[time.date_place]}'"
+    what = f"time from '{name}'{beside} ({time.scale.describe()})"
+    return time._replace(notes=(f"{time.table.path.name}: {what}.",))
 
 
 def _check_zone(time: TimeColumn, time_zone: str) -> None:
@@ -207,13 +212,3 @@ def _finest(found: list[TimeColumn]) -> TimeColumn:
     if own or 3 * distinct[0] >= 2 * max(distinct):
         return found[0]
     return found[distinct.index(max(distinct))]
-
-
-def _noted(time: TimeColumn, said: bool) -> TimeColumn:
-    """The column `time` with a note on what was guessed."""
-    name = time.table.header[time.place]
-    if name in _OWN or (said and time.scale.places is not None):
-        return time
-    beside = "" if time.date_place is None else f" and '{time.table.header[time.date_place]}'"
-    what = f"time from '{name}'{beside} ({time.scale.describe()})"
-    return time._replace(notes=(f"{time.table.path.name}: {what}.",))

@@ -177,19 +177,7 @@ def _decimal_ns(cells: Sequence[str], places: int) -> Int64:
     aligned = _aligned_ns(cells, places)
     if aligned is not None:
         return aligned
-    count, zeros = len(cells), "0" * places
-    try:
-        if "e" in "".join(cells).lower():
-            raise ValueError  # an exponent: such numbers are taken one by one
-        if not places:
-            return np.fromiter(map(int, cells), np.int64, count)
-        parts = [cell.partition(".") for cell in cells]
-        whole = np.fromiter((int(part[0]) for part in parts), np.int64, count)
-        digits = ((part[2] + zeros)[:places] for part in parts)
-        fraction = np.fromiter((int(d) for d in digits), np.int64, count)
-    except (ValueError, OverflowError):
-        return np.array([_one_decimal(c, k, places) for k, c in enumerate(cells)], dtype=np.int64)
-    return _possible_ns(whole, fraction, places)
+    return np.array([_one_decimal(c, k, places) for k, c in enumerate(cells)], dtype=np.int64)
 
 
 def _aligned_ns(cells: Sequence[str], places: int) -> Int64 | None:
@@ -211,10 +199,6 @@ def _aligned_ns(cells: Sequence[str], places: int) -> Int64 | None:
         whole = 10 * whole + column
     for k in range(places):
         fraction = 10 * fraction + (digits[:, wide + k] if wide + k < digits.shape[1] else 0)
-    return _possible_ns(whole, fraction, places)
-
-
-def _possible_ns(whole: Int64, fraction: Int64, places: int) -> Int64:
     possible = (whole >= 0) & (whole < MAX_TIME_NS // 10**places)
     return np.asarray(np.where(possible, whole * 10**places + fraction, NO_TIME), dtype=np.int64)
 
