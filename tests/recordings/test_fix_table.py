@@ -14,7 +14,7 @@ from fieldgrid.core.input_limits import limited
 from fieldgrid.geometry import Fix
 from fieldgrid.recordings import Columns, FixLog, columns_from_text
 from fieldgrid.recordings.tables.logs import read_fix_log
-from fieldgrid.recordings.tables.qualities import read_qualities
+from fieldgrid.recordings.tables.qualities import read_quality
 
 SharedData = Callable[[str], Path]
 
@@ -228,7 +228,7 @@ def test_without_a_quality_the_stated_error_judges(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_qualities_are_numbers_or_words(cell: str, code: int) -> None:
-    assert read_qualities([cell], numbers_are_gga=True).codes == [code]
+    assert read_quality(cell, numbers_are_gga=True) == code
 
 
 def test_a_quality_that_is_not_known_is_said(tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ _SECONDS = re.compile(r"(\d{1,12})(?:\.(\d+))?")
 def check_regular(path: Path, error: type[FieldgridError] = RecordingError) -> int:
     """The size in bytes of a regular file; a missing one, a folder or a pipe is an error."""
     if "\0" in str(path):
-        raise error(f"{str(path)!r} is no path of a file: it holds a NUL; correct it.")
+        raise error(f"{str(path)!r} cannot be read: it holds a NUL; correct the path.")
     with _reading(path, error):
         status = path.stat()
     if not stat.S_ISREG(status.st_mode):

@@ -153,27 +153,21 @@ def _times_told(shots: Sequence[Shot]) -> tuple[str, ...]:
     """A remark on times that are those of names, and not in nanoseconds."""
     first = min(shots, key=lambda shot: shot.frame_id, default=None)
     found = None if first is None else _time_of_name(first.frame_id)
-    if first is None or found is None or found.time_ns != first.time_ns:
+    if first is None or found is None or found[0] != first.time_ns:
         return ()
-    if found.scale.places == UNITS["ns"]:
+    if found[1].places == UNITS["ns"]:
         return ()
-    return (f"The names of the files are times: {found.scale.describe()}.",)
+    return (f"The names of the files are times: {found[1].describe()}.",)
 
 
-class _StampedName(NamedTuple):
-    """The time of a name in UTC nanoseconds, and the scale on which it is one."""
-
-    time_ns: int
-    scale: TimeScale
-
-
-def _time_of_name(stem: str) -> _StampedName | None:
-    """None for what is no time since 1980, and for a date: 2024060100001 is one with a count."""
+def _time_of_name(stem: str) -> tuple[int, TimeScale] | None:
+    """The time of a name in UTC nanoseconds, and the scale on which it is one;
+    None for what is no time since 1980, and for a date: 2024060100001 is one with a count."""
     scale = guess_scale("", [stem], decimal_comma=False)
     if scale is None or scale.places is None or _DATE.match(stem) is not None:
         return None
     time_ns = int(to_utc_ns([stem], scale, decimal_comma=False)[0])
-    return None if time_ns == NO_TIME else _StampedName(time_ns, scale)
+    return None if time_ns == NO_TIME else (time_ns, scale)
 
 
 def file_time_ns(folder: Path, file: str, layout: FrameLayout) -> int:
@@ -196,7 +190,7 @@ def file_time_ns(folder: Path, file: str, layout: FrameLayout) -> int:
             f"time in s, ms, us or ns; add {TABLE} with frame_id, timestamp_utc_s, "
             f"{', '.join(layout.columns)}."
         )
-    return named.time_ns
+    return named[0]
 
 
 def _files(folder: Path, suffixes: Collection[str]) -> dict[str, str]:

@@ -129,13 +129,12 @@ class StereoFrame:
 
 
 @dataclass(frozen=True, slots=True)
-class DepthFrame:
-    """An image of depths that is not read yet; the rest as in :class:`StereoFrame`."""
+class SingleFrame:
+    """A frame of one source, which is no pair; the rest as in :class:`StereoFrame`."""
 
     frame_id: str
     time_ns: int
-    source: DepthSource
-    size_px: tuple[int, int]
+    source: Source
 
     @property
     def sources(self) -> tuple[Source, ...]:
@@ -144,11 +143,22 @@ class DepthFrame:
 
     def images(self) -> NoReturn:
         """Raise RecordingError: this is no pair."""
-        raise _no_pair(self.frame_id)
+        raise RecordingError(
+            f"This needs stereo pairs, and frame {self.frame_id} is none; leave it out for this "
+            "drive."
+        )
 
     def encoded(self) -> tuple[bytes, bytes]:
         """Nothing: this is no pair."""
         return b"", b""
+
+
+@dataclass(frozen=True, slots=True)
+class DepthFrame(SingleFrame):
+    """An image of depths that is not read yet."""
+
+    source: DepthSource
+    size_px: tuple[int, int]
 
     def read(self, reader: FrameReader[T]) -> T:
         """What a reader makes of the frame. CalibrationError for depths of another size than the
@@ -159,25 +169,10 @@ class DepthFrame:
 
 
 @dataclass(frozen=True, slots=True)
-class CloudFrame:
-    """A point cloud that is not read yet; the rest as in :class:`StereoFrame`."""
+class CloudFrame(SingleFrame):
+    """A point cloud that is not read yet."""
 
-    frame_id: str
-    time_ns: int
     source: CloudSource
-
-    @property
-    def sources(self) -> tuple[Source, ...]:
-        """What the frame is made of."""
-        return (self.source,)
-
-    def images(self) -> NoReturn:
-        """Raise RecordingError: this is no pair."""
-        raise _no_pair(self.frame_id)
-
-    def encoded(self) -> tuple[bytes, bytes]:
-        """Nothing: this is no pair."""
-        return b"", b""
 
     def read(self, reader: FrameReader[T]) -> T:
         """What a reader makes of the frame."""
@@ -203,12 +198,6 @@ class FrameSource(Protocol):
     def frames(self, start: int, stop: int) -> Iterator[Frame]:
         """Frames number `start` to before `stop`, in order; no image is read before it is asked
         for."""
-
-
-def _no_pair(frame_id: str) -> RecordingError:
-    return RecordingError(
-        f"This needs stereo pairs, and frame {frame_id} is none; leave it out for this drive."
-    )
 
 
 def _check_size(name: str, image: Image | Float32, size_px: tuple[int, int]) -> None:

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -26,21 +26,10 @@ _LAYERED, _EXTRA_BYTES = 3, 14
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # of points, colours, with infrared, of wave packets
 
 
-class _LasHeader(NamedTuple):
-    """The point format, whether the points are packed, how many they are, and whether their
-    times are GPS time."""
-
-    point_format: int
-    packed: bool
-    points: int
-    standard_time: bool
-
-
 def read_las(path: Path, max_bytes: int) -> RawSweep:
     """x, y, z of the points, float64, of a file of at most `max_bytes`; with their UTC in
     nanoseconds where they have GPS time (adjusted standard)."""
-    header = _checked(path, max_bytes)
-    timed = header.point_format not in _WITHOUT_TIME and header.standard_time
+    count, timed = _checked(path, max_bytes)
     with _opened(path) as reader:
         parts, gps_s = [], [np.zeros(0)]
         for chunk in reader.chunk_iterator(_CHUNK):
@@ -48,8 +37,8 @@ def read_las(path: Path, max_bytes: int) -> RawSweep:
             if timed:
                 gps_s.append(np.asarray(chunk.gps_time))
     points = np.concatenate(parts) if parts else np.zeros((0, 3))
-    if len(points) != header.points:
-        raise _damaged(path, f"{len(points)} of {header.points} points are there")
+    if len(points) != count:
+        raise _damaged(path, f"{len(points)} of {count} points are there")
     return RawSweep(points, _utc_ns(np.concatenate(gps_s)) if timed and len(points) else None)
 
 
@@ -68,8 +57,8 @@ def _utc_ns(gps_s: Float64) -> Int64 | None:
 
 def las_time_ns(path: Path, max_bytes: int) -> int:
     """UTC of the first point, nanoseconds; RecordingError where the file does not say it."""
-    header = _checked(path, max_bytes)
-    if header.point_format in _WITHOUT_TIME or not header.standard_time or not header.points:
+    count, timed = _checked(path, max_bytes)
+    if not (count and timed):
         raise RecordingError(
             f"{path} has no points with GPS time (adjusted standard), and its name is no UTC time "
             "in nanoseconds; add frames.csv with frame_id, timestamp_utc_s, cloud."
@@ -86,8 +75,9 @@ def las_time_ns(path: Path, max_bytes: int) -> int:
         ) from problem
 
 
-def _checked(path: Path, max_bytes: int) -> _LasHeader:
-    """What the header says, once it is sure that the file can hold it."""
+def _checked(path: Path, max_bytes: int) -> tuple[int, bool]:
+    """How many points there are, once it is sure that the file can hold them, and whether they have
+    GPS time (adjusted standard)."""
     size = check_regular(path)
     if size > max_bytes:
         raise RecordingError(f"{path} has {size} bytes, more than any sweep; cut it into sweeps.")
@@ -107,7 +97,7 @@ def _checked(path: Path, max_bytes: int) -> _LasHeader:
         raise RecordingError(
             f"{path} claims {points} points, more than {MAX_POINTS}; cut it into sweeps."
         )
-    return _LasHeader(kind & 0x3F, packed, points, bool(encoding & 1))
+    return points, kind & 0x3F not in _WITHOUT_TIME and bool(encoding & 1)
 
 
 def _chunks(file: Any, offset: int, size: int) -> int:

@@ -96,18 +96,12 @@ def rotations(quaternions: Float64) -> Float64:
     return np.moveaxis(np.array(rows), 2, 0).copy()
 
 
-class _Numbers(NamedTuple):
-    """A text of numbers, n lines that are no remarks: where each is in the file, its first word,
-    and its values [n, width]."""
-
-    lines: list[int]
-    first: list[str]
-    values: Float64
-
-
-def _read_numbers(path: Path, widths: tuple[int, ...], wanted: str) -> _Numbers:
+def _read_numbers(
+    path: Path, widths: tuple[int, ...], wanted: str
+) -> tuple[list[int], list[str], Float64]:
     """The numbers of a file whose lines have one of these widths, the same in all; `wanted` is
-    what an error asks for. The words are turned into numbers block by block: they take ten times
+    what an error asks for. Of each line that is no remark: where it is in the file, its first word,
+    and its values [n, width]. The words are turned into numbers block by block: they take ten times
     the memory of the file."""
     lines: list[int] = []
     first: list[str] = []
@@ -141,7 +135,7 @@ def _read_numbers(path: Path, widths: tuple[int, ...], wanted: str) -> _Numbers:
     limit = np.inf if width == 1 else MOST_M
     wrong = np.asarray(~(np.isfinite(values).all(axis=1) & (np.abs(rest) < limit).all(axis=1)))
     _refuse(path, lines, wrong, "it holds NaN, or a number beyond any drive")
-    return _Numbers(lines, first, values)
+    return lines, first, values
 
 
 def _numbers(path: Path, rows: list[list[str]]) -> Float64:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 from xml.parsers import expat
@@ -162,7 +162,12 @@ def _read_header(path: Path) -> _TimeLogHeader:
                     fixed[name] = _number(text, f"{path}: PTN {name}")
                     fixed[name] *= 1e-3 if name == "C" else 1.0  # millimetres here as well
         elif kind == "DLV":
-            ddis.append(_ddi(attributes.get("A", ""), path))
+            ddi = attributes.get("A", "")
+            if re.fullmatch(r"[0-9A-Fa-f]{4}", ddi) is None:
+                raise RecordingError(
+                    f"{path}: DLV has the DDI {ddi[:30]!r}; it must be four hex digits."
+                )
+            ddis.append(int(ddi, 16))
     if not {"TIM", "PTN"} <= kinds or "A" not in {*names, *fixed} or "B" not in {*names, *fixed}:
         raise RecordingError(f"{path} declares no position (TIM with PTN A and B); log one.")
     return _TimeLogHeader(struct.Struct(layout), tuple(names), fixed, tuple(ddis))
@@ -176,12 +181,6 @@ def _number(text: str, what: str) -> float:
     if not abs(value) < 1e12:
         raise RecordingError(f"{what} is {text[:30]!r}, not a number; correct it.")
     return value
-
-
-def _ddi(text: str, path: Path) -> int:
-    if re.fullmatch(r"[0-9A-Fa-f]{4}", text) is None:
-        raise RecordingError(f"{path}: DLV has the DDI {text[:30]!r}; it must be four hex digits.")
-    return int(text, 16)
 
 
 def _find_speed(header: _TimeLogHeader, taskdata: Path | None) -> _Speed | None:
@@ -270,23 +269,14 @@ class _Records:
 
     def _notes(self, left_bytes: int) -> Iterator[str]:
         name, header = self._path.name, self._header
-        says: tuple[tuple[bool | int, Callable[[], str]], ...] = (
-            (not self._utc, lambda: "no UTC in the records; the terminal's clock is taken for UTC"),
-            ("C" not in {*header.names, *header.fixed}, lambda: "no heights; taken as 0 m"),
-            (
-                self._unstated,
-                lambda: "no position status: the quality is unknown",
-            ),
-            (self._speed is not None, self._speed_note),
-            (
-                self._unplaced,
-                lambda: counted(self._unplaced, "record") + " without a position skipped",
-            ),
-            (self._untimed, lambda: counted(self._untimed, "record") + " without a time skipped"),
-            (left_bytes, lambda: f"the last {left_bytes} bytes are no whole record, and skipped"),
+        ddi = header.ddis[self._speed.place] if self._speed is not None else 0
+        says = (
+            (not self._utc, "no UTC in the records; the terminal's clock is taken for UTC"),
+            ("C" not in {*header.names, *header.fixed}, "no heights; taken as 0 m"),
+            (self._unstated, "no position status: the quality is unknown"),
+            (self._speed is not None, f"speed from the logged value DDI {ddi:04X}"),
+            (self._unplaced, f"{counted(self._unplaced, 'record')} without a position skipped"),
+            (self._untimed, f"{counted(self._untimed, 'record')} without a time skipped"),
+            (left_bytes, f"the last {left_bytes} bytes are no whole record, and skipped"),
         )
-        return (f"{name}: {what()}." for holds, what in says if holds)
-
-    def _speed_note(self) -> str:
-        ddi = self._header.ddis[self._speed.place] if self._speed is not None else 0
-        return f"speed from the logged value DDI {ddi:04X}"
+        return (f"{name}: {what}." for holds, what in says if holds)

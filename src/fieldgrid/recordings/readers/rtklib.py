@@ -133,12 +133,12 @@ def read_solution(path: Path, columns: Columns | None = None) -> FixLog:
             read += len(block)
             check_rows(read, path)
             width = width or _count_words(found, block)
-            rows = _Rows.of(block, width)
-            if not scale.gps and any("/" not in day for day, _ in rows.times):
+            times, numbers = _whole_rows(block, width)
+            if not scale.gps and any("/" not in day for day, _ in times):
                 raise RecordingError(
                     f"{path} has weeks of UTC; let RTKLIB write times as GPST, or as date and time."
                 )
-            parts.append(_fixes(rows, found, scale))
+            parts.append(_fixes(times, numbers, found, scale))
     fixes = FixColumns.joined(parts)
     return FixLog(fixes, _notes(path.name, found, scale, read - len(fixes)))
 
@@ -223,39 +223,35 @@ def _count_words(found: _Columns, block: Sequence[list[str]]) -> int:
     return max(most, place + 2)
 
 
-class _Rows(NamedTuple):
-    """Rows of a solution: their two words of time, and the numbers after them [row, column]."""
-
-    times: list[list[str]]
-    numbers: Float64
-
-    @classmethod
-    def of(cls, block: Sequence[list[str]], width: int) -> _Rows:
-        """The rows that are whole: `width` words, a time and numbers."""
-        times: list[list[str]] = []
-        numbers: list[list[float]] = []
-        for words in block:
-            if len(words) < width or _TIME.fullmatch(f"{words[0]} {words[1]}") is None:
-                continue
-            try:
-                numbers.append([float(word) for word in words[2:width]])
-            except ValueError:
-                continue
-            times.append(words[:2])
-        return cls(times, np.array(numbers, dtype=np.float64).reshape(len(times), width - 2))
+def _whole_rows(block: Sequence[list[str]], width: int) -> tuple[list[list[str]], Float64]:
+    """The two words of time of the rows that are whole (`width` words, a time and numbers), and the
+    numbers after them [row, column]."""
+    times: list[list[str]] = []
+    numbers: list[list[float]] = []
+    for words in block:
+        if len(words) < width or _TIME.fullmatch(f"{words[0]} {words[1]}") is None:
+            continue
+        try:
+            numbers.append([float(word) for word in words[2:width]])
+        except ValueError:
+            continue
+        times.append(words[:2])
+    return times, np.array(numbers, dtype=np.float64).reshape(len(times), width - 2)
 
 
-def _fixes(rows: _Rows, found: _Columns, scale: TimeScale) -> FixColumns:
+def _fixes(
+    times: list[list[str]], numbers: Float64, found: _Columns, scale: TimeScale
+) -> FixColumns:
     """The fixes of rows; those that can be none are left out."""
     width = _WIDTHS[found.place]
-    place, rest = rows.numbers[:, :width], rows.numbers[:, width:]
+    place, rest = numbers[:, :width], numbers[:, width:]
     of = {name: rest[:, k] for k, name in enumerate(found.rest[: rest.shape[1]])}
     lat, lon, height = _positions(place, found.place)
     unsaid = np.full(len(place), np.nan)
     sigmas = [of[name] for name in _SIGMAS[found.place] if name in of]
     with np.errstate(over="ignore"):  # of a damaged word like 1e300; then it is not said
         sigma = np.sqrt(np.mean(np.square(sigmas), axis=0)) if sigmas else unsaid
-    times_ns = _times_ns(rows.times, scale)
+    times_ns = _times_ns(times, scale)
     keep = (np.abs(lat) <= 90.0) & (np.abs(lon) <= 360.0) & np.isfinite(height) & (times_ns > 0)
     keep &= (of["ns"] >= 0.0) & (of["ns"] < _MOST_SATELLITES)
     return FixColumns.of(

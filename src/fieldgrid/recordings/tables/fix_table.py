@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -30,8 +31,8 @@ from fieldgrid.recordings.tables.columns import (
 )
 from fieldgrid.recordings.tables.fix_log import FixLog
 from fieldgrid.recordings.tables.places import Places
-from fieldgrid.recordings.tables.qualities import read_qualities
-from fieldgrid.recordings.tables.table_time import TimeColumn, find_time
+from fieldgrid.recordings.tables.qualities import read_quality
+from fieldgrid.recordings.tables.table_time import find_time
 from fieldgrid.recordings.tables.tables import NOTHING, OpenTable, TableRows, open_table
 
 _OWN = {
@@ -42,6 +43,7 @@ _OWN = {
 }  # fmt: skip
 """The project's own column names; who writes them knows what they mean."""
 
+_T = TypeVar("_T")
 _NUMBERS = ("hdop", "age", "sigma", "accuracy", "speed", "heading", "heading_sigma", "course")
 # Numbers in these columns are codes of their own in every second program.
 _WORDS_ONLY = frozenset(
@@ -77,23 +79,15 @@ def read_fix_table(path: Path, columns: Columns | None = None) -> FixLog:
         return FixLog(fixes, plan.notes())
 
 
-@dataclass
 class _Plan:
     """Which columns are read, and what came up while reading."""
 
-    table: OpenTable
-    columns: Columns
-    time: TimeColumn = field(init=False)
-    places: dict[str, int] = field(init=False)
-    where: Places = field(init=False)
-    told: tuple[str, ...] = field(init=False)
-    counts: Counter[str] = field(default_factory=Counter)
-    heights_m: list[Float64] = field(default_factory=list)
-    unknown: set[str] = field(default_factory=set)
-
-    def __post_init__(self) -> None:
-        header = self.table.header
-        self.places = {}
+    def __init__(self, table: OpenTable, columns: Columns) -> None:
+        self.table, self.columns, header = table, columns, table.header
+        self.counts: Counter[str] = Counter()
+        self.heights_m: list[Float64] = []
+        self.unknown: set[str] = set()
+        self.places: dict[str, int] = {}
         for role in _OWN | {"accuracy": "", "heading_valid": ""}:
             name = self.columns.names.get(role)
             if name is None:
@@ -168,9 +162,7 @@ class _Plan:
         said: dict[str, npt.ArrayLike] = {k: v for k, v in fields.items() if v is not None}
         said["quality"] = self._qualities(block, keep, sigma)
         if "satellites" in self.places:
-            cells = self._kept("satellites", block, keep)
-            known = {cell: _fewest(cell) for cell in set(cells)}
-            said["satellites"] = [known[cell] for cell in cells]
+            said["satellites"] = self._each("satellites", block, keep, _fewest)
         fixes = FixColumns.of(
             times_ns[keep],
             lat_deg=lat[keep],
@@ -230,10 +222,10 @@ class _Plan:
         else:
             angle = wrap_deg(np.degrees(angle) if radians else angle)
         if "heading_valid" in self.places:
-            cells = self._kept("heading_valid", block, keep)
-            said = {cell: cell.strip().lower() in _FALSE for cell in set(cells)}
-            invalid = np.array([said[cell] for cell in cells], dtype=bool)
-            angle = np.where(invalid, np.nan, angle)
+            valid = self._each(
+                "heading_valid", block, keep, lambda cell: cell.strip().lower() not in _FALSE
+            )
+            angle = np.where(np.array(valid, dtype=bool), angle, np.nan)
         return angle
 
     def _qualities(self, block: TableRows, keep: Index, sigma: Float64 | None) -> npt.ArrayLike:
@@ -241,14 +233,24 @@ class _Plan:
             return Quality.UNKNOWN if sigma is None else quality_by_sigma(sigma)
         name = self.table.header[self.places["quality"]]
         said = "quality" in self.columns.names or take_apart(name).base not in _WORDS_ONLY
-        read = read_qualities(self._kept("quality", block, keep), numbers_are_gga=said)
-        self.unknown.update(read.unknown)
-        return read.codes
 
-    def _kept(self, role: str, block: TableRows, keep: Index) -> list[str]:
-        """The cells of the rows that become fixes."""
+        def read(cell: str) -> Quality:
+            quality = read_quality(cell, numbers_are_gga=said)
+            if quality is None:
+                self.unknown.add(cell)
+                return Quality.UNKNOWN
+            return quality
+
+        return self._each("quality", block, keep, read)
+
+    def _each(
+        self, role: str, block: TableRows, keep: Index, read: Callable[[str], _T]
+    ) -> list[_T]:
+        """What the cells of the rows say that become fixes; equal ones are read once."""
         cells = block.cells(self.places[role])
-        return cells if keep.size == len(cells) else [cells[k] for k in keep]
+        kept = [cells[k] for k in keep.tolist()]
+        known = {cell: read(cell) for cell in set(kept)}
+        return [known[cell] for cell in kept]
 
     def notes(self) -> tuple[str, ...]:
         """What was guessed, assumed and skipped, a sentence each."""

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from typing import NamedTuple
 
 from fieldgrid.core import Quality
 
@@ -48,29 +46,16 @@ _WORST_FIRST = (
 _POSITION_STATUS_NOT_AVAILABLE = 15  # ISO 11783-10: the receiver does not say
 
 
-class Qualities(NamedTuple):
-    """Qualities of a column, and the texts that could not be understood (`UNKNOWN`)."""
-
-    codes: list[Quality]
-    unknown: tuple[str, ...] = ()
-
-
-def read_qualities(cells: Sequence[str], numbers_are_gga: bool) -> Qualities:
-    """The qualities of numbers or of words like "RTK Fixed"; of a list, the worst that it names.
-    An empty cell is `UNKNOWN`: it says nothing.
+def read_quality(cell: str, *, numbers_are_gga: bool) -> Quality | None:
+    """The quality of a number or of words like "RTK Fixed", None for what cannot be understood. Of
+    a list it is the worst that it names; of an empty cell, which says nothing, `UNKNOWN`.
 
     `numbers_are_gga` is false for columns whose numbers mean something else everywhere.
     """
-    known = {cell: _one(cell.strip().lower(), numbers_are_gga) for cell in set(cells)}
-    not_understood = tuple(sorted(cell for cell, quality in known.items() if quality is None))
-    qualities = {cell: Quality.UNKNOWN if one is None else one for cell, one in known.items()}
-    return Qualities([qualities[cell] for cell in cells], not_understood)
-
-
-def _one(text: str, numbers_are_gga: bool) -> Quality | None:
+    text = cell.strip().lower()
     items = [item.strip(" '\"") for item in text.strip("[]()").split(",")]
     if len(items) > 1:
-        found = [_one(item, numbers_are_gga) for item in items if item]
+        found = [read_quality(item, numbers_are_gga=numbers_are_gga) for item in items if item]
         return min((q for q in found if q is not None), key=_WORST_FIRST.index, default=None)
     text = items[0]
     if not text:
