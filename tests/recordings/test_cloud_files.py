@@ -18,7 +18,8 @@ from pypcd4 import Encoding, PointCloud as Pcd
 
 from fieldgrid.core import ConfigError, RecordingError
 from fieldgrid.recordings import CloudFile
-from fieldgrid.recordings.frames.cloud_files import MAX_BYTES, to_optical
+from fieldgrid.recordings.files import MAX_FRAME_BYTES
+from fieldgrid.recordings.frames.cloud_files import to_optical
 from fieldgrid.recordings.frames.las import las_time_ns
 
 Points = npt.NDArray[np.float32]
@@ -159,7 +160,7 @@ def test_the_times_of_a_las_are_utc(tmp_path: Path) -> None:
     data = las(POINTS)
     data.gps_time = GPS_S + AFTER_S
     data.write(tmp_path / "a.las")
-    stamp_ns = las_time_ns(tmp_path / "a.las", MAX_BYTES)
+    stamp_ns = las_time_ns(tmp_path / "a.las", MAX_FRAME_BYTES)
     after_s = CloudFile(tmp_path / "a.las", "rdf", stamp_ns + 50_000_000).sweep().after_s
     assert after_s == pytest.approx(AFTER_S - 0.05, abs=1e-6)
     data = las(POINTS, standard=False)
@@ -195,7 +196,7 @@ def test_the_hash_is_that_of_the_file(tmp_path: Path) -> None:
 def test_the_time_of_a_las_is_utc(name: str, tmp_path: Path) -> None:
     # 1.25e9 s after 1980-01-06 is 2019-08-16 14:13:20 GPS time, 18 leap seconds ahead of UTC.
     expected = 1_565_964_800_250_000_000 - 18_000_000_000
-    assert las_time_ns(write(tmp_path / name), MAX_BYTES) == expected
+    assert las_time_ns(write(tmp_path / name), MAX_FRAME_BYTES) == expected
 
 
 def test_a_las_that_does_not_say_its_time(tmp_path: Path) -> None:
@@ -204,13 +205,13 @@ def test_a_las_that_does_not_say_its_time(tmp_path: Path) -> None:
     laspy.LasData(laspy.LasHeader(point_format=0, version="1.2")).write(tmp_path / "none.las")
     for name in ("week", "empty", "none"):
         with pytest.raises(RecordingError, match=r"has no points with GPS time .* add frames\.csv"):
-            las_time_ns(tmp_path / f"{name}.las", MAX_BYTES)
+            las_time_ns(tmp_path / f"{name}.las", MAX_FRAME_BYTES)
     wrong = las(POINTS)
     for seconds in (-2e9, 1e300, np.nan):
         wrong.gps_time = np.full(len(POINTS), seconds)
         wrong.write(tmp_path / "wrong.las")
         with pytest.raises(RecordingError, match="which no receiver can have seen"):
-            las_time_ns(tmp_path / "wrong.las", MAX_BYTES)
+            las_time_ns(tmp_path / "wrong.las", MAX_FRAME_BYTES)
 
 
 # --- what may not be

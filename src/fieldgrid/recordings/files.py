@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+import hashlib
 import io
 import os
 import re
@@ -11,6 +12,7 @@ import stat
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path, PurePath
 from typing import BinaryIO, cast
@@ -26,6 +28,8 @@ from fieldgrid.core import (
 )
 
 MAX_TEXT_BYTES = 256 << 20
+MAX_FRAME_BYTES = 1 << 30
+"""More than any image or sweep has."""
 MAX_LOG_BYTES = 2 << 30
 """The most that a log may hold, unpacked: a day of raw measurements, not a bomb."""
 
@@ -186,6 +190,26 @@ def _check_size(path: Path, max_bytes: int, error: type[FieldgridError]) -> None
             f"{path} has {size} bytes, more than the {max_bytes} that such a file can need; "
             "check that it is the right file."
         )
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedFile:
+    """A file that one part of a frame is; its bytes are read when they are needed."""
+
+    path: Path
+
+    @property
+    def name(self) -> str:
+        """The path."""
+        return str(self.path)
+
+    def data(self) -> bytes:
+        """The content, of at most `MAX_FRAME_BYTES`."""
+        return read_bytes(self.path, MAX_FRAME_BYTES)
+
+    def sha256(self) -> str:
+        """The hash of the file."""
+        return hashlib.sha256(self.data()).hexdigest()
 
 
 @contextmanager

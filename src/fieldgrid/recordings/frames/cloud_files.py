@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy.typing as npt
 
 from fieldgrid.core import Float32, RecordingError
 from fieldgrid.perception import RawSweep, Sweep, seconds_after
-from fieldgrid.recordings.files import read_bytes
+from fieldgrid.recordings.files import MAX_FRAME_BYTES, RecordedFile, read_bytes
 from fieldgrid.recordings.frames.frame_table import TABLE, FrameLayout
 from fieldgrid.recordings.frames.frames import CloudFrame, Frame
 from fieldgrid.recordings.frames.las import las_time_ns, read_las
@@ -27,9 +26,6 @@ SUFFIXES = frozenset({".ply", ".pcd", ".las", ".laz", ".npy", ".bin"})
 AXES = "flu"
 """Where x, y and z of a cloud point when nothing is said: forward, left, up, as in ROS."""
 
-MAX_BYTES = 1 << 30
-"""More than any sweep has."""
-
 _FARTHEST_M = 10_000.0
 _TIMED = {".pcd": parse_pcd, ".ply": parse_ply}
 
@@ -37,7 +33,7 @@ _TIMED = {".pcd": parse_pcd, ".ply": parse_ply}
 def _time_ns(path: Path) -> int:
     """The time in a file without one in its name: LAS and LAZ may have it."""
     if path.suffix.lower() in (".las", ".laz"):
-        return las_time_ns(path, MAX_BYTES)
+        return las_time_ns(path, MAX_FRAME_BYTES)
     raise RecordingError(
         f"The cloud name {path.name} is no UTC time in s, ms, us or ns; rename the clouds, or add "
         f"{TABLE} with frame_id, timestamp_utc_s, cloud."
@@ -48,22 +44,16 @@ CLOUDS = FrameLayout(("cloud",), ("clouds",), SUFFIXES, "cloud", "cloud", _time_
 
 
 @dataclass(frozen=True, slots=True)
-class CloudFile:
+class CloudFile(RecordedFile):
     """A PLY, PCD, LAS or LAZ, a NumPy array [n, 3 or more], or a .bin of KITTI (x, y, z and
     reflectance as float32). `axes` are where x, y and z point, like flu or rdf, and `scale_m` is
     what one of their units is. `stamp_ns` is the time of the frame; points that are `corrected` for
     the motion within their sweep have no times any more."""
 
-    path: Path
     axes: str = AXES
     stamp_ns: int = 0
     corrected: bool = False
     scale_m: float = 1.0
-
-    @property
-    def name(self) -> str:
-        """The path."""
-        return str(self.path)
 
     def read(self) -> Float32:
         """Points [n, 3], metres: x right, y down, z forward. What is not finite, or beyond any
@@ -88,10 +78,6 @@ class CloudFile:
         if times is not None and not self.corrected:
             after_s = seconds_after(times[near], self.stamp_ns)
         return Sweep(to_optical(own[near], self.axes), after_s)
-
-    def sha256(self) -> str:
-        """The hash of the file."""
-        return hashlib.sha256(read_bytes(self.path, MAX_BYTES)).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,8 +115,8 @@ def _points(path: Path) -> RawSweep:
     """The first three columns of the points as stored, and their times."""
     suffix = path.suffix.lower()
     if suffix in (".las", ".laz"):
-        return read_las(path, MAX_BYTES)
-    data = read_bytes(path, MAX_BYTES)
+        return read_las(path, MAX_FRAME_BYTES)
+    data = read_bytes(path, MAX_FRAME_BYTES)
     if not data:
         raise RecordingError(f"{path} is empty; record or copy it again.")
     if suffix in _TIMED:

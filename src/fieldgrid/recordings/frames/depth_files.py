@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.core import Float32, RecordingError
-from fieldgrid.recordings.files import read_bytes
+from fieldgrid.recordings.files import RecordedFile
 from fieldgrid.recordings.frames.frame_table import FrameLayout
 from fieldgrid.recordings.frames.frames import DepthFrame, Frame
 from fieldgrid.recordings.frames.image_header import read_header
@@ -32,7 +31,6 @@ DISPARITIES = FrameLayout(("disparity",), ("disparity",), SUFFIXES, "disparity i
 MILLIMETRES, KITTI_DISPARITY = 0.001, 1.0 / 256.0
 """What one unit of whole numbers is when nothing is said: of depths, metres; of disparities, px."""
 
-_MAX_BYTES = 8 * MAX_PIXELS
 _NEAREST_M, _FARTHEST_M = 0.001, 1e6
 MOST_PACKED = 2000
 """No PNG or TIFF packs as many pixels into a byte."""
@@ -55,20 +53,14 @@ class DepthFormat:
 
 
 @dataclass(frozen=True, slots=True)
-class DepthFile:
+class DepthFile(RecordedFile):
     """A 16-bit PNG or TIFF, a float32 TIFF, a NumPy array or a PFM, of one channel."""
 
-    path: Path
     format: DepthFormat
-
-    @property
-    def name(self) -> str:
-        """The path."""
-        return str(self.path)
 
     def read(self) -> Float32:
         """Depth along the optical axis [row, column], metres; NaN where there is none."""
-        values = _decode(read_bytes(self.path, _MAX_BYTES), self.path)
+        values = _decode(self.data(), self.path)
         stated = self.format
         whole = values.dtype.kind in "iu"
         unit = stated.unit
@@ -91,10 +83,6 @@ class DepthFile:
             known &= (measured > _NEAREST_M) & (measured < _FARTHEST_M)
         depth_m: Float32 = np.where(known, measured, np.float32(np.nan))
         return depth_m
-
-    def sha256(self) -> str:
-        """The hash of the file."""
-        return hashlib.sha256(read_bytes(self.path, _MAX_BYTES)).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)

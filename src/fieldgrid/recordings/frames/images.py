@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
-from pathlib import Path
 from typing import NamedTuple, cast
 
 import cv2
@@ -12,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.core import RecordingError
-from fieldgrid.recordings.files import read_bytes
+from fieldgrid.recordings.files import RecordedFile
 from fieldgrid.recordings.frames.frames import Image
 from fieldgrid.recordings.frames.image_header import ImageHeader, read_header
 from fieldgrid.recordings.frames.pixels import BITS, to_grey
@@ -21,7 +19,6 @@ SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", "
 """File name endings of images that can be read, in lower case."""
 
 MAX_PIXELS = 100_000_000
-_MAX_FILE_BYTES = 8 * MAX_PIXELS
 _Pixels = npt.NDArray[np.uint8 | np.uint16]
 _NAMES = {1: "mono", 3: "bgr", 4: "bgra"}
 
@@ -39,49 +36,36 @@ AS_STORED = ImageFormat()
 
 
 @dataclass(frozen=True, slots=True)
-class ImageFile:
+class ImageFile(RecordedFile):
     """An image in a file: PNG, JPEG, BMP, PGM, PPM or TIFF of at most `max_pixels`."""
 
-    path: Path
     max_pixels: int = MAX_PIXELS
     format: ImageFormat = AS_STORED
 
-    @property
-    def name(self) -> str:
-        """The path."""
-        return str(self.path)
-
     def read(self) -> Image:
         """Grey, 8 bit, as stored: a rotation noted in the file is not applied."""
-        return decode_image(self._bytes(), self.name, self.max_pixels, self.format)
+        return decode_image(self.data(), self.name, self.max_pixels, self.format)
 
     def encoded(self) -> bytes:
         """The file, if it is a JPEG or PNG and nothing is to be told beside it; else empty."""
-        return self_contained(self._bytes()) if self.format == AS_STORED else b""
+        return self_contained(self.data()) if self.format == AS_STORED else b""
 
     def size_px(self) -> tuple[int, int]:
         """(width, height) by the file's own header."""
-        header = _checked_header(self._bytes(), self.name, self.max_pixels)
+        header = _checked_header(self.data(), self.name, self.max_pixels)
         return header.width_px, header.height_px
 
     def is_whole(self) -> bool:
         """Whether the end of a PNG, JPEG or TIFF is there, as far as can be seen without decoding;
         not before its beginning is."""
-        header = read_header(self._bytes())
+        header = read_header(self.data())
         return header is not None and header.is_whole
 
     def deep_pixels(self) -> _Pixels | None:
         """The pixels as stored if their values have 16 bits, else None."""
-        data = self._bytes()
+        data = self.data()
         header = _checked_header(data, self.name, self.max_pixels)
         return _pixels(data, header, self.name) if header.is_deep else None
-
-    def sha256(self) -> str:
-        """The hash of the file."""
-        return hashlib.sha256(self._bytes()).hexdigest()
-
-    def _bytes(self) -> bytes:
-        return read_bytes(self.path, _MAX_FILE_BYTES)
 
 
 def self_contained(data: bytes) -> bytes:

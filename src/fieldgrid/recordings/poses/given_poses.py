@@ -26,7 +26,13 @@ from fieldgrid.recordings.drive import Drive, Recording, with_motion
 from fieldgrid.recordings.poses.pose_files import BodyPoses, read_pose_file, read_time_file
 from fieldgrid.recordings.poses.pose_source import PoseBody, PoseSource
 from fieldgrid.recordings.ros.bag import is_bag
-from fieldgrid.recordings.tables.motion_files import AXES, check_axes, directions, in_order
+from fieldgrid.recordings.tables.motion_files import (
+    AXES,
+    R_VEHICLE_FLU,
+    check_axes,
+    directions,
+    in_order,
+)
 
 CAMERA_AXES = "rdf"
 """x right, y down, z forward: what visual SLAM and KITTI call a pose."""
@@ -43,8 +49,6 @@ TILT_SIGMA_DEG = 0.5
 _CHORD_S, _LEAST_CHORD_M = 1.0, 0.2
 _FORWARD_SHARE = 0.7
 """Least share of the squared way along the forward axis; below it, the axes are others."""
-
-_R_VEHICLE_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 # From the axes of a frame to those of a level one: x forward, y left, z up.
 _FRAMES = {
@@ -95,7 +99,7 @@ def motion_of_body(
     if len(time_ns) < 2:
         raise RecordingError(f"{body.name} has {len(time_ns)} poses; give those of a drive.")
     place, R = kept[:, :3], kept[:, 3:].reshape(-1, 3, 3)
-    R_vehicle_body = _R_VEHICLE_FLU @ np.array(directions(axes), dtype=np.float64).T
+    R_vehicle_body = R_VEHICLE_FLU @ np.array(directions(axes), dtype=np.float64).T
     if axes == CAMERA_AXES and rig is not None:
         R_vehicle_body = rig.mount.rotation()
     R_level, frame = _levelled(body.name, R, R_vehicle_body, axes)

@@ -16,12 +16,12 @@ from fieldgrid.core import CalibrationError, Float64, RecordingError
 from fieldgrid.geometry import LeverArm, Mount, Rig
 from fieldgrid.perception import camera_from_projections
 from fieldgrid.recordings.files import read_text
+from fieldgrid.recordings.tables.motion_files import R_VEHICLE_FLU
 
 CAMERA_HEIGHT_M = 1.65
 """Height of the cameras above the road: in KITTI's paper and drawing, in none of its files."""
 
 _MAX_BYTES = 1 << 20
-_VEHICLE_FROM_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 class KittiCalibration(NamedTuple):
@@ -40,9 +40,9 @@ class KittiCalibration(NamedTuple):
         middle_rect = (_centre(self.left) + _centre(self.right)) / 2.0
         middle_imu = R_imu_rect @ (middle_rect - self.T_rect_imu[:3, 3])
         try:
-            mount = Mount(CAMERA_HEIGHT_M, *mount_angles_deg(_VEHICLE_FROM_FLU @ R_imu_rect))
+            mount = Mount(CAMERA_HEIGHT_M, *mount_angles_deg(R_VEHICLE_FLU @ R_imu_rect))
             # What oxts positions is the IMU itself.
-            right, forward, up = _VEHICLE_FROM_FLU @ -middle_imu
+            right, forward, up = R_VEHICLE_FLU @ -middle_imu
             antenna = LeverArm(float(right), float(forward), float(up) + CAMERA_HEIGHT_M)
         except CalibrationError as problem:
             raise CalibrationError(f"{self.source}: {problem}") from problem

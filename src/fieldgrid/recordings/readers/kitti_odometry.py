@@ -35,7 +35,7 @@ from fieldgrid.recordings.readers.settings_file import (
 )
 from fieldgrid.recordings.stored import PairKind, Shot, StoredFrames, checked_shots
 from fieldgrid.recordings.tables.fix_log import FixLog
-from fieldgrid.recordings.tables.logs import chosen_log, find_log, log_name
+from fieldgrid.recordings.tables.logs import find_log, with_log
 
 _CALIBRATION, _TIMES, _POSES = "calib.txt", "times.txt", "poses.txt"
 _SIDES = (("0", "1"), ("2", "3"))
@@ -70,15 +70,7 @@ def open_sequence(path: Path, options: DriveOptions) -> Drive:
     left, right = next(s for s in _SIDES if all((path / f"image_{n}").is_dir() for n in s))
     offset_ns = options.offset_or(settings.image_time_offset_ns)
     if log_path is not None:
-        log = chosen_log(log_path, settings, options)
-        log = options.in_time(log, settings.gnss_offset_ns)
-        drive = replace(
-            drive,
-            log=log,
-            gnss_source=log_name(log_path, path),
-            gnss_path=log_path,
-            notes=log.notes,
-        )
+        drive = with_log(drive, path, log_path, settings, options)
 
         def make(drive: Drive) -> Recording:
             camera, frames = _frames(path, left, right, times_ns)

@@ -11,13 +11,13 @@ from typing import NamedTuple
 from fieldgrid.core import ConfigError
 from fieldgrid.recordings.tables.times import UNITS, zone_scale
 
-_SPEEDS = {
+SPEEDS = {
     "mps": 1.0, "m_s": 1.0, "mmps": 1e-3, "mm_s": 1e-3, "cm_s": 1e-2,
     "kmh": 1 / 3.6, "km_h": 1 / 3.6, "kph": 1 / 3.6, "mph": 0.44704,
     "knots": 1852 / 3600, "knot": 1852 / 3600, "kn": 1852 / 3600, "kts": 1852 / 3600,
 }  # fmt: skip
 _US_FOOT_M = 1200 / 3937
-_LENGTHS = {
+LENGTHS = {
     "m": 1.0, "mm": 1e-3, "cm": 1e-2, "metres": 1.0, "meters": 1.0,
     "ft": 0.3048, "feet": 0.3048, "foot": 0.3048,
     "us_ft": _US_FOOT_M, "usft": _US_FOOT_M, "ftus": _US_FOOT_M, "us_survey_ft": _US_FOOT_M,
@@ -149,8 +149,8 @@ class Columns:
                 raise ConfigError(f"Columns: {role!r} cannot be mapped; known are {known}.")
         for key, known_units in (
             ("time_units", (*UNITS, *(f"gps_{unit}" for unit in UNITS))),
-            ("speed_units", tuple(_SPEEDS)),
-            ("height_units", tuple(_LENGTHS)),
+            ("speed_units", tuple(SPEEDS)),
+            ("height_units", tuple(LENGTHS)),
             ("heading_units", HEADING_UNITS),
             ("lat_lon_units", LAT_LON_UNITS),
         ):
@@ -227,7 +227,7 @@ def take_apart(name: str) -> ColumnName:
     words = re.sub(r"(?<=[a-z])(?=[A-Z][a-z])", "_", name)
     plain = re.sub(r"[^a-z0-9]+", "_", words.lower()).strip("_")
     factor = 1.0
-    for unit in sorted((*_SPEEDS, *_LENGTHS, *_ANGLES), key=len, reverse=True):
+    for unit in sorted((*SPEEDS, *LENGTHS, *_ANGLES), key=len, reverse=True):
         match = re.fullmatch(rf"(.+?)_(?:(\d+)p(\d+))?{unit}", plain)
         if match is not None:
             if match[2]:
@@ -272,16 +272,6 @@ def time_candidates(header: Sequence[str]) -> list[str]:
     return own + [name for name in others if name not in own]
 
 
-def speed_factor(unit: str) -> float:
-    """Metres a second of one unit; 1 for one that is not known."""
-    return _SPEEDS.get(unit, 1.0)
-
-
-def length_factor(unit: str) -> float:
-    """Metres of one unit; 1 for one that is not known."""
-    return _LENGTHS.get(unit, 1.0)
-
-
 def metres(cell: str) -> float | None:
     """The length of a cell that has its unit with it, like 2625.5 ft; None of another."""
     # Bounded, since the parts of the pattern can share what is between them.
@@ -289,7 +279,7 @@ def metres(cell: str) -> float | None:
         r"([+-]?\d{1,20}(?:\.\d{0,20})?)\s{0,9}([A-Za-z][A-Za-z .]{0,30}?)\.?", cell.strip()
     )
     unit = "" if match is None else re.sub(r"[ .]+", "_", match[2].lower())
-    return None if match is None or unit not in _LENGTHS else float(match[1]) * _LENGTHS[unit]
+    return None if match is None or unit not in LENGTHS else float(match[1]) * LENGTHS[unit]
 
 
 def is_radians(unit: str) -> bool:

@@ -20,13 +20,13 @@ from fieldgrid.geometry import (
 )
 from fieldgrid.recordings.readers.oxts import FIELDS, oxts_fixes, oxts_motion
 from fieldgrid.recordings.tables.columns import (
+    LENGTHS,
+    SPEEDS,
     Columns,
     guess,
     how_to_say,
     is_radians,
-    length_factor,
     metres,
-    speed_factor,
     take_apart,
 )
 from fieldgrid.recordings.tables.fix_log import FixLog
@@ -158,7 +158,7 @@ class _Plan:
             unit, factor = self._unit("speed")
             if self.columns.speed_units:
                 unit, factor = self.columns.speed_units, 1.0
-            fields["speed_mps"] = np.abs(value["speed"]) * (factor * speed_factor(unit))
+            fields["speed_mps"] = np.abs(value["speed"]) * (factor * SPEEDS.get(unit, 1.0))
         said: dict[str, npt.ArrayLike] = {k: v for k, v in fields.items() if v is not None}
         said["quality"] = self._qualities(block, keep, sigma)
         if "satellites" in self.places:
@@ -189,14 +189,14 @@ class _Plan:
 
     def _length(self, role: str) -> float:
         unit, factor = self._unit(role)
-        return factor * length_factor(unit)
+        return factor * LENGTHS.get(unit, 1.0)
 
     def _heights(self, block: TableRows) -> Float64:
         """Metres, NaN where a row has none."""
         if "height" not in self.places:
             return np.zeros(block.row_count)
         said = self.columns.height_units
-        unit_m = length_factor(said) if said else self._length("height")
+        unit_m = LENGTHS.get(said, 1.0) if said else self._length("height")
 
         def in_units(cell: str) -> float | None:
             length_m = metres(cell)

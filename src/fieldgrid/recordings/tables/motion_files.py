@@ -12,7 +12,7 @@ import numpy as np
 
 from fieldgrid.core import Float64, Int64, RecordingError, counted
 from fieldgrid.geometry import Gyro, Inertial, Motion, WheelSpeed
-from fieldgrid.recordings.tables.columns import Columns, speed_factor, take_apart
+from fieldgrid.recordings.tables.columns import SPEEDS, Columns, take_apart
 from fieldgrid.recordings.tables.table_time import find_time
 from fieldgrid.recordings.tables.tables import OpenTable, open_table
 
@@ -210,7 +210,7 @@ def _read_speed(path: Path, notes: list[str]) -> tuple[Path, MotionSeries] | Non
         if apart is None:
             notes.append(f"{path.name}: no column speed_mps; it is not used.")
             return None
-        series = _read(table, [named[apart]], [apart.factor * speed_factor(apart.unit)], notes)
+        series = _read(table, [named[apart]], [apart.factor * SPEEDS.get(apart.unit, 1.0)], notes)
         if named[apart] != "speed_mps":
             notes.append(
                 f"{path.name}: speed from '{named[apart]}' in {apart.unit or 'm/s (assumed)'}."
