@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -16,7 +15,7 @@ from fieldgrid.recordings.files import RecordedFile
 from fieldgrid.recordings.frames.frame_table import FrameLayout
 from fieldgrid.recordings.frames.frames import DepthFrame, Frame
 from fieldgrid.recordings.frames.image_header import read_header
-from fieldgrid.recordings.frames.images import MAX_PIXELS
+from fieldgrid.recordings.frames.images import MAX_PIXELS, stored_pixels
 from fieldgrid.recordings.frames.npy import parse_npy
 from fieldgrid.recordings.stored import Shot
 
@@ -148,13 +147,6 @@ def decode_depth_image(data: bytes, name: str) -> _Any:
             f"{name} claims {header.width_px} x {header.height_px} px, more than {MAX_PIXELS} in "
             "all; scale the images down."
         )
-    pixels: _Any | None = None
-    if header.is_whole and header.width_px * header.height_px <= MOST_PACKED * len(data):
-        flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
-        try:
-            pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
-        except cv2.error:
-            pixels = None
-    if pixels is None or pixels.shape[:2] != (header.height_px, header.width_px):
-        raise RecordingError(f"{name} is truncated or damaged; copy it again.")
-    return pixels
+    can_be = header.width_px * header.height_px <= MOST_PACKED * len(data)
+    whole = header._replace(is_whole=header.is_whole and can_be)
+    return cast(_Any, stored_pixels(data, whole, name))

@@ -72,7 +72,13 @@ def read_frames(
                 )
             shots.append(shot_of_row(row, f"{path}, line {line}", layout, in_folder))
         checked = checked_shots(shots, folder, layout.what, incomplete=layout.incomplete)
-        return checked, (*_out_of_order(shots, path), *_moved(in_folder, path))
+        notes = _out_of_order(shots, path)
+        if in_folder.elsewhere:
+            notes += (
+                f"{path.name} names files in {in_folder.elsewhere}, which is not here; those of "
+                "the same names in the recording are taken.",
+            )
+        return checked, notes
     listings = [_files(folder / name, layout.suffixes) for name in layout.folders]
     common = set.intersection(*(set(listing) for listing in listings))
     for stem in common:
@@ -84,15 +90,6 @@ def read_frames(
     if alone:
         notes += (f"{counted(alone, 'image')} without a partner skipped.",)
     return checked_shots(shots, folder, layout.what), notes
-
-
-def _moved(in_folder: InFolder, path: Path) -> tuple[str, ...]:
-    if not in_folder.elsewhere:
-        return ()
-    return (
-        f"{path.name} names files in {in_folder.elsewhere}, which is not here; those of the same "
-        "names in the recording are taken.",
-    )
 
 
 def _out_of_order(shots: Sequence[Shot], path: Path) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple, cast
 
@@ -65,7 +66,7 @@ class ImageFile(RecordedFile):
         """The pixels as stored if their values have 16 bits, else None."""
         data = self.data()
         header = _checked_header(data, self.name, self.max_pixels)
-        return _pixels(data, header, self.name) if header.is_deep else None
+        return stored_pixels(data, header, self.name) if header.is_deep else None
 
 
 def self_contained(data: bytes) -> bytes:
@@ -83,9 +84,9 @@ def decode_image(
     """
     header = _checked_header(data, name, max_pixels)
     if image_format.bayer is None and not header.is_deep:
-        grey = _pixels(data, header, name, cv2.IMREAD_GRAYSCALE)
+        grey = stored_pixels(data, header, name, cv2.IMREAD_GRAYSCALE)
         return np.ascontiguousarray(grey, dtype=np.uint8)
-    pixels = _pixels(data, header, name)
+    pixels = stored_pixels(data, header, name)
     return to_grey(pixels, _encoding(pixels, image_format, name), image_format.bits)
 
 
@@ -106,22 +107,19 @@ def _checked_header(data: bytes, name: str, max_pixels: int) -> ImageHeader:
     return header
 
 
-def _pixels(
+def stored_pixels(
     data: bytes, header: ImageHeader, name: str, flags: int = cv2.IMREAD_UNCHANGED
 ) -> _Pixels:
-    pixels = _decode(data, flags) if header.is_whole else None
+    """The pixels of an image that the header is of; RecordingError where they are not all there."""
+    pixels: _Pixels | None = None
+    if header.is_whole:
+        # A calibration is for the pixels as stored, so no orientation tag may turn them.
+        flags |= cv2.IMREAD_IGNORE_ORIENTATION
+        with suppress(cv2.error):
+            pixels = cast(_Pixels, cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags))
     if pixels is None or pixels.shape[:2] != (header.height_px, header.width_px):
         raise RecordingError(f"{name} is truncated or damaged; copy it again.")
     return pixels
-
-
-def _decode(data: bytes, flags: int) -> _Pixels | None:
-    # A calibration is for the pixels as stored, so no orientation tag may turn them.
-    flags |= cv2.IMREAD_IGNORE_ORIENTATION
-    try:
-        return cast(_Pixels | None, cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags))
-    except cv2.error:
-        return None
 
 
 def _encoding(pixels: _Pixels, image_format: ImageFormat, name: str) -> str:

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from fieldgrid.core import RecordingError
-from fieldgrid.geometry import Rig
 from fieldgrid.recordings.calibration.mounting import MOUNTING
 from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_frames
 from fieldgrid.recordings.files import read_lines, read_text
@@ -76,16 +75,12 @@ def _recording(drive: Drive, folder: Path, options: DriveOptions) -> Recording:
     ]
     shots = checked_shots(listed, folder, incomplete=options.incomplete)
     kind = PairKind((rig.camera.width_px, rig.camera.height_px))
-    return as_recording(drive, rig, StoredFrames(folder, shots, kind), _height_note(rig))
-
-
-def _height_note(rig: Rig) -> tuple[str, ...]:
-    if rig.mount.height_m != CAMERA_HEIGHT_M:
-        return ()
-    return (
+    note = (
         f"The camera height of {CAMERA_HEIGHT_M} m is KITTI's published value; "
-        "no file of the drive gives it.",
+        "no file of the drive gives it."
     )
+    notes = (note,) if rig.mount.height_m == CAMERA_HEIGHT_M else ()
+    return as_recording(drive, rig, StoredFrames(folder, shots, kind), notes)
 
 
 def _drives(path: Path) -> list[Path]:

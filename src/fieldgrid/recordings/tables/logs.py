@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -94,7 +95,10 @@ def read_fix_log(path: Path, columns: Columns | None = None) -> FixLog:
     if looks_like_stream(head) and (columns is None or not is_table):
         return read_stream(path)
     if may_hold_nmea(path, head):
-        return _read_among_foreign(path, head)
+        with suppress(NoStreamError):
+            log = read_stream(path)
+            if len(log.fixes):
+                return log
     refuse_foreign(path, head)
     if is_table:
         return read_fix_table(path, columns)
@@ -108,18 +112,6 @@ def _has_columns(path: Path) -> bool:
     with open_log_bytes(path) as stream:
         head = stream.read(_HEAD_BYTES)
     return is_solution(head) or _looks_like_table(head)
-
-
-def _read_among_foreign(path: Path, head: bytes) -> FixLog:
-    """The fixes of a log that begins with another protocol, if any follow; else it is refused."""
-    try:
-        log = read_stream(path)
-    except NoStreamError:
-        refuse_foreign(path, head)
-        raise
-    if not len(log.fixes):
-        refuse_foreign(path, head)
-    return log
 
 
 def _looks_like_table(head: bytes) -> bool:

@@ -98,14 +98,17 @@ def find_time(table: OpenTable, columns: Columns) -> TimeColumn:
             "14.05.2026 07:30:00.25. "
             f"It has: {', '.join(table.header)[:500]}."
         )
-    time = _finest(found) if len(found) > 1 else found[0]
+    # The first, unless its stamps repeat in many rows and those of another do not.
+    distinct = [len(set(time._cells(table.sample))) for time in found]
+    is_fine = table.header[found[0].place] in _OWN or 3 * distinct[0] >= 2 * max(distinct)
+    time = found[0 if is_fine else distinct.index(max(distinct))]
     _check_zone(time, columns.time_zone)
-    name = time.table.header[time.place]
+    name = table.header[time.place]
     if name in _OWN or (said and time.scale.places is not None):
         return time
-    beside = "" if time.date_place is None else f" and '{time.table.header[time.date_place]}'"
+    beside = "" if time.date_place is None else f" and '{table.header[time.date_place]}'"
     what = f"time from '{name}'{beside} ({time.scale.describe()})"
-    return time._replace(notes=(f"{time.table.path.name}: {what}.",))
+    return time._replace(notes=(f"{table.path.name}: {what}.",))
 
 
 def _check_zone(time: TimeColumn, time_zone: str) -> None:
@@ -203,12 +206,3 @@ def _by_week(table: OpenTable, columns: Columns) -> TimeColumn | None:
         week_place=table.header.index(week),
         notes=(f"{table.path.name}: time from GPS '{week}' and '{tow}' in {unit}.",),
     )
-
-
-def _finest(found: list[TimeColumn]) -> TimeColumn:
-    """The first, unless its stamps repeat in many rows and those of another do not."""
-    distinct = [len(set(time._cells(time.table.sample))) for time in found]
-    own = found[0].table.header[found[0].place] in _OWN
-    if own or 3 * distinct[0] >= 2 * max(distinct):
-        return found[0]
-    return found[distinct.index(max(distinct))]

@@ -134,7 +134,12 @@ def to_utc_ns(cells: Sequence[str], scale: TimeScale, decimal_comma: bool) -> In
         cells = [cell.replace(",", ".") for cell in cells]
     if scale.declared:
         cells = [_since_midnight(cell, scale.places) for cell in cells]
-    return _valid(_on_scale(_decimal_ns(cells, scale.places), scale))
+    since_ns = _decimal_ns(cells, scale.places)
+    if scale.gps:
+        return _valid(_from_gps(*np.divmod(since_ns, _WEEK_NS)))
+    earliest_ns, origin_ns = 0 if scale.declared else 1, scale.origin_s * _S
+    known = (since_ns >= earliest_ns) & (since_ns <= MAX_TIME_NS - origin_ns)
+    return _valid(np.where(known, since_ns + origin_ns, NO_TIME))
 
 
 def gps_week_ns(weeks: Sequence[str], seconds: Sequence[str], places: int) -> Int64:
@@ -148,14 +153,6 @@ class UnreadableTimeError(ValueError):
     def __init__(self, place: int) -> None:
         super().__init__(place)
         self.place = place
-
-
-def _on_scale(since_origin_ns: Int64, scale: TimeScale) -> Int64:
-    if scale.gps:
-        return _from_gps(*np.divmod(since_origin_ns, _WEEK_NS))
-    earliest_ns, origin_ns = 0 if scale.declared else 1, scale.origin_s * _S
-    known = (since_origin_ns >= earliest_ns) & (since_origin_ns <= MAX_TIME_NS - origin_ns)
-    return np.where(known, since_origin_ns + origin_ns, NO_TIME)
 
 
 def _from_gps(weeks: Int64, of_week_ns: Int64) -> Int64:
