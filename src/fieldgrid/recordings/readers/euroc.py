@@ -51,7 +51,9 @@ def open_euroc(path: Path, options: DriveOptions) -> Drive:
     options.refuse_of_bags(path)
     folder, mav = _folders(path)
     settings = read_settings(_beside(folder, mav, SETTINGS))
-    log_path = _log_path(folder, mav, options)
+    log_path: Path | None = mav / "gps0" / _DATA
+    if options.gnss is not None or not (mav / "gps0" / _DATA).is_file():
+        log_path = find_log(mav if (mav / "gnss").is_dir() else folder, options.gnss)
     drive = with_log(
         Drive(
             path=path,
@@ -109,13 +111,6 @@ def _folders(path: Path) -> tuple[Path, Path]:
 def _beside(folder: Path, mav: Path, name: str) -> Path:
     """A file in mav0 or beside it."""
     return mav / name if (mav / name).exists() else folder / name
-
-
-def _log_path(folder: Path, mav: Path, options: DriveOptions) -> Path | None:
-    """The log that was asked for, else that of mav0/gnss, mav0/gps0 or gnss beside them."""
-    if options.gnss is None and (mav / "gps0" / _DATA).is_file():
-        return mav / "gps0" / _DATA
-    return find_log(mav if (mav / "gnss").is_dir() else folder, options.gnss)
 
 
 def _shots(folder: Path, mav: Path, incomplete: bool) -> tuple[tuple[Shot, ...], tuple[str, ...]]:

@@ -18,7 +18,7 @@ from fieldgrid.recordings.options import DriveOptions
 from fieldgrid.recordings.readers.kitti_calibration import (
     CAMERA_HEIGHT_M,
     floats,
-    read_kitti_calibration,
+    read_kitti_rig,
 )
 from fieldgrid.recordings.readers.oxts import FIELDS, oxts_fixes, oxts_motion
 from fieldgrid.recordings.stored import PairKind, Shot, StoredFrames, checked_shots
@@ -55,7 +55,7 @@ def open_kitti(path: Path, options: DriveOptions) -> Drive:
 
 def _recording(drive: Drive, folder: Path, options: DriveOptions) -> Recording:
     left, right = _cameras(folder)
-    rig, offset_ns = read_kitti_calibration(folder, left, right).rig(), options.offset_or(0)
+    rig, offset_ns = read_kitti_rig(folder, left, right), options.offset_or(0)
     if options.mounting is None and not (folder / MOUNTING).exists():
         rig = replace(rig, image_time_offset_ns=offset_ns)
     else:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,31 +21,6 @@ CAMERA_HEIGHT_M = 1.65
 """Height of the cameras above the road: in KITTI's paper and drawing, in none of its files."""
 
 _MAX_BYTES = 1 << 20
-
-
-class KittiCalibration(NamedTuple):
-    """What the three calibration files say of one pair of cameras."""
-
-    left: Float64  # projection from rectified camera 0, 3 x 4 px
-    right: Float64
-    size_px: tuple[int, int]
-    T_rect_imu: Float64
-    source: str
-
-    def rig(self) -> Rig:
-        """The rig; the vehicle is level when its IMU is."""
-        camera = camera_from_projections(self.left, self.right, self.size_px, self.source)
-        R_imu_rect = self.T_rect_imu[:3, :3].T
-        middle_rect = (_centre(self.left) + _centre(self.right)) / 2.0
-        middle_imu = R_imu_rect @ (middle_rect - self.T_rect_imu[:3, 3])
-        try:
-            mount = Mount(CAMERA_HEIGHT_M, *mount_angles_deg(R_VEHICLE_FLU @ R_imu_rect))
-            # What oxts positions is the IMU itself.
-            right, forward, up = R_VEHICLE_FLU @ -middle_imu
-            antenna = LeverArm(float(right), float(forward), float(up) + CAMERA_HEIGHT_M)
-        except CalibrationError as problem:
-            raise CalibrationError(f"{self.source}: {problem}") from problem
-        return Rig(camera, mount, antenna)
 
 
 def mount_angles_deg(R_vehicle_camera: Float64) -> tuple[float, float, float]:
@@ -68,22 +42,32 @@ def _centre(projection: Float64) -> Float64:
         ) from None
 
 
-def read_kitti_calibration(drive: Path, left: str, right: str) -> KittiCalibration:
-    """The calibration of cameras `left` and `right`, like "00" and "01"."""
-    cameras = _find(drive, "calib_cam_to_cam.txt")
-    table = read_entries(cameras)
+def read_kitti_rig(drive: Path, left: str, right: str) -> Rig:
+    """The rig of cameras `left` and `right`, like "00" and "01"; the vehicle is level when its IMU
+    is."""
+    path = _find(drive, "calib_cam_to_cam.txt")
+    table = read_entries(path)
     T_cam_velo = _transform(_find(drive, "calib_velo_to_cam.txt"))
     T_velo_imu = _transform(_find(drive, "calib_imu_to_velo.txt"))
     T_rect_cam = np.eye(4)
-    T_rect_cam[:3, :3] = _rotation(table, "R_rect_00", cameras)
-    size = numbers(table, f"S_rect_{left}", 2, cameras)
-    return KittiCalibration(
-        left=numbers(table, f"P_rect_{left}", 12, cameras).reshape(3, 4),
-        right=numbers(table, f"P_rect_{right}", 12, cameras).reshape(3, 4),
-        size_px=(int(size[0]), int(size[1])),
-        T_rect_imu=T_rect_cam @ T_cam_velo @ T_velo_imu,
-        source=str(cameras),
+    T_rect_cam[:3, :3] = _rotation(table, "R_rect_00", path)
+    T_rect_imu = T_rect_cam @ T_cam_velo @ T_velo_imu
+    width, height = numbers(table, f"S_rect_{left}", 2, path)
+    # From rectified camera 0 to pixels.
+    P_left, P_right = (
+        numbers(table, f"P_rect_{side}", 12, path).reshape(3, 4) for side in (left, right)
     )
+    camera = camera_from_projections(P_left, P_right, (int(width), int(height)), str(path))
+    R_imu_rect = T_rect_imu[:3, :3].T
+    middle_imu = R_imu_rect @ ((_centre(P_left) + _centre(P_right)) / 2.0 - T_rect_imu[:3, 3])
+    try:
+        mount = Mount(CAMERA_HEIGHT_M, *mount_angles_deg(R_VEHICLE_FLU @ R_imu_rect))
+        # What oxts positions is the IMU itself.
+        right_m, forward_m, up_m = (R_VEHICLE_FLU @ -middle_imu).tolist()
+        antenna = LeverArm(right_m, forward_m, up_m + CAMERA_HEIGHT_M)
+    except CalibrationError as problem:
+        raise CalibrationError(f"{path}: {problem}") from problem
+    return Rig(camera, mount, antenna)
 
 
 def _find(drive: Path, name: str) -> Path:

@@ -124,7 +124,16 @@ def _fetched(url: str, progress: Progress) -> Path:
 def _listing(url: str) -> _Listing | Path:
     """What is at a URL; the path of what is on this machine."""
     with from_backend(url):
-        system, root = _file_system(url)
+        from fsspec.core import url_to_fs
+
+        folder, _, archive = url.partition("::")
+        try:
+            system, root = url_to_fs(url)
+        except ValueError:
+            # A web server that gives no parts of a file: its archive is copied as a whole.
+            if not archive.startswith("http"):
+                raise
+            system, root = url_to_fs(f"{folder}::file://{_fetched(archive, _unseen)}")
         protocols = (system.protocol,) if isinstance(system.protocol, str) else system.protocol
         if not set(protocols).isdisjoint(_HERE):
             return Path(root)
@@ -132,21 +141,6 @@ def _listing(url: str) -> _Listing | Path:
         files = listed_files(system, root, url)
         check_unfolding(url, files)
     return _Listing(url, system, files, time.monotonic())
-
-
-def _file_system(url: str) -> tuple[Any, str]:
-    """The file system of a URL, and the path in it."""
-    from fsspec.core import url_to_fs
-
-    folder, _, archive = url.partition("::")
-    try:
-        found: tuple[Any, str] = url_to_fs(url)
-    except ValueError:
-        # A web server that gives no parts of a file: its archive is copied as a whole.
-        if not archive.startswith("http"):
-            raise
-        found = url_to_fs(f"{folder}::file://{_fetched(archive, _unseen)}")
-    return found
 
 
 def _bring_up_to_date(listing: _Listing, wanted: Collection[str], progress: Progress) -> None:
