@@ -197,8 +197,7 @@ class Bag(Closing):
         file, is_all = unpacked(path, self._stack)
         start = _start(file)
         if start.startswith(SQLITE_MAGIC):
-            file, note = mended(file, self._stack)
-            self._notes += [f"{path.name} {note}"] * bool(note)
+            file = mended(file, self._stack)
         if not is_all:
             self._notes.append(f"{path.name} cannot be decompressed to its end")
         for magic, kind in _PARTS.items():

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import CARRIER, CalibrationError, DatumError, Int64, Quality, parse_json
+from fieldgrid.core import CARRIER, CalibrationError, DatumError, Float64, Int64, Quality, parse_json
 from fieldgrid.geometry import (
     Datum,
     Fix,
@@ -115,12 +115,13 @@ def details_message(fix: Fix) -> Any:
     return text(json.dumps(said))
 
 
-class Details:
-    """What a topic of such texts says of the fixes beside it."""
+class JsonRows:
+    """What a topic of such texts says: `names` are the numbers of a row, besides its time. A number
+    that is missing, or not below `most`, is NaN."""
 
-    def __init__(self) -> None:
-        self._times_ns = array("q")
-        self._columns = {name: array("d") for name in Fix._fields[4:]}
+    def __init__(self, names: tuple[str, ...], most: float) -> None:
+        self._names, self._most = names, most
+        self._times_ns, self._values = array("q"), array("d")
 
     def add(self, said: str) -> None:
         """One text; what is no such text is passed over."""
@@ -129,18 +130,36 @@ class Details:
         if not isinstance(time_ns, int) or not 0 < time_ns < 1 << 63:
             return
         self._times_ns.append(time_ns)
-        for name, column in self._columns.items():
-            value = values.get(name)
-            known = isinstance(value, int | float) and abs(value) < 1e9
-            column.append(float(value) if known and value is not None else math.nan)
+        for value in map(values.get, self._names):
+            is_known = isinstance(value, int | float) and abs(value) < self._most
+            self._values.append(float(value) if is_known and value is not None else math.nan)
+
+    def _rows(self) -> tuple[Int64, Float64]:
+        """Times [n] and numbers [n, names]."""
+        values = np.array(self._values, dtype=np.float64).reshape(-1, len(self._names))
+        return np.array(self._times_ns, dtype=np.int64), values
+
+
+class Details(JsonRows):
+    """What such texts say of the fixes on the topic beside them."""
+
+    def __init__(self) -> None:
+        super().__init__(Fix._fields[4:], 1e9)
 
     def added_to(self, fixes: FixColumns) -> FixColumns:
         """The fixes, those of a time of which something is said with what is said of them."""
-        rows, at = self._matched(fixes.time_ns)
+        times_ns, said = self._rows()
+        order = np.argsort(times_ns, kind="stable")
+        place = np.searchsorted(times_ns[order], fixes.time_ns)
+        if np.array_equal(times_ns, fixes.time_ns):
+            order = place = np.arange(len(times_ns))
+        rows = np.flatnonzero(place < len(order))
+        at = order[place[rows]]
+        same = times_ns[at] == fixes.time_ns[rows]
+        rows, at = rows[same], at[same]
         columns = {}
-        for name, said in self._columns.items():
+        for name, values in zip(self._names, said[at].T, strict=True):
             column = getattr(fixes, name).copy()
-            values = np.array(said)[at]
             if column.dtype == np.int64:
                 values = np.where(np.isnan(values), -1.0, np.round(values))
                 if name in ("quality", "heading_quality"):
@@ -149,18 +168,6 @@ class Details:
             columns[name] = column
         return fixes.replace(**columns)
 
-    def _matched(self, time_ns: Int64) -> tuple[Int64, Int64]:
-        """Rows of fixes, and which text is about each."""
-        times_ns = np.array(self._times_ns, dtype=np.int64)
-        if np.array_equal(times_ns, time_ns):
-            return np.arange(len(time_ns)), np.arange(len(time_ns))
-        order = np.argsort(times_ns, kind="stable")
-        place = np.searchsorted(times_ns[order], time_ns)
-        rows = np.flatnonzero(place < len(order))
-        at = order[place[rows]]
-        same = times_ns[at] == time_ns[rows]
-        return rows[same], at[same]
-
 
 def tilt_messages(tilt: RecordedTilt | Orientation) -> Iterator[tuple[int, Any]]:
     """A std_msgs/String for each row, JSON of its fields by name, with its time."""
@@ -168,31 +175,19 @@ def tilt_messages(tilt: RecordedTilt | Orientation) -> Iterator[tuple[int, Any]]
         yield row[0], text(json.dumps(dict(zip(tilt._fields, row, strict=True))))
 
 
-class Tilts:
-    """What a topic of such texts says: rows of `kind`."""
+class Tilts(JsonRows):
+    """What such texts say: rows of `kind`, whole ones only."""
 
     def __init__(self, kind: type[RecordedTilt | Orientation]) -> None:
-        self._kind, self._rows = kind, array("d")
-        self._times_ns = array("q")
-
-    def add(self, said: str) -> None:
-        """One text; what is no such text is passed over."""
-        values = _object(said)
-        time_ns, *numbers = (values.get(name) for name in self._kind._fields)
-        if not isinstance(time_ns, int) or not 0 < time_ns < 1 << 63:
-            return
-        known = [float(one) for one in numbers if isinstance(one, int | float) and abs(one) < 1e3]
-        if len(known) == len(numbers):
-            self._times_ns.append(time_ns)
-            self._rows.extend(known)
+        super().__init__(kind._fields[1:], 1e3)
+        self._kind = kind
 
     def found(self) -> RecordedTilt | Orientation | None:
         """The rows in order of time, None where there are none."""
-        if not self._times_ns:
-            return None
-        times_ns, first = np.unique(np.array(self._times_ns, dtype=np.int64), return_index=True)
-        rows = np.array(self._rows).reshape(len(self._times_ns), -1)[first]
-        return self._kind(times_ns, *rows.T.copy())
+        times_ns, values = self._rows()
+        known = np.isfinite(values).all(axis=1)
+        times_ns, first = np.unique(times_ns[known], return_index=True)
+        return self._kind(times_ns, *values[known][first].T.copy()) if len(times_ns) else None
 
 
 def datum_message(datum: Datum, time_ns: int) -> Any:

@@ -8,8 +8,6 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Collection, Iterator, Mapping
-from itertools import permutations
-from operator import itemgetter
 
 from fieldgrid.core import RecordingError, limits, quoted
 from fieldgrid.recordings.ros.chunked import ChunkedFile, Run
@@ -22,32 +20,12 @@ _MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
 _OPS = {_MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION}
 _MAX_HEADER_BYTES = 1 << 20
 _U32 = struct.Struct("<I")
-_TIME = struct.Struct("<II")
+_PAIR = struct.Struct("<II")
 _WIDEST_CHUNK_HEADER = 64
-_MESSAGE_FIELDS = {b"conn": "I", b"op": "B", b"time": "II"}
-
-
-class _MessageHeader:
-    """The header of a message, whose fields a recorder always puts in the same order."""
-
-    def __init__(self, names: tuple[bytes, ...]) -> None:
-        marks = [
-            _U32.pack(len(name) + 1 + struct.calcsize(f"<{_MESSAGE_FIELDS[name]}")) + name + b"="
-            for name in names
-        ]
-        parts = [f"{len(m)}s{_MESSAGE_FIELDS[n]}" for m, n in zip(marks, names, strict=True)]
-        self.head = struct.Struct(f"<I{''.join(parts)}")
-        at, offsets = 1, {}
-        for name in names:
-            offsets[name] = at
-            at += 1 + len(_MESSAGE_FIELDS[name])
-        self.marks = itemgetter(0, *offsets.values())
-        self.right_marks = (self.head.size - 4, *marks)
-        conn, op, time = (offsets[name] for name in _MESSAGE_FIELDS)
-        self.values = itemgetter(conn + 1, op + 1, time + 1, time + 2)
-
-
-_MESSAGE_HEADERS = {names: _MessageHeader(names) for names in permutations(_MESSAGE_FIELDS)}
+_USUAL_MESSAGE = re.compile(
+    rb"(?:\x09\0{3}conn=(.{4})|\x04\0{3}op=\x02|\x0d\0{3}time=(.{8})){3}", re.DOTALL
+)
+"""The header of a message that has these three fields alone, as of every recorder, in any order."""
 
 
 class _BagRun(Run):
@@ -58,7 +36,6 @@ class _BagRun(Run):
         self, part: ChunkedFile, source: BoundedFile, topics: Collection[str] | None
     ) -> None:
         super().__init__(part, source, topics)
-        self._header = _MESSAGE_HEADERS[b"conn", b"op", b"time"]
         self._indexed = 0  # messages that the index counts
         self._chunks, self._chunks_of_header = 0, -1
         self._is_closed = False
@@ -74,18 +51,36 @@ class _BagRun(Run):
 
     def next_records(self) -> Iterator[Record]:
         source = self.source
-        header = _fields(source.take(self._header_length()))
+        length: int = _U32.unpack(source.take(4))[0]
+        if length > _MAX_HEADER_BYTES:
+            raise Torn
+        header = _fields(source.take(length))
         op = _op(header)
         if op == _CHUNK:
-            yield from self._chunk(header)
+            length = _U32.unpack(source.take(4))[0]
+            compression = header.get(b"compression", b"").decode("ascii", "replace")
+            if compression not in COMPRESSIONS:
+                raise Torn
+            full_bytes = _number(header, b"size", limits().piece_bytes + 1)
+            self._chunks += 1
+            yield from self.chunk_records(length, compression, full_bytes)
         elif op in (_MESSAGE, _CONNECTION):
-            yield from self.inner_records(self._whole_record())
+            source.skip(_U32.unpack(source.take(4))[0])
+            end = source.offset
+            source.go(self.at)
+            yield from self.inner_records(source.take(end - self.at))
         else:
             if op == _BAG:
-                self._bag(header)
+                if header.get(b"encryptor"):
+                    raise RecordingError(
+                        f"{self.path} is encrypted; decrypt it with `rosbag decrypt` first."
+                    )
+                self._is_closed = any(header.get(b"index_pos", b""))
+                self._chunks_of_header = _number(header, b"chunk_count", -1)
             length = _U32.unpack(source.take(4))[0]
-            if op == _CHUNK_INFO:
-                self._indexed += _count(source.take(length))
+            if op == _CHUNK_INFO:  # pairs of a connection and its number of messages in a chunk
+                pairs = source.take(length)[: length // 8 * 8]
+                self._indexed += sum(count for _, count in _PAIR.iter_unpack(pairs))
             else:
                 source.skip(length)
 
@@ -99,31 +94,6 @@ class _BagRun(Run):
             damage.end = UNCLOSED
         elif self._chunks < self._chunks_of_header and not damage.end:
             damage.end = f"holds {self._chunks} of the {self._chunks_of_header} chunks that it had"
-
-    def _header_length(self) -> int:
-        length: int = _U32.unpack(self.source.take(4))[0]
-        if length > _MAX_HEADER_BYTES:
-            raise Torn
-        return length
-
-    def _bag(self, header: Mapping[bytes, bytes]) -> None:
-        if header.get(b"encryptor"):
-            raise RecordingError(
-                f"{self.path} is encrypted; decrypt it with `rosbag decrypt` first."
-            )
-        self._is_closed = any(header.get(b"index_pos", b""))
-        count = header.get(b"chunk_count", b"")
-        self._chunks_of_header = _U32.unpack(count)[0] if len(count) == 4 else -1
-
-    def _chunk(self, header: Mapping[bytes, bytes]) -> Iterator[Record]:
-        length: int = _U32.unpack(self.source.take(4))[0]
-        compression = header.get(b"compression", b"").decode("ascii", "replace")
-        if compression not in COMPRESSIONS:
-            raise Torn
-        declared = header.get(b"size", b"")
-        full_bytes = _U32.unpack(declared)[0] if len(declared) == 4 else limits().piece_bytes + 1
-        self._chunks += 1
-        yield from self.chunk_records(length, compression, full_bytes)
 
     def inner_records(self, data: bytes) -> Iterator[Record]:
         view = memoryview(data)
@@ -144,30 +114,23 @@ class _BagRun(Run):
             at = after
 
     def _inner_record(self, view: memoryview, at: int, body: int, after: int) -> Record | None:
-        usual = self._header
-        if body - at == usual.head.size:
-            fields = usual.head.unpack_from(view, at)
-            if usual.marks(fields) == usual.right_marks:
-                number, kind, secs, nsecs = usual.values(fields)
-                if kind == _MESSAGE:
-                    return self.record(number, secs * 10**9 + nsecs, view[body + 4 : after])
-        try:
-            header = _fields(bytes(view[at + 4 : body]))
-            kind = _op(header)
-        except Torn as error:
-            raise BadChunkError from error
-        number = header.get(b"conn", b"")
-        if kind == _MESSAGE:
-            self._header = _MESSAGE_HEADERS.get(tuple(header), self._header)
-            time = header.get(b"time", b"")
+        usual = _USUAL_MESSAGE.fullmatch(view, at + 4, body)
+        number, time = usual.groups() if usual else (None, None)
+        if number is None or time is None:
+            try:
+                header = _fields(bytes(view[at + 4 : body]))
+                kind = _op(header)
+            except Torn as error:
+                raise BadChunkError from error
+            number, time = header.get(b"conn", b""), header.get(b"time", b"")
+            if kind == _CONNECTION and len(number) == 4:
+                self._connect(_U32.unpack(number)[0], header, bytes(view[body + 4 : after]))
+            if kind != _MESSAGE:
+                return None
             if len(time) != 8 or len(number) != 4:
                 raise BadChunkError
-            secs, nsecs = _TIME.unpack(time)
-            time_ns = secs * 10**9 + nsecs
-            return self.record(_U32.unpack(number)[0], time_ns, view[body + 4 : after])
-        if kind == _CONNECTION and len(number) == 4:
-            self._connect(_U32.unpack(number)[0], header, bytes(view[body + 4 : after]))
-        return None
+        secs, nsecs = _PAIR.unpack(time)
+        return self.record(_U32.unpack(number)[0], secs * 10**9 + nsecs, view[body + 4 : after])
 
     def _connect(self, number: int, header: Mapping[bytes, bytes], data: bytes) -> None:
         try:
@@ -182,14 +145,6 @@ class _BagRun(Run):
         self.connections.add(
             number, Connection(topic, ros2_name(name), "ros1", Definition("msg", text))
         )
-
-    def _whole_record(self) -> bytes:
-        """The bytes of the whole record that starts at `at`, and not only its header."""
-        source = self.source
-        source.skip(_U32.unpack(source.take(4))[0])
-        end = source.offset
-        source.go(self.at)
-        return source.take(end - self.at)
 
     def chunk_at(self, mark: int) -> int:
         """The start of the chunk record whose `op` field is there."""
@@ -226,10 +181,9 @@ def _fields(data: bytes) -> dict[bytes, bytes]:
     return found
 
 
-def _count(data: bytes) -> int:
-    """The messages of a chunk, after what the index says of each of its connections."""
-    pairs = len(data) // 8
-    return sum(struct.unpack(f"<{2 * pairs}I", data[: 8 * pairs])[1::2])
+def _number(header: Mapping[bytes, bytes], name: bytes, otherwise: int) -> int:
+    value = header.get(name, b"")
+    return int.from_bytes(value, "little") if len(value) == 4 else otherwise
 
 
 def _op(header: Mapping[bytes, bytes]) -> int:

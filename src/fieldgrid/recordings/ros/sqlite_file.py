@@ -6,7 +6,6 @@ write-ahead log, or be in the middle of a transaction, or end within a page; a c
 
 from __future__ import annotations
 
-import errno
 import os
 import shutil
 import sqlite3
@@ -14,11 +13,9 @@ import tempfile
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 
-from fieldgrid.core import RecordingError, limits
+from fieldgrid.core import limits
 
 MAGIC = b"SQLite format 3\0"
-_ROLLBACK_MAGIC = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
-_LOGS = ("-wal", "-journal")
 _HEADER_BYTES = 100
 
 
@@ -46,36 +43,27 @@ def tables(database: sqlite3.Connection) -> set[str]:
     return {str(name) for (name,) in rows}
 
 
-def mended(path: Path, stack: ExitStack) -> tuple[Path, str]:
+def mended(path: Path, stack: ExitStack) -> Path:
     """The database itself, or a copy that has been mended where it is in need of that.
 
-    Where the disk has no room for the copy, the database is used without its log, and a clause
-    says so. The copy is gone when the stack is closed. Raises RecordingError for a database that
-    ends within a page and cannot be copied.
+    The copy is gone when the stack is closed. Raises OSError where the disk has no room for it.
     """
-    torn_bytes = _torn_bytes(path)
-    if not torn_bytes and not any(_is_pending(_beside(path, end)) for end in _LOGS):
-        return path, ""
-    try:
-        copy = Path(stack.enter_context(tempfile.TemporaryDirectory()), path.name)
-        if shutil.disk_usage(copy.parent).free < 2 * path.stat().st_size:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        for end in ("", *_LOGS):
-            with suppress(FileNotFoundError):
-                shutil.copyfile(_beside(path, end), _beside(copy, end))
-        # SQLite would take what is missing of the last page for zeros.
-        os.truncate(copy, copy.stat().st_size - torn_bytes)
-    except OSError as error:
-        if torn_bytes:
-            raise RecordingError(
-                f"{path} is cut off in the middle of a page, and cannot be copied to be mended "
-                f"({error.strerror}); cut its last {torn_bytes} bytes off with `truncate`."
-            ) from error
-        return path, f"has a log of its latest messages, which was not used ({error.strerror})"
+    page_bytes, _ = _pages(path)
+    torn_bytes = path.stat().st_size % page_bytes  # of a file that ends within its last page
+    logs = [path.with_name(path.name + end) for end in ("-wal", "-journal")]
+    if not torn_bytes and not any(log.is_file() and log.stat().st_size for log in logs):
+        return path
+    folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+    for file in (path, *logs):
+        if file.is_file():
+            shutil.copyfile(file, folder / file.name)
+    copy = folder / path.name
+    # SQLite would take what is missing of the last page for zeros.
+    os.truncate(copy, copy.stat().st_size - torn_bytes)
     # A failure leaves what there is to be read.
     with suppress(sqlite3.Error), closing(connect(copy, mend=True)) as database:
         tables(database)  # Reading plays the log back, and closing puts it into the file.
-    return copy, ""
+    return copy
 
 
 def missing_bytes(path: Path) -> int:
@@ -84,32 +72,9 @@ def missing_bytes(path: Path) -> int:
     return max(0, pages * page_bytes - path.stat().st_size)
 
 
-def _torn_bytes(path: Path) -> int:
-    """The size of the last page, if the file ends within it."""
-    page_bytes, _ = _pages(path)
-    return path.stat().st_size % page_bytes
-
-
 def _pages(path: Path) -> tuple[int, int]:
     """The size of a page and the number of pages, as the header has them."""
     with path.open("rb") as file:
         head = file.read(_HEADER_BYTES)
     page_bytes = int.from_bytes(head[16:18], "big")
     return (65536 if page_bytes <= 1 else page_bytes), int.from_bytes(head[28:32], "big")
-
-
-def _beside(path: Path, end: str) -> Path:
-    return path.with_name(path.name + end)
-
-
-def _is_pending(log: Path) -> bool:
-    """Whether the log beside a database holds anything to play back."""
-    try:
-        if not log.is_file():
-            return False
-        if log.name.endswith("-wal"):
-            return log.stat().st_size > 0
-        with log.open("rb") as file:
-            return file.read(len(_ROLLBACK_MAGIC)) == _ROLLBACK_MAGIC
-    except OSError:
-        return False
