@@ -366,7 +366,7 @@ def test_a_log_that_cannot_be_used_is_refused(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(shutil, "copyfile", full)
-    with pytest.raises(RecordingError, match="No space left on device.*temporary files"):
+    with pytest.raises(RecordingError, match=r"No space left on device.*temporary files"):
         open_bag(path)
 
 

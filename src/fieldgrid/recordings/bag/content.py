@@ -108,7 +108,12 @@ def read_content(bag: Bag, path: Path, options: DriveOptions, readings: Readings
     is left open, but not for what concerns the frames alone."""
     settings_path = _settings_path(path)
     settings = read_settings(settings_path)
-    _refuse_settings(settings, settings_path)
+    for key in ("frames", "bayer", "start", "scale"):
+        if getattr(settings, key) is not None:
+            raise RecordingError(
+                f"{settings_path}: {key} is for folders of files, and the messages of a bag say it "
+                "themselves; leave it out."
+            )
     log_path, gnss_topic = _choose_gnss(bag, options.gnss)
     given = {**options.topics, **gnss_topic}
     unwanted = FIXES - given.keys() if options.gnss is not None else frozenset[str]()
@@ -147,15 +152,6 @@ def _settings_path(path: Path) -> Path:
         return path / SETTINGS
     own = path.with_suffix(".toml")
     return own if own.exists() else path.with_name(SETTINGS)
-
-
-def _refuse_settings(settings: RecordingSettings, path: Path) -> None:
-    for key in ("frames", "bayer", "start", "scale"):
-        if getattr(settings, key) is not None:
-            raise RecordingError(
-                f"{path}: {key} is for folders of files, and the messages of a bag say it "
-                "themselves; leave it out."
-            )
 
 
 def _choose_gnss(bag: Bag, gnss: str | Path | None) -> tuple[Path | None, dict[str, str]]:
@@ -270,7 +266,8 @@ def _leaning(content: BagIndex, imu_axes: str, motion: Motion, notes: list[str])
         return motion
     roles = ("attitude",) if given else ("imu", "odometry")
     for topic in filter(None, map(content.roles.get, roles)):
-        heard = readings.attitude if given else readings.leaning(topic)
+        turns = readings.of(topic, Turns)
+        heard = readings.attitude if given else turns or readings.of(topic, Speeds)
         if heard is None or not heard.leans.places:
             continue
         is_imu = content.bag.topics[topic].type == IMU
@@ -279,7 +276,7 @@ def _leaning(content: BagIndex, imu_axes: str, motion: Motion, notes: list[str])
         frame_sigma_deg = 0.0 if is_imu else ODOMETRY_FRAME_SIGMA_DEG
         told = readings.series(content.bag, topic, heard.leans.places, heard.leans.values())
         found: Orientation | Untold
-        if how == TAKEN and _feels_other_axis(readings.of(topic, Turns)):
+        if how == TAKEN and turns is not None and felt_upward(turns.sensed()[:, 3:]) is not None:
             found = Untold("it does not feel gravity along its z axis", by_axes=True)
         else:
             found = orientation_of(*told, R_flu_body, frame_sigma_deg, axes_known=how != TAKEN)
@@ -295,11 +292,6 @@ def _leaning(content: BagIndex, imu_axes: str, motion: Motion, notes: list[str])
             remedy = f"; say how it sits by {by}" if found.by_axes else ""
             notes.append(f"{topic}: tells no roll and pitch: {found.why}{remedy}.")
     return motion
-
-
-def _feels_other_axis(turns: Turns | None) -> bool:
-    """Whether an IMU feels gravity along another axis than the third."""
-    return turns is not None and felt_upward(turns.sensed()[:, 3:]) is not None
 
 
 def axes_of(transforms: Transforms, axes: str, frame: str) -> tuple[Float64, str]:

@@ -110,7 +110,9 @@ def pair(left_ns: Int64, right_ns: Int64) -> PairMatch:
     _, left, right = np.intersect1d(left_ns, right_ns, assume_unique=True, return_indices=True)
     rest_left = np.setdiff1d(np.arange(len(left_ns)), left)
     rest_right = np.setdiff1d(np.arange(len(right_ns)), right)
-    near = _nearest(left_ns[rest_left], right_ns[rest_right], _tolerance_ns(left_ns, right_ns))
+    usual = [np.median(np.diff(times)) / 4 for times in (left_ns, right_ns) if len(times) > 1]
+    within_ns = int(min([MAX_APART_NS, *usual]))
+    near = _nearest(left_ns[rest_left], right_ns[rest_right], within_ns)
     near_left, near_right = rest_left[near[0]], rest_right[near[1]]
     # Of the rest, two pairs cannot cross: each would be the nearer one of the other's partner. One
     # that crosses an equal pair is none.
@@ -124,11 +126,6 @@ def pair(left_ns: Int64, right_ns: Int64) -> PairMatch:
         int(apart.max()) if len(apart) else 0,
         (len(left_ns) - len(left), len(right_ns) - len(right)),
     )
-
-
-def _tolerance_ns(left_ns: Int64, right_ns: Int64) -> int:
-    intervals = [np.median(np.diff(t)) for t in (left_ns, right_ns) if len(t) > 1]
-    return min(MAX_APART_NS, int(min(intervals) / 4)) if intervals else MAX_APART_NS
 
 
 def _nearest(left_ns: Int64, right_ns: Int64, within_ns: int) -> tuple[Index, Index]:

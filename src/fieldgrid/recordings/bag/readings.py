@@ -91,7 +91,13 @@ class Readings:
             role, kind = _ROLES[type_]
             heard = kind() if self._may_be(role, name) else None
         elif type_ in TF:
-            heard = Trees() if name.endswith(TF_STATIC) else MovingTrees(self._lacks_odometry)
+            heard = (
+                Trees()
+                if name.endswith(TF_STATIC)
+                else MovingTrees(
+                    lambda: "odometry" not in self._best and "odometry" not in self._given
+                )
+            )
         elif type_ == _TEXT and name.endswith(DETAILS):
             heard = Texts()
         elif type_ == _TEXT and name in _TILTS:
@@ -100,12 +106,14 @@ class Readings:
             self._heard[name] = heard
         if name != self._given.get("attitude"):
             return None if heard is None else heard.take
-        self.attitude = attitude = AttitudeMessages()
-        return attitude.take if heard is None else _both(heard.take, attitude.take)
+        self.attitude = AttitudeMessages()
+        takes = [one.take for one in (heard, self.attitude) if one is not None]
 
-    def _lacks_odometry(self) -> bool:
-        """Whether no topic so far tells the speed, so that transforms may have to."""
-        return "odometry" not in self._best and "odometry" not in self._given
+        def take(message: Message, place: int) -> None:
+            for each in takes:
+                each(message, place)
+
+        return take
 
     def _may_be(self, role: str, name: str) -> bool:
         """Whether a topic may be the one of its role, since no better one is known."""
@@ -125,10 +133,6 @@ class Readings:
         """What was heard of a topic, if it is of a kind."""
         heard = self._heard.get(topic or "")
         return heard if isinstance(heard, kind) else None
-
-    def leaning(self, topic: str) -> Turns | Speeds | None:
-        """What was heard of an IMU or of odometry."""
-        return self.of(topic, Turns) or self.of(topic, Speeds)
 
     def tilt(self, topic: str) -> RecordedTilt | Orientation | None:
         """What a converted drive keeps of roll and pitch on a topic."""
@@ -224,13 +228,3 @@ class Readings:
             heard = self._heard.get(topic)
             found += [f"{topic}: {note}." for note in (heard.notes() if heard else ())]
         return found
-
-
-def _both(one: Take, other: Take) -> Take:
-    """What takes the messages of a topic for two."""
-
-    def take(message: Message, place: int) -> None:
-        one(message, place)
-        other(message, place)
-
-    return take

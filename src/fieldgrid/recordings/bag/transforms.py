@@ -43,8 +43,10 @@ class Transforms:
             known = self._parents.get(child)
             if known is None and len(self._parents) < _MAX_FRAMES:
                 self._parents[child] = (parent, place)
-            elif known is not None and (known[0] != parent or not _is_same(known[1], place)):
-                self._moved.add(child)
+            elif known is not None:
+                apart = max(np.abs(a - b).max() for a, b in zip(known[1], place, strict=True))
+                if known[0] != parent or not apart < _SAME:
+                    self._moved.add(child)
 
     def unmoved(self) -> Transforms:
         """The tree without the frames that were seen to move."""
@@ -98,11 +100,6 @@ def told(message: Any) -> Iterator[tuple[Any, tuple[str, str, FrameTransform]]]:
         place = _place(one.transform)
         if place is not None and child != parent:
             yield one, (child, parent, place)
-
-
-def _is_same(one: FrameTransform, other: FrameTransform) -> bool:
-    apart_m, turned = np.abs(one.at_m - other.at_m).max(), np.abs(one.R - other.R).max()
-    return bool(apart_m < _SAME and turned < _SAME)
 
 
 def _plain(frame: str) -> str:

@@ -86,7 +86,8 @@ class MovingTrees(Trees):
         moving = [
             key
             for key, (_, values) in self._ways.items()
-            if _moves(values) and not (is_mapped and _worth(key[0]) == _WORLD["map"])
+            if np.ptp(np.array(values).reshape(-1, 6)[:, :3], axis=0).max() > 0.0  # at two places
+            and not (is_mapped and _worth(key[0]) == _WORLD["map"])
         ]
         if not self._is_whole:
             return None
@@ -125,9 +126,3 @@ def _is_sample(place: int) -> bool:
 
 def _worth(parent: str) -> int:
     return _WORLD[parent.rpartition("/")[2]]
-
-
-def _moves(values: array[float]) -> bool:
-    """Whether a frame is seen at two places at least."""
-    columns = np.array(values, dtype=np.float64).reshape(-1, 6)
-    return bool(np.ptp(columns[:, :3], axis=0).max() > 0.0)

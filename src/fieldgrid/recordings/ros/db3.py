@@ -114,18 +114,14 @@ class Db3File:
                 if step == 1:
                     intact = last
                     gaps += 1
-                    self._note(error)
+                    missing = missing_bytes(self.file)
+                    self.damage.end = self.damage.end or (
+                        f"is cut off: its last {size(missing)} are missing"
+                        if missing > 0
+                        else f"is a damaged database ({error}), of which not all can be read"
+                    )
             # Behind a page that is damaged, there may be others that are not.
             last, step = last + step, 2 * step
-
-    def _note(self, error: BaseException) -> None:
-        if not self.damage.end:
-            missing = missing_bytes(self.file)
-            self.damage.end = (
-                f"is cut off: its last {size(missing)} are missing"
-                if missing > 0
-                else f"is a damaged database ({error}), of which not all can be read"
-            )
 
     def _record(self, row: int, topic: object, time_ns: object, data: object) -> Record | None:
         connection = self.connections.get(topic) if isinstance(topic, int) else None

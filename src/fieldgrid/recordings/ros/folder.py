@@ -94,11 +94,8 @@ def _named(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
         for path in folder.iterdir()
         if path.name.removesuffix(_PACKED).endswith(suffixes) and path.is_file()
     ]
-    return sorted(found, key=lambda path: _natural(path.name))
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    return [(int(digits or 0), text) for text, digits in re.findall(r"(\D*)(\d{0,18})", name)]
+    parts = re.compile(r"(\D*)(\d{0,18})")
+    return sorted(found, key=lambda p: [(int(n or 0), text) for text, n in parts.findall(p.name)])
 
 
 def _metadata(folder: Path) -> bytes:

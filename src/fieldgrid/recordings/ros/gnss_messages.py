@@ -15,7 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import CARRIER, CalibrationError, DatumError, Float64, Int64, Quality, parse_json
+from fieldgrid.core import (
+    CARRIER,
+    CalibrationError,
+    DatumError,
+    Float64,
+    Int64,
+    Quality,
+    parse_json,
+)
 from fieldgrid.geometry import (
     Datum,
     Fix,

@@ -10,6 +10,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
+import lz4.frame
+
 from fieldgrid.core import Closing, RecordingError, UnfoldBudget, limits
 
 _STEP_BYTES = 1 << 22
@@ -122,12 +124,6 @@ class _UnpackedStream:
         return bytes(self._unpacker.decompress(data, size))
 
 
-def _lz4(data: bytes) -> _Stream:
-    import lz4.frame
-
-    return _UnpackedStream(lz4.frame.LZ4FrameDecompressor(), data)
-
-
 def _zstd(source: bytes | BinaryIO) -> _Stream:
     import zstandard
 
@@ -137,7 +133,7 @@ def _zstd(source: bytes | BinaryIO) -> _Stream:
 
 _CODECS: dict[str, Callable[[bytes], _Stream]] = {
     "bz2": lambda data: _UnpackedStream(bz2.BZ2Decompressor(), data),
-    "lz4": _lz4,
+    "lz4": lambda data: _UnpackedStream(lz4.frame.LZ4FrameDecompressor(), data),
     "zstd": _zstd,
 }
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"

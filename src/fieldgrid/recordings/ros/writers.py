@@ -117,6 +117,7 @@ class McapWriter(_BagWriter):
         self._writer.start(profile="ros2", library="fieldgrid")
 
     def write(self, topic: str, message: Any, time_ns: int, *, latched: bool = False) -> None:
+        """Write a message of a class of `types()`."""
         name = message.__msgtype__
         text = ""
         if (name, "ros2msg") not in self._schemas:
@@ -191,6 +192,7 @@ class BagFolderWriter(_BagWriter):
         self._writer.set_custom_data("written_by", "fieldgrid")
 
     def write(self, topic: str, message: Any, time_ns: int, *, latched: bool = False) -> None:
+        """Write a message of a class of `types()`."""
         name = message.__msgtype__
         with _refused(self._path):
             connection = self._connections.get((topic, name))
@@ -241,6 +243,7 @@ class Ros1BagWriter(_BagWriter):
         self._writer.open()
 
     def write(self, topic: str, message: Any, time_ns: int, *, latched: bool = False) -> None:
+        """Write a message of a class of `types()`."""
         name, store = message.__msgtype__, ros1_types()
 
         def migrated(one: Any) -> Any:

@@ -11,7 +11,6 @@ from fieldgrid.core import CalibrationError, Float64
 from fieldgrid.geometry import DepthCamera, StereoCamera, lens_model, raw_camera
 from fieldgrid.perception import Rectifier, camera_from_projections, rectify_by_projections
 from fieldgrid.recordings.bag.content import BagIndex
-from fieldgrid.recordings.bag.sensors.images import baseline_m
 from fieldgrid.recordings.bag.topics import INFO, is_rectified, listing
 
 _MOST_COEFFICIENTS = 64
@@ -85,7 +84,7 @@ def disparity_camera(content: BagIndex, image: Any) -> DepthCamera:
     info = _info(content, "left_info")
     P = info.P.copy()
     P[0, 0] = P[1, 1] = float(image.f)
-    return _depth_camera(info, P, baseline_m(image))
+    return _depth_camera(info, P, float(image.t))
 
 
 def _depth_camera(info: _Info, P: Float64, baseline: float | None) -> DepthCamera:

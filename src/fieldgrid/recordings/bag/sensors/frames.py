@@ -214,51 +214,40 @@ def read_frames(bag: Bag, plan: Plan) -> Iterator[tuple[Taken, ...]]:
     """
     if not len(plan.time_ns):
         return
-    where = [bag.places(topic) for topic in plan.topics]
-    starts = [int(at[places.min()]) for at, places in zip(where, plan.places, strict=True)]
     done = 0
-    for taken in _together(bag, plan, where, min(starts)):
+    for taken in _read_topics(bag, plan, range(len(plan.topics))):
         yield taken
         done += 1
     if done < len(plan.time_ns):
-        streams = [_alone(bag, plan, k, where[k], starts[k]) for k in range(len(plan.topics))]
-        yield from islice(zip(*streams, strict=True), done, None)
+        streams = [_read_topics(bag, plan, [k]) for k in range(len(plan.topics))]
+        for parts in islice(zip(*streams, strict=True), done, None):
+            yield tuple(taken for (taken,) in parts)
+            done += 1
+    if done < len(plan.time_ns):
+        raise RecordingError(
+            f"{bag.path} has fewer messages of {' and '.join(plan.topics)} than when it was "
+            "opened; leave it alone while it is read."
+        )
 
 
-def _together(
-    bag: Bag, plan: Plan, where: Sequence[Int64], start: int
-) -> Iterator[tuple[Taken, ...]]:
-    """The frames, until the messages of one have to be held that are more than a few."""
+def _read_topics(bag: Bag, plan: Plan, numbers: Sequence[int]) -> Iterator[tuple[Taken, ...]]:
+    """What the frames take from some of the topics, until more than a few messages of one of
+    several topics have to be held."""
+    where = [bag.places(plan.topics[k]) for k in numbers]
+    start = min(int(at[plan.places[k].min()]) for k, at in zip(numbers, where, strict=True))
     queues = {
-        topic: _Queue(plan, k, int(np.searchsorted(where[k], start)))
-        for k, topic in enumerate(plan.topics)
+        plan.topics[k]: _Queue(plan, k, int(np.searchsorted(at, start)))
+        for k, at in zip(numbers, where, strict=True)
     }
     left = len(plan.time_ns)
-    for message in bag.messages(plan.topics, start):
+    for message in bag.messages(tuple(queues), start):
         queue = queues[message.topic]
         queue.put(message)
         while left and all(one.ready for one in queues.values()):
             yield tuple(one.ready.popleft() for one in queues.values())
             left -= 1
-        if not left or queue.held > MOST_HELD:
+        if not left or (len(queues) > 1 and queue.held > MOST_HELD):
             return
-
-
-def _alone(bag: Bag, plan: Plan, number: int, where: Int64, start: int) -> Iterator[Taken]:
-    """What the frames take from one of the topics."""
-    queue = _Queue(plan, number, int(np.searchsorted(where, start)))
-    left = len(plan.time_ns)
-    for message in bag.messages((plan.topics[number],), start):
-        queue.put(message)
-        while queue.ready:
-            yield queue.ready.popleft()
-            left -= 1
-        if not left:
-            return
-    raise RecordingError(
-        f"{bag.path} has fewer messages of {plan.topics[number]} than when it was opened; leave "
-        "it alone while it is read."
-    )
 
 
 class _Queue:

@@ -126,7 +126,7 @@ class DisparityImage(MessageSource):
                 f"{self.name}: disparities are encoded as {str(message.image.encoding)[:40]!r}, "
                 f"not {METRES}; record them as stereo_image_proc gives them."
             )
-        product = float(message.f) * baseline_m(message)
+        product = float(message.f) * float(message.t)
         if not (np.isfinite(product) and product > 0.0):
             raise RecordingError(
                 f"{self.name}: f·T is {product}, which gives no depth; restore the calibration."
@@ -149,11 +149,6 @@ def known_depths(depth_m: Float32) -> Float32:
     """The depths, NaN in place of those that are none."""
     depth_m[~(np.isfinite(depth_m) & (depth_m > 0.0))] = np.nan
     return depth_m
-
-
-def baseline_m(message: Any) -> float:
-    """T of a disparity image."""
-    return float(message.t)
 
 
 def pixels_of(message: Any, dtype: np.dtype[Any], channels: int, name: str) -> AnyArray:
