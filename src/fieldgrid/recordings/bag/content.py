@@ -218,7 +218,7 @@ def find_motion(content: BagIndex, imu_axes: str = AXES) -> tuple[Motion, tuple[
     turns = readings.of(topic, Turns)
     if turns is not None and turns.places:
         R_flu_imu, told = axes_of(content.transforms, imu_axes, content.frame_id("imu"))
-        times_ns, sensed = readings.series(bag, topic, turns.places, turns.sensed())
+        times_ns, sensed = readings.series(bag, topic, turns.places, turns.rows(6))
         upward, is_whole = R_flu_imu[2], True
         if told == TAKEN and (felt := felt_upward(sensed[:, 3:])) is not None:
             upward, is_whole = felt, False
@@ -236,7 +236,7 @@ def find_motion(content: BagIndex, imu_axes: str = AXES) -> tuple[Motion, tuple[
     topic = content.roles.get("odometry", "")
     speeds = readings.of(topic, Speeds)
     if speeds is not None and speeds.places:
-        told_mps = readings.series(bag, topic, speeds.places, speeds.speeds_mps())
+        told_mps = readings.series(bag, topic, speeds.places, np.array(speeds.values))
         series, lost = in_order(*told_mps)
         wheels = WheelSpeed(*series) if len(series.time_ns) else None
         notes += skipped(topic, lost, "message")
@@ -271,12 +271,11 @@ def _leaning(content: BagIndex, imu_axes: str, motion: Motion, notes: list[str])
         if heard is None or not heard.leans.places:
             continue
         is_imu = content.bag.topics[topic].type == IMU
-        body = heard.frame_id if isinstance(heard, Turns) else heard.body
-        R_flu_body, how = axes_of(content.transforms, imu_axes if is_imu else AXES, body)
+        R_flu_body, how = axes_of(content.transforms, imu_axes if is_imu else AXES, heard.body)
         frame_sigma_deg = 0.0 if is_imu else ODOMETRY_FRAME_SIGMA_DEG
         told = readings.series(content.bag, topic, heard.leans.places, heard.leans.values())
         found: Orientation | Untold
-        if how == TAKEN and turns is not None and felt_upward(turns.sensed()[:, 3:]) is not None:
+        if how == TAKEN and turns is not None and felt_upward(turns.rows(6)[:, 3:]) is not None:
             found = Untold("it does not feel gravity along its z axis", by_axes=True)
         else:
             found = orientation_of(*told, R_flu_body, frame_sigma_deg, axes_known=how != TAKEN)

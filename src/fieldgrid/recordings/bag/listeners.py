@@ -24,7 +24,10 @@ _UNLIMITED = 1 << 60
 
 class TopicListener:
     """The messages of one topic, each decoded and added; those that do not fit their type are
-    counted. `frame_id` is that of the first message."""
+    counted. `frame_id` is that of the first message.
+
+    `values` are the numbers of each message in `places`; `leans` is how the frame `body` leans.
+    """
 
     hashes = False
 
@@ -33,7 +36,8 @@ class TopicListener:
         self.frame_id = ""
         self.damaged = 0
         self.counts: Counter[str] = Counter()
-        self.places = array("q")
+        self.places, self.values = array("q"), array("d")
+        self.leans, self.body = Leans(), ""
         self._hash = hashlib.sha256()
 
     def take(self, message: Message, place: int) -> None:
@@ -60,6 +64,10 @@ class TopicListener:
 
     def _add(self, message: Any, place: int) -> None:
         """What a decoded message says."""
+
+    def rows(self, width: int) -> Float64:
+        """The values [n, width], in the order of the record; NaN for what is not measured."""
+        return np.array(self.values, dtype=np.float64).reshape(-1, width)
 
     def sha256(self) -> str:
         """The hash of all messages one after the other, in hexadecimal."""
@@ -101,10 +109,6 @@ class Fixes(TopicListener):
 
     hashes = True
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._values = array("d")
-
     def _add(self, message: Any, place: int) -> None:
         lat_deg, lon_deg, height_m = message.latitude, message.longitude, message.altitude
         if not (math.isfinite(lat_deg) and math.isfinite(lon_deg)):
@@ -115,7 +119,7 @@ class Fixes(TopicListener):
             height_m = 0.0
         quality, sigma_m = quality_of(message)
         self.places.append(place)
-        self._values.extend(
+        self.values.extend(
             (lat_deg, lon_deg, height_m, quality, math.nan if sigma_m is None else sigma_m)
         )
 
@@ -125,7 +129,7 @@ class Fixes(TopicListener):
         known = time_ns > 0
         if not known.all():
             self.counts["without a time skipped"] = int(np.count_nonzero(~known))
-        lat, lon, height, quality, sigma = np.array(self._values).reshape(-1, 5)[known].T
+        lat, lon, height, quality, sigma = self.rows(5)[known].T
         return FixColumns.of(
             time_ns[known],
             lat_deg=lat,
@@ -140,12 +144,8 @@ class Turns(TopicListener):
     """Rates of turn about the axes of an IMU, rad/s, forces along them, m/s², and how it leans by
     its own estimate."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._sensed = array("d")
-        self.leans = Leans()
-
     def _add(self, message: Any, place: int) -> None:
+        self.body = self.frame_id
         self.leans.add(message, place)
         if message.angular_velocity_covariance[:1].tolist() == [-1.0]:  # by its definition
             self.counts["whose covariance says that there is no gyro"] += 1
@@ -155,39 +155,21 @@ class Turns(TopicListener):
         if message.linear_acceleration_covariance[:1].tolist() == [-1.0]:
             felt = (math.nan, math.nan, math.nan)
         self.places.append(place)
-        self._sensed.extend((rates.x, rates.y, rates.z, *felt))
-
-    def sensed(self) -> Float64:
-        """Rates and forces [n, 6], in the order of the record; NaN for a force that is not
-        measured."""
-        return np.array(self._sensed, dtype=np.float64).reshape(-1, 6)
+        self.values.extend((rates.x, rates.y, rates.z, *felt))
 
 
 class Speeds(TopicListener):
     """Speeds along the x axis of the vehicle, m/s, and how it leans, by nav_msgs/Odometry."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._speeds = array("d")
-        self.leans, self.body = Leans(), ""
-
     def _add(self, message: Any, place: int) -> None:
         self.body = self.body or message.child_frame_id
         self.leans.add(message, place)
         self.places.append(place)
-        self._speeds.append(message.twist.twist.linear.x)
-
-    def speeds_mps(self) -> Float64:
-        """The speeds [n], in the order of the record."""
-        return np.array(self._speeds, dtype=np.float64)
+        self.values.append(message.twist.twist.linear.x)
 
 
 class AttitudeMessages(TopicListener):
     """How the vehicle leans, by the topic that was given for it."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.leans, self.body = Leans(), ""
 
     def _add(self, message: Any, place: int) -> None:
         if not self.body:  # a pose names the frame that it is in, and not whose it is

@@ -27,7 +27,6 @@ class _Poses(TopicListener):
     def __init__(self, type_: str) -> None:
         super().__init__()
         self.type = type_
-        self.values = array("d")
         self.stamps_ns = array("q")
         self._whole: Message | None = None
 
@@ -78,7 +77,7 @@ def read_pose_topic(
         name = _chosen(bag, list(heard), topic)
         found = heard[name]
         found.finish()
-        values = np.array(found.values, dtype=np.float64).reshape(-1, 7)
+        values = found.rows(7)
         if found.type == _PATH:
             stamps_ns = bag.dated(np.array(found.stamps_ns, dtype=np.int64))
             time_ns = clock(name, stamps_ns, stamps_ns).time_ns

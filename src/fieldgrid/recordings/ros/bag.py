@@ -6,6 +6,7 @@ from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -22,19 +23,20 @@ from fieldgrid.core import (
     counted,
     limits,
 )
+from fieldgrid.recordings.ros.chunked import ChunkedFile
 from fieldgrid.recordings.ros.db3 import Db3File, is_db3
 from fieldgrid.recordings.ros.definitions import has_header
 from fieldgrid.recordings.ros.folder import BagFiles, find_files, is_bag_folder, unpacked
-from fieldgrid.recordings.ros.mcap_file import MAGIC as MCAP_MAGIC, McapFile
+from fieldgrid.recordings.ros.mcap_file import MAGIC as MCAP_MAGIC, McapRun
 from fieldgrid.recordings.ros.model import BagPart, Connection, Message, Record, Topic
-from fieldgrid.recordings.ros.rosbag1 import MAGIC as ROSBAG1_MAGIC, Rosbag1File
+from fieldgrid.recordings.ros.rosbag1 import MAGIC as ROSBAG1_MAGIC, Rosbag1Run
 from fieldgrid.recordings.ros.source import ZSTD_MAGIC, inflate
 from fieldgrid.recordings.ros.sqlite_file import MAGIC as SQLITE_MAGIC, mended
 from fieldgrid.recordings.ros.stamps import stamp_ns
 
-_PARTS: dict[bytes, type[BagPart]] = {
-    ROSBAG1_MAGIC: Rosbag1File,
-    MCAP_MAGIC: McapFile,
+_PARTS: dict[bytes, Callable[[Path, Path], BagPart]] = {
+    ROSBAG1_MAGIC: partial(ChunkedFile, Rosbag1Run),
+    MCAP_MAGIC: partial(ChunkedFile, McapRun),
     SQLITE_MAGIC: Db3File,
 }
 _SUFFIXES = (".bag", ".mcap", ".db3")

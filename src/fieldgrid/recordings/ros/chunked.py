@@ -19,12 +19,10 @@ from fieldgrid.recordings.ros.source import BadChunkError, BoundedFile, Torn, in
 
 
 class ChunkedFile:
-    """One file (a `Part`); a subclass names what reads it."""
+    """One file (a `BagPart`), which a `run` of its kind reads."""
 
-    run: ClassVar[type[Run]]
-
-    def __init__(self, path: Path, file: Path) -> None:
-        self.path, self.file = path, file
+    def __init__(self, run: type[Run], path: Path, file: Path) -> None:
+        self.run, self.path, self.file = run, path, file
         self.damage, self.connections = Damage(), Connections()
         self.orphans: dict[tuple[int, int], int] = {}
         """Messages, by place and number, that came before what their connection is."""

@@ -43,7 +43,9 @@ class _Schema(NamedTuple):
     data: bytes
 
 
-class _McapRun(Run):
+class McapRun(Run):
+    """One run through an `.mcap` file."""
+
     chunk_mark = re.compile(
         rb"\x06.{5}\x00{3}.{28}(?:\x04\x00{3}zstd|\x03\x00{3}lz4|\x00{4})", re.DOTALL
     )
@@ -57,9 +59,11 @@ class _McapRun(Run):
         self._defined = self._schema_bytes = 0
 
     def begin(self) -> None:
+        """Check and pass over the start."""
         self.source.skip(len(MAGIC))
 
     def next_records(self) -> Iterator[Record]:
+        """See `Run`."""
         source = self.source
         op, length = _HEAD.unpack(source.take(_HEAD.size))
         if op == _CHUNK:
@@ -84,6 +88,7 @@ class _McapRun(Run):
             raise Torn
 
     def inner_records(self, data: bytes) -> Iterator[Record]:
+        """See `Run`."""
         view = memoryview(data)
         end = len(data)
         at = 0
@@ -103,6 +108,7 @@ class _McapRun(Run):
             at += length
 
     def chunk_at(self, mark: int) -> int:
+        """See `Run`."""
         self.source.go(mark)
         try:
             self._chunk_head(_HEAD.unpack(self.source.take(_HEAD.size))[1])
@@ -111,6 +117,7 @@ class _McapRun(Run):
         return mark
 
     def finish(self) -> None:
+        """See `Run`."""
         if not self.has_ended and not self.damage.end:
             self.damage.end = UNCLOSED
 
@@ -194,9 +201,3 @@ def _prefixed(data: bytes, at: int) -> tuple[bytes, int]:
 def _string(data: bytes, at: int) -> tuple[str, int]:
     text, end = _prefixed(data, at)
     return text.decode(), end
-
-
-class McapFile(ChunkedFile):
-    """One `.mcap` file."""
-
-    run = _McapRun

@@ -69,8 +69,6 @@ class BagPart(Protocol):
     connections: Connections
     """All that a run has met so far."""
 
-    def __init__(self, path: Path, file: Path) -> None: ...
-
     def records(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[Record]:
         """What can be read, in the order of the file; of these topics, or of all. `start` is
         where, an `at` of a record of an earlier run. Raises LimitError for a file that unfolds

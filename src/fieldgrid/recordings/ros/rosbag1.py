@@ -28,7 +28,9 @@ _USUAL_MESSAGE = re.compile(
 """The header of a message that has these three fields alone, as of every recorder, in any order."""
 
 
-class _BagRun(Run):
+class Rosbag1Run(Run):
+    """One run through a `.bag` file."""
+
     chunk_mark = re.compile(rb"\x04\x00\x00\x00op=\x05")
     widest_mark = _WIDEST_CHUNK_HEADER
 
@@ -41,6 +43,7 @@ class _BagRun(Run):
         self._is_closed = False
 
     def begin(self) -> None:
+        """Check and pass over the start."""
         magic = self.source.rest(len(MAGIC) + len(_VERSION))
         if not magic.endswith(_VERSION):
             version = magic[len(MAGIC) :].decode("ascii", "replace").strip()
@@ -50,6 +53,7 @@ class _BagRun(Run):
             )
 
     def next_records(self) -> Iterator[Record]:
+        """See `Run`."""
         source = self.source
         length: int = _U32.unpack(source.take(4))[0]
         if length > _MAX_HEADER_BYTES:
@@ -85,9 +89,11 @@ class _BagRun(Run):
                 source.skip(length)
 
     def has_all(self) -> bool:
+        """See `Run`."""
         return self._is_closed and 0 < self._chunks_of_header <= self._chunks
 
     def finish(self) -> None:
+        """See `Run`."""
         damage = self.damage
         damage.lacks(self._indexed, self.seen, self.source.size)
         if not self._is_closed and not damage.end:
@@ -96,6 +102,7 @@ class _BagRun(Run):
             damage.end = f"holds {self._chunks} of the {self._chunks_of_header} chunks that it had"
 
     def inner_records(self, data: bytes) -> Iterator[Record]:
+        """See `Run`."""
         view = memoryview(data)
         end = len(data)
         at = 0
@@ -191,9 +198,3 @@ def _op(header: Mapping[bytes, bytes]) -> int:
     if len(op) != 1 or op[0] not in _OPS:
         raise Torn
     return op[0]
-
-
-class Rosbag1File(ChunkedFile):
-    """One `.bag` file."""
-
-    run = _BagRun
