@@ -214,11 +214,8 @@ class _Finder:
 
     def single(self, role: str) -> None:
         """Find the one topic of a role, if there is any."""
-        found = self._one_of(
-            role, _of_types(self._topics, TYPES_OF_ROLES[role]), lambda name: worth(role, name)
-        )
-        if found:
-            self.roles[role] = found
+        names = _of_types(self._topics, TYPES_OF_ROLES[role])
+        self._one_of(role, names, lambda name: worth(role, name))
 
     def _stereo(self) -> bool:
         pairs = self._pairs()
@@ -277,22 +274,18 @@ class _Finder:
 
     def _disparity(self) -> bool:
         found = self._one_of("disparity", _of_types(self._topics, (DISPARITY,)), lambda _: 0)
-        if not found:
-            return False
-        self.roles["disparity"] = found
-        self._info("left_info", found, "left")
-        return True
+        if found:
+            self._info("left_info", found, "left")
+        return bool(found)
 
     def _depth(self) -> bool:
         images = _of_types(self._topics, (IMAGE, COMPRESSED))
         depths = [n for n in images if _DEPTH.search(base_name(n).lower())]
         depths = [n for n in depths if "confidence" not in n.lower()]
         found = self._one_of("depth", depths, self._depth_rank)
-        if not found:
-            return False
-        self.roles["depth"] = found
-        self._info("depth_info", found, "")
-        return True
+        if found:
+            self._info("depth_info", found, "")
+        return bool(found)
 
     def _depth_rank(self, name: str) -> tuple[bool, bool, bool, bool]:
         """Of the depth camera itself, rectified, plain, without loss first."""
@@ -301,11 +294,7 @@ class _Finder:
 
     def _cloud(self) -> bool:
         clouds = _of_types(self._topics, (CLOUD,))
-        found = self._one_of("cloud", clouds, lambda n: MADE.search(n.lower()) is not None)
-        if not found:
-            return False
-        self.roles["cloud"] = found
-        return True
+        return bool(self._one_of("cloud", clouds, lambda n: MADE.search(n.lower()) is not None))
 
     def _info(self, role: str, image: str, side: str, *, lone: bool = True) -> None:
         """The calibration beside an image, or the only one of its side, or if it may be `lone`
@@ -326,9 +315,10 @@ class _Finder:
             self.roles[role] = candidates[0]
 
     def _one_of(self, role: str, names: list[str], worth: Callable[[str], object]) -> str:
-        """The given one, else the one that is worth most (the lowest), else ''."""
+        """Take for a role the given topic, else the one that is worth most (the lowest), if there
+        is any; its name, or ''."""
         if role in self._given:
-            return self._given[role]
+            names = [self._given[role]]
         best = min((worth(name) for name in names), default=None)  # type: ignore[type-var]
         names = [name for name in names if worth(name) == best]
         if len(names) > 1:
@@ -336,7 +326,9 @@ class _Finder:
                 f"{self._path} has several topics for {role}: {', '.join(names)}; choose one with "
                 f"--topic {role}={names[0]}."
             )
-        return names[0] if names else ""
+        if names:
+            self.roles[role] = names[0]
+        return self.roles.get(role, "")
 
 
 def _of_types(topics: Mapping[str, Topic], types: tuple[str, ...]) -> list[str]:
