@@ -282,15 +282,20 @@ class _Finder:
         images = _of_types(self._topics, (IMAGE, COMPRESSED))
         depths = [n for n in images if _DEPTH.search(base_name(n).lower())]
         depths = [n for n in depths if "confidence" not in n.lower()]
-        found = self._one_of("depth", depths, self._depth_rank)
+        # Of the depth camera itself, rectified, plain, without loss first.
+        found = self._one_of(
+            "depth",
+            depths,
+            lambda n: (
+                "aligned" in n,
+                not is_rectified(n),
+                self._topics[n].type == COMPRESSED,
+                not n.endswith("Depth"),
+            ),
+        )
         if found:
             self._info("depth_info", found, "")
         return bool(found)
-
-    def _depth_rank(self, name: str) -> tuple[bool, bool, bool, bool]:
-        """Of the depth camera itself, rectified, plain, without loss first."""
-        packed = self._topics[name].type == COMPRESSED
-        return "aligned" in name, not is_rectified(name), packed, not name.endswith("Depth")
 
     def _cloud(self) -> bool:
         clouds = _of_types(self._topics, (CLOUD,))
