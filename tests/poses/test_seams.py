@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from fieldgrid.core import Float64
-from fieldgrid.geometry import Carrier, FixColumns, Motion
+from fieldgrid.core import Float64, PoseSettings
+from fieldgrid.geometry import Carrier, FixColumns, Motion, wrap_deg
 from fieldgrid.poses import Estimate, estimate_poses
 from fieldgrid.poses.faults.leaps.seams import LEAP_S, seam_doubt
 from tests.simulated import DATUM, K_TURN, Command, Drive, fixes_of, gyro_of, simulate
@@ -152,13 +152,35 @@ def test_positions_say_what_a_leap_shows(leap_m: float, at_share: float) -> None
         assert inside(found, drive) > 0.98
     assert any("solution leaps once" in note for note in found.report.notes)
     if leap_m == 15.0:
-        # To say that the fixes are good would not help.
-        (note,) = (one for one in found.report.notes if one.startswith("No pose can be used"))
-        assert (
-            f"cut the drive where the solution leaps (first {at_share * drive.time_s[-1]:.0f} s"
-            in note
-        )
-        assert "--accuracy" not in note
+        # Too far for a drive of one piece: its two parts are used by themselves.
+        track, cut = found.trajectory, int(np.ceil(at_share * len(found.fix_row)))
+        before, after = found.fix_row[:cut], found.fix_row[cut:]
+        assert track.accepted[before].mean() > 0.9
+        assert track.accepted[after].mean() > 0.85
+        truth = drive.at((track.time_ns - track.time_ns[found.fix_row[0]]) / 1e9)
+        off_deg = np.abs(wrap_deg(track.heading_deg - np.degrees(truth.heading_rad)))
+        sure = off_deg < 3.0 * track.heading_sigma_deg
+        assert sure[track.accepted].mean() > 0.98
+        # Nothing lies between them.
+        ends_ns = track.time_ns[[before[-1], after[0]]]
+        assert "leap" in track.at(int(ends_ns.mean())).reason
+        (note,) = (one for one in found.report.notes if "was cut where" in one)
+        assert "2 of its 2 parts" in note
+        assert float(note.partition("up to ")[2].split()[0]) == pytest.approx(15.0, abs=0.5)
+
+
+def test_a_drive_whose_parts_are_no_better_stays_as_it_is() -> None:
+    drive = simulate(ROWS)
+    fixes = leaping(drive, 15.0, 0.5)
+    found = estimate_poses(
+        *(fixes, Carrier(0.0), DATUM, PoseSettings(max_heading_sigma_deg=0.01)),
+        Motion(gyro=gyro_of(drive, noise_dps=0.05)),
+    )
+    assert not found.trajectory.accepted.any()
+    (note,) = (one for one in found.report.notes if one.startswith("No pose can be used"))
+    # To say that the fixes are good would not help.
+    assert "nor can a part" in note
+    assert "--accuracy" not in note
 
 
 def test_a_drive_that_does_not_leap_is_as_sure_as_ever() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -124,3 +124,16 @@ class Motion(NamedTuple):
     tilt: RecordedTilt | None = None
     poses: GivenPoses | None = None
     orientation: Orientation | None = None
+
+    def between(self, from_ns: int, until_ns: int) -> Motion:
+        """What was measured from one time to before another."""
+        parts: dict[str, Any] = {}
+        for name, series in self._asdict().items():
+            if series is None:
+                continue
+            inside = (series[0] >= from_ns) & (series[0] < until_ns)
+            if isinstance(series, Steps):
+                inside &= series.stop_ns < until_ns
+            if inside.any():
+                parts[name] = type(series)._make(column[inside] for column in series)
+        return Motion(**parts)

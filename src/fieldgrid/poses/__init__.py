@@ -19,7 +19,7 @@ from fieldgrid.core.doors import door
 
 if TYPE_CHECKING:
     from fieldgrid.poses.attitude.attitude import Attitude as Attitude
-    from fieldgrid.poses.estimate import Estimate as Estimate, estimate_poses as estimate_poses
+    from fieldgrid.poses.estimate import estimate_poses as estimate_poses
     from fieldgrid.poses.external.poses import GIVEN as GIVEN
     from fieldgrid.poses.faults.camera_yaw import (
         off_sentence as off_sentence,
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
         levelling_attitude as levelling_attitude,
         tells_attitude as tells_attitude,
     )
+    from fieldgrid.poses.parts import Estimate as Estimate
     from fieldgrid.poses.report import NO_AXLE as NO_AXLE, clock_notes as clock_notes
     from fieldgrid.poses.track.formats import gpx_track as gpx_track
     from fieldgrid.poses.track.table import (

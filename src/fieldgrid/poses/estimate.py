@@ -13,7 +13,6 @@ from fieldgrid.geometry import (
     FixColumns,
     LeverArm,
     Motion,
-    Trajectory,
     VehicleGeometry,
     wrap_deg,
 )
@@ -44,22 +43,12 @@ from fieldgrid.poses.gates.conditioning import condition
 from fieldgrid.poses.gates.summary import summarise
 from fieldgrid.poses.levelled import leaning, tells_attitude, unsure_lean
 from fieldgrid.poses.measured import RecordedHeadings
-from fieldgrid.poses.report import PoseReport, drive_notes, fix_offset
+from fieldgrid.poses.parts import Estimate, by_parts
+from fieldgrid.poses.report import PoseReport, drive_notes, fix_offset, leaps_ns
 from fieldgrid.poses.settings import HeadingSource, heading_source
 from fieldgrid.poses.slope import FLAT, slope_notes, slope_seen, unsure_slope
 from fieldgrid.poses.table import PoseTable, pose_table
 from fieldgrid.poses.verdict import ErrorBudget, judged
-
-
-class Estimate(NamedTuple):
-    """A trajectory, the row of each input fix in it (in order of time), the report, and for each
-    row the probability that the gear is the other one. Of given poses without fixes, `fix_row` has
-    all rows."""
-
-    trajectory: Trajectory
-    fix_row: Int64
-    report: PoseReport
-    gear_doubt: Float64
 
 
 def estimate_poses(
@@ -156,7 +145,18 @@ def estimate_poses(
             ),
         ),
     )
-    return Estimate(trajectory, fix_row, report, table.gear_doubt)
+    whole = Estimate(trajectory, fix_row, report, table.gear_doubt)
+    if trajectory.accepted.any() or not len(leaps_ns(log.accepted)):
+        return whole
+    one = partial(
+        estimate_poses,
+        rig=rig,
+        datum=log.datum,
+        settings=settings,
+        budget=budget,
+        level_grids=level_grids,
+    )
+    return by_parts(whole, log.accepted, fixes, motion, frame_ns, one)
 
 
 class _Checks(NamedTuple):

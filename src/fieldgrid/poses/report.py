@@ -156,17 +156,8 @@ def drive_notes(
             "The known gears are all of a time before or after this drive, and were not used; "
             f"their times are UTC, and it lasts from {utc_text(first_ns)} to {utc_text(last_ns)}."
         )
-    # That the receiver's solution leaps, and what its positions count as.
-    leaps = _leaps(fixes)
-    if len(leaps):
-        first_s = (fixes.time_ns[leaps[0]] - fixes.time_ns[0]) / 1e9
-        often = "once" if len(leaps) == 1 else f"{len(leaps)} times"
-        yield (
-            f"The receiver's solution leaps {often} by more than it states (first "
-            f"{first_s:.0f} s after the start), and nothing tells which side is right: its "
-            f"positions count as good to {np.median(fixes.sigma_m):.2f} m. If you know, leave out "
-            "the fixes of the wrong one."
-        )
+    if len(leaps_ns(fixes)):
+        yield leap_note(fixes)
     yield from clock_notes(clock)
     if yaw is not None:
         yield from yaw_notes(yaw)
@@ -193,9 +184,21 @@ def _constant_note(
         )
 
 
-def _leaps(fixes: AcceptedFixes) -> Int64:
-    """The fixes after which the solution goes on elsewhere."""
-    return np.flatnonzero(fixes.lasting_s <= LEAP_S)
+def leaps_ns(fixes: AcceptedFixes) -> Int64:
+    """The times of the fixes after which the solution goes on elsewhere."""
+    return fixes.time_ns[fixes.lasting_s <= LEAP_S]
+
+
+def leap_note(fixes: AcceptedFixes) -> str:
+    """That the receiver's solution leaps, and what its positions count as."""
+    leaps = leaps_ns(fixes)
+    first_s = (leaps[0] - fixes.time_ns[0]) / 1e9
+    often = "once" if len(leaps) == 1 else f"{len(leaps)} times"
+    return (
+        f"The receiver's solution leaps {often} by more than it states (first {first_s:.0f} s "
+        "after the start), and nothing tells which side is right: its positions count as good to "
+        f"{np.median(fixes.sigma_m):.2f} m. If you know, leave out the fixes of the wrong one."
+    )
 
 
 def clock_notes(clock: ClockOffset | None) -> Iterator[str]:
@@ -235,14 +238,10 @@ def _remedy(
     """What to declare for poses of a refused drive to be used. The reasons are those of the poses
     at fixes, as everywhere; there may be more between them."""
     commonest = commonest_reason([trajectory.reason[row] for row in fix_row])
-    advice, leaps = "choose another log with --gnss", _leaps(fixes)
-    if len(leaps) and commonest.startswith(("position sigma", "heading sigma", "a cell")):
+    advice = "choose another log with --gnss"
+    if len(leaps_ns(fixes)):
         # What is declared of the fixes does not tell which solution was right.
-        first_s = (fixes.time_ns[leaps[0]] - fixes.time_ns[0]) / 1e9
-        advice = (
-            f"cut the drive where the solution leaps (first {first_s:.0f} s after the start), and "
-            f"use the parts one by one, with --until {first_s:.0f} and with --from {first_s:.0f}"
-        )
+        advice += "; nor can a part of the drive between leaps be used by itself"
     elif commonest.startswith("position sigma"):
         advice = (
             "if the receiver is better than that, say so with --accuracy METRES or --quality NAME "

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from fieldgrid.core import MIN_TIME_NS, Bool, Int64, RecordingError, utc_text
-from fieldgrid.geometry import Motion
 from fieldgrid.recordings.drive import Drive, Recording
 from fieldgrid.recordings.frames.frames import Frame, FrameSource
 from fieldgrid.recordings.stored import StoredFrames
@@ -66,14 +64,9 @@ def cut(drive: Drive, from_ns: int | None, until_ns: int | None) -> Drive:
             f"Nothing is left of {drive.name}, which was recorded from {utc_text(begins_ns)} to "
             f"{utc_text(ends_ns)}; give other times with --from and --until."
         )
-    parts: dict[str, Any] = {}
-    for name, series in drive.motion()._asdict().items():
-        if series is not None and inside(series[0]).any():
-            parts[name] = type(series)._make(column[inside(series[0])] for column in series)
-    log = drive.log._replace(
-        fixes=drive.fixes()[inside(drive.fixes().time_ns)], motion=Motion(**parts)
-    )
-    part = replace(drive, log=log)
+    fixes = drive.fixes()[inside(drive.fixes().time_ns)]
+    motion = drive.motion().between(first_ns, last_ns)
+    part = replace(drive, log=drive.log._replace(fixes=fixes, motion=motion))
     if isinstance(part, Recording):
         kept = np.flatnonzero(inside(frames_ns))
         first, stop = (int(kept[0]), int(kept[-1]) + 1) if len(kept) else (0, 0)
