@@ -504,7 +504,7 @@ def test_the_grid_origin_is_where_the_rig_says() -> None:
     simulated = simulate(SLALOM, 35.0, speed_mps=1.5)
     rig = paper_rig(antenna=LeverArm(0.3, -0.6, 2.4), rear_axle_forward_m=-2.0)
     fixes = fixes_of(simulated, 0.2, antenna=LeverArm(0.3, 1.4, 2.4))
-    found, row, _, _ = estimate(simulated, rig=rig, fixes=fixes)
+    found, row, *_ = estimate(simulated, rig=rig, fixes=fixes)
     origin = simulated.every(0.2).point(0.0, 2.0)
     off = np.hypot(found.east_m[row] - origin[:, 0], found.north_m[row] - origin[:, 1])
     assert np.median(off[found.accepted[row]]) < 0.03
@@ -569,7 +569,7 @@ def test_rejected_fixes_get_the_estimate_of_their_time() -> None:
     fixes[30] = fixes[30]._replace(lat_deg=fixes[30].lat_deg + 1e-4)  # 11 m aside
     fixes[50] = fixes[50]._replace(satellites=2)
     fixes.insert(61, fixes[60])
-    found, row, _, _ = estimate(simulated, fixes=fixes)
+    found, row, *_ = estimate(simulated, fixes=fixes)
     for k, reason in ((0, "quality 0"), (30, "jump of 11"), (50, "2 satellites"), (-1, "HDOP 9")):
         assert found.status[row[k]] is Status.REJECTED
         assert reason in found.reason[row[k]]
@@ -608,7 +608,7 @@ def test_a_way_between_holes_on_which_every_fix_is_rejected_is_told_and_no_error
             fixes.append(fix)
         elif 45.0 < after_s < 75.0:
             fixes.append(fix._replace(hdop=9.0))
-    found, row, _, _ = estimate(simulated, fixes=fixes)
+    found, row, *_ = estimate(simulated, fixes=fixes)
     seconds = (found.time_ns - START) / SECOND
     lost = (seconds > 40.0) & (seconds < 80.0)
     assert lost.sum() >= 2 * 149  # the rejected fixes and the nodes of their times
@@ -623,7 +623,7 @@ def test_a_way_between_holes_on_which_every_fix_is_rejected_is_told_and_no_error
 
 def test_between_slow_fixes_there_are_rows_of_estimates() -> None:
     simulated = simulate(SLALOM, 35.0, speed_mps=1.5)
-    found, row, _, _ = estimate(simulated, fixes=fixes_of(simulated, 1.0, 0.01))
+    found, row, *_ = estimate(simulated, fixes=fixes_of(simulated, 1.0, 0.01))
     assert np.diff(found.time_ns).max() <= 250_000_000
     between = np.setdiff1d(np.arange(len(found)), row)
     assert (found.quality[between] == 6).all()

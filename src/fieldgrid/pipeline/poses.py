@@ -60,6 +60,9 @@ TURNED_DEG = 20.0
 USUAL_BUDGET_M = 0.25
 """How far off a cell at the far end of a grid may be when nothing is asked: the paper's cell."""
 
+_OTHER_LOG = (
+    "choose another log with --gnss, or see by `fieldgrid inspect` if another --heading helps"
+)
 _GNSS_OFFSET = "give --gnss-offset {0} or gnss_time_offset_s = {0} in recording.toml"
 _IMAGE_OFFSET = "give --time-offset {0} or image_time_offset_s = {0} in recording.toml"
 
@@ -373,8 +376,7 @@ def check_poses(recording: Recording, trajectory: Trajectory) -> None:
     if not trajectory.accepted.any():
         raise GnssError(
             f"None of the {len(trajectory)} poses of the drive can be used, mostly because: "
-            f"{commonest_reason(trajectory.reason)}; choose another log with --gnss or another "
-            "--heading."
+            f"{commonest_reason(trajectory.reason)}; {_OTHER_LOG}."
         )
     reasons: Counter[str] = Counter()
     for pose in map(trajectory.at, images.tolist()):
@@ -387,7 +389,7 @@ def check_poses(recording: Recording, trajectory: Trajectory) -> None:
 def none_usable(name: str, reasons: Counter[str], rig: Rig) -> GnssError:
     """The error of a drive none of whose frames can be used."""
     reason = commonest_reason(reasons.elements())
-    advice = "choose another log with --gnss or another --heading"
+    advice = _OTHER_LOG
     if reason == no_ground(rig):
         advice = "check the calibration, and the camera's height and tilt in the mounting"
         if isinstance(rig.sensor, Lidar):

@@ -62,7 +62,12 @@ class AcceptedFixes(NamedTuple):
 def accepted_fixes(
     fixes: FixColumns, verdicts: Verdicts, datum: Datum, seen: Sequence[SeenLeap] = ()
 ) -> AcceptedFixes:
-    """The accepted ones of fixes in order of time; `seen` are leaps that something else saw."""
+    """The accepted ones of fixes in order of time; `seen` are leaps that something else saw.
+
+    Raises GnssError where there is none.
+    """
+    if not verdicts.ok.any():
+        raise GnssError(no_fix_sentence(fixes, verdicts))
     used = fixes[verdicts.ok]
     east, north, up = datum.to_enu(used.lat_deg, used.lon_deg, used.height_m)
     stated_m = used.position_sigma_m()

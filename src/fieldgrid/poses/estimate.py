@@ -278,23 +278,22 @@ def _recorded(
     if found is None:
         note = "The drive is too short to compare the recorded heading with its course."
         return recorded, None, [note]
+    note, remedy = "", "use --heading smooth"
     if found.course:
         note = (
             "The recorded heading turns around in reverse: it is the course, not the direction of "
             "the vehicle, and was not used."
         )
-        if source.kind == "recorded":
-            raise GnssError(note.replace(", and was not used", "; use --heading smooth"))
-        return np.full_like(recorded, np.nan), found, [note]
-    if found.flips:
+    elif found.flips:
+        remedy = f"cut the log where it does, or {remedy}"
         note = (
             "The recorded heading turns around during the drive, and was not used: it is "
             f"{found.offset_deg:z.0f}° off the nose at the {found.compared} fixes where that is "
             f"known best, and the other way round at {100.0 * found.flipped:.0f} % of all."
         )
+    if note:
         if source.kind == "recorded":
-            cut = "; cut the log where it does, or use --heading smooth"
-            raise GnssError(note.replace(", and was not used", cut))
+            raise GnssError(note.replace(", and was not used", f"; {remedy}"))
         return np.full_like(recorded, np.nan), found, [note]
     if found.is_denied(settings.max_heading_offset_deg):
         sentence = (

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Bool, Float64, GnssError, Int64, PoseSettings
+from fieldgrid.core import Bool, Float64, Int64, PoseSettings
 from fieldgrid.geometry import (
     Datum,
     FixColumns,
@@ -22,7 +22,7 @@ from fieldgrid.geometry import (
     WheelSpeed,
     nose_heading_deg,
 )
-from fieldgrid.poses.accepted import AcceptedFixes, accepted_fixes, datum_of, no_fix_sentence
+from fieldgrid.poses.accepted import AcceptedFixes, accepted_fixes, datum_of
 from fieldgrid.poses.attitude.axes import AxisTilt, axes_of_fixes
 from fieldgrid.poses.axle import Axle, axle_by_gyro, axle_of
 from fieldgrid.poses.drive import DriveEstimate, smooth_drive
@@ -360,8 +360,6 @@ def conditioned(
     if settings.accuracy_m is not None:
         fixes = fixes.replace(sigma_m=np.full(len(fixes), settings.accuracy_m))
     verdicts = condition(fixes, settings.gnss, twice=twice)
-    if not verdicts.ok.any():
-        raise GnssError(no_fix_sentence(fixes, verdicts))
     datum = datum or datum_of(fixes, verdicts)
     accepted = accepted_fixes(fixes, verdicts, datum)
     return ConditionedLog(fixes, verdicts, datum, accepted, twice, spans)
@@ -372,6 +370,4 @@ def conditioned_again(
 ) -> ConditionedLog:
     """The log judged again without the fixes `strays`, as in `condition`."""
     verdicts = condition(log.fixes, settings.gnss, strays, log.twice)
-    if not verdicts.ok.any():
-        raise GnssError(no_fix_sentence(log.fixes, verdicts))
     return log._replace(verdicts=verdicts, accepted=accepted_fixes(log.fixes, verdicts, log.datum))

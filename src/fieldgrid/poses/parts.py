@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from itertools import chain, pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -52,14 +52,13 @@ def by_parts(
     parts: list[Estimate] = []
     for from_ns, until_ns in pairwise([-(2**63), *(leaps + 1).tolist(), 2**63 - 1]):
         own = fixes[(fixes.time_ns >= from_ns) & (fixes.time_ns < until_ns)]
-        shown_ns = frame_ns
-        if shown_ns is not None:
-            shown_ns = shown_ns[(shown_ns >= from_ns) & (shown_ns < until_ns)]
+        shown_ns = (
+            None if frame_ns is None else frame_ns[(frame_ns >= from_ns) & (frame_ns < until_ns)]
+        )
         try:
-            part = estimate(own, motion=motion.between(from_ns, until_ns), frame_ns=shown_ns)
+            parts.append(estimate(own, motion=motion.between(from_ns, until_ns), frame_ns=shown_ns))
         except GnssError:
             return whole
-        parts.append(part)
     usable = [int(np.count_nonzero(part.trajectory.accepted)) for part in parts]
     attitudes = [part.report.attitude for part in parts]
     levelled = [attitude for attitude in attitudes if attitude is not None]
@@ -69,11 +68,9 @@ def by_parts(
     firsts = np.cumsum([0, *(len(part.trajectory) for part in parts[:-1])])
     fix_row = [part.fix_row + first for part, first in zip(parts, firsts, strict=True)]
     # No pose between two parts: it would be interpolated over the leap.
-    beside = np.zeros(len(rows), dtype=np.bool_)
-    for leap_ns in leaps.tolist():
-        beside |= (rows.time_ns > leap_ns) & (rows.time_ns <= leap_ns + MAX_GAP_NS)
+    since_ns = rows.time_ns - np.append(-(2**62), leaps)[np.searchsorted(leaps, rows.time_ns)]
     status, reason = list(rows.status), list(rows.reason)
-    for k in np.flatnonzero(beside & rows.accepted).tolist():
+    for k in np.flatnonzero((since_ns <= MAX_GAP_NS) & rows.accepted).tolist():
         status[k], reason[k] = Status.REJECTED, BESIDE_LEAP
     unsure_m = np.interp(rows.time_ns, accepted.time_ns, accepted.sigma_m)
     trajectory = replace(
@@ -82,14 +79,13 @@ def by_parts(
         status=tuple(status),
         reason=tuple(reason),
     )
-    notes = [leap_note(accepted), _cut_note(accepted, usable)]
-    for part, count in zip(parts, usable, strict=True):
-        notes += part.report.notes if count else ()
+    used = [part.report for part in parts if part.trajectory.accepted.any()]
+    notes = chain.from_iterable(report.notes for report in used)
     report = replace(
         parts[int(np.argmax(usable))].report,
         conditioning=whole.report.conditioning,
         attitude=_attitude(levelled) if levelled else None,
-        notes=tuple(dict.fromkeys(notes)),
+        notes=(leap_note(accepted), _cut_note(accepted, usable), *dict.fromkeys(notes)),
     )
     doubt = np.concatenate([part.gear_doubt for part in parts])
     return Estimate(trajectory, np.concatenate(fix_row), report, doubt)
@@ -97,7 +93,7 @@ def by_parts(
 
 def _rows(tracks: Sequence[Trajectory]) -> Trajectory:
     """The rows of trajectories that follow each other."""
-    columns = {
+    columns: dict[str, Any] = {
         name: np.concatenate([getattr(track, name) for track in tracks])
         for name in (one.name for one in fields(Trajectory) if one.init)
         if isinstance(getattr(tracks[0], name), np.ndarray)

@@ -238,35 +238,31 @@ def _remedy(
     """What to declare for poses of a refused drive to be used. The reasons are those of the poses
     at fixes, as everywhere; there may be more between them."""
     commonest = commonest_reason([trajectory.reason[row] for row in fix_row])
-    advice = "choose another log with --gnss"
+    sigma_m = float(np.median(fixes.sigma_m))
+    better = (
+        f"the fixes count as good to {sigma_m:.2f} m; if they are better, say so with "
+        "--accuracy METRES or --quality NAME, "
+    )
+    surer = (
+        f"{better if sigma_m > GOOD_FIX_M else ''}record a gyro or more fixes a second, or "
+        f"allow less with max_heading_sigma_deg (now {settings.max_heading_sigma_deg:g}) in "
+        "--config"
+    )
+    remedies = {
+        "position sigma": "if the receiver is better than that, say so with --accuracy METRES or "
+        "--quality NAME (rtk-fixed, rtk-float, differential, ...)",
+        "the estimate lies": "the fixes contradict each other by more than they state; say how "
+        "good they are with --accuracy METRES, or leave out the epochs of another receiver or of "
+        "a jump",
+        COUNTED_TWICE: CUT_AT_CLOCK,
+        "forward or reverse": TELL_GEARS,
+        "heading unknown": "log while the vehicle drives, or record its heading",
+        "heading sigma": surer,
+        "a cell": surer,
+    }
+    known = [remedy for start, remedy in remedies.items() if commonest.startswith(start)]
+    advice = "".join(known) or "choose another log with --gnss"
     if len(leaps_ns(fixes)):
         # What is declared of the fixes does not tell which solution was right.
-        advice += "; nor can a part of the drive between leaps be used by itself"
-    elif commonest.startswith("position sigma"):
-        advice = (
-            "if the receiver is better than that, say so with --accuracy METRES or --quality NAME "
-            "(rtk-fixed, rtk-float, differential, ...)"
-        )
-    elif commonest.startswith("the estimate lies"):
-        advice = (
-            "the fixes contradict each other by more than they state; say how good they are with "
-            "--accuracy METRES, or leave out the epochs of another receiver or of a jump"
-        )
-    elif commonest == COUNTED_TWICE:
-        advice = CUT_AT_CLOCK
-    elif commonest.startswith("forward or reverse"):
-        advice = TELL_GEARS
-    elif commonest.startswith("heading unknown"):
-        advice = "log while the vehicle drives, or record its heading"
-    elif commonest.startswith(("heading sigma", "a cell")):
-        sigma_m = float(np.median(fixes.sigma_m))
-        better = (
-            f"the fixes count as good to {sigma_m:.2f} m; if they are better, say so with "
-            "--accuracy METRES or --quality NAME, "
-        )
-        advice = (
-            f"{better if sigma_m > GOOD_FIX_M else ''}record a gyro or more fixes a second, or "
-            f"allow less with max_heading_sigma_deg (now {settings.max_heading_sigma_deg:g}) in "
-            "--config"
-        )
+        advice = "nor can a part of the drive between leaps be used by itself"
     return f"No pose can be used, mostly because: {commonest}; {advice}."

@@ -358,6 +358,7 @@ def _with_map(
     images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
     told: list[Finding] = []
     with noted(findings, "no-pose"):
+        told += pose_findings(recording, settings, steps, found.reasons)
         check_poses(recording, track)
         found = replace(
             found,
@@ -370,7 +371,6 @@ def _with_map(
                 settings.stereo.disparity_sigma_px,
             ),
         )
-        told += pose_findings(recording, settings, steps, found.reasons)
         told += coverage_findings(
             found.coverage, settings.universal_cell_m, settings.map.cell_m is not None
         )

@@ -20,8 +20,8 @@ from fieldgrid.core import (
     replacing,
 )
 from fieldgrid.geometry import MAX_DISTANCE_M, MAX_GAP_NS, Datum, Status, Trajectory, wrap_deg
-from fieldgrid.poses.estimate import Estimate
 from fieldgrid.poses.gates.verdict import REPEATS
+from fieldgrid.poses.parts import Estimate
 from fieldgrid.poses.report import PoseReport
 from fieldgrid.poses.track.formats import (
     GEOJSON_START,
