@@ -60,9 +60,7 @@ TURNED_DEG = 20.0
 USUAL_BUDGET_M = 0.25
 """How far off a cell at the far end of a grid may be when nothing is asked: the paper's cell."""
 
-_OTHER_LOG = (
-    "choose another log with --gnss, or see by `fieldgrid inspect` if another --heading helps"
-)
+_OTHER_LOG = "choose another log with --gnss; `fieldgrid inspect` tries each --heading"
 _GNSS_OFFSET = "give --gnss-offset {0} or gnss_time_offset_s = {0} in recording.toml"
 _IMAGE_OFFSET = "give --time-offset {0} or image_time_offset_s = {0} in recording.toml"
 
@@ -390,12 +388,12 @@ def none_usable(name: str, reasons: Counter[str], rig: Rig) -> GnssError:
     """The error of a drive none of whose frames can be used."""
     reason = commonest_reason(reasons.elements())
     advice = _OTHER_LOG
-    if reason == no_ground(rig):
-        advice = "check the calibration, and the camera's height and tilt in the mounting"
-        if isinstance(rig.sensor, Lidar):
-            advice = "check the lidar's height and tilt in the mounting, and the axes of the clouds"
     if reason == REPEATED:
         advice = "look at the driver of the camera or lidar, and record the drive again"
+    elif reason == no_ground(rig) and isinstance(rig.sensor, Lidar):
+        advice = "check the lidar's height and tilt in the mounting, and the axes of the clouds"
+    elif reason == no_ground(rig):
+        advice = "check the calibration, and the camera's height and tilt in the mounting"
     return GnssError(
         f"None of the {reasons.total()} frames of {name} has a usable pose, mostly because: "
         f"{reason}; {advice}."

@@ -45,8 +45,8 @@ def by_parts(
     is where a part cannot be estimated, or none has a pose that can be used.
 
     Headings and verdicts are those of the parts. Which side of a leap lies right they do not tell:
-    positions are as unsure as the leap shows. What a report says of sensors is that of the part
-    with the most usable poses.
+    positions are as unsure as the leap shows. What the report says of sensors is that of the part
+    with the most usable poses; what may change from part to part, such as a clock, of the whole.
     """
     leaps = leaps_ns(accepted)
     parts: list[Estimate] = []
@@ -84,6 +84,9 @@ def by_parts(
     report = replace(
         parts[int(np.argmax(usable))].report,
         conditioning=whole.report.conditioning,
+        contradiction=whole.report.contradiction,
+        jump=whole.report.jump,
+        clock_change=whole.report.clock_change,
         attitude=_attitude(levelled) if levelled else None,
         notes=(leap_note(accepted), _cut_note(accepted, usable), *dict.fromkeys(notes)),
     )

@@ -28,3 +28,12 @@ def test_the_counts_are_those_of_a_build(shared_data: SharedData, tmp_path: Path
     settings = resolve(None, {"pose": {"heading": advised[1]}})
     (better,) = build_map([drive], tmp_path / "b.gpkg", settings)
     assert better.used == int(advised[2]) > built.used
+
+
+def test_headings_are_tried_for_a_drive_without_a_pose(shared_data: SharedData) -> None:
+    drive = shared_data("kitti_2011_09_26_drive_0013_part")
+    found = inspect_recording(drive, resolve(None, {"pose": {"max_heading_sigma_deg": 0.5}}))
+    assert found.frames_usable == 0
+    assert "no-pose" in {one.code for one in found.findings}
+    (lost,) = (one for one in found.findings if one.code == "frames-unusable")
+    assert lost.remedy.startswith("With --heading recorded 78 have one.")
