@@ -96,7 +96,7 @@ def test_damaged_maps_are_found_or_say_what_they_said(tmp_path: Path, damages: i
     trial = Trial(tmp_path)
     total = run_random(trial, damages, seed=4)
     assert trial.failures == []
-    assert total.total() >= 0.9 * damages
+    assert total.total() >= 0.8 * damages  # one may hit what is zero already
     cells = islice(in_cells(trial.whole), 0, 10_000, 40_000 // damages - 1)
     assert all(trial.try_one(damaged) != "NOT AS ASKED" for damaged in cells)
 
