@@ -169,7 +169,7 @@ def command(
 
         fieldgrid route vineyard.gpkg --from -14,50,37 --to 6,76 -o route.csv
 
-        fieldgrid route field.gpkg --cover --lanes B1-L1 --allow-unknown -o l.csv
+        fieldgrid route field.gpkg --cover --lanes B1-L1,B1-L2 --allow-unknown
 
         fieldgrid route field.gpkg --cover --tracks --width 3 -o work.csv
 
