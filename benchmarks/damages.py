@@ -331,7 +331,7 @@ DAMAGES: dict[str, Damage] = {
     "stored as JPEG of quality 8": seen(_pressed(8), "left right"),
     "stored as JPEG of quality 20": seen(_pressed(20), "left right"),
     "right camera of 0.3 of the light": seen(lambda i: (0.3 * i).astype(np.uint8), "right"),
-    "right camera of 0.6 of light, + 20": seen(
+    "right camera darker, less contrast": seen(
         lambda i: np.clip(0.6 * i + 20.0, 0, 255).astype(np.uint8), "right"
     ),
     "right camera 1 px down": seen(_shifted(0.0, 1.0), "right"),
