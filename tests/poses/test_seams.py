@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from datetime import datetime
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -146,7 +148,8 @@ def inside(found: Estimate, drive: Drive) -> float:
 def test_positions_say_what_a_leap_shows(leap_m: float, at_share: float) -> None:
     drive = simulate(ROWS)
     motion = Motion(gyro=gyro_of(drive, noise_dps=0.05))
-    found = estimate_poses(leaping(drive, leap_m, at_share), Carrier(0.0), DATUM, motion=motion)
+    wide = PoseSettings(max_position_sigma_m=20.0)
+    found = estimate_poses(leaping(drive, leap_m, at_share), Carrier(0.0), DATUM, wide, motion)
     assert found.trajectory.position_sigma_m.max() > leap_m / 4.0
     if found.trajectory.accepted.any():
         assert inside(found, drive) > 0.98
@@ -169,17 +172,33 @@ def test_positions_say_what_a_leap_shows(leap_m: float, at_share: float) -> None
         assert float(note.partition("up to ")[2].split()[0]) == pytest.approx(15.0, abs=0.5)
 
 
+def test_parts_that_are_less_sure_than_the_limit_are_refused_and_the_cut_is_named() -> None:
+    drive = simulate(ROWS)
+    fixes = leaping(drive, 15.0, 0.2)
+    motion = Motion(gyro=gyro_of(drive, noise_dps=0.05))
+    found = estimate_poses(fixes, Carrier(0.0), DATUM, motion=motion)
+    assert not found.trajectory.accepted.any()
+    (note,) = (one for one in found.report.notes if "--until or --from" in one)
+    moment = datetime.fromisoformat(note.partition("--from ")[2].split()[0])
+    cut_ns = round(moment.timestamp() * 1000) * 10**6
+    for inside, until_ns in ((fixes.time_ns < cut_ns, cut_ns), (fixes.time_ns >= cut_ns, 2**62)):
+        part = motion.between(cut_ns if until_ns > cut_ns else 0, until_ns)
+        alone = estimate_poses(fixes[inside], Carrier(0.0), DATUM, motion=part)
+        assert alone.trajectory.accepted.mean() > 0.8
+
+
 def test_a_drive_whose_parts_are_no_better_stays_as_it_is() -> None:
     drive = simulate(ROWS)
     fixes = leaping(drive, 15.0, 0.5)
     found = estimate_poses(
-        *(fixes, Carrier(0.0), DATUM, PoseSettings(max_heading_sigma_deg=0.01)),
+        *(fixes, Carrier(0.0), DATUM),
+        PoseSettings(max_heading_sigma_deg=0.01, max_position_sigma_m=20.0),
         Motion(gyro=gyro_of(drive, noise_dps=0.05)),
     )
     assert not found.trajectory.accepted.any()
     (note,) = (one for one in found.report.notes if one.startswith("No pose can be used"))
     # To say that the fixes are good would not help.
-    assert "nor can a part" in note
+    assert "nor is a part" in note
     assert "--accuracy" not in note
 
 

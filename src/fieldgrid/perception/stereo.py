@@ -9,14 +9,7 @@ from typing import NamedTuple, Protocol
 import cv2
 import numpy as np
 
-from fieldgrid.core import (
-    CalibrationError,
-    ConfigError,
-    Int16,
-    MatcherKind,
-    StereoSettings,
-    UInt8,
-)
+from fieldgrid.core import CalibrationError, ConfigError, Int16, MatcherKind, StereoSettings, UInt8
 from fieldgrid.geometry import Rig, StereoCamera
 
 SUBPIXELS = 16
@@ -27,7 +20,6 @@ INVALID = np.int16(-SUBPIXELS)
 
 LEVEL_MARGIN_DEG = 4.0
 """How far the vehicle may pitch before the slice leaves the searched rows."""
-
 
 EXPOSURE_RATIO = 1.25
 """From here on a pair's images are brought to the same exposure: below, the matcher bears it."""

@@ -156,7 +156,8 @@ def estimate_poses(
         budget=budget,
         level_grids=level_grids,
     )
-    return by_parts(whole, log.accepted, fixes, motion, frame_ns, one)
+    most_m = settings.max_position_sigma_m
+    return by_parts(whole, log.accepted, fixes, motion, frame_ns, one, most_m)
 
 
 class _Checks(NamedTuple):

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64, GnssError, Int64
+from fieldgrid.core import Float64, GnssError, Int64, utc_text
 from fieldgrid.geometry import MAX_GAP_NS, FixColumns, Motion, Status, Trajectory
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.attitude.attitude import Attitude
@@ -40,13 +40,15 @@ def by_parts(
     motion: Motion,
     frame_ns: Int64 | None,
     estimate: Callable[..., Estimate],
+    max_position_sigma_m: float,
 ) -> Estimate:
     """The poses of a drive whose parts between leaps were estimated one by one; the `whole` as it
     is where a part cannot be estimated, or none has a pose that can be used.
 
-    Headings and verdicts are those of the parts. Which side of a leap lies right they do not tell:
-    positions are as unsure as the leap shows. What the report says of sensors is that of the part
-    with the most usable poses; what may change from part to part, such as a clock, of the whole.
+    Headings and their verdicts are those of the parts. Which side of a leap lies right they do not
+    tell: positions are as unsure as the leap shows, and refused above `max_position_sigma_m`. What
+    the report says of sensors is that of the part with the most usable poses; what may change from
+    part to part, such as a clock, of the whole.
     """
     leaps = leaps_ns(accepted)
     parts: list[Estimate] = []
@@ -59,27 +61,30 @@ def by_parts(
             parts.append(estimate(own, motion=motion.between(from_ns, until_ns), frame_ns=shown_ns))
         except GnssError:
             return whole
-    usable = [int(np.count_nonzero(part.trajectory.accepted)) for part in parts]
     attitudes = [part.report.attitude for part in parts]
     levelled = [attitude for attitude in attitudes if attitude is not None]
-    if not any(usable) or len(levelled) not in (0, len(parts)):
+    if len(levelled) not in (0, len(parts)):
         return whole
     rows = _rows([part.trajectory for part in parts])
     firsts = np.cumsum([0, *(len(part.trajectory) for part in parts[:-1])])
     fix_row = [part.fix_row + first for part, first in zip(parts, firsts, strict=True)]
     # No pose between two parts: it would be interpolated over the leap.
     since_ns = rows.time_ns - np.append(-(2**62), leaps)[np.searchsorted(leaps, rows.time_ns)]
-    status, reason = list(rows.status), list(rows.reason)
-    for k in np.flatnonzero((since_ns <= MAX_GAP_NS) & rows.accepted).tolist():
-        status[k], reason[k] = Status.REJECTED, BESIDE_LEAP
+    beside = since_ns <= MAX_GAP_NS
     unsure_m = np.interp(rows.time_ns, accepted.time_ns, accepted.sigma_m)
-    trajectory = replace(
-        rows,
-        position_sigma_m=np.fmax(rows.position_sigma_m, unsure_m),
-        status=tuple(status),
-        reason=tuple(reason),
-    )
-    used = [part.report for part in parts if part.trajectory.accepted.any()]
+    sigma_m = np.fmax(rows.position_sigma_m, unsure_m)
+    status, reason = list(rows.status), list(rows.reason)
+    for k in np.flatnonzero(rows.accepted & (beside | (sigma_m > max_position_sigma_m))).tolist():
+        status[k], reason[k] = Status.REJECTED, BESIDE_LEAP
+        if not beside[k]:
+            reason[k] = f"position sigma {sigma_m[k]:.2f} m > {max_position_sigma_m:g} m"
+    trajectory = replace(rows, position_sigma_m=sigma_m, status=tuple(status), reason=tuple(reason))
+    if not trajectory.accepted.any():
+        # The parts may do by themselves, but nobody can tell which of them lies right.
+        choice = [_choice_note(int(leaps[0]), parts)] if rows.accepted.any() else []
+        return whole._replace(report=replace(whole.report, notes=(*whole.report.notes, *choice)))
+    usable = [int(np.count_nonzero(own)) for own in np.split(trajectory.accepted, firsts[1:])]
+    used = [part.report for part, count in zip(parts, usable, strict=True) if count]
     notes = chain.from_iterable(report.notes for report in used)
     report = replace(
         parts[int(np.argmax(usable))].report,
@@ -121,6 +126,17 @@ def _attitude(parts: Sequence[Attitude]) -> Attitude:
         float(np.max([part.push_misfit for part in parts])),
         tuple(dict.fromkeys(chain.from_iterable(part.notes for part in parts))),
         frozenset.intersection(*(part.bodies for part in parts)),
+    )
+
+
+def _choice_note(leap_ns: int, parts: Sequence[Estimate]) -> str:
+    """How to keep the part of a drive that lies right."""
+    usable = [np.count_nonzero(part.trajectory.accepted[part.fix_row]) for part in parts]
+    moment = utc_text(leap_ns + 1, "ms")
+    return (
+        f"By themselves the parts between leaps have {', '.join(map(str, usable))} fixes that can "
+        f"be used; if you know which part lies right, keep it alone: --until or --from {moment} "
+        "cuts at the first leap."
     )
 
 

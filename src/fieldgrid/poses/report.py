@@ -264,5 +264,5 @@ def _remedy(
     advice = "".join(known) or "choose another log with --gnss"
     if len(leaps_ns(fixes)):
         # What is declared of the fixes does not tell which solution was right.
-        advice = "nor can a part of the drive between leaps be used by itself"
+        advice = "nor is a part of the drive between leaps sure enough"
     return f"No pose can be used, mostly because: {commonest}; {advice}."

@@ -94,7 +94,8 @@ def command(
     if bad:
         raise MapError(
             f"{', '.join(bad[:_MOST_NAMES])}{' ...' if len(bad) > _MOST_NAMES else ''}: "
-            f"{counted(len(bad), 'map')} of {folder} cannot be used; fieldgrid verify says why."
+            f"{counted(len(bad), 'map')} of {folder} damaged or not in the catalogue; the list "
+            "says why."
         )
 
 

@@ -1,7 +1,7 @@
 """Ground under the vehicle's own way: the surest sight of free ground.
 
-It is free to half a width on either side of the way of the accepted frames, until a later drive
-sees an obstacle there.
+It is free to half a width on either side of the way of the accepted frames, less what their
+positions may be off (1 sigma), until a later drive sees an obstacle there.
 """
 
 from __future__ import annotations
@@ -63,7 +63,10 @@ def _cover(
     turn = math.radians(abs(math.remainder(b.heading_deg - a.heading_deg, 360.0)))
     if length_m > _FARTHEST_M or length_m * turn / 8.0 > _BULGE_M:
         return
-    half = 0.5 * width_m * lattice.cells_per_m
+    half_m = 0.5 * width_m - max(a.position_sigma_m, b.position_sigma_m)
+    if not half_m > 0.0:
+        return
+    half = half_m * lattice.cells_per_m
     start = np.array([a.east_m, a.north_m]) * lattice.cells_per_m
     ends = np.stack([start, start + way * lattice.cells_per_m])
     (i0, j0), (i1, j1) = np.floor(ends.min(axis=0) - half), np.ceil(ends.max(axis=0) + half)
