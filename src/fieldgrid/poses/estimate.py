@@ -246,7 +246,8 @@ def _of_given(
     if pairs is not None:
         offset_m = found.place(*pairs.frame_m[:, :2].T) - pairs.fixes.points_m()
         offset = fix_offset(pairs.fixes, offset_m)
-    judged_fixes = (fixes, condition(fixes)) if log is None else (log.fixes, log.verdicts)
+    ordered = fixes.in_order()
+    judged_fixes = (ordered, condition(ordered)) if log is None else (log.fixes, log.verdicts)
     report = PoseReport(
         conditioning=summarise(*judged_fixes),
         attitude=placed.attitude,

@@ -8,8 +8,7 @@ its time, whether it is one at all or a repeat, and whether a vehicle drove ther
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from types import MappingProxyType
 
@@ -106,7 +105,7 @@ def condition(
     strays: Mapping[int, str] = NO_STRAYS,
     twice: Bool | None = None,
 ) -> Verdicts:
-    """The verdicts on fixes, in their order. Accepted fixes increase strictly in time.
+    """The verdicts on fixes in order of time. Accepted fixes increase strictly in it.
 
     The whole drive is judged at once, so a fix may be rejected for what came after it. Where the
     solution has moved, the fix from which it is followed is accepted with a reason: the seam.
@@ -118,7 +117,6 @@ def condition(
     _check_receiver(log)
     if twice is not None:
         log.reject_all(twice, Gate.CLOCK, lambda _: COUNTED_TWICE)
-    _check_time(log)
     _check_repeats(log)
     _check_climb(log)
     for row, reason in strays.items():
@@ -216,45 +214,7 @@ def _check_receiver(log: _VerdictTable) -> None:
     )
 
 
-# --- when it was taken
-
-
-def _check_time(log: _VerdictTable) -> None:
-    """As few as possible are rejected for the time not to go back: one stamp far in the future
-    condemns itself, not all that follow it."""
-    rows = log.rows()
-    time_ns = log.fixes.time_ns[rows].tolist()
-    kept = _longest_rising(time_ns)
-    for k in np.setdiff1d(np.arange(len(rows)), kept).tolist():
-        after = int(np.searchsorted(kept, k))
-        before_ns = time_ns[kept[after - 1]] if after else None
-        if before_ns is not None and time_ns[k] < before_ns:
-            reason = f"time is {(before_ns - time_ns[k]) / 1e9:g} s before the last accepted fix"
-        else:
-            late_s = (time_ns[k] - time_ns[kept[after]]) / 1e9
-            reason = f"time is {late_s:g} s after that of the next fix"
-        log.reject(int(rows[k]), Gate.TIME, reason)
-
-
-def _longest_rising(values: Sequence[int]) -> Index:
-    """Indices of the longest subsequence that never falls."""
-    if all(a <= b for a, b in pairwise(values)):
-        return np.arange(len(values))
-    # Of the subsequences of each length the one that ends lowest: its last value, and where.
-    least_end: list[int] = []
-    ends_at: list[int] = []
-    before: list[int] = []
-    for k, value in enumerate(values):
-        length = bisect_right(least_end, value)
-        before.append(ends_at[length - 1] if length else -1)
-        least_end[length : length + 1] = [value]
-        ends_at[length : length + 1] = [k]
-    found = []
-    k = ends_at[-1]
-    while k >= 0:
-        found.append(k)
-        k = before[k]
-    return np.array(found[::-1], dtype=np.intp)
+# --- whether it is one
 
 
 def _check_repeats(log: _VerdictTable) -> None:
