@@ -39,8 +39,9 @@ if TYPE_CHECKING:
         leap_seconds as leap_seconds,
         unix_ns as unix_ns,
     )
-    from fieldgrid.poses.gnss.nmea import NmeaLog as NmeaLog, NmeaStream as NmeaStream
-    from fieldgrid.poses.gnss.ubx import UbxLog as UbxLog, UbxParser as UbxParser
+    from fieldgrid.poses.gnss.nmea import NmeaStream as NmeaStream
+    from fieldgrid.poses.gnss.nmea_epochs import NmeaCounts as NmeaCounts
+    from fieldgrid.poses.gnss.ubx import UbxCounts as UbxCounts, UbxParser as UbxParser
     from fieldgrid.poses.levelled import (
         levelling_attitude as levelling_attitude,
         tells_attitude as tells_attitude,

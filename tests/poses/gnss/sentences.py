@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
 
 from fieldgrid.geometry import Fix
-from fieldgrid.poses import NmeaLog, NmeaStream, UbxLog, UbxParser
+from fieldgrid.poses import NmeaStream, UbxParser
 
 SECOND = 1_000_000_000
 JUNE_15 = 1_308_096_000 * SECOND  # 2011-06-15T00:00:00Z
@@ -30,23 +32,26 @@ def rmc(time: str, date: str = "150611", *, speed: str = "3.0", status: str = "A
     return sentence(f"GPRMC,{time},{status},4139.02,N,00443.21,W,{speed},,{date},,,R")
 
 
-def parse_nmea(data: Iterable[bytes]) -> NmeaLog:
+def parse_nmea(data: Iterable[bytes]) -> SimpleNamespace:
+    """The fixes of a stream and the counts of what was found."""
     stream = NmeaStream()
     fixes = [fix for chunk in data for fix in stream.feed(chunk)]
     fixes += stream.finish()
-    return stream.log(fixes)
+    return SimpleNamespace(fixes=fixes, **asdict(stream.counts))
 
 
-def parse_ubx(data: Iterable[bytes]) -> UbxLog:
+def parse_ubx(data: Iterable[bytes]) -> SimpleNamespace:
+    """The fixes of a stream and the counts of what was found."""
     parser = UbxParser()
     fixes = [fix for chunk in data for fix in parser.feed(chunk)]
     fixes += parser.close()
-    return parser.log(fixes)
+    return SimpleNamespace(fixes=fixes, **asdict(parser.counts))
 
 
 def parse(*parts: bytes) -> list[Fix]:
-    return parse_nmea(parts).fixes
+    fixes: list[Fix] = parse_nmea(parts).fixes
+    return fixes
 
 
-def read(path: Path) -> NmeaLog:
+def read(path: Path) -> SimpleNamespace:
     return parse_nmea([path.read_bytes()])

@@ -117,7 +117,7 @@ def test_an_endless_stream_without_a_date_is_held_up_to_a_limit() -> None:
     parser = NmeaStream(max_undated=100)
     for k in range(3000):
         assert parser.feed(gga(f"12{k // 60:02}{k % 60:02}")) == []
-    assert parser.log([]).undated == 3000 - 4
+    assert parser.counts.undated == 3000 - 4
     fixes = parser.feed(rmc("125000")) + parser.finish()
     assert len(fixes) == 100
     assert fixes[-1].time_ns == NOON + 2999 * SECOND

@@ -119,7 +119,7 @@ class ReceiverStream:
 
     def why_no_fix(self) -> str:
         """Why bytes come and no fix, and what to do."""
-        nmea, ubx = self._nmea.log([]), self._ubx.log([])
+        nmea, ubx = self._nmea.counts, self._ubx.counts
         if nmea.undated:
             return "the date is missing; let the receiver write RMC or ZDA besides GGA"
         if nmea.no_position or ubx.no_position:

@@ -11,12 +11,11 @@ from __future__ import annotations
 import re
 import zlib
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
 
 from fieldgrid.geometry import Fix
 from fieldgrid.poses.gnss import nmea_proprietary, nmea_standard, nmea_unicore
 from fieldgrid.poses.gnss.fields import checksums
-from fieldgrid.poses.gnss.nmea_epochs import EpochLog
+from fieldgrid.poses.gnss.nmea_epochs import EpochLog, NmeaCounts
 
 # Intact sentences out of a stream of bytes, whatever lies between them.
 #
@@ -40,14 +39,10 @@ _WITH_CRC = b"KSXT"  # some firmware ends this one sentence with a CRC-32
 
 
 class Framer:
-    """Cuts a stream into sentences, and counts them.
+    """Cuts a stream into sentences, and counts them."""
 
-    `sentences` counts the intact ones of any kind, `bad_checksum` the complete ones whose
-    checksum is wrong, `broken` those that are cut, merged or too long.
-    """
-
-    def __init__(self) -> None:
-        self.sentences = self.bad_checksum = self.broken = 0
+    def __init__(self, counts: NmeaCounts) -> None:
+        self._counts = counts
         self._rest = b""
 
     def feed(self, chunk: bytes) -> Iterator[tuple[bytes, bytes]]:
@@ -82,13 +77,13 @@ class Framer:
                 kind, text = log, log[1:] + b"," + log_body
                 intact = unicore_crc(text) == int(log_crc, 16)
             else:
-                self.broken += 1
+                self._counts.broken += 1
                 continue
             if intact:
-                self.sentences += 1
+                self._counts.sentences += 1
                 yield kind, text
             else:
-                self.bad_checksum += 1
+                self._counts.bad_checksum += 1
 
 
 def unicore_crc(text: bytes) -> int:
@@ -106,28 +101,6 @@ _DECODERS: dict[bytes, Callable[[list[bytes], EpochLog], None]] = {
 }
 
 
-class NmeaLog(NamedTuple):
-    """The fixes of a log in its order, and what was found on the way.
-
-    `sentences` counts the intact ones of any kind, `bad_checksum` the complete ones whose
-    checksum is wrong, `broken` those that are cut, merged, or say nothing that can be.
-    `no_position` counts sentences that say so where a position is due, `repeated` those of an
-    epoch that has its position already, `no_geoid` fixes whose height lacks the geoid
-    separation, `no_height` fixes that have no height at all, for which 0 stands. `undated`
-    counts positions that wait for a date, or have waited in vain.
-    """
-
-    fixes: list[Fix]
-    sentences: int = 0
-    bad_checksum: int = 0
-    broken: int = 0
-    no_position: int = 0
-    repeated: int = 0
-    no_geoid: int = 0
-    no_height: int = 0
-    undated: int = 0
-
-
 class NmeaStream:
     """Fixes out of bytes as they come. What it gives does not depend on how they are cut.
 
@@ -135,14 +108,16 @@ class NmeaStream:
     come that late; 1 is right for a receiver that finishes an epoch before it starts another.
     Of the positions that come before the first date the last `max_undated` are kept for it, so
     that memory is bounded. While it is open whether a receiver that writes RMC alone will write
-    GGA as well, its first 20 epochs wait. Nothing in the stream makes it raise an error.
+    GGA as well, its first 20 epochs wait. Nothing in the stream makes it raise an error. What else
+    was found so far is in `counts`.
     """
 
     def __init__(self, *, late_epochs: int = 4, max_undated: int = 10_000) -> None:
         if late_epochs < 1 or max_undated < 1:
             raise ValueError(f"late_epochs {late_epochs} and max_undated {max_undated} must be > 0")
-        self._framer = Framer()
-        self._epochs = EpochLog(late_epochs, max_undated)
+        self.counts = NmeaCounts()
+        self._framer = Framer(self.counts)
+        self._epochs = EpochLog(late_epochs, max_undated, self.counts)
 
     def feed(self, chunk: bytes) -> list[Fix]:
         """The fixes that are complete after some more bytes, in their order."""
@@ -154,21 +129,6 @@ class NmeaStream:
         self._decode(self._framer.finish())
         self._epochs.finish()
         return self._epochs.fixes()
-
-    def log(self, fixes: list[Fix]) -> NmeaLog:
-        """What was found so far, with the fixes that the caller has kept."""
-        framer, counts, calendar = self._framer, self._epochs.counts, self._epochs.calendar
-        return NmeaLog(
-            fixes,
-            framer.sentences,
-            framer.bad_checksum,
-            framer.broken + counts.unreadable,
-            counts.no_position,
-            counts.repeated,
-            counts.no_geoid,
-            counts.no_height,
-            calendar.waiting + calendar.lost,
-        )
 
     def _decode(self, sentences: Iterator[tuple[bytes, bytes]]) -> None:
         epochs, decoder_of = self._epochs, _DECODERS.get
@@ -182,4 +142,4 @@ class NmeaStream:
             try:
                 decoder(fields, epochs)
             except ValueError:
-                epochs.counts.unreadable += 1
+                epochs.counts.broken += 1

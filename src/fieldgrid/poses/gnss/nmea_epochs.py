@@ -19,6 +19,29 @@ from fieldgrid.poses.gnss.nmea_statements import (
     vtg_motion,
 )
 
+
+@dataclass(slots=True)
+class NmeaCounts:
+    """What was found in a stream of sentences so far.
+
+    `sentences` counts the intact ones of any kind, `bad_checksum` the complete ones whose
+    checksum is wrong, `broken` those that are cut, merged, or say nothing that can be.
+    `no_position` counts sentences that say so where a position is due, `repeated` those of an
+    epoch that has its position already, `no_geoid` fixes whose height lacks the geoid
+    separation, `no_height` fixes that have no height at all, for which 0 stands. `undated`
+    counts positions that wait for a date, or have waited in vain.
+    """
+
+    sentences: int = 0
+    bad_checksum: int = 0
+    broken: int = 0
+    no_position: int = 0
+    repeated: int = 0
+    no_geoid: int = 0
+    no_height: int = 0
+    undated: int = 0
+
+
 # Dates for fixes that know only the time of day.
 
 
@@ -29,21 +52,16 @@ class Calendar:
     """Dates fixes that come in the order of a log.
 
     A date holds until the next, across midnight, and serves the fixes before the first one,
-    which wait for it: at most `max_waiting` do, and `lost` counts those that waited in vain.
+    which wait for it: at most `max_waiting` do.
     """
 
-    def __init__(self, max_waiting: int) -> None:
-        self.lost = 0
+    def __init__(self, max_waiting: int, counts: NmeaCounts) -> None:
+        self._counts = counts
         self._max_waiting = max_waiting
         self._waiting: deque[tuple[int, Fix]] = deque()
         self._last_ns: int | None = None
         self._day = 0  # since the first epoch, from the times of day alone
         self._shift: int | None = None  # from these to days since 1970
-
-    @property
-    def waiting(self) -> int:
-        """How many fixes wait for a date."""
-        return len(self._waiting)
 
     def take(self, of_day_ns: int, unix_day: int | None, fix: Fix | None) -> list[Fix]:
         """The next epoch, whose fix has the time of day. Gives the fixes that have a date now."""
@@ -57,13 +75,14 @@ class Calendar:
         if unix_day is not None:
             self._shift = unix_day - self._day
             dated = [_dated(early, day + self._shift) for day, early in self._waiting]
+            self._counts.undated -= len(self._waiting)
             self._waiting.clear()
         if fix is None:
             return dated
         if self._shift is None:
             if len(self._waiting) >= self._max_waiting:
                 self._waiting.popleft()
-                self.lost += 1
+            self._counts.undated += 1
             self._waiting.append((self._day, fix))
         else:
             dated.append(_dated(fix, self._day + self._shift))
@@ -97,26 +116,15 @@ class Epoch:
     gsa_hdop: bytes = b""
 
 
-@dataclass(slots=True)
-class SentenceCounts:
-    """What was found in intact sentences; `NmeaLog` says what is what."""
-
-    unreadable: int = 0
-    no_position: int = 0
-    repeated: int = 0
-    no_geoid: int = 0
-    no_height: int = 0
-
-
 class EpochLog:
     """Collects epochs from sentences, and makes fixes of those that are closed.
 
     `current` is the epoch that untimed sentences belong to.
     """
 
-    def __init__(self, late_epochs: int, max_undated: int) -> None:
-        self.counts = SentenceCounts()
-        self.calendar = Calendar(max_undated)
+    def __init__(self, late_epochs: int, max_undated: int, counts: NmeaCounts) -> None:
+        self.counts = counts
+        self._calendar = Calendar(max_undated, counts)
         self.current: Epoch | None = None
         self._late_epochs = late_epochs
         self._open: deque[Epoch] = deque()
@@ -203,7 +211,7 @@ class EpochLog:
     def _date(self, epoch: Epoch) -> None:
         position = self._position(epoch)
         fix = None if position is None else self._fix(epoch, position)
-        self._fixes += self.calendar.take(epoch.of_day_ns, epoch.unix_day, fix)
+        self._fixes += self._calendar.take(epoch.of_day_ns, epoch.unix_day, fix)
 
     def _position(self, epoch: Epoch) -> Position | None:
         position = epoch.position
@@ -211,7 +219,7 @@ class EpochLog:
             if position is None and epoch.rmc is not None and not self._better_than_rmc:
                 position = rmc_position(epoch.rmc)
         except ValueError:
-            self.counts.unreadable += 1
+            self.counts.broken += 1
         if position is None or position.source < epoch.refused:
             return None
         if epoch.solution == b"1":
@@ -249,7 +257,7 @@ class EpochLog:
         try:
             vtg = vtg_motion(epoch.vtg)
         except ValueError:
-            self.counts.unreadable += 1
+            self.counts.broken += 1
             return motion or GroundVelocity()
         if motion is None or motion.speed_mps is None:
             return vtg
@@ -259,5 +267,5 @@ class EpochLog:
         try:
             return number(epoch.gsa_hdop)
         except ValueError:
-            self.counts.unreadable += 1
+            self.counts.broken += 1
             return None

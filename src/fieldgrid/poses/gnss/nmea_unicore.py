@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 from fieldgrid.core import Quality
 from fieldgrid.poses.gnss.fields import direction_deg, integer, number, required, tilt_deg, within
@@ -56,26 +57,16 @@ _QUALITY = {
 """The qualities of the types of solution."""
 
 
-def uniheading(f: list[bytes], log: EpochLog) -> None:
+def uniheading(body: list[bytes], epoch: Epoch, log: EpochLog) -> None:
     """Heading and pitch of the baseline between the antennas, their sigmas and the type of its
     solution."""
-    header, body = _parts(f)
-    epoch = _epoch(header, log)
-    if epoch is not None:
-        quality = _quality(body[0], body[1])
-        sigma, pitch_sigma = number(body[6]), tilt_deg(body[7])
-        state(
-            epoch,
-            baseline_heading(BY_UNIHEADING, body[3], quality, sigma, body[4], pitch_sigma),
-        )
+    quality = _quality(body[0], body[1])
+    sigma, pitch_sigma = number(body[6]), tilt_deg(body[7])
+    state(epoch, baseline_heading(BY_UNIHEADING, body[3], quality, sigma, body[4], pitch_sigma))
 
 
-def bestpos(f: list[bytes], log: EpochLog) -> None:
+def bestpos(body: list[bytes], epoch: Epoch, log: EpochLog) -> None:
     """Position with its sigmas, age and satellites; in BESTNAV with speed in m/s and course."""
-    header, body = _parts(f)
-    epoch = _epoch(header, log)
-    if epoch is None:
-        return
     quality = _quality(body[0], body[1])
     if quality is Quality.NONE:
         log.refuse(epoch, BY_BESTNAV)
@@ -98,12 +89,8 @@ def bestpos(f: list[bytes], log: EpochLog) -> None:
     epoch.motion = epoch.motion or motion
 
 
-def pvtsln(f: list[bytes], log: EpochLog) -> None:
+def pvtsln(body: list[bytes], epoch: Epoch, log: EpochLog) -> None:
     """Position with its sigmas, age, satellites, HDOP; heading and pitch of the baseline."""
-    header, body = _parts(f)
-    epoch = _epoch(header, log)
-    if epoch is None:
-        return
     of_baseline = _QUALITY.get(body[20], Quality.NONE)
     state(epoch, baseline_heading(BY_ATTITUDE, body[22], of_baseline, None, body[23]))
     quality = _QUALITY.get(body[0], Quality.NONE)
@@ -128,11 +115,6 @@ def _quality(status: bytes, solution: bytes) -> Quality:
     return _QUALITY.get(solution, Quality.NONE) if status == b"SOL_COMPUTED" else Quality.NONE
 
 
-def _parts(f: list[bytes]) -> tuple[list[bytes], list[bytes]]:
-    header, _, body = b",".join(f).partition(b";")
-    return header.split(b",") + _PAD, body.split(b",") + _PAD
-
-
 def _epoch(header: list[bytes], log: EpochLog) -> Epoch | None:
     """The epoch of a header, None when the receiver's clock is not set or not GPS time."""
     if header[0] in _NOVATEL_HEADERS:
@@ -155,7 +137,17 @@ def _sigma_m(lat_std: bytes, lon_std: bytes) -> float | None:
     return math.sqrt((north * north + east * east) / 2.0) or None
 
 
-DECODERS: dict[bytes, Callable[[list[bytes], EpochLog], None]] = {
+def _of_log(
+    read: Callable[[list[bytes], Epoch, EpochLog], None], f: list[bytes], log: EpochLog
+) -> None:
+    """Reads the fields behind the header of a log, if that has a time."""
+    header, _, body = b",".join(f).partition(b";")
+    epoch = _epoch(header.split(b",") + _PAD, log)
+    if epoch is not None:
+        read(body.split(b",") + _PAD, epoch, log)
+
+
+_READERS = {
     b"#UNIHEADINGA": uniheading,
     b"#HEADINGA": uniheading,
     b"#HEADING2A": uniheading,
@@ -163,5 +155,9 @@ DECODERS: dict[bytes, Callable[[list[bytes], EpochLog], None]] = {
     b"#BESTNAVA": bestpos,
     b"#BESTPOSA": bestpos,
     b"#PVTSLNA": pvtsln,
+}
+
+DECODERS: dict[bytes, Callable[[list[bytes], EpochLog], None]] = {
+    name: partial(_of_log, read) for name, read in _READERS.items()
 }
 """By name."""

@@ -12,7 +12,7 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import date
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -51,8 +51,9 @@ _ATTITUDE = 1 << 0 | 1 << 2 | 1 << 5 | 1 << 8
 _NORMALISED = 1 << 9  # the relative position has the length 1
 
 
-class UbxLog(NamedTuple):
-    """The fixes of a log in its order, and what was found on the way.
+@dataclass(slots=True)
+class UbxCounts:
+    """What was found in a stream of messages so far.
 
     `messages` counts the intact ones of any kind, `bad_checksum` what starts like a message
     and is none, `broken` messages that say what cannot be. `no_position` counts solutions
@@ -61,7 +62,6 @@ class UbxLog(NamedTuple):
     ambiguities not fixed, or a base that does not ride on the vehicle.
     """
 
-    fixes: list[Fix]
     messages: int = 0
     bad_checksum: int = 0
     broken: int = 0
@@ -73,9 +73,9 @@ class UbxLog(NamedTuple):
 class _Framer:
     """Cuts a stream into messages: class and id as two bytes, and payload."""
 
-    def __init__(self) -> None:
+    def __init__(self, counts: UbxCounts) -> None:
         self._held = bytearray()
-        self.messages = self.bad_checksum = 0
+        self._counts = counts
 
     def feed(self, data: bytes) -> Iterator[tuple[bytes, bytes]]:
         self._held += data
@@ -94,13 +94,13 @@ class _Framer:
             if not complete or (length <= _MAX_PAYLOAD and stop > len(held)):
                 if not last:
                     break
-                self.bad_checksum += 1
+                self._counts.bad_checksum += 1
                 at += 2
             elif length > _MAX_PAYLOAD or not _checks(held[at + 2 : stop]):
-                self.bad_checksum += 1
+                self._counts.bad_checksum += 1
                 at += 2
             else:
-                self.messages += 1
+                self._counts.messages += 1
                 yield held[at + 2 : at + 4], held[at + 6 : stop - 2]
                 at = stop
         # Without a sync the last byte may be the first half of one, unless it is used already.
@@ -138,10 +138,10 @@ class UbxParser:
     """
 
     def __init__(self) -> None:
-        self._framer = _Framer()
+        self.counts = UbxCounts()
+        self._framer = _Framer(self.counts)
         self._open: list[_Epoch] = []
         self._done: list[Fix] = []
-        self._broken = self._no_position = self._repeated = self._unfixed_headings = 0
         self._handlers: dict[bytes, Callable[[bytes], None]] = {
             b"\x01\x04": self._dop,
             b"\x01\x07": self._pvt,
@@ -158,18 +158,6 @@ class UbxParser:
         """The fixes that were still open when the stream ended."""
         return self._take(self._framer.close()) + self._finish(len(self._open))
 
-    def log(self, fixes: list[Fix]) -> UbxLog:
-        """These fixes with the counts so far."""
-        return UbxLog(
-            fixes,
-            self._framer.messages,
-            self._framer.bad_checksum,
-            self._broken,
-            self._no_position,
-            self._repeated,
-            self._unfixed_headings,
-        )
-
     def _take(self, messages: Iterator[tuple[bytes, bytes]]) -> list[Fix]:
         for kind, payload in messages:
             handler = self._handlers.get(kind)
@@ -177,7 +165,7 @@ class UbxParser:
                 try:
                     handler(payload)
                 except (ValueError, struct.error):
-                    self._broken += 1
+                    self.counts.broken += 1
         done, self._done = self._done, []
         return done
 
@@ -203,11 +191,11 @@ class UbxParser:
         kind, flags, satellites, lon, lat, height, accuracy = fields[9:16]
         speed, course, heading_accuracy, flags3 = fields[16:]
         if kind in (_NO_FIX, _TIME_ONLY) or valid & 3 != 3 or flags3 & 1:
-            self._no_position += 1
+            self.counts.no_position += 1
             return
         epoch = self._epoch(itow_ms)
         if epoch.fix is not None:
-            self._repeated += 1
+            self.counts.repeated += 1
             return
         age = flags3 >> 1 & 15
         year, month, day, hour, minute, second = civil
@@ -268,7 +256,7 @@ class UbxParser:
                 "tilt_sigma_deg": None if flags & _NORMALISED else tilt_sigma_deg,
             }
         else:
-            self._unfixed_headings += 1
+            self.counts.unfixed_headings += 1
 
     def _dop(self, payload: bytes) -> None:
         itow_ms, hdop = _DOP.unpack(payload)

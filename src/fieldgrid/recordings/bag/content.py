@@ -184,10 +184,11 @@ def _fixes_of_topics(bag: Bag, readings: Readings, roles: Mapping[str, str]) -> 
     sentences = readings.of(topic, Sentences)
     notes: list[str] = []
     if sentences is not None:
-        nmea = sentences.log()
-        if nmea.fixes:
+        nmea = sentences.finish()
+        if sentences.fixes:
             log = FixLog(
-                FixColumns.of_rows(nmea.fixes), tuple(f"{topic}: {n}." for n in nmea_notes(nmea))
+                FixColumns.of_rows(sentences.fixes),
+                tuple(f"{topic}: {n}." for n in nmea_notes(nmea)),
             )
             return BagFixes(log, topic, None, sentences.sha256(), topic)
         if nmea.undated and "fix" not in roles:

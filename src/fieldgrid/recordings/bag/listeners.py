@@ -13,7 +13,7 @@ import numpy as np
 
 from fieldgrid.core import Float64, Int64, RecordingError, counted
 from fieldgrid.geometry import FixColumns, Orientation, RecordedTilt
-from fieldgrid.poses import NmeaLog, NmeaStream
+from fieldgrid.poses import NmeaCounts, NmeaStream
 from fieldgrid.recordings.bag.leaning import Leans
 from fieldgrid.recordings.ros.definitions import decode
 from fieldgrid.recordings.ros.gnss_messages import Details, Tilts, quality_of
@@ -89,19 +89,16 @@ class Sentences(TopicListener):
     def __init__(self) -> None:
         super().__init__()
         self._stream = NmeaStream(max_undated=_UNLIMITED)
-        self._log: NmeaLog | None = None
-        self._fixes: list[Any] = []
+        self.fixes: list[Any] = []
 
     def _add(self, message: Any, place: int) -> None:
         text = message.sentence.encode("utf-8", "replace").strip()
-        self._fixes += self._stream.feed(text + b"\r\n")
+        self.fixes += self._stream.feed(text + b"\r\n")
 
-    def log(self) -> NmeaLog:
-        """What the sentences come to."""
-        if self._log is None:
-            self._fixes += self._stream.finish()
-            self._log = self._stream.log(self._fixes)
-        return self._log
+    def finish(self) -> NmeaCounts:
+        """Adds the fixes that were still open to `fixes`; what was found."""
+        self.fixes += self._stream.finish()
+        return self._stream.counts
 
 
 class Fixes(TopicListener):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fieldgrid.core import GnssError, counted
 from fieldgrid.geometry import Fix, FixColumns
-from fieldgrid.poses import NmeaLog, NmeaStream, UbxLog, UbxParser
+from fieldgrid.poses import NmeaCounts, NmeaStream, UbxCounts, UbxParser
 from fieldgrid.recordings.files import open_log_bytes
 from fieldgrid.recordings.tables.fix_log import FixLog
 
@@ -42,7 +42,7 @@ def read_stream(path: Path) -> FixLog:
             from_ubx.add(messages.feed(chunk))
     from_nmea.add(sentences.finish())
     from_ubx.add(messages.close())
-    nmea, ubx = sentences.log([]), messages.log([])
+    nmea, ubx = sentences.counts, messages.counts
     if not (nmea.sentences or nmea.bad_checksum or nmea.broken or ubx.messages):
         raise NoStreamError(
             f"{path} is no bag and no GNSS log that is known: no NMEA sentence, no UBX message, no "
@@ -89,7 +89,7 @@ class _Fixes:
         self._rows = []
 
 
-def nmea_notes(log: NmeaLog) -> list[str]:
+def nmea_notes(log: NmeaCounts) -> list[str]:
     """What was skipped and assumed in a log, a few words each."""
     told = (
         (log.bad_checksum + log.broken, "damaged sentence", " skipped"),
@@ -102,7 +102,7 @@ def nmea_notes(log: NmeaLog) -> list[str]:
     return [counted(count, what) + rest for count, what, rest in told if count]
 
 
-def _ubx_notes(log: UbxLog, fixes: int) -> list[str]:
+def _ubx_notes(log: UbxCounts, fixes: int) -> list[str]:
     told = (
         (log.bad_checksum + log.broken, "damaged UBX message", " skipped"),
         (log.no_position, "UBX solution", " without a position or a time"),
