@@ -30,9 +30,8 @@ from fieldgrid.maps.file.database import writing
 from fieldgrid.maps.file.header import read_header
 from fieldgrid.maps.file.root import seal
 from fieldgrid.maps.layers.window import empty_cells
-from fieldgrid.maps.tiles.pyramid import Pyramid
+from fieldgrid.maps.tiles.pyramid import Pyramid, encoded_tile
 from fieldgrid.maps.writing.derived import tables_of
-from fieldgrid.maps.writing.placing import encode_groups, stored_of_session
 
 _CELL_M = 0.05
 _SMALL_TILES, _LARGE_TILES = 40, 78
@@ -87,19 +86,17 @@ def write_tiles(path: Path, side: int, share: float, sessions: Sequence[str] = (
     with closing(connect(path, path, writable=True)) as connection, writing(connection, path):
         header = read_header(connection, path)
         tables = tables_of(connection, header, path)
-        for table in ("fieldgrid_tile", "fieldgrid_session_tile", "density"):
+        for table in ("fieldgrid_tile", "density"):
             connection.execute(f"DELETE FROM {table}")
+        made = []
         for tile in sorted(tiles):
             roll, axis = (31 * tile.ty + 57 * tile.tx) % TILE_CELLS, tile.ty % 2
             weight, total = kinds[(3 * tile.ty + tile.tx) % len(kinds)]
             block = tables.block(0)
             cells = dict(empty_cells(tables.groups, weight.shape, block))
             cells["weight"], cells["sum"] = np.roll(weight, roll, axis), np.roll(total, roll, axis)
-            stored = stored_of_session(tables.groups)
-            for number in range(1, len(sessions) + 1):
-                blobs = encode_groups(stored, Cells(cells, block=block), base=True)
-                tables.put_session(number, tile, blobs)
-        Pyramid(connection, tables).rebuild()
+            made.append(encoded_tile(tile, Cells(cells, block=block), tables.groups))
+        Pyramid(connection, tables).fill(made)
         seal(connection)
     return path
 

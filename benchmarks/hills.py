@@ -248,7 +248,6 @@ def stored() -> Iterator[str]:
         database = sqlite3.connect(out)
         for table, column in (
             ("fieldgrid_grid", "channel"),
-            ("fieldgrid_session_tile", "channels"),
             ("fieldgrid_tile", "channels"),
             ("fieldgrid_tile", "zoom"),
             ("fieldgrid_array", "kind"),
@@ -476,15 +475,14 @@ def _bytes(path: Path) -> str:
         database.execute(f"SELECT sum(length(data)) FROM {table} WHERE {where}").fetchone()[0] or 0
         for table, where in (
             ("fieldgrid_grid", "channel IN ('ground_cm', 'step_cm')"),
-            ("fieldgrid_session_tile", "channels IN ('terrain', 'surface')"),
             ("fieldgrid_tile", "channels IN ('terrain', 'surface')"),
         )
     ]
     database.close()
-    own, session, tiles = (size / cells for size in sizes)
+    own, tiles = (size / cells for size in sizes)
     whole = path.stat().st_size / cells
     return (
-        f"evidence {own:.2f}, a session's tiles {session:.2f}, tiles of all levels {tiles:.2f}; "
+        f"evidence {own:.2f}, tiles of all levels {tiles:.2f}; "
         f"the whole file {whole:.1f} (asked: <= 10)"
     )
 

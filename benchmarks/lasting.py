@@ -25,7 +25,8 @@ from benchmarks import EXAMPLE
 from benchmarks.synthetic import DATUM, real_grids, rows
 from fieldgrid import Costmap
 from fieldgrid.core import BuildSettings
-from fieldgrid.maps import MapFile, create_map, open_map
+from fieldgrid.geometry import Lattice
+from fieldgrid.maps import MapFile, create_map, footprint, open_map
 from fieldgrid.pipeline import build_map
 from fieldgrid.recordings import DriveOptions
 
@@ -162,18 +163,18 @@ def measure_commit(folder: Path) -> Iterator[Line]:
 
 
 def _tiles_of(path: Path, name: str) -> list[bytes]:
-    """The session's tiles and those of the map in the same places, not compressed."""
+    """The tiles of the map in the places of a session, not compressed."""
+    with open_map(path) as universal:
+        frames = list(universal.frames(name))
+        lattice = Lattice(universal.cell_m)
+    under = {tuple(t) for f in frames for t in footprint(f.spec, f.pose, lattice).tiles()}
     database = sqlite3.connect(path)
     rows_ = database.execute(
-        "SELECT t.data FROM fieldgrid_session_tile AS t JOIN fieldgrid_session AS s "
-        "ON s.id = t.session_id WHERE s.name = ?1 UNION ALL SELECT data FROM fieldgrid_tile AS m "
-        "WHERE zoom = (SELECT max(zoom) FROM fieldgrid_tile) AND EXISTS (SELECT 1 FROM "
-        "fieldgrid_session_tile AS t JOIN fieldgrid_session AS s ON s.id = t.session_id "
-        "WHERE s.name = ?1 AND t.ty = m.ty AND t.tx = m.tx)",
-        (name,),
+        "SELECT ty, tx, data FROM fieldgrid_tile "
+        "WHERE zoom = (SELECT max(zoom) FROM fieldgrid_tile)"
     ).fetchall()
     database.close()
-    return [zlib.decompress(blob[5 + 2 * blob[0] :]) for (blob,) in rows_]
+    return [zlib.decompress(blob[5 + 2 * blob[0] :]) for ty, tx, blob in rows_ if (ty, tx) in under]
 
 
 def _store(folder: Path, tiles: list[bytes]) -> float:

@@ -18,7 +18,7 @@ from fieldgrid.live.kept import session_folder
 from fieldgrid.maps import StageFile, open_map
 from fieldgrid.maps.file import map_file
 from fieldgrid.maps.writing import session
-from fieldgrid.maps.writing.placing import SessionTiles
+from fieldgrid.maps.writing.placing import FoldedTiles
 from fieldgrid.pipeline import build_map
 from fieldgrid.recordings import open_recording
 from tests.live.making import begin
@@ -52,8 +52,8 @@ def dies(at: int = 1, *, after: bool = False) -> Callable[[Any], Callable[..., A
 STEPS: dict[str, tuple[Any, str, Any]] = {
     "the journal was read": (finish, "estimate_drive", dies()),
     "grids are made again": (StageFile, "append", dies(3)),
-    "before frames are placed": (SessionTiles, "folded", dies()),
-    "frames are placed": (SessionTiles, "put", dies(2)),
+    "before frames are placed": (FoldedTiles, "folded", dies()),
+    "frames are placed": (FoldedTiles, "cells", dies(2)),
     "before the commit": (session, "sum_up", dies(after=True)),
     "after the commit": (map_file, "settle", dies()),
     "before the map is published": (Draft, "publish", dies()),

@@ -146,6 +146,7 @@ if TYPE_CHECKING:
         GateLimits as GateLimits,
         GearSpan as GearSpan,
         GridSettings as GridSettings,
+        MapSettings as MapSettings,
         PoseSettings as PoseSettings,
         StereoSettings as StereoSettings,
     )

@@ -275,11 +275,20 @@ def _placed(
             session.report.notes += (LOST,)
         if about.append:
             universal = open_map(
-                out, datum=datum, cell_m=chosen.cell_m, transfer=chosen.transfer, patience=patience
+                out,
+                datum=datum,
+                cell_m=chosen.cell_m,
+                transfer=chosen.transfer,
+                layers=chosen.kept_layers(),
+                patience=patience,
             )
         else:
             universal = create_map(
-                out, datum, cell_m=settings.universal_cell_m, transfer=chosen.transfer
+                out,
+                datum,
+                cell_m=settings.universal_cell_m,
+                transfer=chosen.transfer,
+                layers=chosen.kept_layers(),
             )
         with universal:
             session.check(universal)

@@ -83,14 +83,13 @@ if TYPE_CHECKING:
     from fieldgrid.maps.layers.registry import (
         GROUPS as GROUPS,
         LAYERS as LAYERS,
-        RETIRED_GROUPS as RETIRED_GROUPS,
         channel_names as channel_names,
         check_layers as check_layers,
         groups_of as groups_of,
+        kept_groups as kept_groups,
         layers_by_subject as layers_by_subject,
         register_group as register_group,
         register_layer as register_layer,
-        stored_groups as stored_groups,
         unregister as unregister,
     )
     from fieldgrid.maps.layers.window import WindowFold as WindowFold

@@ -152,6 +152,7 @@ def build_map(
                     datum=datum,
                     cell_m=settings.map.cell_m,
                     transfer=settings.map.transfer,
+                    layers=settings.map.kept_layers(),
                     patience=patience or Patience(),
                 )
             )
@@ -171,6 +172,7 @@ def build_map(
                     datum,
                     cell_m=settings.universal_cell_m,
                     transfer=settings.map.transfer,
+                    layers=settings.map.kept_layers(),
                     overwrite=overwrite,
                 )
             )

@@ -21,8 +21,6 @@ _QUERIES = {
     "WHERE channels NOT IN ('sessions', 'terrain', 'surface', 'vehicle_height') "
     "ORDER BY 1, 2, 3, 4",
     "pictures": "SELECT zoom_level, tile_column, tile_row, tile_data FROM density ORDER BY 1, 2, 3",
-    "session tiles": "SELECT s.name, ty, tx, channels, data FROM fieldgrid_session_tile AS t "
-    "JOIN fieldgrid_session AS s ON s.id = t.session_id ORDER BY 1, 2, 3, 4",
     "extents": "SELECT table_name, min_x, min_y, max_x, max_y FROM gpkg_contents ORDER BY 1",
     "levels": "SELECT * FROM gpkg_tile_matrix ORDER BY 2",
     "window": "SELECT value FROM fieldgrid_meta WHERE key = 'data_window'",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -75,9 +75,10 @@ def write_map(
     cell_m: float = CELL_M,
     transfer: Transfer = Transfer.CENTRE,
     trajectory: Trajectory | None = None,
+    layers: Collection[str] = (),
 ) -> Path:
-    """A new map with sessions "0", "1", ..."""
-    with create_map(path, DATUM, cell_m=cell_m, transfer=transfer) as universal:
+    """A new map with sessions "0", "1", ..., whose tiles hold some layers beside the core."""
+    with create_map(path, DATUM, cell_m=cell_m, transfer=transfer, layers=layers) as universal:
         for k, frames in enumerate(sessions):
             write_session(universal, str(k), frames, trajectory)
     return path

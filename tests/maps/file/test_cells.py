@@ -15,7 +15,6 @@ from fieldgrid.maps import (
     MEANING,
     Averaging,
     Change,
-    FrameRecord,
     MapFile,
     Transfer,
     mean_density,
@@ -52,9 +51,10 @@ FIELD = [
 """Sessions "0", "1", "2", driven in the order 1, 0, 2: on the 4th, the 1st and the 10th."""
 
 
-@pytest.fixture(scope="module")
-def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_map(tmp_path_factory.mktemp("map") / "map.gpkg", FIELD)
+@pytest.fixture(scope="module", params=[(), ("all",)], ids=["core", "all"])
+def path(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
+    """A map whose tiles hold the core, and one whose tiles hold all layers."""
+    return write_map(tmp_path_factory.mktemp("map") / "map.gpkg", FIELD, layers=request.param)
 
 
 def brute_force(
@@ -126,10 +126,8 @@ def test_every_layer_is_what_the_frames_say(
 @pytest.mark.parametrize("names", [[0, 1, 2], [0, 2]])
 @pytest.mark.parametrize("times", [2, 3, 4, 6])
 def test_larger_cells_follow_from_the_base_cells_by_one_rule(
-    path: Path, times: int, names: list[int], monkeypatch: pytest.MonkeyPatch
+    path: Path, times: int, names: list[int]
 ) -> None:
-    """From stored tiles, whichever sessions are asked for: no frame is decoded."""
-    monkeypatch.setattr(FrameRecord, "cells", None)
     with open_map(path) as universal:
         sessions = [str(n) for n in names]
         layers = [name for name in LAYERS if name != "height"]
@@ -224,9 +222,6 @@ def test_only_the_tiles_of_a_window_are_touched(
         universal.read(corner, layers=["count"])
         universal.read(corner, 0.4, layers=["count"])
         assert read == ["decode_tile"] * 4  # the density and the count, twice
-        read.clear()
-        universal.read(corner, layers=["density"], sessions=["0"])
-        assert read == ["decode_tile"]
 
 
 def test_layers_that_are_none_or_cannot_be_are_refused(path: Path) -> None:

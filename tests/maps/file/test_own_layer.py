@@ -22,6 +22,7 @@ from fieldgrid.maps import (
     Layer,
     MapView,
     OverviewChannel,
+    create_map,
     open_map,
     register_group,
     register_layer,
@@ -138,13 +139,13 @@ def test_it_is_read_at_every_size_as_the_frames_say(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("registered")
 def test_a_session_leaves_and_comes_back_without_a_trace(tmp_path: Path) -> None:
-    path = write_map(tmp_path / "map.gpkg", FIELD)
+    path = write_map(tmp_path / "map.gpkg", FIELD, layers=NAMES)
     whole, before = content(path), views(path)
     with open_map(path, writable=True) as universal:
         universal.remove_session("1")
         assert universal.verify(deep=True).problems == ()
     never = tmp_path / "never.gpkg"
-    with open_map(never, datum=DATUM, cell_m=CELL_M) as universal:
+    with create_map(never, DATUM, cell_m=CELL_M, layers=NAMES) as universal:
         for name in ("0", "2"):
             write_session(universal, name, FIELD[int(name)])
     assert content(path, "tiles") == content(never, "tiles")
@@ -193,9 +194,9 @@ def test_a_map_of_before_is_read_and_repair_adds_it(tmp_path: Path) -> None:
         before = views(path)
         with open_map(path, writable=True) as universal:
             assert universal.verify(deep=True).problems == ()
-            universal.repair()
+            universal.repair(layers=NAMES)
             assert universal.verify(deep=True).problems == ()
-        fresh = write_map(tmp_path / "fresh.gpkg", FIELD)
+        fresh = write_map(tmp_path / "fresh.gpkg", FIELD, layers=NAMES)
         assert content(path) == content(fresh)
         assert_same(views(path), before)
     finally:
@@ -206,7 +207,7 @@ def test_a_map_with_channels_that_nobody_knows_is_read_and_says_what_to_do(tmp_p
     plain = write_map(tmp_path / "plain.gpkg", FIELD)
     register()
     try:
-        path = write_map(tmp_path / "map.gpkg", FIELD)
+        path = write_map(tmp_path / "map.gpkg", FIELD, layers=NAMES)
     finally:
         forget()
     with open_map(path) as universal, open_map(plain) as other:

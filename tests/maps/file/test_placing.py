@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -12,17 +10,14 @@ from fieldgrid.geometry import TILE_CELLS, GridSpec, Lattice
 from fieldgrid.maps import GROUPS, FrameCells, Transfer
 from fieldgrid.maps.writing import placing
 from fieldgrid.maps.writing.placing import (
-    RECENT_TILES,
     PlacedFrame,
-    SessionTiles,
     TileSquares,
-    fold_tiles,
 )
 from tests.maps.file.content import content
 from tests.maps.file.maps import CELL_M, drive, grid_of, pose_at, write_map
 
 TILE_M = TILE_CELLS * CELL_M
-GROUPS_OF_ALL = tuple(GROUPS.values())
+GROUPS_OF_ALL = tuple(group for group in GROUPS.values() if not group.derived)
 
 
 def frames_along(heading_deg: float, tiles: int, *, from_m: float = 3.0) -> list[PlacedFrame]:
@@ -70,21 +65,6 @@ def test_a_session_has_the_same_tiles_however_it_is_divided(
     monkeypatch.setattr(placing, "ALONE_TILES", 1)
     divided = write_map(tmp_path / "divided.gpkg", [frames])
     assert content(divided) == content(whole)
-
-
-def test_few_tiles_stay_decoded_until_the_commit(monkeypatch: pytest.MonkeyPatch) -> None:
-    found: list[object] = []
-
-    def noted(*arguments: Any) -> Iterator[Any]:
-        for tile, cells, blobs in fold_tiles(*arguments):
-            found.append(cells)
-            yield tile, cells, blobs
-
-    monkeypatch.setattr(placing, "fold_tiles", noted)
-    frames, lattice = frames_along(90.0, 15), Lattice(CELL_M)
-    with SessionTiles.folded(frames, lattice, Transfer.CENTRE, GROUPS_OF_ALL) as tiles:
-        assert len(tiles.tiles) == len(found) == 15
-    assert len([cells for cells in found if cells is not None]) == RECENT_TILES
 
 
 def test_frames_far_apart_cost_no_squares_in_between() -> None:

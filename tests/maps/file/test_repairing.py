@@ -43,7 +43,7 @@ def spoiled(sound: Path, tmp_path: Path) -> Path:
     path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
     with closing(sqlite3.connect(path, isolation_level=None)) as database:
         database.execute("DELETE FROM density")
-        database.execute("UPDATE fieldgrid_session_tile SET data = zeroblob(9)")
+        database.execute("UPDATE fieldgrid_tile SET data = zeroblob(9)")
     return path
 
 
@@ -60,7 +60,7 @@ def test_a_cluster_of_which_a_worker_is_killed_repairs_to_the_bits_of_one_proces
         assert universal.repair(keep=keep, scheduler=cluster.scheduler_address) == ()
         assert universal.verify(1, deep=True).sound
     assert ended
-    assert {one.task.name for _, one in ended} == {"_framecheck", "sessionfold"}
+    assert {one.task.name for _, one in ended} == {"_framecheck", "mapfold"}
     assert content(spoiled) == content(sound)
     assert content(keep) == before
     assert {path.name for path in tmp_path.iterdir()} == {"map.gpkg", "kept.gpkg"}

@@ -125,7 +125,7 @@ def test_a_change_that_is_rolled_back_is_not_counted(path: Path) -> None:
     assert_fitting(path)
 
 
-TILE = "zoom = (SELECT max(zoom) FROM fieldgrid_tile) AND channels = 'max'"
+TILE = "zoom = (SELECT max(zoom) FROM fieldgrid_tile) AND channels = 'count'"
 
 
 def test_what_another_program_changed_stays_visible(path: Path) -> None:

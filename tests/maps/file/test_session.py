@@ -205,7 +205,7 @@ def test_the_settings_of_the_map_are_in_the_file(tmp_path: Path) -> None:
     database = sqlite3.connect(path)
     meta = dict(database.execute("SELECT key, value FROM fieldgrid_meta"))
     database.close()
-    assert meta["format_version"] == "3"
+    assert meta["format_version"] == "4"
     assert float(meta["datum_lat_deg"]) == DATUM.lat_deg
     assert float(meta["cell_m"]) == CELL_M
     assert meta["transfer"] == "centre"

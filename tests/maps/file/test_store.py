@@ -212,7 +212,7 @@ def test_a_reader_sees_the_last_committed_state_while_a_session_is_written(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen = []
-    update = Pyramid.replace
+    update = Pyramid.change
 
     def look_while_updating(*arguments: object, **options: object) -> None:
         update(*arguments, **options)  # type: ignore[arg-type]
@@ -220,7 +220,7 @@ def test_a_reader_sees_the_last_committed_state_while_a_session_is_written(
 
     with open_map(path, datum=DATUM) as universal, open_map(path) as reader:
         before = reader.read()
-        monkeypatch.setattr(Pyramid, "replace", look_while_updating)
+        monkeypatch.setattr(Pyramid, "change", look_while_updating)
         with universal.add_session("more") as session:
             session.add(*drive(1, heading_deg=120.0)[0])
             assert session_names(path) == ["0"]
@@ -326,13 +326,13 @@ def test_a_writer_that_is_killed_leaves_the_map_as_it_was(path: Path, new: bool)
     target = path.with_name("new.gpkg") if new else path
     done = run(
         """
-        update = Pyramid.replace
+        update = Pyramid.change
         def update_and_die(*arguments, **options):
             update(*arguments, **options)
             os.kill(os.getpid(), signal.SIGKILL)
         with open_map(path, datum=DATUM, cell_m=CELL_M) as universal:
             universal._connection.execute("PRAGMA cache_size = 5")  # so pages reach the file
-            Pyramid.replace = update_and_die
+            Pyramid.change = update_and_die
             write_session(universal, "more", drive(20, heading_deg=120.0))
         """,
         target,
@@ -414,7 +414,7 @@ def changed(path: Path, *statements: str) -> Path:
 
 def test_a_newer_format_is_refused_by_both_numbers(path: Path) -> None:
     newer = changed(path, "UPDATE fieldgrid_meta SET value = '7' WHERE key = 'format_version'")
-    with pytest.raises(MapError, match=r"format version 7.*up to 3; update fieldgrid"):
+    with pytest.raises(MapError, match=r"format version 7.*up to 4; update fieldgrid"):
         open_map(newer)
 
 

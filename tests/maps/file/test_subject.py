@@ -50,8 +50,7 @@ def damaged(sound: Path) -> Path:
             "UPDATE fieldgrid_grid SET data = zeroblob(9) WHERE frame IN (2, 8)",
             "UPDATE fieldgrid_tile SET data = zeroblob(20) "
             "WHERE rowid IN (SELECT rowid FROM fieldgrid_tile LIMIT 2)",
-            "DELETE FROM fieldgrid_session_tile WHERE rowid = (SELECT max(rowid) "
-            "FROM fieldgrid_session_tile)",
+            "DELETE FROM fieldgrid_tile WHERE rowid = (SELECT max(rowid) FROM fieldgrid_tile)",
             "UPDATE density SET tile_data = x'00' WHERE id = 2",
         ):
             assert database.execute(statement).rowcount

@@ -19,7 +19,6 @@ from tests.maps.file.terrain import (
     frame,
     write_drives,
 )
-from tests.maps.file.test_retired_groups import aged
 
 
 @pytest.fixture(scope="module")
@@ -44,12 +43,6 @@ def test_parts_are_those_of_the_whole(
 ) -> None:
     with open_map(path) as universal:
         assert_parts_are_those_of_the_whole(universal, cell_m, **how)
-
-
-def test_parts_of_an_old_map_are_those_of_the_whole(tmp_path: Path) -> None:
-    old = aged(write_drives(tmp_path / "old.gpkg", {"june": 0.0, "july": 37.0, "may": 100.0}))
-    with open_map(old) as universal:
-        assert_parts_are_those_of_the_whole(universal, most_cells=1)
 
 
 @pytest.mark.parametrize("part", ["tip", "side"])

@@ -14,16 +14,23 @@ import numpy as np
 import pytest
 
 from fieldgrid.core import ConfigError, MapError
-from fieldgrid.maps import LAYERS, MapFile, MapView, merge_maps, open_map
+from fieldgrid.maps import LAYERS, MapFile, MapView, kept_groups, merge_maps, open_map, schema
 from tests.maps.file.content import content
 from tests.maps.file.maps import CELL_M, DATUM, drive, track, write_map, write_session
 
 FORMAT_2 = Path(__file__).with_name("format2.gpkg")
+FORMAT_3 = Path(__file__).with_name("format3.gpkg")
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return Path(shutil.copy(FORMAT_2, tmp_path / "map.gpkg"))
+
+
+@pytest.fixture(params=[FORMAT_2, FORMAT_3], ids=["2", "3"])
+def old(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    """The same drives in a map of each older format."""
+    return Path(shutil.copy(request.param, tmp_path / "map.gpkg"))
 
 
 @pytest.fixture
@@ -81,25 +88,48 @@ def test_it_is_read_as_it_is(path: Path, today: Path) -> None:
         assert [info.name for info in merged.sessions()] == ["0", "1"]
 
 
-def test_it_is_upgraded_in_place(path: Path, today: Path) -> None:
+def test_format_3_is_read_and_verified_as_it_is(tmp_path: Path, today: Path) -> None:
+    path = Path(shutil.copy(FORMAT_3, tmp_path / "map.gpkg"))
+    before = path.read_bytes()
+    with open_map(path) as old, open_map(today) as new:
+        for cell_m in (CELL_M, 0.2, 0.3):
+            for sessions in (None, ["1"]):
+                how = {"cell_m": cell_m, "layers": LAYERS, "sessions": sessions}
+                assert_same(old.read(**how), new.read(**how))
+        for deep in (False, True):
+            found = old.verify(deep=deep)
+            assert (found.problems, found.notes, found.deep) == ((), (), deep)
+    assert path.read_bytes() == before
     with open_map(path, writable=True) as universal:
+        universal.rename_session("0", "first")
+        found = universal.verify()
+        assert (found.problems, found.notes, found.deep) == ((), (), False)  # it keeps its sums
+    with closing(sqlite3.connect(path)) as database:
+        tables = {name for (name,) in database.execute("SELECT name FROM sqlite_schema")}
+        kept = {name for (name,) in database.execute("SELECT channels FROM fieldgrid_tile")}
+    assert "fieldgrid_session_tile" not in tables
+    assert kept == set(kept_groups())
+
+
+def test_it_is_upgraded_in_place(old: Path, today: Path) -> None:
+    with open_map(old, writable=True) as universal:
         assert universal.upgrade()
         assert not universal.upgrade()
         assert universal.verify(deep=True).problems == ()
         assert [(i.name, dict(i.config)) for i in universal.sessions()] == [
             (str(k), {"every": k}) for k in range(3)
         ]
-    assert version(path) == "3"
+    assert version(old) == str(schema.FORMAT_VERSION)
     kinds = set(content(today)) - {"digests"}
-    assert content(path, *kinds) == content(today, *kinds)
-    with open_map(path, writable=True) as universal:
+    assert content(old, *kinds) == content(today, *kinds)
+    with open_map(old, writable=True) as universal:
         universal.restore_session("2")
         assert universal.verify(deep=True).problems == ()
 
 
 @pytest.mark.parametrize("change", ["add", "remove", "shift", "repair"])
-def test_the_first_change_upgrades_it(path: Path, change: str) -> None:
-    with open_map(path, datum=DATUM) as universal:
+def test_the_first_change_upgrades_it(old: Path, change: str) -> None:
+    with open_map(old, datum=DATUM) as universal:
         if change == "add":
             with universal.add_session("more") as session:
                 session.add(*drive(1)[0])
@@ -110,7 +140,7 @@ def test_the_first_change_upgrades_it(path: Path, change: str) -> None:
         else:
             universal.repair()
         assert universal.verify(deep=True).problems == ()
-    assert version(path) == "3"
+    assert version(old) == str(schema.FORMAT_VERSION)
 
 
 def test_an_upgrade_that_is_cut_short_changes_nothing(
@@ -218,21 +248,21 @@ def test_a_handle_of_before_changes_what_another_one_upgraded(path: Path) -> Non
     ],
 )
 def test_a_change_that_is_refused_upgrades_nothing(
-    path: Path, refused: Callable[[MapFile], object]
+    old: Path, refused: Callable[[MapFile], object]
 ) -> None:
-    before = path.read_bytes()
-    with open_map(path, writable=True) as universal:
+    before = old.read_bytes()
+    with open_map(old, writable=True) as universal:
         expected = universal.read(layers=LAYERS)
         with pytest.raises((ConfigError, KeyboardInterrupt)):
             refused(universal)
         assert_same(universal.read(layers=LAYERS), expected)  # still as the old format has it
-    assert path.read_bytes() == before
-    with open_map(path, writable=True) as universal:
+    assert old.read_bytes() == before
+    with open_map(old, writable=True) as universal:
         with pytest.raises((ConfigError, KeyboardInterrupt)):
             refused(universal)
         universal.remove_session("0")
         assert universal.verify(deep=True).problems == ()
-    assert version(path) == "3"
+    assert version(old) == str(schema.FORMAT_VERSION)
 
 
 def abandon(universal: MapFile) -> None:

@@ -60,11 +60,11 @@ def test_a_map_as_written_is_sound(sound: Path) -> None:
 
 LAST_DENSITY_TILE = "rowid = (SELECT max(rowid) FROM fieldgrid_tile WHERE channels = 'density')"
 DERIVED = [
-    "UPDATE fieldgrid_tile SET data = (SELECT data FROM fieldgrid_tile WHERE channels = 'max' "
-    "LIMIT 1) WHERE rowid = (SELECT max(rowid) FROM fieldgrid_tile WHERE channels = 'max')",
+    "UPDATE fieldgrid_tile SET data = (SELECT data FROM fieldgrid_tile WHERE channels = 'count' "
+    "LIMIT 1) WHERE rowid = (SELECT max(rowid) FROM fieldgrid_tile WHERE channels = 'count')",
     f"DELETE FROM fieldgrid_tile WHERE {LAST_DENSITY_TILE}",
-    "DELETE FROM fieldgrid_session_tile WHERE session_id = 1",
-    "UPDATE fieldgrid_session_tile SET data = zeroblob(20) WHERE ty = 0 AND channels = 'max'",
+    "DELETE FROM fieldgrid_tile WHERE ty = 0",
+    "UPDATE fieldgrid_tile SET data = zeroblob(20) WHERE ty = 0 AND channels = 'drop'",
     "UPDATE density SET tile_data = (SELECT tile_data FROM density WHERE id = 1)",
     "DELETE FROM density WHERE id = 2",
     "DELETE FROM gpkg_tile_matrix WHERE zoom_level = (SELECT min(zoom_level) FROM density)",
@@ -88,7 +88,6 @@ MORE_DERIVED = [
     f"UPDATE fieldgrid_tile SET data = 'text' WHERE {LAST_DENSITY_TILE}",
     "DELETE FROM fieldgrid_tile",
     f"UPDATE fieldgrid_tile SET ty = ty + 90 WHERE {LAST_DENSITY_TILE}",
-    "UPDATE fieldgrid_session_tile SET session_id = 3 WHERE session_id = 1",
     "UPDATE density SET tile_data = x'00' WHERE id = 2",
     "INSERT INTO density SELECT NULL, zoom_level, tile_column + 7, tile_row, tile_data "
     "FROM density LIMIT 1",
@@ -99,8 +98,7 @@ MORE_DERIVED = [
     "UPDATE fieldgrid_meta SET value = '[0, 0, 1, 1]' WHERE key = 'data_window'",
     "DELETE FROM trajectory WHERE fid = 3",
     "UPDATE frame_position SET status = 'rejected' WHERE fid = 1",
-    "DELETE FROM fieldgrid_tile WHERE channels = 'max'",
-    "DELETE FROM fieldgrid_session_tile WHERE channels = 'variance' AND session_id = 2",
+    "DELETE FROM fieldgrid_tile WHERE channels = 'count'",
     "UPDATE fieldgrid_tile SET zoom = zoom - 9 WHERE zoom = (SELECT min(zoom) FROM fieldgrid_tile)",
     "UPDATE gpkg_contents SET data_type = 'tiles' WHERE table_name = 'footprint'",
     "UPDATE gpkg_tile_matrix_set SET srs_id = 4326",

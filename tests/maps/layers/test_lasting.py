@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 from pathlib import Path
 
 import numpy as np
@@ -90,49 +89,21 @@ def test_many_cells_of_every_size_and_of_a_season(tmp_path: Path) -> None:
                     np.testing.assert_array_equal(view.layer(name), large[..., 0])
 
 
-def test_it_is_stored_above_the_base_only(tmp_path: Path) -> None:
+def test_it_follows_from_the_core(tmp_path: Path) -> None:
     days = [later(drive(6, step_m=30.137 + 0.1 * k), k) for k in range(3)]
     path = write_map(tmp_path / "map.gpkg", days)
-    database = sqlite3.connect(path)
-    zooms = [
-        {zoom for (zoom,) in database.execute(
-            "SELECT zoom FROM fieldgrid_tile WHERE channels = ?", (name,)
-        )}
-        for name in ("density", "lasting")
-    ]  # fmt: skip
-    assert zooms[1] == zooms[0] - {max(zooms[0])}
-    assert len(zooms[1]) == 2
-    ((groups,),) = database.execute(
-        "SELECT value FROM fieldgrid_meta WHERE key = 'channel_groups'"
-    ).fetchall()
-    database.close()
-    assert "sessions" in json.loads(groups)
     with open_map(path, writable=True) as universal:
         assert universal.verify(deep=True).sound
         universal.repair()
         assert universal.verify(deep=True).sound
     names = (*CLASSES, "lasting")
-
-    def views() -> list[npt.NDArray[np.uint8]]:
-        with open_map(path) as universal:
-            sizes = [universal.read(cell_m=cell, layers=names) for cell in (0.1, 0.2, 0.4, 1.2)]
-        return [view.layer(name) for view in sizes for name in names]
-
-    before = views()
-    assert all(layer.any() for layer in before)
-    # Maps of before have nothing of it: it comes from the map's own cells. Without the tiles of
-    # the sessions, it comes from the frames.
-    for lacking in ({"lasting"}, {"lasting", "sessions"}):
-        database = sqlite3.connect(path)
-        left = [name for name in json.loads(groups) if name not in lacking]
-        database.execute(
-            "UPDATE fieldgrid_meta SET value = ? WHERE key = 'channel_groups'", (json.dumps(left),)
-        )
-        database.execute("DELETE FROM fieldgrid_tile WHERE channels = 'lasting'")
-        database.commit()
-        database.close()
-        for layer, again in zip(before, views(), strict=True):
-            np.testing.assert_array_equal(layer, again)
+    with open_map(path) as universal:
+        for cell_m in (0.1, 0.2, 0.4, 1.2):
+            stored = universal.read(cell_m=cell_m, layers=names)
+            anew = universal.read(cell_m=cell_m, layers=names, frame_filter=lambda _: True)
+            for name in names:
+                assert stored.layer(name).any()
+                np.testing.assert_array_equal(stored.layer(name), anew.layer(name))
 
 
 def test_planners_get_what_lasts(tmp_path: Path) -> None:

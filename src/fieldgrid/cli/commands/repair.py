@@ -18,13 +18,20 @@ def command(
         bool,
         typer.Option(
             "--upgrade",
-            help="Only upgrade a map of an older format, or with channel groups that were "
-            "replaced since.",
+            help="Only upgrade a map of an older format.",
         ),
     ] = False,
     in_place: Annotated[
         bool, typer.Option("--in-place", help="Keep no copy of the old map.")
     ] = False,
+    layers: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Layers that the tiles hold beside the core from now on, with commas: names, "
+            "frames, terrain, standing, time or all; '' for the core alone.",
+        ),
+    ] = None,
     wait_s: options.Wait = options.USUAL_WAIT_S,
     jobs: options.Jobs = None,
     scheduler: Annotated[
@@ -51,13 +58,14 @@ def command(
         fieldgrid repair vineyard.gpkg --scheduler tcp://10.0.0.5:8786
     """
     options.check_scheduler(scheduler, jobs)
+    options.refuse(upgrade and layers is not None, "--layers", "leave out --upgrade")
     options.refuse(
         scheduler is not None and (upgrade or in_place),
         "--scheduler",
         "its workers read the copy of the map that is kept; leave out "
         + ("--upgrade" if upgrade else "--in-place"),
     )
-    from fieldgrid.core import MapError, counted
+    from fieldgrid.core import MapError, MapSettings, counted
     from fieldgrid.maps import open_map
 
     done, left = "repaired", tuple[str, ...]()
@@ -65,15 +73,16 @@ def command(
     patience = progress.patience(map_, wait_s)
     with open_map(map_, writable=True, patience=patience) as universal:
         if not upgrade:
-            left = universal.repair(jobs, keep=keep, scheduler=scheduler)
+            kept = None if layers is None else MapSettings(layers=layers).kept_layers()
+            left = universal.repair(jobs, layers=kept, keep=keep, scheduler=scheduler)
         elif universal.upgrade():
             done = "upgraded"
         else:
             done = "of the present format already:"
     if as_json:
-        kept = None if keep is None else str(keep)
+        as_it_was = None if keep is None else str(keep)
         output.print_json(
-            {"map": str(map_), "done": done.rstrip(":"), "kept": kept, "problems": left}
+            {"map": str(map_), "done": done.rstrip(":"), "kept": as_it_was, "problems": left}
         )
     else:
         for line in left:

@@ -40,6 +40,16 @@ class MapSettings(Settings):
         usual="centre",
         flag=Flag("--transfer", "centre|area"),
     )
+    layers: str = setting(
+        "",
+        "layers that the tiles of a new map hold beside the core, with commas: names, frames, "
+        "terrain, standing, time or all; others are folded from the frames when they are read",
+        flag=Flag("--layers", "NAMES"),
+    )
+
+    def kept_layers(self) -> tuple[str, ...]:
+        """The names of `layers`."""
+        return tuple(name.strip() for name in self.layers.split(",") if name.strip())
 
 
 class StereoSettings(Settings):

@@ -20,7 +20,7 @@ from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.file.history import during
 from fieldgrid.maps.file.map_file import MapFile
 from fieldgrid.maps.file.records import SessionInfo
-from fieldgrid.maps.layers.registry import check_layers, stored_groups
+from fieldgrid.maps.layers.registry import ALL_LAYERS, check_layers, kept_groups
 from fieldgrid.maps.tiles.overviews import OverviewBlock, read_overviews
 from fieldgrid.maps.vector.marks import Mark
 from fieldgrid.maps.views.blocks import MapBlocks, blocks_of
@@ -244,7 +244,7 @@ class Farm(FarmDrives, Closing):
                     f"--datum-from {first.path}, or from Python with Farm(folder, datum=...)."
                 )
         lattice = max((found.lattice for _, found, _ in self._usable), key=lambda one: one.cell_m)
-        return MapHeader(datum, lattice, header.transfer, stored_groups())
+        return MapHeader(datum, lattice, header.transfer, kept_groups([ALL_LAYERS]))
 
     @cached_property
     def _parts(self) -> tuple[FarmPart, ...]:

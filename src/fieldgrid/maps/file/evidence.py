@@ -162,14 +162,6 @@ class EvidenceTables:
         )
         return [(matrices.tile(zoom, column, row), blob) for column, row, blob in rows]
 
-    def session_ids(self, names: Collection[str]) -> dict[int, str]:
-        """The names of sessions by their row ids, in the order in which they are given."""
-        ids = dict(self.connection.execute("SELECT name, id FROM fieldgrid_session").fetchall())
-        try:
-            return {int(ids[name]): name for name in names}
-        except (KeyError, TypeError, ValueError) as error:
-            raise self._lost_row(str(error)) from error
-
     def trajectory(self, session: str, datum: Datum) -> Trajectory:
         """The trajectory that was stored with a session, as driven."""
         session_id, heading_source, _ = self._row_of(session)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -13,10 +13,10 @@ from fieldgrid.core import ConfigError, DatumError, FieldgridError, MapError, pa
 from fieldgrid.geometry import TILE_CELLS, Datum, Lattice
 from fieldgrid.maps.file import schema
 from fieldgrid.maps.layers.declaration import ChannelGroup
-from fieldgrid.maps.layers.registry import GROUPS, RETIRED_GROUPS
+from fieldgrid.maps.layers.registry import ALL_LAYERS, GROUPS, kept_groups
 from fieldgrid.maps.transfer import CELL_WEIGHT, Transfer
 
-OLDEST_VERSION = 2
+OLDEST_VERSION = schema.OTHER_TABLES_VERSION
 """Of the formats that are read."""
 
 _SAME_ANGLE_DEG = 1e-9
@@ -34,13 +34,18 @@ class MapHeader(NamedTuple):
 
     @property
     def is_old(self) -> bool:
-        """Whether the next change brings the map up to date: its format, or some of its groups."""
-        retired = any(name in RETIRED_GROUPS for name in self.groups)
-        return retired or self.version < schema.FORMAT_VERSION
+        """Whether the next change brings the map to the present format."""
+        return self.version < schema.FORMAT_VERSION
+
+    @property
+    def has_other_tables(self) -> bool:
+        """Whether the tables of evidence are not those of today."""
+        return self.version == schema.OTHER_TABLES_VERSION
 
     def known_groups(self) -> tuple[ChannelGroup, ...]:
         """The channel groups of the map's tiles that this program knows."""
-        return tuple(GROUPS[name] for name in self.groups if name in GROUPS)
+        known = (GROUPS[name] for name in self.groups if name in GROUPS)
+        return tuple(group for group in known if not group.derived)
 
     def writable_groups(self, path: Path) -> tuple[ChannelGroup, ...]:
         """The channel groups of the map's tiles, all of which a change must bring up to date;
@@ -53,6 +58,15 @@ class MapHeader(NamedTuple):
                 "with `fieldgrid repair`."
             )
         return self.known_groups()
+
+    def keeping(self, layers: Collection[str] | None) -> MapHeader:
+        """The settings of a map of the present format whose tiles hold the core and some layers;
+        None for those that they hold, as far as they are known here."""
+        groups = kept_groups(layers or ())
+        if layers is None:
+            held = {*groups, *self.groups}
+            groups = tuple(name for name in kept_groups([ALL_LAYERS]) if name in held)
+        return self._replace(groups=groups, version=schema.FORMAT_VERSION)
 
     def lattice_of(self, cell_m: float | None) -> Lattice:
         """The lattice for a cell size; the map's own when none is given, or up to rounding."""
@@ -79,8 +93,20 @@ class MapHeader(NamedTuple):
                 f"{path}, or make another map."
             )
 
-    def check_settings(self, path: Path, cell_m: float | None, transfer: Transfer | None) -> None:
-        """Raise ConfigError when a cell size or a rule is given that is not the map's."""
+    def check_settings(
+        self,
+        path: Path,
+        cell_m: float | None,
+        transfer: Transfer | None,
+        layers: Collection[str],
+    ) -> None:
+        """Raise ConfigError when a cell size, a rule or a layer is given that is not the map's."""
+        if layers and not set(kept_groups(layers)) <= set(self.groups):
+            raise ConfigError(
+                f"The tiles of {path} do not hold {', '.join(layers)}; leave the layers out to add "
+                "to it (they can be read all the same), or add them with `fieldgrid repair "
+                "--layers`."
+            )
         if self.lattice_of(cell_m) != self.lattice:
             raise ConfigError(
                 f"{path} has cells of {self.lattice.cell_m} m, not {cell_m} m; leave the cell "
@@ -113,7 +139,7 @@ def read_header(connection: sqlite3.Connection, path: Path) -> MapHeader:
     with _explained(path):
         version, groups = _format_of(meta, path)
         expected = {*schema.OWN_TABLES, *schema.LAYERS}
-        if version < schema.FORMAT_VERSION:
+        if version == schema.OTHER_TABLES_VERSION:
             expected -= {"fieldgrid_grid"}
         missing = sorted(expected - tables)
         if missing:
@@ -121,7 +147,7 @@ def read_header(connection: sqlite3.Connection, path: Path) -> MapHeader:
         for key, value in (("tile_cells", TILE_CELLS), ("cell_weight", CELL_WEIGHT)):
             if meta[key] != str(value):
                 raise ValueError(f"{key} is {meta[key]!r}, not {value}")
-        if version == schema.FORMAT_VERSION and "density" not in groups:
+        if version > schema.OTHER_TABLES_VERSION and "density" not in groups:
             raise ValueError(f"its tiles hold {', '.join(groups) or 'nothing'}, and no density")
         return MapHeader(
             Datum(*(float(meta[f"datum_{key}"]) for key in ("lat_deg", "lon_deg", "height_m"))),

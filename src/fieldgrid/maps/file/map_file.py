@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import sqlite3
 import weakref
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -26,12 +26,9 @@ from fieldgrid.maps.file.header import MapHeader, reread
 from fieldgrid.maps.file.metadata import SessionMetadata, name_is_taken, session_metadata
 from fieldgrid.maps.file.records import sessions_html
 from fieldgrid.maps.file.root import check_root, seal
-from fieldgrid.maps.file.schema import FORMAT_VERSION
 from fieldgrid.maps.file.upgrade import (
     as_it_is_now,
-    drop_retired,
-    in_change,
-    replace_retired,
+    drop_what_is_folded,
     upgrade,
     upgraded,
 )
@@ -153,7 +150,7 @@ class MapFile(MapReader):
             self._connection,
             self.path,
             metadata,
-            in_change(self._header),
+            upgraded(self._header),
             committing=self._transaction,
             on_end=self._session_ended,
         )
@@ -261,28 +258,31 @@ class MapFile(MapReader):
         self,
         jobs: int | None = None,
         *,
+        layers: Collection[str] | None = None,
         keep: Path | None = None,
         scheduler: str | Client | None = None,
     ) -> tuple[str, ...]:
         """Rebuild the tiles, pictures and layers of features from the stored frames, and verify
         them before they count.
 
-        The tiles hold all channel groups that are registered now, and no others. `keep` is where
-        the map as it was is copied to before. `jobs` is the number of threads, all cores when not
-        given; with a `scheduler`, the address of one of Dask or a client, the workers of that
-        cluster check and fold the frames of that copy. Returns what is still wrong with the
-        evidence of sessions that were taken out. Raises MapError, and changes nothing, when other
-        evidence is damaged, or when the map would still not be sound; ConfigError for a scheduler
-        without `keep`, ClusterError where none answers or its workers cannot read the copy.
+        The tiles hold the core and `layers` then (see `create_map`), or what they held, but for
+        channel groups that are not known here. `keep` is where the map as it was is copied to
+        before. `jobs` is the number of threads, all cores when not given; with a `scheduler`, the
+        address of one of Dask or a client, the workers of that cluster check and fold the frames of
+        that copy. Returns what is still wrong with the evidence of sessions that were taken out.
+        Raises MapError, and changes nothing, when other evidence is damaged, or when the map would
+        still not be sound; ConfigError for a scheduler without `keep`, ClusterError where none
+        answers or its workers cannot read the copy.
         """
         with repairers(jobs, scheduler, keep) as by, self._changing(trusting=False, keep=keep):
-            groups, problems = repair(self._connection, self.path, self._header, by)
-        self._header = self._header._replace(groups=groups)
+            header = upgraded(self._header).keeping(layers)
+            problems = repair(self._connection, self.path, header, by)
+        self._header = header
         return problems
 
     def upgrade(self) -> bool:
-        """Bring a map of an older format, or with retired channel groups, up to date, at once or
-        not at all; returns whether there was anything to do.
+        """Bring a map of an older format up to date, at once or not at all; returns whether there
+        was anything to do.
 
         Raises MapError when the frames of a session cannot be read.
         """
@@ -290,7 +290,7 @@ class MapFile(MapReader):
         with reading(self._connection, self.path):
             is_old = reread(self._connection, self.path, self._header).is_old
         if is_old:
-            with self._changing(strict=True):
+            with self._changing():
                 pass
         return is_old
 
@@ -306,7 +306,6 @@ class MapFile(MapReader):
         self,
         *,
         trusting: bool = True,
-        strict: bool = False,
         keep: Path | None = None,
         without: str | None = None,
     ) -> Iterator[MapHeader]:
@@ -314,7 +313,6 @@ class MapFile(MapReader):
         `trusting` what its root digest covers. `keep` is where it is copied to before.
 
         An older map is brought up to date in it: where the change is refused, it stays old.
-        Retired channel groups that cannot be replaced are left out, or, with `strict`, refuse it.
         The frames of a session that it will be `without` need not be readable.
         """
         before = self._header
@@ -322,24 +320,16 @@ class MapFile(MapReader):
             # The copy is never removed once the commit has begun: that may have been done.
             with writing(self._connection, self.path, self._patience), copied(self.path, keep):
                 self._header = as_it_is_now(self._connection, self.path, before)
-                if self._header.version < FORMAT_VERSION:
+                if self._header.has_other_tables:
                     upgrade(self._connection, self.path, self._header, without)
                     seal(self._connection)
                     self._header = upgraded(self._header)
-                if not trusting:
+                if trusting:
+                    check_root(self._connection, self.path)
+                with self._counter.counting() if trusting else nullcontext():
+                    if trusting and self._header.is_old:
+                        self._header = drop_what_is_folded(self._connection, self._header)
                     yield self._header
-                    seal(self._connection)
-                    return
-                check_root(self._connection, self.path)
-                with self._counter.counting():
-                    old = self._header
-                    if old.is_old:
-                        self._header = drop_retired(self._connection, old)
-                    yield self._header
-                    if old.is_old:
-                        self._header = replace_retired(
-                            self._connection, self.path, old, strict=strict
-                        )
                     seal(self._connection)
         except BaseException:
             self._header = before

@@ -15,8 +15,11 @@ from fieldgrid.maps.tiles.tiling import TileMatrixSet
 from fieldgrid.maps.transfer import CELL_WEIGHT, Transfer
 from fieldgrid.version import software_version
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 """Of the `fieldgrid_` tables. Older maps are read, and upgraded when they are written."""
+
+OTHER_TABLES_VERSION = 2
+"""The format whose tables of evidence were others. Format 3 has those of today, and one more."""
 
 APPLICATION_ID = 0x47504B47
 """'GPKG', in the header of the file."""
@@ -189,16 +192,6 @@ CREATE TABLE fieldgrid_extent (
     north_m DOUBLE NOT NULL,
     PRIMARY KEY (session_id, layer)
 );
-CREATE TABLE fieldgrid_session_tile (
-    session_id INTEGER NOT NULL REFERENCES fieldgrid_session (id),
-    ty INTEGER NOT NULL,
-    tx INTEGER NOT NULL,
-    channels TEXT NOT NULL,
-    data BLOB NOT NULL,
-    PRIMARY KEY (session_id, ty, tx, channels)
-);
-CREATE INDEX fieldgrid_session_tile_by_place
-    ON fieldgrid_session_tile (ty, tx, session_id, channels);
 CREATE TABLE fieldgrid_tile (
     zoom INTEGER NOT NULL,
     ty INTEGER NOT NULL,
@@ -244,7 +237,7 @@ EVIDENCE_TABLES = (
 COUNTED_TABLES = ("fieldgrid_session", "fieldgrid_frame", "density", *GEOMETRIES, "layer_styles")
 """Those whose rows have numbers that are never given again."""
 
-DERIVED_TABLES = ("fieldgrid_extent", "fieldgrid_session_tile", "fieldgrid_tile")
+DERIVED_TABLES = ("fieldgrid_extent", "fieldgrid_tile")
 """Those of our own that follow from the evidence."""
 
 GEOPACKAGE_TABLES = (

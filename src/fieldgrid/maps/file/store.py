@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Collection
 from functools import partial
 from pathlib import Path
 
@@ -21,11 +22,10 @@ from fieldgrid.maps.file.database import (
 from fieldgrid.maps.file.header import MapHeader, cut_short, read_header
 from fieldgrid.maps.file.map_file import MapFile
 from fieldgrid.maps.file.root import seal
-from fieldgrid.maps.file.schema import FORMAT_VERSION
 from fieldgrid.maps.file.upgrade import read_as_is
 from fieldgrid.maps.health.hot_journal import check_journal, whole_bytes
 from fieldgrid.maps.health.row_sums import begin_sums
-from fieldgrid.maps.layers.registry import stored_groups
+from fieldgrid.maps.layers.registry import kept_groups
 from fieldgrid.maps.tiles.tiling import TileMatrixSet
 from fieldgrid.maps.transfer import Transfer
 from fieldgrid.maps.vector.styles import refresh_styles
@@ -39,21 +39,23 @@ def open_map(
     datum: Datum | None = None,
     cell_m: float | None = None,
     transfer: Transfer | None = None,
+    layers: Collection[str] = (),
     writable: bool = False,
     patience: Patience = USUAL_PATIENCE,
 ) -> MapFile:
     """Open a map: to read it, or with `datum` or `writable` to change it.
 
     `writable` is for a map that exists, whatever its datum. With `datum` a map that does not
-    exist is made, with cells of `cell_m` (0.05 m when not given) and the `transfer` rule (centre
-    when not given). A map that exists keeps its own: another datum raises DatumError, another
-    cell size or rule ConfigError. A file that is absent, foreign, damaged or of a newer
-    format raises MapError. One of an older format is read as it is, and upgraded by the first
-    change. `patience` is how long a change waits for another writer, and a reader for its commit.
+    exist is made, with cells of `cell_m` (0.05 m when not given), the `transfer` rule (centre
+    when not given) and `layers` as `create_map` takes them. A map that exists keeps its own:
+    another datum raises DatumError, another cell size, rule or layer ConfigError. A file that is
+    absent, foreign, damaged or of a newer format raises MapError. One of an older format is read as
+    it is, and upgraded by the first change. `patience` is how long a change waits for another
+    writer, and a reader for its commit.
     """
     path = Path(path)
     if datum is not None and not path.exists():
-        return create_map(path, datum, cell_m=cell_m, transfer=transfer)
+        return create_map(path, datum, cell_m=cell_m, transfer=transfer, layers=layers)
     if not path.is_file():
         if path.exists():
             raise MapError(f"{path} is a folder, a pipe or a device; give the file of a map.")
@@ -80,11 +82,11 @@ def open_map(
     try:
         with reading(connection, path):
             header = read_header(connection, path)
-        if header.version < FORMAT_VERSION:
+        if header.has_other_tables:
             read_as_is(connection)
         if datum is not None:
             header.check_datum(path, datum)
-        header.check_settings(path, cell_m, transfer)
+        header.check_settings(path, cell_m, transfer, layers)
         if writable:
             with explained(path, writing=True):
                 keep_one_file(connection, durable=True)
@@ -100,16 +102,19 @@ def create_map(
     *,
     cell_m: float | None = None,
     transfer: Transfer | None = None,
+    layers: Collection[str] = (),
     overwrite: bool = False,
 ) -> MapFile:
     """Make a new map, which appears at `path` when its block ends with a session in it.
 
     Until then it is a file of another name beside `path`, and a map that is to be overwritten
-    is untouched. Raises MapExistsError when `path` exists and may not be overwritten.
+    is untouched. Its tiles hold the core, and `layers`: names of layers or of their subjects
+    (`frames`, `terrain`, `standing`, `time`), or `all`. Raises MapExistsError when `path` exists
+    and may not be overwritten, ConfigError for a layer that is not there.
     """
     path = Path(path)
     lattice = Lattice(DEFAULT_CELL_M if cell_m is None else cell_m)
-    header = MapHeader(datum, lattice, transfer or Transfer.CENTRE, stored_groups())
+    header = MapHeader(datum, lattice, transfer or Transfer.CENTRE, kept_groups(layers))
     draft = Draft(
         path,
         overwrite=overwrite,

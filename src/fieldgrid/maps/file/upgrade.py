@@ -1,19 +1,17 @@
-"""Maps of format 2: read as they are, and brought to the present format in place.
+"""Maps of older formats: read as they are, and brought to the present one by their next change.
 
-Format 2 kept a frame's density and mask in its own row, had no transforms and no root digest, and
-other tiles. Its pictures are those of today, so a density is read from them; everything else is
-folded anew from the frames until the map is upgraded.
-
-Maps of the present format may hold retired channel groups. Those that replace them are read from
-the frames until they are made, with the next change or, where frames are damaged, by a repair.
+Format 3 kept the tiles of each session, too, and all channel groups. Format 2 kept a frame's
+density and mask in its own row, had no transforms and no root digest, and other tiles. Its pictures
+are those of today, so a density is read from them; everything else is folded anew from the frames
+until the map is upgraded.
 """
 
 from __future__ import annotations
 
 import hashlib
-import logging
+import json
 import sqlite3
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -26,11 +24,12 @@ from fieldgrid.maps.file.digest import as_json, frame_digest
 from fieldgrid.maps.file.header import MapHeader, check_plane, reread
 from fieldgrid.maps.file.metadata import digest_of, find
 from fieldgrid.maps.file.root import seal
-from fieldgrid.maps.layers.registry import RETIRED_GROUPS, stored_groups
-from fieldgrid.maps.writing.derived import active, add_groups, rebuild
+from fieldgrid.maps.layers.registry import kept_groups
+from fieldgrid.maps.writing.derived import active, rebuild
 from fieldgrid.maps.writing.subject import Subject
 
-_LOG = logging.getLogger(__name__)
+SESSION_TILES = "fieldgrid_session_tile"
+"""A table of older formats: the tiles of each session."""
 
 _GREY = "|u1"
 
@@ -74,81 +73,41 @@ def as_it_is_now(connection: sqlite3.Connection, path: Path, header: MapHeader) 
     """The settings of a map that is about to be changed, whatever other programs have made of it
     since `header` was read; within the caller's transaction."""
     now = reread(connection, path, header)
-    if header.version < now.version:
+    if header.has_other_tables and not now.has_other_tables:
         _drop_views(connection)
     return now
 
 
 def upgraded(header: MapHeader) -> MapHeader:
-    """The settings of a map once it is up to date."""
-    if header.version < schema.FORMAT_VERSION:
-        return header._replace(groups=stored_groups(), version=schema.FORMAT_VERSION)
+    """The settings of a map once it is of the present format: then its tiles hold the core."""
     if not header.is_old:
         return header
-    names = {RETIRED_GROUPS.get(name, name) for name in header.groups}
-    foreign = tuple(name for name in header.groups if name in names - set(stored_groups()))
-    return header._replace(
-        groups=tuple(name for name in stored_groups() if name in names) + foreign
+    groups = tuple(
+        name for name in kept_groups() if name in header.groups or header.has_other_tables
     )
+    return header._replace(groups=groups, version=schema.FORMAT_VERSION)
 
 
-def in_change(header: MapHeader) -> MapHeader:
-    """The settings of a map while it is changed: of the present format, without retired groups."""
-    if header.version < schema.FORMAT_VERSION:
-        return upgraded(header)
-    kept = tuple(name for name in header.groups if name not in RETIRED_GROUPS)
-    return header._replace(groups=kept)
-
-
-def drop_retired(connection: sqlite3.Connection, header: MapHeader) -> MapHeader:
-    """Delete the retired groups of a map, before it is changed, within the caller's transaction;
-    returns its settings without them."""
-    _delete_groups(connection, RETIRED_GROUPS)
-    without = in_change(header)
-    schema.set_groups(connection, without.groups)
-    return without
-
-
-def replace_retired(
-    connection: sqlite3.Connection, path: Path, header: MapHeader, *, strict: bool
-) -> MapHeader:
-    """Make the groups that replace retired ones, which `drop_retired` deleted, from the frames of
-    the map as it was changed; returns its settings then. `header` has those of before.
-
-    Where the frames of an active session cannot be read, the new groups are left out: then their
-    layers are read from the frames, and no change is refused for it. MapError when it is `strict`.
-    """
-    renewed = upgraded(header)
-    added = set(renewed.groups) - set(header.groups)
-    _LOG.info(
-        "%s is brought up to date: %s are made from its frames", path, ", ".join(sorted(added))
+def drop_what_is_folded(connection: sqlite3.Connection, header: MapHeader) -> MapHeader:
+    """Bring a map of format 3 to the present one, within the caller's transaction: the tiles of
+    sessions go, and those channel groups that are folded from the frames when they are read.
+    Returns its settings then."""
+    now = upgraded(header)
+    connection.execute(f"DROP TABLE {SESSION_TILES}")
+    connection.execute(
+        "DELETE FROM fieldgrid_tile WHERE channels NOT IN (SELECT value FROM json_each(?))",
+        (json.dumps(now.groups),),
     )
-    try:
-        add_groups(connection, path, renewed, added)
-    except MapError as error:
-        if strict:
-            raise MapError(
-                f"{path} cannot be brought up to date: {error} Take that session out with "
-                "`fieldgrid sessions --remove`, or restore a copy of the map."
-            ) from error
-        _LOG.warning(
-            "%s was changed, but not all of it was brought up to date: %s Take that session out "
-            "with `fieldgrid sessions --remove`, and make the rest with `fieldgrid repair`.",
-            path,
-            error,
-        )
-        _delete_groups(connection, added)
-        return in_change(header)
-    schema.set_groups(connection, renewed.groups)
-    return renewed
+    schema.set_groups(connection, now.groups)
+    _set_version(connection)
+    return now
 
 
-def _delete_groups(connection: sqlite3.Connection, names: Iterable[str]) -> None:
-    """Delete groups from all tiles."""
-    for table in ("fieldgrid_session_tile", "fieldgrid_tile"):
-        connection.executemany(
-            f"DELETE FROM {table} WHERE channels = ?", [(name,) for name in names]
-        )
+def _set_version(connection: sqlite3.Connection) -> None:
+    connection.execute(
+        "UPDATE fieldgrid_meta SET value = ? WHERE key = 'format_version'",
+        (str(schema.FORMAT_VERSION),),
+    )
 
 
 def upgraded_copy(
@@ -184,7 +143,7 @@ def upgrade(
     for name in ("session", "frame"):
         connection.execute(f"ALTER TABLE fieldgrid_{name} RENAME TO fieldgrid_{name}_2")
     connection.execute("PRAGMA legacy_alter_table = OFF")
-    for name in schema.DERIVED_TABLES:
+    for name in (*schema.DERIVED_TABLES, SESSION_TILES):
         connection.execute(f"DROP TABLE {name}")
     for statement in schema.own_tables():
         if not statement.startswith(
@@ -200,14 +159,11 @@ def upgrade(
         _renew_digest(connection, path, header, session_id)
     for name in ("frame", "session"):
         connection.execute(f"DROP TABLE fieldgrid_{name}_2")
-    connection.execute(
-        "UPDATE fieldgrid_meta SET value = ? WHERE key = 'format_version'",
-        (str(schema.FORMAT_VERSION),),
-    )
+    _set_version(connection)
     removed = "UPDATE fieldgrid_session SET removed = ? WHERE name = ? AND removed IS ?"
     connection.execute(removed, ("now", without, None))
     try:
-        rebuild(Subject(connection, path, header._replace(groups=stored_groups()), Threads()))
+        rebuild(Subject(connection, path, upgraded(header), Threads()))
     except MapError as error:
         raise _not_upgraded(connection, path, unreadable) or error from error
     connection.execute(removed, (None, without, "now"))

@@ -26,9 +26,7 @@ def check_features(subject: Subject) -> Iterator[str]:
             metadata = find(connection, path, header.datum, name).metadata
             show_features(scratch, session_id, metadata, evidence=connection)
         refresh_styles(scratch, evidence=connection)
-        for what, query in (
-            _OLD if header.version < schema.FORMAT_VERSION else _ANNOUNCED + _FEATURES
-        ):
+        for what, query in _OLD if header.has_other_tables else _ANNOUNCED + _FEATURES:
             yield from _differences(what, connection.execute(query), scratch.execute(query))
     check_plane(connection, path, header.datum)
 

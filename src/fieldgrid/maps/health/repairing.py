@@ -16,10 +16,10 @@ from fieldgrid.maps.file.database import connect
 from fieldgrid.maps.file.header import MapHeader, read_header
 from fieldgrid.maps.file.metadata import count_frames
 from fieldgrid.maps.file.root import read_root, seal
+from fieldgrid.maps.file.upgrade import SESSION_TILES, drop_what_is_folded
 from fieldgrid.maps.health.file_check import MAX_PROBLEMS, damaged_pages, orphans, renew_file
 from fieldgrid.maps.health.row_sums import begin_sums, drop_sums
 from fieldgrid.maps.health.verification import LONGEST_PROBLEM, check_evidence, verify
-from fieldgrid.maps.layers.registry import stored_groups
 from fieldgrid.maps.vector.marks import TABLE, announce_marks, read_marks
 from fieldgrid.maps.vector.stored_features import check_stored
 from fieldgrid.maps.writing import derived
@@ -54,11 +54,12 @@ def repairers(
 
 def repair(
     connection: sqlite3.Connection, path: Path, header: MapHeader, by: Repairers
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Rebuild everything that follows from the evidence, within the caller's transaction.
+) -> tuple[str, ...]:
+    """Rebuild everything that follows from the evidence, within the caller's transaction; the
+    tiles hold the channel groups of the header.
 
-    Returns the channel groups that the tiles hold now, and what is still wrong with the evidence
-    of sessions that were taken out, of which nothing is read, and with features that were found.
+    Returns what is still wrong with the evidence of sessions that were taken out, of which nothing
+    is read, and with features that were found.
 
     Raises MapError when the evidence itself is damaged, of which nothing can be made, and when
     `verify` would still find something else; ConfigError when the workers of a cluster cannot read
@@ -68,7 +69,7 @@ def repair(
         return _repair(Subject(connection, path, header, by.runner))
     with closing(connect(by.copy, by.copy, writable=False)) as copy:
         version = read_header(copy, path).version
-        if version < schema.FORMAT_VERSION:
+        if version == schema.OTHER_TABLES_VERSION:
             raise ConfigError(
                 f"{path} is of format {version}, which the workers of a cluster cannot fold; bring "
                 "it up to date with `fieldgrid repair --upgrade`, or leave out --scheduler."
@@ -76,7 +77,7 @@ def repair(
         return _repair(Subject(connection, path, header, by.runner, copy))
 
 
-def _repair(subject: Subject) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _repair(subject: Subject) -> tuple[str, ...]:
     connection, path, header, run, _ = subject
     if not read_root(connection).trusted:
         # Rows that follow from others, although the root digest covers them.
@@ -89,6 +90,8 @@ def _repair(subject: Subject) -> tuple[tuple[str, ...], tuple[str, ...]]:
                 "list of sessions or marks have changed since, and nothing tells what they were. "
                 "Nothing was written; restore a copy of the map."
             )
+    if schema.has_table(connection, SESSION_TILES):
+        drop_what_is_folded(connection, header)
     damaged = next(
         chain(
             damaged_pages(connection),
@@ -109,16 +112,15 @@ def _repair(subject: Subject) -> tuple[tuple[str, ...], tuple[str, ...]]:
     if schema.has_table(connection, TABLE):
         read_marks(connection, removed=True)
         announce_marks(connection)
-    derived.rebuild(subject._replace(header=header._replace(groups=stored_groups())))
+    derived.rebuild(subject)
     renew_file(connection)
     seal(connection)
     begin_sums(connection)
     # What was made is seen here only, until it is committed.
-    renewed = header._replace(groups=stored_groups(), version=schema.FORMAT_VERSION)
-    left = _left(Subject(connection, path, renewed, Threads(run.here)))
+    left = _left(Subject(connection, path, header, Threads(run.here)))
     if left:  # which sums would call sound
         drop_sums(connection)
-    return stored_groups(), (*left, *check_stored(subject))
+    return (*left, *check_stored(subject))
 
 
 def _left(subject: Subject) -> tuple[str, ...]:

@@ -16,7 +16,6 @@ from itertools import chain, islice
 from pathlib import Path
 
 from fieldgrid.core import ClusterError, FieldgridError, MapError, Runner, Threads, shortened
-from fieldgrid.maps.file import schema
 from fieldgrid.maps.file.arrays import ArrayKind, read_arrays
 from fieldgrid.maps.file.codec import cells_sha256
 from fieldgrid.maps.file.database import alone
@@ -40,7 +39,7 @@ from fieldgrid.maps.health.row_digest import of_rows
 from fieldgrid.maps.health.row_sums import SUMMED_TABLES, fits, kept_sums
 from fieldgrid.maps.health.shared_sums import sharing_sums
 from fieldgrid.maps.health.tile_check import check_extent, check_tiles
-from fieldgrid.maps.layers.registry import GROUPS, RETIRED_GROUPS
+from fieldgrid.maps.layers.registry import GROUPS
 from fieldgrid.maps.vector.marks import check_marks
 from fieldgrid.maps.vector.stored_features import check_stored
 from fieldgrid.maps.writing.subject import PickledByArguments, Subject
@@ -51,7 +50,7 @@ from fieldgrid.maps.writing.subject import PickledByArguments, Subject
 # little. What is wrong is found out by `verification`, from the frames.
 
 
-_LONG = ("fieldgrid_grid", "fieldgrid_tile", "fieldgrid_session_tile")
+_LONG = ("fieldgrid_grid", "fieldgrid_tile")
 """The tables that take most of the time; begun first, so that no process is left with one."""
 
 
@@ -154,7 +153,7 @@ def verify(
     """
     subject = Subject(connection, path, header, runner)
     problems, notes = list[str](), list[str]()
-    if not deep and header.version == schema.FORMAT_VERSION:
+    if not (deep or header.has_other_tables):
         if is_as_written(subject):
             return HealthReport((), (), *_counts(connection), False)
         notes += _why_deep(connection)
@@ -164,19 +163,13 @@ def verify(
         *(check_features, partial(check_tiles, folded=rebuilt)),
         *(() if rebuilt else (check_sums,)),
     )
-    if header.version < schema.FORMAT_VERSION:
+    if header.has_other_tables:
         checks = (check_file, check_features, _upgraded)
         notes.append(
             f"The map is of format {header.version}: its frames and pictures were checked by "
             "upgrading a copy. `fieldgrid repair --upgrade` brings the map itself up to date."
         )
-    retired = [name for name in header.groups if name in RETIRED_GROUPS]
-    if retired:
-        notes.append(
-            f"The tiles of {', '.join(retired)} were not checked: an older fieldgrid made them. "
-            "The next change of the map, or `fieldgrid repair --upgrade`, replaces them."
-        )
-    unknown = [name for name in header.groups if name not in {*GROUPS, *RETIRED_GROUPS}]
+    unknown = [name for name in header.groups if name not in GROUPS]
     if unknown:
         notes.append(
             f"The tiles of {', '.join(unknown)} were not checked: no imported module knows them."

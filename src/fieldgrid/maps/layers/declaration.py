@@ -145,7 +145,7 @@ class ChannelGroup:
     fold gave of it, where that is less; it must give 0 for 0.
 
     A group without channels is *derived*: its overview channels follow from base cells of the
-    groups that it `follows_from`, and are stored above the base only.
+    groups that it `follows_from`, and are never stored.
     """
 
     name: str
@@ -162,7 +162,7 @@ class ChannelGroup:
 
     @property
     def derived(self) -> bool:
-        """Whether the group has no channels of its own, so that base tiles hold nothing of it."""
+        """Whether the group has no channels of its own, so that tiles hold nothing of it."""
         return not self.channels
 
 

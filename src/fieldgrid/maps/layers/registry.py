@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from types import MappingProxyType
 
 from fieldgrid.core import ConfigError, Group, PluginRegistry
 from fieldgrid.maps.layers.built_in import (
@@ -27,11 +26,8 @@ from fieldgrid.maps.layers.declaration import ChannelGroup, Layer
 _GROUPS: dict[str, ChannelGroup] = {}
 _LAYERS: dict[str, Layer] = {}
 
-RETIRED_GROUPS: Mapping[str, str] = MappingProxyType(
-    {"height": "vehicle_height", "ground": "terrain", "relief": "surface"}
-)
-"""Groups of older maps, with a value for each cell and sums over frames, and what replaces them.
-The next change of such a map makes the new ones from its frames."""
+CORE_GROUPS = ("density", "count", "sessions", "terrain", "drop")
+"""The channel groups that the tiles of every map hold: what planners decide by, and the ground."""
 
 GROUPS: Mapping[str, ChannelGroup] = PluginRegistry(_GROUPS, Group.LAYERS)
 """The channel groups by name; a group may use those before it, and all may use the density."""
@@ -39,16 +35,25 @@ GROUPS: Mapping[str, ChannelGroup] = PluginRegistry(_GROUPS, Group.LAYERS)
 LAYERS: Mapping[str, Layer] = PluginRegistry(_LAYERS, Group.LAYERS)
 """The layers by name."""
 
-_SUBJECTS = {
-    "What the frames saw": "density peak max variance count seen_share sure_share",
-    "The ground": "ground ground_sigma height slope roughness step drop traversability",
-    "What stands on it": "occupancy max_height clearance",
-    "Over time": "sessions persistence static seasonal passing lasting moved remaining",
+_TITLES = {
+    "frames": "What the frames saw",
+    "terrain": "The ground",
+    "standing": "What stands on it",
+    "time": "Over time",
 }
+
+_SUBJECTS = {
+    "frames": "density peak max variance count seen_share sure_share",
+    "terrain": "ground ground_sigma height slope roughness step drop traversability",
+    "standing": "occupancy max_height clearance",
+    "time": "sessions persistence static seasonal passing lasting moved remaining",
+}
+
+ALL_LAYERS = "all"
 
 
 def register_group(group: ChannelGroup) -> None:
-    """Make a channel group known. New maps accumulate it from then on; `repair` adds it to others.
+    """Make a channel group known. Its layers are folded from the frames, unless a map keeps them.
 
     Raises ConfigError when its name, or that of a channel, is taken, and when what it declares does
     not go together.
@@ -109,15 +114,27 @@ def check_layers(names: Iterable[str]) -> tuple[str, ...]:
 
 def layers_by_subject() -> dict[str, list[str]]:
     """The names of all layers by what they tell; those of other packages come last."""
-    found = {title: names.split() for title, names in _SUBJECTS.items()}
+    found = {_TITLES[subject]: names.split() for subject, names in _SUBJECTS.items()}
     placed = {name for names in found.values() for name in names}
     others = [name for name in LAYERS if name not in placed]
     return found | {"Of other packages": others} if others else found
 
 
-def stored_groups() -> tuple[str, ...]:
-    """The channel groups that the tiles of a new map hold; derived ones those above the base."""
-    return tuple(GROUPS)
+def kept_groups(layers: Iterable[str] = ()) -> tuple[str, ...]:
+    """The channel groups that tiles hold: the core, and those of some layers, which are named, or
+    their subjects (`frames`, `terrain`, `standing`, `time`), or `all`. All other layers are folded
+    from the frames when they are read. ConfigError for a name that is none of these."""
+    wanted = set(CORE_GROUPS)
+    for name in layers:
+        named = LAYERS if name == ALL_LAYERS else _SUBJECTS.get(name, name).split()
+        for layer in named:
+            if layer not in LAYERS:
+                raise ConfigError(
+                    f"There is no layer {layer!r} to keep; give {', '.join(_SUBJECTS)}, "
+                    f"{ALL_LAYERS}, or one of {', '.join(LAYERS)}."
+                )
+            wanted.update(LAYERS[layer].groups)
+    return tuple(name for name, group in GROUPS.items() if name in wanted and not group.derived)
 
 
 def groups_of(layers: Iterable[str]) -> tuple[str, ...]:

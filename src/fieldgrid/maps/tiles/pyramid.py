@@ -1,11 +1,13 @@
 """The map over all sessions: its base tiles, the levels above, and the pictures that a GIS sees.
 
 What a session adds to a base tile is added to what is there, and what leaves is subtracted,
-modulo 2^64; maxima are made again from the sessions that stay. A quadrant of a tile above follows
-from the tile below it. So the tiles are those of a map that was made of the present sessions at
-once, at a cost that goes with the change. A commit brings the density and its pictures up to date
-at every level; the other groups of the levels above the base are left out where they changed, are
-made from the tiles below when they are read, and are filled in by `settle`, when the map is closed.
+modulo 2^64; where that cannot be, the tile is folded again from the sessions that stay. A quadrant
+of a tile above follows from the tile below it. So the tiles are those of a map that was made of the
+present sessions at once, at a cost that goes with the change.
+
+A commit brings the density and its pictures up to date at every level; the other groups of the
+levels above the base are left out where they changed, are made from the tiles below when they are
+read, and are filled in by `settle`, when the map is closed.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import groupby
 from typing import NamedTuple
 
@@ -22,14 +24,14 @@ import numpy as np
 from fieldgrid.core import MapError, in_order
 from fieldgrid.geometry import TILE_CELLS, TileIndex, Window, tile_window
 from fieldgrid.maps.file import schema
-from fieldgrid.maps.layers.declaration import Cells, ChannelGroup, Combine, is_nothing, nothing
-from fieldgrid.maps.layers.window import empty_cells, merge_sessions
+from fieldgrid.maps.layers.declaration import Cells, ChannelGroup, Combine, is_nothing
+from fieldgrid.maps.layers.window import empty_cells
 from fieldgrid.maps.tiles.png import encode_png
 from fieldgrid.maps.tiles.tile_codec import Box, box_of
 from fieldgrid.maps.tiles.tiles import TileTables
 from fieldgrid.maps.tiles.tiling import parent, window_of
 from fieldgrid.maps.transfer import mean_density
-from fieldgrid.maps.writing.placing import RECENT_TILES, SessionTiles, encode_groups
+from fieldgrid.maps.writing.placing import RECENT_TILES, FoldedTiles, encode_groups
 
 _NO_BLOBS: Mapping[str, bytes] = {}
 _SHAPE = (TILE_CELLS, TILE_CELLS)
@@ -39,7 +41,7 @@ _SETTLED_TILES = 2
 With all channels they take up to 20 MB each."""
 
 
-class _EncodedTile(NamedTuple):
+class EncodedTile(NamedTuple):
     """A tile as it is to be stored: no blobs where nothing is observed. `seen` is the extent of
     the observed cells."""
 
@@ -47,6 +49,20 @@ class _EncodedTile(NamedTuple):
     blobs: dict[str, bytes]
     picture: bytes
     seen: Box | None
+
+
+def encoded_tile(
+    tile: TileIndex,
+    cells: Cells,
+    groups: Sequence[ChannelGroup],
+    known: Mapping[str, bytes] = _NO_BLOBS,
+) -> EncodedTile:
+    """A tile as it is to be stored; `known` has its blobs where they are there already."""
+    if not cells["weight"].any():
+        return EncodedTile(tile, {}, b"", None)
+    box = box_of(cells["weight"])
+    blobs = dict(known) or encode_groups(groups, cells, base=cells.base_cells == 1, box=box)
+    return EncodedTile(tile, blobs, encode_png(*mean_density(cells["weight"], cells["sum"])), box)
 
 
 class Pyramid:
@@ -62,71 +78,52 @@ class Pyramid:
         self._seen: Window | None = None
         self._jobs = jobs
 
-    def replace(self, session_id: int, new: SessionTiles | None) -> None:
-        """Put the tiles of a session in place of those that it has; None takes it out."""
-        before = self._tables.session_tiles(session_id)
-        after = set() if new is None else new.tiles
+    def change(self, leaving: FoldedTiles | None, joining: FoldedTiles | None) -> None:
+        """Take from the base tiles what leaves, add to them what joins."""
+        tiles = {tile for share in (leaving, joining) if share is not None for tile in share.tiles}
 
-        def work(tile: TileIndex) -> tuple[dict[str, bytes], _EncodedTile, Cells]:
-            leaving = self._tables.session_cells(session_id, tile) if tile in before else None
-            joining = new.cells(tile) if new is not None and tile in after else None
-            blobs = new.blobs(tile) if new is not None and tile in after else {}
-            cells = self._changed(session_id, tile, leaving, joining)
-            same = blobs if cells is joining else {}
-            encoded = self._encoded(tile, cells, self._groups, same)
-            # The levels above need no more now; what else a tile has is much.
-            density = Cells({one.name: cells[one.name] for one in self._groups[0].channels})
-            return blobs, encoded, density
+        def work(tile: TileIndex) -> tuple[EncodedTile, Cells]:
+            gone = None if leaving is None else leaving.cells(tile)
+            come = None if joining is None else joining.cells(tile)
+            cells = self._changed(tile, gone, come)
+            same = joining.blobs(tile) if joining is not None and cells is come else {}
+            return encoded_tile(tile, cells, self._groups, same), self._density(cells)
 
-        changed: dict[TileIndex, Cells | None] = {}
-        for blobs, encoded, cells in in_order(work, sorted(before | after), self._jobs):
-            self._tables.put_session(session_id, encoded.tile, blobs)
+        self._put_base(in_order(work, sorted(tiles), self._jobs), shrinks=leaving is not None)
+
+    def replace(self, tiles: Collection[TileIndex], folded: FoldedTiles) -> None:
+        """Put base tiles that were folded from all sessions in place of those that there are."""
+
+        def work(tile: TileIndex) -> tuple[EncodedTile, Cells]:
+            cells = folded.cells(tile) or self._nothing()
+            blobs = folded.blobs(tile)
+            return encoded_tile(tile, cells, self._groups, blobs), self._density(cells)
+
+        self._put_base(in_order(work, sorted(tiles), self._jobs), shrinks=True)
+
+    def fill(self, tiles: Iterable[EncodedTile]) -> None:
+        """Take all base tiles as they come; the tables of the map are empty before."""
+        found = []
+        for encoded in tiles:
             self._put(self._base, encoded)
-            changed[encoded.tile] = cells if len(changed) < RECENT_TILES else None
-        self._raise_levels(changed, self._groups[:1])
-        self._announce(shrinks=bool(before))
-
-    def rebuild(self) -> None:
-        """Make all tiles from those of the sessions; the tables of the map are empty before."""
-        rows = self._tables.rows("SELECT DISTINCT ty, tx FROM fieldgrid_session_tile ORDER BY 1, 2")
-        tiles = [TileIndex(*row) for row in rows]
-
-        def remade(tile: TileIndex) -> _EncodedTile:
-            return self._encoded(tile, self.merged(tile), self._groups)
-
-        for encoded in in_order(remade, tiles, self._jobs):
-            self._put(self._base, encoded)
-        self._raise_levels(dict.fromkeys(tiles), self._groups)
+            found.append(encoded.tile)
+        self._raise_levels(dict.fromkeys(found), self._groups)
         self._announce(shrinks=False)
 
-    def add_to_base(self, added: Sequence[ChannelGroup]) -> None:
-        """Add groups, which the tiles of sessions have already, to the base tiles."""
-        groups = (self._groups[0], *added)
+    def _put_base(self, changes: Iterable[tuple[EncodedTile, Cells]], *, shrinks: bool) -> None:
+        """Store base tiles, with the density of the levels above, which need no more now."""
+        changed: dict[TileIndex, Cells | None] = {}
+        for encoded, density in changes:
+            self._put(self._base, encoded)
+            changed[encoded.tile] = density if len(changed) < RECENT_TILES else None
+        self._raise_levels(changed, self._groups[:1])
+        self._announce(shrinks=shrinks)
 
-        def made(tile: TileIndex) -> tuple[TileIndex, dict[str, bytes]]:
-            cells = self.merged(tile, groups=groups)
-            return tile, {} if cells is None else encode_groups(added, cells, base=True)
+    def _density(self, cells: Cells) -> Cells:
+        return Cells({one.name: cells[one.name] for one in self._groups[0].channels})
 
-        for tile, blobs in in_order(made, self._tables.tiles(self._base), self._jobs):
-            self._tables.add_groups(self._base, tile, blobs)
-
-    def merged(
-        self,
-        tile: TileIndex,
-        without: int | None = None,
-        groups: Sequence[ChannelGroup] | None = None,
-    ) -> Cells | None:
-        """A base tile made of what its sessions have in it, but for one; of some groups, or all."""
-        wanted = self._groups if groups is None else groups
-        parts = (
-            self._tables.session_cells(session_id, tile, wanted)
-            for session_id in self._tables.sessions_in(tile)
-            if session_id != without
-        )
-        total: Cells | None = None
-        for part in parts:
-            total = part if total is None else merge_sessions(wanted, total, part)
-        return total
+    def _nothing(self) -> Cells:
+        return empty_cells(self._groups, _SHAPE, self._tables.block(0))
 
     def settle(self) -> None:
         """Add to the tiles above the base what a commit has left for later."""
@@ -149,30 +146,17 @@ class Pyramid:
                 if len(settled[zoom]) < _SETTLED_TILES:
                     settled[zoom][tile] = cells
 
-    def _changed(
-        self, session_id: int, tile: TileIndex, leaving: Cells | None, joining: Cells | None
-    ) -> Cells:
+    def _changed(self, tile: TileIndex, leaving: Cells | None, joining: Cells | None) -> Cells:
         """A base tile over all sessions, after a session's share has changed."""
         total = self._tables.cells(self._base, tile)
         if total is None:
-            return joining or empty_cells(self._groups, _SHAPE, self._tables.block(0))
+            return joining or self._nothing()
         arrays = dict(total)
         box = None if joining is None else box_of(joining["weight"])
-        stay: Cells | None = None
-        maxima = [
-            group
-            for group in self._groups
-            if any(channel.sessions is Combine.MAX for channel in group.channels)
-        ]
-        if leaving is not None and maxima:
-            # What is expected of the others is made of the density.
-            stay = self.merged(tile, session_id, tuple(dict.fromkeys((self._groups[0], *maxima))))
         for of, channel in ((group, one) for group in self._groups for one in group.channels):
             name, by_sum = channel.name, channel.sessions is Combine.SUM
-            if leaving is not None and by_sum and not is_nothing(leaving[name]):
+            if leaving is not None and not is_nothing(leaving[name]):
                 arrays[name] = arrays[name] - leaving[name]
-            elif leaving is not None and not by_sum:
-                arrays[name] = nothing(arrays[name].shape) if stay is None else stay[name]
             if joining is None or box is None or is_nothing(joining[name]):
                 continue
             if is_nothing(value := arrays[name]):
@@ -205,7 +189,7 @@ class Pyramid:
                 level: int = zoom,
                 changed: Mapping[TileIndex, Cells | None] = changed,
                 below: Mapping[TileIndex, Mapping[TileIndex, Cells | None]] = below,
-            ) -> tuple[_EncodedTile, Cells]:
+            ) -> tuple[EncodedTile, Cells]:
                 parts = {
                     child: changed[child]
                     if changed.get(child) is not None
@@ -216,7 +200,7 @@ class Pyramid:
                 cells = self._tables.above(level, tile, groups, before, parts)
                 kept = self._tables.kept(self._base - level)
                 stored = [group for group in groups if group in kept]
-                return self._encoded(tile, cells, stored), cells
+                return encoded_tile(tile, cells, stored), cells
 
             raised: dict[TileIndex, Cells | None] = {}
             for encoded, cells in in_order(work, sorted(below), self._jobs):
@@ -235,24 +219,7 @@ class Pyramid:
             schema.zoom_levels(matrices, top),
         )
 
-    def _encoded(
-        self,
-        tile: TileIndex,
-        cells: Cells | None,
-        groups: Sequence[ChannelGroup],
-        known: Mapping[str, bytes] = _NO_BLOBS,
-    ) -> _EncodedTile:
-        """A tile as it is to be stored; `known` has the blobs of groups that are there already."""
-        if cells is None or not cells["weight"].any():
-            return _EncodedTile(tile, {}, b"", None)
-        box = box_of(cells["weight"])
-        lacking = [group for group in groups if group.name not in known]
-        blobs = {**known, **encode_groups(lacking, cells, base=cells.base_cells == 1, box=box)}
-        return _EncodedTile(
-            tile, blobs, encode_png(*mean_density(cells["weight"], cells["sum"])), box
-        )
-
-    def _put(self, zoom: int, encoded: _EncodedTile) -> None:
+    def _put(self, zoom: int, encoded: EncodedTile) -> None:
         self._tables.put(zoom, encoded.tile, encoded.blobs, encoded.picture)
         if zoom == self._base and encoded.seen is not None:
             self._seen = union(self._seen, _placed(encoded.tile, encoded.seen))

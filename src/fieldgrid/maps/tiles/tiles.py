@@ -1,24 +1,23 @@
-"""The tile tables of a map: what sessions have in base tiles, and the map at every zoom level."""
+"""The tiles of a map over all sessions, at every zoom level."""
 
 from __future__ import annotations
 
-import json
 import sqlite3
 import threading
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from fieldgrid.core import MapError, UInt64, parse_json
-from fieldgrid.geometry import TILE_CELLS, TileIndex, Window
+from fieldgrid.geometry import TILE_CELLS, TileIndex
 from fieldgrid.maps.layers.blocks import block_side
 from fieldgrid.maps.layers.declaration import Cells, ChannelGroup, is_nothing, nothing
 from fieldgrid.maps.layers.window import coarser, with_overviews
 from fieldgrid.maps.tiles.tile_codec import Box, stored_box, stored_channels
 from fieldgrid.maps.tiles.tiling import TileMatrixSet, children
-from fieldgrid.maps.writing.placing import decode_groups, session_cells
+from fieldgrid.maps.writing.placing import decode_groups
 
 _FARTHEST = 1 << 31
 """Beyond the places of all tiles."""
@@ -44,50 +43,6 @@ class TileTables:
         """The rows of a query, all at once."""
         with self._lock:
             return self._connection.execute(query, values).fetchall()
-
-    def session_tiles(self, session_id: int) -> set[TileIndex]:
-        """The base tiles in which a session has something."""
-        return {
-            _index(*row)
-            for row in self.rows(
-                "SELECT DISTINCT ty, tx FROM fieldgrid_session_tile WHERE session_id = ?",
-                (session_id,),
-            )
-        }
-
-    def session_cells(
-        self, session_id: int, tile: TileIndex, groups: Sequence[ChannelGroup] | None = None
-    ) -> Cells:
-        """What a session has in a base tile."""
-        rows = self.rows(
-            "SELECT channels, data FROM fieldgrid_session_tile "
-            "WHERE session_id = ? AND ty = ? AND tx = ?",
-            (session_id, *tile),
-        )
-        what = f"tile {tuple(tile)} of session {session_id}"
-        return session_cells(groups or self.groups, dict(rows), what, self.block(0))
-
-    def sessions_in(self, tile: TileIndex) -> list[int]:
-        """The sessions that have something in a base tile."""
-        rows = self.rows(
-            "SELECT DISTINCT session_id FROM fieldgrid_session_tile WHERE ty = ? AND tx = ? "
-            "ORDER BY 1",
-            tile,
-        )
-        return [row[0] for row in rows]
-
-    def sessions_near(self, window: Window, among: Collection[int]) -> list[tuple[TileIndex, int]]:
-        """The base tiles that a window touches, with those sessions among some that have something
-        there."""
-        corners = list(window.tiles())
-        (south, west), (north, east) = corners[0], corners[-1]
-        rows = self.rows(
-            "SELECT DISTINCT ty, tx, session_id FROM fieldgrid_session_tile "
-            "WHERE session_id IN (SELECT value FROM json_each(?)) "
-            "AND ty BETWEEN ? AND ? AND tx BETWEEN ? AND ? ORDER BY 1, 2, 3",
-            (json.dumps(list(among)), south, north, west, east),
-        )
-        return [(_index(ty, tx), session_id) for ty, tx, session_id in rows]
 
     def cells(
         self,
@@ -150,11 +105,7 @@ class TileTables:
         four are read, but for those `known`.
         """
         if below is None:
-            # Derived groups follow from others of the base.
-            first = zoom + 1 == self.matrices.base_zoom
-            sources = {name for group in groups for name in group.follows_from if first}
-            others = (group for group in self.groups if group.name in sources)
-            wanted = tuple(dict.fromkeys((self.groups[0], *others, *groups)))
+            wanted = tuple(dict.fromkeys((self.groups[0], *groups)))
             below = {
                 child: known[child] if child in known else self.cells(zoom + 1, child, wanted)
                 for child in children(tile)
@@ -218,21 +169,10 @@ class TileTables:
         )
         return [] if south is None else [_index(south, west), _index(north, east)]
 
-    def put_session(self, session_id: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
-        """Replace what a session has in a base tile; nothing when there are no blobs."""
-        with self._lock:
-            where = "session_id = ? AND ty = ? AND tx = ?"
-            self._replace("fieldgrid_session_tile", where, (session_id, *tile), blobs)
-
-    def add_to_session(self, session_id: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
-        """Add groups to what a session has in a base tile."""
-        with self._lock:
-            self._insert("fieldgrid_session_tile", (session_id, *tile), blobs)
-
     def put(self, zoom: int, tile: TileIndex, blobs: dict[str, bytes], picture: bytes) -> None:
         """Replace a tile over all sessions and its picture; nothing when there are no blobs."""
         with self._lock:
-            self._replace("fieldgrid_tile", "zoom = ? AND ty = ? AND tx = ?", (zoom, *tile), blobs)
+            self._replace((zoom, *tile), blobs)
             place = (zoom, *self.matrices.column_row(zoom, tile))
             if not blobs:
                 self._connection.execute(
@@ -250,20 +190,19 @@ class TileTables:
     def add_groups(self, zoom: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
         """Add groups that a tile lacks."""
         with self._lock:
-            self._insert("fieldgrid_tile", (zoom, *tile), blobs)
+            self._insert((zoom, *tile), blobs)
 
-    def _replace(
-        self, table: str, where: str, place: tuple[int, ...], blobs: Mapping[str, bytes]
-    ) -> None:
+    def _replace(self, place: tuple[int, ...], blobs: Mapping[str, bytes]) -> None:
         """Put blobs in place of those of a tile; rows that stay as they are cost nothing."""
-        query = f"SELECT channels, data FROM {table} WHERE {where}"
+        where = "zoom = ? AND ty = ? AND tx = ?"
+        query = f"SELECT channels, data FROM fieldgrid_tile WHERE {where}"
         before = dict(self._connection.execute(query, place).fetchall())
         self._connection.executemany(
-            f"DELETE FROM {table} WHERE {where} AND channels = ?",
+            f"DELETE FROM fieldgrid_tile WHERE {where} AND channels = ?",
             [(*place, name) for name in before if name not in blobs],
         )
         self._connection.executemany(
-            f"UPDATE {table} SET data = ? WHERE {where} AND channels = ?",
+            f"UPDATE fieldgrid_tile SET data = ? WHERE {where} AND channels = ?",
             [
                 (blob, *place, name)
                 for name, blob in blobs.items()
@@ -271,11 +210,11 @@ class TileTables:
             ],
         )
         added = {name: blob for name, blob in blobs.items() if name not in before}
-        self._insert(table, place, added)
+        self._insert(place, added)
 
-    def _insert(self, table: str, place: tuple[int, ...], blobs: Mapping[str, bytes]) -> None:
+    def _insert(self, place: tuple[int, ...], blobs: Mapping[str, bytes]) -> None:
         self._connection.executemany(
-            f"INSERT INTO {table} VALUES (?, ?, ?, ?, ?)",
+            "INSERT INTO fieldgrid_tile VALUES (?, ?, ?, ?, ?)",
             [(*place, name, blob) for name, blob in blobs.items()],
         )
 

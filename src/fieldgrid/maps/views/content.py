@@ -35,9 +35,7 @@ from fieldgrid.maps.views.sources import (
     FoldedFrames,
     FoldedOverBase,
     LargerCells,
-    SessionSource,
     StoredLevel,
-    StoredSessions,
 )
 from fieldgrid.maps.views.view import MapView, check_size, fold_as_the_paper
 from fieldgrid.maps.writing.sharing import SharedMap, check_known, known_groups, opened, shared
@@ -132,18 +130,16 @@ class MapContent:
         make up one of `multiple`."""
         if request.sessions is not None or not _stored(self.header, request, groups):
             return self.session_source(request, groups), multiple
-        level, lacks = 0, any(group.name not in self.header.groups for group in groups)
-        while not lacks and level < self.evidence.levels() and multiple % 2 == 0:
+        level, is_whole = 0, not any(group.derived for group in groups)
+        while is_whole and level < self.evidence.levels() and multiple % 2 == 0:
             level, multiple = level + 1, multiple // 2
         return StoredLevel(self._tables(groups), level, groups), multiple
 
-    def session_source(self, request: Request, groups: tuple[ChannelGroup, ...]) -> SessionSource:
-        """What tells the sessions apart: their own tiles, or their frames folded anew."""
+    def session_source(self, request: Request, groups: tuple[ChannelGroup, ...]) -> FoldedFrames:
+        """The frames folded anew, which tell the sessions apart."""
         names = request.sessions
         if names is None:
             names = tuple(info.name for info in self.evidence.active())
-        if request.lattice == self.header.lattice and _stored(self.header, request, groups):
-            return StoredSessions(self._tables(groups), self.evidence.session_ids(names), groups)
         near = request.lattice.bounds(whole_blocks(request.window, request.lattice))
         frames = self.evidence.accepted(near, names, request.frame_filter)
         _check_cells(request.lattice, frames)
@@ -175,8 +171,8 @@ class MapContent:
         return sum(int(cells["seen"].sum()) for cells in seen)
 
     def _tables(self, groups: tuple[ChannelGroup, ...]) -> TileTables:
-        """The tiles of the groups that are stored: old maps lack those that are derived."""
-        stored = [group for group in groups if group.name in self.header.groups]
+        """The tiles of those groups that are stored."""
+        stored = [group for group in groups if not group.derived]
         return TileTables(self.evidence.connection, TileMatrixSet(self.header.lattice), stored)
 
 

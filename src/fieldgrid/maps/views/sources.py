@@ -3,13 +3,13 @@ of larger cells from them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
 
 from fieldgrid.core import UInt64
-from fieldgrid.geometry import Lattice, TileIndex, Window, tile_window
+from fieldgrid.geometry import Lattice, Window, tile_window
 from fieldgrid.maps.file.records import FrameRecord
 from fieldgrid.maps.layers.blocks import blocks_under, whole_blocks
 from fieldgrid.maps.layers.declaration import Cells, ChannelGroup, is_nothing, nothing
@@ -35,13 +35,6 @@ class CellSource(Protocol):
         """The sessions that were asked for together; None where they saw nothing."""
 
 
-class SessionSource(CellSource, Protocol):
-    """One that tells the sessions apart, too."""
-
-    def by_session(self, window: Window) -> Iterator[tuple[str, Cells]]:
-        """Each session that may have seen something, in the order in which they were given."""
-
-
 class StoredLevel:
     """The tiles over all sessions of a zoom level; `level` counts from the base, where alone
     derived groups follow from them."""
@@ -60,38 +53,6 @@ class StoredLevel:
                     cells = with_overviews(self._groups, cells)
                 found.append((tile_window(tile), cells))
         return assembled(window, found)
-
-
-class StoredSessions:
-    """The base tiles of some sessions, by their row ids in the order of their drives."""
-
-    def __init__(
-        self, tables: TileTables, names: Mapping[int, str], groups: Sequence[ChannelGroup]
-    ) -> None:
-        self._tables, self._groups = tables, groups
-        self._names = names
-
-    def merged(self, window: Window) -> Cells | None:
-        """See `CellSource`."""
-        groups = self._groups
-        total: dict[TileIndex, Cells] = {}
-        for tile, session_id in self._tables.sessions_near(window, self._names):
-            cells = self._tables.session_cells(session_id, tile)
-            before = total.get(tile)
-            total[tile] = cells if before is None else merge_sessions(groups, before, cells)
-        found = ((tile_window(t), with_overviews(groups, cells)) for t, cells in total.items())
-        return assembled(window, found)
-
-    def by_session(self, window: Window) -> Iterator[tuple[str, Cells]]:
-        """See `SessionSource`."""
-        near = self._tables.sessions_near(window, self._names)
-        for session_id, name in self._names.items():
-            tiles = [tile for tile, other in near if other == session_id]
-            cells = ((tile, self._tables.session_cells(session_id, tile)) for tile in tiles)
-            found = ((tile_window(tile), with_overviews(self._groups, one)) for tile, one in cells)
-            whole = assembled(window, found)
-            if whole is not None:
-                yield name, whole
 
 
 class FoldedFrames:
@@ -124,7 +85,7 @@ class FoldedFrames:
         return None if total is None else with_overviews(self._groups, total)
 
     def by_session(self, window: Window) -> Iterator[tuple[str, Cells]]:
-        """See `SessionSource`."""
+        """Each session that may have seen something, in the order in which they were given."""
         for name, cells in self._folded(window):
             yield name, with_overviews(self._groups, cells)
 

@@ -1,4 +1,4 @@
-"""What follows from the evidence: a session's tiles and features, and what it has in the map.
+"""What follows from the evidence: tiles, and the features of sessions.
 
 Everything here can be rebuilt from the frames and arrays of the sessions; it is kept so that a
 map can be shown, read and changed at a cost that does not grow with it.
@@ -7,30 +7,30 @@ map can be shown, read and changed at a cost that does not grow with it.
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
 from fieldgrid.core import MapError
-from fieldgrid.geometry import TileIndex
+from fieldgrid.geometry import Bounds, Lattice, TileIndex
 from fieldgrid.maps.file import schema
+from fieldgrid.maps.file.codec import cells_sha256
 from fieldgrid.maps.file.evidence import frames_of
 from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.file.metadata import SessionMetadata, find
 from fieldgrid.maps.file.records import FrameRecord
 from fieldgrid.maps.file.schema import NOW_SQL
-from fieldgrid.maps.layers.declaration import ChannelGroup
-from fieldgrid.maps.tiles.pyramid import Pyramid
+from fieldgrid.maps.layers.declaration import ChannelGroup, Combine
+from fieldgrid.maps.layers.frame import FrameCells
+from fieldgrid.maps.tiles.pyramid import EncodedTile, Pyramid, encoded_tile
 from fieldgrid.maps.tiles.tiles import TileTables
 from fieldgrid.maps.tiles.tiling import TileMatrixSet
+from fieldgrid.maps.transfer import footprint
 from fieldgrid.maps.vector.features import hide_session, show_session
 from fieldgrid.maps.vector.styles import drop_styles, refresh_styles
-from fieldgrid.maps.writing.placing import (
-    PlacedFrame,
-    SessionTiles,
-    TileSquares,
-    encoded_of_session,
-)
+from fieldgrid.maps.writing.placing import FoldedTiles, PlacedFrame, TileSquares
 from fieldgrid.maps.writing.subject import PickledByArguments, Subject
 
 
@@ -44,12 +44,12 @@ def show(
     header: MapHeader,
     session_id: int,
     metadata: SessionMetadata,
-    tiles: SessionTiles,
+    tiles: FoldedTiles,
     path: Path,
 ) -> None:
-    """Bring a session into the map, or up to date in it, within the caller's transaction."""
+    """Bring a session that is not in the map into it, within the caller's transaction."""
     show_features(connection, session_id, metadata)
-    Pyramid(connection, tables_of(connection, header, path)).replace(session_id, tiles)
+    Pyramid(connection, tables_of(connection, header, path)).change(None, tiles)
     touch(connection)
 
 
@@ -68,13 +68,64 @@ def show_features(
     show_session(connection, session_id, metadata.name, frames, placed)
 
 
-def hide(
+@contextmanager
+def moving(
     connection: sqlite3.Connection, header: MapHeader, session_id: int, name: str, path: Path
-) -> None:
-    """Take a session out of the map, within the caller's transaction; its evidence stays."""
-    hide_session(connection, session_id, name)
-    Pyramid(connection, tables_of(connection, header, path)).replace(session_id, None)
-    touch(connection)
+) -> Iterator[Callable[[SessionMetadata | None], None]]:
+    """A session leaves the map, or is placed anew, within the caller's transaction. The block
+    begins before its rows change; what it is given must be called after that, with what is kept of
+    the session, None where it is out of the map.
+
+    The share of the session is folded again and subtracted. Where its frames are damaged, or the
+    map keeps maxima, all of its tiles are folded again from the sessions that are there then.
+    """
+    tables = tables_of(connection, header, path)
+    base, rule = tables.matrices.base_zoom, (header.lattice, header.transfer, tables.groups)
+    changed = _tiles_under(connection, header.lattice, session_id).intersection(tables.tiles(base))
+    channels = (channel for group in tables.groups for channel in group.channels)
+
+    def under(frame: PlacedFrame) -> Iterator[TileIndex]:
+        return footprint(frame.spec, frame.pose, header.lattice).tiles()
+
+    with ExitStack() as stack:
+        leaving: FoldedTiles | None = None
+        if all(channel.sessions is Combine.SUM for channel in channels):
+            with suppress(MapError):
+                # A map of before that is brought up to date without a session has no share of it.
+                frames = placed_frames(connection, session_id) if changed else []
+                leaving = stack.enter_context(FoldedTiles.folded(frames, *rule))
+
+        def place(metadata: SessionMetadata | None) -> None:
+            joining = list[PlacedFrame]()
+            if metadata is None:
+                hide_session(connection, session_id, name)
+            else:
+                show_features(connection, session_id, metadata)
+                joining = placed_frames(connection, session_id)
+            pyramid = Pyramid(connection, tables)
+            if leaving is not None:
+                pyramid.change(leaving, stack.enter_context(FoldedTiles.folded(joining, *rule)))
+            else:
+                tiles = changed.union(*(under(frame) for frame in joining))
+                every = active_frames(connection)
+                near = [frame for frame in every if not tiles.isdisjoint(under(frame))]
+                again = FoldedTiles.folded(near, *rule, only=tiles)
+                pyramid.replace(tiles, stack.enter_context(again))
+            touch(connection)
+
+        yield place
+
+
+def _tiles_under(
+    connection: sqlite3.Connection, lattice: Lattice, session_id: int
+) -> set[TileIndex]:
+    """The tiles that the footprints of a session in the map may reach into."""
+    row = connection.execute(
+        "SELECT west_m, south_m, east_m, north_m FROM fieldgrid_extent "
+        "WHERE session_id = ? AND layer = 'footprint'",
+        (session_id,),
+    ).fetchone()
+    return set() if row is None else set(lattice.window(Bounds(*row)).grown(1).tiles())
 
 
 def is_settled(connection: sqlite3.Connection, header: MapHeader, path: Path) -> bool:
@@ -87,33 +138,49 @@ def settle(connection: sqlite3.Connection, header: MapHeader, path: Path) -> Non
     Pyramid(connection, tables_of(connection, header, path)).settle()
 
 
-class SessionFold(PickledByArguments):
-    """Folds squares of a session, from its stored frames, to encoded tiles. Pickled it is where the
-    map lies: each worker of a cluster reads there."""
+class MapFold(PickledByArguments):
+    """Folds squares of a map, from the stored frames of its sessions, to encoded tiles. Pickled it
+    is where the map lies: each worker of a cluster reads there."""
 
-    def __init__(self, subject: Subject, session_id: int) -> None:
-        self._of = subject, session_id
+    def __init__(self, subject: Subject) -> None:
+        self._of = (subject,)
         self._groups = subject.header.writable_groups(subject.path)
-        self.squares = squares_of(subject, session_id, self._groups)
+        self.squares = squares_of(subject, self._groups)
 
-    def __call__(self, place: tuple[int, int]) -> list[tuple[TileIndex, dict[str, bytes]]]:
+    def __call__(self, place: tuple[int, int]) -> list[EncodedTile]:
         """The tiles of a square that the frames observed."""
-        return self.squares.fold(
-            place, lambda tile, cells: (tile, encoded_of_session(self._groups, cells))
-        )
+        return self.squares.fold(place, partial(encoded_tile, groups=self._groups))
 
 
-def squares_of(subject: Subject, session_id: int, groups: Sequence[ChannelGroup]) -> TileSquares:
-    """The stored frames of a session, to be folded square by square."""
-    frames = placed_frames(frames_of(subject.connection, session_id))
+def squares_of(subject: Subject, groups: Sequence[ChannelGroup]) -> TileSquares:
+    """The stored frames of all active sessions, to be folded square by square."""
+    frames = active_frames(subject.connection)
     return TileSquares(frames, subject.header.lattice, subject.header.transfer, groups)
 
 
-def placed_frames(records: list[FrameRecord]) -> list[PlacedFrame]:
-    """The accepted ones of some frames, as `placing` takes them."""
+def active_frames(connection: sqlite3.Connection) -> list[PlacedFrame]:
+    """The accepted frames of all sessions that are in the map."""
+    sessions = (session_id for session_id, _ in active(connection))
+    return list(chain.from_iterable(placed_frames(connection, one) for one in sessions))
+
+
+def placed_frames(connection: sqlite3.Connection, session_id: int) -> list[PlacedFrame]:
+    """The accepted frames of a session, as `placing` takes them."""
     return [
-        PlacedFrame(record.pose, record.spec, record.cells) for record in records if record.accepted
+        PlacedFrame(record.pose, record.spec, partial(_as_written, record), session_id)
+        for record in frames_of(connection, session_id)
+        if record.accepted
     ]
+
+
+def _as_written(record: FrameRecord) -> FrameCells:
+    """What a frame saw; MapError where that is not what was written."""
+    cells = record.cells()
+    if cells_sha256(cells) != record.cells_sha256:
+        raise MapError(
+            f"Frame {record.frame_id!r} of session {record.session!r} is not as it was stored."
+        )
+    return cells
 
 
 def touch(connection: sqlite3.Connection) -> None:
@@ -133,43 +200,12 @@ def rebuild(subject: Subject) -> None:
     connection.execute("DELETE FROM fieldgrid_meta WHERE key = 'data_window'")
     schema.announce_layers(connection, TileMatrixSet(header.lattice))
     schema.set_groups(connection, header.groups)
-    tables = tables_of(connection, header, path)
     for session_id, name in active(connection):
         show_features(connection, session_id, find(connection, path, header.datum, name).metadata)
-        fold = SessionFold(subject, session_id)
-        with SessionTiles(tables.groups, header.lattice) as tiles:
-            for tile, blobs in chain.from_iterable(run.in_order(fold, fold.squares.places())):
-                tiles.put(tile, blobs)
-            for tile in sorted(tiles.tiles):
-                tables.put_session(session_id, tile, tiles.blobs(tile))
-    Pyramid(connection, tables, run.here).rebuild()
+    fold, pyramid = MapFold(subject), Pyramid(connection, subject.tables, run.here)
+    pyramid.fill(chain.from_iterable(run.in_order(fold, fold.squares.places())))
     drop_styles(connection)
     touch(connection)
-
-
-def add_groups(
-    connection: sqlite3.Connection, path: Path, header: MapHeader, names: Collection[str]
-) -> None:
-    """Add channel groups to the tiles of a map that are up to date but for them, within the
-    caller's transaction; those above the base are left for `settle`.
-
-    Raises MapError, which names the session, when frames cannot be read.
-    """
-    tables = tables_of(connection, header, path)
-    added = [group for group in tables.groups if group.name in names]
-    groups = (tables.groups[0], *added)
-    for session_id, name in active(connection):
-        try:
-            frames = placed_frames(frames_of(connection, session_id))
-            tiles = SessionTiles.folded(frames, header.lattice, header.transfer, groups)
-        except MapError as error:
-            raise MapError(f"Session {name!r}: {error}") from error
-        with tiles:
-            for tile in sorted(tiles.tiles):
-                blobs = tiles.blobs(tile)
-                kept = {group.name: blobs[group.name] for group in added if group.name in blobs}
-                tables.add_to_session(session_id, tile, kept)
-    Pyramid(connection, tables).add_to_base(added)
 
 
 def active(connection: sqlite3.Connection) -> list[tuple[int, str]]:

@@ -1,4 +1,4 @@
-"""Placing a session: its frames, each with its pose in the map, become the tiles of the session.
+"""Placing: frames, each with its pose in the map, become tiles.
 
 This is the only way from frames to tiles. The frames may come from anywhere, in any order; the
 tiles have the same bits.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import sqlite3
 import threading
 from collections import OrderedDict, defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from functools import reduce
 from itertools import count
 from typing import NamedTuple, TypeVar
@@ -19,7 +19,7 @@ from fieldgrid.geometry import TILE_CELLS, GridSpec, Lattice, Pose, TileIndex, W
 from fieldgrid.maps.layers.blocks import block_side
 from fieldgrid.maps.layers.declaration import Cells, ChannelGroup
 from fieldgrid.maps.layers.frame import FrameCells
-from fieldgrid.maps.layers.window import WindowFold
+from fieldgrid.maps.layers.window import WindowFold, merge_sessions
 from fieldgrid.maps.tiles.tile_codec import Box, Expectation, box_of, decode_tile, encode_tile
 from fieldgrid.maps.transfer import Transfer, footprint
 
@@ -38,32 +38,20 @@ RECENT_FRAMES, RECENT_TILES = 32, 8
 
 
 class PlacedFrame(NamedTuple):
-    """A frame at its pose in the map; `load` decodes its cells, and any thread may call it."""
+    """A frame of a session at its pose in the map; `load` decodes its cells, and any thread may
+    call it."""
 
     pose: Pose
     spec: GridSpec
     load: Callable[[], FrameCells]
-
-
-def fold_tiles(
-    frames: Sequence[PlacedFrame],
-    lattice: Lattice,
-    transfer: Transfer,
-    groups: Sequence[ChannelGroup],
-    work: Callable[[TileIndex, Cells], _Result],
-    jobs: int | None = None,
-) -> Iterator[_Result]:
-    """What `work`, in any thread, makes of each tile that the frames of a session observed.
-
-    The tiles come square by square, so that the memory taken does not depend on the session.
-    """
-    squares = TileSquares(frames, lattice, transfer, groups)
-    for results in in_order(lambda place: squares.fold(place, work), squares.places(), jobs):
-        yield from results
+    session: int = 0
 
 
 class TileSquares:
-    """The squares of tiles into which the frames of a session are folded, each by itself."""
+    """The squares of tiles into which the frames of sessions are folded, each by itself.
+
+    They are worked on one by one, so that the memory taken does not depend on how many there are.
+    """
 
     def __init__(
         self,
@@ -97,23 +85,35 @@ class TileSquares:
     ) -> list[_Result]:
         """What `work` makes of each tile of a square that the frames observed; from any thread."""
         y, x = place
-        inside = self._inside[place]
-        lattice, transfer, groups = self._rule
         square = Window(
             self._whole.i0 + x * self._width,
             self._whole.j0 + y * self._height,
             self._width,
             self._height,
         )
+        of_session: defaultdict[int, list[int]] = defaultdict(list)
+        for k in self._inside[place]:
+            of_session[self._frames[k].session].append(k)
+        total: dict[TileIndex, Cells] = {}
+        for inside in of_session.values():
+            for tile, cells in self._folded(inside, square):
+                before = total.get(tile)
+                groups = self._rule[2]
+                total[tile] = cells if before is None else merge_sessions(groups, before, cells)
+        return [work(tile, total[tile]) for tile in sorted(total)]
+
+    def _folded(self, inside: Sequence[int], square: Window) -> Iterator[tuple[TileIndex, Cells]]:
+        """The tiles of a square that some frames of one session observed."""
+        lattice, transfer, groups = self._rule
         parts = (self._footprints[k].intersect(square) for k in inside)
         window = reduce(Window.union, (part for part in parts if part is not None))
         fold = WindowFold(lattice, window, transfer, groups)
         for k in inside:
             fold.add(self._recent.cells(k), self._frames[k].pose)
-        found = (
-            (tile, fold.cells(tile_window(tile), whole_blocks=True)) for tile in window.tiles()
-        )
-        return [work(tile, cells) for tile, cells in found if cells["weight"].any()]
+        for tile in window.tiles():
+            cells = fold.cells(tile_window(tile), whole_blocks=True)
+            if cells["weight"].any():
+                yield tile, cells
 
 
 def _tiles_under(windows: Sequence[Window]) -> Window:
@@ -158,13 +158,13 @@ class _FrameCache:
         return found
 
 
-class SessionTiles(Closing):
-    """The tiles of a session, encoded, beside the map until they are in it.
+class FoldedTiles(Closing):
+    """Tiles that were folded, beside the map until they are in it.
 
     The map is locked for the moment of the commit only, readers and other drives meanwhile see it
-    as it was, and giving up costs nothing. They lie in an unnamed temporary database that SQLite
-    deletes by itself, also when the process is killed, where SQLITE_TMPDIR says, or in the
-    system's place for temporary files.
+    as it was, and giving up costs nothing. Few stay as they are. The others lie encoded in an
+    unnamed temporary database that SQLite deletes by itself, also when the process is killed, where
+    SQLITE_TMPDIR says, or in the system's place for temporary files.
     """
 
     def __init__(self, groups: Sequence[ChannelGroup], lattice: Lattice) -> None:
@@ -186,65 +186,63 @@ class SessionTiles(Closing):
         lattice: Lattice,
         transfer: Transfer,
         groups: Sequence[ChannelGroup],
-        jobs: int | None = None,
-    ) -> SessionTiles:
-        """Place the accepted frames of a session."""
+        only: Container[TileIndex] | None = None,
+    ) -> FoldedTiles:
+        """The tiles that accepted frames observed, or `only` some of them."""
         made, numbers = cls(groups, lattice), count()
+        squares = TileSquares(frames, lattice, transfer, groups)
 
-        def encode(
-            tile: TileIndex, cells: Cells
-        ) -> tuple[TileIndex, Cells | None, dict[str, bytes]]:
+        def encode(tile: TileIndex, cells: Cells) -> _FoldedTile:
             # Decoded, the tiles of the squares under way would take most of the memory of a build.
-            kept = cells if next(numbers) < RECENT_TILES else None
-            return tile, kept, encoded_of_session(groups, cells)
+            if next(numbers) < RECENT_TILES:
+                return _FoldedTile(tile, cells, {})
+            return _FoldedTile(tile, None, encode_groups(groups, cells, base=True))
 
         try:
-            for tile, cells, blobs in fold_tiles(frames, lattice, transfer, groups, encode, jobs):
-                made.put(tile, blobs, cells)
+            for results in in_order(lambda at: squares.fold(at, encode), squares.places()):
+                for one in results:
+                    if only is None or one.tile in only:
+                        made._put(one)
         except BaseException:
             made.close()
             raise
         return made
 
-    def put(self, tile: TileIndex, blobs: dict[str, bytes], cells: Cells | None = None) -> None:
-        """Add a tile in its stored form; its cells, where they are known, save decoding it."""
+    def _put(self, one: _FoldedTile) -> None:
+        self.tiles.add(one.tile)
+        if one.cells is not None:
+            self._recent[one.tile] = one.cells
         self._database.executemany(
             "INSERT INTO tile VALUES (?, ?, ?, ?)",
-            [(*tile, name, blob) for name, blob in blobs.items()],
+            [(*one.tile, name, blob) for name, blob in one.blobs.items()],
         )
-        self.tiles.add(tile)
-        if cells is not None:
-            self._recent[tile] = cells
 
     def blobs(self, tile: TileIndex) -> dict[str, bytes]:
-        """The stored form of a tile, by channel group."""
+        """The stored form of a tile, by channel group; empty where it was not needed yet."""
         with self._lock:
             rows = self._database.execute(
                 "SELECT channels, data FROM tile WHERE ty = ? AND tx = ?", tile
             ).fetchall()
         return dict(rows)
 
-    def cells(self, tile: TileIndex) -> Cells:
-        """The channels of a tile."""
-        found = self._recent.get(tile)
-        if found is None:
-            what = f"tile {tuple(tile)}"
-            found = session_cells(self._groups, self.blobs(tile), what, self._block)
-        return found
+    def cells(self, tile: TileIndex) -> Cells | None:
+        """The channels of a tile; None where the frames observed nothing."""
+        if tile in self._recent or tile not in self.tiles:
+            return self._recent.get(tile)
+        what = f"tile {tuple(tile)}"
+        return decode_groups(self._groups, self.blobs(tile), what, base=True, block=self._block)
 
     def close(self) -> None:
         """Throw them away."""
         self._database.close()
 
 
-def stored_of_session(groups: Sequence[ChannelGroup]) -> list[ChannelGroup]:
-    """The groups that session tiles hold: others follow from those of the session."""
-    return [group for group in groups if group.fold is not None]
+class _FoldedTile(NamedTuple):
+    """A tile as it is kept: its cells, or their stored form."""
 
-
-def encoded_of_session(groups: Sequence[ChannelGroup], cells: Cells) -> dict[str, bytes]:
-    """The blobs of a tile of a session, by channel group."""
-    return encode_groups(stored_of_session(groups), cells, base=True)
+    tile: TileIndex
+    cells: Cells | None
+    blobs: dict[str, bytes]
 
 
 def encode_groups(
@@ -259,20 +257,7 @@ def encode_groups(
             group, cells, blocks if group.blocks else inside, expectation, base=base
         )
         for group in groups
-        if not (base and group.derived)
     }
-
-
-def session_cells(
-    groups: Sequence[ChannelGroup], blobs: dict[str, bytes], what: str, block: int
-) -> Cells:
-    """What a session has in a tile, from the blobs of its session tiles; see `decode_groups`."""
-    arrays = dict(decode_groups(stored_of_session(groups), blobs, what, base=True, block=block))
-    for group in groups:
-        if group.of_session is not None:
-            made = group.of_session(Cells(arrays))
-            arrays.update(zip((channel.name for channel in group.channels), made, strict=True))
-    return Cells(arrays, block=block)
 
 
 def decode_groups(
@@ -283,8 +268,6 @@ def decode_groups(
     arrays: dict[str, UInt64] = {}
     expectation = Expectation(arrays, base=base)
     for group in groups:
-        if base and group.derived:
-            continue
         blob, name = blobs.get(group.name), f"{group.name} of {what}"
         arrays.update(decode_tile(group, blob, expectation, name, base=base, block=block))
     return Cells(arrays, block=block)

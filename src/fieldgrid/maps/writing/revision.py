@@ -6,7 +6,8 @@ Each is one transaction. The evidence of a session that is taken out stays in th
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from fieldgrid.maps.file.evidence import frames_of
 from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.file.metadata import (
     FoundSession,
+    SessionMetadata,
     as_json,
     check_name,
     find,
@@ -31,7 +33,7 @@ from fieldgrid.maps.file.records import check_pose, frame_values
 from fieldgrid.maps.file.schema import NOW_SQL
 from fieldgrid.maps.vector.features import FEATURE_LAYERS
 from fieldgrid.maps.writing import derived
-from fieldgrid.maps.writing.placing import SessionTiles
+from fieldgrid.maps.writing.placing import FoldedTiles
 from fieldgrid.maps.writing.transform import IDENTITY, Transform, transform_of
 
 
@@ -41,10 +43,11 @@ def remove(connection: sqlite3.Connection, path: Path, header: MapHeader, name: 
     session_id, removed, *_ = row_of(connection, path, name)
     if removed is not None:
         raise ConfigError(f"Session {name!r} of {path} is removed already; --restore puts it back.")
-    connection.execute(
-        f"UPDATE fieldgrid_session SET removed = {NOW_SQL} WHERE id = ?", (session_id,)
-    )
-    derived.hide(connection, header, session_id, name, path)
+    with derived.moving(connection, header, session_id, name, path) as place:
+        connection.execute(
+            f"UPDATE fieldgrid_session SET removed = {NOW_SQL} WHERE id = ?", (session_id,)
+        )
+        place(None)
 
 
 def restore(connection: sqlite3.Connection, path: Path, header: MapHeader, name: str) -> None:
@@ -55,7 +58,10 @@ def restore(connection: sqlite3.Connection, path: Path, header: MapHeader, name:
     connection.execute(
         "UPDATE fieldgrid_session SET removed = NULL WHERE id = ?", (found.session_id,)
     )
-    _place_again(connection, path, header, found)
+    frames = derived.placed_frames(connection, found.session_id)
+    rule = header.lattice, header.transfer, header.writable_groups(path)
+    with FoldedTiles.folded(frames, *rule) as tiles:
+        derived.show(connection, header, found.session_id, found.metadata, tiles, path)
 
 
 def rename(connection: sqlite3.Connection, path: Path, name: str, to: str) -> None:
@@ -94,12 +100,12 @@ def transform(
         to = IDENTITY
     for record in frames_of(connection, found.session_id):
         check_pose(to.pose(record.driven))
-    connection.execute(
-        "UPDATE fieldgrid_session SET transform = ? WHERE id = ?", (to.to_text(), found.session_id)
-    )
-    if found.removed is None:
-        placed = found._replace(metadata=found.metadata._replace(transform=to))
-        _place_again(connection, path, header, placed)
+    with _moving(connection, path, header, found) as place:
+        connection.execute(
+            "UPDATE fieldgrid_session SET transform = ? WHERE id = ?",
+            (to.to_text(), found.session_id),
+        )
+        place(found.metadata._replace(transform=to))
 
 
 def middle_m(connection: sqlite3.Connection, path: Path, name: str) -> tuple[float, float]:
@@ -122,7 +128,21 @@ def repose(
     config: Mapping[str, Any] | None,
 ) -> None:
     """Give the frames of a session other poses as driven, within the caller's transaction."""
-    session_id, removed, metadata = find(connection, path, header.datum, name)
+    found = find(connection, path, header.datum, name)
+    with _moving(connection, path, header, found) as place:
+        place(_reposed(connection, path, found, poses, trajectory, config))
+
+
+def _reposed(
+    connection: sqlite3.Connection,
+    path: Path,
+    found: FoundSession,
+    poses: Mapping[str, Pose],
+    trajectory: Trajectory | None,
+    config: Mapping[str, Any] | None,
+) -> SessionMetadata:
+    """Change the rows of a session and its frames; returns what is kept beside these now."""
+    session_id, _, metadata = found
     if (aligned := metadata.transform.aligned) is not None:
         # What the alignment left was said of the poses that are replaced.
         unsure = replace(aligned, sigma_m=None, turn_sigma_deg=None, beside=())
@@ -151,12 +171,14 @@ def repose(
     if missing:
         raise ConfigError(
             f"Poses are missing for {len(missing)} of the {len(frames)} frames of session "
-            f"{name!r}, the first {missing[0]!r}; give each frame one, marked rejected if need be."
+            f"{metadata.name!r}, the first {missing[0]!r}; give each frame one, marked rejected if "
+            "need be."
         )
     strange = sorted(poses.keys() - set(frames))
     if strange:
         raise ConfigError(
-            f"Session {name!r} of {path} has no frame {strange[0]!r}; give poses of its own frames."
+            f"Session {metadata.name!r} of {path} has no frame {strange[0]!r}; give poses of its "
+            "own frames."
         )
     for record in records:
         pose = poses[record.frame_id]
@@ -177,15 +199,17 @@ def repose(
             (*values, frame_digest(values), session_id, record.frame_id),
         )
     sum_up(connection, session_id, metadata)
-    if removed is None:
-        _place_again(connection, path, header, FoundSession(session_id, removed, metadata))
+    return metadata
 
 
-def _place_again(
+@contextmanager
+def _moving(
     connection: sqlite3.Connection, path: Path, header: MapHeader, found: FoundSession
-) -> None:
-    """Place the stored frames of a session anew."""
-    frames = derived.placed_frames(frames_of(connection, found.session_id))
-    groups = header.writable_groups(path)
-    with SessionTiles.folded(frames, header.lattice, header.transfer, groups) as tiles:
-        derived.show(connection, header, found.session_id, found.metadata, tiles, path)
+) -> Iterator[Callable[[SessionMetadata], None]]:
+    """Place a session anew where it is in the map; see `derived.moving`."""
+    if found.removed is not None:
+        yield lambda _: None
+        return
+    name = found.metadata.name
+    with derived.moving(connection, header, found.session_id, name, path) as place:
+        yield place

@@ -29,7 +29,7 @@ from fieldgrid.maps.layers.declaration import ChannelGroup
 from fieldgrid.maps.layers.frame import FrameCells
 from fieldgrid.maps.transfer import check_cell_sizes
 from fieldgrid.maps.writing import derived
-from fieldgrid.maps.writing.placing import RECENT_FRAMES, PlacedFrame, SessionTiles
+from fieldgrid.maps.writing.placing import RECENT_FRAMES, FoldedTiles, PlacedFrame
 from fieldgrid.maps.writing.staging import StagedFrame, StagedFrames, StageFile, stage
 
 
@@ -211,11 +211,9 @@ class Session:
             sum_up(self._connection, session_id, self._metadata)
             derived.show(self._connection, header, session_id, self._metadata, tiles, self._path)
 
-    def _folded(
-        self, frames: Sequence[PlacedFrame], groups: Sequence[ChannelGroup]
-    ) -> SessionTiles:
+    def _folded(self, frames: Sequence[PlacedFrame], groups: Sequence[ChannelGroup]) -> FoldedTiles:
         with explained(self._path, writing=True):
-            return SessionTiles.folded(frames, self._header.lattice, self._header.transfer, groups)
+            return FoldedTiles.folded(frames, self._header.lattice, self._header.transfer, groups)
 
     def _insert_session(self) -> int:
         metadata, spec = self._metadata, self._spec
