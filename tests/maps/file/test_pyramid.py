@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import io
 import sqlite3
-from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 from PIL import Image
 
-from fieldgrid.geometry import TILE_CELLS, Lattice, TileIndex, Window
-from fieldgrid.maps import LAYERS, mean_density, open_map
-from fieldgrid.maps.tiles.tiles import TileTables
+from fieldgrid.geometry import TILE_CELLS, Lattice, Window
+from fieldgrid.maps import LAYERS, MapFile, mean_density, open_map
 from fieldgrid.maps.tiles.tiling import TileMatrixSet
 from fieldgrid.maps.transfer import MeanFold
 from fieldgrid.maps.writing import placing
@@ -156,43 +153,31 @@ def test_what_a_killed_writer_left_for_later_is_read_all_the_same_and_filled_in_
     assert left.read_bytes() == before
 
 
-def lacking(path: Path, zooms: str) -> int:
-    """Take counts from tiles of some levels above the base, as a commit does; returns how many."""
+@pytest.mark.parametrize("change", ["remove", "repose", "shift"])
+def test_levels_follow_whatever_leaves(tmp_path: Path, change: str) -> None:
+    """Also where the map becomes smaller, and where it is read before it is closed."""
+    sessions = [drive(4), drive(24, step_m=12.0, heading_deg=37.3), drive(3, start=2)]
+    path = write_map(tmp_path / "map.gpkg", sessions)
     with open_map(path, writable=True) as universal:
-        own = universal._connection
-        taken = own.execute(
-            "DELETE FROM fieldgrid_tile WHERE channels = 'count' AND zoom < (SELECT max(zoom) "
-            f"FROM fieldgrid_tile) AND (SELECT max(zoom) FROM fieldgrid_tile) - zoom IN ({zooms})"
-        ).rowcount
-    return taken
+        if change == "remove":
+            universal.remove_session("1")
+        elif change == "shift":
+            universal.set_transform("1", 30.0, -40.0, 20.0)
+        else:
+            poses = [pose for _, pose in drive(24, step_m=2.0)]
+            universal.repose("1", {f"{k:06d}": pose for k, pose in enumerate(poses)})
+        assert universal.verify().problems == ()
+        assert universal.verify(deep=True).problems == ()
+        for cell_m in (2.0 * CELL_M, 8.0 * CELL_M):
+            assert_as_folded(universal, cell_m)
+    with open_map(path) as universal:
+        assert universal.verify(deep=True).problems == ()
+        for cell_m in (2.0 * CELL_M, 8.0 * CELL_M):
+            assert_as_folded(universal, cell_m)
 
 
-@pytest.mark.parametrize("zooms", ["1", "2", "3", "1, 2", "1, 3", "1, 2, 3"])
-def test_what_a_commit_left_for_later_is_filled_in_at_every_level(
-    tmp_path: Path, zooms: str
-) -> None:
-    path = write_map(tmp_path / "map.gpkg", [drive(24, step_m=12.0, heading_deg=37.3)])
-    whole = content(path, "tiles")
-    assert lacking(path, zooms) > 0
-    assert content(path, "tiles") == whole
-
-
-def test_a_tile_that_was_just_settled_is_not_decoded_for_the_one_above(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = write_map(tmp_path / "map.gpkg", [drive(24, step_m=12.0, heading_deg=37.3)])
-    read = Counter[tuple[int, TileIndex]]()
-
-    def counted(own: TileTables, zoom: int, tile: TileIndex, *how: Any, **more: Any) -> Any:
-        read[zoom, tile] += 1
-        return cells(own, zoom, tile, *how, **more)
-
-    cells = TileTables.cells
-    with open_map(path, datum=DATUM, cell_m=CELL_M) as universal:
-        write_session(universal, "more", drive(1))
-        monkeypatch.setattr(TileTables, "cells", counted)
-    base = max(zoom for zoom, _ in read)
-    settled = Counter(zoom for zoom, _ in read if zoom < base)
-    assert len(settled) >= 3
-    for zoom in sorted(settled)[:-1]:
-        assert max(times for (level, _), times in read.items() if level == zoom) == 1
+def assert_as_folded(universal: MapFile, cell_m: float) -> None:
+    stored = universal.read(cell_m=cell_m, layers=LAYERS)
+    anew = universal.read(cell_m=cell_m, layers=LAYERS, frame_filter=lambda _: True)
+    for name in LAYERS:
+        np.testing.assert_array_equal(stored.layer(name), anew.layer(name), name)

@@ -12,6 +12,7 @@ from typing import Any
 
 from fieldgrid.core import ConfigError, FieldgridError, MapError, quoted
 from fieldgrid.geometry import Bounds, Datum, TileIndex, Trajectory, Window
+from fieldgrid.maps.file import schema
 from fieldgrid.maps.file.arrays import Array, ArrayKind, read_arrays, trajectory_of
 from fieldgrid.maps.file.codec import EncodedChannel
 from fieldgrid.maps.file.history import in_drive_order
@@ -142,9 +143,12 @@ class EvidenceTables:
         ).fetchall()
 
     def levels(self) -> int:
-        """How many zoom levels there are above the base."""
+        """How many zoom levels there are above the base; none while some of their tiles are left
+        for later."""
         (levels,) = self.connection.execute(
-            "SELECT max(zoom_level) - min(zoom_level) FROM density"
+            "SELECT max(zoom_level) - min(zoom_level) FROM density "
+            "WHERE NOT EXISTS (SELECT 1 FROM fieldgrid_meta WHERE key = ?)",
+            (schema.UNSETTLED,),
         ).fetchone()
         return int(levels or 0)
 

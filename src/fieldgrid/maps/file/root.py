@@ -17,12 +17,18 @@ from typing import NamedTuple
 
 from fieldgrid.core import MapError, shortened
 from fieldgrid.maps.file.digest import as_json
-from fieldgrid.maps.file.schema import COUNTED_TABLES, GEOPACKAGE_TABLES, SRS_ID, has_table
+from fieldgrid.maps.file.schema import (
+    COUNTED_TABLES,
+    GEOPACKAGE_TABLES,
+    SRS_ID,
+    UNSETTLED,
+    has_table,
+)
 from fieldgrid.maps.vector.stored_features import FOUND_KEY
 from fieldgrid.maps.writing.subject import Subject
 
 _KEY = "root_sha256"
-_OTHERS = ("data_window", FOUND_KEY, _KEY)
+_OTHERS = ("data_window", UNSETTLED, FOUND_KEY, _KEY)
 """Settings that it does not cover: what follows from the tiles, and what has its own digest."""
 
 _COUNTS_ROWS = re.compile(

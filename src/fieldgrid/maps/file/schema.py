@@ -27,6 +27,9 @@ APPLICATION_ID = 0x47504B47
 GEOPACKAGE_VERSION = 10300
 """1.3, in the header of the file: GDAL 3.6 warns at anything later."""
 
+UNSETTLED = "overviews"
+"""The setting of a map whose last commit left tiles above the base for later."""
+
 SRS_ID = 100001
 """The map's own plane in gpkg_spatial_ref_sys."""
 

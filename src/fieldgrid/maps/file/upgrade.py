@@ -95,9 +95,11 @@ def drop_what_is_folded(connection: sqlite3.Connection, header: MapHeader) -> Ma
     now = upgraded(header)
     connection.execute(f"DROP TABLE {SESSION_TILES}")
     connection.execute(
-        "DELETE FROM fieldgrid_tile WHERE channels NOT IN (SELECT value FROM json_each(?))",
+        "DELETE FROM fieldgrid_tile WHERE channels NOT IN (SELECT value FROM json_each(?)) "
+        "OR zoom < (SELECT max(zoom) FROM fieldgrid_tile)",
         (json.dumps(now.groups),),
     )
+    connection.execute("INSERT INTO fieldgrid_meta VALUES (?, 'later')", (schema.UNSETTLED,))
     schema.set_groups(connection, now.groups)
     _set_version(connection)
     return now

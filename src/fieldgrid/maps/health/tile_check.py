@@ -27,11 +27,13 @@ def check_tiles(subject: Subject, *, folded: bool = False) -> Iterator[str]:
     """The tiles of the map's own cells against a new fold, unless they were `folded` just now, and
     those above against those below them."""
     tables = subject.tables
-    base, top = tables.matrices.base_zoom, _top_zoom(tables)
+    base = tables.matrices.base_zoom
+    top = tables.top_zoom() or base + 1
+    first = base - 1 if tables.is_settled else top - 1
     tiles = set(tables.tiles(base))
     if not folded:
         tiles = yield from _base_tiles(subject)
-    for zoom in range(base - 1, top - 1, -1):
+    for zoom in range(first, top - 1, -1):
         tiles = {parent(tile) for tile in tiles}
         yield from _level(subject, zoom, tiles)
     strays = tables.rows(
@@ -48,12 +50,6 @@ def check_tiles(subject: Subject, *, folded: bool = False) -> Iterator[str]:
         if name not in known:
             yield f"The map has channels {name!r} that it should not have."
     yield from check_extent(subject)
-
-
-def _top_zoom(tables: TileTables) -> int:
-    """The uppermost level that the map needs; one below the base where it has no tiles."""
-    corners, matrices = tables.corners(), tables.matrices
-    return matrices.top_zoom(corners) if corners else matrices.base_zoom + 1
 
 
 def _base_tiles(subject: Subject) -> Generator[str, None, set[TileIndex]]:
@@ -161,7 +157,8 @@ def _picture_problem(tables: TileTables, zoom: int, tile: TileIndex, cells: Cell
 def check_extent(subject: Subject) -> Iterator[str]:
     """The extents and levels that are announced of the tiles."""
     connection, tables = subject.connection, subject.tables
-    matrices, top = tables.matrices, _top_zoom(tables)
+    matrices = tables.matrices
+    top = tables.top_zoom() or matrices.base_zoom + 1
     window = Pyramid(connection, tables).window_at_the_edges()
     meta = connection.execute("SELECT value FROM fieldgrid_meta WHERE key = 'data_window'")
     expected = None if window is None else (str(list(window)),)

@@ -5,18 +5,15 @@ modulo 2^64; where that cannot be, the tile is folded again from the sessions th
 of a tile above follows from the tile below it. So the tiles are those of a map that was made of the
 present sessions at once, at a cost that goes with the change.
 
-A commit brings the density and its pictures up to date at every level; the other groups of the
-levels above the base are left out where they changed, are made from the tiles below when they are
-read, and are filled in by `settle`, when the map is closed.
+A commit takes out the tiles above those that it changes. `settle` makes them from the tiles below
+when the map is closed; until then readers make larger cells from the map's own.
 """
 
 from __future__ import annotations
 
 import json
 import sqlite3
-from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +28,7 @@ from fieldgrid.maps.tiles.tile_codec import Box, box_of
 from fieldgrid.maps.tiles.tiles import TileTables
 from fieldgrid.maps.tiles.tiling import parent, window_of
 from fieldgrid.maps.transfer import mean_density
-from fieldgrid.maps.writing.placing import RECENT_TILES, FoldedTiles, encode_groups
+from fieldgrid.maps.writing.placing import FoldedTiles, encode_groups
 
 _NO_BLOBS: Mapping[str, bytes] = {}
 _SHAPE = (TILE_CELLS, TILE_CELLS)
@@ -82,69 +79,65 @@ class Pyramid:
         """Take from the base tiles what leaves, add to them what joins."""
         tiles = {tile for share in (leaving, joining) if share is not None for tile in share.tiles}
 
-        def work(tile: TileIndex) -> tuple[EncodedTile, Cells]:
+        def work(tile: TileIndex) -> EncodedTile:
             gone = None if leaving is None else leaving.cells(tile)
             come = None if joining is None else joining.cells(tile)
             cells = self._changed(tile, gone, come)
             same = joining.blobs(tile) if joining is not None and cells is come else {}
-            return encoded_tile(tile, cells, self._groups, same), self._density(cells)
+            return encoded_tile(tile, cells, self._groups, same)
 
         self._put_base(in_order(work, sorted(tiles), self._jobs), shrinks=leaving is not None)
 
     def replace(self, tiles: Collection[TileIndex], folded: FoldedTiles) -> None:
         """Put base tiles that were folded from all sessions in place of those that there are."""
 
-        def work(tile: TileIndex) -> tuple[EncodedTile, Cells]:
+        def work(tile: TileIndex) -> EncodedTile:
             cells = folded.cells(tile) or self._nothing()
-            blobs = folded.blobs(tile)
-            return encoded_tile(tile, cells, self._groups, blobs), self._density(cells)
+            return encoded_tile(tile, cells, self._groups, folded.blobs(tile))
 
         self._put_base(in_order(work, sorted(tiles), self._jobs), shrinks=True)
 
     def fill(self, tiles: Iterable[EncodedTile]) -> None:
-        """Take all base tiles as they come; the tables of the map are empty before."""
-        found = []
-        for encoded in tiles:
-            self._put(self._base, encoded)
-            found.append(encoded.tile)
-        self._raise_levels(dict.fromkeys(found), self._groups)
-        self._announce(shrinks=False)
+        """Take all base tiles as they come, and make those above them; the tables of the map are
+        empty before."""
+        self._put_base(tiles, shrinks=False)
+        self.settle()
 
-    def _put_base(self, changes: Iterable[tuple[EncodedTile, Cells]], *, shrinks: bool) -> None:
-        """Store base tiles, with the density of the levels above, which need no more now."""
-        changed: dict[TileIndex, Cells | None] = {}
-        for encoded, density in changes:
+    def settle(self) -> None:
+        """Make the tiles above the base that commits have left for later."""
+        top, below = self._tables.top_zoom() or self._base, dict[TileIndex, Cells]()
+        for zoom in range(self._base - 1, top - 1, -1):
+            lacking = {parent(tile) for tile in self._tables.tiles(zoom + 1)}
+            lacking.difference_update(self._tables.tiles(zoom))
+            kept = self._tables.kept(self._base - zoom)
+
+            def made(
+                tile: TileIndex,
+                zoom: int = zoom,
+                kept: Sequence[ChannelGroup] = kept,
+                below: Mapping[TileIndex, Cells] = below,
+            ) -> tuple[EncodedTile, Cells]:
+                cells = self._tables.above(zoom, tile, self._groups, below)
+                return encoded_tile(tile, cells, kept), cells
+
+            below = {}
+            for encoded, cells in in_order(made, sorted(lacking), self._jobs):
+                self._put(zoom, encoded)
+                if len(below) < _SETTLED_TILES:
+                    below[encoded.tile] = cells
+        self._connection.execute("DELETE FROM fieldgrid_meta WHERE key = ?", (schema.UNSETTLED,))
+
+    def _put_base(self, changed: Iterable[EncodedTile], *, shrinks: bool) -> None:
+        """Store base tiles, and take out those above them."""
+        tiles = set[TileIndex]()
+        for encoded in changed:
             self._put(self._base, encoded)
-            changed[encoded.tile] = density if len(changed) < RECENT_TILES else None
-        self._raise_levels(changed, self._groups[:1])
+            tiles.add(encoded.tile)
+        self._take_out_above(tiles)
         self._announce(shrinks=shrinks)
-
-    def _density(self, cells: Cells) -> Cells:
-        return Cells({one.name: cells[one.name] for one in self._groups[0].channels})
 
     def _nothing(self) -> Cells:
         return empty_cells(self._groups, _SHAPE, self._tables.block(0))
-
-    def settle(self) -> None:
-        """Add to the tiles above the base what a commit has left for later."""
-        settled: dict[int, dict[TileIndex, Cells]] = defaultdict(dict)
-        for zoom, rows in groupby(self._tables.unsettled(), key=lambda row: row[0]):
-            below = settled.pop(zoom + 1, {})
-
-            def complete(
-                row: tuple[int, TileIndex, set[str]], below: Mapping[TileIndex, Cells] = below
-            ) -> tuple[TileIndex, Cells, dict[str, bytes]]:
-                level, tile, has = row
-                cells = self._tables.cells(level, tile, known=below)
-                assert cells is not None
-                kept = self._tables.kept(self._base - level)
-                lacking = [group for group in kept if group.name not in has]
-                return tile, cells, encode_groups(lacking, cells, base=False)
-
-            for tile, cells, blobs in in_order(complete, list(rows), self._jobs):
-                self._tables.add_groups(zoom, tile, blobs)
-                if len(settled[zoom]) < _SETTLED_TILES:
-                    settled[zoom][tile] = cells
 
     def _changed(self, tile: TileIndex, leaving: Cells | None, joining: Cells | None) -> Cells:
         """A base tile over all sessions, after a session's share has changed."""
@@ -167,56 +160,26 @@ class Pyramid:
                 combine(value[part], joining[name][part], out=value[part])
         return Cells(arrays, block=total.block)
 
-    def _raise_levels(
-        self, changed: Mapping[TileIndex, Cells | None], groups: Sequence[ChannelGroup]
-    ) -> None:
-        """Bring these groups of the levels above the base up to date, and have just the levels that
-        are needed. `changed` has the base tiles that changed."""
-        matrices, corners, top = self._tables.matrices, self._tables.corners(), self._base + 1
-        if corners:
-            top = matrices.top_zoom(corners)
-        existing = self._tables.top_zoom()
+    def _take_out_above(self, tiles: set[TileIndex]) -> None:
+        """Take out the tiles above those of the base that changed, and all levels that are not
+        needed any more; the others are listed for a GIS."""
+        matrices, top = self._tables.matrices, self._tables.top_zoom() or self._base + 1
         for zoom in range(self._base - 1, top - 1, -1):
-            below: dict[TileIndex, dict[TileIndex, Cells | None]] = {}
-            if existing is None or zoom < existing:
-                for tile in self._tables.tiles(zoom + 1):
-                    below.setdefault(parent(tile), {})[tile] = None
-            for tile in changed:
-                below.setdefault(parent(tile), {})[tile] = None
-
-            def work(
-                tile: TileIndex,
-                level: int = zoom,
-                changed: Mapping[TileIndex, Cells | None] = changed,
-                below: Mapping[TileIndex, Mapping[TileIndex, Cells | None]] = below,
-            ) -> tuple[EncodedTile, Cells]:
-                parts = {
-                    child: changed[child]
-                    if changed.get(child) is not None
-                    else self._tables.cells(level + 1, child, groups)
-                    for child in below[tile]
-                }
-                before = self._tables.cells(level, tile, groups)
-                cells = self._tables.above(level, tile, groups, before, parts)
-                kept = self._tables.kept(self._base - level)
-                stored = [group for group in groups if group in kept]
-                return encoded_tile(tile, cells, stored), cells
-
-            raised: dict[TileIndex, Cells | None] = {}
-            for encoded, cells in in_order(work, sorted(below), self._jobs):
-                self._put(zoom, encoded)
-                raised[encoded.tile] = cells if len(raised) < RECENT_TILES else None
-            changed = raised
+            tiles = {parent(tile) for tile in tiles}
+            for tile in sorted(tiles):
+                self._tables.put(zoom, tile, {}, b"")
         for table, column in (
             ("fieldgrid_tile", "zoom"),
             ("density", "zoom_level"),
             ("gpkg_tile_matrix", "table_name = 'density' AND zoom_level"),
         ):
             self._connection.execute(f"DELETE FROM {table} WHERE {column} < ?", (top,))
-        # To be listed for a GIS.
         self._connection.executemany(
             "INSERT OR IGNORE INTO gpkg_tile_matrix VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
             schema.zoom_levels(matrices, top),
+        )
+        self._connection.execute(
+            "INSERT OR REPLACE INTO fieldgrid_meta VALUES (?, 'later')", (schema.UNSETTLED,)
         )
 
     def _put(self, zoom: int, encoded: EncodedTile) -> None:

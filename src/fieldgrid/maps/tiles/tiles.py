@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import MapError, UInt64, parse_json
+from fieldgrid.core import MapError, UInt64
 from fieldgrid.geometry import TILE_CELLS, TileIndex
+from fieldgrid.maps.file import schema
 from fieldgrid.maps.layers.blocks import block_side
 from fieldgrid.maps.layers.declaration import Cells, ChannelGroup, is_nothing, nothing
 from fieldgrid.maps.layers.window import coarser, with_overviews
@@ -61,13 +62,14 @@ class TileTables:
             return None
         blobs, levels = dict(rows), self.matrices.base_zoom - zoom
         wanted = self.groups if groups is None else groups
-        stored = [group for group in wanted if levels == 0 or group.name in blobs]
+        kept = self.kept(levels)
+        stored = [group for group in wanted if group in kept]
         what = f"tile {tuple(tile)} of level {zoom}"
         block = self.block(levels)
         found = dict(decode_groups(stored, blobs, what, base=levels == 0, block=block))
         if len(stored) < len(wanted):
-            later = [group for group in wanted if group not in stored]
-            found.update(self.above(zoom, tile, later, known=known))
+            others = [group for group in wanted if group not in kept]
+            found.update(self.above(zoom, tile, others, known))
         return Cells(found, 1 << 2 * levels, block)
 
     def observed(self, tile: TileIndex) -> Box:
@@ -95,55 +97,37 @@ class TileTables:
         zoom: int,
         tile: TileIndex,
         groups: Sequence[ChannelGroup],
-        before: Cells | None = None,
-        below: Mapping[TileIndex, Cells | None] | None = None,
         known: Mapping[TileIndex, Cells] = _NONE_KNOWN,
     ) -> Cells:
-        """A tile of a level above the base, whose quadrants follow from the tiles below it.
-
-        `below` has those that changed since `before`, None for one that is gone; without it all
-        four are read, but for those `known`.
-        """
-        if below is None:
-            wanted = tuple(dict.fromkeys((self.groups[0], *groups)))
-            below = {
-                child: known[child] if child in known else self.cells(zoom + 1, child, wanted)
-                for child in children(tile)
-            }
+        """A tile of a level above the base from the four tiles below it, which are read but for
+        those `known`."""
+        wanted = tuple(dict.fromkeys((self.groups[0], *groups)))
         levels = self.matrices.base_zoom - zoom
         block = self.block(levels)
         arrays = dict[str, UInt64]()
         for group in groups:
             side = TILE_CELLS // block if group.blocks else TILE_CELLS
             for name, _ in stored_channels(group, base=False):
-                arrays[name] = nothing((side, side)) if before is None else before[name]
-        for child, cells in below.items():
-            halved = None
-            if cells is not None:
-                if zoom + 1 == self.matrices.base_zoom:
-                    cells = with_overviews(groups, cells)
-                halved = coarser(groups, cells, 2)
-            for name, values in arrays.items():
-                part = nothing(values.shape) if halved is None else halved[name]
-                if not is_nothing(values) or not is_nothing(part):
-                    made = np.zeros(values.shape, np.uint64) if is_nothing(values) else values
-                    half = len(values) // 2
+                arrays[name] = nothing((side, side))
+        for child in children(tile):
+            cells = known.get(child) or self.cells(zoom + 1, child, wanted)
+            if cells is None:
+                continue
+            if zoom + 1 == self.matrices.base_zoom:
+                cells = with_overviews(groups, cells)
+            for name, part in coarser(groups, cells, 2).items():
+                if name in arrays and not is_nothing(part):
+                    if is_nothing(arrays[name]):
+                        arrays[name] = np.zeros(arrays[name].shape, np.uint64)
+                    half = len(arrays[name]) // 2
                     j, i = half * (child.ty & 1), half * (child.tx & 1)
-                    made[j : j + half, i : i + half] = 0 if is_nothing(part) else part
-                    arrays[name] = made
+                    arrays[name][j : j + half, i : i + half] = part
         return Cells(arrays, 1 << 2 * levels, block)
 
-    def unsettled(self) -> list[tuple[int, TileIndex, set[str]]]:
-        """The tiles above the base that lack some groups, the lower levels first, and those that
-        they have."""
-        base, whole = self.matrices.base_zoom, self.block(0).bit_length() - 1
-        rows = self.rows(
-            "SELECT zoom, ty, tx, json_group_array(channels) FROM fieldgrid_tile WHERE zoom < ? "
-            "GROUP BY 1, 2, 3 HAVING count(*) < CASE WHEN zoom > ? THEN ? ELSE ? END "
-            "ORDER BY 1 DESC, 2, 3",
-            (base, base - whole, len(self.kept(1)), len(self.groups)),
-        )
-        return [(zoom, _index(ty, tx), set(parse_json(has))) for zoom, ty, tx, has in rows]
+    @property
+    def is_settled(self) -> bool:
+        """Whether no commit has left tiles above the base for later."""
+        return not self.rows("SELECT 1 FROM fieldgrid_meta WHERE key = ?", (schema.UNSETTLED,))
 
     def tiles(self, zoom: int) -> list[TileIndex]:
         """The observed tiles of a zoom level, in order."""
@@ -157,9 +141,9 @@ class TileTables:
         ]
 
     def top_zoom(self) -> int | None:
-        """The uppermost level that there is."""
-        ((zoom,),) = self.rows("SELECT min(zoom) FROM fieldgrid_tile")
-        return None if zoom is None else int(zoom)
+        """The uppermost level that the map needs; None where it has no tiles."""
+        corners = self.corners()
+        return self.matrices.top_zoom(corners) if corners else None
 
     def corners(self) -> list[TileIndex]:
         """The south-west and north-east tile of the base level's extent, if it has tiles."""
@@ -186,11 +170,6 @@ class TileTables:
                 "DO UPDATE SET tile_data = excluded.tile_data",
                 (*place, picture),
             )
-
-    def add_groups(self, zoom: int, tile: TileIndex, blobs: dict[str, bytes]) -> None:
-        """Add groups that a tile lacks."""
-        with self._lock:
-            self._insert((zoom, *tile), blobs)
 
     def _replace(self, place: tuple[int, ...], blobs: Mapping[str, bytes]) -> None:
         """Put blobs in place of those of a tile; rows that stay as they are cost nothing."""

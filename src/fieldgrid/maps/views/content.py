@@ -130,7 +130,8 @@ class MapContent:
         make up one of `multiple`."""
         if request.sessions is not None or not _stored(self.header, request, groups):
             return self.session_source(request, groups), multiple
-        level, is_whole = 0, not any(group.derived for group in groups)
+        # A map of format 3 may lack some groups above its own cells.
+        level, is_whole = 0, not (self.header.is_old or any(group.derived for group in groups))
         while is_whole and level < self.evidence.levels() and multiple % 2 == 0:
             level, multiple = level + 1, multiple // 2
         return StoredLevel(self._tables(groups), level, groups), multiple
@@ -160,14 +161,10 @@ class MapContent:
     def seen_cells(self) -> int:
         """How many of the map's own cells any frame observed: the uppermost tiles have the sum."""
         groups = (GROUPS["density"],)
-        tables = self._tables(groups)
-        top = tables.top_zoom()
-        if top is None:
-            return 0
-        found = (tables.cells(top, tile) for tile in tables.tiles(top))
-        seen = (
-            with_overviews(groups, c) if top == tables.matrices.base_zoom else c for c in found if c
-        )
+        tables, level = self._tables(groups), self.evidence.levels()
+        zoom = tables.matrices.base_zoom - level
+        found = (tables.cells(zoom, tile) for tile in tables.tiles(zoom))
+        seen = (c if level else with_overviews(groups, c) for c in found if c is not None)
         return sum(int(cells["seen"].sum()) for cells in seen)
 
     def _tables(self, groups: tuple[ChannelGroup, ...]) -> TileTables:

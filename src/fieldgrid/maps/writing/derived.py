@@ -130,7 +130,7 @@ def _tiles_under(
 
 def is_settled(connection: sqlite3.Connection, header: MapHeader, path: Path) -> bool:
     """Whether no commit has left tiles for later."""
-    return not tables_of(connection, header, path).unsettled()
+    return tables_of(connection, header, path).is_settled
 
 
 def settle(connection: sqlite3.Connection, header: MapHeader, path: Path) -> None:
