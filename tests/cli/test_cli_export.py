@@ -85,7 +85,7 @@ def test_a_layer_as_of_a_session_in_another_system(
     [
         ("OUT/x.foo", r"x\.foo ends in none of \.tif, .*; choose one of them, or give --format"),
         ("OUT/x.tif --format maps", "'maps' is no format; known are geotiff, png, mbtiles"),
-        ("OUT/x.tif --layer depth", "'depth' is no layer of a map; known are density, count"),
+        ("OUT/x.tif --layer depth", "There is no layer 'depth'; there are density, count"),
         ("OUT/x.tif --format png", "x.tif is the name of a file of format geotiff, not png"),
         ("OUT/x.zip --format isoxml", "x.zip is the name of a file, and the format isoxml is a"),
         ("OUT/x.tif --epsg 99999", "EPSG:99999 is not known"),
@@ -248,8 +248,8 @@ def test_the_help_lists_what_there_is(fieldgrid: Run) -> None:
 
 def test_a_selection_is_the_same_in_python(f_map: Path) -> None:
     with open_map(f_map) as universal:
-        assert Selection(layer="max").sessions(universal) == ["spring", "summer"]
-        assert Selection(at="spring").sessions(universal) == ["spring"]
+        assert Selection(layer="max").names(universal) == ["spring", "summer"]
+        assert Selection(at="spring").names(universal) == ["spring"]
 
 
 # --- formats of others

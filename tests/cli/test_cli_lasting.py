@@ -379,5 +379,5 @@ def test_export_of_a_layer(
 
 def test_a_layer_that_is_none(fieldgrid: Run, seasons: Path, tmp_path: Path) -> None:
     sentence = fieldgrid("export", seasons, tmp_path / "x.tif", "--layer", "depth").sentence()
-    assert "'depth' is no layer of a map; known are density, count" in sentence
+    assert "There is no layer 'depth'; there are density, count" in sentence
     assert list(tmp_path.iterdir()) == []

@@ -94,15 +94,16 @@ def test_no_export_replaces_a_map(universal: MapFile, tmp_path: Path) -> None:
 
 
 def test_a_selection_of_no_layer_is_refused() -> None:
-    with pytest.raises(ConfigError, match="'depth' is no layer of a map; known are density"):
+    with pytest.raises(ConfigError, match="There is no layer 'depth'; there are density"):
         Selection(layer="depth")
     for layer in LAYERS:
         assert Selection(layer=layer).layer == layer
 
 
 def test_a_selection_names_its_sessions(universal: MapFile) -> None:
-    assert Selection().sessions(universal) == ["0", "1"]
-    assert Selection(at="0").sessions(universal) == ["0"]
+    assert Selection().names(universal) == ["0", "1"]
+    assert Selection(at="0").names(universal) == ["0"]
+    assert Selection(sessions=["1"]).names(universal) == ["1"]
 
 
 @pytest.mark.parametrize(
@@ -114,8 +115,10 @@ def test_a_selection_names_its_sessions(universal: MapFile) -> None:
         (Bounds(0.0, -90.0, 10.0, -80.0), "hold nothing of the map"),
     ],
 )
-def test_bounds_that_select_nothing(universal: MapFile, bounds: Bounds, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        Selection(bounds).view(universal)
-    with pytest.raises(ConfigError, match=message), Selection(bounds).blocks(universal):
-        pass
+def test_bounds_that_select_nothing(
+    universal: MapFile, bounds: Bounds, message: str, tmp_path: Path
+) -> None:
+    for name in ("map.png", "map.yaml"):
+        with pytest.raises(ConfigError, match=message):
+            export_map(universal, tmp_path / name, Selection(bounds))
+    assert not list(tmp_path.iterdir())

@@ -22,7 +22,7 @@ from rasterio.warp import transform
 from fieldgrid.core import ConfigError, MapExistsError, MapWriteError, palette, publish
 from fieldgrid.export import Selection, export_change, export_map
 from fieldgrid.export.cells.raster import check_whole
-from fieldgrid.geometry import Bounds, Lattice
+from fieldgrid.geometry import Bounds, Lattice, Window
 from fieldgrid.maps import (
     GROUPS,
     LAYERS,
@@ -33,7 +33,6 @@ from fieldgrid.maps import (
     mean_density,
     open_map,
 )
-from fieldgrid.maps.tiles import overviews
 from fieldgrid.maps.transfer import MeanFold
 from tests.export import asymmetric
 from tests.export.asymmetric import COARSE_M, write_asymmetric_map
@@ -195,6 +194,7 @@ def test_what_changed_is_a_geotiff_too(asymmetric_map: MapFile, tmp_path: Path) 
 
 # A cell seen 100 times outweighs its neighbour.
 OFTEN = [*[one_cell(-40.25, 40.15, 0)] * 100, one_cell(-40.35, 40.05, 200)]
+CORNERS = [(-41.2, 41.6), (-41.1, 41.5), (-40.95, 41.25)]
 WIDE = [*drive(7), *OFTEN, one_cell(61.05, 41.05, 200), one_cell(-40.35, -30.15, 90)]
 
 
@@ -220,75 +220,40 @@ def test_overviews_follow_the_rule_of_larger_cells(
     assert {2, 90, 200} <= set(expected.density[expected.observed].tolist())
 
 
-@pytest.mark.parametrize("west_m", [-41.2, -41.1, -40.9])
-@pytest.mark.parametrize("north_m", [41.6, 41.5, 41.3])
-def test_overviews_count_from_the_north_west_corner(
-    wide_map: Path, tmp_path: Path, west_m: float, north_m: float
+@pytest.mark.parametrize("bounds", [None, *(Bounds(w, -30.75, 62.35, n) for w, n in CORNERS)])
+@pytest.mark.parametrize("cell_m", [CELL_M, 0.12])
+def test_overviews_are_of_whole_cells(
+    wide_map: Path, tmp_path: Path, bounds: Bounds | None, cell_m: float
 ) -> None:
-    path, bounds = tmp_path / "map.tif", Bounds(west_m, -30.8, 62.35, north_m)
+    path, lattice = tmp_path / "map.tif", Lattice(cell_m)
     with open_map(wide_map) as source:
-        export_map(source, path, Selection(bounds))
-        with source.overviews(3, bounds) as blocks:
-            found = list(blocks)
-        lattice = Lattice(CELL_M)
-        fold = MeanFold(lattice, lattice.window(bounds))
-        for grid, pose in WIDE:
-            fold.add(grid, pose)
-    sums = fold.sums[:, ::-1]
-    for level in (1, 2, 3):
-        rows, columns = (-(-side // 2) for side in sums.shape[1:])
-        even = np.pad(
-            sums, ((0, 0), (0, 2 * rows - sums.shape[1]), (0, 2 * columns - sums.shape[2]))
-        )
-        sums = even.reshape(2, rows, 2, columns, 2).sum(axis=(2, 4))
+        export_map(source, path, Selection(bounds, cell_m))
+        whole = lattice.window(bounds or source.bounds)
+    with rasterio.open(path) as found:
+        levels = len(found.overviews(1))
+    assert levels in (1, 2)
+    fold = None
+    for level in range(levels + 1):
+        with rasterio.open(path, **({} if level == 0 else {"overview_level": level - 1})) as found:
+            side = 1 << level
+            west, north = (round(v / cell_m) for v in (found.transform.c, found.transform.f))
+            window = Window(
+                west, north - found.height * side, found.width * side, found.height * side
+            )
+            pixels = found.read()
+        assert window.union(whole) == window
+        if fold is None:
+            assert max(window.width - whole.width, window.height - whole.height) < 8
+            fold = MeanFold(lattice, window)
+            for grid, pose in WIDE:
+                fold.add(grid, pose)
+            sums = fold.sums
+        else:
+            sums = sums.reshape(2, found.height, 2, found.width, 2).sum(axis=(2, 4))
         density, observed = mean_density(*sums)
-        shown, seen = np.zeros_like(density), np.zeros_like(observed)
-        for block in found:
-            if block.level == level:
-                place = np.s_[
-                    block.row : block.row + block.density.shape[0],
-                    block.column : block.column + block.density.shape[1],
-                ]
-                shown[place], seen[place] = block.density, block.observed
-        np.testing.assert_array_equal(shown, density)
-        np.testing.assert_array_equal(seen, observed)
-        if level == 1:
-            with rasterio.open(path, overview_level=0) as dataset:
-                np.testing.assert_array_equal(dataset.read(1), density)
-
-
-@pytest.mark.parametrize("bounds", [None, Bounds(-40.9, -30.8, 62.35, 41.3)])
-def test_overviews_above_those_of_squares_are_of_the_same_bits(
-    wide_map: Path, bounds: Bounds | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Squares of 32 cells, of which the eighth level follows, and one that has them all."""
-
-    def pixels() -> dict[tuple[int, str], np.ndarray]:
-        found: dict[tuple[int, str], np.ndarray] = {}
-        with open_map(wide_map) as source, source.overviews(8, bounds, layers=layers) as blocks:
-            for block in blocks:
-                for name in ("density", *layers):
-                    values = block.layer(name)
-                    shape = block.row + values.shape[0], block.column + values.shape[1]
-                    key = block.level, name
-                    if name != "density":
-                        values = np.nan_to_num(values)  # as where there is no block
-                    known = found.get(key, np.zeros((0, 0), values.dtype))
-                    beyond = [(0, max(a - b, 0)) for a, b in zip(shape, known.shape, strict=True)]
-                    found[key] = np.pad(known, beyond)
-                    found[key][block.row : shape[0], block.column : shape[1]] = values
-        return {key: np.trim_zeros(values) for key, values in found.items()}
-
-    layers = ("count", "max", "traversability")
-    whole = pixels()
-    monkeypatch.setattr(overviews, "SQUARE_LEVELS", 5)
-    squares = pixels()
-    assert {level for level, _ in whole} == set(range(1, 9))
-    assert whole.keys() == squares.keys()
-    for key, values in whole.items():
-        np.testing.assert_array_equal(squares[key], values, str(key))
-        if key[1] == "density":
-            assert values.any()
+        np.testing.assert_array_equal(pixels[0, ::-1], density)
+        np.testing.assert_array_equal(pixels[1, ::-1] > 0, observed)
+    assert pixels.any()
 
 
 def test_overviews_never_hold_all_channels_of_a_square(wide_map: Path) -> None:
@@ -297,8 +262,8 @@ def test_overviews_never_hold_all_channels_of_a_square(wide_map: Path) -> None:
         channels = sum(len(GROUPS[name].channels) for name in names)
         tracemalloc.start()
         try:
-            with source.overviews(3, layers=["traversability"], jobs=1) as blocks:
-                assert {block.level for block in blocks} == {1, 2, 3}
+            with Selection(layer="traversability", jobs=1).blocks(source, (), 256) as blocks:
+                assert {view.lattice.cell_m for view in blocks.views} == {0.1, 0.2, 0.4}
             _, peak = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
@@ -309,13 +274,13 @@ def test_overviews_in_another_plane_are_those_of_the_cells(wide_map: Path, tmp_p
     path = tmp_path / "map.tif"
     with open_map(wide_map) as source:
         export_map(source, path, Selection(), options={"epsg": 25830})
-        with source.overviews(1) as blocks:
-            own = [block.density[block.observed] for block in blocks]
+        view = source.read(cell_m=2 * CELL_M)
+        own = view.density[view.observed]
     with rasterio.open(path, overview_level=0) as dataset:
         values, alpha = dataset.read()
     assert set(np.unique(alpha)) == {0, 255}
-    assert set(values[alpha > 0].tolist()) <= set(np.concatenate(own).tolist())
-    assert (alpha > 0).sum() == pytest.approx(sum(map(len, own)), rel=0.03)
+    assert set(values[alpha > 0].tolist()) <= set(own.tolist())
+    assert (alpha > 0).sum() == pytest.approx(len(own), rel=0.03)
 
 
 @pytest.mark.parametrize("cell", CELLS)

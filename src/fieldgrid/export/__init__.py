@@ -1,7 +1,6 @@
 """Export: a map becomes files of other programs, and figures.
 
 * `registry`: `export_map` finds the `ExportFormat` by its suffix; `register_export_format`.
-* `selection`: `Selection` of bounds, cell size, layer, sessions and time.
 * `cells`: GeoTIFF, PNG, KMZ, MBTiles, arrays, tables and points of cells.
 * `shapes`: features for a GIS, ISO 11783-10 task data and guidance, QGIS projects.
 * `robots`: Nav2 maps and masks, bags for ROS, messages of Foxglove.
@@ -30,9 +29,9 @@ if TYPE_CHECKING:
         unregister_export_format as unregister_export_format,
     )
     from fieldgrid.export.robots import foxglove_messages as foxglove_messages
-    from fieldgrid.export.selection import Selection as Selection
     from fieldgrid.export.shapes.guidance import TaskdataOptions as TaskdataOptions
     from fieldgrid.export.shapes.taskdata import export_taskdata as export_taskdata
     from fieldgrid.export.stac import write_stac as write_stac
+    from fieldgrid.maps import Selection as Selection
 else:
     __getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -40,8 +40,8 @@ from fieldgrid.core import (
     first_problem,
     load,
 )
-from fieldgrid.export.selection import Selection
-from fieldgrid.maps import DENSITIES, LAYERS, MapFile, Readable, read_datum
+from fieldgrid.geometry import check_inside
+from fieldgrid.maps import DENSITIES, LAYERS, MapFile, Readable, Selection, read_datum
 
 _BUILT_IN = (
     "cells.geotiff",
@@ -208,6 +208,8 @@ def export_map(
     _check_layer(chosen, selection.layer)
     check_place(path)
     _refuse_map(path)
+    if selection.bounds is not None:
+        check_inside(selection.bounds, universal.bounds)
     if not (chosen.several or isinstance(universal, MapFile)):
         others = ", ".join(one.name for one in formats().values() if one.several)
         raise ConfigError(

@@ -96,7 +96,6 @@ if TYPE_CHECKING:
     from fieldgrid.maps.quadtree.rule import LOSS as LOSS, Near as Near
     from fieldgrid.maps.quadtree.split import Squares as Squares, State as State
     from fieldgrid.maps.quadtree.tree import Quadtree as Quadtree
-    from fieldgrid.maps.tiles.overviews import OverviewBlock as OverviewBlock
     from fieldgrid.maps.tiles.png import encode_png as encode_png
     from fieldgrid.maps.transfer import (
         Averaging as Averaging,
@@ -127,7 +126,11 @@ if TYPE_CHECKING:
     )
     from fieldgrid.maps.views.driven import DRIVEN_WIDTH_M as DRIVEN_WIDTH_M
     from fieldgrid.maps.views.provenance import Provenance as Provenance
-    from fieldgrid.maps.views.readable import DrivenMap as DrivenMap, Readable as Readable
+    from fieldgrid.maps.views.readable import (
+        DrivenMap as DrivenMap,
+        Readable as Readable,
+        Selection as Selection,
+    )
     from fieldgrid.maps.views.view import (
         MapView as MapView,
         cf_dataset as cf_dataset,

@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as arrays
 
 from fieldgrid.core import ConfigError
 from fieldgrid.geometry import Lattice, Window
-from fieldgrid.maps import GROUPS, Cells, Change, MapFile, MapView, Transfer, open_map
+from fieldgrid.maps import GROUPS, Cells, Change, MapFile, MapView, Selection, Transfer, open_map
 from fieldgrid.maps.layers.window import with_overviews
 from fieldgrid.maps.views.base_cells import PARTS, Resampling
 from tests.maps.file.maps import CELL_M, drive, one_cell, pose_at, write_map
@@ -122,18 +122,19 @@ def test_maxima_are_those_of_the_maps_own_cells(
 
 @pytest.mark.parametrize("cell_m", [0.25, 0.37])
 def test_overviews_of_odd_cells_keep_the_highest(universal: MapFile, cell_m: float) -> None:
-    view = universal.read(cell_m=cell_m, layers=HIGHEST)
-    rows, columns = view.window.shape
-    with universal.overviews(3, cell_m=cell_m, layers=HIGHEST) as blocks:
-        found = list(blocks)
-    assert sorted(block.level for block in found) == [1, 2, 3]
-    for block in found:
-        side = 1 << block.level
-        beyond = ((0, -rows % side), (0, -columns % side))
+    asked = Selection(cell_m=cell_m, beside=HIGHEST)
+    longest = max(universal.read(cell_m=cell_m).window.shape)
+    with asked.blocks(universal, smallest_px=longest // 5) as blocks:
+        found = list(blocks.views)
+    assert {one.lattice for one in found} == {blocks.lattice, *blocks.levels}
+    assert len(blocks.levels) == 3
+    for one in found:
+        if one.lattice == blocks.lattice:
+            view = one  # its overviews follow
+        side = round(one.lattice.cell_m / cell_m)
         for name in HIGHEST:
-            values = np.pad(view.layer(name)[::-1], beyond)
-            squares = values.reshape(values.shape[0] // side, side, -1, side)
-            np.testing.assert_array_equal(block.layer(name), squares.max(axis=(1, 3)), name)
+            squares = view.layer(name).reshape(one.window.height, side, -1, side)
+            np.testing.assert_array_equal(one.layer(name), squares.max(axis=(1, 3)), name)
 
 
 def test_a_large_odd_cell_needs_no_more_memory(
@@ -151,8 +152,10 @@ def test_a_large_odd_cell_needs_no_more_memory(
     monkeypatch.setattr(Resampling, "larger", spy)
     bounds = universal.bounds._replace(east_m=2000.0, north_m=2000.0)
     view = universal.read(bounds, 7.33, layers=["peak"])
-    with universal.overviews(2, bounds, 7.33, layers=["peak"]) as blocks:
-        assert next(iter(blocks)).layer("peak").max() == view.peak.max() == 255
+    asked = Selection(bounds, 7.33, layer="peak")
+    with asked.blocks(universal, smallest_px=100) as blocks:
+        _, larger_view, *_ = blocks.views
+        assert larger_view.peak.max() == view.peak.max() == 255
     assert 0 < most < 2_000_000
 
 

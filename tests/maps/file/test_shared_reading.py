@@ -55,8 +55,13 @@ def everything(source: Readable, scheduler: Any = None, **asked: Any) -> list[tu
             (view.window, view.marks, *arrays(view.density, view.observed, view.layers))
             for view in blocks.views
         ]
-    with source.overviews(3, layers=LAYERS, scheduler=scheduler, **asked) as overviews:
-        found += [(one[:3], *arrays(one.density, one.observed, one.layers)) for one in overviews]
+    part = Selection(scheduler=scheduler, beside=LAYERS, **asked)
+    with part.blocks(source, smallest_px=64) as blocks:
+        assert len(blocks.levels) > 1
+        found += [
+            (one.lattice, one.window, *arrays(one.density, one.observed, one.layers))
+            for one in blocks.views
+        ]
     return found
 
 
@@ -165,8 +170,7 @@ def test_a_worker_that_lacks_what_is_asked_for_is_told(
         (tmp_path / file.name).write_bytes(file.read_bytes())
     with open_map(tmp_path / "a.gpkg") as universal, Farm(tmp_path) as both:
         source = universal if what == "map" else both
-        content = source._content
-        with source.read_blocks() as blocks:
+        with source.content() as content, source.read_blocks() as blocks:
             request = blocks_module.Request(
                 blocks.lattice, blocks.window, universal.transfer, layers=("max",)
             )

@@ -21,6 +21,7 @@ from fieldgrid.geometry import (
 )
 from fieldgrid.maps import (
     Mobility,
+    Selection,
     create_map,
     open_map,
     register_layer,
@@ -110,14 +111,14 @@ def test_overviews_look_around_as_larger_cells_do(tmp_path: Path) -> None:
     path = write(tmp_path / "map.gpkg", random.random(SPEC.shape) < 0.003)
     bounds = Bounds(96.0, 0.0, 108.8, 9.6)  # whole cells of 3.2 m
     with open_map(path) as universal:
-        with universal.overviews(5, bounds, layers=["traversability"]) as blocks:
-            levels = {block.level: block for block in blocks}
-        assert set(levels) == {1, 2, 3, 4, 5}
-        for level, block in levels.items():
-            view = universal.read(bounds, cell_m=0.1 * 2**level, layers=["traversability"])
-            expected = view.layer("traversability")[::-1]
+        with Selection(bounds, layer="traversability").blocks(universal, (), 4) as blocks:
+            found = list(blocks.views)
+        assert [round(one.lattice.cell_m, 6) for one in found] == [0.1, 0.2, 0.4, 0.8, 1.6, 3.2]
+        for one in found:
+            view = universal.read(bounds, cell_m=one.lattice.cell_m, layers=["traversability"])
+            expected = view.layer("traversability")
             assert np.isfinite(expected).any()
-            np.testing.assert_array_equal(block.layer("traversability"), expected)
+            np.testing.assert_array_equal(one.layer("traversability"), expected)
 
 
 @pytest.fixture

@@ -24,9 +24,17 @@ from fieldgrid.export.cells.tables import datum_values
 from fieldgrid.export.cells.zarr_folder import zarr_folder
 from fieldgrid.export.georeference import extent
 from fieldgrid.export.registry import Exported, ExportFormat, register_export_format, require
-from fieldgrid.export.selection import Selection
 from fieldgrid.geometry import Datum, Window
-from fieldgrid.maps import LAYERS, MapBlocks, MapView, Readable, cf_dataset, empty_view, masked
+from fieldgrid.maps import (
+    LAYERS,
+    MapBlocks,
+    MapView,
+    Readable,
+    Selection,
+    cf_dataset,
+    empty_view,
+    masked,
+)
 
 
 def export_npz(

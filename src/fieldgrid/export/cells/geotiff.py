@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
 from pathlib import Path
 
 from fieldgrid.core import replacing
-from fieldgrid.export.cells.overviews import write_overviews
 from fieldgrid.export.cells.raster import (
     BLOCK_PX,
     BandLayout,
@@ -25,8 +23,7 @@ from fieldgrid.export.cells.raster import (
 )
 from fieldgrid.export.options import PlaneOptions
 from fieldgrid.export.registry import Exported, ExportFormat, register_export_format
-from fieldgrid.export.selection import Selection
-from fieldgrid.maps import LAYERS, MEANING, Change, ChangeView, Readable, qgis
+from fieldgrid.maps import LAYERS, MEANING, Change, ChangeView, Readable, Selection, qgis
 
 _THREADS_A_CORE = 2
 """GDAL compresses as many blocks ahead as it has threads; with one a core some cores wait."""
@@ -49,9 +46,11 @@ def write_geotiff(
     observed and 0 where not. Other layers have one band, in which unobserved cells are NaN where
     that can be said, else 0, and nodata either way. Pixels are areas, the first row is the
     northernmost. In another plane a pixel has the value of the cell in which its centre lies.
-    The tags FIELDGRID_* hold the datum, the cell, the layer and the last session that is in it.
-    Beside it lies a style of the same name (.qml), by which QGIS shows it in the colours of `show`;
-    not where QGIS would take that style for a map of this name, too, nor over one of a user.
+    Its overviews are of whole cells, so that it reaches up to a pixel of the smallest one beyond
+    what is asked for. The tags FIELDGRID_* hold the datum, the cell, the layer and the last session
+    that is in it. Beside it lies a style of the same name (.qml), by which QGIS shows it in the
+    colours of `show`; not where QGIS would take that style for a map of this name, too, nor over
+    one of a user.
 
     The file appears when it is complete; until then about three times the size of its pixels is
     used beside it. Raises MapExistsError when `path` exists and may not be overwritten,
@@ -65,9 +64,9 @@ def write_geotiff(
         why_none = f"{style.name} as it was"
     with (
         replacing(path, overwrite=overwrite, ours=is_ours, what="a GeoTIFF") as file,
-        painted(universal, path, selection, options.epsg) as raster,
+        painted(universal, path, selection, options.epsg, smallest_px=BLOCK_PX) as raster,
     ):
-        _copy(raster, file, write_overviews(universal, selection, raster))
+        _copy(raster, file)
         if not why_none:
             with replacing(style) as draft:
                 draft.write_text(_style(raster, selection.layer), encoding="utf-8")
@@ -80,10 +79,9 @@ def _style(raster: Raster, layer: str) -> str:
     """How QGIS shows a raster that lies beside this document: in the colours of `show`."""
     import rasterio
 
-    with rasterio.open(raster.file) as pixels:
-        # Some of the pixels tell what range those values have that have none of their own.
-        shape = min(BLOCK_PX, pixels.height), min(BLOCK_PX, pixels.width)
-        known = pixels.read(1, masked=True, out_shape=shape).compressed()
+    with rasterio.open([raster.file, *raster.overviews][-1]) as pixels:
+        # They tell what range those values have that have none of their own.
+        known = pixels.read(1, masked=True).compressed()
     alpha_band = 2 if raster.layout.alpha else -1
     return qgis.raster_style(LAYERS[layer].colours.ramp, *value_range(layer, known), alpha_band)
 
@@ -110,17 +108,15 @@ def export_change(view: ChangeView, path: str | Path, *, overwrite: bool = False
         with creating(pixels, plane, layout, tags) as dataset:
             dataset.write(view.change[::-1], 1)
         # What became of a cell has no average.
-        _copy(Raster(pixels, plane, plane, layout, (), {}, scratch), file, resampling="MODE")
+        _copy(Raster(pixels, [], plane, layout, (), {}, scratch), file, resampling="MODE")
 
 
-def _copy(
-    raster: Raster, file: Path, levels: Sequence[Path] = (), resampling: str = "NEAREST"
-) -> None:
-    """Have GDAL make the GeoTIFF, with overviews as given, else by `resampling`."""
+def _copy(raster: Raster, file: Path, resampling: str = "NEAREST") -> None:
+    """Have GDAL make the GeoTIFF, with the overviews of the raster, else by `resampling`."""
     import rasterio.shutil
 
     rasterio.shutil.copy(
-        _with_overviews(raster, levels) if levels else raster.file,
+        _with_overviews(raster) if raster.overviews else raster.file,
         file,
         driver="COG",
         compress="DEFLATE",
@@ -134,7 +130,7 @@ def _copy(
     check_whole(file)
 
 
-def _with_overviews(raster: Raster, levels: Sequence[Path]) -> Path:
+def _with_overviews(raster: Raster) -> Path:
     """A virtual raster of the pixels and their overviews, which are files of their own."""
     import rasterio.shutil
 
@@ -142,7 +138,7 @@ def _with_overviews(raster: Raster, levels: Sequence[Path]) -> Path:
     rasterio.shutil.copy(raster.file, virtual, driver="VRT")
     tree = ElementTree.parse(virtual)
     for band in tree.iter("VRTRasterBand"):
-        for level in levels:
+        for level in raster.overviews:
             overview = ElementTree.SubElement(band, "Overview")
             ElementTree.SubElement(overview, "SourceFilename", relativeToVRT="1").text = level.name
             ElementTree.SubElement(overview, "SourceBand").text = band.attrib["band"]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import count as count_from
 from pathlib import Path
@@ -20,11 +21,10 @@ from fieldgrid.core import ConfigError, Float64, Settings, palette, replacing
 from fieldgrid.export.cells.png import grey_png
 from fieldgrid.export.georeference import extent
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
-from fieldgrid.export.selection import Selection
 from fieldgrid.export.shapes.clipping import at, stretches_inside
 from fieldgrid.export.together import is_zip
 from fieldgrid.geometry import Lattice, Window, add_placemarks, continued_deg, in_degrees
-from fieldgrid.maps import LAYERS, MapFile, MapView, features
+from fieldgrid.maps import LAYERS, MapFile, MapView, Selection, features
 
 PICTURE_PX = 2048
 """Side of a picture; larger ones are scaled down by older graphics."""
@@ -63,9 +63,7 @@ def export_kmz(
         document, folder = _document(universal, selection, lattice)
         count = 0
         for window in windows:
-            view = Selection(
-                lattice.bounds(window), selection.cell_m, selection.layer, selection.at
-            ).view(universal)
+            view = replace(selection, bounds=lattice.bounds(window)).view(universal)
             if not view.observed.any():
                 continue
             name = f"pictures/{count:02d}.png"
@@ -127,7 +125,7 @@ def _document(
     """The root, and the folder that pictures go into."""
     ElementTree.register_namespace("", _KML)
     ElementTree.register_namespace("gx", _GX)
-    datum, names = universal.datum, selection.sessions(universal)
+    datum, names = universal.datum, selection.names(universal)
     root = ElementTree.Element(f"{{{_KML}}}kml")
     document = _add(root, "Document")
     _add(document, "name", universal.path.stem)
@@ -192,7 +190,7 @@ def _lines(root: ElementTree.Element, universal: MapFile, selection: Selection) 
     folder = _add(root[0], "Folder")
     _add(folder, "name", "drives")
     count = 0
-    for session in selection.sessions(universal):
+    for session in selection.names(universal):
         drive = _drive(universal, session)
         for positions in stretches_inside(*drive, selection.area(universal)):
             line = shapely.LineString(np.stack([at(v, positions) for v in drive], axis=1))

@@ -15,13 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from fieldgrid.core import ConfigError, MapWriteError, Settings, mentions, replacing
-from fieldgrid.export.cells.overviews import write_overviews
 from fieldgrid.export.cells.png import grey_png
 from fieldgrid.export.cells.raster import Raster, painted
 from fieldgrid.export.plane import PixelPlane, warped
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
-from fieldgrid.export.selection import Selection
-from fieldgrid.maps import LAYERS, Readable
+from fieldgrid.maps import LAYERS, Readable, Selection
 
 TILE_PX = 256
 SMALLEST_PX = 64
@@ -67,12 +65,12 @@ def export_mbtiles(
             ours=lambda file: mentions(file, _MARK.encode()),
             what="an MBTiles",
         ) as file,
-        painted(universal, path, selection, None) as raster,
+        painted(universal, path, selection, None, smallest_px=SMALLEST_PX) as raster,
         ExitStack() as opened,
     ):
         zooms = _Zooms(
             opened,
-            [raster.file, *write_overviews(universal, selection, raster, SMALLEST_PX)],
+            [raster.file, *raster.overviews],
             raster.plane,
             universal.datum.lat_deg,
         )

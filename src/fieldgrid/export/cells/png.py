@@ -12,9 +12,8 @@ from fieldgrid.export.cells.raster import is_ours, painted
 from fieldgrid.export.options import PlaneOptions
 from fieldgrid.export.plane import PixelPlane
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
-from fieldgrid.export.selection import Selection
 from fieldgrid.export.together import text_writer, write_together
-from fieldgrid.maps import Readable
+from fieldgrid.maps import Readable, Selection
 
 MAX_SIDE_PX = 65_535
 MAX_PIXELS = 1 << 30

@@ -17,8 +17,7 @@ from fieldgrid.core import AnyArray, mentions, replacing
 from fieldgrid.export.georeference import extent
 from fieldgrid.export.options import ObstacleOptions
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format, require
-from fieldgrid.export.selection import Selection
-from fieldgrid.maps import MapFile
+from fieldgrid.maps import MapFile, Selection
 
 _HEIGHTS = ("ground", "height", "max_height", "count")
 _SCALE_M = 0.001

@@ -21,9 +21,8 @@ from fieldgrid.core import AnyArray, ConfigError, Draft, MapWriteError, mentions
 from fieldgrid.export.georeference import extent
 from fieldgrid.export.plane import PixelPlane, warped
 from fieldgrid.export.registry import require
-from fieldgrid.export.selection import Selection
 from fieldgrid.geometry import Bounds, Datum, Lattice, Window, check_area_of_use
-from fieldgrid.maps import LAYERS, MapView, OverviewBlock, Readable
+from fieldgrid.maps import LAYERS, MapView, Readable, Selection
 
 BLOCK_PX = 512
 _TAG = b"FIELDGRID_DATUM_LAT_DEG"
@@ -47,19 +46,18 @@ class BandLayout(NamedTuple):
     alpha: bool
     nodata: float | None
 
-    def bands(self, view: MapView | OverviewBlock, layer: str) -> tuple[AnyArray, ...]:
+    def bands(self, view: MapView, layer: str) -> tuple[AnyArray, ...]:
         """The bands of a view, its rows in their order."""
         values = view.layer(layer)
         return (values, view.observed * np.uint8(255)) if self.alpha else (values,)
 
 
 class Raster(NamedTuple):
-    """A raster on disk, to be made into something that others read; `cells` is its plane before it
-    was brought into another one."""
+    """A raster on disk, to be made into something that others read, and its overviews."""
 
     file: Path
+    overviews: list[Path]
     plane: PixelPlane
-    cells: PixelPlane
     layout: BandLayout
     rows: tuple[tuple[str, str], ...]
     about: Mapping[str, Any]
@@ -90,43 +88,66 @@ def painted(
     epsg: int | None,
     *,
     check: Callable[[PixelPlane], None] | None = None,
+    smallest_px: int | None = None,
 ) -> Iterator[Raster]:
     """The selection as a raster beside `path`, in the map's plane or that of an EPSG code.
 
-    Gone when the block ends. `check` refuses a plane before any pixel is written. Raises
-    ConfigError when rasterio is not installed, for a code that is none and for what cannot be
-    selected, MapWriteError when the disk does not take it.
+    With `smallest_px` it has overviews, each of half the size of the one before, until the longer
+    side of one has at most so many pixels. Their cells are those of the map, made of all that was
+    seen in them: GDAL's own averages would weigh a cell seen once like one seen a hundred times,
+    and blur the mask.
+
+    Gone when the block ends. `check` refuses a plane before a pixel is written. Raises ConfigError
+    when rasterio is not installed, for a code that is none and for what cannot be selected,
+    MapWriteError when the disk does not take it.
     """
     declared = LAYERS[selection.layer]
     layout = BandLayout(declared.dtype, declared.nodata is None, declared.nodata)
     with gdal(path), Scratch(path) as scratch:
         from rasterio.windows import Window as Pixels
 
-        with selection.blocks(universal) as blocks:
-            whole, tags = blocks.window, _tags(universal, selection)
-            plane = cells = plane_of(universal.datum, blocks.lattice, whole)
-            other = None if epsg is None else _reprojected(plane, epsg, universal.datum)
+        with (
+            selection.blocks(universal, smallest_px=smallest_px) as blocks,
+            ExitStack() as opened,
+        ):
+            whole, tags, datum = blocks.window, _tags(universal, selection), universal.datum
+            plane = plane_of(datum, blocks.lattice, whole)
+            other = None if epsg is None else _reprojected(plane, epsg, datum)
             if check is not None:
                 check(other or plane)
-            file = scratch.file("pixels")
-            with creating(file, plane, layout, tags) as dataset:
-                for view in blocks.views:
-                    part = view.window
-                    from_north = (whole.j0 + whole.height) - (part.j0 + part.height)
-                    place = Pixels(part.i0 - whole.i0, from_north, part.width, part.height)
-                    for number, band in enumerate(layout.bands(view, selection.layer), 1):
-                        dataset.write(band[::-1], number, window=place)
+            windows, files, datasets = {blocks.lattice: whole, **blocks.levels}, [], {}
+            for level, (lattice, window) in enumerate(windows.items()):
+                files.append(scratch.file(f"level{level}"))
+                datasets[lattice] = opened.enter_context(
+                    creating(files[-1], plane_of(datum, lattice, window), layout, tags)
+                )
+            for view in blocks.views:
+                window, part = windows[view.lattice], view.window
+                from_north = (window.j0 + window.height) - (part.j0 + part.height)
+                place = Pixels(part.i0 - window.i0, from_north, part.width, part.height)
+                for number, band in enumerate(layout.bands(view, selection.layer), 1):
+                    datasets[view.lattice].write(band[::-1], number, window=place)
         if other is not None:
-            plane, source, file = other, file, scratch.file("projected")
-            warp(source, file, other, layout, tags)
+            plane = other
+            for level, source in enumerate(files):
+                files[level] = scratch.file(f"projected{level}")
+                warp(source, files[level], _reduced(plane, 1 << level), layout, tags)
         described = _description(
-            selection.layer,
-            extent(blocks.lattice, whole, universal.datum),
-            universal.datum,
-            plane,
-            epsg,
+            selection.layer, extent(blocks.lattice, whole, datum), datum, plane, epsg
         )
-        yield Raster(file, plane, cells, layout, *described, scratch)
+        yield Raster(files[0], files[1:], plane, layout, *described, scratch)
+
+
+def _reduced(plane: PixelPlane, times: int) -> PixelPlane:
+    """The pixels of an overview, of so many times the side."""
+    from rasterio.transform import Affine
+
+    placed = plane.transform
+    return plane._replace(
+        width=-(-plane.width // times),
+        height=-(-plane.height // times),
+        transform=Affine(times * placed.a, 0.0, placed.c, 0.0, times * placed.e, placed.f),
+    )
 
 
 def plane_of(datum: Datum, lattice: Lattice, window: Window) -> PixelPlane:
@@ -257,7 +278,7 @@ def _tags(universal: Readable, selection: Selection) -> dict[str, str]:
             "above the plane that touches the datum: the ellipsoidal height is "
             "FIELDGRID_DATUM_HEIGHT_M + value + (east^2 + north^2) / 12.75e6 m"
         )
-    names = selection.sessions(universal)
+    names = selection.names(universal)
     tags |= {"FIELDGRID_SESSIONS": str(len(names)), "FIELDGRID_AS_OF_SESSION": names[-1]}
     last = {info.name: info.last_time_ns for info in universal.sessions()}[names[-1]]
     if last is not None:

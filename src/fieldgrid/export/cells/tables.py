@@ -18,10 +18,9 @@ import numpy as np
 
 from fieldgrid.core import AnyArray, ConfigError, Float64, Settings, mentions, replacing
 from fieldgrid.export.registry import Exported, ExportFormat, register_export_format, require
-from fieldgrid.export.selection import Selection
 from fieldgrid.export.together import text_writer, write_together
 from fieldgrid.geometry import Datum
-from fieldgrid.maps import LAYERS, MapFile
+from fieldgrid.maps import LAYERS, MapFile, Selection
 
 _ROWS = 1 << 16
 """Rows that are formatted at a time: 64 k of text are some MB."""

@@ -9,9 +9,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from fieldgrid.export.selection import Selection
 from fieldgrid.geometry import Bounds, Lattice, Window
-from fieldgrid.maps import Readable
+from fieldgrid.maps import Readable, Selection
 
 MESSAGE_CELLS = 25_000_000
 """Cells of a nav_msgs/OccupancyGrid, which Nav2's map server makes of a map, too."""
@@ -57,7 +56,7 @@ class Whole(NamedTuple):
 
 def whole_of(universal: Readable, selection: Selection) -> Whole:
     """The cells of a selection. ConfigError for bounds outside the map."""
-    area = selection.checked_bounds(universal) or universal.bounds
+    area = selection.bounds or universal.bounds
     cell_m = selection.cell_m
     own = Lattice(universal.cell_m)
     lattice = own if cell_m is None or abs(cell_m / own.cell_m - 1.0) < 1e-9 else Lattice(cell_m)

@@ -18,10 +18,9 @@ from fieldgrid.core import Bool, CalibrationError, ConfigError, Float64, Int64, 
 from fieldgrid.export.cells.tiles import Tile, Whole, cut, whole_of
 from fieldgrid.export.georeference import extent, georeference
 from fieldgrid.export.robots import ros_messages
-from fieldgrid.export.selection import Selection
 from fieldgrid.export.shapes.features import trajectories
 from fieldgrid.geometry import HEIGHT_SHARE, Bounds, Rig, Trajectory
-from fieldgrid.maps import CostCurve, MapFile
+from fieldgrid.maps import CostCurve, MapFile, Selection
 from fieldgrid.recordings import ANTENNA, BASE, datum_message, text, transforms
 
 TILE_CELLS = 2048

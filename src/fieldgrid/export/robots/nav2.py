@@ -30,9 +30,8 @@ from fieldgrid.export.cells.tiles import Whole, cut, whole_of
 from fieldgrid.export.georeference import extent, georeference
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.robots.speed import SpeedOptions, filter_parameters, speed_mask
-from fieldgrid.export.selection import Selection
 from fieldgrid.export.together import text_writer, write_together
-from fieldgrid.maps import OCCUPIED, UNKNOWN_OCCUPANCY, Readable
+from fieldgrid.maps import OCCUPIED, UNKNOWN_OCCUPANCY, Readable, Selection
 
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
 """The thresholds of the YAML file. With a free threshold of 0.25, which is common too, the grey

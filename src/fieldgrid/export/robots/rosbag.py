@@ -11,9 +11,8 @@ from fieldgrid.export.options import CurveOptions
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format, require
 from fieldgrid.export.robots import foxglove_messages
 from fieldgrid.export.robots.bag_content import BagContent, messages
-from fieldgrid.export.selection import Selection
 from fieldgrid.export.shapes.vector import FeatureOptions, geojson_text
-from fieldgrid.maps import MapFile
+from fieldgrid.maps import MapFile, Selection
 from fieldgrid.recordings import BagFolderWriter, McapWriter, Ros1BagWriter
 
 

@@ -11,11 +11,19 @@ import numpy.typing as npt
 
 from fieldgrid.core import AnyArray, Bool, ConfigError
 from fieldgrid.export.options import QuadtreeOptions, ShapeOptions
-from fieldgrid.export.selection import Selection
 from fieldgrid.export.shapes.clipping import at, stretches_inside
 from fieldgrid.export.shapes.obstacles import trace_obstacles
 from fieldgrid.geometry import FREE_UP_TO, OBSTACLE_ABOVE, Bounds, FeatureLayer, Trajectory
-from fieldgrid.maps import CostCurve, FrameRecord, MapFile, Quadtree, Squares, State, to_universal
+from fieldgrid.maps import (
+    CostCurve,
+    FrameRecord,
+    MapFile,
+    Quadtree,
+    Selection,
+    Squares,
+    State,
+    to_universal,
+)
 
 # The quadtree of a map as polygons, a square each.
 
@@ -36,7 +44,7 @@ def square_layer(
     """
     import shapely
 
-    bounds = selection.checked_bounds(universal)
+    bounds = selection.bounds
     found = Quadtree.from_map(
         universal,
         bounds,
@@ -106,7 +114,7 @@ def feature_layers(
     for name in names:
         if name not in LAYERS:
             raise ConfigError(f"{name!r} is no layer of features; known are {', '.join(LAYERS)}.")
-    sessions, area = selection.sessions(universal), selection.area(universal)
+    sessions, area = selection.names(universal), selection.area(universal)
     drives = trajectories(universal, selection)
     quadtree, above = squares or QuadtreeOptions(), options.obstacle_above
     make: dict[str, Callable[[], FeatureLayer]] = {
@@ -125,7 +133,7 @@ def trajectories(universal: MapFile, selection: Selection) -> dict[str, Trajecto
     session may have been stored without one."""
     stored = {info.name for info in universal.sessions() if info.heading_source}
     return {
-        name: universal.trajectory(name) for name in selection.sessions(universal) if name in stored
+        name: universal.trajectory(name) for name in selection.names(universal) if name in stored
     }
 
 

@@ -16,10 +16,9 @@ from xml.etree.ElementTree import Element
 
 from fieldgrid.core import ConfigError, Settings, palette, quoted, replacing
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
-from fieldgrid.export.selection import Selection
 from fieldgrid.export.together import is_zip
 from fieldgrid.geometry import Bounds, check_inside
-from fieldgrid.maps import GEOMETRIES, MapFile, qgis
+from fieldgrid.maps import GEOMETRIES, MapFile, Selection, qgis
 
 _MOST_BYTES = 1 << 20
 """Of a project, in which its list of layers is found."""

@@ -26,7 +26,6 @@ from fieldgrid.core import (
     working_beside,
 )
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format, require
-from fieldgrid.export.selection import Selection
 from fieldgrid.export.shapes.features import feature_layers
 from fieldgrid.export.shapes.guidance import (
     DECIMALS,
@@ -48,7 +47,7 @@ from fieldgrid.geometry import (
     Status,
     continued_deg,
 )
-from fieldgrid.maps import LEAST_SEEN, MapFile, MapView, MarkKind
+from fieldgrid.maps import LEAST_SEEN, MapFile, MapView, MarkKind, Selection
 
 if TYPE_CHECKING:
     from fieldgrid.field import Planting

@@ -35,11 +35,10 @@ from fieldgrid.export.registry import (
     register_export_format,
     require,
 )
-from fieldgrid.export.selection import Selection
 from fieldgrid.export.shapes.features import LAYERS, feature_layers
 from fieldgrid.export.together import is_zip
 from fieldgrid.geometry import Datum, Feature, FeatureLayer, in_degrees, write_features, write_layer
-from fieldgrid.maps import MapFile
+from fieldgrid.maps import MapFile, Selection
 
 _FLATGEOBUF = "features of a map of fieldgrid"
 """What a FlatGeobuf says that it is."""

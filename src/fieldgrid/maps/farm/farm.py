@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property, reduce
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-from fieldgrid.core import Closing, ConfigError, DatumError, MapError, runner
+from fieldgrid.core import Closing, ConfigError, DatumError, MapError
 from fieldgrid.geometry import MAX_DISTANCE_M, Bounds, Datum
 from fieldgrid.maps.farm.catalogue import FarmBlock, find_blocks
 from fieldgrid.maps.farm.content import FarmContent, FarmPart, moved_bounds
@@ -20,18 +20,13 @@ from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.file.history import during
 from fieldgrid.maps.file.map_file import MapFile
 from fieldgrid.maps.file.records import SessionInfo
-from fieldgrid.maps.layers.registry import ALL_LAYERS, check_layers, kept_groups
-from fieldgrid.maps.tiles.overviews import OverviewBlock, read_overviews
+from fieldgrid.maps.layers.registry import ALL_LAYERS, kept_groups
 from fieldgrid.maps.vector.marks import Mark
-from fieldgrid.maps.views.blocks import MapBlocks, blocks_of
-from fieldgrid.maps.views.read import Request, read_view
-from fieldgrid.maps.views.view import DECISION_LAYERS, DROP_LAYERS, MapView
+from fieldgrid.maps.views.readable import Readable
+from fieldgrid.maps.views.view import DECISION_LAYERS, DROP_LAYERS
 from fieldgrid.maps.writing.merge import free_name, marks_together
 from fieldgrid.maps.writing.redatum import Redatum
 from fieldgrid.maps.writing.twins import REMEDY, Twin, twin_of
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 _EARTH_RADIUS_M = 6.37e6
 _REACH_M = 15.0
@@ -47,10 +42,10 @@ class RebasedMap(NamedTuple):
     height_error_m: float
 
 
-class Farm(FarmDrives, Closing):
+class Farm(Readable, FarmDrives, Closing):
     """The maps of a folder. Use it with `with`, or close it; one thread at a time.
 
-    `blocks` lists them, those that cannot be read included. `read`, `read_blocks`, `overviews` and
+    `blocks` lists them, those that cannot be read included. `read`, `read_blocks` and
     `sessions` are those of a map with all their sessions: what `merge_maps` would make of them, bit
     for bit, without making it. So `Costmap.from_map` and `export_map` take a farm as they take a
     map. `query`, `frames`, `trajectory` and `session_inputs` are those of a map, too, in the plane
@@ -152,76 +147,15 @@ class Farm(FarmDrives, Closing):
         is_own = self._header.lattice_of(cell_m) == self._header.lattice
         return drops if is_own else (*DECISION_LAYERS, *drops)
 
-    def read(
-        self,
-        bounds: Bounds | None = None,
-        cell_m: float | None = None,
-        *,
-        layers: Collection[str] = (),
-        at: str | int | None = None,
-        jobs: int | None = None,
-        sessions: Collection[str] | None = None,
-    ) -> MapView:
-        """What all maps together have within bounds; values and errors as in `MapFile.read`."""
-        request = self._request(bounds, cell_m, layers, at)._replace(jobs=jobs)
-        if sessions is not None:
-            for name in sessions:
-                self._part_of(name)
-            every = [info.name for info in self.sessions()]
-            known = every if request.sessions is None else request.sessions
-            chosen = tuple(name for name in known if name in set(sessions))
-            request = request._replace(sessions=None if len(chosen) == len(every) else chosen)
-        return read_view(self._content, request)
+    def check_sessions(self, names: Collection[str]) -> None:
+        """As `MapFile.check_sessions`."""
+        for name in names:
+            self._part_of(name)
 
     @contextmanager
-    def read_blocks(
-        self,
-        bounds: Bounds | None = None,
-        cell_m: float | None = None,
-        *,
-        layers: Collection[str] = (),
-        at: str | int | None = None,
-        jobs: int | None = None,
-        scheduler: str | Client | None = None,
-    ) -> Iterator[MapBlocks]:
-        """As `MapFile.read_blocks`. MapError when a map changes meanwhile."""
-        request = self._request(bounds, cell_m, layers, at)._replace(jobs=jobs)
-        with runner(1, scheduler) as run:
-            yield blocks_of(self._content, request, run)
-
-    @contextmanager
-    def overviews(
-        self,
-        levels: int,
-        bounds: Bounds | None = None,
-        cell_m: float | None = None,
-        *,
-        layers: Collection[str] = (),
-        at: str | int | None = None,
-        jobs: int | None = None,
-        scheduler: str | Client | None = None,
-    ) -> Iterator[Iterator[OverviewBlock]]:
-        """As `MapFile.overviews`. MapError when a map changes meanwhile."""
-        request = self._request(bounds, cell_m, layers, at)
-        with runner(jobs, scheduler) as run:
-            yield read_overviews(self._content, request, levels, run)
-
-    def _request(
-        self,
-        bounds: Bounds | None,
-        cell_m: float | None,
-        layers: Collection[str],
-        at: str | int | None,
-    ) -> Request:
-        lattice = self._header.lattice_of(cell_m)
-        sessions = None if at is None else tuple(self.sessions_at(at))
-        return Request(
-            lattice,
-            lattice.window(bounds or self.bounds),
-            self._header.transfer,
-            sessions=sessions,
-            layers=check_layers(layers),
-        )
+    def content(self) -> Iterator[FarmContent]:
+        """As `MapFile.content`, but that each map is held in its state only while it is read."""
+        yield FarmContent(self._maps, self._parts, self._header, self._marks)
 
     @cached_property
     def _usable(self) -> list[tuple[FarmBlock, MapHeader, Bounds]]:
@@ -309,7 +243,3 @@ class Farm(FarmDrives, Closing):
 
         found = marks_together(maps(), self.datum)
         return tuple(mark._replace(id=number) for number, mark in enumerate(found, 1))
-
-    @cached_property
-    def _content(self) -> FarmContent:
-        return FarmContent(self._maps, self._parts, self._header, self._marks)

@@ -5,19 +5,19 @@ The blocks have the bits of `MapFile.read`, and are of one state of the map.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from itertools import chain
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from fieldgrid.core import ConfigError, Runner, Threads
+from fieldgrid.core import ConfigError, Runner
 from fieldgrid.geometry import TILE_CELLS, Lattice, Window, aligned_parts
-from fieldgrid.maps.views.read import Content, Request, read_view
+from fieldgrid.maps.views.read import Content, Request, read_views, with_levels
 from fieldgrid.maps.views.view import MapView
 from fieldgrid.maps.writing.sharing import check_known
 
 MAX_CELLS = 10_000_000_000
 """Cells that may be read in blocks: 25 square kilometres at 5 cm."""
-
-ONE_BY_ONE = Threads(1)
 
 _MOST = 8
 """Blocks that are under way or wait here: each takes up to 10 MB a byte of a cell."""
@@ -30,12 +30,13 @@ class MapBlocks(NamedTuple):
 
     The views come from the north to the south, and from the west to the east; each begins and
     ends where tiles do, or at the window's edge. There is none where nothing was observed or
-    marked.
+    marked. Behind each come its overviews, of `levels`: cells of 2, 4, ... times the side.
     """
 
     lattice: Lattice
     window: Window
     views: Iterator[MapView]
+    levels: Mapping[Lattice, Window] = MappingProxyType({})
 
 
 class _BlockReader:
@@ -47,11 +48,11 @@ class _BlockReader:
     def __reduce__(self) -> tuple[Any, ...]:
         return _arrived, self._of
 
-    def __call__(self, window: Window) -> MapView | None:
-        """The view of a block; None where nothing was observed or marked."""
+    def __call__(self, window: Window) -> list[MapView]:
+        """The view of a block, and its overviews; none where nothing was observed or marked."""
         content, request = self._of
-        view = read_view(content, request._replace(window=window))
-        return view if view.observed.any() or view.is_marked else None
+        views = read_views(content, request._replace(window=window))
+        return views if views[0].observed.any() or views[0].is_marked else []
 
 
 def _arrived(content: Content, request: Request) -> _BlockReader:
@@ -60,12 +61,17 @@ def _arrived(content: Content, request: Request) -> _BlockReader:
     return _BlockReader(content, request._replace(jobs=1))
 
 
-def blocks_of(content: Content, request: Request, run: Runner = ONE_BY_ONE) -> MapBlocks:
+def blocks_of(
+    content: Content, request: Request, run: Runner, smallest_px: int | None = None
+) -> MapBlocks:
     """The view that is asked for in blocks; ConfigError when it has too many cells.
 
     Threads of this process work on one block after the other, those of the request; a cluster
-    reads some blocks at a time.
+    reads some blocks at a time. With `smallest_px` there are overviews, until the longer side of
+    one has at most so many cells, and the window is grown to whole cells of the last one.
     """
+    if smallest_px is not None:
+        request = with_levels(request, content.header.lattice, smallest_px)
     window = request.window
     if window.width * window.height > MAX_CELLS:
         raise ConfigError(
@@ -73,7 +79,13 @@ def blocks_of(content: Content, request: Request, run: Runner = ONE_BY_ONE) -> M
             f"over {MAX_CELLS / 1e9:.0f} thousand million; give smaller bounds or a larger cell."
         )
     views = run.in_order(_BlockReader(content, request), windows(window), most=_MOST)
-    return MapBlocks(request.lattice, window, (view for view in views if view is not None))
+    larger = [request.at_level(level) for level in range(1, request.levels + 1)]
+    return MapBlocks(
+        request.lattice,
+        window,
+        chain.from_iterable(views),
+        {one.lattice: one.window for one in larger},
+    )
 
 
 def windows(whole: Window) -> list[Window]:

@@ -22,16 +22,14 @@ from fieldgrid.maps.file.metadata import SessionMetadata, find
 from fieldgrid.maps.file.records import FrameRecord, SessionInfo, frame_record
 from fieldgrid.maps.file.root import read_root
 from fieldgrid.maps.health.verification import HealthReport, verify
-from fieldgrid.maps.layers.registry import check_layers
-from fieldgrid.maps.tiles.overviews import OverviewBlock, read_overviews
 from fieldgrid.maps.transfer import Averaging, Transfer, check_cell_sizes
 from fieldgrid.maps.vector.marks import Mark, read_marks
 from fieldgrid.maps.vector.stored_features import StoredFeatures, read_stored_features
-from fieldgrid.maps.views.blocks import MapBlocks, blocks_of
 from fieldgrid.maps.views.change import ChangeView
 from fieldgrid.maps.views.content import MapContent, read_change, sessions_at
 from fieldgrid.maps.views.provenance import Provenance, trace
-from fieldgrid.maps.views.read import Request, read_view
+from fieldgrid.maps.views.read import read_views
+from fieldgrid.maps.views.readable import Readable, Selection
 from fieldgrid.maps.views.view import DECISION_LAYERS, DROP_LAYERS, MapView
 from fieldgrid.maps.writing.transform import Transform
 
@@ -39,7 +37,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 
-class MapReader:
+class MapReader(Readable):
     """The part of `MapFile` that reads."""
 
     def __init__(self, path: Path, connection: sqlite3.Connection, header: MapHeader) -> None:
@@ -54,15 +52,11 @@ class MapReader:
             "it there."
         )
 
-    @property
-    def _content(self) -> MapContent:
-        return MapContent(self._evidence, self._header)
-
     @contextmanager
     def content(self) -> Iterator[MapContent]:
         """What views are made of, in one state of the map, for whoever joins several maps."""
         with reading(self._connection, self.path):
-            yield self._content
+            yield MapContent(self._evidence, self._header)
 
     @property
     def datum(self) -> Datum:
@@ -165,6 +159,11 @@ class MapReader:
         with reading(self._connection, self.path):
             return list(sessions_at(self._evidence, at, self.path))
 
+    def check_sessions(self, names: Collection[str]) -> None:
+        """Raise ConfigError unless all these are names of active sessions."""
+        with reading(self._connection, self.path):
+            self._evidence.check_sessions(names, active=True)
+
     def session_inputs(self, name: str) -> dict[str, Array]:
         """The arrays that `add_session` was given as `inputs`, bit for bit."""
         with reading(self._connection, self.path):
@@ -233,18 +232,17 @@ class MapReader:
                 "The paper's averaging goes by cell centres; leave out transfer='area', or take "
                 "the mean."
             )
-        names = check_layers(layers)
-        with reading(self._connection, self.path):
-            request = self._request(bounds, cell_m, transfer)
-            request = request._replace(
+        asked = Selection(bounds, cell_m, at=at, jobs=jobs, beside=layers, sessions=sessions)
+        with self.content() as content:
+            request = asked.request(self, content)._replace(
                 averaging=averaging,
-                sessions=self._chosen(at, sessions),
                 frame_filter=frame_filter,
-                layers=names,
-                jobs=jobs,
-                ways=partial(self._content.ways, driven_m) if driven_m else None,
+                ways=partial(content.ways, driven_m) if driven_m else None,
             )
-            return read_view(self._content, request)
+            if transfer is not None:
+                request = request._replace(transfer=transfer)
+            (view,) = read_views(content, request)
+        return view
 
     def deciding(self, cell_m: float | None) -> tuple[str, ...]:
         """The layers by which cells of this size are free or obstacles, beside the density: what
@@ -255,52 +253,6 @@ class MapReader:
             tells = "drop" in self._header.groups or self._evidence.has_channel(DROP_CHANNEL)
         drops = DROP_LAYERS if tells else ()
         return drops if is_own else (*DECISION_LAYERS, *drops)
-
-    @contextmanager
-    def read_blocks(
-        self,
-        bounds: Bounds | None = None,
-        cell_m: float | None = None,
-        *,
-        layers: Collection[str] = (),
-        at: str | int | None = None,
-        jobs: int | None = None,
-        scheduler: str | Client | None = None,
-    ) -> Iterator[MapBlocks]:
-        """What `read` gives, in views of some million cells, for maps of any size.
-
-        One state of the map for as long as the block lasts: nobody can change it meanwhile.
-        `jobs` threads read a block, all cores when not given; with a `scheduler`, the address of
-        one of Dask or a client, the workers of that cluster read some blocks at a time.
-        Errors as in `read`, but that ten thousand million cells are allowed; ClusterError where no
-        scheduler answers or its workers cannot read the map.
-        """
-        names = check_layers(layers)
-        with runner(1, scheduler) as run, reading(self._connection, self.path):
-            request = self._request(bounds, cell_m, None)
-            request = request._replace(sessions=self._chosen(at, None), layers=names, jobs=jobs)
-            yield blocks_of(self._content, request, run)
-
-    @contextmanager
-    def overviews(
-        self,
-        levels: int,
-        bounds: Bounds | None = None,
-        cell_m: float | None = None,
-        *,
-        layers: Collection[str] = (),
-        at: str | int | None = None,
-        jobs: int | None = None,
-        scheduler: str | Client | None = None,
-    ) -> Iterator[Iterator[OverviewBlock]]:
-        """What `read` gives, with cells of 2, 4, ... 2^levels times the side, for overviews of a
-        raster: counted from the north-west corner. `jobs`, `scheduler` and errors as in
-        `read_blocks`."""
-        names = check_layers(layers)
-        with runner(jobs, scheduler) as run, reading(self._connection, self.path):
-            request = self._request(bounds, cell_m, None)
-            request = request._replace(sessions=self._chosen(at, None), layers=names)
-            yield read_overviews(self._content, request, levels, run)
 
     def diff(
         self,
@@ -313,9 +265,9 @@ class MapReader:
 
         Both are sessions or dates. In each cell the latest drive that observed it counts.
         """
-        with reading(self._connection, self.path):
-            request = self._request(bounds, cell_m, None)
-            return read_change(self._content, request, (from_, to), self.path)
+        with self.content() as content:
+            request = Selection(bounds, cell_m).request(self, content)
+            return read_change(content, request, (from_, to), self.path)
 
     def query(self, east_m: float, north_m: float, cell_m: float | None = None) -> Provenance:
         """Which sessions and frames observed the cell at a point, and what each said of it."""
@@ -329,26 +281,6 @@ class MapReader:
             for frame in frames:
                 check_cell_sizes(lattice.cell_m, frame.spec.cell_m)
             return trace(east_m, north_m, lattice, self.transfer, frames)
-
-    def _request(
-        self, bounds: Bounds | None, cell_m: float | None, transfer: Transfer | None
-    ) -> Request:
-        lattice = self._header.lattice_of(cell_m)
-        extent = self._header.lattice.bounds(self._evidence.data_window())
-        return Request(lattice, lattice.window(bounds or extent), transfer or self.transfer)
-
-    def _chosen(
-        self, at: str | int | None, sessions: Collection[str] | None
-    ) -> tuple[str, ...] | None:
-        """The sessions that are asked for in the order of their drives; None for all."""
-        if at is None and sessions is None:
-            return None
-        every = [info.name for info in self._evidence.active()]
-        chosen = set(every if at is None else sessions_at(self._evidence, at, self.path))
-        if sessions is not None:
-            self._evidence.check_sessions(sessions, active=True)
-            chosen &= set(sessions)
-        return None if chosen == set(every) else tuple(n for n in every if n in chosen)
 
     def _channels(self, row: tuple[Any, ...]) -> Callable[[], tuple[EncodedChannel, ...]]:
         with reading(self._connection, self.path):

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from fieldgrid.core import AnyArray, Bool, UInt8, in_order
-from fieldgrid.geometry import TILE_CELLS, Lattice, Window, aligned_parts
+from fieldgrid.geometry import MAX_CELL_M, TILE_CELLS, Lattice, Window, aligned_parts
 from fieldgrid.maps.cost import DENSITIES
 from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.file.records import FrameRecord
+from fieldgrid.maps.layers.blocks import blocks_under
 from fieldgrid.maps.layers.declaration import Cells, Layer
-from fieldgrid.maps.layers.registry import LAYERS
+from fieldgrid.maps.layers.registry import GROUPS, LAYERS, groups_of
+from fieldgrid.maps.layers.window import coarser
 from fieldgrid.maps.transfer import Averaging, Transfer, mean_density
 from fieldgrid.maps.vector.marks import Mark
 from fieldgrid.maps.views.base_cells import enlarged
@@ -52,11 +54,21 @@ class Request(NamedTuple):
     ways: Callable[[Request], list[DrivenWay]] | None = None
     """Where the drives went near a window of the own cells, in their order; None where the ground
     under them is as the frames saw it."""
+    levels: int = 0
+    """Overviews beside it, of cells of 2, 4, ... times the side; the window is of whole ones."""
 
     @property
     def beyond_density(self) -> tuple[str, ...]:
         """The layers beside the density."""
         return tuple(name for name in self.layers if name != "density")
+
+    def at_level(self, level: int) -> Request:
+        """The same of an overview."""
+        if level == 0:
+            return self
+        lattice = Lattice(self.lattice.cell_m * (1 << level))
+        window = Window(*(value >> level for value in self.window))
+        return self._replace(lattice=lattice, window=window, levels=self.levels - level)
 
 
 class Content(Protocol):
@@ -77,15 +89,17 @@ class Content(Protocol):
         lie along the side of one."""
 
 
-def read_view(content: Content, request: Request) -> MapView:
-    """The view, with the marks that are in force, and what they and the ways of drives decide."""
+def read_views(content: Content, request: Request) -> list[MapView]:
+    """The view, with the marks that are in force, and what they and the ways of drives decide; and
+    its overviews, of cells alone."""
     marks = content.marks()
-    view = replace(_read(content, request), marks=marks)
+    view, *overviews = _read(content, request)
+    view = replace(view, marks=marks)
     # Without ways, base cells are decided by their marks when that is asked for.
     if request.ways is None and (
         view.is_base or "seen_share" not in request.layers or not deciding(marks)
     ):
-        return view
+        return [view, *overviews]
     lattice = content.header.lattice
     by = enlarged((), lattice, request.lattice)
     flags, partly = np.zeros(request.window.shape, np.uint8), []
@@ -99,9 +113,9 @@ def read_view(content: Content, request: Request) -> MapView:
         found[some & ~rest] |= np.uint8(FREE)
         if (some & rest).any():
             partly.append(_partly_free(content, request, chunk, some & rest))
-    return (
-        replace(view, marked=MarkedCells(flags, tuple(partly))) if flags.any() or partly else view
-    )
+    if flags.any() or partly:
+        view = replace(view, marked=MarkedCells(flags, tuple(partly)))
+    return [view, *overviews]
 
 
 def _decided(content: Content, own: Request) -> UInt8:
@@ -120,8 +134,8 @@ def _partly_free(content: Content, request: Request, chunk: Window, cells: Bool)
     header = content.header
     by = enlarged((), header.lattice, request.lattice)
     names = tuple(name for name in (*DENSITIES, *DROP_LAYERS) if name in request.layers)
-    own = request._replace(lattice=header.lattice, window=by.under(part), layers=names)
-    base = _read(content, own)
+    own = request._replace(lattice=header.lattice, window=by.under(part), layers=names, levels=0)
+    (base,) = _read(content, own)
     free = (_decided(content, own) & FREE) > 0
     inside = j - j0, i - i0
     place = j + chunk.j0 - request.window.j0, i + chunk.i0 - request.window.i0
@@ -136,45 +150,60 @@ def _partly_free(content: Content, request: Request, chunk: Window, cells: Bool)
     return PartlyFree(*place, worst, seen, drop_m)
 
 
-def _read(content: Content, request: Request) -> MapView:
-    """What the drives saw, by the shortest way that gives the same bits."""
-    view = empty_view(
-        request.lattice,
-        request.window,
-        content.header.datum,
-        request.beyond_density,
-        is_base=request.lattice == content.header.lattice,
-    )
-    if content.fill(view, request):
-        return view
-    reach = math.floor(reach_cells(request))
-    source, factor = content.cell_source(request._replace(window=request.window.grown(reach)))
+def _read(content: Content, request: Request) -> list[MapView]:
+    """What the drives saw, by the shortest way that gives the same bits, and its overviews."""
+    views = []
+    for level in range(request.levels + 1):
+        one = request.at_level(level)
+        is_base = one.lattice == content.header.lattice
+        view = empty_view(
+            one.lattice, one.window, content.header.datum, one.beyond_density, is_base=is_base
+        )
+        views.append(view)
+    for level, view in enumerate(views):
+        one = request.at_level(level)
+        if not content.fill(view, one):
+            _fold(content, one, views[level:])
+            break
+    return views
+
+
+def _fold(content: Content, request: Request, views: Sequence[MapView]) -> None:
+    """Fill empty views from channels: those of larger cells follow from those of smaller ones."""
+    groups = tuple(GROUPS[name] for name in groups_of(request.layers))
+    around = [LAYERS[name].around for name in request.layers]
+    reach = max((one.reach_m for one in around if one is not None), default=0.0)
+    reach_cells = reach / request.lattice.cell_m
+    # Neighbours that layers look at: a power of 2 of cells, which become half as many.
+    margin = 1 << math.ceil(math.log2(reach_cells)) if reach_cells >= 1.0 else 0
+    source, factor = content.cell_source(request._replace(window=request.window.grown(margin)))
 
     def fill(chunk: Window) -> None:
-        looked = chunk.grown(reach)
-        cells = source.merged(looked)
-        if cells is not None:
-            place, inside = view.window.slices_of(chunk), looked.slices_of(chunk)
+        cells, edge = source.merged(chunk.grown(margin)), margin
+        if cells is None:
+            return
+        for level, view in enumerate(views):
+            if level > 0:
+                if edge % 2:  # larger cells than the reach need no neighbours
+                    inner = {
+                        name: np.ascontiguousarray(values[1:-1, 1:-1])
+                        for name, values in cells.items()
+                    }
+                    cells, edge = Cells(inner, cells.base_cells), 0
+                cells, edge = coarser(groups, cells, 2), edge // 2
+            part = Window(*(value >> level for value in chunk))
+            place, inside = view.window.slices_of(part), part.grown(edge).slices_of(part)
             view.density[place], view.observed[place] = mean_density(
                 cells["weight"][inside], cells["sum"][inside]
             )
             for name, array in view.layers.items():
-                array[place] = layer_values(LAYERS[name], cells, view.lattice.cell_m)[inside]
+                array[place] = _layer_values(LAYERS[name], cells, view.lattice.cell_m)[inside]
 
     for _ in in_order(fill, chunks(request.window, factor), request.jobs):
         pass
-    return view
 
 
-def reach_cells(request: Request) -> float:
-    """How many cells about a cell enter into what the layers say of it."""
-    around = (LAYERS[name].around for name in request.layers)
-    return max((one.reach_m for one in around if one is not None), default=0.0) / (
-        request.lattice.cell_m
-    )
-
-
-def layer_values(layer: Layer, cells: Cells, cell_m: float) -> AnyArray:
+def _layer_values(layer: Layer, cells: Cells, cell_m: float) -> AnyArray:
     """What a layer says of cells of a window, and what stands for those of which nothing was
     observed."""
     values = np.where(cells["seen"] > 0, layer.values(cells), layer.nodata or 0)
@@ -186,5 +215,26 @@ def layer_values(layer: Layer, cells: Cells, cell_m: float) -> AnyArray:
 def chunks(window: Window, factor: float) -> Iterator[Window]:
     """A window cut into squares of about a quarter of a million stored cells, `factor` along the
     side of one of its own; where tiles begin, if that is a small whole number."""
-    side = TILE_CELLS if factor in (3, 5) else max(1, int(_CHUNK_CELLS / factor))
+    side = TILE_CELLS if factor in (3, 5) else 1 << _most_levels(factor)
     return aligned_parts(window, side, side)
+
+
+def _most_levels(factor: float) -> int:
+    """How often a square that is worked on can be halved."""
+    return max(0, math.floor(math.log2(_CHUNK_CELLS / factor)))
+
+
+def with_levels(request: Request, own: Lattice, smallest_px: int) -> Request:
+    """A request with as many overviews as its longer side can be halved until it has at most so
+    many cells, and each square of cells that are worked on at a time; in whole cells of the last.
+    """
+    cell_m, levels, window = request.lattice.cell_m, 0, request.window
+    most = _most_levels(max(1.0, cell_m / own.cell_m))
+    while (
+        max(window.shape) >> levels > smallest_px
+        and levels < most
+        and cell_m * (2 << levels) <= MAX_CELL_M
+    ):
+        levels += 1
+        window = Window(*(v << levels for v in blocks_under(request.window, 1 << levels)))
+    return request._replace(window=window, levels=levels)

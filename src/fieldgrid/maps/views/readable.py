@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from fieldgrid.geometry import Bounds, Datum, Trajectory
+from fieldgrid.core import ConfigError, runner
+from fieldgrid.geometry import Bounds, Datum, Lattice, Trajectory
 from fieldgrid.maps.file.arrays import Array
+from fieldgrid.maps.file.history import in_drive_order
 from fieldgrid.maps.file.records import FrameRecord, SessionInfo
-from fieldgrid.maps.tiles.overviews import OverviewBlock
+from fieldgrid.maps.layers.registry import check_layers
 from fieldgrid.maps.vector.marks import Mark
-from fieldgrid.maps.views.blocks import MapBlocks
+from fieldgrid.maps.views.blocks import MapBlocks, blocks_of
 from fieldgrid.maps.views.provenance import Provenance
+from fieldgrid.maps.views.read import Content, Request, read_views
 from fieldgrid.maps.views.view import MapView
 
 if TYPE_CHECKING:
@@ -20,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Readable(Protocol):
-    """What `Costmap` and the exports of cells need of a map; each as `MapFile` has it."""
+    """Reads cells: what `Costmap` and the exports of cells need of a map, or of several as one."""
 
     @property
     def datum(self) -> Datum:
@@ -40,51 +44,17 @@ class Readable(Protocol):
     def sessions_at(self, at: str | int) -> list[str]:
         """The names of the active sessions as of a moment, in the order of their drives."""
 
+    def check_sessions(self, names: Collection[str]) -> None:
+        """Raise ConfigError unless all these are names of active sessions."""
+
     def marks(self) -> tuple[Mark, ...]:
         """The marks that are in force."""
 
     def deciding(self, cell_m: float | None) -> tuple[str, ...]:
         """The layers by which cells of this size are free or obstacles."""
 
-    def read(
-        self,
-        bounds: Bounds | None = None,
-        cell_m: float | None = None,
-        *,
-        layers: Collection[str] = (),
-        at: str | int | None = None,
-        jobs: int | None = None,
-    ) -> MapView:
-        """The cells within bounds as arrays, read by `jobs` threads."""
-
-    def read_blocks(
-        self,
-        bounds: Bounds | None = None,
-        cell_m: float | None = None,
-        *,
-        layers: Collection[str] = (),
-        at: str | int | None = None,
-        jobs: int | None = None,
-        scheduler: str | Client | None = None,
-    ) -> AbstractContextManager[MapBlocks]:
-        """The cells within bounds in views of some million cells."""
-
-    def overviews(
-        self,
-        levels: int,
-        bounds: Bounds | None = None,
-        cell_m: float | None = None,
-        *,
-        layers: Collection[str] = (),
-        at: str | int | None = None,
-        jobs: int | None = None,
-        scheduler: str | Client | None = None,
-    ) -> AbstractContextManager[Iterator[OverviewBlock]]:
-        """The cells within bounds in cells of 2, 4, ... 2^levels times the side."""
-
-
-class DrivenMap(Readable, Protocol):
-    """What the viewer and figures need of a map, beside its cells: the drives that they are of."""
+    def content(self) -> AbstractContextManager[Content]:
+        """What views are made of, in one state of it."""
 
     def read(
         self,
@@ -96,7 +66,119 @@ class DrivenMap(Readable, Protocol):
         jobs: int | None = None,
         sessions: Collection[str] | None = None,
     ) -> MapView:
-        """The cells within bounds as arrays, of all sessions or some of them."""
+        """The cells within bounds as arrays, of all sessions or some; see `MapFile.read`."""
+        asked = Selection(bounds, cell_m, at=at, jobs=jobs, beside=layers, sessions=sessions)
+        return asked.view(self)
+
+    def read_blocks(
+        self,
+        bounds: Bounds | None = None,
+        cell_m: float | None = None,
+        *,
+        layers: Collection[str] = (),
+        at: str | int | None = None,
+        jobs: int | None = None,
+        scheduler: str | Client | None = None,
+    ) -> AbstractContextManager[MapBlocks]:
+        """What `read` gives, in views of some million cells, for maps of any size.
+
+        One state of the map for as long as the block lasts: nobody can change it meanwhile; of
+        several maps, MapError when one changes. `jobs` threads read a block, all cores when not
+        given; with a `scheduler`, the address of one of Dask or a client, the workers of that
+        cluster read some blocks at a time. Errors as in `read`, but that ten thousand million cells
+        are allowed; ClusterError where no scheduler answers or its workers cannot read the map.
+        """
+        asked = Selection(bounds, cell_m, at=at, jobs=jobs, scheduler=scheduler, beside=layers)
+        return asked.blocks(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """What is asked of a map. `bounds` None for all that was observed; `cell_m` None for the map's
+    own cell; `layer` one of the map's layers, and `beside` others that are read with it; `at` a
+    session or a date, None for now; `sessions` some of them by name. `jobs` threads read it, one a
+    core when not given, or the workers of Dask's `scheduler`, an address or a client.
+
+    ConfigError for an unknown layer.
+    """
+
+    bounds: Bounds | None = None
+    cell_m: float | None = None
+    layer: str = "density"
+    at: str | int | None = None
+    jobs: int | None = None
+    scheduler: str | Client | None = None
+    beside: Collection[str] = ()
+    sessions: Collection[str] | None = None
+
+    def __post_init__(self) -> None:
+        check_layers((self.layer, *self.beside))
+
+    def view(self, universal: Readable, layers: Collection[str] = ()) -> MapView:
+        """It as arrays, with `layers` beside the one that is asked for.
+
+        Raises ConfigError for a cell that the evidence cannot fill, and for a part that is too
+        large for one view, or is to be read by a cluster.
+        """
+        if self.scheduler is not None:
+            raise ConfigError(
+                "This format needs its part of the map at once, which one process reads; leave out "
+                "--scheduler, or choose a format that goes piece by piece, as geotiff does."
+            )
+        with universal.content() as content:
+            (view,) = read_views(content, self.request(universal, content, layers))
+        return view
+
+    @contextmanager
+    def blocks(
+        self, universal: Readable, layers: Collection[str] = (), smallest_px: int | None = None
+    ) -> Iterator[MapBlocks]:
+        """It in blocks from the north, of one state of the map, however large; layers and errors as
+        in `view`. With `smallest_px` it has overviews, until the longer side of one has at most so
+        many cells."""
+        with runner(1, self.scheduler) as run, universal.content() as content:
+            yield blocks_of(content, self.request(universal, content, layers), run, smallest_px)
+
+    def request(
+        self, universal: Readable, content: Content, layers: Collection[str] = ()
+    ) -> Request:
+        """What it asks of the content of a map."""
+        lattice = content.header.lattice_of(self.cell_m)
+        sessions = None
+        if self.at is not None or self.sessions is not None:
+            chosen = self.names(universal)
+            if chosen != Selection().names(universal):
+                sessions = tuple(chosen)
+        return Request(
+            lattice,
+            lattice.window(self.bounds or universal.bounds),
+            content.header.transfer,
+            sessions=sessions,
+            layers=tuple(dict.fromkeys((self.layer, *self.beside, *layers))),
+            jobs=self.jobs,
+        )
+
+    def names(self, universal: Readable) -> list[str]:
+        """The names of the sessions that are in it, in the order of their drives."""
+        if self.at is not None:
+            names = universal.sessions_at(self.at)
+        else:
+            names = [info.name for info in in_drive_order(universal.sessions())]
+        if self.sessions is None:
+            return names
+        universal.check_sessions(self.sessions)
+        return [name for name in names if name in set(self.sessions)]
+
+    def area(self, universal: Readable) -> Bounds | None:
+        """The ground that its cells cover, None for all that there is."""
+        if self.bounds is None:
+            return None
+        lattice = Lattice(universal.cell_m if self.cell_m is None else self.cell_m)
+        return lattice.bounds(lattice.window(self.bounds))
+
+
+class DrivenMap(Readable, Protocol):
+    """What the viewer and figures need of a map, beside its cells: the drives that they are of."""
 
     def trajectory(self, session: str) -> Trajectory:
         """The trajectory of a session as it is placed; MapError where none was stored."""
