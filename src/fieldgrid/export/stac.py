@@ -26,7 +26,7 @@ from fieldgrid.core import (
     replacing_folder,
 )
 from fieldgrid.export.registry import export_map, require
-from fieldgrid.geometry import Window, in_degrees
+from fieldgrid.geometry import Bounds, Lattice, in_degrees
 from fieldgrid.maps import Farm, FarmBlock, MapFile, open_map
 from fieldgrid.recordings import read_text
 
@@ -84,7 +84,7 @@ def write_stac(
                     item = _item(universal, block, id_, folder / place)
                     if with_cog:
                         (draft / place).mkdir(parents=True)
-                        export_map(universal, draft / place / f"{id_}.tif")
+                        made = export_map(universal, draft / place / f"{id_}.tif")
                         density = pystac.Asset(
                             f"./{id_}.tif",
                             title="3D density, 0..255, and alpha where a cell was observed",
@@ -92,6 +92,8 @@ def write_stac(
                             roles=["data", "visual"],
                         )
                         item.add_asset("density", density)
+                        bounds = Bounds(*made.about["bounds_m"].values())
+                        _place(density, universal, bounds)
             except MapWriteError:
                 raise
             except MapError as error:
@@ -164,7 +166,6 @@ def _reference(path: str) -> str:
 
 def _item(universal: MapFile, block: FarmBlock, id_: str, folder: Path) -> Any:
     import pystac
-    from pystac.extensions.projection import ProjectionExtension
 
     assert block.bounds is not None
     geometry, bounds = _footprint(universal), block.bounds
@@ -189,15 +190,7 @@ def _item(universal: MapFile, block: FarmBlock, id_: str, folder: Path) -> Any:
             },
         },
     )
-    window = block.header.lattice.window(bounds) if block.header else Window(0, 0, 0, 0)
-    ProjectionExtension.ext(item, add_if_missing=True).apply(
-        code=None,
-        wkt2=universal.datum.crs_wkt("WKT2_2019"),
-        projjson=universal.datum.crs_json(),
-        bbox=list(bounds),
-        shape=[window.height, window.width],
-        transform=[universal.cell_m, 0.0, bounds.west_m, 0.0, -universal.cell_m, bounds.north_m],
-    )
+    _place(item, universal, bounds)
     item.add_asset(
         "map",
         pystac.Asset(
@@ -209,6 +202,21 @@ def _item(universal: MapFile, block: FarmBlock, id_: str, folder: Path) -> Any:
         ),
     )
     return item
+
+
+def _place(item: Any, universal: MapFile, bounds: Bounds) -> None:
+    """Say where the cells of an item or of an asset lie."""
+    from pystac.extensions.projection import ProjectionExtension
+
+    cell_m, window = universal.cell_m, Lattice(universal.cell_m).window(bounds)
+    ProjectionExtension.ext(item, add_if_missing=True).apply(
+        code=None,
+        wkt2=universal.datum.crs_wkt("WKT2_2019"),
+        projjson=universal.datum.crs_json(),
+        bbox=list(bounds),
+        shape=[window.height, window.width],
+        transform=[cell_m, 0.0, bounds.west_m, 0.0, -cell_m, bounds.north_m],
+    )
 
 
 def _footprint(universal: MapFile) -> Any:
