@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +15,6 @@ from fieldgrid.maps.farm.maps import Maps
 from fieldgrid.maps.file.arrays import Array
 from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.file.records import FrameRecord
-from fieldgrid.maps.transfer import check_cell_sizes
-from fieldgrid.maps.views.provenance import Provenance, trace
 
 
 class FarmDrives:
@@ -72,13 +69,9 @@ class FarmDrives:
         with self._maps.reading(part.block) as opened:
             return opened.universal.session_inputs(part.names[session])
 
-    def query(self, east_m: float, north_m: float, cell_m: float | None = None) -> Provenance:
-        """As `MapFile.query`: which frames of which sessions observed the cell at a point."""
-        if not (math.isfinite(east_m) and math.isfinite(north_m)):
-            raise ConfigError(f"A point at {east_m}, {north_m} is nowhere; give metres.")
-        lattice = self._header.lattice_of(cell_m)
-        half_m = lattice.cell_m
-        near = Bounds(east_m - half_m, north_m - half_m, east_m + half_m, north_m + half_m)
+    @contextmanager
+    def frames_near(self, near: Bounds) -> Iterator[list[FrameRecord]]:
+        """As `MapFile.frames_near`."""
         frames: list[FrameRecord] = []
         with ExitStack() as open_maps:  # the grids are read while it lasts
             for part in self._parts:
@@ -87,10 +80,7 @@ class FarmDrives:
                     evidence = part.content(opened.content).evidence
                     found = evidence.accepted(near, tuple(part.names.values()), None)
                     frames += _renamed(part, found)
-            for frame in frames:
-                check_cell_sizes(lattice.cell_m, frame.spec.cell_m)
-            frames.sort(key=lambda one: (one.pose.time_ns, one.session, one.frame_id))
-            return trace(east_m, north_m, lattice, self._header.transfer, frames)
+            yield sorted(frames, key=lambda one: (one.pose.time_ns, one.session, one.frame_id))
 
 
 def _renamed(part: FarmPart, frames: Iterable[FrameRecord]) -> Iterator[FrameRecord]:

@@ -17,12 +17,11 @@ from fieldgrid.maps.farm.content import FarmContent, FarmPart, moved_bounds
 from fieldgrid.maps.farm.drives import FarmDrives
 from fieldgrid.maps.farm.maps import Maps
 from fieldgrid.maps.file.header import MapHeader
-from fieldgrid.maps.file.history import during
 from fieldgrid.maps.file.map_file import MapFile
 from fieldgrid.maps.file.records import SessionInfo
 from fieldgrid.maps.layers.registry import ALL_LAYERS, kept_groups
 from fieldgrid.maps.vector.marks import Mark
-from fieldgrid.maps.views.readable import Readable
+from fieldgrid.maps.views.readable import DrivenMap
 from fieldgrid.maps.views.view import DECISION_LAYERS, DROP_LAYERS
 from fieldgrid.maps.writing.merge import free_name, marks_together
 from fieldgrid.maps.writing.redatum import Redatum
@@ -42,7 +41,7 @@ class RebasedMap(NamedTuple):
     height_error_m: float
 
 
-class Farm(Readable, FarmDrives, Closing):
+class Farm(FarmDrives, DrivenMap, Closing):
     """The maps of a folder. Use it with `with`, or close it; one thread at a time.
 
     `blocks` lists them, those that cannot be read included. `read`, `read_blocks` and
@@ -115,15 +114,6 @@ class Farm(Readable, FarmDrives, Closing):
         for part in self._parts:
             own = {info.name: info for info in part.block.sessions}
             found += [replace(own[was], name=name) for name, was in part.names.items()]
-        return found
-
-    def sessions_at(self, at: str | int) -> list[str]:
-        """As `MapFile.sessions_at`."""
-        found = [info.name for info in during(at, self.sessions(), self.path)]
-        if not found:
-            raise ConfigError(
-                f"{self.path} has no session at {at}; `fieldgrid farm` lists the dates of its maps."
-            )
         return found
 
     def map_of(self, session: str) -> FarmBlock:

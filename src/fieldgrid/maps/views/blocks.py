@@ -6,7 +6,7 @@ The blocks have the bits of `MapFile.read`, and are of one state of the map.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from itertools import chain
+from contextlib import closing, contextmanager
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -61,14 +61,16 @@ def _arrived(content: Content, request: Request) -> _BlockReader:
     return _BlockReader(content, request._replace(jobs=1))
 
 
+@contextmanager
 def blocks_of(
     content: Content, request: Request, run: Runner, smallest_px: int | None = None
-) -> MapBlocks:
+) -> Iterator[MapBlocks]:
     """The view that is asked for in blocks; ConfigError when it has too many cells.
 
-    Threads of this process work on one block after the other, those of the request; a cluster
-    reads some blocks at a time. With `smallest_px` there are overviews, until the longer side of
-    one has at most so many cells, and the window is grown to whole cells of the last one.
+    Threads of this process work on one block after the other, those of the request, and none any
+    more when the context is left; a cluster reads some blocks at a time. With `smallest_px` there
+    are overviews, until the longer side of one has at most so many cells, and the window is grown
+    to whole cells of the last one.
     """
     if smallest_px is not None:
         request = with_levels(request, content.header.lattice, smallest_px)
@@ -78,14 +80,11 @@ def blocks_of(
             f"{window.width:.6g} x {window.height:.6g} cells of {request.lattice.cell_m} m are "
             f"over {MAX_CELLS / 1e9:.0f} thousand million; give smaller bounds or a larger cell."
         )
-    views = run.in_order(_BlockReader(content, request), windows(window), most=_MOST)
+    blocks = run.in_order(_BlockReader(content, request), windows(window), most=_MOST)
     larger = [request.at_level(level) for level in range(1, request.levels + 1)]
-    return MapBlocks(
-        request.lattice,
-        window,
-        chain.from_iterable(views),
-        {one.lattice: one.window for one in larger},
-    )
+    levels = {one.lattice: one.window for one in larger}
+    with closing(view for block in blocks for view in block) as views:
+        yield MapBlocks(request.lattice, window, views, levels)
 
 
 def windows(whole: Window) -> list[Window]:

@@ -15,7 +15,7 @@ from fieldgrid.core import ConfigError, in_order
 from fieldgrid.geometry import Lattice, Window, tile_window
 from fieldgrid.maps.file.evidence import EvidenceTables
 from fieldgrid.maps.file.header import MapHeader
-from fieldgrid.maps.file.history import during, until
+from fieldgrid.maps.file.history import until
 from fieldgrid.maps.file.records import FrameRecord
 from fieldgrid.maps.layers.blocks import whole_blocks
 from fieldgrid.maps.layers.declaration import Cells, ChannelGroup
@@ -231,17 +231,6 @@ def _stored(header: MapHeader, request: Request, groups: tuple[ChannelGroup, ...
     by_own_rule = request.transfer is header.transfer and request.frame_filter is None
     wanted = {group.name for group in groups if not group.derived}
     return by_own_rule and wanted <= set(header.groups)
-
-
-def sessions_at(evidence: EvidenceTables, at: str | int, path: Path) -> tuple[str, ...]:
-    """The active sessions as of a moment, or of `FROM..TO`; ConfigError when there are none."""
-    found = tuple(info.name for info in during(at, evidence.sessions(), path))
-    if not found:
-        when = f"in {at}" if ".." in str(at) else f"up to {at}"
-        raise ConfigError(
-            f"{path} has no session {when}; `fieldgrid sessions` lists the dates of its drives."
-        )
-    return found
 
 
 def _check_cells(lattice: Lattice, frames: list[FrameRecord]) -> None:

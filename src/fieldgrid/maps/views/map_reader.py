@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sqlite3
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
@@ -22,14 +21,13 @@ from fieldgrid.maps.file.metadata import SessionMetadata, find
 from fieldgrid.maps.file.records import FrameRecord, SessionInfo, frame_record
 from fieldgrid.maps.file.root import read_root
 from fieldgrid.maps.health.verification import HealthReport, verify
-from fieldgrid.maps.transfer import Averaging, Transfer, check_cell_sizes
+from fieldgrid.maps.transfer import Averaging, Transfer
 from fieldgrid.maps.vector.marks import Mark, read_marks
 from fieldgrid.maps.vector.stored_features import StoredFeatures, read_stored_features
 from fieldgrid.maps.views.change import ChangeView
-from fieldgrid.maps.views.content import MapContent, read_change, sessions_at
-from fieldgrid.maps.views.provenance import Provenance, trace
+from fieldgrid.maps.views.content import MapContent, read_change
 from fieldgrid.maps.views.read import read_views
-from fieldgrid.maps.views.readable import Readable, Selection
+from fieldgrid.maps.views.readable import DrivenMap, Selection
 from fieldgrid.maps.views.view import DECISION_LAYERS, DROP_LAYERS, MapView
 from fieldgrid.maps.writing.transform import Transform
 
@@ -37,7 +35,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 
-class MapReader(Readable):
+class MapReader(DrivenMap):
     """The part of `MapFile` that reads."""
 
     def __init__(self, path: Path, connection: sqlite3.Connection, header: MapHeader) -> None:
@@ -150,15 +148,6 @@ class MapReader(Readable):
         with runner(jobs, scheduler) as run, reading(self._connection, self.path):
             return verify(self._connection, self.path, self._header, run, deep=deep)
 
-    def sessions_at(self, at: str | int) -> list[str]:
-        """The names of the active sessions as of a moment, in the order of their drives.
-
-        `at` is a session, a date or time as in ISO 8601 (UTC), or UTC in nanoseconds; `FROM..TO`,
-        each a session or date or empty, is the drives of a season alone.
-        """
-        with reading(self._connection, self.path):
-            return list(sessions_at(self._evidence, at, self.path))
-
     def check_sessions(self, names: Collection[str]) -> None:
         """Raise ConfigError unless all these are names of active sessions."""
         with reading(self._connection, self.path):
@@ -269,18 +258,11 @@ class MapReader(Readable):
             request = Selection(bounds, cell_m).request(self, content)
             return read_change(content, request, (from_, to), self.path)
 
-    def query(self, east_m: float, north_m: float, cell_m: float | None = None) -> Provenance:
-        """Which sessions and frames observed the cell at a point, and what each said of it."""
-        if not (math.isfinite(east_m) and math.isfinite(north_m)):
-            raise ConfigError(f"A point at {east_m}, {north_m} is nowhere; give metres.")
-        lattice = self._header.lattice_of(cell_m)
-        half_m = lattice.cell_m
-        near = Bounds(east_m - half_m, north_m - half_m, east_m + half_m, north_m + half_m)
+    @contextmanager
+    def frames_near(self, near: Bounds) -> Iterator[list[FrameRecord]]:
+        """The accepted frames that may reach into bounds, in time order, with their grids."""
         with reading(self._connection, self.path):
-            frames = self._evidence.accepted(near, None, None)
-            for frame in frames:
-                check_cell_sizes(lattice.cell_m, frame.spec.cell_m)
-            return trace(east_m, north_m, lattice, self.transfer, frames)
+            yield self._evidence.accepted(near, None, None)
 
     def _channels(self, row: tuple[Any, ...]) -> Callable[[], tuple[EncodedChannel, ...]]:
         with reading(self._connection, self.path):

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from fieldgrid.core import ConfigError, runner
 from fieldgrid.geometry import Bounds, Datum, Lattice, Trajectory
 from fieldgrid.maps.file.arrays import Array
-from fieldgrid.maps.file.history import in_drive_order
+from fieldgrid.maps.file.history import during, in_drive_order
 from fieldgrid.maps.file.records import FrameRecord, SessionInfo
 from fieldgrid.maps.layers.registry import check_layers
+from fieldgrid.maps.transfer import check_cell_sizes
 from fieldgrid.maps.vector.marks import Mark
 from fieldgrid.maps.views.blocks import MapBlocks, blocks_of
-from fieldgrid.maps.views.provenance import Provenance
+from fieldgrid.maps.views.provenance import Provenance, trace
 from fieldgrid.maps.views.read import Content, Request, read_views
 from fieldgrid.maps.views.view import MapView
 
@@ -25,6 +28,8 @@ if TYPE_CHECKING:
 
 class Readable(Protocol):
     """Reads cells: what `Costmap` and the exports of cells need of a map, or of several as one."""
+
+    path: Path
 
     @property
     def datum(self) -> Datum:
@@ -42,7 +47,19 @@ class Readable(Protocol):
         """The sessions, each of a name of its own."""
 
     def sessions_at(self, at: str | int) -> list[str]:
-        """The names of the active sessions as of a moment, in the order of their drives."""
+        """The names of the active sessions as of a moment, in the order of their drives.
+
+        `at` is a session, a date or time as in ISO 8601 (UTC), or UTC in nanoseconds; `FROM..TO`,
+        each a session or date or empty, is the drives of a season alone. ConfigError for none.
+        """
+        found = [info.name for info in during(at, self.sessions(), self.path)]
+        if not found:
+            when = f"in {at}" if ".." in str(at) else f"up to {at}"
+            raise ConfigError(
+                f"{self.path} has no session {when}; `fieldgrid sessions`, or of a folder "
+                "`fieldgrid farm`, lists the dates of its drives."
+            )
+        return found
 
     def check_sessions(self, names: Collection[str]) -> None:
         """Raise ConfigError unless all these are names of active sessions."""
@@ -137,7 +154,9 @@ class Selection:
         in `view`. With `smallest_px` it has overviews, until the longer side of one has at most so
         many cells."""
         with runner(1, self.scheduler) as run, universal.content() as content:
-            yield blocks_of(content, self.request(universal, content, layers), run, smallest_px)
+            request = self.request(universal, content, layers)
+            with blocks_of(content, request, run, smallest_px) as blocks:
+                yield blocks
 
     def request(
         self, universal: Readable, content: Content, layers: Collection[str] = ()
@@ -189,5 +208,18 @@ class DrivenMap(Readable, Protocol):
     def session_inputs(self, session: str) -> dict[str, Array]:
         """The arrays that were given with a session."""
 
+    def frames_near(self, near: Bounds) -> AbstractContextManager[list[FrameRecord]]:
+        """The accepted frames that may reach into bounds, in time order, with their grids."""
+
     def query(self, east_m: float, north_m: float, cell_m: float | None = None) -> Provenance:
-        """Which frames observed the cell at a point."""
+        """Which sessions and frames observed the cell at a point, and what each said of it."""
+        if not (math.isfinite(east_m) and math.isfinite(north_m)):
+            raise ConfigError(f"A point at {east_m}, {north_m} is nowhere; give metres.")
+        with self.content() as content:
+            lattice, transfer = content.header.lattice_of(cell_m), content.header.transfer
+        half_m = lattice.cell_m
+        near = Bounds(east_m - half_m, north_m - half_m, east_m + half_m, north_m + half_m)
+        with self.frames_near(near) as frames:
+            for frame in frames:
+                check_cell_sizes(lattice.cell_m, frame.spec.cell_m)
+            return trace(east_m, north_m, lattice, transfer, frames)
