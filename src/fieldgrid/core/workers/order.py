@@ -50,9 +50,11 @@ class Threads:
     ) -> Iterator[_Result]:
         """The results of work on items, in their order, few more than the threads at a time. One
         thread works while the caller does only where results are large, and so `most` is given."""
-        if self.here < 2 and most is None:
-            return map(work, items)
-        return by_threads(work, items, self.here, self.here)
+        return (
+            map(work, items)
+            if self.here < 2 and most is None
+            else by_threads(work, items, self.here, self.here)
+        )
 
 
 def by_threads(
