@@ -168,7 +168,7 @@ def test_only_a_zarr_store_is_overwritten(universal: MapFile, tmp_path: Path) ->
 
 @pytest.mark.parametrize("name", ["map.npz", "map.zarr"])
 def test_an_unknown_layer(universal: MapFile, tmp_path: Path, name: str) -> None:
-    with pytest.raises(ConfigError, match="'heigth' is no layer"):
+    with pytest.raises(ConfigError, match="There is no layer 'heigth'"):
         export_map(universal, tmp_path / name, Selection(layer="heigth"))
     assert list(tmp_path.iterdir()) == []
 
