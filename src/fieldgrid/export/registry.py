@@ -21,7 +21,6 @@ import importlib
 import re
 from collections.abc import Mapping
 from enum import StrEnum
-from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
@@ -143,17 +142,12 @@ def unregister_export_format(name: str) -> None:
 
 def formats() -> Mapping[str, ExportFormat]:
     """All formats by their names: those of fieldgrid, then those of other packages."""
-    _load()
+    for module in _BUILT_IN:
+        importlib.import_module(f"fieldgrid.export.{module}")
     load(Group.EXPORT_FORMATS)
     order = {f"fieldgrid.export.{module}": k for k, module in enumerate(_BUILT_IN)}
     found = sorted(_formats.values(), key=lambda one: order.get(one.write.__module__, len(order)))
     return {one.name: one for one in found}
-
-
-@cache
-def _load() -> None:
-    for module in _BUILT_IN:
-        importlib.import_module(f"fieldgrid.export.{module}")
 
 
 def format_of(path: Path, name: str | None = None) -> ExportFormat:

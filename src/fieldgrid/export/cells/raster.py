@@ -22,7 +22,7 @@ from fieldgrid.export.georeference import extent
 from fieldgrid.export.plane import PixelPlane, warped
 from fieldgrid.export.registry import require
 from fieldgrid.geometry import Bounds, Datum, Lattice, Window, check_area_of_use
-from fieldgrid.maps import LAYERS, MapView, Readable, Selection
+from fieldgrid.maps import LAYERS, Readable, Selection
 
 BLOCK_PX = 512
 _TAG = b"FIELDGRID_DATUM_LAT_DEG"
@@ -45,11 +45,6 @@ class BandLayout(NamedTuple):
     dtype: str
     alpha: bool
     nodata: float | None
-
-    def bands(self, view: MapView, layer: str) -> tuple[AnyArray, ...]:
-        """The bands of a view, its rows in their order."""
-        values = view.layer(layer)
-        return (values, view.observed * np.uint8(255)) if self.alpha else (values,)
 
 
 class Raster(NamedTuple):
@@ -116,17 +111,19 @@ def painted(
             if check is not None:
                 check(other or plane)
             windows, files, datasets = {blocks.lattice: whole, **blocks.levels}, [], {}
-            for level, (lattice, window) in enumerate(windows.items()):
+            for level, lattice in enumerate(windows):
                 files.append(scratch.file(f"level{level}"))
                 datasets[lattice] = opened.enter_context(
-                    creating(files[-1], plane_of(datum, lattice, window), layout, tags)
+                    creating(files[-1], _reduced(plane, 1 << level), layout, tags)
                 )
             for view in blocks.views:
                 window, part = windows[view.lattice], view.window
                 from_north = (window.j0 + window.height) - (part.j0 + part.height)
                 place = Pixels(part.i0 - window.i0, from_north, part.width, part.height)
-                for number, band in enumerate(layout.bands(view, selection.layer), 1):
-                    datasets[view.lattice].write(band[::-1], number, window=place)
+                dataset = datasets[view.lattice]
+                dataset.write(view.layer(selection.layer)[::-1], 1, window=place)
+                if layout.alpha:
+                    dataset.write(view.observed[::-1] * np.uint8(255), 2, window=place)
         if other is not None:
             plane = other
             for level, source in enumerate(files):
