@@ -54,15 +54,6 @@ class Whole(NamedTuple):
         return self.window.width * self.window.height > MESSAGE_CELLS
 
 
-def whole_of(universal: Readable, selection: Selection) -> Whole:
-    """The cells of a selection. ConfigError for bounds outside the map."""
-    area = selection.bounds or universal.bounds
-    cell_m = selection.cell_m
-    own = Lattice(universal.cell_m)
-    lattice = own if cell_m is None or abs(cell_m / own.cell_m - 1.0) < 1e-9 else Lattice(cell_m)
-    return Whole(lattice, lattice.window(area))
-
-
 def cut(universal: Readable, selection: Selection, whole: Whole, side: int) -> Iterator[Tile]:
     """The tiles, `side` cells wide, in which anything was observed or marked, from the south."""
     lattice, window = whole

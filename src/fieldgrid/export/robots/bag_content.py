@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from fieldgrid.core import Bool, CalibrationError, ConfigError, Float64, Int64, MapError
-from fieldgrid.export.cells.tiles import Tile, Whole, cut, whole_of
+from fieldgrid.export.cells.tiles import Tile, Whole, cut
 from fieldgrid.export.georeference import extent, georeference
 from fieldgrid.export.robots import ros_messages
 from fieldgrid.export.shapes.features import trajectories
@@ -58,7 +58,7 @@ class BagContent(NamedTuple):
     @classmethod
     def of(cls, universal: MapFile, selection: Selection, curve: CostCurve) -> Self:
         """What a selection comes to. ConfigError for times that no message can hold."""
-        whole = whole_of(universal, selection)
+        whole = Whole(*selection.cells(universal))
         cells = whole.window.width * whole.window.height
         tiles = cut(universal, selection, whole, TILE_CELLS) if cells > GRID_MAP_CELLS else ()
         tracks = trajectories(universal, selection)

@@ -26,7 +26,7 @@ from fieldgrid.core import (
     replacing_folder,
     setting,
 )
-from fieldgrid.export.cells.tiles import Whole, cut, whole_of
+from fieldgrid.export.cells.tiles import Whole, cut
 from fieldgrid.export.georeference import extent, georeference
 from fieldgrid.export.registry import Exported, ExportFormat, Holds, register_export_format
 from fieldgrid.export.robots.speed import SpeedOptions, filter_parameters, speed_mask
@@ -109,7 +109,7 @@ def export_nav2(
     if path.suffix.lower() not in _ENDINGS:
         raise ConfigError(f"{path.name} does not end in .yaml, as a Nav2 map's name does.")
     options.picture(), options.curve()
-    whole = whole_of(universal, selection)
+    whole = Whole(*selection.cells(universal))
     if whole.is_large and options.slow_percent is not None:
         raise ConfigError(
             f"{whole.window.width} x {whole.window.height} cells are too large for one Nav2 map, "

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import cached_property, reduce
 from pathlib import Path
 from typing import NamedTuple
 
 from fieldgrid.core import Closing, ConfigError, DatumError, MapError
-from fieldgrid.geometry import MAX_DISTANCE_M, Bounds, Datum
+from fieldgrid.geometry import MAX_DISTANCE_M, Bounds, Datum, Trajectory
 from fieldgrid.maps.farm.catalogue import FarmBlock, find_blocks
 from fieldgrid.maps.farm.content import FarmContent, FarmPart, moved_bounds
-from fieldgrid.maps.farm.drives import FarmDrives
 from fieldgrid.maps.farm.maps import Maps
+from fieldgrid.maps.file.arrays import Array
 from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.file.map_file import MapFile
-from fieldgrid.maps.file.records import SessionInfo
+from fieldgrid.maps.file.records import FrameRecord, SessionInfo
 from fieldgrid.maps.layers.registry import ALL_LAYERS, kept_groups
 from fieldgrid.maps.vector.marks import Mark
 from fieldgrid.maps.views.readable import DrivenMap
@@ -41,7 +41,7 @@ class RebasedMap(NamedTuple):
     height_error_m: float
 
 
-class Farm(FarmDrives, DrivenMap, Closing):
+class Farm(DrivenMap, Closing):
     """The maps of a folder. Use it with `with`, or close it; one thread at a time.
 
     `blocks` lists them, those that cannot be read included. `read`, `read_blocks` and
@@ -147,6 +147,55 @@ class Farm(FarmDrives, DrivenMap, Closing):
         """As `MapFile.content`, but that each map is held in its state only while it is read."""
         yield FarmContent(self._maps, self._parts, self._header, self._marks)
 
+    def _part_of(self, session: str) -> FarmPart:
+        """The map that has a session; ConfigError for a name that no session has."""
+        found = next((part for part in self._parts if session in part.names), None)
+        if found is None:
+            raise ConfigError(
+                f"{self.path} has no session {session!r}; `fieldgrid farm` lists the drives of "
+                "its maps."
+            )
+        return found
+
+    def trajectory(self, session: str) -> Trajectory:
+        """The trajectory of a session as it is placed; MapError where none was stored."""
+        part = self._part_of(session)
+        with self._maps.reading(part.block) as opened:
+            track = opened.universal.trajectory(part.names[session])
+        return track if part.moved is None else part.moved.trajectory(track)
+
+    def frames(self, session: str) -> Iterator[FrameRecord]:
+        """The frames of a session, rejected ones included, in time order, without their grids."""
+        part = self._part_of(session)
+        with self._maps.reading(part.block) as opened:
+            found = list(opened.universal.frames(part.names[session]))
+        moved = part.moved
+        if moved is not None:
+            found = [
+                replace(one, pose=moved.pose(one.pose), driven=moved.pose(one.driven))
+                for one in found
+            ]
+        return _renamed(part, found)
+
+    def session_inputs(self, session: str) -> dict[str, Array]:
+        """As `MapFile.session_inputs`."""
+        part = self._part_of(session)
+        with self._maps.reading(part.block) as opened:
+            return opened.universal.session_inputs(part.names[session])
+
+    @contextmanager
+    def frames_near(self, near: Bounds) -> Iterator[list[FrameRecord]]:
+        """As `MapFile.frames_near`."""
+        frames: list[FrameRecord] = []
+        with ExitStack() as open_maps:  # the grids are read while it lasts
+            for part in self._parts:
+                if part.names and part.bounds.overlaps(near):
+                    opened = open_maps.enter_context(self._maps.reading(part.block))
+                    evidence = part.content(opened.content).evidence
+                    found = evidence.accepted(near, tuple(part.names.values()), None)
+                    frames += _renamed(part, found)
+            yield sorted(frames, key=lambda one: (one.pose.time_ns, one.session, one.frame_id))
+
     @cached_property
     def _usable(self) -> list[tuple[FarmBlock, MapHeader, Bounds]]:
         """The maps that can be read and have seen anything; MapError when there is none."""
@@ -233,3 +282,9 @@ class Farm(FarmDrives, DrivenMap, Closing):
 
         found = marks_together(maps(), self.datum)
         return tuple(mark._replace(id=number) for number, mark in enumerate(found, 1))
+
+
+def _renamed(part: FarmPart, frames: Iterable[FrameRecord]) -> Iterator[FrameRecord]:
+    """Frames of a map with the names that its sessions have in the farm."""
+    names = {own: name for name, own in part.names.items()}
+    return (replace(one, session=names[one.session]) for one in frames)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from fieldgrid.core import ConfigError, runner
-from fieldgrid.geometry import Bounds, Datum, Lattice, Trajectory
+from fieldgrid.geometry import Bounds, Datum, Lattice, Trajectory, Window
 from fieldgrid.maps.file.arrays import Array
 from fieldgrid.maps.file.history import during, in_drive_order
 from fieldgrid.maps.file.records import FrameRecord, SessionInfo
@@ -162,7 +162,7 @@ class Selection:
         self, universal: Readable, content: Content, layers: Collection[str] = ()
     ) -> Request:
         """What it asks of the content of a map."""
-        lattice = content.header.lattice_of(self.cell_m)
+        lattice, window = self.cells(universal)
         sessions = None
         if self.at is not None or self.sessions is not None:
             chosen = self.names(universal)
@@ -170,7 +170,7 @@ class Selection:
                 sessions = tuple(chosen)
         return Request(
             lattice,
-            lattice.window(self.bounds or universal.bounds),
+            window,
             content.header.transfer,
             sessions=sessions,
             layers=tuple(dict.fromkeys((self.layer, *self.beside, *layers))),
@@ -188,12 +188,18 @@ class Selection:
         universal.check_sessions(self.sessions)
         return [name for name in names if name in set(self.sessions)]
 
+    def cells(self, universal: Readable) -> tuple[Lattice, Window]:
+        """The lattice of its cells, and which of them it covers."""
+        with universal.content() as content:
+            lattice = content.header.lattice_of(self.cell_m)
+        return lattice, lattice.window(self.bounds or universal.bounds)
+
     def area(self, universal: Readable) -> Bounds | None:
         """The ground that its cells cover, None for all that there is."""
         if self.bounds is None:
             return None
-        lattice = Lattice(universal.cell_m if self.cell_m is None else self.cell_m)
-        return lattice.bounds(lattice.window(self.bounds))
+        lattice, window = self.cells(universal)
+        return lattice.bounds(window)
 
 
 class DrivenMap(Readable, Protocol):
