@@ -54,11 +54,11 @@ def _search_rows(  # type: ignore[no-untyped-def]
     for k in range(len(points_px)):
         least, most = least_half, most_half
         for fine in range(2):
-            images = (left, right) if fine else (left_half, right_half)
+            one, other = (left, right) if fine else (left_half, right_half)
             reach = FINE_PX if fine else COARSE_PX
             x, y = points_px[k, 0] / (2 - fine), points_px[k, 1] / (2 - fine)
             least, n = _correlate(
-                *images, int(x + 0.5), int(y + 0.5), least, most, reach,
+                one, other, int(x + 0.5), int(y + 0.5), least, most, reach,
                 scores, pixels, sums, squares, products,
             )  # fmt: skip
             best = 0

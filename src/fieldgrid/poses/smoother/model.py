@@ -64,6 +64,19 @@ LOST_M = 1e4
 NO_BIAS_M = 1e-4
 """The least sigma of a slow error, so that a receiver without one can be solved."""
 
+_DRIFTS = [[state, STATES + state] for state in (BIAS_E, BIAS_N, GYRO, V, KAPPA)]
+_MOVE = [E, N, STATES + E, STATES + N, PHI, STATES + PHI, V, STATES + V]
+_TURN = [PHI, STATES + PHI, V, STATES + V, KAPPA, STATES + KAPPA]
+_LAWS = [*_DRIFTS[:3], [PHI, STATES + PHI, GYRO], _MOVE, _MOVE, _TURN, *_DRIFTS[3:]]
+LAWS, FIRST_SEEN = len(_LAWS), 4
+"""How many laws there are between a node and the next, and the first that a hole has not: slow
+errors and the gyro's bias drift, the gyro turns; moving along, across and turning; speed and
+curvature drift."""
+
+LAW_SIZES = np.array([len(law) for law in _LAWS])
+LAW_STATES = np.array([[*law, *[0] * (STATES - len(law))] for law in _LAWS])
+"""Which states of the two nodes each is of."""
+
 
 @part_of_kernel
 def _add_residual(system, index, slope, residual, weight):  # type: ignore[no-untyped-def]
@@ -111,9 +124,6 @@ def add_motion(system, x, step_s, kept, steering, bias_m, bias_s, turned, seen, 
         side[a] = 0.0
         for b in range(2 * STATES):
             pair[a, b] = 0.0
-    # Of literals Numba would compile a function anew for each.
-    gyro_bias, speed, curvature = np.int64(GYRO), np.int64(V), np.int64(KAPPA)
-    _add_start(pair, side, x, np.int64(0), np.int64(0))
     total = system[6]
     for state in (BIAS_E, BIAS_N):
         weight = 1.0 / max(bias_m[0], NO_BIAS_M) ** 2
@@ -123,36 +133,54 @@ def add_motion(system, x, step_s, kept, steering, bias_m, bias_s, turned, seen, 
         total[1] += np.log(weight)
     pair[GYRO, GYRO] += 1.0 / GYRO_BIAS_SIGMA**2
     side[GYRO] -= x[0, GYRO] / GYRO_BIAS_SIGMA**2
-    index, slope = np.empty(3, np.int64), np.empty(3)
-    for k in range(len(step_s)):
-        h = step_s[k]
-        one, two = max(bias_m[k], NO_BIAS_M), max(bias_m[k + 1], NO_BIAS_M)
-        # Of a growing slow error a new part joins, of a shrinking one a part leaves: the same is
-        # said forward and backward in time, and at each node it has the sigma that is stated there.
-        correlation = np.exp(-h / bias_s[k]) * min(one, two) / max(one, two)
-        fading, variance = correlation * two / one, two**2 * (1.0 - correlation**2)
-        for state in (BIAS_E, BIAS_N):
-            total[0] += _add_drift(pair, side, x, k, state, fading, variance)
-        total[1] -= 2.0 * np.log(variance)
-        total[0] += _add_drift(pair, side, x, k, gyro_bias, 1.0, GYRO_BIAS_NOISE**2 * h)
-        gyro = not np.isnan(turned[k])
-        if gyro:
-            index[0], index[1], index[2] = PHI, STATES + PHI, GYRO
-            slope[0], slope[1], slope[2] = -1.0, 1.0, h
-            off = x[k + 1, PHI] - x[k, PHI] - (turned[k] - x[k, GYRO] * h)
-            total[0] += _add_to_pair(pair, side, index, slope, off, 1.0 / (GYRO_NOISE**2 * h))
-        if seen[k]:
-            turn_noise = FREE_TURN_NOISE if gyro else TURN_NOISE
-            if standing[k] and standing[k + 1]:
-                turn_noise = STANDING_TURN_NOISE
-            total[0] += _add_kinematics(pair, side, x, k, h, turn_noise)
-            total[0] += _add_drift(pair, side, x, k, speed, 1.0, ACCELERATION_NOISE**2 * h)
-            total[0] += _add_drift(pair, side, x, k, curvature, kept[k], steering[k])
-            total[1] -= np.log(steering[k])
-        else:
-            _add_start(pair, side, x, k + 1, np.int64(STATES))
+    slope, off, variance = np.empty((LAWS, STATES)), np.empty(LAWS), np.empty(LAWS)
+    for law in range(LAWS):
+        slope[law, 1] = 1.0  # of a drift, and of the gyro
+    for k in range(len(x)):
+        if k == 0 or not seen[k - 1]:
+            _add_start(pair, side, x, k)
+        if k + 1 < len(x):
+            h = step_s[k]
+            one, two = max(bias_m[k], NO_BIAS_M), max(bias_m[k + 1], NO_BIAS_M)
+            # Of a growing slow error a new part joins, of a shrinking one a part leaves: the same
+            # is said forward and backward in time, and at each node it has the stated sigma.
+            correlation = np.exp(-h / bias_s[k]) * min(one, two) / max(one, two)
+            slope[0, 0] = slope[1, 0] = -correlation * two / one
+            variance[0] = variance[1] = two**2 * (1.0 - correlation**2)
+            total[1] -= 2.0 * np.log(variance[0])
+            slope[2, 0], variance[2] = -1.0, GYRO_BIAS_NOISE**2 * h
+            gyro = not np.isnan(turned[k])
+            slope[3, 0], slope[3, 2], variance[3] = -1.0, h, GYRO_NOISE**2 * h
+            off[3] = x[k + 1, PHI] - x[k, PHI] - (turned[k] - x[k, GYRO] * h)
+            if seen[k]:
+                turn_noise = FREE_TURN_NOISE if gyro else TURN_NOISE
+                if standing[k] and standing[k + 1]:
+                    turn_noise = STANDING_TURN_NOISE
+                _move(x, k, h, slope, off, variance)
+                variance[6] = turn_noise**2 * h
+                slope[7, 0], variance[7] = -1.0, ACCELERATION_NOISE**2 * h
+                slope[8, 0], variance[8] = -kept[k], steering[k]
+                total[1] -= np.log(steering[k])
+            squared = 0.0
+            for law in range(LAWS if seen[k] else FIRST_SEEN):
+                if law == 3 and not gyro:
+                    continue
+                if law < 3 or law > 6:
+                    state = LAW_STATES[law, 0]
+                    off[law] = x[k + 1, state] + slope[law, 0] * x[k, state]
+                weight = 1.0 / variance[law]
+                for a in range(LAW_SIZES[law]):
+                    i, scaled = LAW_STATES[law, a], weight * slope[law, a]
+                    side[i] -= scaled * off[law]
+                    for b in range(LAW_SIZES[law]):
+                        j = LAW_STATES[law, b]
+                        if j <= i:
+                            pair[i, j] += scaled * slope[law, b]
+                squared += weight * off[law] * off[law]
+                if law < 4 or law > 5:  # moving along, across and turning is one law
+                    total[0] += squared
+                    squared = 0.0
         _put_node(system, pair, side, k)
-    _put_node(system, pair, side, len(step_s))
 
 
 @part_of_kernel
@@ -182,69 +210,37 @@ def _put_node(system, pair, side, k):  # type: ignore[no-untyped-def]
 
 
 @part_of_kernel
-def _add_to_pair(pair, side, index, slope, residual, weight):  # type: ignore[no-untyped-def]
-    for a in range(len(index)):
-        scaled = weight * slope[a]
-        side[index[a]] -= scaled * residual
-        for b in range(len(index)):
-            if index[b] <= index[a]:
-                pair[index[a], index[b]] += scaled * slope[b]
-    return weight * residual * residual
-
-
-@part_of_kernel
-def _add_drift(pair, side, x, k, state, fading, variance):  # type: ignore[no-untyped-def]
-    residual = x[k + 1, state] - fading * x[k, state]
-    weight = 1.0 / variance
-    pair[state, state] += weight * fading * fading
-    pair[STATES + state, state] -= weight * fading
-    pair[STATES + state, STATES + state] += weight
-    side[state] += weight * fading * residual
-    side[STATES + state] -= weight * residual
-    return weight * residual * residual
-
-
-@part_of_kernel
-def _add_kinematics(pair, side, x, k, h, turn_noise):  # type: ignore[no-untyped-def]
-    """A vehicle moves along its heading, and turns by its curvature."""
-    index, slope = np.empty(8, np.int64), np.empty(8)
+def _move(x, k, h, slope, off, variance):  # type: ignore[no-untyped-def]
+    """A vehicle moves along its heading, and turns by its curvature: laws 4 to 6."""
     east, north = x[k + 1, E] - x[k, E], x[k + 1, N] - x[k, N]
     middle, speed = (x[k, PHI] + x[k + 1, PHI]) / 2.0, (x[k, V] + x[k + 1, V]) / 2.0
     curvature = (x[k, KAPPA] + x[k + 1, KAPPA]) / 2.0
     sin, cos, distance = np.sin(middle), np.cos(middle), h * speed
     along, across = east * sin + north * cos, east * cos - north * sin
-    index[0], index[1], index[2], index[3] = E, N, STATES + E, STATES + N
-    index[4], index[5], index[6], index[7] = PHI, STATES + PHI, V, STATES + V
-    slope[0], slope[1], slope[2], slope[3] = -sin, -cos, sin, cos
-    slope[4] = slope[5] = across / 2.0
-    slope[6] = slope[7] = -h / 2.0
-    squared = _add_to_pair(pair, side, index, slope, along - distance, 1.0 / (ALONG_NOISE**2 * h))
     # In a turn the tail slides outward: the path points outside of the heading.
     slide = -SLIP_ANGLE * curvature * speed * abs(speed)
-    slope[0], slope[1], slope[2], slope[3] = -cos, sin, cos, -sin
-    slope[4] = slope[5] = -along / 2.0
-    slope[6] = slope[7] = -h / 2.0 * slide
-    squared += _add_to_pair(
-        pair, side, index, slope, across - distance * slide, 1.0 / (ACROSS_NOISE**2 * h)
-    )
-    index, slope = np.empty(6, np.int64), np.empty(6)
-    index[0], index[1], index[2], index[3] = PHI, STATES + PHI, V, STATES + V
-    index[4], index[5] = KAPPA, STATES + KAPPA
-    slope[0], slope[1] = -1.0, 1.0
-    slope[2] = slope[3] = -h / 2.0 * curvature
-    slope[4] = slope[5] = -distance / 2.0
-    turn = x[k + 1, PHI] - x[k, PHI] - distance * curvature
-    return squared + _add_to_pair(pair, side, index, slope, turn, 1.0 / (turn_noise**2 * h))
+    slope[4, 0], slope[4, 1], slope[4, 2], slope[4, 3] = -sin, -cos, sin, cos
+    slope[4, 4] = slope[4, 5] = across / 2.0
+    slope[4, 6] = slope[4, 7] = -h / 2.0
+    off[4], variance[4] = along - distance, ALONG_NOISE**2 * h
+    slope[5, 0], slope[5, 1], slope[5, 2], slope[5, 3] = -cos, sin, cos, -sin
+    slope[5, 4] = slope[5, 5] = -along / 2.0
+    slope[5, 6] = slope[5, 7] = -h / 2.0 * slide
+    off[5], variance[5] = across - distance * slide, ACROSS_NOISE**2 * h
+    slope[6, 0] = -1.0
+    slope[6, 2] = slope[6, 3] = -h / 2.0 * curvature
+    slope[6, 4] = slope[6, 5] = -distance / 2.0
+    off[6] = x[k + 1, PHI] - x[k, PHI] - distance * curvature
 
 
 @part_of_kernel
-def _add_start(pair, side, x, k, at):  # type: ignore[no-untyped-def]
+def _add_start(pair, side, x, k):  # type: ignore[no-untyped-def]
     """What is known of a node with nothing before it: little."""
     for state, sigma in ((E, 1e5), (N, 1e5), (PHI, 10.0), (V, 10.0), (KAPPA, CURVATURE_SIGMA)):
         weight = 1.0 / sigma**2
-        pair[at + state, at + state] += weight
+        pair[state, state] += weight
         if state in (V, KAPPA):
-            side[at + state] -= weight * x[k, state]
+            side[state] -= weight * x[k, state]
 
 
 @kernel
@@ -263,15 +259,15 @@ def add_fixes(system, x, fix_en, weight, lever):  # type: ignore[no-untyped-def]
         sin, cos = np.sin(x[k, PHI]), np.cos(x[k, PHI])
         east = x[k, E] + lever[0] * cos + lever[1] * sin + x[k, BIAS_E] - fix_en[k, 0]
         north = x[k, N] - lever[0] * sin + lever[1] * cos + x[k, BIAS_N] - fix_en[k, 1]
-        ahead, right = east * sin + north * cos, east * cos - north * sin
         index[0], index[1], index[2] = STATES * k + E, STATES * k + N, STATES * k + PHI
         index[3], index[4] = STATES * k + BIAS_E, STATES * k + BIAS_N
-        # The axes are held while the antenna turns about the axle.
-        slope[0], slope[1], slope[2], slope[3], slope[4] = sin, cos, -lever[0], sin, cos
-        _add_residual(system, index, slope, ahead, weight[k, 0])
-        slope[0], slope[1], slope[2], slope[3], slope[4] = cos, -sin, lever[1], cos, -sin
-        _add_residual(system, index, slope, right, weight[k, 1])
-        off[k, 0], off[k, 1] = -ahead, -right
+        for axis in range(2):
+            a, b, turned = (cos, -sin, lever[1]) if axis else (sin, cos, -lever[0])
+            # The axes are held while the antenna turns about the axle.
+            slope[0], slope[1], slope[2], slope[3], slope[4] = a, b, turned, a, b
+            residual = east * a + north * b
+            _add_residual(system, index, slope, residual, weight[k, axis])
+            off[k, axis] = -residual
     return off
 
 
@@ -342,12 +338,10 @@ def add_steps(system, x, scale, ends, moved, weight, ahead_m):  # type: ignore[n
     """
     off = np.empty((len(ends), 3))
     index, slope = np.empty(7, np.int64), np.empty(7)
-    turns, turn_slope = np.empty(2, np.int64), np.empty(2)
-    turn_slope[0], turn_slope[1] = -1.0, 1.0
     index[6] = STATES * len(x) + CAMERA_SCALE
     size = 1.0 + scale
     for s in range(len(ends)):
-        a, b = ends[s]
+        a, b = ends[s, 0], ends[s, 1]
         sin, cos = np.sin(x[a, PHI]), np.cos(x[a, PHI])
         sin_b, cos_b = np.sin(x[b, PHI]), np.cos(x[b, PHI])
         east = x[b, E] - x[a, E] + ahead_m * (sin_b - sin)
@@ -358,17 +352,17 @@ def add_steps(system, x, scale, ends, moved, weight, ahead_m):  # type: ignore[n
         off[s, 2] -= 2.0 * np.pi * np.rint(off[s, 2] / (2.0 * np.pi))
         index[0], index[1], index[2] = STATES * a + E, STATES * a + N, STATES * a + PHI
         index[3], index[4], index[5] = STATES * b + E, STATES * b + N, STATES * b + PHI
-        # The start's own lever turns with it and cancels, but for its place in the frame.
-        slope[0], slope[1], slope[3], slope[4] = -size * sin, -size * cos, size * sin, size * cos
-        slope[2] = size * right
-        slope[5] = size * ahead_m * (cos_b * sin - sin_b * cos)
-        slope[6] = forward
-        _add_residual(system, index, slope, off[s, 0], weight[s, 0])
-        slope[0], slope[1], slope[3], slope[4] = -size * cos, size * sin, size * cos, -size * sin
-        slope[2] = -size * (forward + ahead_m)
-        slope[5] = size * ahead_m * (cos_b * cos + sin_b * sin)
-        slope[6] = right
-        _add_residual(system, index, slope, off[s, 1], weight[s, 0])
-        turns[0], turns[1] = STATES * a + PHI, STATES * b + PHI
-        _add_residual(system, turns, turn_slope, off[s, 2], weight[s, 1])
+        for row in range(3):
+            if row == 0:
+                # The start's own lever turns with it and cancels, but for its place in the frame.
+                along, across, start = size * sin, size * cos, size * right
+                stop, share = size * ahead_m * (cos_b * sin - sin_b * cos), forward
+            elif row == 1:
+                along, across, start = size * cos, -size * sin, -size * (forward + ahead_m)
+                stop, share = size * ahead_m * (cos_b * cos + sin_b * sin), right
+            else:
+                along, across, start, stop, share = 0.0, 0.0, -1.0, 1.0, 0.0
+            slope[0], slope[1], slope[2], slope[3] = -along, -across, start, along
+            slope[4], slope[5], slope[6] = across, stop, share
+            _add_residual(system, index, slope, off[s, row], weight[s, row // 2])
     return off
