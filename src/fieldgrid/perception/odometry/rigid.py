@@ -108,7 +108,10 @@ def refine(
     R, t = motion.R_stop_start.copy(), motion.t_stop_start_m.copy()
     H, squared = np.zeros((6, 6)), np.empty(len(start_m))
     sigma_px = np.array(SIGMA_PX)
-    if not _refine(start_m, start_px, stop_px, blur_px, np.array(lens), sigma_px, R, t, H, squared):
+    if not _refine(
+        start_m, start_px, stop_px, blur_px, np.array(lens), sigma_px, INLIER, ROUNDS, CONVERGED,
+        R, t, H, squared,
+    ):  # fmt: skip
         return None
     H = np.tril(H) + np.tril(H, -1).T
     inliers = squared <= INLIER
@@ -124,10 +127,13 @@ def refine(
 def _search(start, stop, pixels, lens, sigma, R_best, t_best):  # type: ignore[no-untyped-def]
     """Whether a motion was found; the best one is filled in."""
     n = len(start)
-    R, t, r, J = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((3, 6))
-    H, g = np.empty((6, 6)), np.empty(6)
-    axes = np.empty((6, 3))
-    state, drawn = np.uint64(1), np.empty(3, dtype=np.int64)
+    R, t, H, axes = np.empty((3, 3)), np.empty(3), np.empty((6, 6)), np.empty((6, 3))
+    # Three matches, as if their start were exact.
+    drawn, points, seen = np.empty(3, dtype=np.int64), np.empty((3, 3)), np.empty((3, 3))
+    exact, blur, squared = np.empty((3, 3)), np.empty((3, 2)), np.empty(3)
+    for k in range(3):
+        exact[k, 2], blur[k, 0], blur[k, 1] = np.inf, 0.0, 1.0
+    state = np.uint64(1)
     least_cost, enough = SEARCH_CUTOFF * n, float(MOST_TRIES)
     found, tries, draws = False, 0, 0
     while tries < enough and draws < MOST_TRIES * DRAWS_A_TRY:
@@ -140,29 +146,21 @@ def _search(start, stop, pixels, lens, sigma, R_best, t_best):  # type: ignore[n
             continue
         tries += 1
         _align(start, stop, drawn, axes, R, t)
-        solved = True
-        for _ in range(2):  # by the pixels, whose errors are alike in all directions
-            _clear(H, g)
-            for one in drawn:
-                if _linearise(start, pixels, one, R, t, lens, r, J):
-                    for row in range(3):
-                        r[row] /= sigma[row]
-                        for column in range(6):
-                            J[row, column] /= sigma[row]
-                    _add(H, g, r, J, 1.0)
-            solved = solved and _move(H, g, R, t) >= 0.0
-        if not solved:
+        for k in range(3):
+            for axis in range(3):
+                points[k, axis] = start[drawn[k], axis]
+                seen[k, axis] = pixels[drawn[k], axis]
+        # By the pixels, whose errors are alike in all directions.
+        if not _refine(points, exact, seen, blur, lens, sigma, np.inf, 2, 0.0, R, t, H, squared):
             continue
         cost, agreeing = 0.0, 0
         for k in range(n):
-            e = SEARCH_CUTOFF
             x, y, z = _moved(start, k, R, t)
-            if z > NEAREST_DEPTH_M:
-                u = (pixels[k, 0] - lens[1] - lens[0] * x / z) / sigma[0]
-                v = (pixels[k, 1] - lens[2] - lens[0] * y / z) / sigma[1]
-                d = (pixels[k, 2] - lens[3] / z) / sigma[2]
-                e = u * u + v * v + d * d
-            if e < SEARCH_CUTOFF:
+            u = (pixels[k, 0] - lens[1] - lens[0] * x / z) / sigma[0]
+            v = (pixels[k, 1] - lens[2] - lens[0] * y / z) / sigma[1]
+            d = (pixels[k, 2] - lens[3] / z) / sigma[2]
+            e = u * u + v * v + d * d
+            if z > NEAREST_DEPTH_M and e < SEARCH_CUTOFF:
                 cost += e
                 agreeing += 1
             else:
@@ -237,22 +235,28 @@ def _align(start, stop, drawn, axes, R, t):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _refine(start, start_px, pixels, blur, lens, sigma, R, t, H, squared):  # type: ignore[no-untyped-def]
+def _refine(  # type: ignore[no-untyped-def]
+    start, start_px, pixels, blur, lens, sigma, inlier, rounds, converged, R, t, H, squared
+):
     """Refine R and t in place; fill in the normal equations there, up to the diagonal, and the
     squared distances [n]. False where the points do not determine the motion."""
     r, J, S, g = np.empty(3), np.empty((3, 6)), np.empty((3, 3)), np.empty(6)
     change = np.inf
-    for round_ in range(ROUNDS + 1):
-        _clear(H, g)
+    for round_ in range(rounds + 1):
+        for i in range(6):
+            g[i] = 0.0
+            for j in range(6):
+                H[i, j] = 0.0
         # Wide at first, since the search is only roughly right.
-        cutoff = INLIER * max(1.5, 4.0 - round_)
+        cutoff = inlier * max(1.5, 4.0 - round_)
         for k in range(len(start)):
             squared[k] = np.inf
-            if not _linearise(start, pixels, k, R, t, lens, r, J):
+            x, y, z = _moved(start, k, R, t)
+            if z <= NEAREST_DEPTH_M:
                 continue
+            _linearise(pixels, k, x, y, z, t, lens, r, J)
             # Covariance of the residual: the error at the stop and that of the start, which is
             # one of the point, and that one of the prediction.
-            x, y, z = _moved(start, k, R, t)
             for i in range(3):
                 for j in range(3):
                     S[i, j] = 0.0
@@ -274,8 +278,13 @@ def _refine(start, start_px, pixels, blur, lens, sigma, R, t, H, squared):  # ty
             squared[k] = _whiten(S, r, J)
             if squared[k] < cutoff:
                 share = 1.0 - squared[k] / cutoff
-                _add(H, g, r, J, share * share)
-        if round_ == ROUNDS or change < CONVERGED:
+                for i in range(6):
+                    for row in range(3):
+                        weighted = share * share * J[row, i]
+                        g[i] += weighted * r[row]
+                        for j in range(i + 1):
+                            H[i, j] += weighted * J[row, j]
+        if round_ == rounds or change < converged:
             break
         change = _move(H, g, R, t)
         if change < 0.0:
@@ -317,12 +326,9 @@ def _moved(points, k, R, t):  # type: ignore[no-untyped-def]
 
 
 @part_of_kernel
-def _linearise(points, pixels, k, R, t, lens, r, J):  # type: ignore[no-untyped-def]
-    """Fill in the residual [3] of match k and the derivative [3, 6] of its prediction by a small
-    rotation and translation; False behind the camera."""
-    x, y, z = _moved(points, k, R, t)
-    if z <= NEAREST_DEPTH_M:
-        return False
+def _linearise(pixels, k, x, y, z, t, lens, r, J):  # type: ignore[no-untyped-def]
+    """Fill in the residual [3] of match k, whose point was moved to (x, y, z), and the derivative
+    [3, 6] of its prediction by a small rotation and translation."""
     r[0] = pixels[k, 0] - lens[1] - lens[0] * x / z
     r[1] = pixels[k, 1] - lens[2] - lens[0] * y / z
     r[2] = pixels[k, 2] - lens[3] / z
@@ -334,28 +340,6 @@ def _linearise(points, pixels, k, R, t, lens, r, J):  # type: ignore[no-untyped-
         J[row, 0] = J[row, 5] * y - J[row, 4] * z
         J[row, 1] = J[row, 3] * z - J[row, 5] * x
         J[row, 2] = J[row, 4] * x - J[row, 3] * y
-    return True
-
-
-@part_of_kernel
-def _clear(H, g):  # type: ignore[no-untyped-def]
-    """Set the normal equations to zero."""
-    for i in range(6):
-        g[i] = 0.0
-        for j in range(6):
-            H[i, j] = 0.0
-
-
-@part_of_kernel
-def _add(H, g, r, J, weight):  # type: ignore[no-untyped-def]
-    """Add a residual to the normal equations H · (rotation, translation) = g, H up to its
-    diagonal."""
-    for i in range(6):
-        for row in range(3):
-            weighted = weight * J[row, i]
-            g[i] += weighted * r[row]
-            for j in range(i + 1):
-                H[i, j] += weighted * J[row, j]
 
 
 @part_of_kernel
