@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Bool, Float64, GateLimits, Int64, kernel
+from fieldgrid.core import Bool, Float64, GateLimits, Int64, kernel, part_of_kernel
 from fieldgrid.poses.gates.scatter import short_term_sigma_m
 
 _AROUND_S = 1.0
@@ -213,7 +213,7 @@ def _around(moved_m: Float64, step_s: Float64, gap_s: float, half: int, top_mps:
     return found
 
 
-@kernel
+@part_of_kernel
 def _strain(
     time_ns: Int64,
     east_m: Float64,

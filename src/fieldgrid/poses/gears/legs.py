@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Bool, Float64, Int64, kernel
+from fieldgrid.core import Bool, Float64, Int64
 from fieldgrid.geometry import first_beyond, heading_deg, wrap_deg
 from fieldgrid.poses.gears.habits import Habits
 from fieldgrid.poses.gears.holes import back_m, carried_on_nats, edge_mps, tight_nats
@@ -194,21 +194,18 @@ def turning_deg(points: Float64, part: Int64, reach_m: float) -> Float64:
     """Clockwise turn of the path [n, 2] at each point between the nearest places `reach_m`
     away on both sides, degrees; 0 where the part ends within that."""
     before, after = (first_beyond(points, reach_m, step, part) for step in (-1, 1))
-    return np.asarray(turn_between(points, before, after))
+    return turn_between(points, before, after)
 
 
-@kernel
-def turn_between(points, before, after):  # type: ignore[no-untyped-def]
+def turn_between(points: Float64, before: Int64, after: Int64) -> Float64:
     """By how much the path turns at each point, degrees, between the points `before` and `after`
     it; an index of -1 is none."""
-    turning = np.empty(points.shape[0])
-    for k in range(points.shape[0]):
-        turning[k] = 0.0
-        if before[k] >= 0 and after[k] >= 0:
-            a_e = points[k, 0] - points[before[k], 0]
-            a_n = points[k, 1] - points[before[k], 1]
-            b_e, b_n = points[after[k], 0] - points[k, 0], points[after[k], 1] - points[k, 1]
-            turning[k] = np.degrees(np.arctan2(a_n * b_e - a_e * b_n, a_e * b_e + a_n * b_n))
+    turning = np.zeros(len(points))
+    at = np.flatnonzero((before >= 0) & (after >= 0))
+    come, go = points[at] - points[before[at]], points[after[at]] - points[at]
+    cross = come[:, 1] * go[:, 0] - come[:, 0] * go[:, 1]
+    dot = come[:, 0] * go[:, 0] + come[:, 1] * go[:, 1]
+    turning[at] = np.degrees(list(map(math.atan2, cross.tolist(), dot.tolist())))
     return turning
 
 

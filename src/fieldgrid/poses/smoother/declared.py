@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64, kernel
+from fieldgrid.core import Float64
 from fieldgrid.poses.smoother.envelope import STATES, solve
 from fieldgrid.poses.smoother.model import BIAS_E, BIAS_N, GYRO, GYRO_NOISE, KAPPA, PHI, E, N, V
 from fieldgrid.poses.smoother.rounds import Linear, SmoothingProblem, Solution, inverse
@@ -202,46 +202,38 @@ def couplings(
 
     Returns the coupling with the states [states, 4], the corner [4, 4], the right side [4].
     """
-    found = np.zeros((x.size, 4)), np.zeros((4, 4)), np.zeros(4)
-    columns = np.array([E, N, PHI, BIAS_E, BIAS_N])
-    _couple(x, fix_en, weight, lever, turned, step_s, columns, *found)
-    return found
-
-
-@kernel
-def _couple(x, fix_en, weight, lever, turned, step_s, columns, border, corner, right_side):  # type: ignore[no-untyped-def]
-    state, constant = np.empty((2, 5)), np.empty((2, 3))
-    for k in range(len(weight)):
-        if not weight[k, 0] > 0.0:
-            continue
-        sin, cos = np.sin(x[k, PHI]), np.cos(x[k, PHI])
-        east = x[k, E] + lever[0] * cos + lever[1] * sin + x[k, BIAS_E] - fix_en[k, 0]
-        north = x[k, N] - lever[0] * sin + lever[1] * cos + x[k, BIAS_N] - fix_en[k, 1]
-        turn = x[k, V] * x[k, KAPPA]
-        # Element by element: an assignment to a row takes four seconds to compile.
-        state[0, 0], state[0, 1], state[0, 2] = sin, cos, -lever[0]
-        state[0, 3], state[0, 4] = sin, cos
-        state[1, 0], state[1, 1], state[1, 2] = cos, -sin, lever[1]
-        state[1, 3], state[1, 4] = cos, -sin
-        # A fix that is stamped late is of an earlier place.
-        constant[0, 0], constant[0, 1], constant[0, 2] = 0.0, 1.0, -(x[k, V] - lever[0] * turn)
-        constant[1, 0], constant[1, 1], constant[1, 2] = 1.0, 0.0, -lever[1] * turn
+    border, corner, right = np.zeros((len(x), STATES, 4)), np.zeros((4, 4)), np.zeros(4)
+    at = np.flatnonzero(weight[:, 0] > 0.0)
+    here, weight = x[at], weight[at]
+    sin, cos = np.sin(here[:, PHI]), np.cos(here[:, PHI])
+    east = here[:, E] + lever[0] * cos + lever[1] * sin + here[:, BIAS_E] - fix_en[at, 0]
+    north = here[:, N] - lever[0] * sin + lever[1] * cos + here[:, BIAS_N] - fix_en[at, 1]
+    turn, none = here[:, V] * here[:, KAPPA], np.zeros(len(at))
+    # Along the heading and across it; a fix that is stamped late is of an earlier place.
+    off = np.stack([east * sin + north * cos, east * cos - north * sin], axis=1)
+    states = ((sin, cos, none - lever[0]), (cos, -sin, none + lever[1]))
+    late = (-(here[:, V] - lever[0] * turn), -lever[1] * turn)
+    constants = np.array([[none, none + 1.0, late[0]], [none + 1.0, none, late[1]]])
+    for a in range(3):
+        scaled = weight * constants[:, a].T
+        right[a] = -_in_order(scaled * off)
+        for b in range(3):
+            corner[a, b] = _in_order(scaled * constants[:, b].T)
         for axis in range(2):
-            off = east * sin + north * cos if axis == 0 else east * cos - north * sin
-            for a in range(3):
-                scaled = weight[k, axis] * constant[axis, a]
-                right_side[a] -= scaled * off
-                for b in range(3):
-                    corner[a, b] += scaled * constant[axis, b]
-                for b in range(5):
-                    border[STATES * k + columns[b], a] += scaled * state[axis, b]
-    for k in range(len(turned)):
-        if np.isnan(turned[k]):
-            continue
-        off = x[k + 1, PHI] - x[k, PHI] - (turned[k] - x[k, GYRO] * step_s[k])
-        scaled = -turned[k] / (GYRO_NOISE**2 * step_s[k])
-        right_side[3] -= scaled * off
-        corner[3, 3] -= scaled * turned[k]
-        border[STATES * k + PHI, 3] -= scaled
-        border[STATES * (k + 1) + PHI, 3] += scaled
-        border[STATES * k + GYRO, 3] += scaled * step_s[k]
+            for state, slope in zip((E, N, PHI), states[axis], strict=True):
+                border[at, state, a] += scaled[:, axis] * slope
+    border[:, BIAS_E, :3], border[:, BIAS_N, :3] = border[:, E, :3], border[:, N, :3]
+    known = np.flatnonzero(~np.isnan(turned))
+    turned, step_s = turned[known], step_s[known]
+    missed = x[known + 1, PHI] - x[known, PHI] - (turned - x[known, GYRO] * step_s)
+    scaled = -turned / (GYRO_NOISE**2 * step_s)
+    right[3], corner[3, 3] = -_in_order(scaled * missed), -_in_order(scaled * turned)
+    border[known + 1, PHI, 3] += scaled
+    border[known, PHI, 3] -= scaled
+    border[known, GYRO, 3] += scaled * step_s
+    return border.reshape(-1, 4), corner, right
+
+
+def _in_order(terms: Float64) -> float:
+    """The sum of terms one after the other, which tells the same bits on every machine."""
+    return float(np.cumsum(np.append(0.0, terms))[-1])

@@ -45,14 +45,14 @@ class Envelope(NamedTuple):
     def own(self, values: Float64, a: int, b: int) -> Float64:
         """The element [n] of states a and b of each node, of a matrix in this shape."""
         high, low = max(a, b), min(a, b)
-        return np.asarray(values[self._own(high) + low])
+        return np.asarray(values[self.own_start(high) + low])
 
     def with_before(self, values: Float64, a: int, b: int) -> Float64:
         """The element [n - 1] of state a of each node but the first and state b of the one before
         it."""
-        return np.asarray(values[(self._own(a) - STATES + b)[1:]])
+        return np.asarray(values[(self.own_start(a) - STATES + b)[1:]])
 
-    def _own(self, state: int) -> Int64:
+    def own_start(self, state: int) -> Int64:
         """Where each node's own values of a row begin."""
         before = STATES * (np.arange(self.nodes) - self.first)
         return np.asarray(self.start[:-1] + (state + 1) * before + state * (state + 1) // 2)

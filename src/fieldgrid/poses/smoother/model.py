@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fieldgrid.core import Float64, kernel, part_of_kernel
+from fieldgrid.core import Bool, Float64, kernel, part_of_kernel
 from fieldgrid.poses.smoother.envelope import STATES
 from fieldgrid.poses.smoother.equations import CONSTANTS, NormalEquations
 
@@ -271,21 +271,22 @@ def add_fixes(system, x, fix_en, weight, lever):  # type: ignore[no-untyped-def]
     return off
 
 
-@kernel
-def add_still(system, x, standing, held_place, held_heading):  # type: ignore[no-untyped-def]
+def add_still(
+    system: NormalEquations, x: Float64, standing: Bool, held_place: float, held_heading: float
+) -> None:
     """Nodes at rest, the bound on how lost a node can be, and the weights by which it keeps to
     where it was in the last round."""
-    shape, values, right, total = system[0], system[1], system[2], system[6]
-    for k in range(len(x)):
-        before = STATES * (k - shape[0][k])
-        at = shape[1][k] + before
-        for state in (E, N):
-            values[at + state * before + state * (state + 3) // 2] += 1.0 / LOST_M**2 + held_place
-        values[at + PHI * before + PHI * (PHI + 3) // 2] += held_heading
-        if standing[k]:
-            values[at + V * before + V * (V + 3) // 2] += 1.0 / STANDING_MPS**2
-            right[STATES * k + V] -= x[k, V] / STANDING_MPS**2
-            total[0] += (x[k, V] / STANDING_MPS) ** 2
+    shape, values, total = system.shape, system.values, system.total
+    for state, weight in (
+        (E, 1.0 / LOST_M**2 + held_place),
+        (N, 1.0 / LOST_M**2 + held_place),
+        (PHI, held_heading),
+        (V, np.where(standing, 1.0 / STANDING_MPS**2, 0.0)),
+    ):
+        values[shape.own_start(state) + state] += weight
+    system.right[V::STATES][standing] -= x[standing, V] / STANDING_MPS**2
+    squared = (x[standing, V] / STANDING_MPS) ** 2
+    total[0] = np.cumsum(np.append(total[0], squared))[-1]  # in their order, whatever NumPy's is
 
 
 def add_headings(
