@@ -133,7 +133,8 @@ def _search(start, stop, pixels, lens, sigma, R_best, t_best):  # type: ignore[n
     exact, blur, squared = np.empty((3, 3)), np.empty((3, 2)), np.empty(3)
     for k in range(3):
         exact[k, 2], blur[k, 0], blur[k, 1] = np.inf, 0.0, 1.0
-    state = np.uint64(1)
+    # Of a literal Numba would compile a function anew.
+    state, twice = np.uint64(1), np.int64(2)
     least_cost, enough = SEARCH_CUTOFF * n, float(MOST_TRIES)
     found, tries, draws = False, 0, 0
     while tries < enough and draws < MOST_TRIES * DRAWS_A_TRY:
@@ -151,7 +152,9 @@ def _search(start, stop, pixels, lens, sigma, R_best, t_best):  # type: ignore[n
                 points[k, axis] = start[drawn[k], axis]
                 seen[k, axis] = pixels[drawn[k], axis]
         # By the pixels, whose errors are alike in all directions.
-        if not _refine(points, exact, seen, blur, lens, sigma, np.inf, 2, 0.0, R, t, H, squared):
+        if not _refine(
+            points, exact, seen, blur, lens, sigma, np.inf, twice, 0.0, R, t, H, squared
+        ):
             continue
         cost, agreeing = 0.0, 0
         for k in range(n):
