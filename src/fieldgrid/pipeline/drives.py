@@ -24,7 +24,6 @@ from fieldgrid.core import (
     MapError,
     MapExistsError,
     RecordingError,
-    connected,
     refuse_input,
 )
 from fieldgrid.geometry import Datum
@@ -45,7 +44,6 @@ from fieldgrid.pipeline.session import (
     check_output,
     is_in_map,
 )
-from fieldgrid.pipeline.staging.cluster import Stagers
 from fieldgrid.pipeline.staging.executor import (
     DriveFailure,
     DriveOrder,
@@ -161,6 +159,8 @@ def build_map(
             [drive.name for drive in build.drives if not drive.error], () if resume else taken
         )
         if scheduler is not None:
+            from fieldgrid.core import connected  # late: few builds have a cluster
+
             build.client = opened.enter_context(connected(scheduler))
         elif not resume:
             build.start_processes(opened)
@@ -269,6 +269,8 @@ class _Build:
         missing = sum(len(drive.parts.missing()) for drive in self.drives if not drive.error)
         with ExitStack() as running:
             if self.client is not None and missing:
+                from fieldgrid.pipeline.staging.cluster import Stagers
+
                 self.executor = running.enter_context(Stagers(self.client))
             elif self.executor is None:
                 self.start_processes(running, missing)

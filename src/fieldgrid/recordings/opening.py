@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from fieldgrid.core import RecordingError
-from fieldgrid.recordings.bag import opening as bag
 from fieldgrid.recordings.calibration.mounting import Mounting
 from fieldgrid.recordings.cutting import cut
 from fieldgrid.recordings.drive import Drive, Recording
-from fieldgrid.recordings.format import find_format, formats, register_format
+from fieldgrid.recordings.format import Format, find_format, formats, register_format
 from fieldgrid.recordings.frames.frame_table import TABLE
 from fieldgrid.recordings.options import DriveOptions
 from fieldgrid.recordings.poses.given_poses import with_given_poses
@@ -22,9 +23,23 @@ from fieldgrid.recordings.remote.fetched import fetch
 from fieldgrid.recordings.tables import logs
 from fieldgrid.recordings.tables.columns import Columns
 
+
+def _late(module: str, name: str) -> Callable[..., Any]:
+    """A function of this room whose module is imported when it is called."""
+    return lambda *given: getattr(import_module(f"fieldgrid.recordings.{module}"), name)(*given)
+
+
+BAG = Format(
+    "ROS bag",
+    "a ROS 1 .bag, an .mcap or .db3, or the folder of one that is several files",
+    _late("ros.bag", "is_bag"),
+    _late("bag.opening", "open_bag_drive"),
+    _late("bag.sensors.mounts", "mounting_path"),
+)
+
 for _format in (
     logs.FORMAT,
-    bag.FORMAT,
+    BAG,
     folder.FORMAT,
     euroc.FORMAT,
     kitti_odometry.FORMAT,
@@ -51,7 +66,7 @@ def open_drive(path: str | Path, options: DriveOptions | None = None) -> Drive:
         if path.name == TABLE:
             raise RecordingError(f"{path} lists the frames of a recording; give its folder.")
         found = find_format(path)
-        if found is bag.FORMAT:
+        if found is BAG:
             refuse_foreign(path)  # ZED's container is that of ROS, its content is not
         if found is None:
             kinds = "; ".join(f"{one.looks_for} ({one.name})" for one in formats())

@@ -20,9 +20,8 @@ from fieldgrid.recordings.drive import (
     with_frames,
     with_motion,
 )
-from fieldgrid.recordings.format import Format
 from fieldgrid.recordings.options import NO_MOUNTING, DriveOptions
-from fieldgrid.recordings.ros.bag import is_bag, open_bag
+from fieldgrid.recordings.ros.bag import open_bag
 
 
 def open_bag_drive(path: Path, options: DriveOptions) -> Drive:
@@ -67,12 +66,3 @@ def _recording(drive: Drive, content: BagIndex, options: DriveOptions) -> Record
     more = (*sensed.plan.notes, *sensed.notes, *mounted.notes)
     notes = (*drive.notes, *more, *moving.notes[len(drive.notes) :])
     return replace(as_recording(moving, rig, frames, is_mounted=is_mounted), notes=notes)
-
-
-FORMAT = Format(
-    "ROS bag",
-    "a ROS 1 .bag, an .mcap or .db3, or the folder of one that is several files",
-    is_bag,
-    open_bag_drive,
-    mounting_path,
-)

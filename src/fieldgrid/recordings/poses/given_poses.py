@@ -21,11 +21,9 @@ from fieldgrid.geometry import (
     heading_rad,
     roll_pitch_deg,
 )
-from fieldgrid.recordings.bag.trajectories import read_pose_topic
 from fieldgrid.recordings.drive import Drive, Recording, with_motion
 from fieldgrid.recordings.poses.pose_files import BodyPoses, read_pose_file, read_time_file
 from fieldgrid.recordings.poses.pose_source import PoseBody, PoseSource
-from fieldgrid.recordings.ros.bag import is_bag
 from fieldgrid.recordings.tables.motion_files import (
     AXES,
     R_VEHICLE_FLU,
@@ -124,6 +122,9 @@ def motion_of_body(
 
 
 def _read(drive: Drive, source: PoseSource, axes: str, epoch_ns: int | None) -> BodyPoses:
+    from fieldgrid.recordings.bag.trajectories import read_pose_topic  # late: few give poses
+    from fieldgrid.recordings.ros.bag import is_bag
+
     path = drive.path if source.file is None else source.file
     offset_ns = source.offset_ns or 0
     if is_bag(path):
