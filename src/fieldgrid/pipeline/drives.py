@@ -239,10 +239,9 @@ class _Build:
                     skips_bad=self.skip_bad > 0,
                     known=trajectory,
                 )
+                datum = datum or trajectory.datum
             except FieldgridError as error:
                 self._fail(drive, error)
-                continue
-            datum = datum or trajectory.datum
         assert datum is not None  # there is a drive, or _good would have raised
         return datum
 
@@ -361,8 +360,7 @@ class _Build:
         """Take what the processes or workers tell."""
         assert self.executor is not None
         try:
-            # With an end, so that Ctrl-C is heard everywhere.
-            event: Event = self.executor.events.get(timeout=0.5)
+            event: Event = self.executor.events.get(timeout=0.5)  # so that Ctrl-C is heard
         except Empty:
             return
         drive = self.drives[event.drive]

@@ -65,7 +65,8 @@ class StagedFrame:
 
     def grid(self) -> LocalGrid:
         """The local grid, decoded at each call."""
-        return self.cells().grid
+        of_grid = [one for one in self.channels if one[0] in ("density", "observed")]
+        return decode_cells(self.spec, of_grid, f"grid of frame {self.frame_id!r}").grid
 
 
 def stage(

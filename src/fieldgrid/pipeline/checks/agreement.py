@@ -46,10 +46,10 @@ def denied_share(frames: StagedFrames, placed: Sequence[FramePose]) -> float | N
     that leaps, is in few pairs, and false matches are in all. None where too few frames see the
     same obstacles.
     """
+    seen_by = cache(lambda k: SeenCells.of(frames[k].grid()))
     shares = []
     for (k, pose), (near, near_pose) in following(placed, APART_M, PAIRS):
-        one, other = SeenCells.of(frames[k].grid()), SeenCells.of(frames[near].grid())
-        denied, seen = one.denied(pose, other, near_pose)
+        denied, seen = seen_by(k).denied(pose, seen_by(near), near_pose)
         if seen >= FEWEST_CELLS:
             shares.append(denied / seen)
     return float(np.quantile(shares, 0.25)) if len(shares) >= FEWEST_PAIRS else None
@@ -64,7 +64,6 @@ def opposed_share(frames: StagedFrames, placed: Sequence[FramePose]) -> float | 
     in the other's row; where it takes them apart, nothing is seen twice and nothing told. None
     where too little is.
     """
-
     seen_by = cache(lambda k: SeenCells.of(frames[k].grid()))
     denied, cells = 0, 0
     for (k, pose), (near, near_pose) in opposed(placed, OPPOSED_APART_M, OPPOSED_PAIRS):
