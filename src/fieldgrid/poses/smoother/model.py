@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fieldgrid.core import Bool, Float64, kernel, part_of_kernel
+from fieldgrid.core import Bool, Float64, Int64, kernel, part_of_kernel
 from fieldgrid.poses.smoother.envelope import STATES
 from fieldgrid.poses.smoother.equations import CONSTANTS, NormalEquations
 
@@ -78,33 +78,35 @@ LAW_STATES = np.array([[*law, *[0] * (STATES - len(law))] for law in _LAWS])
 """Which states of the two nodes each is of."""
 
 
-@part_of_kernel
-def _add_residual(system, index, slope, residual, weight):  # type: ignore[no-untyped-def]
-    """One weighted residual with its slopes into the normal equations. An index beyond the
-    states is a constant's."""
+@kernel
+def _add_rows(system, index, slope, residual, weight):  # type: ignore[no-untyped-def]
+    """Weighted residuals [n, m] with their slopes [n, m, k] into the normal equations. They are of
+    the unknowns `index` [n, k], those beyond the states of constants."""
     shape, values, right, border, corner, right_constants, total = system
     first, start = shape[0], shape[1]
     states = len(right)
-    total[0] += weight * residual * residual
-    total[1] += np.log(weight)
-    for a in range(len(index)):
-        i, scaled = index[a], weight * slope[a]
-        if i >= states:
-            right_constants[i - states] -= scaled * residual
-            for b in range(len(index)):
-                if index[b] >= states:
-                    corner[i - states, index[b] - states] += scaled * slope[b]
-            continue
-        right[i] -= scaled * residual
-        node, row = i // STATES, i % STATES
-        before = STATES * (node - first[node])
-        at = start[node] + row * before + row * (row + 1) // 2 - STATES * first[node]
-        for b in range(len(index)):
-            j = index[b]
-            if j <= i:
-                values[at + j] += scaled * slope[b]
-            elif j >= states:
-                border[i, j - states] += scaled * slope[b]
+    for n in range(weight.shape[0]):
+        for m in range(weight.shape[1]):
+            total[0] += weight[n, m] * residual[n, m] * residual[n, m]
+            total[1] += np.log(weight[n, m])
+            for a in range(index.shape[1]):
+                i, scaled = index[n, a], weight[n, m] * slope[n, m, a]
+                if i >= states:
+                    right_constants[i - states] -= scaled * residual[n, m]
+                    for b in range(index.shape[1]):
+                        if index[n, b] >= states:
+                            corner[i - states, index[n, b] - states] += scaled * slope[n, m, b]
+                    continue
+                right[i] -= scaled * residual[n, m]
+                node, row = i // STATES, i % STATES
+                before = STATES * (node - first[node])
+                at = start[node] + row * before + row * (row + 1) // 2 - STATES * first[node]
+                for b in range(index.shape[1]):
+                    j = index[n, b]
+                    if j <= i:
+                        values[at + j] += scaled * slope[n, m, b]
+                    elif j >= states:
+                        border[i, j - states] += scaled * slope[n, m, b]
 
 
 @kernel
@@ -243,31 +245,30 @@ def _add_start(pair, side, x, k):  # type: ignore[no-untyped-def]
             side[state] -= weight * x[k, state]
 
 
-@kernel
-def add_fixes(system, x, fix_en, weight, lever):  # type: ignore[no-untyped-def]
+def add_fixes(
+    system: NormalEquations, x: Float64, fix_en: Float64, weight: Float64, lever: Float64
+) -> Float64:
     """Positions of the antenna, `lever` = (right, ahead) of the axle: fix = point + slow error.
 
     `weight` [n, 2] is that along the heading and across it; rows without a fix have weight 0.
     Returns how far each fix lies ahead and to the right of where it should be [n, 2].
     """
-    off = np.empty((len(weight), 2))
-    index, slope = np.empty(5, np.int64), np.empty(5)
-    for k in range(len(weight)):
-        if not weight[k, 0] > 0.0:
-            off[k, 0] = off[k, 1] = 0.0
-            continue
-        sin, cos = np.sin(x[k, PHI]), np.cos(x[k, PHI])
-        east = x[k, E] + lever[0] * cos + lever[1] * sin + x[k, BIAS_E] - fix_en[k, 0]
-        north = x[k, N] - lever[0] * sin + lever[1] * cos + x[k, BIAS_N] - fix_en[k, 1]
-        index[0], index[1], index[2] = STATES * k + E, STATES * k + N, STATES * k + PHI
-        index[3], index[4] = STATES * k + BIAS_E, STATES * k + BIAS_N
-        for axis in range(2):
-            a, b, turned = (cos, -sin, lever[1]) if axis else (sin, cos, -lever[0])
-            # The axes are held while the antenna turns about the axle.
-            slope[0], slope[1], slope[2], slope[3], slope[4] = a, b, turned, a, b
-            residual = east * a + north * b
-            _add_residual(system, index, slope, residual, weight[k, axis])
-            off[k, axis] = -residual
+    at = np.flatnonzero(weight[:, 0] > 0.0)
+    here = x[at]
+    sin, cos = np.sin(here[:, PHI]), np.cos(here[:, PHI])
+    east = here[:, E] + lever[0] * cos + lever[1] * sin + here[:, BIAS_E] - fix_en[at, 0]
+    north = here[:, N] - lever[0] * sin + lever[1] * cos + here[:, BIAS_N] - fix_en[at, 1]
+    index = STATES * at[:, None] + np.array([E, N, PHI, BIAS_E, BIAS_N])
+    slope, residual = np.empty((len(at), 2, 5)), np.empty((len(at), 2))
+    # The axes are held while the antenna turns about the axle.
+    for axis, (a, b, turned) in enumerate(((sin, cos, -lever[0]), (cos, -sin, lever[1]))):
+        slope[:, axis, 0] = slope[:, axis, 3] = a
+        slope[:, axis, 1] = slope[:, axis, 4] = b
+        slope[:, axis, 2] = turned
+        residual[:, axis] = east * a + north * b
+    _add_rows(system, index, slope, residual, weight[at])
+    off = np.zeros((len(weight), 2))
+    off[at] = -residual
     return off
 
 
@@ -314,56 +315,52 @@ def _added(
     slopes: tuple[float, Float64],
     weight: Float64,
 ) -> Float64:
-    """Residuals [n] `of` one state of each node and a constant. Most drives have none, and need no
-    kernel then."""
-    if (weight > 0.0).any():
-        _add_to_nodes(system, *of, off, *slopes, weight)
+    """Residuals [n] `of` one state of each node and a constant."""
+    at = np.flatnonzero(weight > 0.0)
+    if len(at):  # most drives have none
+        index = np.stack([STATES * at + of[0], np.full(len(at), len(system.right) + of[1])]).T
+        slope = np.stack([np.full(len(at), slopes[0]), slopes[1][at]]).T
+        rows = index.copy(), slope.reshape(-1, 1, 2).copy(), off[at, None], weight[at, None]
+        _add_rows(system, *rows)
     return off
 
 
-@kernel
-def _add_to_nodes(system, state, constant, off, slope, constant_slope, weight):  # type: ignore[no-untyped-def]
-    index, slopes = np.empty(2, np.int64), np.empty(2)
-    index[1], slopes[0] = len(system[2]) + constant, slope
-    for k in range(len(weight)):
-        if weight[k] > 0.0:
-            index[0], slopes[1] = STATES * k + state, constant_slope[k]
-            _add_residual(system, index, slopes, off[k], weight[k])
-
-
-@kernel
-def add_steps(system, x, scale, ends, moved, weight, ahead_m):  # type: ignore[no-untyped-def]
+def add_steps(
+    system: NormalEquations,
+    x: Float64,
+    scale: float,
+    ends: Int64,
+    moved: Float64,
+    weight: Float64,
+    ahead_m: float,
+) -> Float64:
     """Relative motions `moved` [s, 3] = (forward, right, turn) of a point `ahead_m` of the axle
     between the nodes `ends` [s, 2], `weight` [s, 2] of distance and turn; all distances are too
     long by one share. Returns residuals [s, 3].
     """
+    start, stop, size = x[ends[:, 0]], x[ends[:, 1]], 1.0 + scale
+    sin, cos = np.sin(start[:, PHI]), np.cos(start[:, PHI])
+    sin_b, cos_b = np.sin(stop[:, PHI]), np.cos(stop[:, PHI])
+    east = stop[:, E] - start[:, E] + ahead_m * (sin_b - sin)
+    north = stop[:, N] - start[:, N] + ahead_m * (cos_b - cos)
+    forward, right = east * sin + north * cos, east * cos - north * sin
+    turn = stop[:, PHI] - start[:, PHI] - moved[:, 2]
+    turn -= 2.0 * np.pi * np.rint(turn / (2.0 * np.pi))
     off = np.empty((len(ends), 3))
-    index, slope = np.empty(7, np.int64), np.empty(7)
-    index[6] = STATES * len(x) + CAMERA_SCALE
-    size = 1.0 + scale
-    for s in range(len(ends)):
-        a, b = ends[s, 0], ends[s, 1]
-        sin, cos = np.sin(x[a, PHI]), np.cos(x[a, PHI])
-        sin_b, cos_b = np.sin(x[b, PHI]), np.cos(x[b, PHI])
-        east = x[b, E] - x[a, E] + ahead_m * (sin_b - sin)
-        north = x[b, N] - x[a, N] + ahead_m * (cos_b - cos)
-        forward, right = east * sin + north * cos, east * cos - north * sin
-        off[s, 0], off[s, 1] = size * forward - moved[s, 0], size * right - moved[s, 1]
-        off[s, 2] = x[b, PHI] - x[a, PHI] - moved[s, 2]
-        off[s, 2] -= 2.0 * np.pi * np.rint(off[s, 2] / (2.0 * np.pi))
-        index[0], index[1], index[2] = STATES * a + E, STATES * a + N, STATES * a + PHI
-        index[3], index[4], index[5] = STATES * b + E, STATES * b + N, STATES * b + PHI
-        for row in range(3):
-            if row == 0:
-                # The start's own lever turns with it and cancels, but for its place in the frame.
-                along, across, start = size * sin, size * cos, size * right
-                stop, share = size * ahead_m * (cos_b * sin - sin_b * cos), forward
-            elif row == 1:
-                along, across, start = size * cos, -size * sin, -size * (forward + ahead_m)
-                stop, share = size * ahead_m * (cos_b * cos + sin_b * sin), right
-            else:
-                along, across, start, stop, share = 0.0, 0.0, -1.0, 1.0, 0.0
-            slope[0], slope[1], slope[2], slope[3] = -along, -across, start, along
-            slope[4], slope[5], slope[6] = across, stop, share
-            _add_residual(system, index, slope, off[s, row], weight[s, row // 2])
+    off[:, 0], off[:, 1] = size * forward - moved[:, 0], size * right - moved[:, 1]
+    off[:, 2] = turn
+    index, slope = np.empty((len(ends), 7), np.int64), np.zeros((len(ends), 3, 7))
+    index[:, :3] = STATES * ends[:, :1] + np.array([E, N, PHI])
+    index[:, 3:6] = STATES * ends[:, 1:] + np.array([E, N, PHI])
+    index[:, 6] = STATES * len(x) + CAMERA_SCALE
+    for row, (east_by, north_by) in enumerate(((sin, cos), (cos, -sin))):
+        slope[:, row, 0], slope[:, row, 1] = -size * east_by, -size * north_by
+        slope[:, row, 3], slope[:, row, 4] = size * east_by, size * north_by
+    # The start's own lever turns with it and cancels, but for its place in the frame.
+    slope[:, 0, 2], slope[:, 1, 2] = size * right, -size * (forward + ahead_m)
+    slope[:, 0, 5] = size * ahead_m * (cos_b * sin - sin_b * cos)
+    slope[:, 1, 5] = size * ahead_m * (cos_b * cos + sin_b * sin)
+    slope[:, 0, 6], slope[:, 1, 6] = forward, right
+    slope[:, 2, 2], slope[:, 2, 5] = -1.0, 1.0
+    _add_rows(system, index, slope, off, weight[:, [0, 0, 1]].copy())
     return off
