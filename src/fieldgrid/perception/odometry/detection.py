@@ -53,8 +53,13 @@ def _find_corners(image, cell_px, least, strength, corners):  # type: ignore[no-
                     for column in range(x - 1, x + 2):
                         highest = max(highest, strength[row, column])
                 if highest == best[x]:
-                    corners[n, 0] = x + _peak(strength[y, x - 1], highest, strength[y, x + 1])
-                    corners[n, 1] = y + _peak(strength[y - 1, x], highest, strength[y + 1, x])
+                    for axis in range(2):
+                        dx, dy = 1 - axis, axis
+                        before, after = strength[y - dy, x - dx], strength[y + dy, x + dx]
+                        # Where the parabola through the three has its top: -0.5..0.5 from here.
+                        curvature = before - 2.0 * highest + after
+                        off = 0.5 * (before - after) / curvature if curvature < 0.0 else 0.0
+                        corners[n, axis] = (y if axis else x) + off
                     n += 1
     return n
 
@@ -102,10 +107,3 @@ def _fill_strength(image, strength):  # type: ignore[no-untyped-def]
                     np.float32(np.int32(2 * xy)) * PER_PRODUCT,
                 )
                 strength[row - 2, x] = mean - np.float32(math.sqrt(half * half + mixed * mixed))
-
-
-@part_of_kernel
-def _peak(before, at, after):  # type: ignore[no-untyped-def]
-    """Where the parabola through three neighbours has its top, from the middle one, -0.5..0.5."""
-    curvature = before - 2.0 * at + after
-    return 0.5 * (before - after) / curvature if curvature < 0.0 else 0.0

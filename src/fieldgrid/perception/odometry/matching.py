@@ -96,16 +96,16 @@ def _compare(  # type: ignore[no-untyped-def]
     m = len(chosen_back)
     bits, least_back = np.empty(m, dtype=np.int32), np.empty(m, dtype=np.int32)
     found_y, found_z = found[1], found[2]
-    stop_a, stop_b, stop_c, stop_d = stop[0], stop[1], stop[2], stop[3]
     for j in range(m):
         chosen_back[j], least_back[j] = -1, ALL_BITS + 1
     for i in range(len(chosen)):
-        a, b, c, d = start[i, 0], start[i, 1], start[i, 2], start[i, 3]
         y, z, slack_y, slack_z = expected[1, i], expected[2, i], slack[1, i], slack[2, i]
         for j in range(first[i], last[i]):
-            differing = _ones(a ^ stop_a[j]) + _ones(b ^ stop_b[j])
-            differing += _ones(c ^ stop_c[j]) + _ones(d ^ stop_d[j])
-            bits[j] = np.int32(differing)
+            bits[j] = 0
+        for word in range(4):
+            mine, theirs = start[i, word], stop[word]
+            for j in range(first[i], last[i]):
+                bits[j] += np.int32(_ones(mine ^ theirs[j]))
         for j in range(first[i], last[i]):
             possible = (abs(y - found_y[j]) <= slack_y) & (abs(z - found_z[j]) <= slack_z)
             bits[j] = bits[j] if possible else np.int32(ALL_BITS + 1)
