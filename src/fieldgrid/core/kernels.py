@@ -97,7 +97,7 @@ def _prepare() -> None:
             found[key] = find(self, context, arguments, named)
         return found[key]
 
-    Function.get_call_type = found_once
+    Function.get_call_type = found_once  # type: ignore[method-assign, assignment]
 
     class Compiling(event.Listener):
         """Numba lets one thread compile at a time, and functions inside of functions.
