@@ -1,7 +1,6 @@
 """What `verify` costs beside reading the file once: `python -m benchmarks.verifying [MAP...]`.
 
-In processor time, which other programs on the machine change little: of this process, and of the
-others that share its work. What takes longest of them is the time on idle cores.
+In processor time, which other programs on the machine change little.
 """
 
 from __future__ import annotations
@@ -14,20 +13,12 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 from fieldgrid.maps import MapFile, open_map
 from tests.maps.file.maps import drive, write_map
 
 FRAMES, MANY = 200, 1000
 RUNS = 5
-
-
-class _Cost(NamedTuple):
-    """Processor time of this process and of the others that it started, seconds."""
-
-    here_s: float
-    others_s: float
 
 
 def main() -> None:
@@ -49,16 +40,16 @@ def _verify(path: Path) -> None:
     with open_map(path) as universal:
         works: dict[str, Callable[[], object]] = {
             "read once, SHA-256": lambda: hashlib.sha256(path.read_bytes()),
-            "verify --jobs 1": lambda: universal.verify(1),
-            "verify --jobs 2": lambda: universal.verify(2),
+            "verify": universal.verify,
         }
         print(f"{path.name}, {path.stat().st_size / 1e6:.1f} MB")
         _print(_costs(works))
     command = [sys.executable, "-m", "fieldgrid", "verify", str(path)]
-    least = min(
-        _cost(lambda: subprocess.run(command, check=True, capture_output=True)) for _ in range(RUNS)
+    least_s = min(
+        _cost_s(lambda: subprocess.run(command, check=True, capture_output=True))
+        for _ in range(RUNS)
     )
-    print(f"  {'the whole command':<32}{sum(least):8.3f} s")
+    print(f"  {'the whole command':<32}{least_s:8.3f} s")
 
 
 def _verify_deep(path: Path) -> None:
@@ -76,18 +67,16 @@ def _verify_deep(path: Path) -> None:
         )
 
 
-def _costs(works: dict[str, Callable[[], object]]) -> dict[str, _Cost]:
+def _costs(works: dict[str, Callable[[], object]]) -> dict[str, float]:
     """The least of some runs of each, which take turns."""
-    runs = [{name: _cost(work) for name, work in works.items()} for _ in range(RUNS)]
-    return {name: min((run[name] for run in runs), key=sum) for name in works}
+    runs = [{name: _cost_s(work) for name, work in works.items()} for _ in range(RUNS)]
+    return {name: min(run[name] for run in runs) for name in works}
 
 
-def _print(costs: dict[str, _Cost]) -> None:
-    first = sum(next(iter(costs.values())))
-    for name, (here_s, others_s) in costs.items():
-        others = f" and {others_s:.3f} s in others" if others_s > 0.001 else ""
-        times = max(here_s, others_s) / first
-        print(f"  {name:<32}{here_s:8.3f} s{others}, {times:.1f} x")
+def _print(costs: dict[str, float]) -> None:
+    first_s = next(iter(costs.values()))
+    for name, cost_s in costs.items():
+        print(f"  {name:<32}{cost_s:8.3f} s, {cost_s / first_s:.1f} x")
 
 
 def _decode(universal: MapFile) -> None:
@@ -95,15 +84,16 @@ def _decode(universal: MapFile) -> None:
         record.cells()
 
 
-def _cost(work: Callable[[], object]) -> _Cost:
-    here_s, others_s = time.process_time(), _others_s()
+def _cost_s(work: Callable[[], object]) -> float:
+    before_s = _used_s()
     work()
-    return _Cost(time.process_time() - here_s, _others_s() - others_s)
+    return _used_s() - before_s
 
 
-def _others_s() -> float:
+def _used_s() -> float:
+    """Processor time of this process and of those that it started."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+    return time.process_time() + used.ru_utime + used.ru_stime
 
 
 if __name__ == "__main__":

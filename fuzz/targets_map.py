@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import json
-import struct
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
@@ -19,7 +17,6 @@ from fieldgrid.live.kept.points_file import _MARK, _RECORD, PointsFile
 from fieldgrid.maps import GROUPS, create_map, encode_png, open_map, transform_of
 from fieldgrid.maps.file.codec import BITS, decode_channel
 from fieldgrid.maps.file.geometry import decode_rings, encode_point, encode_polygon
-from fieldgrid.maps.health import journal_file
 from fieldgrid.maps.tiles.png import decode_png
 from fieldgrid.maps.tiles.tile_codec import Expectation, decode_tile, stored_channels
 from fieldgrid.perception import Sweep
@@ -186,25 +183,6 @@ def _points_seeds() -> list[bytes]:
     ]
 
 
-_PAGE = bytes(range(256)) * 2
-_JOURNAL_SUM = 7 + sum(_PAGE[312:0:-200])
-
-
-def _map_journal(data: bytes) -> None:
-    """A journal of a map of 512-byte pages: whole, or refused in a few words."""
-    now = bytearray(100)
-    now[16:20], now[31] = b"\2\0\1\1", 9
-    said = journal_file.damage(io.BytesIO(data), len(data), bytes(now))
-    assert said == said.strip()
-    assert len(said) < 60
-
-
-def _map_journal_seeds() -> list[bytes]:
-    head = struct.pack(">8sIIIII", journal_file.MAGIC, 2, 7, 9, 512, 512).ljust(512, b"\0")
-    page = _PAGE + struct.pack(">I", _JOURNAL_SUM)
-    return [head + b"\0\0\0\2" + page + b"\0\0\0\3" + page]
-
-
 TARGETS = [
     Target("tile", _tile, _tile_seeds),
     Target("channel", _channel, _channel_seeds),
@@ -213,6 +191,5 @@ TARGETS = [
     Target("picture", _png, _png_seeds),
     Target("live journal", _journal, _journal_seeds),
     Target("points", _points, _points_seeds),
-    Target("journal of a map", _map_journal, _map_journal_seeds),
     Target("map", _map, lambda: [bytes(range(4)), bytes(range(40)), bytes([0, 16, 0, 9] * 3)]),
 ]

@@ -30,7 +30,6 @@ from fieldgrid.field import read_survey, read_truth, read_vehicle
 from fieldgrid.geometry import Datum, read_shapes
 from fieldgrid.live.kept.journal import _MARK, _RECORD, MAGIC, read_journal
 from fieldgrid.maps import marks_of_geojson, open_map
-from fieldgrid.maps.health import journal_file
 from fieldgrid.poses.gnss.nmea import unicore_crc
 from fieldgrid.recordings import (
     CloudFile,
@@ -642,7 +641,9 @@ def journal_of_a_map(folder: Path) -> Read:
     path = folder / "field.gpkg"
     if not path.exists():
         write_map(path, [drive(1)])
-        head = struct.pack(">8sIIIII", journal_file.MAGIC, 50_000, 0, 60_000, 512, 4096)
+        head = struct.pack(
+            ">8sIIIII", bytes.fromhex("d9d505f920a163d7"), 50_000, 0, 60_000, 512, 4096
+        )
         data = path.read_bytes()[-4096:]
         total = sum(data[4096 - 200 : 0 : -200])
         page = b"%b" + data + struct.pack(">I", total)

@@ -147,9 +147,9 @@ def _try(
 ) -> tuple[str, int]:
     """Run a step that fails at a call; returns how it ended, and how many calls there were."""
     path = folder / "map.gpkg"
-    for old in folder.glob("map.gpkg*"):
-        old.unlink()
-    (folder / "copy.gpkg").unlink(missing_ok=True)
+    for name in ("map", "copy", "kept"):
+        for old in folder.glob(f"{name}.gpkg*"):
+            old.unlink()
     shutil.copy(original, path)
     before = state_of(path)
     reader, writer = os.pipe()
@@ -181,6 +181,7 @@ def _allowed(step: Step, before: State, code: int) -> list[State]:
 
 def _check(path: Path, folder: Path, allowed: list[State], place: str) -> None:
     try:
+        assert not (folder / "kept.gpkg-journal").exists()
         check(path, allowed)
         copy = folder / "copy.gpkg"
         if copy.exists():

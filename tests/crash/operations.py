@@ -141,8 +141,11 @@ def mark(east_m: float) -> Step:
 
 def repair() -> Step:
     def run(path: Path) -> None:
+        keep = path.with_name("kept.gpkg")
+        if keep.exists():
+            keep.unlink()
         with open_map(path, writable=True) as universal:
-            universal.repair()
+            universal.repair(keep=keep)
 
     return Step("repair", run, lambda state: state)
 

@@ -78,26 +78,10 @@ def when_compiling(tell: Callable[[], None]) -> None:
 
 
 def _prepare() -> None:
-    """Before the first kernel: hear of each function that is compiled, and make it take less."""
+    """Before the first kernel: hear of each function that is compiled."""
     if _LISTENERS:
         return
     from numba.core import event
-    from numba.core.types.functions import Function
-
-    found: dict[Any, Any] = {}
-    find = Function.get_call_type
-
-    def found_once(self: Any, context: Any, arguments: Any, named: dict[str, Any]) -> Any:
-        """What an operator or a function of Numba makes of its types. Numba tries all that it has
-        at each place of a kernel, twice: a fifth of all compiling."""
-        if named:
-            return find(self, context, arguments, named)
-        key = self, context, tuple(arguments)
-        if key not in found:
-            found[key] = find(self, context, arguments, named)
-        return found[key]
-
-    Function.get_call_type = found_once  # type: ignore[method-assign, assignment]
 
     class Compiling(event.Listener):
         """Numba lets one thread compile at a time, and functions inside of functions.

@@ -128,6 +128,7 @@ def build_map(
     if scheduler is not None and jobs is not None:
         raise ConfigError("With a scheduler its workers stage the frames; leave out --jobs.")
     settings = settings or BuildSettings()
+    chosen = settings.map
     build = _Build(
         Path(out), settings, every, jobs or os.cpu_count() or 1, skip_bad, fail_fast, progress
     )
@@ -148,11 +149,11 @@ def build_map(
                 open_map(
                     build.out,
                     datum=datum,
-                    cell_m=settings.map.cell_m,
-                    transfer=settings.map.transfer,
-                    layers=settings.map.kept_layers(),
+                    cell_m=chosen.cell_m,
+                    transfer=chosen.transfer,
+                    layers=chosen.kept_layers(),
                     patience=patience or Patience(),
-                )
+                )  # fmt: skip
             )
         taken = [info.name for info in universal.sessions()] if append or is_there else []
         check_names(
@@ -171,8 +172,8 @@ def build_map(
                     build.out,
                     datum,
                     cell_m=settings.universal_cell_m,
-                    transfer=settings.map.transfer,
-                    layers=settings.map.kept_layers(),
+                    transfer=chosen.transfer,
+                    layers=chosen.kept_layers(),
                     overwrite=overwrite,
                 )
             )

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
 import sqlite3
+import subprocess
+import sys
+import time
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from fieldgrid.core import DatumError, FieldgridError, MapError
-from fieldgrid.geometry import GridSpec
+from fieldgrid.core import ConfigError, DatumError, FieldgridError, MapError
+from fieldgrid.geometry import GridSpec, Status
 from fieldgrid.maps import GEOMETRIES, MapFile, Mark, MarkKind, create_map, open_map
 from fieldgrid.maps.file.schema import COUNTED_TABLES, OWN_TABLES
 from fieldgrid.maps.health.row_sums import SUMMED_TABLES
@@ -31,6 +35,7 @@ FREE = {
         for value in VALUES
     ),
     *(("layer_styles", "id", value) for value in VALUES),
+    *(("sqlite_sequence", "name", value) for value in VALUES),
     *(("layer_styles", "update_time", value) for value in VALUES),
 }
 """What may hold such a value: numbers of rows, and what is left to other programs."""
@@ -353,3 +358,100 @@ def test_a_link_to_what_went_is_told(tmp_path: Path) -> None:
     path.symlink_to(tmp_path / "disk" / "map.gpkg")
     with pytest.raises(MapError, match=r"link.gpkg leads to .*disk.map.gpkg, which is not there"):
         open_map(path)
+
+
+@pytest.mark.parametrize("letters", [5_000_000, pytest.param(40_000_000, marks=pytest.mark.long)])
+def test_a_text_that_is_too_long_is_named(sound: Path, tmp_path: Path, letters: int) -> None:
+    path = tmp_path / "map.gpkg"
+    shutil.copy(sound, path)
+    with closing(sqlite3.connect(path)) as database:
+        columns = [
+            (table, column)
+            for table in ("gpkg_contents", "gpkg_spatial_ref_sys", *GEOMETRIES, *OWN_TABLES)
+            for _, column, kind, *_ in database.execute(f"PRAGMA table_info({table})")
+            if kind in ("TEXT", "DATETIME")
+        ]
+    assert len(columns) > 40
+    for table, column in columns:
+        shutil.copy(sound, path)
+        with closing(sqlite3.connect(path, isolation_level=None)) as database:
+            database.execute("PRAGMA synchronous = OFF")
+            database.execute(
+                f"UPDATE {table} SET {column} = printf('%.*c', {letters}, 'x') "
+                f"WHERE rowid = (SELECT max(rowid) FROM {table})"
+            )
+        try:
+            with open_map(path) as universal:
+                said = list(universal.verify(1).problems)
+                assert [one for one in said if table in one and column in one], (table, column)
+                if table == "fieldgrid_session":
+                    with pytest.raises(MapError) as refused:
+                        universal.sessions()
+                    said.append(str(refused.value))
+        except MapError as error:
+            assert table == "fieldgrid_meta"
+            said = [str(error)]
+        assert all(len(one) < 500 for one in said)
+
+
+def test_a_text_that_is_too_long_is_not_written(tmp_path: Path) -> None:
+    path = write_map(tmp_path / "map.gpkg", [drive(1)])
+    before = path.read_bytes()
+    with open_map(path, writable=True) as universal:
+        for name, more in (
+            ("x" * 256, {}),
+            ("1", {"source": "x" * 1001}),
+            ("1", {"config": {"x": "x" * 5_000_000}}),
+        ):
+            with pytest.raises(ConfigError, match="letters"):
+                universal.add_session(name, **more)
+        for frame_id, reason in (("x" * 256, ""), ("1", "x" * 1001)):
+            pose = pose_at(1.0, 1.0, 0.0, status=Status.HELD if reason else Status.OK)
+            with (
+                pytest.raises(ConfigError, match="letters"),
+                universal.add_session("1") as session,
+            ):
+                session.add(grid_of(1), replace(pose, reason=reason), frame_id=frame_id)
+        with pytest.raises(ConfigError, match="letters"):
+            universal.rename_session("0", "x" * 256)
+    assert path.read_bytes() == before
+
+
+def test_rows_that_gdal_counts_wrongly_are_told_and_put_right(sound: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute(
+            "CREATE TABLE gpkg_ogr_contents "
+            "(table_name TEXT NOT NULL PRIMARY KEY, feature_count INTEGER)"
+        )
+        database.execute("INSERT INTO gpkg_ogr_contents VALUES ('footprint', 2)")
+        database.execute("INSERT INTO gpkg_ogr_contents VALUES ('trajectory', 5)")
+    with open_map(path, writable=True) as universal:
+        (problem,) = universal.verify(1, deep=True).problems
+        assert problem == "The layer trajectory has 6 rows, and GDAL is told of 5."
+        assert not universal.verify(1).sound
+        universal.repair()
+        assert universal.verify(1).sound
+        assert universal.verify(1, deep=True).sound
+
+
+def test_a_signal_is_heard_while_sqlite_checks_the_pages(sound: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copy(sound, tmp_path / "map.gpkg"))
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute("CREATE TABLE more (x)")
+        database.execute("CREATE INDEX more_x ON more (x)")
+        database.executemany("INSERT INTO more VALUES (?)", [(k,) for k in range(10_000)])
+        database.execute("PRAGMA writable_schema = ON")
+        slow = "x + 0 * length(hex(zeroblob(5000000 + x)))"  # for each row: minutes
+        database.execute(
+            f"UPDATE sqlite_schema SET sql = 'CREATE INDEX more_x ON more ({slow})' "
+            "WHERE name = 'more_x'"
+        )
+    command = [sys.executable, "-m", "fieldgrid", "verify", str(path)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        time.sleep(3.0)
+        assert process.poll() is None
+        process.terminate()
+        start = time.monotonic()
+        assert process.wait(20.0) == 128 + signal.SIGTERM
+        assert time.monotonic() - start < 2.0

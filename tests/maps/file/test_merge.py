@@ -28,7 +28,6 @@ from fieldgrid.maps import (
     placing,
 )
 from fieldgrid.maps.writing.redatum import Redatum
-from fieldgrid.maps.writing.twins import SAME_PLACE_M
 from tests.maps.file.content import content
 from tests.maps.file.maps import DATUM, drive, track, write_map, write_session
 
@@ -167,11 +166,11 @@ def test_one_drive_aligned_in_one_map_only(
         merge_maps(maps, out, datum=DATUM)
 
 
-@pytest.mark.parametrize("more_m", [0.0, 0.004])
+@pytest.mark.parametrize("more_m", [0.0, 0.06])
 def test_a_drive_that_was_shifted_before_it_came_into_a_leaning_plane_is_the_same_drive(
     north: Path, tmp_path: Path, more_m: float
 ) -> None:
-    """A shift stays level: 5 km apart it rises by 0.8 mm a metre."""
+    """A shift stays level: 5 km apart it rises by 0.8 mm a metre, and so may differ by 5 cm."""
     with open_map(north, writable=True) as universal:
         universal.set_transform("1", -27.0, 14.0)
     merge_maps([north], tmp_path / "far.gpkg", datum=FAR)
@@ -182,8 +181,8 @@ def test_a_drive_that_was_shifted_before_it_came_into_a_leaning_plane_is_the_sam
             assert [one.twin for one in merged] == [None, None, "0", "1"]
         return
     with open_map(north, writable=True) as universal:
-        universal.set_transform("1", -27.0, 14.0 + SAME_PLACE_M + more_m)
-    with pytest.raises(ConfigError, match=r"'1' .* lies up to 0\.024 m aside"):
+        universal.set_transform("1", -27.0, 14.0 + more_m)
+    with pytest.raises(ConfigError, match=r"'1' .* lies up to 0\.06 m aside"):
         merge_maps(maps, out, datum=DATUM)
 
 

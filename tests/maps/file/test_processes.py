@@ -9,13 +9,11 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from fieldgrid.core import MapError, MapWriteError
 from fieldgrid.maps import MapFile, create_map, open_map, reading
-from fieldgrid.maps.health import row_digest
 from tests.maps.file.maps import CELL_M, DATUM, drive, write_map, write_session
 
 OURS, LEFT = 0, 7
@@ -133,37 +131,6 @@ def test_another_thread_may_take_a_map_over(tmp_path: Path) -> None:
         thread.start()
         thread.join()
         assert names == ["0"]
-
-
-def test_no_other_thread_reads_a_map_that_is_being_verified(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It would get the texts as bytes."""
-    path = write_map(tmp_path / "field.gpkg", [drive(2)])
-    said: list[str] = []
-    original = row_digest.of_rows
-
-    def other(universal: MapFile) -> None:
-        for use in (universal.sessions, lambda: universal.rename_session("0", "1")):
-            try:
-                use()
-            except MapError as error:
-                said.append(str(error))
-
-    with open_map(path, writable=True) as universal:
-
-        def slow(*arguments: Any) -> int:
-            if not said:
-                thread = threading.Thread(target=other, args=(universal,))
-                thread.start()
-                thread.join()
-            return original(*arguments)
-
-        monkeypatch.setattr(row_digest, "of_rows", slow)
-        assert universal.verify(1).sound
-        assert [s for s in said if "is being verified by another thread" in s] == said
-        assert len(said) == 2
-        universal.rename_session("0", "1")
 
 
 def test_a_change_while_the_map_is_being_read_is_refused_with_what_to_do(tmp_path: Path) -> None:

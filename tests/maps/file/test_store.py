@@ -320,6 +320,25 @@ def test_a_file_that_may_not_grow_leaves_the_map_as_it_was(path: Path) -> None:
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] == resource.RLIM_INFINITY
 
 
+def test_a_repair_whose_copy_does_not_fit_leaves_nothing(path: Path) -> None:
+    before = path.read_bytes()
+    done = run(
+        """
+        limit = path.stat().st_size // 3
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+        try:
+            with open_map(path, writable=True) as universal:
+                universal.repair(keep=path.with_name("kept.gpkg"))
+        except MapWriteError as error:
+            print("refused:", error)
+        """,
+        path,
+    )
+    assert done.stdout.startswith("refused: "), done.stderr
+    assert path.read_bytes() == before
+    assert names_in(path.parent) == ["map.gpkg"]
+
+
 @pytest.mark.parametrize("new", [False, True])
 def test_a_writer_that_is_killed_leaves_the_map_as_it_was(path: Path, new: bool) -> None:
     before = open_map(path).read()

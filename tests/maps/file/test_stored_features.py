@@ -103,6 +103,20 @@ def test_a_layer_of_somebody_else_stays(field: Path) -> None:
         assert universal.kept_features() is None
 
 
+def test_layers_that_are_found_again_are_counted_again(field: Path) -> None:
+    with open_map(field, writable=True) as universal:
+        universal.keep_features(FOUND, universal.root_sha256)
+    with closing(sqlite3.connect(field, isolation_level=None)) as database:  # as GDAL does
+        database.execute("CREATE TABLE gpkg_ogr_contents (table_name TEXT, feature_count INTEGER)")
+        database.execute(
+            "INSERT INTO gpkg_ogr_contents SELECT 'found_lane', count(*) FROM found_lane"
+        )
+    with open_map(field, writable=True) as universal:
+        assert universal.verify(1).sound
+        universal.keep_features([*FOUND, *FOUND], universal.root_sha256)
+        assert universal.verify(1).sound
+
+
 def test_a_damaged_layer_says_so(field: Path) -> None:
     with open_map(field, writable=True) as universal:
         universal.keep_features(FOUND, universal.root_sha256)

@@ -282,8 +282,6 @@ def abandon(universal: MapFile) -> None:
         ("UPDATE fieldgrid_session SET grid_cell_m = 1e300 WHERE name = '2'", "'2' is damaged"),
         ("UPDATE density SET tile_data = (SELECT tile_data FROM density WHERE id = 1)", "picture"),
         ("DELETE FROM density WHERE id = 2", "lacks picture"),
-        ("UPDATE trajectory SET heading_deg = 1 WHERE fid = 3", "fix 0"),
-        ("UPDATE footprint SET geom = NULL WHERE fid = 3", "footprint 0"),
         ("UPDATE fieldgrid_meta SET value = '-39.4' WHERE key = 'datum_lat_deg'", "of its plane"),
         (
             "UPDATE gpkg_spatial_ref_sys SET definition = replace(definition, '39.4', '-39.4') "

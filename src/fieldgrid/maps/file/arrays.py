@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import AnyArray, ConfigError, FieldgridError, MapError, parse_json
+from fieldgrid.core import AnyArray, ConfigError, FieldgridError, MapError, parse_json, shortened
 from fieldgrid.geometry import Datum, Status, Trajectory
 from fieldgrid.maps.file.codec import deflate, inflate, stored_dtype
 
@@ -110,7 +110,7 @@ def _array(name: str, parts: list[ArrayRow]) -> Array:
         if isinstance(error, FieldgridError):
             raise
         raise MapError(
-            f"The stored {what} is damaged: {error}. Restore the map from a copy."
+            f"The stored {what} is damaged: {shortened(error)}. Restore the map from a copy."
         ) from error
 
 
@@ -136,4 +136,4 @@ def trajectory_of(columns: Mapping[str, Array], datum: Datum, heading_source: st
         values["status"] = tuple(Status(value) for value in values["status"])
         return Trajectory(datum=datum, heading_source=heading_source, **values)
     except (KeyError, TypeError, ValueError, FieldgridError) as error:
-        raise MapError(f"A stored trajectory is damaged: {error}.") from error
+        raise MapError(f"A stored trajectory is damaged: {shortened(error)}.") from error

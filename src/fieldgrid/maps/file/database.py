@@ -13,14 +13,17 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from fieldgrid.core import MapError, MapWriteError, shortened
+from fieldgrid.core import MapError, MapWriteError, shortened, sync
+from fieldgrid.maps.file import beside
 
 BUSY_TIMEOUT_S = 30.0
 """How long a writer waits for another one, or a reader for a commit to end."""
 
 _TELL_EVERY_S = 1.0
 
-MAX_VALUE_BYTES = 64 << 20
+_PAGES_A_STEP = 10_000
+
+MAX_VALUE_BYTES = 16 << 20
 """The largest text or blob that is accepted from a file; the largest written is 8 MB."""
 
 
@@ -40,21 +43,40 @@ class _Connection(sqlite3.Connection):
 
     owner = 0
     file = (0, 0)
-    thread = 0
-    """The only thread that may use it, while it has other settings than usual; 0 for any."""
+
+    def close(self) -> None:
+        super().close()
+        with _REGISTER:
+            _OPEN.discard(self)
 
 
 _OPEN: weakref.WeakSet[_Connection] = weakref.WeakSet()
 _REGISTER = threading.RLock()
 
 
-@contextmanager
-def open_files() -> Iterator[frozenset[tuple[int, int]]]:
-    """Device and number of each map that is open in this process. In the block no other one
-    becomes open: what closes a descriptor of one lets go of all locks that the process has on it.
+def check_beside(file: Path) -> None:
+    """Raise MapError when what lies beside a map as its journal or write-ahead log is not its own.
+
+    Of a map that is open in this process, SQLite has seen that already; to close it once more
+    would let go of all locks that the process has on it.
     """
     with _REGISTER:
-        yield frozenset(connection.file for connection in _OPEN)
+        if not _is_open(file):
+            beside.check(file.resolve())
+
+
+def whole_bytes(file: Path) -> int:
+    """How long a map that could not be opened says that it is; 0 where it is no database."""
+    with _REGISTER:
+        return 0 if _is_open(file) else beside.whole_bytes(file)
+
+
+def _is_open(file: Path) -> bool:
+    try:
+        found = os.stat(file)
+    except OSError:
+        return False
+    return any(one.file == (found.st_dev, found.st_ino) for one in _OPEN)
 
 
 def _keep_open() -> None:
@@ -80,23 +102,6 @@ def _check_owner(connection: sqlite3.Connection, name: Path) -> None:
             f"{name} was opened by another process, of which this one is a copy (fork); open it "
             "again in this process."
         )
-    if getattr(connection, "thread", 0) not in (0, threading.get_ident()):
-        raise MapError(
-            f"{name} is being verified by another thread; open the map once for each thread."
-        )
-
-
-@contextmanager
-def alone(connection: sqlite3.Connection) -> Iterator[None]:
-    """In the block, no other thread begins to read or change the map by this connection."""
-    if not isinstance(connection, _Connection):
-        yield
-        return
-    before, connection.thread = connection.thread, threading.get_ident()
-    try:
-        yield
-    finally:
-        connection.thread = before
 
 
 def connect(
@@ -108,7 +113,8 @@ def connect(
     Also a reader opens it for writing, because a writer that was killed leaves a journal that
     the next one to open the file must play back; `query_only` then keeps the reader one.
     """
-    with explained(name, writing=writable):
+    with _REGISTER, explained(name, writing=writable):
+        check_beside(file)
         connection = sqlite3.connect(
             f"{file.resolve().as_uri()}?mode=rw",
             uri=True,
@@ -117,12 +123,10 @@ def connect(
             check_same_thread=False,  # a forgotten map may be closed by the garbage collector
             factory=_Connection,
         )
-    connection.owner = os.getpid()
+        found = os.stat(file)
+        connection.owner, connection.file = os.getpid(), (found.st_dev, found.st_ino)
+        _OPEN.add(connection)
     try:
-        with _REGISTER:  # before it can have any lock
-            found = os.stat(file)
-            connection.file = found.st_dev, found.st_ino
-            _OPEN.add(connection)
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
         with explained(name, writing=writable):
             # What a hostile file can do is limited: no functions with side effects from its
@@ -152,20 +156,17 @@ def keep_one_file(connection: sqlite3.Connection, *, durable: bool) -> None:
 
 
 def clear_journal(path: Path) -> None:
-    """Play back or delete the journal that an interrupted writer left beside a map.
+    """Play back and delete the journal that an interrupted writer left beside a map.
 
     Nothing happens while another program writes it, or where there is none.
     """
-    journal = path.with_name(f"{path.name}-journal")
-    if not (path.is_file() and journal.exists()):
-        return
-    with suppress(sqlite3.Error), closing(sqlite3.connect(path, isolation_level=None)) as found:
-        found.execute("BEGIN EXCLUSIVE")  # which plays back one that is complete
-        # SQLite takes one that begins with 0 for one that was never needed, and leaves it.
-        with suppress(OSError), journal.open("rb") as opened:
-            if opened.read(1) in (b"", b"\0"):
-                journal.unlink()
-        found.execute("ROLLBACK")
+    if path.is_file() and path.with_name(f"{path.name}-journal").exists():
+        with (
+            suppress(MapError),
+            closing(connect(path, path, writable=True, patience=Patience(0.0))) as found,
+            writing(found, path, Patience(0.0)),
+        ):
+            pass  # which begins with its recovery, and ends without a journal
 
 
 @contextmanager
@@ -194,8 +195,10 @@ def copied(path: Path, copy: Path | None) -> Iterator[None]:
         ) from error
     try:
         with closing(sqlite3.connect(path)) as source, closing(sqlite3.connect(copy)) as target:
-            target.execute("PRAGMA synchronous = EXTRA")
-            source.backup(target)
+            target.execute("PRAGMA journal_mode = OFF")  # which a full disk would leave there
+            # In steps, between which a signal is heard.
+            source.backup(target, pages=_PAGES_A_STEP, progress=lambda *_: None)
+        sync(copy.parent)
         yield
     except BaseException:
         with suppress(OSError):  # on Windows, where a worker has it open
@@ -217,6 +220,9 @@ def writing(
     with explained(name, writing=True):
         _when_free(connection, "BEGIN IMMEDIATE", patience)
         try:
+            # Writes the first page first, by which `beside` tells the journal of this change.
+            (version,) = connection.execute("PRAGMA user_version").fetchone()
+            connection.execute(f"PRAGMA user_version = {version}")
             yield
             _when_free(connection, "COMMIT", patience)
         except BaseException:

@@ -16,6 +16,7 @@ from fieldgrid.maps.file import schema
 from fieldgrid.maps.file.arrays import Array, ArrayKind, read_arrays, trajectory_of
 from fieldgrid.maps.file.codec import EncodedChannel
 from fieldgrid.maps.file.history import in_drive_order
+from fieldgrid.maps.file.metadata import no_session
 from fieldgrid.maps.file.records import (
     FRAME_SQL,
     SESSION_SQL,
@@ -66,10 +67,7 @@ class EvidenceTables:
         }
         for name in names:
             if name not in known:
-                raise ConfigError(
-                    f"{self.path} has no session {name!r}; it has "
-                    f"{', '.join(repr(other) for other in known) or 'none'}."
-                )
+                raise no_session(self.connection, self.path, name)
             if active and known[name] is not None:
                 raise ConfigError(
                     f"Session {name!r} of {self.path} is removed; put it back with --restore, "

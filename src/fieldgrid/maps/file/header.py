@@ -9,7 +9,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from fieldgrid.core import ConfigError, DatumError, FieldgridError, MapError, parse_json, shortened
+from fieldgrid.core import (
+    ConfigError,
+    DatumError,
+    FieldgridError,
+    MapError,
+    parse_json,
+    quoted,
+    shortened,
+)
 from fieldgrid.geometry import TILE_CELLS, Datum, Lattice
 from fieldgrid.maps.file import schema
 from fieldgrid.maps.layers.declaration import ChannelGroup
@@ -53,9 +61,9 @@ class MapHeader(NamedTuple):
         unknown = [name for name in self.groups if name not in GROUPS]
         if unknown:
             raise ConfigError(
-                f"{path} holds the channel group {unknown[0]!r}, which no imported module knows; "
-                "import the module that registers it, install the package that has it, or drop it "
-                "with `fieldgrid repair`."
+                f"{path} holds the channel group {quoted(unknown[0])}, which no imported module "
+                "knows; import the module that registers it, install the package that has it, or "
+                "drop it with `fieldgrid repair`."
             )
         return self.known_groups()
 
@@ -146,7 +154,7 @@ def read_header(connection: sqlite3.Connection, path: Path) -> MapHeader:
             raise MapError(f"{path} is damaged: it has no table {missing[0]}. Restore a copy.")
         for key, value in (("tile_cells", TILE_CELLS), ("cell_weight", CELL_WEIGHT)):
             if meta[key] != str(value):
-                raise ValueError(f"{key} is {meta[key]!r}, not {value}")
+                raise ValueError(f"{key} is {quoted(meta[key])}, not {value}")
         if version > schema.OTHER_TABLES_VERSION and "density" not in groups:
             raise ValueError(f"its tiles hold {', '.join(groups) or 'nothing'}, and no density")
         return MapHeader(

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import ConfigError, MapError, Quality
+from fieldgrid.core import ConfigError, MapError, Quality, quoted, shortened
 from fieldgrid.geometry import Datum, Trajectory
 from fieldgrid.maps.file.arrays import (
     Array,
@@ -21,6 +21,7 @@ from fieldgrid.maps.file.arrays import (
     trajectory_of,
 )
 from fieldgrid.maps.file.digest import session_digest
+from fieldgrid.maps.file.records import MAX_DOCUMENT, MAX_NAME, MAX_TEXT, check_lengths
 from fieldgrid.maps.writing.transform import IDENTITY, Transform, transform_of
 from fieldgrid.version import software_version
 
@@ -73,14 +74,19 @@ def session_metadata(
         {key: np.array(value) for key, value in (inputs or {}).items()},
         software_version(),
     )
+    check_lengths(dict.fromkeys((source, source_sha256, metadata.heading_source), MAX_TEXT))
+    check_lengths({metadata.config: MAX_DOCUMENT})
     array_rows(ArrayKind.INPUT, metadata.inputs)
     return metadata
 
 
 def check_name(name: str) -> None:
     """Raise ConfigError for a name that no session can have."""
-    if not name or not name.isprintable():
-        raise ConfigError(f"A session cannot be called {name!r}; give a printable name.")
+    if not (0 < len(name) <= MAX_NAME and name.isprintable()):
+        raise ConfigError(
+            f"A session cannot be called {quoted(name)}; give a printable name of up to {MAX_NAME} "
+            "letters."
+        )
 
 
 class FoundSession(NamedTuple):
@@ -123,12 +129,15 @@ def row_of(connection: sqlite3.Connection, path: Path, name: str) -> tuple[Any, 
         (name.encode("utf-8", "surrogatepass"),),
     ).fetchone()
     if row is None:
-        known = connection.execute("SELECT name FROM fieldgrid_session ORDER BY id")
-        raise ConfigError(
-            f"{path} has no session {name!r}; it has "
-            f"{', '.join(repr(other) for (other,) in known) or 'none'}."
-        )
+        raise no_session(connection, path, name)
     return row
+
+
+def no_session(connection: sqlite3.Connection, path: Path, name: str) -> ConfigError:
+    """The error for a session that a map does not have."""
+    rows = connection.execute("SELECT name FROM fieldgrid_session ORDER BY id LIMIT 20")
+    known = shortened(", ".join(quoted(other) for (other,) in rows)) or "none"
+    return ConfigError(f"{path} has no session {quoted(name)}; it has {known}.")
 
 
 def put_arrays(

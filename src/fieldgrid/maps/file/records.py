@@ -18,6 +18,7 @@ from fieldgrid.core import (
     notebook,
     parse_json,
     quoted,
+    shortened,
 )
 from fieldgrid.geometry import MAX_DISTANCE_M, GridSpec, LocalGrid, Pose, Status
 from fieldgrid.maps.file.codec import EncodedChannel, cells_sha256, decode_cells
@@ -39,6 +40,15 @@ FRAME_SQL = (
     "FROM fieldgrid_frame AS f JOIN fieldgrid_session AS s ON s.id = f.session_id"
 )
 
+
+MAX_NAME = 255
+"""Letters of the name of a session, and of a frame."""
+
+MAX_TEXT = 1000
+"""Letters of a reason or a source."""
+
+MAX_DOCUMENT = 4 << 20
+"""Letters of any text: settings, lists and transforms as JSON."""
 
 _NOWHERE = Pose(0, *(math.nan,) * 7)
 
@@ -189,7 +199,12 @@ def frame_values(
     images_sha256: Sequence[str],
     cells_sha256: str,
 ) -> tuple[Any, ...]:
-    """What is stored of a frame before its digest; the pose is as driven."""
+    """What is stored of a frame before its digest; the pose is as driven. ConfigError for a text
+    that is too long."""
+    documents = json.dumps(list(images), ensure_ascii=False), json.dumps(list(images_sha256))
+    check_lengths(
+        {frame_id: MAX_NAME, pose.reason: MAX_TEXT} | dict.fromkeys(documents, MAX_DOCUMENT)
+    )
     return (
         frame_id,
         int(pose.time_ns),
@@ -203,8 +218,7 @@ def frame_values(
         pose.status.value,
         pose.reason,
         quality,
-        json.dumps(list(images), ensure_ascii=False),
-        json.dumps(list(images_sha256)),
+        *documents,
         cells_sha256,
     )
 
@@ -225,27 +239,27 @@ def frame_record(
             position_sigma_m=_number(pose[4]),
             heading_sigma_deg=_number(pose[5]),
             speed_mps=_number(pose[6]),
-            status=Status(status),
+            status=Status(_text(status)),
             reason=_text(reason),
         )
         placed = transform_of(transform).pose(driven)
         check_pose(placed)
         return FrameRecord(
-            session=_text(session),
-            frame_id=_text(frame_id),
+            session=_text(session, MAX_NAME),
+            frame_id=_text(frame_id, MAX_NAME),
             pose=placed,
-            images=tuple(str(name) for name in parse_json(images)),
+            images=tuple(str(name) for name in _json(images)),
             spec=GridSpec(width_m, length_m, cell_m),
             load=load,
             quality=None if quality is None else _whole(quality),
-            images_sha256=tuple(str(value) for value in parse_json(images_sha256)),
+            images_sha256=tuple(str(value) for value in _json(images_sha256)),
             cells_sha256=_text(cells_sha256),
             digest=_text(digest),
             driven=driven,
         )
     except (TypeError, ValueError, FieldgridError) as error:
         what = f"Frame {quoted(frame_id)} of session {quoted(session)}"
-        raise MapError(f"{what} is damaged: {str(error).rstrip('.')}.") from error
+        raise MapError(f"{what} is damaged: {shortened(error).rstrip('.')}.") from error
 
 
 def session_info(row: tuple[Any, ...]) -> SessionInfo:
@@ -255,10 +269,10 @@ def session_info(row: tuple[Any, ...]) -> SessionInfo:
     frames, accepted, width_m, length_m, cell_m = counts
     try:
         return SessionInfo(
-            name=_text(name),
+            name=_text(name, MAX_NAME),
             created=_text(created),
             source=_text(source),
-            config=dict(parse_json(config)),
+            config=dict(_json(config)),
             software_version=_text(software),
             heading_source=_text(heading_source),
             first_time_ns=None if first is None else _whole(first),
@@ -272,7 +286,9 @@ def session_info(row: tuple[Any, ...]) -> SessionInfo:
             transform=transform_of(transform),
         )
     except (TypeError, ValueError, FieldgridError) as error:
-        raise MapError(f"Session {quoted(name)} is damaged: {str(error).rstrip('.')}.") from error
+        raise MapError(
+            f"Session {quoted(name)} is damaged: {shortened(error).rstrip('.')}."
+        ) from error
 
 
 def _number(value: Any) -> float:
@@ -288,7 +304,23 @@ def _whole(value: Any) -> int:
     return value
 
 
-def _text(value: Any) -> str:
+def _text(value: Any, most: int = MAX_TEXT) -> str:
     if not isinstance(value, str):
         raise TypeError(f"{quoted(value)} is no text")
+    if len(value) > most:
+        raise ValueError(f"a text of {len(value)} letters begins with {quoted(value)}")
     return value
+
+
+def _json(value: Any) -> Any:
+    return parse_json(_text(value, MAX_DOCUMENT))
+
+
+def check_lengths(texts: Mapping[str, int]) -> None:
+    """Raise ConfigError for a text that has more letters than a map takes of it."""
+    for text, most in texts.items():
+        if len(text) > most:
+            raise ConfigError(
+                f"{quoted(text)} has {len(text)} letters, and a map takes {most}; give a shorter "
+                "text."
+            )

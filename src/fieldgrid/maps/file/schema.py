@@ -249,6 +249,9 @@ GEOPACKAGE_TABLES = (
 )  # fmt: skip
 """Those of GeoPackage in which layers are announced, ours and others."""
 
+GDAL_COUNTS = "gpkg_ogr_contents"
+"""A table of GDAL's own, with the number of rows of layers."""
+
 OWN_TABLES = ("fieldgrid_meta", *EVIDENCE_TABLES, *DERIVED_TABLES)
 """All tables of our own."""
 
@@ -301,6 +304,9 @@ def renew_features(connection: sqlite3.Connection) -> None:
     """Put empty tables of features in place of those there are, whatever their columns."""
     for table in GEOMETRIES:
         connection.execute(f"DROP TABLE IF EXISTS {table}")
+    if has_table(connection, GDAL_COUNTS):
+        # With the tables go GDAL's triggers; what is not known it counts itself.
+        connection.execute(f"UPDATE {GDAL_COUNTS} SET feature_count = NULL")
     for statement in _FEATURES.split(";\n"):
         connection.execute(statement)
 

@@ -13,17 +13,18 @@ from fieldgrid.maps.file import schema
 from fieldgrid.maps.file.database import (
     USUAL_PATIENCE,
     Patience,
+    check_beside,
     connect,
     explained,
     keep_one_file,
     reading,
+    whole_bytes,
     writing,
 )
 from fieldgrid.maps.file.header import MapHeader, cut_short, read_header
 from fieldgrid.maps.file.map_file import MapFile
 from fieldgrid.maps.file.root import seal
 from fieldgrid.maps.file.upgrade import read_as_is
-from fieldgrid.maps.health.hot_journal import check_journal, whole_bytes
 from fieldgrid.maps.health.row_sums import begin_sums
 from fieldgrid.maps.layers.registry import kept_groups
 from fieldgrid.maps.tiles.tiling import TileMatrixSet
@@ -71,7 +72,6 @@ def open_map(
             f"{path} is not a fieldgrid map: it is empty, as a copy that never began or a full "
             "disk leaves it; copy it again."
         )
-    check_journal(path.resolve())
     try:
         connection = connect(path, path, writable=writable, patience=patience)
     except MapError as error:
@@ -113,6 +113,7 @@ def create_map(
     and may not be overwritten, ConfigError for a layer that is not there.
     """
     path = Path(path)
+    check_beside(path)
     lattice = Lattice(DEFAULT_CELL_M if cell_m is None else cell_m)
     header = MapHeader(datum, lattice, transfer or Transfer.CENTRE, kept_groups(layers))
     draft = Draft(

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from functools import lru_cache
 from typing import Any
 
 from fieldgrid.core import shortened
 from fieldgrid.maps.file import schema
+from fieldgrid.maps.file.database import MAX_VALUE_BYTES
 from fieldgrid.maps.file.header import MapHeader
+from fieldgrid.maps.file.records import MAX_DOCUMENT
 from fieldgrid.maps.file.root import meddling_triggers
 from fieldgrid.maps.health.row_sums import create_sums
 from fieldgrid.maps.tiles.tiling import TileMatrixSet
@@ -38,18 +41,13 @@ SELECT NOT i."unique" AND NOT i.partial AND NOT EXISTS (
 """Of an index: that it is not unique, and without conditions, expressions, which may fail, and
 orders of text that SQLite itself does not have."""
 
-_LARGEST_ID = 1 << 53
-"""SQLite takes no row behind the largest number that it has; some programs count no further."""
-
-
-def check_file(subject: Subject) -> Iterator[str]:
-    """The pages of the file, its header, and references between its tables."""
-    yield from check_pages(subject)
-    yield from orphans(subject.connection)
+_NO_NUMBER = f"typeof(seq) <> 'integer' OR seq NOT BETWEEN 0 AND {1 << 53}"
+"""Of the numbers from which SQLite counts on: it takes no row behind the largest that it has, and
+some programs count no further."""
 
 
 def check_pages(subject: Subject) -> Iterator[str]:
-    """The pages of the file, and its header."""
+    """The pages of the file, and the numbers that SQLite keeps of it."""
     connection = subject.connection
     yield from damaged_pages(connection)
     (version,) = connection.execute("PRAGMA user_version").fetchone()
@@ -58,6 +56,8 @@ def check_pages(subject: Subject) -> Iterator[str]:
             f"The file says that it is a GeoPackage of version {version}, and not "
             f"{schema.GEOPACKAGE_VERSION}."
         )
+    for (table,) in connection.execute(f"SELECT name FROM sqlite_sequence WHERE {_NO_NUMBER}"):
+        yield f"The number of the last row of {shortened(table, 60)} is none."
 
 
 def check_layout(subject: Subject) -> Iterator[str]:
@@ -80,11 +80,6 @@ def check_layout(subject: Subject) -> Iterator[str]:
             yield f"The index {name} of {table} may refuse new rows; drop it."
     for name, table in meddling_triggers(connection):
         yield f"A trigger {name} of {table} changes the map behind its back; drop it."
-    for (table,) in connection.execute(
-        "SELECT table_name FROM gpkg_contents WHERE datetime(last_change) IS NULL"
-    ):
-        yield f"The time at which the layer {table} was last changed is none."
-    yield from _sequences(connection)
 
 
 def check_types(subject: Subject) -> Iterator[str]:
@@ -93,58 +88,65 @@ def check_types(subject: Subject) -> Iterator[str]:
     for table, column, declared, is_needed in columns:
         held, called = _STORED.get(declared, ("blob", "a blob"))
         allowed = f"'{held}'" if is_needed else f"'{held}', 'null'"
-        for row_id, found in connection.execute(
-            f"SELECT rowid, typeof({column}) FROM {table} WHERE typeof({column}) NOT IN ({allowed})"
-        ):
-            yield f"Row {row_id} of {table} has {found} in {column}, where {called} belongs."
-
-
-def _sequences(connection: sqlite3.Connection) -> Iterator[str]:
-    """The numbers from which SQLite counts on."""
-    rows = connection.execute("SELECT name, seq FROM sqlite_sequence").fetchall()
-    for table in schema.COUNTED_TABLES:
-        (largest,) = connection.execute(f"SELECT max(rowid) FROM {table}").fetchone()
-        if largest is None:
-            continue
-        kept = [seq for name, seq in rows if name == table]
-        if not (len(kept) == 1 and isinstance(kept[0], int) and largest <= kept[0] <= _LARGEST_ID):
-            yield f"The number of the last row of {table} is {largest}; {kept} is kept of it."
+        longest = MAX_DOCUMENT if held == "text" else MAX_VALUE_BYTES
+        try:
+            for row_id, found in connection.execute(
+                f"SELECT rowid, typeof({column}) FROM {table} WHERE typeof({column}) NOT IN "
+                f"({allowed}) OR length({column}) > {longest}"
+            ):
+                wrong = "that is too long" if found == held else f"where {called} belongs"
+                yield f"Row {row_id} of {table} has {found} in {column}, {wrong}."
+        except sqlite3.DataError:
+            yield f"A row of {table} has a value in {column} that is too long."
 
 
 def damaged_pages(connection: sqlite3.Connection) -> Iterator[str]:
     """What SQLite finds wrong with its own file."""
-    for (line,) in connection.execute(f"PRAGMA integrity_check({MAX_PROBLEMS})"):
+    query = f"PRAGMA integrity_check({MAX_PROBLEMS})"
+    with ThreadPoolExecutor(1) as beside:
+        rows = beside.submit(lambda: connection.execute(query).fetchall())
+        try:
+            lines = rows.result()
+        except BaseException:  # a signal, which this thread hears
+            connection.interrupt()
+            raise
+    for (line,) in lines:
         if line != "ok":
             yield f"The file is damaged: {shortened(line)}."
 
 
-def orphans(connection: sqlite3.Connection, table: str = "") -> Iterator[str]:
-    """Rows of a table, or of all, that belong to nothing."""
-    check = f"foreign_key_check({table})" if table else "foreign_key_check"
+def check_counts(subject: Subject) -> Iterator[str]:
+    """The rows of layers that GDAL counts by triggers, in a table of its own."""
+    connection = subject.connection
+    if not schema.has_table(connection, schema.GDAL_COUNTS):
+        return
+    for table, kept in connection.execute(
+        f"SELECT c.table_name, c.feature_count FROM {schema.GDAL_COUNTS} AS c JOIN sqlite_schema "
+        "AS s ON s.name = c.table_name WHERE s.type = 'table' AND s.rootpage > 0 "
+        "AND c.feature_count IS NOT NULL"
+    ).fetchall():
+        quoted = table.replace('"', '""')
+        (rows,) = connection.execute(f'SELECT count(*) FROM "{quoted}"').fetchone()
+        if kept != rows:
+            yield (
+                f"The layer {shortened(table, 60)} has {rows} rows, and GDAL is told of "
+                f"{shortened(kept, 60)}."
+            )
+
+
+def check_references(subject: Subject) -> Iterator[str]:
+    """Rows that belong to nothing, in one sentence a table: there may be very many."""
     found: dict[tuple[str, str], list[int]] = {}
-    for name, row_id, parent, _ in connection.execute(f"PRAGMA {check}"):
+    for name, row_id, parent, _ in subject.connection.execute("PRAGMA foreign_key_check"):
         found.setdefault((name, parent), []).append(row_id)
-    # In one sentence a table: there may be as many of them as there are problems told.
     for (name, parent), rows in found.items():
-        if len(rows) == 1:
-            yield f"Row {rows[0]} of {name} has no counterpart in {parent}."
-        else:
-            yield f"{len(rows)} rows of {name} have no counterpart in {parent}, {rows[0]} first."
+        yield f"{len(rows)} rows of {name} have no counterpart in {parent}, {rows[0]} first."
 
 
 def renew_file(connection: sqlite3.Connection) -> None:
-    """Bring what `check_file` and `check_types` find of the file's own numbers up to date."""
+    """Bring what `check_pages` finds of the file's own numbers up to date."""
     connection.execute(f"PRAGMA user_version = {schema.GEOPACKAGE_VERSION}")
-    connection.execute(
-        "DELETE FROM sqlite_sequence WHERE name IS NULL OR name NOT IN "
-        "(SELECT name FROM sqlite_schema WHERE type = 'table')"
-    )
-    for table in schema.COUNTED_TABLES:
-        connection.execute("DELETE FROM sqlite_sequence WHERE name = ?", (table,))
-        connection.execute(
-            f"INSERT INTO sqlite_sequence SELECT ?, max(rowid) FROM {table} HAVING count(*)",
-            (table,),
-        )
+    connection.execute(f"DELETE FROM sqlite_sequence WHERE {_NO_NUMBER}")
 
 
 _Layout = tuple[frozenset[tuple[Any, ...]], tuple[tuple[str, str, str, int], ...]]

@@ -6,6 +6,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
+from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -15,12 +16,23 @@ from fieldgrid.maps.file import schema
 from fieldgrid.maps.file.database import connect
 from fieldgrid.maps.file.header import MapHeader, read_header
 from fieldgrid.maps.file.metadata import count_frames
-from fieldgrid.maps.file.root import read_root, seal
+from fieldgrid.maps.file.root import check_digest, read_root, seal
 from fieldgrid.maps.file.upgrade import SESSION_TILES, drop_what_is_folded
-from fieldgrid.maps.health.file_check import MAX_PROBLEMS, damaged_pages, orphans, renew_file
+from fieldgrid.maps.health.feature_check import check_announced, check_features
+from fieldgrid.maps.health.file_check import (
+    MAX_PROBLEMS,
+    check_counts,
+    check_layout,
+    check_pages,
+    check_references,
+    check_types,
+    damaged_pages,
+    renew_file,
+)
 from fieldgrid.maps.health.row_sums import begin_sums, drop_sums
-from fieldgrid.maps.health.verification import LONGEST_PROBLEM, check_evidence, verify
-from fieldgrid.maps.vector.marks import TABLE, announce_marks, read_marks
+from fieldgrid.maps.health.tile_check import check_tiles
+from fieldgrid.maps.health.verification import LONGEST_PROBLEM, Check, check_evidence, problems
+from fieldgrid.maps.vector.marks import TABLE, announce_marks, check_marks, read_marks
 from fieldgrid.maps.vector.stored_features import check_stored
 from fieldgrid.maps.writing import derived
 from fieldgrid.maps.writing.subject import Subject
@@ -93,13 +105,7 @@ def _repair(subject: Subject) -> tuple[str, ...]:
     if schema.has_table(connection, SESSION_TILES):
         drop_what_is_folded(connection, header)
     damaged = next(
-        chain(
-            damaged_pages(connection),
-            orphans(connection, "fieldgrid_frame"),
-            orphans(connection, "fieldgrid_array"),
-            check_evidence(subject, "WHERE removed IS NULL"),
-        ),
-        None,
+        chain(damaged_pages(connection), check_evidence(subject, "WHERE removed IS NULL")), None
     )
     if damaged is not None:
         raise MapError(
@@ -117,28 +123,29 @@ def _repair(subject: Subject) -> tuple[str, ...]:
     seal(connection)
     begin_sums(connection)
     # What was made is seen here only, until it is committed.
-    left = _left(Subject(connection, path, header, Threads(run.here)))
+    anew = Subject(connection, path, header, Threads(run.here))
+    for problem in problems(anew, _REPAIRED):
+        raise MapError(
+            f"{path} cannot be repaired, because this does not follow from its evidence: {problem} "
+            "Nothing was changed; restore a copy of the map."
+        )
+    left = tuple(islice(dict.fromkeys(problems(subject, _REMOVED)), MAX_PROBLEMS))
     if left:  # which sums would call sound
         drop_sums(connection)
     return (*left, *check_stored(subject))
 
 
-def _left(subject: Subject) -> tuple[str, ...]:
-    """What is wrong with the evidence of removed sessions. MapError for anything else."""
-    connection, path, header, run, _ = subject
-    removed = islice(check_evidence(subject, "WHERE removed IS NOT NULL"), MAX_PROBLEMS)
-    known = dict.fromkeys(shortened(one, LONGEST_PROBLEM) for one in removed)
-    grids = {shortened(one, LONGEST_PROBLEM) for one in orphans(connection, "fieldgrid_grid")}
-    stored = {shortened(one, LONGEST_PROBLEM) for one in check_stored(subject)}
-    problems = verify(connection, path, header, run, deep=True, rebuilt=True).problems
-    found = [problem for problem in problems if problem not in stored]
-    for problem in found:
-        if problem not in known and problem not in grids:
-            raise MapError(
-                f"{subject.path} cannot be repaired, because this does not follow from its "
-                f"evidence: {problem} Nothing was changed; restore a copy of the map."
-            )
-    return tuple(dict.fromkeys((*known, *found)))
+_REPAIRED: tuple[Check, ...] = (
+    *(check_pages, check_counts, check_layout, check_types, check_digest, check_marks),
+    *(check_announced, check_features, partial(check_tiles, folded=True)),
+)
+"""What must be right in the end. Of evidence all that is needed was checked before."""
+
+_REMOVED: tuple[Check, ...] = (
+    partial(check_evidence, which="WHERE removed IS NOT NULL"),
+    check_references,
+)
+"""What may be wrong with sessions that were removed."""
 
 
 def _replace_systems(

@@ -8,16 +8,16 @@ that the map is what its writers made of it, and are begun only where that was v
 
 from __future__ import annotations
 
-import json
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from itertools import product
 from typing import Any
 
+from fieldgrid.maps.file.digest import of_row, of_rows
 from fieldgrid.maps.file.root import root_in_meta
 from fieldgrid.maps.file.schema import DERIVED_TABLES, EVIDENCE_TABLES, GEOMETRIES, has_table
-from fieldgrid.maps.health.row_digest import of_row, of_rows
+from fieldgrid.maps.writing.subject import Subject
 
 SUMMED_TABLES = (*EVIDENCE_TABLES, *DERIVED_TABLES, "density", *GEOMETRIES)
 """What commits change row by row. The root digest covers the rest, or it is made again in no time:
@@ -46,9 +46,16 @@ def kept_sums(connection: sqlite3.Connection) -> dict[str, str]:
     return kept if kept.pop(_ROOT, None) == root_in_meta(connection) else {}
 
 
-def fits(kept: str | None, total: int) -> bool:
-    """Whether a sum that is kept is that of the rows."""
-    return kept == _written(total)
+def check_sums(subject: Subject) -> Iterator[str]:
+    """The rows of all tables against the sums that are kept of them, where those are of the map as
+    it is."""
+    kept = kept_sums(subject.connection)
+    for table in SUMMED_TABLES if kept else ():
+        if kept.get(table) != _written(of_rows(subject.connection, table)):
+            yield (
+                f"The rows of {table} are not those that were written, although they fit the "
+                "frames, or the sum that is kept of them is damaged; repair the map."
+            )
 
 
 def create_sums(connection: sqlite3.Connection) -> None:
@@ -87,7 +94,8 @@ class RowCounter:
     @contextmanager
     def counting(self) -> Iterator[None]:
         """Within the caller's transaction, at whose end the map is sealed: its sums follow."""
-        if not kept_sums(self._connection):
+        kept = kept_sums(self._connection)
+        if not kept:
             drop_sums(self._connection)  # what happened since is not known
             yield
             return
@@ -95,16 +103,12 @@ class RowCounter:
         self._changes = dict.fromkeys(SUMMED_TABLES, 0)
         yield
         for table, change in self._changes.items():
-            if change:
-                row = self._connection.execute(
-                    "SELECT sum FROM fieldgrid_sum WHERE rows_of = ?", (table,)
-                ).fetchone()
-                # What is no number stays so, and no sum fits.
-                with suppress(TypeError, ValueError):
-                    self._connection.execute(
-                        "UPDATE fieldgrid_sum SET sum = ? WHERE rows_of = ?",
-                        (_written(int(row[0], 16) + change), table),
-                    )
+            # What is no number, or missing, stays so, and no sum fits.
+            with suppress(KeyError, TypeError, ValueError):
+                self._connection.execute(
+                    "UPDATE fieldgrid_sum SET sum = ? WHERE rows_of = ?",
+                    (_written(int(kept[table], 16) + change), table),
+                )
         _note_root(self._connection)
 
     def _watch(self) -> None:
@@ -112,29 +116,12 @@ class RowCounter:
         rolled back or of tables that were made anew."""
         query = "SELECT name FROM sqlite_temp_schema WHERE type = 'trigger'"
         there = {name for (name,) in self._connection.execute(query)}
-        if len(there) == len(SUMMED_TABLES) * len(_EVENTS):
-            return
-        rows = self._connection.execute(
-            "SELECT t.name, c.name FROM sqlite_schema AS t JOIN pragma_table_info(t.name) AS c "
-            "WHERE t.type = 'table' AND t.name IN (SELECT value FROM json_each(?)) "
-            "ORDER BY 1, c.cid",
-            (json.dumps(SUMMED_TABLES),),
-        )
-        columns: dict[str, list[str]] = {}
-        for table, column in rows:
-            columns.setdefault(table, []).append(column)
-        for table, event in product(columns, _EVENTS):
+        for table, event in product(SUMMED_TABLES, _EVENTS):
             name = f"{table}_{event}"
             if name not in there:
-                # A value as it is hashed: text as x and the digits of its bytes.
+                columns = self._connection.execute(f"PRAGMA main.table_info({table})").fetchall()
                 counted = (
-                    f"fieldgrid_count('{table}', {sign}, "
-                    + ", ".join(
-                        f"CASE typeof({row}.{column}) WHEN 'text' THEN 'x' || hex({row}.{column}) "
-                        f"ELSE {row}.{column} END"
-                        for column in columns[table]
-                    )
-                    + ")"
+                    f"fieldgrid_count('{table}', {sign}, {_counted_values(row, columns)})"
                     for row, sign in _EVENTS[event].items()
                 )
                 self._connection.execute(
@@ -144,6 +131,17 @@ class RowCounter:
 
     def _count(self, table: str, sign: int, *row: Any) -> None:
         self._changes[table] += sign * of_row(row)
+
+
+def _counted_values(row: str, columns: Sequence[tuple[Any, ...]]) -> str:
+    """The values of a row as they are hashed: text as x and the digits of its bytes, which need be
+    no UTF-8."""
+    return ", ".join(
+        f"CASE typeof({row}.{name}) WHEN 'text' THEN 'x' || hex({row}.{name}) ELSE {row}.{name} END"
+        if kind in ("TEXT", "DATETIME")
+        else f"{row}.{name}"
+        for _, name, kind, *_ in columns
+    )
 
 
 def _note_root(connection: sqlite3.Connection) -> None:

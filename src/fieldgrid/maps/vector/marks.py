@@ -16,7 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fieldgrid.core import ConfigError, MapError
+from fieldgrid.core import ConfigError, MapError, shortened
 from fieldgrid.geometry import MAX_DISTANCE_M, Bounds, Datum, Feature
 from fieldgrid.maps.file import schema
 from fieldgrid.maps.file.geometry import Ring, decode_rings, encode_point, encode_polygon
@@ -198,7 +198,7 @@ def _mark(row: tuple[Any, ...]) -> Mark:
             raise ValueError("its corners repeat")
     except (TypeError, ValueError, AttributeError) as error:
         raise MapError(
-            f"Mark {number} of the map is damaged: {str(error).rstrip('.')}. Restore a copy."
+            f"Mark {number} of the map is damaged: {shortened(error).rstrip('.')}. Restore a copy."
         ) from error
     return mark._replace(id=int(number))
 
@@ -352,8 +352,8 @@ def marks_of_geojson(document: Any, datum: Datum, usual: Mapping[str, str]) -> l
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise ConfigError(
-            f"That is no GeoJSON of points and polygons ({type(error).__name__}: {error}); write "
-            "one with a GIS, in longitude and latitude."
+            f"That is no GeoJSON of points and polygons ({type(error).__name__}: "
+            f"{shortened(error)}); write one with a GIS, in longitude and latitude."
         ) from error
     if not found:
         raise ConfigError("The GeoJSON has no feature; draw a point or a polygon.")

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 from fieldgrid.core import MapError, shortened
 from fieldgrid.geometry import Feature
+from fieldgrid.maps.file.digest import of_rows
 from fieldgrid.maps.file.geometry import encode_shape, shape_of
-from fieldgrid.maps.file.schema import SRS_ID
-from fieldgrid.maps.health.row_digest import of_rows
+from fieldgrid.maps.file.schema import GDAL_COUNTS, SRS_ID, has_table
 from fieldgrid.maps.writing.subject import Subject
 
 FOUND_KEY = "found_sha256"
@@ -40,9 +40,11 @@ def keep_features(
     connection: sqlite3.Connection, features: Sequence[Feature], root_sha256: str
 ) -> None:
     """Put features into a map in place of those that it has, within the caller's transaction."""
+    announcing = ("gpkg_geometry_columns", "gpkg_contents", GDAL_COUNTS)
     for table, _, kind in _announced(connection):
-        for of in ("gpkg_geometry_columns", "gpkg_contents"):
-            connection.execute(f"DELETE FROM {of} WHERE table_name = ?", (table,))
+        for of in announcing:
+            if has_table(connection, of):
+                connection.execute(f"DELETE FROM {of} WHERE table_name = ?", (table,))
         if kind is not None:
             what = "VIEW" if kind == "view" else "TABLE"
             connection.execute(f"DROP {what} {_quoted(table)}")
@@ -100,7 +102,7 @@ def read_stored_features(connection: sqlite3.Connection) -> StoredFeatures | Non
             ]
         except (ValueError, TypeError) as error:
             raise MapError(
-                f"The layer {table} of the map is damaged ({error}); find it again with "
+                f"The layer {table} of the map is damaged ({shortened(error)}); find it again with "
                 "`fieldgrid rows --keep`."
             ) from error
     return StoredFeatures(tuple(found), root) if found else None

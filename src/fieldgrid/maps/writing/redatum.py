@@ -36,14 +36,6 @@ class Redatum:
         east, north, up = self.new.to_enu(*self.old.to_geodetic(east_m, north_m, height_m))
         return east, north, np.where(known, up, np.nan)
 
-    def lean(self, east_m: float, north_m: float) -> float:
-        """By how much the planes lean to each other at a place of the old one: metres that what is
-        level in one of them rises in the other, for each metre."""
-        _, _, up = self.places(
-            east_m + np.array([0.0, 1.0, 0.0]), north_m + np.array([0.0, 0.0, 1.0]), np.zeros(3)
-        )
-        return float(np.hypot(up[1] - up[0], up[2] - up[0]))
-
     def turn_deg(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> Float64:
         """What headings turn by at places of the old plane: the heading of the old north."""
         east, north, _ = self.places(east_m, north_m, 0.0)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.core import ConfigError, Float64, Int64, MapError, parse_json
+from fieldgrid.core import ConfigError, Float64, Int64, MapError, parse_json, shortened
 from fieldgrid.geometry import Bounds, Pose, Trajectory, wrap_deg
 from fieldgrid.maps.writing.corrections import MOST_M, HeightCorrection, Wander
 
@@ -256,13 +256,13 @@ def transform_of(text: str | None) -> Transform:
         unknown = sorted(set(kinds) - {_RIGID, _WANDER, _HEIGHTS, _ALIGNED})
         if unknown or _RIGID not in kinds:
             raise MapError(
-                f"A session's transform has {', '.join(unknown) or 'no rigid part'}, and this "
-                f"fieldgrid knows {_RIGID}, {_WANDER}, {_HEIGHTS} and {_ALIGNED}; update fieldgrid "
-                "to read it."
+                f"A session's transform has {shortened(', '.join(unknown)) or 'no rigid part'}, "
+                f"and this fieldgrid knows {_RIGID}, {_WANDER}, {_HEIGHTS} and {_ALIGNED}; update "
+                "fieldgrid to read it."
             )
         rigid = kinds[_RIGID]
         if set(rigid) != set(_RIGID_FIELDS) or not all(_is_number(v) for v in rigid.values()):
-            raise TypeError(f"it says {rigid}")
+            raise TypeError(f"it says {shortened(rigid)}")
         readers = {_WANDER: _wander, _ALIGNED: _aligned, _HEIGHTS: _heights}
         parts: dict[str, Any] = {
             name: read(kinds[name]) for name, read in readers.items() if kinds.get(name) is not None
