@@ -27,7 +27,7 @@ from fieldgrid.core import (
     refuse_input,
 )
 from fieldgrid.geometry import Datum
-from fieldgrid.maps import MapFile, Patience, create_map, open_map
+from fieldgrid.maps import MapFile, Patience, create_map, open_map, read_datum
 from fieldgrid.pipeline.checks.doubt import doubted_cell
 from fieldgrid.pipeline.poses import (
     attitude_of_grids,
@@ -128,7 +128,7 @@ def build_map(
     if scheduler is not None and jobs is not None:
         raise ConfigError("With a scheduler its workers stage the frames; leave out --jobs.")
     settings = settings or BuildSettings()
-    chosen = settings.map
+    chosen, layers = settings.map, settings.map.kept_layers()
     build = _Build(
         Path(out), settings, every, jobs or os.cpu_count() or 1, skip_bad, fail_fast, progress
     )
@@ -143,22 +143,19 @@ def build_map(
             options = replace(options or DriveOptions(), incomplete=True)
         build.open(opened, options, name)
         if append or is_there:
-            with open_map(build.out) as existing:
-                datum = datum or existing.datum
-            universal = opened.enter_context(
-                open_map(
-                    build.out,
-                    datum=datum,
-                    cell_m=chosen.cell_m,
-                    transfer=chosen.transfer,
-                    layers=chosen.kept_layers(),
-                    patience=patience or Patience(),
-                )  # fmt: skip
+            datum = datum or read_datum(build.out)
+            universal = open_map(
+                build.out,
+                datum=datum,
+                cell_m=chosen.cell_m,
+                transfer=chosen.transfer,
+                layers=layers,
+                patience=patience or Patience(),
             )
+            opened.enter_context(universal)
         taken = [info.name for info in universal.sessions()] if append or is_there else []
-        check_names(
-            [drive.name for drive in build.drives if not drive.error], () if resume else taken
-        )
+        names = [drive.name for drive in build.drives if not drive.error]
+        check_names(names, () if resume else taken)
         if scheduler is not None:
             from fieldgrid.core import connected  # late: few builds have a cluster
 
@@ -173,7 +170,7 @@ def build_map(
                     datum,
                     cell_m=settings.universal_cell_m,
                     transfer=chosen.transfer,
-                    layers=chosen.kept_layers(),
+                    layers=layers,
                     overwrite=overwrite,
                 )
             )
