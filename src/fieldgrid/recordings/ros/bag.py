@@ -129,8 +129,9 @@ class Bag(Closing):
     @property
     def topics(self) -> Mapping[str, Topic]:
         """The topics by their names, in the order of these."""
-        found = {name: topic.summary() for name, topic in sorted(self._topics.items())}
-        return MappingProxyType(found)
+        return MappingProxyType(
+            {name: topic.summary() for name, topic in sorted(self._topics.items())}
+        )
 
     @property
     def files(self) -> tuple[str, ...]:

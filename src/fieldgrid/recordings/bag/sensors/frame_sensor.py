@@ -128,8 +128,7 @@ def are_corrected(content: BagIndex) -> bool:
 
 
 def _single_frame(name: str, content: BagIndex, axes: str | None = None) -> SensorFrame:
-    R = optical(name, content.transforms, axes)
-    return SensorFrame(name, R, np.zeros(3), np.zeros(3))
+    return SensorFrame(name, optical(name, content.transforms, axes), np.zeros(3), np.zeros(3))
 
 
 def _first(content: BagIndex, plan: Plan) -> Any:
