@@ -139,9 +139,9 @@ def test_verify_and_repair(fieldgrid: Run, path: Path) -> None:
     expected = content(path)
     database = sqlite3.connect(path, isolation_level=None)
     database.execute(
-        "UPDATE fieldgrid_tile SET data = (SELECT data FROM fieldgrid_tile WHERE channels = 'count' "
-        "LIMIT 1) WHERE rowid = (SELECT max(rowid) FROM fieldgrid_tile WHERE channels = 'count' AND "
-        "zoom = (SELECT min(zoom) FROM fieldgrid_tile))"
+        "UPDATE fieldgrid_tile SET data = (SELECT data FROM fieldgrid_tile WHERE "
+        "channels = 'count' LIMIT 1) WHERE rowid = (SELECT max(rowid) FROM fieldgrid_tile WHERE "
+        "channels = 'count' AND zoom = (SELECT min(zoom) FROM fieldgrid_tile))"
     )
     database.close()
     result = fieldgrid("verify", path)

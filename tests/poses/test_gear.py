@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 from fieldgrid.poses.gears.habits import Habits
 from fieldgrid.poses.gears.holes import back_m, carried_on_nats, edge_mps, tight_nats
-from fieldgrid.poses.gears.legs import GearEvidence, Gears, gears, turning_deg
+from fieldgrid.poses.gears.legs import GearEvidence, Gears, first_beyond, gears, turn_between
 from tests.simulated import K_TURN, Command, Drive, simulate
 
 _Float64 = npt.NDArray[np.float64]
@@ -348,7 +348,9 @@ def test_turning_in_an_arc_is_that_of_its_chords(radius_m: float, side: int, ste
     points = radius_m * np.stack([1.0 - np.cos(angle), np.sin(np.abs(angle))], axis=1)
     points[:, 0] *= side
     reach_m = 0.5
-    found = turning_deg(points, np.zeros(len(points), dtype=np.int64), reach_m)
+    part = np.zeros(len(points), dtype=np.int64)
+    ends = (first_beyond(points, reach_m, step, part) for step in (-1, 1))
+    found = turn_between(points, *ends)
     chord = 2.0 * np.arcsin(reach_m / (2.0 * radius_m))
     known = found != 0.0
     assert known[len(points) // 2]

@@ -263,6 +263,11 @@ def _drive(
     if axle.sigma_m:
         unsure_rad = unsure_heading_rad(smoothed, axle.sigma_m)
         sigma_deg = np.hypot(sigma_deg, np.degrees(unsure_rad))
+    # For how long the error of a float solution lasts is a guess; if it lasts, no mean over the
+    # drive makes it smaller than stated.
+    last = np.maximum(np.searchsorted(fixes.time_ns, at.time_ns, side="right") - 1, 0)
+    floats = fixes.quality[last] == Quality.RTK_FLOAT
+    least_m = np.where(floats, measured.bias_m, 0.0)
     (right_m, ahead_m), _ = axle.frame()
     has = at.fix >= 0
     sin, cos = np.sin(heading[has]), np.cos(heading[has])
@@ -282,7 +287,7 @@ def _drive(
         north,
         np.asarray(wrap_deg(np.degrees(heading))),
         np.asarray(sigma_deg),
-        _position_sigma_m(fixes, at, measured, smoothed),
+        np.maximum(smoothed.position_sigma_m, least_m),
         smoothed.relative_sigma_m,
         np.where(resting, 0.0, speed),
         np.where(resting, 0, np.where(speed >= 0.0, 1, -1)).astype(np.int64),
@@ -290,17 +295,6 @@ def _drive(
         resting,
         offset_m,
     )
-
-
-def _position_sigma_m(
-    fixes: AcceptedFixes, at: Nodes, measured: Measurements, smoothed: SmoothedDrive
-) -> Float64:
-    """Absolute position sigmas [n]. For how long the error of a float solution lasts is a guess; if
-    it lasts, no mean over the drive makes it smaller than stated."""
-    last = np.maximum(np.searchsorted(fixes.time_ns, at.time_ns, side="right") - 1, 0)
-    floats = fixes.quality[last] == Quality.RTK_FLOAT
-    least_m = np.where(floats, measured.bias_m, 0.0)
-    return np.asarray(np.maximum(smoothed.position_sigma_m, least_m))
 
 
 def headings_recorded(measured: Measurements) -> bool:

@@ -190,16 +190,9 @@ def _tips(points: Float64, turning: Float64, first: int, last: int, reach_m: flo
     return tips
 
 
-def turning_deg(points: Float64, part: Int64, reach_m: float) -> Float64:
-    """Clockwise turn of the path [n, 2] at each point between the nearest places `reach_m`
-    away on both sides, degrees; 0 where the part ends within that."""
-    before, after = (first_beyond(points, reach_m, step, part) for step in (-1, 1))
-    return turn_between(points, before, after)
-
-
 def turn_between(points: Float64, before: Int64, after: Int64) -> Float64:
-    """By how much the path turns at each point, degrees, between the points `before` and `after`
-    it; an index of -1 is none."""
+    """Clockwise turn of a path [n, 2] at each point, degrees, between the points `before` and
+    `after` it; 0 where one of them is -1, which is none."""
     turning = np.zeros(len(points))
     at = np.flatnonzero((before >= 0) & (after >= 0))
     come, go = points[at] - points[before[at]], points[after[at]] - points[at]
@@ -221,7 +214,10 @@ def _leg_weights(track: GearEvidence, start: int, stop: int, habits: Habits) -> 
 def _joins(track: GearEvidence, legs: list[tuple[int, int]]) -> list[_Join]:
     """Every way to go on from a leg: to the next, or past a few that may be mere wander."""
     joins = []
-    skipping = [_skip_cost(track, a, b) for a, b in legs]
+    # What it costs, in nats, to say that a vehicle did not drive a leg but stood there.
+    wander_m = [max(WANDER_M, WANDER_SIGMAS * float(track.sigma_m[a])) for a, _ in legs]
+    size_m = [float(np.hypot(*np.ptp(track.points_m[a:b], axis=0))) for a, b in legs]
+    skipping = [1.0 + 2.0 * (a / b) ** 2 for a, b in zip(size_m, wander_m, strict=True)]
     seen = turning_seen(track)
     for i in range(len(legs) - 1):
         skipped = 0.0
@@ -231,13 +227,6 @@ def _joins(track: GearEvidence, legs: list[tuple[int, int]]) -> list[_Join]:
             if skipped > SKIP_CAP_NATS or track.gap_s[legs[j][0]]:
                 break
     return joins
-
-
-def _skip_cost(track: GearEvidence, start: int, stop: int) -> float:
-    """What it costs, in nats, to say that a vehicle did not drive this leg but stood there."""
-    points = track.points_m[start:stop]
-    wander_m = max(WANDER_M, WANDER_SIGMAS * float(track.sigma_m[start]))
-    return 1.0 + 2.0 * (float(np.hypot(*np.ptp(points, axis=0))) / wander_m) ** 2
 
 
 def _joined(
@@ -322,8 +311,8 @@ class TurningSeen(NamedTuple):
 def turning_seen(track: GearEvidence) -> TurningSeen:
     """The fastest and the tightest of the turns of a path, but for the few that noise makes."""
     points, part = track.points_m, np.cumsum(track.gap_s > 0.0, dtype=np.int64)
-    turn = turning_deg(points, part, TANGENT_REACH_M)
     away = [first_beyond(points, TANGENT_REACH_M, step, part) for step in (-1, 1)]
+    turn = turn_between(points, away[0], away[1])
     known = (away[0] >= 0) & (away[1] >= 0) & (np.abs(turn) < CUT_DEG)
     driven = np.flatnonzero(track.gap_s[1:] == 0.0)
     step_m = np.hypot(*(points[driven + 1] - points[driven]).T)

@@ -126,7 +126,8 @@ def tested(
     )
     heading = -followed[PHI::STATES]
     at_most = np.abs(heading @ values)
-    turned = _rates(found.x[:, PHI], measured.time_s)
+    # A curvature and a speed do not say it: with a gyro they follow only loosely.
+    turned = np.gradient(found.x[:, PHI], measured.time_s) if len(measured.time_s) > 1 else 0.0
     for k in range(len(alone)):
         if declared.explains(k):
             # Nobody knows whose stamps are late: those of the gyro are late by as much as those of
@@ -185,14 +186,6 @@ def unverified_nats(problem: SmoothingProblem, found: Solution, linear: Linear) 
     explained = 0.5 * float(right @ np.linalg.solve(known, right))
     _, spread = np.linalg.slogdet(known * np.outer(UNVERIFIED_SIGMAS, UNVERIFIED_SIGMAS))
     return explained - 0.5 * float(spread)
-
-
-def _rates(heading_rad: Float64, time_s: Float64) -> Float64:
-    """How fast the headings [n] turn, rad/s. A curvature and a speed do not say it: with a gyro
-    they follow only loosely."""
-    if len(time_s) < 2:
-        return np.zeros(len(time_s))
-    return np.asarray(np.gradient(heading_rad, time_s))
 
 
 def couplings(

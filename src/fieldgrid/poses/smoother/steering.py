@@ -228,14 +228,10 @@ def roughly(problem: SmoothingProblem, start: Float64, constants: Float64) -> So
 
 
 def log_likelihood(problem: SmoothingProblem, near: Solution, steering: Steering) -> float:
-    """Of the measurements under a steering, every drive considered. What may be hidden at edges is
-    no part of what the vehicle does all the time."""
-    return likelihood_of(problem, adapted(problem, near, steering, at_edges=False))
-
-
-def likelihood_of(problem: SmoothingProblem, solution: Solution) -> float:
-    """Of the measurements, every drive around a solution considered: Laplace's approximation, up
-    to a constant."""
+    """Of the measurements under a steering, every drive around its solution considered: Laplace's
+    approximation, up to a constant. What may be hidden at edges is no part of what the vehicle does
+    all the time."""
+    solution = adapted(problem, near, steering, at_edges=False)
     linear, _ = linearized(problem, solution.x, solution.constants, solution.weights, held=False)
     return likelihood_by(linear)
 

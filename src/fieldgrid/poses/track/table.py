@@ -19,7 +19,7 @@ from fieldgrid.core import (
     grouped_reasons,
     replacing,
 )
-from fieldgrid.geometry import MAX_DISTANCE_M, MAX_GAP_NS, Datum, Status, Trajectory, wrap_deg
+from fieldgrid.geometry import MAX_DISTANCE_M, MAX_GAP_NS, Datum, Status, wrap_deg
 from fieldgrid.poses.gates.verdict import REPEATS
 from fieldgrid.poses.parts import Estimate
 from fieldgrid.poses.report import PoseReport
@@ -69,7 +69,14 @@ def write_track(estimate: Estimate, path: str | Path) -> None:
     MapExistsError for a file that is no track, MapWriteError where it cannot be written.
     """
     path = Path(path)
-    check_reach(estimate.trajectory)
+    ok = estimate.trajectory.accepted
+    east_m, north_m = estimate.trajectory.east_m[ok], estimate.trajectory.north_m[ok]
+    far_m = float(np.max([np.abs(east_m), np.abs(north_m)], initial=0.0))
+    if far_m > MAX_DISTANCE_M:
+        raise DatumError(
+            f"The drive reaches {far_m / 1000:.0f} km from its datum, over "
+            f"{MAX_DISTANCE_M / 1000:.0f} km; give a --datum near the field."
+        )
     check_target(path)
     with replacing(path) as draft, draft.open("w", encoding="utf-8", newline="") as file:
         if path.suffix.lower() == ".csv":
@@ -97,17 +104,6 @@ def check_target(path: Path) -> None:
     if start and not start.startswith(first):
         raise MapExistsError(
             f"{path} exists already and is no track; give another name, or remove it first."
-        )
-
-
-def check_reach(trajectory: Trajectory) -> None:
-    """Raise DatumError when an accepted pose lies where the plane of the datum ends."""
-    ok = trajectory.accepted
-    far_m = np.maximum(np.abs(trajectory.east_m[ok]), np.abs(trajectory.north_m[ok]))
-    if far_m.size and float(far_m.max()) > MAX_DISTANCE_M:
-        raise DatumError(
-            f"The drive reaches {float(far_m.max()) / 1000:.0f} km from its datum, over "
-            f"{MAX_DISTANCE_M / 1000:.0f} km; give a --datum near the field."
         )
 
 
