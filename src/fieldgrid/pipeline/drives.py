@@ -27,7 +27,7 @@ from fieldgrid.core import (
     refuse_input,
 )
 from fieldgrid.geometry import Datum
-from fieldgrid.maps import MapFile, Patience, create_map, open_map, read_datum
+from fieldgrid.maps import MapFile, Patience, create_map, kept_groups, open_map, read_datum
 from fieldgrid.pipeline.checks.doubt import doubted_cell
 from fieldgrid.pipeline.poses import (
     attitude_of_grids,
@@ -121,17 +121,16 @@ def build_map(
     Of several drives those that fail are left out: when the others are in the map, PartlyBuiltError
     names them. With `fail_fast`, and for a single drive, its error is raised at once. On an error a
     new map does not come to be and an existing one stays as it was, but for the sessions already
-    appended. What was staged then stays in `MAP.parts`, but for that of the drive that failed, and
-    with `resume` it is used. Where there is such a folder, None refuses to build and False removes
-    it. What was staged of other inputs or by other settings is refused.
+    appended. What was staged then stays in `MAP.parts`, but for that of the drive that failed:
+    `resume` uses it, or refuses it where it is of other inputs or settings. Where there is such a
+    folder, None refuses to build and False removes it.
     """
     if scheduler is not None and jobs is not None:
         raise ConfigError("With a scheduler its workers stage the frames; leave out --jobs.")
     settings = settings or BuildSettings()
     chosen, layers = settings.map, settings.map.kept_layers()
-    build = _Build(
-        Path(out), settings, every, jobs or os.cpu_count() or 1, skip_bad, fail_fast, progress
-    )
+    jobs = jobs or os.cpu_count() or 1
+    build = _Build(Path(out), settings, every, jobs, skip_bad, fail_fast, progress)
     check_output(build.out, append=append, overwrite=overwrite)
     if not append:
         refuse_input(build.out, [Path(path) for path in paths])
@@ -200,7 +199,8 @@ class _Build:
     executor: Executor | None = None
 
     def open(self, opened: ExitStack, options: DriveOptions | None, name: str | None) -> None:
-        """Open the recordings."""
+        """Open the recordings, once the layers that the map keeps are known."""
+        kept_groups(self.settings.map.kept_layers())
         for drive in self._good():
             try:
                 drive.recording = opened.enter_context(open_drive(drive.path, options)).recording()

@@ -148,8 +148,9 @@ def _misalignment(recording: Recording, images: Sequence[ImageMeasures]) -> Misa
     camera = recording.rig.sensor
     if not isinstance(camera, StereoCamera):
         return None
-    size = camera.width_px, camera.height_px
-    return drive_misalignment([image.shifts for image in images], size)
+    return drive_misalignment(
+        [image.shifts for image in images], (camera.width_px, camera.height_px)
+    )
 
 
 def camera_notes(recording: Recording, report: SessionReport) -> Iterator[str]:

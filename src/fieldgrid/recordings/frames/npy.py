@@ -39,5 +39,6 @@ def parse_npy(data: bytes, name: str) -> npt.NDArray[np.generic]:
             f"{name} has {left} bytes for an array of shape {shape}; it is truncated or damaged, "
             "copy it again."
         )
-    flat = np.frombuffer(data, dtype=dtype, offset=stream.tell())
-    return flat.reshape(shape, order="F" if by_column else "C")
+    return np.frombuffer(data, dtype=dtype, offset=stream.tell()).reshape(
+        shape, order="F" if by_column else "C"
+    )
