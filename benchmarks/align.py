@@ -370,11 +370,11 @@ def lanes(folder: Path) -> None:
                 found = score.SubmapCorrelator(drawn[pair.k], 1.5).scores(drawn[pair.l])
                 if found is None or not pair.across.any():
                     continue
-                told = score.peak(found, np.zeros(2))
+                shift_m, information = score.peak(found, np.zeros(2))
                 at = found.reach + np.array([-1, 2])
                 here = found.by_cell[at[0] : at[1], at[0] : at[1]].max()
-                across_m = 100.0 * float(told.shift_m @ pair.across)
-                sigma_m = 100.0 * float(pair.across @ told.information @ pair.across) ** -0.5
+                across_m = 100.0 * float(shift_m @ pair.across)
+                sigma_m = 100.0 * float(pair.across @ information @ pair.across) ** -0.5
                 print(
                     f"  {path.name:24s} {pair.k:2d} {pair.l:2d}  {100 * pair.share:3.0f} %   "
                     f"{-np.expm1(-2.0 * found.by_cell.max()):.2f}   {across_m:+6.1f} cm "
