@@ -98,7 +98,8 @@ def test_costs_are_those_of_the_static_and_the_inflation_layer(
             expected = inflated(int(before), clearance[cell], radius_m, inflation_m, 2.0)
         assert costmap.costs[cell] == expected
     assert np.array_equal(costmap.costs == 255, ~view.observed)
-    np.testing.assert_array_equal(costmap.clearance_m(*centres(view)), clearance)
+    # OpenCV's distances differ in their last bit from call to call.
+    np.testing.assert_allclose(costmap.clearance_m(*centres(view)), clearance, rtol=1e-6)
 
 
 @given(views(), st.lists(st.tuples(st.floats(-6, 6), st.floats(-6, 6)), min_size=1))
