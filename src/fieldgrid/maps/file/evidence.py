@@ -74,13 +74,6 @@ class EvidenceTables:
                     "or leave it out."
                 )
 
-    def find_name(self, name: str) -> bool | None:
-        """Whether the session of that name is active; None when there is none."""
-        row = self.connection.execute(
-            "SELECT removed IS NULL FROM fieldgrid_session WHERE name = ?", (name,)
-        ).fetchone()
-        return None if row is None else bool(row[0])
-
     def has_channel(self, name: str) -> bool:
         """Whether any frame keeps a channel."""
         found = self.connection.execute(

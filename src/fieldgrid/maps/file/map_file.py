@@ -34,11 +34,12 @@ from fieldgrid.maps.file.upgrade import (
 )
 from fieldgrid.maps.health.repairing import repair, repairers
 from fieldgrid.maps.health.row_sums import RowCounter
+from fieldgrid.maps.tiles.pyramid import Pyramid
 from fieldgrid.maps.vector.marks import Mark, insert_marks, set_removed
 from fieldgrid.maps.vector.stored_features import keep_features
 from fieldgrid.maps.views.map_reader import MapReader
 from fieldgrid.maps.writing import revision
-from fieldgrid.maps.writing.derived import is_settled, settle
+from fieldgrid.maps.writing.derived import tables_of
 from fieldgrid.maps.writing.session import Session
 from fieldgrid.maps.writing.transform import Transform
 
@@ -143,9 +144,11 @@ class MapFile(MapReader):
         if metadata.trajectory is not None:
             self._header.check_datum(self.path, metadata.trajectory.datum)
         with reading(self._connection, self.path):
-            is_active = self._evidence.find_name(metadata.name)
-        if is_active is not None:
-            raise name_is_taken(metadata.name, self.path, removed=not is_active)
+            same_name = self._connection.execute(
+                "SELECT removed FROM fieldgrid_session WHERE name = ?", (metadata.name,)
+            ).fetchone()
+        if same_name is not None:
+            raise name_is_taken(metadata.name, self.path, removed=same_name[0] is not None)
         self._session = Session(
             self._connection,
             self.path,
@@ -343,16 +346,17 @@ class MapFile(MapReader):
         try:
             with reading(self._connection, self.path):
                 header = reread(self._connection, self.path, self._header)
-                if header.is_old or is_settled(self._connection, header, self.path):
+                if header.is_old or tables_of(self._connection, header, self.path).is_settled:
                     return
             with (
                 writing(self._connection, self.path, Patience(0.0)),
                 self._counter.counting(),
             ):
                 self._header = as_it_is_now(self._connection, self.path, self._header)
-                settle(self._connection, self._header, self.path)
+                tables = tables_of(self._connection, self._header, self.path)
+                Pyramid(self._connection, tables).settle()
         except (MapError, ConfigError) as error:
-            # The map is complete without: readers make it from the tiles below.
+            # The map is complete without: readers make larger cells from its own.
             _LOG.info("%s was not settled: %s", self.path, error)
 
     def _require_writable(self) -> None:

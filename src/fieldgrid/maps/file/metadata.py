@@ -20,8 +20,16 @@ from fieldgrid.maps.file.arrays import (
     trajectory_arrays,
     trajectory_of,
 )
-from fieldgrid.maps.file.digest import session_digest
-from fieldgrid.maps.file.records import MAX_DOCUMENT, MAX_NAME, MAX_TEXT, check_lengths
+from fieldgrid.maps.file.digest import frame_digest, session_digest
+from fieldgrid.maps.file.records import (
+    MAX_DOCUMENT,
+    MAX_NAME,
+    MAX_TEXT,
+    FrameRecord,
+    SessionInfo,
+    check_lengths,
+    frame_values,
+)
 from fieldgrid.maps.writing.transform import IDENTITY, Transform, transform_of
 from fieldgrid.version import software_version
 
@@ -194,6 +202,45 @@ def digest_of(
         heading_source, *grid,
     )  # fmt: skip
     return session_digest(values, metadata.arrays, frames)
+
+
+def check_session(
+    connection: sqlite3.Connection,
+    path: Path,
+    datum: Datum,
+    info: SessionInfo,
+    records: Sequence[FrameRecord],
+) -> None:
+    """Raise MapError where what is kept of a session beside its frames, or the list of these, is
+    not as it was stored."""
+    times_ns = [record.pose.time_ns for record in records]
+    counts = (
+        *(len(times_ns), sum(record.accepted for record in records)),
+        *(min(times_ns, default=None), max(times_ns, default=None)),
+    )
+    spec, metadata = info.grid, find(connection, path, datum, info.name).metadata
+    grid = (None, None, None) if spec is None else (spec.width_m, spec.length_m, spec.cell_m)
+    frames = [record.digest for record in records]
+    digest = digest_of(metadata, grid, info.heading_source, frames)
+    kept = info.frames, info.accepted, info.first_time_ns, info.last_time_ns
+    if (digest, counts) != (info.digest, kept):
+        raise MapError(
+            f"Session {info.name!r} is not as it was stored: its settings, trajectory, inputs or "
+            "list of frames have changed."
+        )
+
+
+def is_row_as_written(record: FrameRecord) -> bool:
+    """Whether the row of a frame is the one that was stored; its cells are not looked at."""
+    values = frame_values(
+        record.driven,
+        record.frame_id,
+        record.quality,
+        record.images,
+        record.images_sha256,
+        record.cells_sha256,
+    )
+    return frame_digest(values) == record.digest
 
 
 def quality_at(track: Trajectory | None, time_ns: int) -> int | None:

@@ -35,7 +35,9 @@ def check_tiles(subject: Subject, *, folded: bool = False) -> Iterator[str]:
         tiles = yield from _base_tiles(subject)
     for zoom in range(first, top - 1, -1):
         tiles = {parent(tile) for tile in tiles}
-        yield from _level(subject, zoom, tiles)
+        yield from _missing(subject, zoom, tiles)
+        found = subject.runner.in_order(_LevelCheck(subject, zoom), sorted(tiles), _TILES_TOGETHER)
+        yield from filter(None, found)
     strays = tables.rows(
         "SELECT DISTINCT zoom FROM fieldgrid_tile WHERE zoom < ? OR zoom > ?", (top, base)
     )
@@ -80,13 +82,6 @@ class _SquareCheck(PickledByArguments):
     def _compare(self, tile: TileIndex, cells: Cells) -> tuple[TileIndex, str]:
         zoom = self._tables.matrices.base_zoom
         return tile, _difference(self._tables, zoom, tile, cells, self._names)
-
-
-def _level(subject: Subject, zoom: int, tiles: set[TileIndex]) -> Iterator[str]:
-    """The tiles and pictures of a zoom level against what is below them."""
-    yield from _missing(subject, zoom, tiles)
-    run = subject.runner.in_order(_LevelCheck(subject, zoom), sorted(tiles), _TILES_TOGETHER)
-    yield from (problem for problem in run if problem)
 
 
 def _missing(subject: Subject, zoom: int, tiles: set[TileIndex]) -> Iterator[str]:

@@ -24,11 +24,10 @@ from fieldgrid.core import (
     shortened,
 )
 from fieldgrid.maps.file.codec import cells_sha256
-from fieldgrid.maps.file.digest import frame_digest
 from fieldgrid.maps.file.evidence import frames_of
 from fieldgrid.maps.file.header import MapHeader
-from fieldgrid.maps.file.metadata import digest_of, find
-from fieldgrid.maps.file.records import SESSION_SQL, frame_values, session_info
+from fieldgrid.maps.file.metadata import check_session, is_row_as_written
+from fieldgrid.maps.file.records import SESSION_SQL, session_info
 from fieldgrid.maps.file.root import check_digest
 from fieldgrid.maps.file.upgrade import upgraded, upgraded_copy
 from fieldgrid.maps.health.feature_check import check_announced, check_features
@@ -179,22 +178,7 @@ def _check_session(subject: Subject, session_id: int) -> Iterator[str]:
     info = session_info(row)
     check = _FrameCheck(subject, session_id)
     yield from filter(None, runner.in_order(check, range(len(check.records)), _FRAMES_TOGETHER))
-    times_ns = [record.pose.time_ns for record in check.records]
-    counts = (
-        *(len(times_ns), sum(record.accepted for record in check.records)),
-        *(min(times_ns, default=None), max(times_ns, default=None)),
-    )
-    metadata = find(connection, path, header.datum, info.name).metadata
-    spec = info.grid
-    grid = (None, None, None) if spec is None else (spec.width_m, spec.length_m, spec.cell_m)
-    frames = [record.digest for record in check.records]
-    digest = digest_of(metadata, grid, info.heading_source, frames)
-    kept = info.frames, info.accepted, info.first_time_ns, info.last_time_ns
-    if (digest, counts) != (info.digest, kept):
-        yield (
-            f"Session {info.name!r} is not as it was stored: its settings, trajectory, inputs or "
-            "list of frames have changed."
-        )
+    check_session(connection, path, header.datum, info, check.records)
 
 
 def _check_upgraded(subject: Subject) -> Iterator[str]:
@@ -225,16 +209,8 @@ class _FrameCheck(PickledByArguments):
     def __call__(self, number: int) -> str:
         """What is wrong with a frame; empty when it is as it was stored."""
         record = self.records[number]
-        values = frame_values(
-            record.driven,
-            record.frame_id,
-            record.quality,
-            record.images,
-            record.images_sha256,
-            record.cells_sha256,
-        )
         try:
-            if frame_digest(values) != record.digest or (
+            if not is_row_as_written(record) or (
                 cells_sha256(record.cells()) != record.cells_sha256
             ):
                 return (

@@ -35,19 +35,19 @@ GROUPS: Mapping[str, ChannelGroup] = PluginRegistry(_GROUPS, Group.LAYERS)
 LAYERS: Mapping[str, Layer] = PluginRegistry(_LAYERS, Group.LAYERS)
 """The layers by name."""
 
-_TITLES = {
-    "frames": "What the frames saw",
-    "terrain": "The ground",
-    "standing": "What stands on it",
-    "time": "Over time",
-}
-
 _SUBJECTS = {
-    "frames": "density peak max variance count seen_share sure_share",
-    "terrain": "ground ground_sigma height slope roughness step drop traversability",
-    "standing": "occupancy max_height clearance",
-    "time": "sessions persistence static seasonal passing lasting moved remaining",
+    "frames": ("What the frames saw", "density peak max variance count seen_share sure_share"),
+    "terrain": (
+        "The ground",
+        "ground ground_sigma height slope roughness step drop traversability",
+    ),
+    "standing": ("What stands on it", "occupancy max_height clearance"),
+    "time": (
+        "Over time",
+        "sessions persistence static seasonal passing lasting moved remaining",
+    ),
 }
+"""What layers tell: its title, and their names."""
 
 ALL_LAYERS = "all"
 
@@ -114,7 +114,7 @@ def check_layers(names: Iterable[str]) -> tuple[str, ...]:
 
 def layers_by_subject() -> dict[str, list[str]]:
     """The names of all layers by what they tell; those of other packages come last."""
-    found = {_TITLES[subject]: names.split() for subject, names in _SUBJECTS.items()}
+    found = {title: names.split() for title, names in _SUBJECTS.values()}
     placed = {name for names in found.values() for name in names}
     others = [name for name in LAYERS if name not in placed]
     return found | {"Of other packages": others} if others else found
@@ -126,7 +126,7 @@ def kept_groups(layers: Iterable[str] = ()) -> tuple[str, ...]:
     from the frames when they are read. ConfigError for a name that is none of these."""
     wanted = set(CORE_GROUPS)
     for name in layers:
-        named = LAYERS if name == ALL_LAYERS else _SUBJECTS.get(name, name).split()
+        named = LAYERS if name == ALL_LAYERS else _SUBJECTS.get(name, ("", name))[1].split()
         for layer in named:
             if layer not in LAYERS:
                 raise ConfigError(

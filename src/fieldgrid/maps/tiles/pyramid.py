@@ -207,8 +207,7 @@ class Pyramid:
             self._connection.execute(
                 "INSERT INTO fieldgrid_meta VALUES ('data_window', ?)", (json.dumps(list(window)),)
             )
-            top = self._tables.top_zoom()
-            assert top is not None
+            top = self._tables.top_zoom() or self._base
             matrices = self._tables.matrices
             bounds = matrices.lattice.bounds(matrices.whole_cells(window, top))
         self._connection.execute(

@@ -189,12 +189,9 @@ class TileTables:
             ],
         )
         added = {name: blob for name, blob in blobs.items() if name not in before}
-        self._insert(place, added)
-
-    def _insert(self, place: tuple[int, ...], blobs: Mapping[str, bytes]) -> None:
         self._connection.executemany(
             "INSERT INTO fieldgrid_tile VALUES (?, ?, ?, ?, ?)",
-            [(*place, name, blob) for name, blob in blobs.items()],
+            [(*place, name, blob) for name, blob in added.items()],
         )
 
 

@@ -128,7 +128,9 @@ class MapContent:
     ) -> tuple[CellSource, int]:
         """Where the map's own cells come from, or stored ones of a higher level of which fewer
         make up one of `multiple`."""
-        if request.sessions is not None or not _stored(self.header, request, groups):
+        wanted = {group.name for group in groups if not group.derived}
+        own_rule = request.transfer is self.header.transfer and request.frame_filter is None
+        if request.sessions is not None or not own_rule or not wanted <= set(self.header.groups):
             return self.session_source(request, groups), multiple
         # A map of format 3 may lack some groups above its own cells.
         level, is_whole = 0, not (self.header.is_old or any(group.derived for group in groups))
@@ -224,13 +226,6 @@ def read_change(
         pass
     names = tuple(early), tuple(late)
     return ChangeView(request.lattice, request.window, change, header.datum, *names)
-
-
-def _stored(header: MapHeader, request: Request, groups: tuple[ChannelGroup, ...]) -> bool:
-    """Whether tiles hold what is asked for, by the rule that is asked for."""
-    by_own_rule = request.transfer is header.transfer and request.frame_filter is None
-    wanted = {group.name for group in groups if not group.derived}
-    return by_own_rule and wanted <= set(header.groups)
 
 
 def _check_cells(lattice: Lattice, frames: list[FrameRecord]) -> None:

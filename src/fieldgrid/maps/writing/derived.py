@@ -13,14 +13,19 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 
-from fieldgrid.core import MapError
-from fieldgrid.geometry import Bounds, Lattice, TileIndex
+from fieldgrid.core import ConfigError, MapError
+from fieldgrid.geometry import Bounds, Datum, Lattice, TileIndex
 from fieldgrid.maps.file import schema
 from fieldgrid.maps.file.codec import cells_sha256
 from fieldgrid.maps.file.evidence import frames_of
 from fieldgrid.maps.file.header import MapHeader
-from fieldgrid.maps.file.metadata import SessionMetadata, find
-from fieldgrid.maps.file.records import FrameRecord
+from fieldgrid.maps.file.metadata import (
+    SessionMetadata,
+    check_session,
+    find,
+    is_row_as_written,
+)
+from fieldgrid.maps.file.records import SESSION_SQL, FrameRecord, session_info
 from fieldgrid.maps.file.schema import NOW_SQL
 from fieldgrid.maps.layers.declaration import ChannelGroup, Combine
 from fieldgrid.maps.layers.frame import FrameCells
@@ -76,8 +81,9 @@ def moving(
     begins before its rows change; what it is given must be called after that, with what is kept of
     the session, None where it is out of the map.
 
-    The share of the session is folded again and subtracted. Where its frames are damaged, or the
-    map keeps maxima, all of its tiles are folded again from the sessions that are there then.
+    The share of the session is folded again and subtracted. Where anything of it is not as it was
+    stored, or the map keeps maxima, all of its tiles are folded again from the sessions that are
+    there then.
     """
     tables = tables_of(connection, header, path)
     base, rule = tables.matrices.base_zoom, (header.lattice, header.transfer, tables.groups)
@@ -90,9 +96,12 @@ def moving(
     with ExitStack() as stack:
         leaving: FoldedTiles | None = None
         if all(channel.sessions is Combine.SUM for channel in channels):
-            with suppress(MapError):
+            with suppress(MapError, ConfigError):
+                frames = list[PlacedFrame]()
                 # A map of before that is brought up to date without a session has no share of it.
-                frames = placed_frames(connection, session_id) if changed else []
+                if changed:
+                    _check_as_stored(connection, path, header.datum, session_id)
+                    frames = placed_frames(connection, session_id)
                 leaving = stack.enter_context(FoldedTiles.folded(frames, *rule))
 
         def place(metadata: SessionMetadata | None) -> None:
@@ -116,6 +125,19 @@ def moving(
         yield place
 
 
+def _check_as_stored(
+    connection: sqlite3.Connection, path: Path, datum: Datum, session_id: int
+) -> None:
+    """Raise MapError where anything of a session but the cells of its frames is not as it was
+    stored: another program may have changed its poses, or taken frames out."""
+    row = connection.execute(f"{SESSION_SQL} WHERE id = ?", (session_id,)).fetchone()
+    records = frames_of(connection, session_id)
+    check_session(connection, path, datum, session_info(row), records)
+    for record in records:
+        if not is_row_as_written(record):
+            raise MapError(f"Frame {record.frame_id!r} is not as it was stored.")
+
+
 def _tiles_under(
     connection: sqlite3.Connection, lattice: Lattice, session_id: int
 ) -> set[TileIndex]:
@@ -126,16 +148,6 @@ def _tiles_under(
         (session_id,),
     ).fetchone()
     return set() if row is None else set(lattice.window(Bounds(*row)).grown(1).tiles())
-
-
-def is_settled(connection: sqlite3.Connection, header: MapHeader, path: Path) -> bool:
-    """Whether no commit has left tiles for later."""
-    return tables_of(connection, header, path).is_settled
-
-
-def settle(connection: sqlite3.Connection, header: MapHeader, path: Path) -> None:
-    """Fill in the tiles that commits have left for later, within the caller's transaction."""
-    Pyramid(connection, tables_of(connection, header, path)).settle()
 
 
 class MapFold(PickledByArguments):
