@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from itertools import chain
 
 from fieldgrid.core import ConfigError, Group, PluginRegistry
 from fieldgrid.maps.layers.built_in import (
@@ -124,16 +125,16 @@ def kept_groups(layers: Iterable[str] = ()) -> tuple[str, ...]:
     """The channel groups that tiles hold: the core, and those of some layers, which are named, or
     their subjects (`frames`, `terrain`, `standing`, `time`), or `all`. All other layers are folded
     from the frames when they are read. ConfigError for a name that is none of these."""
+    subjects = {subject: names.split() for subject, (_, names) in _SUBJECTS.items()}
+    subjects[ALL_LAYERS] = list(LAYERS)
     wanted = set(CORE_GROUPS)
-    for name in layers:
-        named = LAYERS if name == ALL_LAYERS else _SUBJECTS.get(name, ("", name))[1].split()
-        for layer in named:
-            if layer not in LAYERS:
-                raise ConfigError(
-                    f"There is no layer {layer!r} to keep; give {', '.join(_SUBJECTS)}, "
-                    f"{ALL_LAYERS}, or one of {', '.join(LAYERS)}."
-                )
-            wanted.update(LAYERS[layer].groups)
+    for layer in chain.from_iterable(subjects.get(name, [name]) for name in layers):
+        if layer not in LAYERS:
+            raise ConfigError(
+                f"There is no layer {layer!r} to keep; give {', '.join(subjects)}, or one of "
+                f"{', '.join(LAYERS)}."
+            )
+        wanted.update(LAYERS[layer].groups)
     return tuple(name for name, group in GROUPS.items() if name in wanted and not group.derived)
 
 
