@@ -52,7 +52,7 @@ def dies(at: int = 1, *, after: bool = False) -> Callable[[Any], Callable[..., A
 STEPS: dict[str, tuple[Any, str, Any]] = {
     "the journal was read": (finish, "estimate_drive", dies()),
     "grids are made again": (StageFile, "append", dies(3)),
-    "before frames are placed": (FoldedTiles, "folded", dies()),
+    "before frames are placed": (FoldedTiles, "__init__", dies()),
     "frames are placed": (FoldedTiles, "cells", dies(2)),
     "before the commit": (session, "sum_up", dies(after=True)),
     "after the commit": (map_file, "settle", dies()),

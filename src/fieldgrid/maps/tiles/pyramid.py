@@ -31,7 +31,6 @@ from fieldgrid.maps.transfer import mean_density
 from fieldgrid.maps.writing.placing import FoldedTiles, encode_groups
 
 _NO_BLOBS: Mapping[str, bytes] = {}
-_SHAPE = (TILE_CELLS, TILE_CELLS)
 
 _SETTLED_TILES = 2
 """Of each level what the level above it need not decode again: as many as a small session touches.
@@ -72,12 +71,18 @@ class Pyramid:
         self._tables = tables
         self._groups = tables.groups
         self._base = tables.matrices.base_zoom
-        self._seen: Window | None = None
         self._jobs = jobs
 
-    def change(self, leaving: FoldedTiles | None, joining: FoldedTiles | None) -> None:
-        """Take from the base tiles what leaves, add to them what joins."""
-        tiles = {tile for share in (leaving, joining) if share is not None for tile in share.tiles}
+    def change(
+        self,
+        leaving: FoldedTiles | None,
+        joining: FoldedTiles | None,
+        cleared: Collection[TileIndex] = (),
+    ) -> None:
+        """Take from the base tiles what leaves, add to them what joins; of those that are `cleared`
+        before nothing stays."""
+        tiles = {*cleared, *(t for share in (leaving, joining) if share for t in share.tiles)}
+        self._tables.remove(self._base, cleared)
 
         def work(tile: TileIndex) -> EncodedTile:
             gone = None if leaving is None else leaving.cells(tile)
@@ -86,16 +91,8 @@ class Pyramid:
             same = joining.blobs(tile) if joining is not None and cells is come else {}
             return encoded_tile(tile, cells, self._groups, same)
 
-        self._put_base(in_order(work, sorted(tiles), self._jobs), shrinks=leaving is not None)
-
-    def replace(self, tiles: Collection[TileIndex], folded: FoldedTiles) -> None:
-        """Put base tiles that were folded from all sessions in place of those that there are."""
-
-        def work(tile: TileIndex) -> EncodedTile:
-            cells = folded.cells(tile) or self._nothing()
-            return encoded_tile(tile, cells, self._groups, folded.blobs(tile))
-
-        self._put_base(in_order(work, sorted(tiles), self._jobs), shrinks=True)
+        changed = in_order(work, sorted(tiles), self._jobs)
+        self._put_base(changed, shrinks=leaving is not None or bool(cleared))
 
     def fill(self, tiles: Iterable[EncodedTile]) -> None:
         """Take all base tiles as they come, and make those above them; the tables of the map are
@@ -122,42 +119,44 @@ class Pyramid:
 
             below = {}
             for encoded, cells in in_order(made, sorted(lacking), self._jobs):
-                self._put(zoom, encoded)
+                self._tables.put(zoom, encoded.tile, encoded.blobs, encoded.picture)
                 if len(below) < _SETTLED_TILES:
                     below[encoded.tile] = cells
         self._connection.execute("DELETE FROM fieldgrid_meta WHERE key = ?", (schema.UNSETTLED,))
 
     def _put_base(self, changed: Iterable[EncodedTile], *, shrinks: bool) -> None:
         """Store base tiles, and take out those above them."""
-        tiles = set[TileIndex]()
+        tiles, seen = set[TileIndex](), None
         for encoded in changed:
-            self._put(self._base, encoded)
+            self._tables.put(self._base, encoded.tile, encoded.blobs, encoded.picture)
             tiles.add(encoded.tile)
+            if encoded.seen is not None:
+                seen = union(seen, _placed(encoded.tile, encoded.seen))
         self._take_out_above(tiles)
-        self._announce(shrinks=shrinks)
-
-    def _nothing(self) -> Cells:
-        return empty_cells(self._groups, _SHAPE, self._tables.block(0))
+        self._announce(seen, shrinks=shrinks)
 
     def _changed(self, tile: TileIndex, leaving: Cells | None, joining: Cells | None) -> Cells:
         """A base tile over all sessions, after a session's share has changed."""
         total = self._tables.cells(self._base, tile)
         if total is None:
-            return joining or self._nothing()
+            shape = (TILE_CELLS, TILE_CELLS)
+            return joining or empty_cells(self._groups, shape, self._tables.block(0))
         arrays = dict(total)
+        for name, gone in () if leaving is None else leaving.items():
+            if not is_nothing(gone):
+                arrays[name] = arrays[name] - gone
         box = None if joining is None else box_of(joining["weight"])
-        for of, channel in ((group, one) for group in self._groups for one in group.channels):
-            name, by_sum = channel.name, channel.sessions is Combine.SUM
-            if leaving is not None and not is_nothing(leaving[name]):
-                arrays[name] = arrays[name] - leaving[name]
-            if joining is None or box is None or is_nothing(joining[name]):
-                continue
-            if is_nothing(value := arrays[name]):
-                arrays[name] = joining[name]
-            else:  # in place: nobody else has these arrays
-                combine = np.add if by_sum else np.maximum
-                part = (box.blocks(joining.block) if of.blocks else box).slices
-                combine(value[part], joining[name][part], out=value[part])
+        for group in self._groups if joining is not None and box is not None else ():
+            part = (box.blocks(joining.block) if group.blocks else box).slices
+            for channel in group.channels:
+                name, value = channel.name, arrays[channel.name]
+                if is_nothing(joining[name]):
+                    continue
+                if is_nothing(value):
+                    arrays[name] = joining[name]
+                else:  # in place: nobody else has these arrays
+                    combine = np.add if channel.sessions is Combine.SUM else np.maximum
+                    combine(value[part], joining[name][part], out=value[part])
         return Cells(arrays, block=total.block)
 
     def _take_out_above(self, tiles: set[TileIndex]) -> None:
@@ -166,8 +165,7 @@ class Pyramid:
         matrices, top = self._tables.matrices, self._tables.top_zoom() or self._base + 1
         for zoom in range(self._base - 1, top - 1, -1):
             tiles = {parent(tile) for tile in tiles}
-            for tile in sorted(tiles):
-                self._tables.put(zoom, tile, {}, b"")
+            self._tables.remove(zoom, tiles)
         for table, column in (
             ("fieldgrid_tile", "zoom"),
             ("density", "zoom_level"),
@@ -182,16 +180,10 @@ class Pyramid:
             "INSERT OR REPLACE INTO fieldgrid_meta VALUES (?, 'later')", (schema.UNSETTLED,)
         )
 
-    def _put(self, zoom: int, encoded: EncodedTile) -> None:
-        self._tables.put(zoom, encoded.tile, encoded.blobs, encoded.picture)
-        if zoom == self._base and encoded.seen is not None:
-            self._seen = union(self._seen, _placed(encoded.tile, encoded.seen))
-
-    def _announce(self, *, shrinks: bool) -> None:
+    def _announce(self, window: Window | None, *, shrinks: bool) -> None:
         """Record which base cells have data, and the raster's extent for a GIS."""
         meta = "fieldgrid_meta WHERE key = 'data_window'"
         before = self._connection.execute(f"SELECT value FROM {meta}").fetchone()
-        window = self._seen
         if shrinks:
             window = self.window_at_the_edges()
         elif before is not None:

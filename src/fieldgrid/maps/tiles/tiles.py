@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -153,46 +153,38 @@ class TileTables:
         )
         return [] if south is None else [_index(south, west), _index(north, east)]
 
-    def put(self, zoom: int, tile: TileIndex, blobs: dict[str, bytes], picture: bytes) -> None:
-        """Replace a tile over all sessions and its picture; nothing when there are no blobs."""
+    def put(self, zoom: int, tile: TileIndex, blobs: Mapping[str, bytes], picture: bytes) -> None:
+        """Replace a tile over all sessions and its picture; rows that stay as they are cost
+        nothing. Without blobs it is removed."""
+        if not blobs:
+            self.remove(zoom, [tile])
+            return
         with self._lock:
-            self._replace((zoom, *tile), blobs)
-            place = (zoom, *self.matrices.column_row(zoom, tile))
-            if not blobs:
-                self._connection.execute(
-                    "DELETE FROM density WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?",
-                    place,
-                )
-                return
+            self._connection.executemany(
+                "INSERT INTO fieldgrid_tile VALUES (?, ?, ?, ?, ?) "
+                "ON CONFLICT (zoom, ty, tx, channels) DO UPDATE SET data = excluded.data "
+                "WHERE data IS NOT excluded.data",
+                [(zoom, *tile, name, blob) for name, blob in blobs.items()],
+            )
             self._connection.execute(
                 "INSERT INTO density (zoom_level, tile_column, tile_row, tile_data) "
                 "VALUES (?, ?, ?, ?) ON CONFLICT (zoom_level, tile_column, tile_row) "
                 "DO UPDATE SET tile_data = excluded.tile_data",
-                (*place, picture),
+                (zoom, *self.matrices.column_row(zoom, tile), picture),
             )
 
-    def _replace(self, place: tuple[int, ...], blobs: Mapping[str, bytes]) -> None:
-        """Put blobs in place of those of a tile; rows that stay as they are cost nothing."""
-        where = "zoom = ? AND ty = ? AND tx = ?"
-        query = f"SELECT channels, data FROM fieldgrid_tile WHERE {where}"
-        before = dict(self._connection.execute(query, place).fetchall())
-        self._connection.executemany(
-            f"DELETE FROM fieldgrid_tile WHERE {where} AND channels = ?",
-            [(*place, name) for name in before if name not in blobs],
-        )
-        self._connection.executemany(
-            f"UPDATE fieldgrid_tile SET data = ? WHERE {where} AND channels = ?",
-            [
-                (blob, *place, name)
-                for name, blob in blobs.items()
-                if name in before and before[name] != blob
-            ],
-        )
-        added = {name: blob for name, blob in blobs.items() if name not in before}
-        self._connection.executemany(
-            "INSERT INTO fieldgrid_tile VALUES (?, ?, ?, ?, ?)",
-            [(*place, name, blob) for name, blob in added.items()],
-        )
+    def remove(self, zoom: int, tiles: Iterable[TileIndex]) -> None:
+        """Take tiles and their pictures out."""
+        places = [(zoom, *tile, zoom, *self.matrices.column_row(zoom, tile)) for tile in tiles]
+        with self._lock:
+            self._connection.executemany(
+                "DELETE FROM fieldgrid_tile WHERE zoom = ? AND ty = ? AND tx = ?",
+                [place[:3] for place in places],
+            )
+            self._connection.executemany(
+                "DELETE FROM density WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?",
+                [place[3:] for place in places],
+            )
 
 
 def _index(ty: object, tx: object) -> TileIndex:

@@ -102,7 +102,7 @@ def moving(
                 if changed:
                     _check_as_stored(connection, path, header.datum, session_id)
                     frames = placed_frames(connection, session_id)
-                leaving = stack.enter_context(FoldedTiles.folded(frames, *rule))
+                leaving = stack.enter_context(FoldedTiles(frames, *rule))
 
         def place(metadata: SessionMetadata | None) -> None:
             joining = list[PlacedFrame]()
@@ -113,13 +113,13 @@ def moving(
                 joining = placed_frames(connection, session_id)
             pyramid = Pyramid(connection, tables)
             if leaving is not None:
-                pyramid.change(leaving, stack.enter_context(FoldedTiles.folded(joining, *rule)))
+                pyramid.change(leaving, stack.enter_context(FoldedTiles(joining, *rule)))
             else:
                 tiles = changed.union(*(under(frame) for frame in joining))
                 every = active_frames(connection)
                 near = [frame for frame in every if not tiles.isdisjoint(under(frame))]
-                again = FoldedTiles.folded(near, *rule, only=tiles)
-                pyramid.replace(tiles, stack.enter_context(again))
+                again = FoldedTiles(near, *rule, only=tiles)
+                pyramid.change(None, stack.enter_context(again), cleared=tiles)
             touch(connection)
 
         yield place

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import sqlite3
 import threading
-from collections import OrderedDict, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Container, Iterator, Sequence
-from functools import reduce
+from functools import lru_cache, reduce
 from itertools import count
 from typing import NamedTuple, TypeVar
 
@@ -60,7 +60,9 @@ class TileSquares:
         transfer: Transfer,
         groups: Sequence[ChannelGroup],
     ) -> None:
-        self._frames, self._recent = frames, _FrameCache(frames)
+        self._frames = frames
+        # A frame is decoded once where the next square wants it again.
+        self._cells = lru_cache(RECENT_FRAMES)(lambda k: frames[k].load())
         self._rule = lattice, transfer, groups
         self._footprints = [footprint(frame.spec, frame.pose, lattice) for frame in frames]
         self._whole = _tiles_under(self._footprints)
@@ -109,7 +111,7 @@ class TileSquares:
         window = reduce(Window.union, (part for part in parts if part is not None))
         fold = WindowFold(lattice, window, transfer, groups)
         for k in inside:
-            fold.add(self._recent.cells(k), self._frames[k].pose)
+            fold.add(self._cells(k), self._frames[k].pose)
         for tile in window.tiles():
             cells = fold.cells(tile_window(tile), whole_blocks=True)
             if cells["weight"].any():
@@ -138,26 +140,6 @@ def _square_of(whole: Window) -> tuple[int, int]:
     return width * TILE_CELLS, most // width * TILE_CELLS
 
 
-class _FrameCache:
-    """Frames decoded once where the next square wants them again."""
-
-    def __init__(self, frames: Sequence[PlacedFrame]) -> None:
-        self._frames = frames
-        self._lock = threading.Lock()
-        self._cells: OrderedDict[int, FrameCells] = OrderedDict()
-
-    def cells(self, k: int) -> FrameCells:
-        with self._lock:
-            found = self._cells.get(k)
-        if found is None:
-            found = self._frames[k].load()
-            with self._lock:
-                self._cells[k] = found
-                while len(self._cells) > RECENT_FRAMES:
-                    self._cells.popitem(last=False)
-        return found
-
-
 class FoldedTiles(Closing):
     """Tiles that were folded, beside the map until they are in it.
 
@@ -167,55 +149,51 @@ class FoldedTiles(Closing):
     SQLITE_TMPDIR says, or in the system's place for temporary files.
     """
 
-    def __init__(self, groups: Sequence[ChannelGroup], lattice: Lattice) -> None:
-        self._groups, self._block = groups, block_side(lattice)
-        self._lock = threading.Lock()
-        self._recent: dict[TileIndex, Cells] = {}
-        self._database = sqlite3.connect("", isolation_level=None, check_same_thread=False)
-        # Nothing here outlives an error, so nothing needs to be undone or synced.
-        self._database.execute("PRAGMA journal_mode = OFF")
-        self._database.execute("PRAGMA synchronous = OFF")
-        self._database.execute("CREATE TABLE tile (ty, tx, channels, data)")
-        self._database.execute("CREATE INDEX place ON tile (ty, tx)")
-        self.tiles: set[TileIndex] = set()
-
-    @classmethod
-    def folded(
-        cls,
+    def __init__(
+        self,
         frames: Sequence[PlacedFrame],
         lattice: Lattice,
         transfer: Transfer,
         groups: Sequence[ChannelGroup],
         only: Container[TileIndex] | None = None,
-    ) -> FoldedTiles:
+    ) -> None:
         """The tiles that accepted frames observed, or `only` some of them."""
-        made, numbers = cls(groups, lattice), count()
-        squares = TileSquares(frames, lattice, transfer, groups)
+        self._groups, self._block = groups, block_side(lattice)
+        self._lock = threading.Lock()
+        self._recent: dict[TileIndex, Cells] = {}
+        self._database = sqlite3.connect("", isolation_level=None, check_same_thread=False)
+        self.tiles: set[TileIndex] = set()
+        try:
+            # Nothing here outlives an error, so nothing needs to be undone or synced.
+            self._database.execute("PRAGMA journal_mode = OFF")
+            self._database.execute("PRAGMA synchronous = OFF")
+            self._database.execute("CREATE TABLE tile (ty, tx, channels, data)")
+            self._database.execute("CREATE INDEX place ON tile (ty, tx)")
+            self._fold(TileSquares(frames, lattice, transfer, groups), only)
+        except BaseException:
+            self.close()
+            raise
 
-        def encode(tile: TileIndex, cells: Cells) -> _FoldedTile:
+    def _fold(self, squares: TileSquares, only: Container[TileIndex] | None) -> None:
+        numbers = count()
+
+        def kept(tile: TileIndex, cells: Cells) -> tuple[TileIndex, Cells | None, dict[str, bytes]]:
             # Decoded, the tiles of the squares under way would take most of the memory of a build.
             if next(numbers) < RECENT_TILES:
-                return _FoldedTile(tile, cells, {})
-            return _FoldedTile(tile, None, encode_groups(groups, cells, base=True))
+                return tile, cells, {}
+            return tile, None, encode_groups(self._groups, cells, base=True)
 
-        try:
-            for results in in_order(lambda at: squares.fold(at, encode), squares.places()):
-                for one in results:
-                    if only is None or one.tile in only:
-                        made._put(one)
-        except BaseException:
-            made.close()
-            raise
-        return made
-
-    def _put(self, one: _FoldedTile) -> None:
-        self.tiles.add(one.tile)
-        if one.cells is not None:
-            self._recent[one.tile] = one.cells
-        self._database.executemany(
-            "INSERT INTO tile VALUES (?, ?, ?, ?)",
-            [(*one.tile, name, blob) for name, blob in one.blobs.items()],
-        )
+        for results in in_order(lambda at: squares.fold(at, kept), squares.places()):
+            for tile, cells, blobs in results:
+                if only is not None and tile not in only:
+                    continue
+                self.tiles.add(tile)
+                if cells is not None:
+                    self._recent[tile] = cells
+                self._database.executemany(
+                    "INSERT INTO tile VALUES (?, ?, ?, ?)",
+                    [(*tile, name, blob) for name, blob in blobs.items()],
+                )
 
     def blobs(self, tile: TileIndex) -> dict[str, bytes]:
         """The stored form of a tile, by channel group; empty where it was not needed yet."""
@@ -235,14 +213,6 @@ class FoldedTiles(Closing):
     def close(self) -> None:
         """Throw them away."""
         self._database.close()
-
-
-class _FoldedTile(NamedTuple):
-    """A tile as it is kept: its cells, or their stored form."""
-
-    tile: TileIndex
-    cells: Cells | None
-    blobs: dict[str, bytes]
 
 
 def encode_groups(

@@ -60,7 +60,7 @@ def restore(connection: sqlite3.Connection, path: Path, header: MapHeader, name:
     )
     frames = derived.placed_frames(connection, found.session_id)
     rule = header.lattice, header.transfer, header.writable_groups(path)
-    with FoldedTiles.folded(frames, *rule) as tiles:
+    with FoldedTiles(frames, *rule) as tiles:
         derived.show(connection, header, found.session_id, found.metadata, tiles, path)
 
 

@@ -213,7 +213,7 @@ class Session:
 
     def _folded(self, frames: Sequence[PlacedFrame], groups: Sequence[ChannelGroup]) -> FoldedTiles:
         with explained(self._path, writing=True):
-            return FoldedTiles.folded(frames, self._header.lattice, self._header.transfer, groups)
+            return FoldedTiles(frames, self._header.lattice, self._header.transfer, groups)
 
     def _insert_session(self) -> int:
         metadata, spec = self._metadata, self._spec
