@@ -20,7 +20,6 @@ from fieldgrid.live import LiveGrid, finish_session, live_folder, replay
 from fieldgrid.live.kept.kept_drive import POINTS
 from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.maps import open_map
-from fieldgrid.maps.writing import staging
 from fieldgrid.pipeline import build_map
 from fieldgrid.recordings import Frame, open_recording
 from tests.conftest import make_small_drive
@@ -110,11 +109,10 @@ def test_a_disk_that_is_full_while_driving_costs_the_frames_of_that_while(
 
 
 def test_a_disk_that_is_full_at_the_end_keeps_the_drive(
-    disk: SmallDisk, leaning_drive: Path, built_level: Path, monkeypatch: pytest.MonkeyPatch
+    disk: SmallDisk, leaning_drive: Path, built_level: Path
 ) -> None:
     """However much room it has: grids that are made again, the map and its journal are refused one
     after the other."""
-    monkeypatch.setattr(staging, "IN_MEMORY_BYTES", 1)
     out = disk.place / "m.gpkg"
     with open_recording(leaning_drive) as recording:
         live = begin(recording, out)

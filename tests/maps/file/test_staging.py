@@ -15,7 +15,6 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from fieldgrid.core import ConfigError, MapError, MapWriteError
 from fieldgrid.maps import StagedFrame, StageFile, create_map, open_map, stage
-from fieldgrid.maps.writing import staging
 from tests.maps.file.content import content
 from tests.maps.file.maps import CELL_M, DATUM, drive, grid_of, write_map
 
@@ -33,19 +32,17 @@ def staged(k: int) -> StagedFrame:
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.lists(st.integers(0, 10**6), max_size=8, unique=True), st.sampled_from([0, 3000, 10**9]))
-def test_frames_come_back_as_they_were(tmp_path: Path, seeds: list[int], in_memory: int) -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(staging, "IN_MEMORY_BYTES", in_memory)
-        with StageFile.temporary(tmp_path / "map.gpkg") as temporary:
-            frames = [staged(seed) for seed in seeds]
-            assert [temporary.append(frame) for frame in frames] == list(range(len(frames)))
-            assert list(temporary) == frames
-            assert [temporary[k] for k in reversed(range(len(frames)))] == frames[::-1]
-            assert [e[:3] for e in temporary.entries] == [
-                (f.frame_id, f.time_ns, f.ground_found) for f in frames
-            ]
-            assert list(tmp_path.iterdir()) == []  # it has no name
+@given(st.lists(st.integers(0, 10**6), max_size=8, unique=True))
+def test_frames_come_back_as_they_were(tmp_path: Path, seeds: list[int]) -> None:
+    with StageFile.temporary(tmp_path / "map.gpkg") as temporary:
+        frames = [staged(seed) for seed in seeds]
+        assert [temporary.append(frame) for frame in frames] == list(range(len(frames)))
+        assert list(temporary) == frames
+        assert [temporary[k] for k in reversed(range(len(frames)))] == frames[::-1]
+        assert [e[:3] for e in temporary.entries] == [
+            (f.frame_id, f.time_ns, f.ground_found) for f in frames
+        ]
+        assert list(tmp_path.iterdir()) == []  # it has no name
     for seed, frame in zip(seeds, frames, strict=True):
         assert pickle.loads(pickle.dumps(frame)) == frame
         np.testing.assert_array_equal(frame.grid().density, grid_of(seed).density)
@@ -107,7 +104,6 @@ def test_what_is_damaged_after_it_was_opened_is_told_of(tmp_path: Path) -> None:
 def test_a_full_disk_is_told_with_what_to_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int, room: int
 ) -> None:
-    monkeypatch.setattr(staging, "IN_MEMORY_BYTES", 0)
     with StageFile.temporary(tmp_path / "map.gpkg") as temporary:
         temporary.append(staged(0))
         write, left = os.pwrite, room

@@ -163,19 +163,21 @@ def put_arrays(
         )
 
 
+_COUNTED = (
+    "(frames, accepted, first_time_ns, last_time_ns) = "
+    "(SELECT count(*), coalesce(sum(status = 'ok'), 0), min(time_ns), max(time_ns) "
+    "FROM fieldgrid_frame WHERE session_id = ?1)"
+)
+"""What a session's own row says of its frames."""
+
+
 def count_frames(connection: sqlite3.Connection, session_id: int) -> None:
     """Bring what a session's own row says of its frames up to date."""
-    connection.execute(
-        "UPDATE fieldgrid_session SET (frames, accepted, first_time_ns, last_time_ns) = "
-        "(SELECT count(*), coalesce(sum(status = 'ok'), 0), min(time_ns), max(time_ns) "
-        "FROM fieldgrid_frame WHERE session_id = ?1) WHERE id = ?1",
-        (session_id,),
-    )
+    connection.execute(f"UPDATE fieldgrid_session SET {_COUNTED} WHERE id = ?1", (session_id,))
 
 
 def sum_up(connection: sqlite3.Connection, session_id: int, metadata: SessionMetadata) -> None:
     """Bring a session's own row up to date with its frames and arrays."""
-    count_frames(connection, session_id)
     (*grid, heading_source) = connection.execute(
         "SELECT grid_width_m, grid_length_m, grid_cell_m, heading_source FROM fieldgrid_session "
         "WHERE id = ?",
@@ -184,9 +186,10 @@ def sum_up(connection: sqlite3.Connection, session_id: int, metadata: SessionMet
     frames = connection.execute(
         "SELECT digest FROM fieldgrid_frame WHERE session_id = ?", (session_id,)
     )
+    digest = digest_of(metadata, grid, heading_source, [row[0] for row in frames])
     connection.execute(
-        "UPDATE fieldgrid_session SET digest = ? WHERE id = ?",
-        (digest_of(metadata, grid, heading_source, [row[0] for row in frames]), session_id),
+        f"UPDATE fieldgrid_session SET digest = ?2, {_COUNTED} WHERE id = ?1",
+        (session_id, digest),
     )
 
 

@@ -6,6 +6,7 @@ import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
@@ -34,14 +35,13 @@ from fieldgrid.maps.writing.staging import StagedFrame, StagedFrames, StageFile,
 
 
 class _PendingFrame(NamedTuple):
-    """A frame to be added: where it is staged, its pose as driven, the quality of its fix, and its
-    cells where they are still at hand."""
+    """A frame to be added: what reads it where it is staged, its pose as driven, the quality of its
+    fix, and its cells where they are still at hand."""
 
-    stage: StagedFrames
-    number: int
+    load: Callable[[], StagedFrame]
     pose: Pose
     quality: int | None
-    cells: FrameCells | None = None
+    cells: FrameCells | None
 
 
 class Session:
@@ -108,7 +108,6 @@ class Session:
         frame that is there already, DatumError for a pose too far from the datum.
         """
         identity = f"{len(self._frames):06d}" if frame_id is None else str(frame_id)
-        self._check(identity, grid.spec, pose)
         frame = stage(
             grid,
             identity,
@@ -118,7 +117,7 @@ class Session:
             channels=channels,
         )
         cells = as_decoded(grid, channels or {}) if len(self._frames) < RECENT_FRAMES else None
-        self._take(self._own, self._own.append(frame), frame, pose, None, cells)
+        self._take(frame, pose, cells=cells)
 
     def add_staged(
         self,
@@ -134,10 +133,8 @@ class Session:
         `quality` is that of its fix, taken from the trajectory when not given. Errors as in `add`.
         """
         frame = source if isinstance(source, StagedFrame) else source[index]
-        self._check(frame.frame_id, frame.spec, pose)
-        if isinstance(source, StagedFrame):
-            source, index = self._own, self._own.append(frame)
-        self._take(source, index, frame, pose, quality)
+        load = None if frame is source else partial(source.__getitem__, index)
+        self._take(frame, pose, quality, load)
 
     def discard(self) -> None:
         """Forget everything that was added; nothing happens when it is in the map already."""
@@ -148,24 +145,20 @@ class Session:
 
     def _take(
         self,
-        source: StagedFrames,
-        index: int,
         frame: StagedFrame,
         pose: Pose,
-        quality: int | None,
+        quality: int | None = None,
+        load: Callable[[], StagedFrame] | None = None,
         cells: FrameCells | None = None,
     ) -> None:
-        if quality is None:
-            quality = quality_at(self._metadata.trajectory, pose.time_ns)
-        self._frames[frame.frame_id] = _PendingFrame(source, index, pose, quality, cells)
-        self._spec = frame.spec
-
-    def _check(self, frame_id: str, spec: GridSpec, pose: Pose) -> None:
+        """Keep a frame, which `load` reads where it is staged; without it, it is staged here."""
+        spec = frame.spec
         if not self._open:
             raise ConfigError(f"Session {self.name!r} has ended; add frames inside its block.")
-        if frame_id in self._frames:
+        if frame.frame_id in self._frames:
             raise ConfigError(
-                f"Frame {frame_id!r} is in this session already; give each frame its own frame_id."
+                f"Frame {frame.frame_id!r} is in this session already; give each frame its own "
+                "frame_id."
             )
         if self._spec is not None and spec != self._spec:
             raise ConfigError(
@@ -174,6 +167,12 @@ class Session:
             )
         check_cell_sizes(self._header.lattice.cell_m, spec.cell_m)
         check_pose(self._metadata.transform.pose(pose))
+        if load is None:
+            load = partial(self._own.__getitem__, self._own.append(frame))
+        if quality is None:
+            quality = quality_at(self._metadata.trajectory, pose.time_ns)
+        self._frames[frame.frame_id] = _PendingFrame(load, pose, quality, cells)
+        self._spec = spec
 
     def _commit(self) -> None:
         place = self._metadata.transform.pose
@@ -190,7 +189,7 @@ class Session:
                 tiles = stack.enter_context(self._folded(frames, groups))
             session_id = self._insert_session()
             for pending in self._frames.values():
-                frame = pending.stage[pending.number]
+                frame = pending.load()
                 values = frame_values(
                     replace(pending.pose, time_ns=frame.time_ns),
                     frame.frame_id,
@@ -242,7 +241,7 @@ class Session:
 
 
 def _cells_of(frame: _PendingFrame) -> Callable[[], FrameCells]:
-    return lambda: frame.cells or frame.stage[frame.number].cells()
+    return lambda: frame.cells or frame.load().cells()
 
 
 def _described(spec: GridSpec) -> str:

@@ -36,9 +36,6 @@ _FRAME = Struct("<4sIQI")
 """Of each frame: a mark, the length of its JSON header and of its data, the CRC-32 of both."""
 _MARK = b"FRAM"
 
-IN_MEMORY_BYTES = 16 << 20
-"""What a temporary stage file keeps in memory before it goes to the disk."""
-
 MAX_FRAME_BYTES = 64 << 20
 
 
@@ -119,13 +116,12 @@ class StageFile(Closing):
     `StageFile.temporary` is gone when it is closed. Reading is safe from any thread.
     """
 
-    _count = 0
-    _holds_entries = True
-
-    _passes_damage = False
-
     def __init__(
-        self, path: str | Path, target: Path | None = None, *, passes_damage: bool = False
+        self,
+        path: str | Path | None,
+        target: Path | None = None,
+        *,
+        passes_damage: bool = False,
     ) -> None:
         """Open a stage file to read it and append to it, or make it. MapError for another file.
         Where the disk is full, the error names the `target`, the map that the frames are for.
@@ -134,28 +130,29 @@ class StageFile(Closing):
         `passes_damage` one of which no byte lacks keeps its number, as an entry of the name "",
         and those behind it are found.
         """
-        self._place, self._passes_damage = Path(path), passes_damage
-        self._target = target or self._place
+        self._place = Path(path or target or "")
+        self._target, self._passes_damage = target or self._place, passes_damage
         self.entries: list[StageEntry] = []
-        self._memory: bytearray | None = None
+        self._count, self._holds_entries = 0, True
+        self._file: int | None = None
         try:
-            self._file: int | None = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+            if path is None:
+                with tempfile.TemporaryFile(dir=self._place.resolve().parent) as unnamed:
+                    self._file = os.dup(unnamed.fileno())
+            else:
+                self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
             self._end = self._scan(self._file)
-        except OSError as error:
-            raise self._unwritable(error) from error
+        except BaseException as error:
+            self.close()
+            if isinstance(error, OSError):
+                raise self._unwritable(error) from error
+            raise
 
     @classmethod
     def temporary(cls, target: Path) -> StageFile:
-        """A stage file without a name for the map at `target`: in memory, then on its disk.
-
-        The system's place for temporary files is often a small part of the memory.
-        """
-        made = cls.__new__(cls)
-        made._target, made._place = target, target.resolve().parent
-        made.entries, made._memory, made._file, made._end = [], bytearray(), None, 0
-        if not made._place.is_dir():
-            raise made._unwritable(FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)))
-        return made
+        """A stage file without a name for the map at `target`, on its disk: the system's place for
+        temporary files is often a small part of the memory."""
+        return cls(None, target)
 
     def append(self, frame: StagedFrame) -> int:
         """Write a frame behind the others; returns its index. MapWriteError on a full disk."""
@@ -176,8 +173,10 @@ class StageFile(Closing):
         data = b"".join(channel.data for channel in frame.channels)
         check = zlib.crc32(data, zlib.crc32(header))
         record = _FRAME.pack(_MARK, len(header), len(data), check) + header + data
+        if self._file is None:
+            raise ConfigError(f"The staged frames for {self._target} are closed.")
         try:
-            self._write(record)
+            _write_all(self._file, record, self._end)
         except OSError as error:
             raise self._unwritable(error) from error
         entry = StageEntry(
@@ -211,12 +210,8 @@ class StageFile(Closing):
     def __getitem__(self, index: int) -> StagedFrame:
         """A frame; MapError when it was damaged since it was written."""
         entry = self.entries[index]
-        if self._memory is not None:
-            record = bytes(self._memory[entry.offset : entry.offset + entry.size])
-        else:
-            assert self._file is not None, "the stage file is closed"
-            record = os.pread(self._file, entry.size, entry.offset)
-        return _whole(record, entry)
+        assert self._file is not None, "the stage file is closed"
+        return _whole(os.pread(self._file, entry.size, entry.offset), entry)
 
     def __iter__(self) -> Iterator[StagedFrame]:
         return (self[k] for k in range(len(self)))
@@ -231,34 +226,9 @@ class StageFile(Closing):
 
     def close(self) -> None:
         """Close the file; a temporary one is gone."""
-        self._memory = None
         if self._file is not None:
             os.close(self._file)
             self._file = None
-
-    def _write(self, record: bytes) -> None:
-        if self._memory is not None:
-            if len(self._memory) + len(record) <= IN_MEMORY_BYTES:
-                self._memory += record
-                return
-            self._file = self._without_name(self._memory)
-            self._memory = None
-        if self._file is None:
-            raise ConfigError(f"The staged frames for {self._target} are closed.")
-        _write_all(self._file, record, self._end)
-
-    def _without_name(self, data: bytearray) -> int:
-        """A file that holds `data`, and that the system deletes however the program ends."""
-        file, name = tempfile.mkstemp(
-            prefix=f".{self._target.name}.", suffix=".grids", dir=self._place
-        )
-        try:
-            os.unlink(name)
-            _write_all(file, data, 0)
-        except BaseException:
-            os.close(file)
-            raise
-        return file
 
     def _scan(self, file: int) -> int:
         """Find the frames; returns where the next one goes."""
@@ -267,7 +237,6 @@ class StageFile(Closing):
             _write_all(file, _MAGIC, 0)
             return len(_MAGIC)
         if head != _MAGIC:
-            os.close(file)
             raise MapError(f"{self._place} is no file of staged frames. Check the name.")
         offset = len(_MAGIC)
         while True:
@@ -319,7 +288,7 @@ def _whole(record: bytes, entry: StageEntry) -> StagedFrame:
     return frame
 
 
-def _write_all(file: int, data: bytes | bytearray, offset: int) -> None:
+def _write_all(file: int, data: bytes, offset: int) -> None:
     left = memoryview(data)
     while left:  # a disk that fills up takes a part first
         written = os.pwrite(file, left, offset)
