@@ -96,7 +96,7 @@ def write_tiles(path: Path, side: int, share: float, sessions: Sequence[str] = (
             cells = dict(empty_cells(tables.groups, weight.shape, block))
             cells["weight"], cells["sum"] = np.roll(weight, roll, axis), np.roll(total, roll, axis)
             made.append(encoded_tile(tile, Cells(cells, block=block), tables.groups))
-        Pyramid(connection, tables).fill(made)
+        Pyramid(tables).fill(made)
         seal(connection)
     return path
 

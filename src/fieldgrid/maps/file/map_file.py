@@ -354,7 +354,7 @@ class MapFile(MapReader):
             ):
                 self._header = as_it_is_now(self._connection, self.path, self._header)
                 tables = tables_of(self._connection, self._header, self.path)
-                Pyramid(self._connection, tables).settle()
+                Pyramid(tables).settle()
         except (MapError, ConfigError) as error:
             # The map is complete without: readers make larger cells from its own.
             _LOG.info("%s was not settled: %s", self.path, error)

@@ -12,6 +12,8 @@ from fieldgrid.core import shortened
 from fieldgrid.maps.file import schema
 from fieldgrid.maps.file.header import check_plane
 from fieldgrid.maps.file.metadata import find
+from fieldgrid.maps.tiles.pyramid import Pyramid
+from fieldgrid.maps.tiles.tiles import TileTables
 from fieldgrid.maps.tiles.tiling import TileMatrixSet
 from fieldgrid.maps.vector.features import announce_extents
 from fieldgrid.maps.vector.styles import refresh_styles
@@ -22,36 +24,43 @@ from fieldgrid.maps.writing.subject import Subject
 def check_features(subject: Subject) -> Iterator[str]:
     """The layers of features against the same made again from the evidence."""
     connection, path, header, *_ = subject
-    with closing(_empty(subject)) as scratch:
+    with closing(empty_map(subject)) as scratch:
         for session_id, name in active(connection):
             metadata = find(connection, path, header.datum, name).metadata
             show_features(scratch, session_id, metadata, evidence=connection)
-        yield from _differences(connection, scratch, _FEATURES)
+        yield from differences(connection, scratch, _FEATURES)
 
 
 def check_announced(subject: Subject) -> Iterator[str]:
-    """What is announced to a GIS, against the same made of what sessions cover."""
+    """What is announced to a GIS, against the same made of what sessions and the outermost tiles
+    cover."""
     connection, path, header, *_ = subject
-    with closing(_empty(subject)) as scratch:
+    tables = subject.tables
+    with closing(empty_map(subject)) as scratch:
         scratch.executemany(
             "INSERT INTO fieldgrid_extent VALUES (?, ?, ?, ?, ?, ?)",
             connection.execute("SELECT * FROM fieldgrid_extent"),
         )
+        scratch.executemany("INSERT INTO fieldgrid_tile VALUES (?, ?, ?, ?, ?)", tables.edges())
+        Pyramid(TileTables(scratch, tables.matrices, tables.groups)).announce()
         announce_extents(scratch)
         refresh_styles(scratch, evidence=connection)
-        yield from _differences(connection, scratch, _ANNOUNCED)
+        yield from differences(connection, scratch, _ANNOUNCED)
     check_plane(connection, path, header.datum)
 
 
-def _empty(subject: Subject) -> sqlite3.Connection:
+def empty_map(subject: Subject) -> sqlite3.Connection:
     """A map with the settings of another, and nothing in it; to be closed."""
-    scratch, header = sqlite3.connect("", isolation_level=None), subject.header
+    scratch = sqlite3.connect("", isolation_level=None, check_same_thread=False)
+    header = subject.header
+    scratch.execute("PRAGMA journal_mode = OFF")
+    scratch.execute("BEGIN")
     matrices = TileMatrixSet(header.lattice)
     schema.create(scratch, header.datum, matrices, header.transfer, header.groups)
     return scratch
 
 
-def _differences(
+def differences(
     here: sqlite3.Connection, anew: sqlite3.Connection, queries: Mapping[str, str]
 ) -> Iterator[str]:
     """The first row of each query, in the order of their keys, that is another in two maps."""
@@ -78,12 +87,15 @@ _ANNOUNCED = {
     "FROM gpkg_tile_matrix_set WHERE table_name = 'density'",
     "geometry of layer": "SELECT table_name, column_name, geometry_type_name, srs_id, z, m "
     f"FROM gpkg_geometry_columns WHERE table_name IN ({_OURS}) ORDER BY 1",
-    # One description has the root digest, and the tiles tell the extent of their layer.
+    "zoom level": "SELECT zoom_level, matrix_width, matrix_height, tile_width, tile_height, "
+    "pixel_x_size, pixel_y_size FROM gpkg_tile_matrix WHERE table_name = 'density' ORDER BY 1",
+    "extent of cells": "SELECT value FROM fieldgrid_meta WHERE key = 'data_window'",
+    # One description has the root digest.
     "layer": "SELECT table_name, data_type, identifier, srs_id, datetime(last_change) IS NULL, "
     "CASE WHEN table_name <> 'fieldgrid_session' THEN description END "
     f"FROM gpkg_contents WHERE table_name IN ({_OURS}, 'layer_styles') ORDER BY 1",
     "extent of layer": "SELECT table_name, min_x, min_y, max_x, max_y FROM gpkg_contents "
-    f"WHERE table_name IN ({_OURS}, 'layer_styles') AND table_name <> 'density' ORDER BY 1",
+    f"WHERE table_name IN ({_OURS}, 'layer_styles') ORDER BY 1",
     "style of layer": "SELECT f_table_name, f_geometry_column, f_table_catalog, f_table_schema, "
     "styleName, styleSLD, description, ui, useAsDefault IN (0, 1), styleQML FROM layer_styles "
     "WHERE owner = 'fieldgrid' ORDER BY 1",

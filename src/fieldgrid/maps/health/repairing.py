@@ -30,7 +30,6 @@ from fieldgrid.maps.health.file_check import (
     renew_file,
 )
 from fieldgrid.maps.health.row_sums import begin_sums, drop_sums
-from fieldgrid.maps.health.tile_check import check_tiles
 from fieldgrid.maps.health.verification import LONGEST_PROBLEM, Check, check_evidence, problems
 from fieldgrid.maps.vector.marks import TABLE, announce_marks, check_marks, read_marks
 from fieldgrid.maps.vector.stored_features import check_stored
@@ -137,7 +136,7 @@ def _repair(subject: Subject) -> tuple[str, ...]:
 
 _REPAIRED: tuple[Check, ...] = (
     *(check_pages, check_counts, check_layout, check_types, check_digest, check_marks),
-    *(check_announced, check_features, partial(check_tiles, folded=True)),
+    *(check_announced, check_features),
 )
 """What must be right in the end. Of evidence all that is needed was checked before."""
 

@@ -40,7 +40,7 @@ from fieldgrid.maps.health.file_check import (
     check_types,
 )
 from fieldgrid.maps.health.row_sums import check_sums, kept_sums
-from fieldgrid.maps.health.tile_check import check_extent, check_tiles
+from fieldgrid.maps.health.tile_check import check_pictures, check_tiles
 from fieldgrid.maps.layers.registry import GROUPS
 from fieldgrid.maps.vector.marks import check_marks
 from fieldgrid.maps.vector.stored_features import check_stored
@@ -190,13 +190,7 @@ def _check_upgraded(subject: Subject) -> Iterator[str]:
         wrong = list(islice(chain(check_types(anew), check_evidence(anew)), MAX_PROBLEMS))
         yield from wrong
         if not wrong:
-            # The pictures are those of today: put into the copy, they must be those of its tiles.
-            copy.execute("DELETE FROM density")
-            copy.executemany(
-                "INSERT INTO density VALUES (?, ?, ?, ?, ?)",
-                connection.execute("SELECT * FROM density"),
-            )
-            yield from check_tiles(anew)
+            yield from check_pictures(connection, anew.tables)
 
 
 class _FrameCheck(PickledByArguments):
@@ -224,7 +218,7 @@ class _FrameCheck(PickledByArguments):
 
 _AS_WRITTEN: tuple[Check, ...] = (
     *(check_pages, check_references, check_counts, check_layout, check_digest, check_marks),
-    *(check_stored, check_sessions, check_announced, check_extent, check_sums),
+    *(check_stored, check_sessions, check_announced, check_sums),
 )
 """What tells that a map is as its writers made it: every byte is read, nothing is made again."""
 

@@ -12,7 +12,6 @@ when the map is closed; until then readers make larger cells from the map's own.
 from __future__ import annotations
 
 import json
-import sqlite3
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -64,10 +63,8 @@ def encoded_tile(
 class Pyramid:
     """Changes the tiles of a map, within the caller's transaction."""
 
-    def __init__(
-        self, connection: sqlite3.Connection, tables: TileTables, jobs: int | None = None
-    ) -> None:
-        self._connection = connection
+    def __init__(self, tables: TileTables, jobs: int | None = None) -> None:
+        self._connection = tables.connection
         self._tables = tables
         self._groups = tables.groups
         self._base = tables.matrices.base_zoom
@@ -132,8 +129,20 @@ class Pyramid:
             tiles.add(encoded.tile)
             if encoded.seen is not None:
                 seen = union(seen, _placed(encoded.tile, encoded.seen))
-        self._take_out_above(tiles)
-        self._announce(seen, shrinks=shrinks)
+        top = self._tables.top_zoom() or self._base + 1
+        for zoom in range(self._base - 1, top - 1, -1):
+            tiles = {parent(tile) for tile in tiles}
+            self._tables.remove(zoom, tiles)
+        for table, column in (
+            ("fieldgrid_tile", "zoom"),
+            ("density", "zoom_level"),
+            ("gpkg_tile_matrix", "table_name = 'density' AND zoom_level"),
+        ):
+            self._connection.execute(f"DELETE FROM {table} WHERE {column} < ?", (top,))
+        self._connection.execute(
+            "INSERT OR REPLACE INTO fieldgrid_meta VALUES (?, 'later')", (schema.UNSETTLED,)
+        )
+        self.announce(None if shrinks else seen)
 
     def _changed(self, tile: TileIndex, leaving: Cells | None, joining: Cells | None) -> Cells:
         """A base tile over all sessions, after a session's share has changed."""
@@ -159,66 +168,41 @@ class Pyramid:
                     combine(value[part], joining[name][part], out=value[part])
         return Cells(arrays, block=total.block)
 
-    def _take_out_above(self, tiles: set[TileIndex]) -> None:
-        """Take out the tiles above those of the base that changed, and all levels that are not
-        needed any more; the others are listed for a GIS."""
-        matrices, top = self._tables.matrices, self._tables.top_zoom() or self._base + 1
-        for zoom in range(self._base - 1, top - 1, -1):
-            tiles = {parent(tile) for tile in tiles}
-            self._tables.remove(zoom, tiles)
-        for table, column in (
-            ("fieldgrid_tile", "zoom"),
-            ("density", "zoom_level"),
-            ("gpkg_tile_matrix", "table_name = 'density' AND zoom_level"),
-        ):
-            self._connection.execute(f"DELETE FROM {table} WHERE {column} < ?", (top,))
-        self._connection.executemany(
-            "INSERT OR IGNORE INTO gpkg_tile_matrix VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-            schema.zoom_levels(matrices, top),
-        )
-        self._connection.execute(
-            "INSERT OR REPLACE INTO fieldgrid_meta VALUES (?, 'later')", (schema.UNSETTLED,)
-        )
-
-    def _announce(self, window: Window | None, *, shrinks: bool) -> None:
-        """Record which base cells have data, and the raster's extent for a GIS."""
+    def announce(self, grown: Window | None = None) -> None:
+        """Record which base cells have data, and tell a GIS of the raster's extent and levels. The
+        cells are those from before and those that it has `grown` by; without these, the outermost
+        tiles are looked at."""
         meta = "fieldgrid_meta WHERE key = 'data_window'"
         before = self._connection.execute(f"SELECT value FROM {meta}").fetchone()
-        if shrinks:
-            window = self.window_at_the_edges()
+        window = grown
+        if grown is None:
+            for _, ty, tx, *_ in self._tables.edges():
+                tile = TileIndex(ty, tx)
+                window = union(window, _placed(tile, self._tables.observed(tile)))
         elif before is not None:
             try:
-                window = union(window, window_of(before[0]))
+                window = grown.union(window_of(before[0]))
             except ValueError as error:
                 raise MapError(
                     f"The extent of the map's cells is damaged ({error}); repair the map."
                 ) from error
         self._connection.execute(f"DELETE FROM {meta}")
-        bounds: tuple[float | None, ...] = (None,) * 4
+        matrices, bounds = self._tables.matrices, (None,) * 4
+        top = self._tables.top_zoom() or self._base + 1
         if window is not None:
             self._connection.execute(
                 "INSERT INTO fieldgrid_meta VALUES ('data_window', ?)", (json.dumps(list(window)),)
             )
-            top = self._tables.top_zoom() or self._base
-            matrices = self._tables.matrices
             bounds = matrices.lattice.bounds(matrices.whole_cells(window, top))
         self._connection.execute(
             "UPDATE gpkg_contents SET (min_x, min_y, max_x, max_y) = (?, ?, ?, ?) "
             "WHERE table_name = 'density'",
             bounds,
         )
-
-    def window_at_the_edges(self) -> Window | None:
-        """The observed cells' extent, by the heads of the outermost tiles."""
-        corners = self._tables.corners()
-        if not corners:
-            return None
-        (south, west), (north, east) = corners
-        window: Window | None = None
-        for tile in self._tables.tiles(self._base):
-            if tile.ty in (south, north) or tile.tx in (west, east):
-                window = union(window, _placed(tile, self._tables.observed(tile)))
-        return window
+        self._connection.executemany(
+            "INSERT OR IGNORE INTO gpkg_tile_matrix VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            schema.zoom_levels(matrices, top),
+        )
 
 
 def _placed(tile: TileIndex, part: Box) -> Window:

@@ -35,7 +35,7 @@ class TileTables:
         matrices: TileMatrixSet,
         groups: Sequence[ChannelGroup],
     ) -> None:
-        self._connection = connection
+        self.connection = connection
         self._lock = threading.Lock()
         self.matrices = matrices
         self.groups = groups
@@ -43,7 +43,7 @@ class TileTables:
     def rows(self, query: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
         """The rows of a query, all at once."""
         with self._lock:
-            return self._connection.execute(query, values).fetchall()
+            return self.connection.execute(query, values).fetchall()
 
     def cells(
         self,
@@ -153,6 +153,18 @@ class TileTables:
         )
         return [] if south is None else [_index(south, west), _index(north, east)]
 
+    def edges(self) -> list[tuple[Any, ...]]:
+        """The rows of the densities of the outermost base tiles."""
+        corners = self.corners()
+        if not corners:
+            return []
+        (south, west), (north, east) = corners
+        return self.rows(
+            "SELECT * FROM fieldgrid_tile WHERE zoom = ? AND channels = ? "
+            "AND (ty IN (?, ?) OR tx IN (?, ?))",
+            (self.matrices.base_zoom, self.groups[0].name, south, north, west, east),
+        )
+
     def put(self, zoom: int, tile: TileIndex, blobs: Mapping[str, bytes], picture: bytes) -> None:
         """Replace a tile over all sessions and its picture; rows that stay as they are cost
         nothing. Without blobs it is removed."""
@@ -160,13 +172,13 @@ class TileTables:
             self.remove(zoom, [tile])
             return
         with self._lock:
-            self._connection.executemany(
+            self.connection.executemany(
                 "INSERT INTO fieldgrid_tile VALUES (?, ?, ?, ?, ?) "
                 "ON CONFLICT (zoom, ty, tx, channels) DO UPDATE SET data = excluded.data "
                 "WHERE data IS NOT excluded.data",
                 [(zoom, *tile, name, blob) for name, blob in blobs.items()],
             )
-            self._connection.execute(
+            self.connection.execute(
                 "INSERT INTO density (zoom_level, tile_column, tile_row, tile_data) "
                 "VALUES (?, ?, ?, ?) ON CONFLICT (zoom_level, tile_column, tile_row) "
                 "DO UPDATE SET tile_data = excluded.tile_data",
@@ -177,11 +189,11 @@ class TileTables:
         """Take tiles and their pictures out."""
         places = [(zoom, *tile, zoom, *self.matrices.column_row(zoom, tile)) for tile in tiles]
         with self._lock:
-            self._connection.executemany(
+            self.connection.executemany(
                 "DELETE FROM fieldgrid_tile WHERE zoom = ? AND ty = ? AND tx = ?",
                 [place[:3] for place in places],
             )
-            self._connection.executemany(
+            self.connection.executemany(
                 "DELETE FROM density WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?",
                 [place[3:] for place in places],
             )

@@ -7,7 +7,7 @@ map can be shown, read and changed at a cost that does not grow with it.
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from itertools import chain
@@ -27,7 +27,7 @@ from fieldgrid.maps.file.metadata import (
 )
 from fieldgrid.maps.file.records import SESSION_SQL, FrameRecord, session_info
 from fieldgrid.maps.file.schema import NOW_SQL
-from fieldgrid.maps.layers.declaration import ChannelGroup, Combine
+from fieldgrid.maps.layers.declaration import Combine
 from fieldgrid.maps.layers.frame import FrameCells
 from fieldgrid.maps.tiles.pyramid import EncodedTile, Pyramid, encoded_tile
 from fieldgrid.maps.tiles.tiles import TileTables
@@ -54,7 +54,7 @@ def show(
 ) -> None:
     """Bring a session that is not in the map into it, within the caller's transaction."""
     show_features(connection, session_id, metadata)
-    Pyramid(connection, tables_of(connection, header, path)).change(None, tiles)
+    Pyramid(tables_of(connection, header, path)).change(None, tiles)
     touch(connection)
 
 
@@ -111,7 +111,7 @@ def moving(
             else:
                 show_features(connection, session_id, metadata)
                 joining = placed_frames(connection, session_id)
-            pyramid = Pyramid(connection, tables)
+            pyramid = Pyramid(tables)
             if leaving is not None:
                 pyramid.change(leaving, stack.enter_context(FoldedTiles(joining, *rule)))
             else:
@@ -156,18 +156,21 @@ class MapFold(PickledByArguments):
 
     def __init__(self, subject: Subject) -> None:
         self._of = (subject,)
-        self._groups = subject.header.writable_groups(subject.path)
-        self.squares = squares_of(subject, self._groups)
+        self._groups, header = subject.tables.groups, subject.header
+        frames = active_frames(subject.connection)
+        self.squares = TileSquares(frames, header.lattice, header.transfer, self._groups)
 
     def __call__(self, place: tuple[int, int]) -> list[EncodedTile]:
         """The tiles of a square that the frames observed."""
         return self.squares.fold(place, partial(encoded_tile, groups=self._groups))
 
 
-def squares_of(subject: Subject, groups: Sequence[ChannelGroup]) -> TileSquares:
-    """The stored frames of all active sessions, to be folded square by square."""
-    frames = active_frames(subject.connection)
-    return TileSquares(frames, subject.header.lattice, subject.header.transfer, groups)
+def fold_tiles(subject: Subject, into: TileTables) -> None:
+    """Fold the frames of all active sessions into the tables of tiles of a map, which are empty
+    before."""
+    fold, run = MapFold(subject), subject.runner
+    squares = run.in_order(fold, fold.squares.places())
+    Pyramid(into, run.here).fill(chain.from_iterable(squares))
 
 
 def active_frames(connection: sqlite3.Connection) -> list[PlacedFrame]:
@@ -203,7 +206,7 @@ def touch(connection: sqlite3.Connection) -> None:
 
 def rebuild(subject: Subject) -> None:
     """Make all that follows from the evidence, its tiles with the channel groups of the header."""
-    connection, path, header, run, _ = subject
+    connection, path, header, *_ = subject
     for table in (*schema.DERIVED_TABLES, "density"):
         connection.execute(f"DELETE FROM {table}")
     schema.renew_features(connection)
@@ -214,8 +217,7 @@ def rebuild(subject: Subject) -> None:
     schema.set_groups(connection, header.groups)
     for session_id, name in active(connection):
         show_features(connection, session_id, find(connection, path, header.datum, name).metadata)
-    fold, pyramid = MapFold(subject), Pyramid(connection, subject.tables, run.here)
-    pyramid.fill(chain.from_iterable(run.in_order(fold, fold.squares.places())))
+    fold_tiles(subject, subject.tables)
     drop_styles(connection)
     touch(connection)
 
