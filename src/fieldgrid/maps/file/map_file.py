@@ -10,7 +10,7 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from fieldgrid.core import ConfigError, Draft, MapError, notebook
+from fieldgrid.core import ConfigError, Draft, MapError, notebook, runner
 from fieldgrid.geometry import Feature, Pose, Trajectory
 from fieldgrid.maps.file.arrays import Array
 from fieldgrid.maps.file.database import (
@@ -32,7 +32,7 @@ from fieldgrid.maps.file.upgrade import (
     upgrade,
     upgraded,
 )
-from fieldgrid.maps.health.repairing import repair, repairers
+from fieldgrid.maps.health.repairing import repair
 from fieldgrid.maps.health.row_sums import RowCounter
 from fieldgrid.maps.tiles.pyramid import Pyramid
 from fieldgrid.maps.vector.marks import Mark, insert_marks, set_removed
@@ -277,9 +277,15 @@ class MapFile(MapReader):
         still not be sound; ConfigError for a scheduler without `keep`, ClusterError where none
         answers or its workers cannot read the copy.
         """
-        with repairers(jobs, scheduler, keep) as by, self._changing(trusting=False, keep=keep):
+        if scheduler is not None and keep is None:
+            raise ConfigError(
+                "The workers of a cluster read the copy that is kept of the map; leave out "
+                "--in-place, or the --scheduler."
+            )
+        with runner(jobs, scheduler) as run, self._changing(trusting=False, keep=keep):
             header = upgraded(self._header).keeping(layers)
-            problems = repair(self._connection, self.path, header, by)
+            copy = None if scheduler is None else keep
+            problems = repair(self._connection, self.path, header, run, copy)
         self._header = header
         return problems
 

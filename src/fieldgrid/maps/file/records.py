@@ -149,11 +149,13 @@ class FrameRecord:
     def grid(self) -> LocalGrid:
         """The local grid, decompressed at each call; its channels alone."""
         own = [channel for channel in self.load() if channel.name in ("density", "observed")]
-        return decode_cells(self.spec, own, f"grid of frame {self.frame_id!r}").grid
+        return self.cells(own).grid
 
-    def cells(self) -> FrameCells:
-        """The local grid and all further channels, decompressed at each call."""
-        return decode_cells(self.spec, self.load(), f"grid of frame {self.frame_id!r}")
+    def cells(self, stored: Sequence[EncodedChannel] | None = None) -> FrameCells:
+        """The local grid and all further channels, decompressed at each call; or some that are
+        `stored`."""
+        what = f"grid of frame {self.frame_id!r} of session {self.session!r}"
+        return decode_cells(self.spec, self.load() if stored is None else stored, what)
 
     def staged(self) -> StagedFrame:
         """What the frame saw, as it is stored: for another map."""

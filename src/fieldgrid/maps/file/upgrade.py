@@ -11,12 +11,12 @@ from __future__ import annotations
 import hashlib
 import json
 import sqlite3
-from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.core import FieldgridError, MapError, Threads, quoted, shortened
+from fieldgrid.core import FieldgridError, MapError, Threads, shortened
 from fieldgrid.geometry import GridSpec
 from fieldgrid.maps.file import schema
 from fieldgrid.maps.file.codec import BITS, EncodedChannel, cells_sha256, decode_cells
@@ -25,7 +25,7 @@ from fieldgrid.maps.file.header import MapHeader, check_plane, reread
 from fieldgrid.maps.file.metadata import digest_of, find
 from fieldgrid.maps.file.root import seal
 from fieldgrid.maps.layers.registry import kept_groups
-from fieldgrid.maps.writing.derived import active, rebuild
+from fieldgrid.maps.writing.derived import rebuild
 from fieldgrid.maps.writing.subject import Subject
 
 SESSION_TILES = "fieldgrid_session_tile"
@@ -156,9 +156,29 @@ def upgrade(
         f"INSERT INTO fieldgrid_session ({_SESSION_COLUMNS}) "
         f"SELECT {_SESSION_COLUMNS} FROM fieldgrid_session_2 ORDER BY id"
     )
-    whole, unreadable = _copy_frames(connection)
-    for session_id in sorted(whole):
-        _renew_digest(connection, path, header, session_id)
+    damaged = _copy_frames(connection)
+    sessions = connection.execute(
+        "SELECT id, name, digest, heading_source, grid_width_m, grid_length_m, grid_cell_m "
+        "FROM fieldgrid_session ORDER BY id"
+    ).fetchall()
+    for session_id, name, digest, heading_source, *grid in sessions:
+        if session_id in damaged:
+            continue
+        with suppress(MapError):
+            metadata = find(connection, path, header.datum, name).metadata
+            before, now = (
+                digest_of(metadata, grid, heading_source, [row[0] for row in rows.fetchall()])
+                for rows in (
+                    connection.execute(
+                        f"SELECT digest FROM {table} WHERE session_id = {session_id}"
+                    )
+                    for table in ("fieldgrid_frame_2", "fieldgrid_frame")
+                )
+            )
+            if before == digest:
+                connection.execute(
+                    "UPDATE fieldgrid_session SET digest = ? WHERE id = ?", (now, session_id)
+                )
     for name in ("frame", "session"):
         connection.execute(f"DROP TABLE fieldgrid_{name}_2")
     _set_version(connection)
@@ -167,32 +187,17 @@ def upgrade(
     try:
         rebuild(Subject(connection, path, upgraded(header), Threads()))
     except MapError as error:
-        raise _not_upgraded(connection, path, unreadable) or error from error
+        raise MapError(
+            f"{path} cannot be brought up to date, which each change of it begins with: "
+            f"{shortened(error)} Nothing was changed. Take that session out with `fieldgrid "
+            "sessions --remove`, which keeps its frames, or restore a copy of the map."
+        ) from error
     connection.execute(removed, (None, without, "now"))
 
 
-def _not_upgraded(
-    connection: sqlite3.Connection, path: Path, unreadable: Mapping[int, str]
-) -> MapError | None:
-    """The error for frames that cannot be read, by their sessions; None where all can be."""
-    named = [
-        f"frame {quoted(unreadable[session_id])} of session {quoted(name)}"
-        for session_id, name in active(connection)
-        if session_id in unreadable
-    ]
-    if not named:
-        return None
-    return MapError(
-        f"{path} cannot be brought up to date, which each change of it begins with: "
-        f"{shortened(', '.join(named))} is damaged. Nothing was changed. Take that session out "
-        "with `fieldgrid sessions --remove`, which keeps its frames, or restore a copy of the map."
-    )
-
-
-def _copy_frames(connection: sqlite3.Connection) -> tuple[set[int], dict[int, str]]:
-    """Copy the frames; returns the sessions of which all were as they had been stored, and of those
-    with frames that cannot be read the first one."""
-    damaged, unreadable = set[int](), dict[int, str]()
+def _copy_frames(connection: sqlite3.Connection) -> set[int]:
+    """Copy the frames; returns the sessions with one that is not as it had been stored."""
+    damaged = set[int]()
     rows = connection.execute(
         "SELECT f.id, f.session_id, s.grid_width_m, s.grid_length_m, s.grid_cell_m, f.digest, "
         f"{', '.join('f.' + name for name in _FRAME_COLUMNS.split(', '))} FROM fieldgrid_frame_2 "
@@ -207,7 +212,7 @@ def _copy_frames(connection: sqlite3.Connection) -> tuple[set[int], dict[int, st
             EncodedChannel("observed", BITS, observed),
         )
         sha256, renewed = "", str(digest)
-        try:
+        with suppress(FieldgridError, TypeError, ValueError):
             cells = decode_cells(GridSpec(width_m, length_m, cell_m), channels, "frame")
             hashed = hashlib.sha256(as_json(values))
             hashed.update(cells.grid.density.tobytes())
@@ -215,8 +220,6 @@ def _copy_frames(connection: sqlite3.Connection) -> tuple[set[int], dict[int, st
             sha256 = cells_sha256(cells)
             if hashed.hexdigest() == digest:
                 renewed = frame_digest((*values, sha256))
-        except (FieldgridError, TypeError, ValueError):
-            unreadable.setdefault(session_id, str(values[0]))
         if renewed == str(digest):
             damaged.add(session_id)
         connection.execute(
@@ -227,31 +230,4 @@ def _copy_frames(connection: sqlite3.Connection) -> tuple[set[int], dict[int, st
             "INSERT INTO fieldgrid_grid VALUES (?, ?, ?, ?)",
             [(frame, *channel) for channel in channels],
         )
-    every = {row[0] for row in connection.execute("SELECT id FROM fieldgrid_session")}
-    return every - damaged, unreadable
-
-
-def _renew_digest(
-    connection: sqlite3.Connection, path: Path, header: MapHeader, session_id: int
-) -> None:
-    """Give a session the digest of today, if it was as it had been stored."""
-    name, digest, heading_source, *grid = connection.execute(
-        "SELECT name, digest, heading_source, grid_width_m, grid_length_m, grid_cell_m "
-        "FROM fieldgrid_session WHERE id = ?",
-        (session_id,),
-    ).fetchone()
-    try:
-        metadata = find(connection, path, header.datum, name).metadata
-    except MapError:
-        return
-    before, now = (
-        digest_of(metadata, grid, heading_source, [row[0] for row in rows.fetchall()])
-        for rows in (
-            connection.execute(f"SELECT digest FROM {table} WHERE session_id = ?", (session_id,))
-            for table in ("fieldgrid_frame_2", "fieldgrid_frame")
-        )
-    )
-    if before == digest:
-        connection.execute(
-            "UPDATE fieldgrid_session SET digest = ? WHERE id = ?", (now, session_id)
-        )
+    return damaged

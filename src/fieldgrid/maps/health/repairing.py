@@ -4,14 +4,13 @@ counts."""
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from fieldgrid.core import ConfigError, MapError, Runner, Threads, runner, shortened
+from fieldgrid.core import ConfigError, MapError, Runner, Threads, shortened
 from fieldgrid.maps.file import schema
 from fieldgrid.maps.file.database import connect
 from fieldgrid.maps.file.header import MapHeader, read_header
@@ -37,62 +36,40 @@ from fieldgrid.maps.writing import derived
 from fieldgrid.maps.writing.subject import Subject
 
 if TYPE_CHECKING:
-    from distributed import Client
-
-
-class Repairers(NamedTuple):
-    """Who checks frames and folds them: threads, or the workers of a cluster. Workers read `copy`,
-    the map as it was: what a change does nobody else sees before it is committed."""
-
-    runner: Runner
-    copy: Path | None = None
-
-
-@contextmanager
-def repairers(
-    jobs: int | None, scheduler: str | Client | None, keep: Path | None
-) -> Iterator[Repairers]:
-    """Threads of this process, or the workers of a cluster, to repair a map of which a copy is kept
-    at `keep`. ConfigError for a cluster without a copy, ClusterError where no scheduler answers."""
-    if scheduler is not None and keep is None:
-        raise ConfigError(
-            "The workers of a cluster read the copy that is kept of the map; leave out --in-place, "
-            "or the --scheduler."
-        )
-    with runner(jobs, scheduler) as found:
-        yield Repairers(found, None if scheduler is None else keep)
+    pass
 
 
 def repair(
-    connection: sqlite3.Connection, path: Path, header: MapHeader, by: Repairers
+    connection: sqlite3.Connection, path: Path, header: MapHeader, run: Runner, copy: Path | None
 ) -> tuple[str, ...]:
     """Rebuild everything that follows from the evidence, within the caller's transaction; the
     tiles hold the channel groups of the header.
 
-    Returns what is still wrong with the evidence of sessions that were taken out, of which nothing
-    is read, and with features that were found.
+    The workers of a cluster read `copy`, the map as it was: what a change does nobody else sees
+    before it is committed. Returns what is still wrong with the evidence of sessions that were
+    taken out, of which nothing is read, and with features that were found.
 
     Raises MapError when the evidence itself is damaged, of which nothing can be made, and when
     `verify` would still find something else; ConfigError when the workers of a cluster cannot read
     a map of this format, ClusterError when they cannot read this one.
     """
-    if by.copy is None:
-        return _repair(Subject(connection, path, header, by.runner))
-    with closing(connect(by.copy, by.copy, writable=False)) as copy:
-        version = read_header(copy, path).version
+    if copy is None:
+        return _repair(Subject(connection, path, header, run))
+    with closing(connect(copy, copy, writable=False)) as there:
+        version = read_header(there, path).version
         if version == schema.OTHER_TABLES_VERSION:
             raise ConfigError(
                 f"{path} is of format {version}, which the workers of a cluster cannot fold; bring "
                 "it up to date with `fieldgrid repair --upgrade`, or leave out --scheduler."
             )
-        return _repair(Subject(connection, path, header, by.runner, copy))
+        return _repair(Subject(connection, path, header, run, there))
 
 
 def _repair(subject: Subject) -> tuple[str, ...]:
     connection, path, header, run, _ = subject
     if not read_root(connection).trusted:
         # Rows that follow from others, although the root digest covers them.
-        _replace_systems(connection, schema.reference_systems(header.datum)[-1:])
+        connection.execute(_REPLACE_SYSTEM, schema.reference_systems(header.datum)[-1])
         for (session_id,) in connection.execute("SELECT id FROM fieldgrid_session").fetchall():
             count_frames(connection, session_id)
         if not read_root(connection).trusted:
@@ -113,7 +90,7 @@ def _repair(subject: Subject) -> tuple[str, ...]:
             "that session out with `fieldgrid sessions --remove`, or restore a copy of the map."
         )
     # The map's own plane is under the root digest: another PROJ may word it in another way.
-    _replace_systems(connection, schema.reference_systems(header.datum)[:-1])
+    connection.executemany(_REPLACE_SYSTEM, schema.reference_systems(header.datum)[:-1])
     if schema.has_table(connection, TABLE):
         read_marks(connection, removed=True)
         announce_marks(connection)
@@ -147,9 +124,4 @@ _REMOVED: tuple[Check, ...] = (
 """What may be wrong with sessions that were removed."""
 
 
-def _replace_systems(
-    connection: sqlite3.Connection, rows: Sequence[tuple[str, int, str, int, str, str]]
-) -> None:
-    connection.executemany(
-        "INSERT OR REPLACE INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", rows
-    )
+_REPLACE_SYSTEM = "INSERT OR REPLACE INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)"

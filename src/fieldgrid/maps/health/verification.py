@@ -212,7 +212,7 @@ class _FrameCheck(PickledByArguments):
                     "stored."
                 )
         except MapError as error:
-            return f"Session {record.session!r}: {error}"
+            return str(error)
         return ""
 
 
