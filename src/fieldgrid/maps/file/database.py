@@ -170,17 +170,14 @@ def clear_journal(path: Path) -> None:
 
 
 @contextmanager
-def copied(path: Path, copy: Path | None) -> Iterator[None]:
+def copied(path: Path, copy: Path) -> Iterator[None]:
     """Copy a map page by page, damaged ones too, to a new file that is on the disk afterwards; on
     an error in the block it is removed. MapWriteError where it cannot be made, or is there already,
-    and then it stays. Without a `copy` nothing is done.
+    and then it stays.
 
     By SQLite, which keeps the locks that a transaction of this process has on the file: whoever
     opens and closes it otherwise lets go of them.
     """
-    if copy is None:
-        yield
-        return
     try:
         os.close(os.open(copy, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     except FileExistsError as error:

@@ -327,7 +327,10 @@ class MapFile(MapReader):
         before = self._header
         try:
             # The copy is never removed once the commit has begun: that may have been done.
-            with writing(self._connection, self.path, self._patience), copied(self.path, keep):
+            with (
+                writing(self._connection, self.path, self._patience),
+                nullcontext() if keep is None else copied(self.path, keep),
+            ):
                 self._header = as_it_is_now(self._connection, self.path, before)
                 if self._header.has_other_tables:
                     upgrade(self._connection, self.path, self._header, without)

@@ -233,6 +233,9 @@ CREATE TABLE fieldgrid_grid (
 );
 """
 
+TABLES = _GEOPACKAGE + _FEATURES + _OWN
+"""The statements that lay out the tables of a map."""
+
 EVIDENCE_TABLES = (
     "fieldgrid_session", "fieldgrid_frame", "fieldgrid_grid", "fieldgrid_array",
 )  # fmt: skip
@@ -276,7 +279,7 @@ def create(
     """Lay out an empty map whose tiles hold these channel groups, within one transaction."""
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {GEOPACKAGE_VERSION}")
-    for statement in (_GEOPACKAGE + _FEATURES + _OWN).split(";\n"):
+    for statement in TABLES.split(";\n"):
         connection.execute(statement)
     connection.executemany(
         "INSERT INTO gpkg_spatial_ref_sys VALUES (?, ?, ?, ?, ?, ?)", reference_systems(datum)

@@ -10,13 +10,20 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
+from functools import lru_cache
 from itertools import product
 from typing import Any
 
 from fieldgrid.maps.file.digest import of_row, of_rows
 from fieldgrid.maps.file.root import root_in_meta
-from fieldgrid.maps.file.schema import DERIVED_TABLES, EVIDENCE_TABLES, GEOMETRIES, has_table
+from fieldgrid.maps.file.schema import (
+    DERIVED_TABLES,
+    EVIDENCE_TABLES,
+    GEOMETRIES,
+    TABLES,
+    has_table,
+)
 from fieldgrid.maps.writing.subject import Subject
 
 SUMMED_TABLES = (*EVIDENCE_TABLES, *DERIVED_TABLES, "density", *GEOMETRIES)
@@ -102,7 +109,8 @@ class RowCounter:
         self._watch()
         self._changes = dict.fromkeys(SUMMED_TABLES, 0)
         yield
-        for table, change in self._changes.items():
+        changed = {table: change for table, change in self._changes.items() if change}
+        for table, change in changed.items():
             # What is no number, or missing, stays so, and no sum fits.
             with suppress(KeyError, TypeError, ValueError):
                 self._connection.execute(
@@ -116,24 +124,34 @@ class RowCounter:
         rolled back or of tables that were made anew."""
         query = "SELECT name FROM sqlite_temp_schema WHERE type = 'trigger'"
         there = {name for (name,) in self._connection.execute(query)}
-        for table, event in product(SUMMED_TABLES, _EVENTS):
-            name = f"{table}_{event}"
+        for name, statement in _triggers().items():
             if name not in there:
-                columns = self._connection.execute(f"PRAGMA main.table_info({table})").fetchall()
-                counted = (
-                    f"fieldgrid_count('{table}', {sign}, {_counted_values(row, columns)})"
-                    for row, sign in _EVENTS[event].items()
-                )
-                self._connection.execute(
-                    f"CREATE TEMP TRIGGER {name} AFTER {event} ON main.{table} "
-                    f"BEGIN SELECT {', '.join(counted)}; END"
-                )
+                self._connection.execute(statement)
 
     def _count(self, table: str, sign: int, *row: Any) -> None:
         self._changes[table] += sign * of_row(row)
 
 
-def _counted_values(row: str, columns: Sequence[tuple[Any, ...]]) -> str:
+@lru_cache
+def _triggers() -> Mapping[str, str]:
+    """The statements that make the triggers, by their names."""
+    with closing(sqlite3.connect("")) as made:
+        made.executescript(TABLES)
+        found = {}
+        for table, (event, rows) in product(SUMMED_TABLES, _EVENTS.items()):
+            columns = made.execute(f"PRAGMA table_info({table})").fetchall()
+            counted = ", ".join(
+                f"fieldgrid_count('{table}', {sign}, {_values(row, columns)})"
+                for row, sign in rows.items()
+            )
+            found[f"{table}_{event}"] = (
+                f"CREATE TEMP TRIGGER {table}_{event} AFTER {event} ON main.{table} "
+                f"BEGIN SELECT {counted}; END"
+            )
+        return found
+
+
+def _values(row: str, columns: Sequence[tuple[Any, ...]]) -> str:
     """The values of a row as they are hashed: text as x and the digits of its bytes, which need be
     no UTF-8."""
     return ", ".join(

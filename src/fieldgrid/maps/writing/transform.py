@@ -260,57 +260,54 @@ def transform_of(text: str | None) -> Transform:
                 f"and this fieldgrid knows {_RIGID}, {_WANDER}, {_HEIGHTS} and {_ALIGNED}; update "
                 "fieldgrid to read it."
             )
-        rigid = kinds[_RIGID]
-        if set(rigid) != set(_RIGID_FIELDS) or not all(_is_number(v) for v in rigid.values()):
+        rigid, wander, heights, aligned = (
+            kinds.get(name) for name in (_RIGID, _WANDER, _HEIGHTS, _ALIGNED)
+        )
+        if set(rigid) != set(_RIGID_FIELDS):
             raise TypeError(f"it says {shortened(rigid)}")
-        readers = {_WANDER: _wander, _ALIGNED: _aligned, _HEIGHTS: _heights}
-        parts: dict[str, Any] = {
-            name: read(kinds[name]) for name, read in readers.items() if kinds.get(name) is not None
-        }
-        return Transform(**rigid, **parts)
+        return Transform(
+            *(_number(rigid[name]) for name in _RIGID_FIELDS),
+            wander=None if wander is None else Wander(*_series(wander, "east_m", "north_m")),
+            aligned=None if aligned is None else _aligned(aligned),
+            heights=None
+            if heights is None
+            else HeightCorrection(*_series(heights, "up_m"), _number(heights["least_sigma_m"])),
+        )
     except (TypeError, ValueError, KeyError, AttributeError, ConfigError) as error:
         if isinstance(error, MapError):
             raise
         raise MapError(f"A session's transform is damaged: {str(error).rstrip('.')}.") from error
 
 
-def _is_number(value: object) -> bool:
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        return False
-    return abs(value) <= sys.float_info.max  # JSON has whole numbers beyond it
+def _number(value: Any) -> Any:
+    """A number, as it is stored; TypeError for anything else."""
+    # JSON has truth values, which are whole numbers, and whole numbers beyond what floats can be.
+    if not isinstance(value, int | float) or value is True or value is False:
+        raise TypeError(f"{shortened(value)} is no number")
+    if not abs(value) <= sys.float_info.max:
+        raise TypeError(f"{shortened(value)} is no number that can be")
+    return value
 
 
-def _wander(stored: Mapping[str, list[Any]]) -> Wander:
-    times, east, north = (tuple(stored[name]) for name in ("time_ns", "east_m", "north_m"))
-    if not (all(type(t) is int for t in times) and all(map(_is_number, (*east, *north)))):
-        raise TypeError("its wander is not of numbers")
-    return Wander(times, east, north)
-
-
-def _heights(stored: Mapping[str, Any]) -> HeightCorrection:
-    times, up_m, least = (
-        tuple(stored["time_ns"]), tuple(stored["up_m"]), stored["least_sigma_m"],
-    )  # fmt: skip
-    if not (all(type(t) is int for t in times) and all(map(_is_number, (*up_m, least)))):
-        raise TypeError("its heights are not of numbers")
-    return HeightCorrection(times, up_m, least)
+def _series(stored: Mapping[str, Any], *names: str) -> list[tuple[Any, ...]]:
+    """The times of a correction, and what it says of them."""
+    times = tuple(stored["time_ns"])
+    if not all(type(time) is int for time in times):
+        raise TypeError("its times are no whole numbers")
+    return [times, *(tuple(map(_number, stored[name])) for name in names)]
 
 
 def _aligned(stored: Mapping[str, Any]) -> AlignmentRecord:
-    sigma_m, turn_sigma_deg, before = (
-        stored["sigma_m"], stored["turn_sigma_deg"], stored["before"],
-    )  # fmt: skip
-    stated_m = stored.get("stated_m")
-    if not all(error is None or _is_number(error) for error in (sigma_m, turn_sigma_deg, stated_m)):
-        raise TypeError("the errors of its alignment are no numbers")
-    if not (before is None or isinstance(before, str)):
-        raise TypeError("what it was before is no text")
-    # Maps that were aligned before this was kept have none.
+    # Maps that were aligned before these were kept have no errors beside others, and none stated.
+    sigma_m, turn_sigma_deg, stated_m = (
+        None if stored.get(name) is None else _number(stored[name])
+        for name in ("sigma_m", "turn_sigma_deg", "stated_m")
+    )
     beside = tuple(
-        RelativeError(str(one["name"]), one["sigma_m"], str(one["placing"]))
+        RelativeError(str(one["name"]), _number(one["sigma_m"]), str(one["placing"]))
         for one in stored.get("beside", ())
     )
-    if not all(_is_number(one.sigma_m) for one in beside):
-        raise TypeError("its errors beside other sessions are no numbers")
+    if not isinstance(stored["before"], str | None):
+        raise TypeError("what it was before is no text")
     to = tuple(str(name) for name in stored["to"])
-    return AlignmentRecord(sigma_m, turn_sigma_deg, to, before, beside, stated_m)
+    return AlignmentRecord(sigma_m, turn_sigma_deg, to, stored["before"], beside, stated_m)
