@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
-from fieldgrid.core import ConfigError, FieldgridError, MapError, quoted
+from fieldgrid.core import ConfigError, FieldgridError, MapError
 from fieldgrid.geometry import Bounds, Datum, TileIndex, Trajectory, Window
 from fieldgrid.maps.file import schema
 from fieldgrid.maps.file.arrays import Array, ArrayKind, read_arrays, trajectory_of
@@ -50,8 +50,8 @@ class EvidenceTables:
 
     def sessions(self) -> list[SessionInfo]:
         """The sessions in the order in which they were added, removed ones included."""
-        rows = self.connection.execute(f"{SESSION_SQL} ORDER BY id").fetchall()
-        return [session_info(row) for row in rows]
+        rows = self.connection.execute(f"{SESSION_SQL} ORDER BY id")
+        return [session_info(row) for row in rows.fetchall()]
 
     def active(self) -> list[SessionInfo]:
         """The sessions that are in the universal grid, in the order of their drives."""
@@ -109,11 +109,18 @@ class EvidenceTables:
             f"WHERE {where}",
             values,
         ).fetchall()
-        records = (
-            frame_record(row, loader(self.connection, row[0]))
+        # Of places that are no numbers, too: reading those tells what is wrong with them.
+        rows = (
+            row
             for session_id, *placing in chosen
-            for row in self._rows_near(session_id, _driven_near(near, *placing))
+            for row in self.connection.execute(
+                f"{FRAME_SQL} WHERE f.session_id = ?5 "
+                "AND (typeof(f.east_m) <> 'real' OR f.east_m BETWEEN ?1 AND ?3) "
+                "AND (typeof(f.north_m) <> 'real' OR f.north_m BETWEEN ?2 AND ?4)",
+                (*_driven_near(near, *placing), session_id),
+            ).fetchall()
         )
+        records = (frame_record(row, loader(self.connection, row[0])) for row in rows)
         found = [
             record
             for record in records
@@ -122,16 +129,6 @@ class EvidenceTables:
             and (frame_filter is None or frame_filter(record))
         ]
         return sorted(found, key=lambda one: (one.pose.time_ns, one.session, one.frame_id))
-
-    def _rows_near(self, session_id: int, driven: Bounds) -> list[tuple[Any, ...]]:
-        """Rows of `FRAME_SQL` of a session whose places as driven lie in a rectangle, or are no
-        numbers: reading those tells what is wrong with them."""
-        return self.connection.execute(
-            f"{FRAME_SQL} WHERE f.session_id = ? "
-            "AND (typeof(f.east_m) <> 'real' OR f.east_m BETWEEN ? AND ?) "
-            "AND (typeof(f.north_m) <> 'real' OR f.north_m BETWEEN ? AND ?)",
-            (session_id, driven.west_m, driven.east_m, driven.south_m, driven.north_m),
-        ).fetchall()
 
     def levels(self) -> int:
         """How many zoom levels there are above the base; none while some of their tiles are left
@@ -171,26 +168,16 @@ class EvidenceTables:
 
     def inputs(self, session: str) -> dict[str, Array]:
         """The arrays that were given with a session."""
-        session_id, *_ = self._row_of(session)
-        return read_arrays(self.connection, session_id, ArrayKind.INPUT)
+        return read_arrays(self.connection, self._row_of(session)[0], ArrayKind.INPUT)
 
     def _row_of(self, session: str) -> tuple[int, str, Transform]:
-        self.check_sessions([session])
         row = self.connection.execute(
             "SELECT id, heading_source, transform FROM fieldgrid_session WHERE name = ?",
             (session,),
         ).fetchone()
         if row is None:
-            raise self._lost_row(session)
-        session_id, heading_source, transform = row
-        return int(session_id), str(heading_source), transform_of(transform)
-
-    def _lost_row(self, session: str) -> MapError:
-        """Of a session that is listed: the index of names and the rows of the table disagree."""
-        return MapError(
-            f"{self.path} is damaged: its session {quoted(session)} is listed and cannot be "
-            "found. Repair the map, or restore it from a copy."
-        )
+            raise no_session(self.connection, self.path, session)
+        return int(row[0]), str(row[1]), transform_of(row[2])
 
     def _why_empty(self) -> str:
         frames, rejected, removed = self.connection.execute(

@@ -82,8 +82,8 @@ def session_metadata(
         {key: np.array(value) for key, value in (inputs or {}).items()},
         software_version(),
     )
-    check_lengths(dict.fromkeys((source, source_sha256, metadata.heading_source), MAX_TEXT))
-    check_lengths({metadata.config: MAX_DOCUMENT})
+    texts = dict.fromkeys((source, source_sha256, metadata.heading_source), MAX_TEXT)
+    check_lengths({metadata.config: MAX_DOCUMENT} | texts)
     array_rows(ArrayKind.INPUT, metadata.inputs)
     return metadata
 

@@ -76,7 +76,7 @@ def read_root(connection: sqlite3.Connection) -> RootDigest:
         hashed.update(b"\n")
     if has_table(connection, "fieldgrid_mark"):
         for row in connection.execute("SELECT * FROM fieldgrid_mark ORDER BY id"):
-            hashed.update(as_json([_plain(value) for value in row]))
+            hashed.update(_line(*row))
         hashed.update(b"\n")
     contents = connection.execute(
         "SELECT description FROM gpkg_contents WHERE table_name = 'fieldgrid_session'"
@@ -149,10 +149,5 @@ def check_root(connection: sqlite3.Connection, path: Path) -> None:
 
 @lru_cache(maxsize=4096, typed=True)  # a commit makes the digest twice, of rows that mostly stay
 def _line(*row: object) -> bytes:
-    """A row as it is hashed."""
-    return as_json([_plain(value) for value in row])
-
-
-def _plain(value: object) -> object:
-    """What JSON takes: a blob where none belongs as its hexadecimal digits."""
-    return value.hex() if isinstance(value, bytes) else value
+    """A row as it is hashed: a blob where none belongs as its hexadecimal digits."""
+    return as_json([value.hex() if isinstance(value, bytes) else value for value in row])
