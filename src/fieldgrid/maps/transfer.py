@@ -147,7 +147,9 @@ class WeightedSums:
         across = math.ceil(1.5 * lattice.cell_m / grid.spec.cell_m) + 2
         most = min(across * across, grid.density.size) * CELL_WEIGHT
         if most > self._room:
-            self._unpack()
+            self._full = self.channels()
+            self._packed[:] = 0
+            self._room = 1 << (64 - _SUM_BITS)
         self._room -= most
         unit = np.uint64(landing.unit)
         table = (unit << np.uint64(_SUM_BITS)) + _VALUES * unit
@@ -155,22 +157,10 @@ class WeightedSums:
 
     def channels(self) -> UInt64:
         """(weight, weighted sum) of each cell, uint64 [2, cells]."""
-        if self._full is None:
-            return self._unpacked()
-        self._unpack()
-        return self._full
-
-    def _unpack(self) -> None:
-        unpacked = self._unpacked()
-        self._full = unpacked if self._full is None else self._full + unpacked
-        self._packed[:] = 0
-        self._room = 1 << (64 - _SUM_BITS)
-
-    def _unpacked(self) -> UInt64:
         both = np.empty((2, self._packed.size), dtype=np.uint64)
         np.right_shift(self._packed, np.uint64(_SUM_BITS), out=both[0])
         np.bitwise_and(self._packed, np.uint64((1 << _SUM_BITS) - 1), out=both[1])
-        return both
+        return both if self._full is None else self._full + both
 
 
 class MeanFold:

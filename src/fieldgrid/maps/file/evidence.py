@@ -172,7 +172,8 @@ class EvidenceTables:
 
     def _row_of(self, session: str) -> tuple[int, str, Transform]:
         row = self.connection.execute(
-            "SELECT id, heading_source, transform FROM fieldgrid_session WHERE name = ?",
+            # By the rows themselves, and not by their index, which may be damaged.
+            "SELECT id, heading_source, transform FROM fieldgrid_session WHERE +name = ?",
             (session,),
         ).fetchone()
         if row is None:

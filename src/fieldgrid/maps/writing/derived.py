@@ -75,16 +75,25 @@ def show_features(
 
 @contextmanager
 def moving(
-    connection: sqlite3.Connection, header: MapHeader, session_id: int, name: str, path: Path
+    connection: sqlite3.Connection,
+    header: MapHeader,
+    session_id: int,
+    name: str,
+    path: Path,
+    *,
+    is_out: bool = False,
 ) -> Iterator[Callable[[SessionMetadata | None], None]]:
-    """A session leaves the map, or is placed anew, within the caller's transaction. The block
-    begins before its rows change; what it is given must be called after that, with what is kept of
-    the session, None where it is out of the map.
+    """A session leaves the map, comes back, or is placed anew, within the caller's transaction. The
+    block begins before its rows change; what it is given must be called after that, with what is
+    kept of the session, None where it is out of the map.
 
     The share of the session is folded again and subtracted. Where anything of it is not as it was
     stored, or the map keeps maxima, all of its tiles are folded again from the sessions that are
-    there then.
+    there then. Of a session that `is_out` of the map, and stays so, nothing follows.
     """
+    if is_out:
+        yield lambda _: None
+        return
     tables = tables_of(connection, header, path)
     base, rule = tables.matrices.base_zoom, (header.lattice, header.transfer, tables.groups)
     changed = _tiles_under(connection, header.lattice, session_id).intersection(tables.tiles(base))
@@ -95,11 +104,10 @@ def moving(
 
     with ExitStack() as stack:
         leaving: FoldedTiles | None = None
-        if all(channel.sessions is Combine.SUM for channel in channels):
+        if not changed or all(channel.sessions is Combine.SUM for channel in channels):
             with suppress(MapError, ConfigError):
                 frames = list[PlacedFrame]()
-                # A map of before that is brought up to date without a session has no share of it.
-                if changed:
+                if changed:  # else it has no share in the map
                     _check_as_stored(connection, path, header.datum, session_id)
                     frames = placed_frames(connection, session_id)
                 leaving = stack.enter_context(FoldedTiles(frames, *rule))

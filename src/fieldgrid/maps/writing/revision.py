@@ -6,8 +6,7 @@ Each is one transaction. The evidence of a session that is taken out stays in th
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,6 @@ from fieldgrid.maps.file.records import check_pose, frame_values
 from fieldgrid.maps.file.schema import NOW_SQL
 from fieldgrid.maps.vector.features import FEATURE_LAYERS
 from fieldgrid.maps.writing import derived
-from fieldgrid.maps.writing.placing import FoldedTiles
 from fieldgrid.maps.writing.transform import IDENTITY, Transform, transform_of
 
 
@@ -55,13 +53,11 @@ def restore(connection: sqlite3.Connection, path: Path, header: MapHeader, name:
     found = find(connection, path, header.datum, name)
     if found.removed is None:
         raise ConfigError(f"Session {name!r} of {path} is not removed; there is nothing to do.")
-    connection.execute(
-        "UPDATE fieldgrid_session SET removed = NULL WHERE id = ?", (found.session_id,)
-    )
-    frames = derived.placed_frames(connection, found.session_id)
-    rule = header.lattice, header.transfer, header.writable_groups(path)
-    with FoldedTiles(frames, *rule) as tiles:
-        derived.show(connection, header, found.session_id, found.metadata, tiles, path)
+    with derived.moving(connection, header, found.session_id, name, path) as place:
+        connection.execute(
+            "UPDATE fieldgrid_session SET removed = NULL WHERE id = ?", (found.session_id,)
+        )
+        place(found.metadata)
 
 
 def rename(connection: sqlite3.Connection, path: Path, name: str, to: str) -> None:
@@ -100,7 +96,9 @@ def transform(
         to = IDENTITY
     for record in frames_of(connection, found.session_id):
         check_pose(to.pose(record.driven))
-    with _moving(connection, path, header, found) as place:
+    with derived.moving(
+        connection, header, found.session_id, name, path, is_out=found.removed is not None
+    ) as place:
         connection.execute(
             "UPDATE fieldgrid_session SET transform = ? WHERE id = ?",
             (to.to_text(), found.session_id),
@@ -129,7 +127,9 @@ def repose(
 ) -> None:
     """Give the frames of a session other poses as driven, within the caller's transaction."""
     found = find(connection, path, header.datum, name)
-    with _moving(connection, path, header, found) as place:
+    with derived.moving(
+        connection, header, found.session_id, name, path, is_out=found.removed is not None
+    ) as place:
         place(_reposed(connection, path, found, poses, trajectory, config))
 
 
@@ -200,16 +200,3 @@ def _reposed(
         )
     sum_up(connection, session_id, metadata)
     return metadata
-
-
-@contextmanager
-def _moving(
-    connection: sqlite3.Connection, path: Path, header: MapHeader, found: FoundSession
-) -> Iterator[Callable[[SessionMetadata], None]]:
-    """Place a session anew where it is in the map; see `derived.moving`."""
-    if found.removed is not None:
-        yield lambda _: None
-        return
-    name = found.metadata.name
-    with derived.moving(connection, header, found.session_id, name, path) as place:
-        yield place

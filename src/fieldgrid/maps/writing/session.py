@@ -26,7 +26,6 @@ from fieldgrid.maps.file.metadata import (
 )
 from fieldgrid.maps.file.records import check_pose, frame_values, is_accepted
 from fieldgrid.maps.file.schema import NOW_SQL
-from fieldgrid.maps.layers.declaration import ChannelGroup
 from fieldgrid.maps.layers.frame import FrameCells
 from fieldgrid.maps.transfer import check_cell_sizes
 from fieldgrid.maps.writing import derived
@@ -42,6 +41,10 @@ class _PendingFrame(NamedTuple):
     pose: Pose
     quality: int | None
     cells: FrameCells | None
+
+    def decoded(self) -> FrameCells:
+        """Its cells."""
+        return self.cells or self.load().cells()
 
 
 class Session:
@@ -177,16 +180,17 @@ class Session:
     def _commit(self) -> None:
         place = self._metadata.transform.pose
         frames = [
-            PlacedFrame(place(frame.pose), self._spec, _cells_of(frame))
+            PlacedFrame(place(frame.pose), self._spec, frame.decoded)
             for frame in self._frames.values()
             if is_accepted(frame.pose) and self._spec is not None
         ]
+        fold = partial(FoldedTiles, frames, self._header.lattice, self._header.transfer)
         with ExitStack() as stack:
-            tiles = stack.enter_context(self._folded(frames, self._groups))
+            stack.enter_context(explained(self._path, writing=True))
+            tiles = stack.enter_context(fold(self._groups))
             header = stack.enter_context(self._committing())
             if header.groups != self._header.groups:  # by another program since this one began
-                groups = header.writable_groups(self._path)
-                tiles = stack.enter_context(self._folded(frames, groups))
+                tiles = stack.enter_context(fold(header.writable_groups(self._path)))
             session_id = self._insert_session()
             for pending in self._frames.values():
                 frame = pending.load()
@@ -209,10 +213,6 @@ class Session:
             put_arrays(self._connection, session_id, self._metadata.arrays)
             sum_up(self._connection, session_id, self._metadata)
             derived.show(self._connection, header, session_id, self._metadata, tiles, self._path)
-
-    def _folded(self, frames: Sequence[PlacedFrame], groups: Sequence[ChannelGroup]) -> FoldedTiles:
-        with explained(self._path, writing=True):
-            return FoldedTiles(frames, self._header.lattice, self._header.transfer, groups)
 
     def _insert_session(self) -> int:
         metadata, spec = self._metadata, self._spec
@@ -238,10 +238,6 @@ class Session:
             raise name_is_taken(self.name, self._path) from error
         assert cursor.lastrowid is not None
         return cursor.lastrowid
-
-
-def _cells_of(frame: _PendingFrame) -> Callable[[], FrameCells]:
-    return lambda: frame.cells or frame.load().cells()
 
 
 def _described(spec: GridSpec) -> str:
