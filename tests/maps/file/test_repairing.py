@@ -177,7 +177,7 @@ def test_a_file_that_is_there_already_is_no_place_for_the_copy(
     mine.write_text("mine")
     with (
         open_map(spoiled, writable=True) as universal,
-        pytest.raises(MapWriteError, match=r"mine\.gpkg exists already, .*name another file"),
+        pytest.raises(MapWriteError, match=r"mine\.gpkg could not be made .*name another file"),
     ):
         universal.repair(keep=mine)
     assert mine.read_text() == "mine"
@@ -198,7 +198,10 @@ def test_a_copy_that_another_repair_made_while_this_one_waited_is_not_removed(
 
         with (
             open_map(spoiled, writable=True, patience=Patience(tell=goes_on)) as universal,
-            pytest.raises(MapWriteError, match=r"kept\.gpkg exists already, and .* try again"),
+            pytest.raises(
+                MapWriteError,
+                match=r"kept\.gpkg could not be made \(File exists\), and .* try again",
+            ),
         ):
             universal.repair(keep=keep)
     assert keep.read_text() == "the other's"
@@ -211,7 +214,7 @@ def test_a_link_to_nowhere_is_no_place_for_the_copy_and_stays(
     link.symlink_to(tmp_path / "missing" / "map.gpkg")
     with (
         open_map(spoiled, writable=True) as universal,
-        pytest.raises(MapWriteError, match="exists already"),
+        pytest.raises(MapWriteError, match="File exists"),
     ):
         universal.repair(keep=link)
     assert link.is_symlink()

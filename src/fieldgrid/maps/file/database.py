@@ -180,15 +180,10 @@ def copied(path: Path, copy: Path) -> Iterator[None]:
     """
     try:
         os.close(os.open(copy, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-    except FileExistsError as error:
-        raise MapWriteError(
-            f"{copy} exists already, and {path} was not changed; try again, or name another file "
-            "for the copy of the map."
-        ) from error
     except OSError as error:
         raise MapWriteError(
-            f"{copy} could not be made ({error.strerror}), and {path} was not changed; check the "
-            "permissions of the folder."
+            f"{copy} could not be made ({error.strerror}), and {path} was not changed; try again, "
+            "name another file for the copy of the map, or check the permissions of the folder."
         ) from error
     try:
         with closing(sqlite3.connect(path)) as source, closing(sqlite3.connect(copy)) as target:
@@ -269,55 +264,61 @@ def explained(name: Path, *, writing: bool) -> Iterator[None]:
     """Turn SQLite's errors into one sentence about the map called `name`."""
     try:
         yield
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:
         raise _explanation(error, name, writing) from error
-    except UnicodeDecodeError as error:  # of SQLite's own message about a damaged schema
-        raise _damaged(name, error.reason) from error
 
 
-def _explanation(error: sqlite3.Error, name: Path, writing: bool) -> MapError:
+_SENTENCES: tuple[tuple[set[int], bool | None, str], ...] = (
+    (
+        {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}, False,
+        "{name} is being written by another program; try again shortly.",
+    ),
+    (
+        {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}, True,
+        "{name} is in use by another program, and was not changed; wait until that one has "
+        "finished, or close it, and try again.",
+    ),
+    (
+        {sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_FORMAT}, None,
+        "{name} is not a fieldgrid map: it is not an SQLite file. Check the name.",
+    ),
+    (
+        {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_TOOBIG}, None,
+        "{name} is damaged ({said}); restore it from a copy, and remove {name.name}-journal "
+        "before, if it is there, or build it again.",
+    ),
+    (
+        {sqlite3.SQLITE_READONLY, sqlite3.SQLITE_IOERR_DELETE}, False,
+        "{name} was left by a writer that was interrupted, and what that had begun cannot be "
+        "undone here, since nothing may be written; make the file and its folder writable, or "
+        "copy it and {name.name}-journal to a folder that is.",
+    ),
+    (
+        {sqlite3.SQLITE_FULL}, True,
+        "The disk is full and {name} was not changed; free some space and try again.",
+    ),
+    (
+        {sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM}, True,
+        "{name} cannot be written ({said}); check the permissions of the file and its folder.",
+    ),
+)  # fmt: skip
+"""What SQLite's codes mean to a user: while the map is written, while it is read, or (None)
+always."""
+
+
+def _explanation(error: sqlite3.Error | UnicodeDecodeError, name: Path, writing: bool) -> MapError:
     if isinstance(error, sqlite3.ProgrammingError):
         return MapError(f"{name} is closed ({error}); open it again.")
     said = shortened(error)
-    if said.startswith("Could not decode to UTF-8"):  # sqlite3 raises it without a code
-        return _damaged(name, said)
-    code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
-    if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-        if not writing:
-            return MapError(f"{name} is being written by another program; try again shortly.")
-        return MapWriteError(
-            f"{name} is in use by another program, and was not changed; wait until that one has "
-            "finished, or close it, and try again."
-        )
-    if code in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_FORMAT):
-        return MapError(f"{name} is not a fieldgrid map: it is not an SQLite file. Check the name.")
-    if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_TOOBIG):
-        return _damaged(name, error)
-    is_kept = getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_IOERR_DELETE
-    if not writing and (code == sqlite3.SQLITE_READONLY or is_kept):
-        return MapError(
-            f"{name} was left by a writer that was interrupted, and what that had begun cannot be "
-            "undone here, since nothing may be written; make the file and its folder writable, or "
-            f"copy it and {name.name}-journal to a folder that is."
-        )
-    if not writing:
-        return MapError(f"{name} cannot be read ({said}); check the file.")
-    if code == sqlite3.SQLITE_FULL:
-        return MapWriteError(
-            f"The disk is full and {name} was not changed; free some space and try again."
-        )
-    if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
-        return MapWriteError(
-            f"{name} cannot be written ({said}); check the permissions of the file and its folder."
-        )
-    return MapWriteError(f"{name} could not be written ({said}) and was not changed.")
-
-
-def _damaged(name: Path, why: object) -> MapError:
-    return MapError(
-        f"{name} is damaged ({shortened(why)}); restore it from a copy, and remove "
-        f"{name.name}-journal before, if it is there, or build it again."
-    )
+    code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR)
+    if isinstance(error, UnicodeDecodeError) or said.startswith("Could not decode to UTF-8"):
+        code = sqlite3.SQLITE_CORRUPT  # of text, which has no code
+    for codes, when, sentence in _SENTENCES:
+        if when in (None, writing) and codes & {code, code & 0xFF}:
+            return (MapWriteError if when else MapError)(sentence.format(name=name, said=said))
+    if writing:
+        return MapWriteError(f"{name} could not be written ({said}) and was not changed.")
+    return MapError(f"{name} cannot be read ({said}); check the file.")
 
 
 def _roll_back(connection: sqlite3.Connection) -> None:

@@ -151,8 +151,7 @@ CREATE TABLE footprint (
 CREATE INDEX footprint_by_session ON footprint (session);
 """
 
-_OWN = """
-CREATE TABLE fieldgrid_meta (
+OWN = """CREATE TABLE fieldgrid_meta (
     key TEXT NOT NULL PRIMARY KEY,
     value TEXT NOT NULL
 );
@@ -233,7 +232,7 @@ CREATE TABLE fieldgrid_grid (
 );
 """
 
-TABLES = _GEOPACKAGE + _FEATURES + _OWN
+TABLES = _GEOPACKAGE + _FEATURES + OWN
 """The statements that lay out the tables of a map."""
 
 EVIDENCE_TABLES = (
@@ -312,11 +311,6 @@ def renew_features(connection: sqlite3.Connection) -> None:
         connection.execute(f"UPDATE {GDAL_COUNTS} SET feature_count = NULL")
     for statement in _FEATURES.split(";\n"):
         connection.execute(statement)
-
-
-def own_tables() -> list[str]:
-    """The statements that make the tables of our own, one each, their indexes included."""
-    return [statement.strip() for statement in _OWN.split(";\n") if statement.strip()]
 
 
 def announce_layers(connection: sqlite3.Connection, matrices: TileMatrixSet) -> None:

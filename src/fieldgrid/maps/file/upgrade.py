@@ -147,10 +147,9 @@ def upgrade(
     connection.execute("PRAGMA legacy_alter_table = OFF")
     for name in (*schema.DERIVED_TABLES, SESSION_TILES):
         connection.execute(f"DROP TABLE {name}")
-    for statement in schema.own_tables():
-        if not statement.startswith(
-            ("CREATE TABLE fieldgrid_meta", "CREATE TABLE fieldgrid_array")
-        ):
+    as_before = "CREATE TABLE fieldgrid_meta", "CREATE TABLE fieldgrid_array"
+    for statement in schema.OWN.split(";\n"):
+        if not statement.startswith(as_before):
             connection.execute(statement)
     connection.execute(
         f"INSERT INTO fieldgrid_session ({_SESSION_COLUMNS}) "

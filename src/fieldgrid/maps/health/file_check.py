@@ -15,7 +15,7 @@ from fieldgrid.maps.file.database import MAX_VALUE_BYTES
 from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.file.records import MAX_DOCUMENT
 from fieldgrid.maps.file.root import meddling_triggers
-from fieldgrid.maps.health.row_sums import create_sums
+from fieldgrid.maps.health import row_sums
 from fieldgrid.maps.tiles.tiling import TileMatrixSet
 from fieldgrid.maps.vector.marks import create_marks
 from fieldgrid.maps.writing.subject import Subject
@@ -168,7 +168,7 @@ def _empty(header: MapHeader, marks: bool, sums: bool) -> _Layout:
         if marks:
             create_marks(made)
         if sums:
-            create_sums(made)
+            made.execute(row_sums.LAYOUT)
         query = "SELECT type, name, tbl_name, sql FROM sqlite_schema WHERE sql IS NOT NULL"
         columns = made.execute(
             'SELECT t.name, c.name, c.type, c."notnull" OR c.pk FROM sqlite_schema AS t '

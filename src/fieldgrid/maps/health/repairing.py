@@ -4,7 +4,7 @@ counts."""
 from __future__ import annotations
 
 import sqlite3
-from contextlib import closing
+from contextlib import ExitStack, closing
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
@@ -53,62 +53,59 @@ def repair(
     `verify` would still find something else; ConfigError when the workers of a cluster cannot read
     a map of this format, ClusterError when they cannot read this one.
     """
-    if copy is None:
-        return _repair(Subject(connection, path, header, run))
-    with closing(connect(copy, copy, writable=False)) as there:
-        version = read_header(there, path).version
-        if version == schema.OTHER_TABLES_VERSION:
+    with ExitStack() as stack:
+        there = None
+        if copy is not None:
+            there = stack.enter_context(closing(connect(copy, copy, writable=False)))
+        if there is not None and read_header(there, path).has_other_tables:
             raise ConfigError(
-                f"{path} is of format {version}, which the workers of a cluster cannot fold; bring "
-                "it up to date with `fieldgrid repair --upgrade`, or leave out --scheduler."
+                f"{path} is of format {schema.OTHER_TABLES_VERSION}, which the workers of a "
+                "cluster cannot fold; bring it up to date with `fieldgrid repair --upgrade`, or "
+                "leave out --scheduler."
             )
-        return _repair(Subject(connection, path, header, run, there))
-
-
-def _repair(subject: Subject) -> tuple[str, ...]:
-    connection, path, header, run, _ = subject
-    if not read_root(connection).trusted:
-        # Rows that follow from others, although the root digest covers them.
-        connection.execute(_REPLACE_SYSTEM, schema.reference_systems(header.datum)[-1])
-        for (session_id,) in connection.execute("SELECT id FROM fieldgrid_session").fetchall():
-            count_frames(connection, session_id)
+        subject = Subject(connection, path, header, run, there)
         if not read_root(connection).trusted:
+            # Rows that follow from others, although the root digest covers them.
+            connection.execute(_REPLACE_SYSTEM, schema.reference_systems(header.datum)[-1])
+            for (session_id,) in connection.execute("SELECT id FROM fieldgrid_session").fetchall():
+                count_frames(connection, session_id)
+            if not read_root(connection).trusted:
+                raise MapError(
+                    f"{path} is not as it was written, and cannot be repaired: its settings, "
+                    "plane, list of sessions or marks have changed since, and nothing tells what "
+                    "they were. Nothing was written; restore a copy of the map."
+                )
+        if schema.has_table(connection, SESSION_TILES):
+            drop_what_is_folded(connection, header)
+        damaged = next(
+            chain(damaged_pages(connection), check_evidence(subject, "WHERE removed IS NULL")), None
+        )
+        if damaged is not None:
             raise MapError(
-                f"{path} is not as it was written, and cannot be repaired: its settings, plane, "
-                "list of sessions or marks have changed since, and nothing tells what they were. "
-                "Nothing was written; restore a copy of the map."
+                f"{path} cannot be repaired, because its evidence is damaged: "
+                f"{shortened(damaged, LONGEST_PROBLEM)} Take "
+                "that session out with `fieldgrid sessions --remove`, or restore a copy of the map."
             )
-    if schema.has_table(connection, SESSION_TILES):
-        drop_what_is_folded(connection, header)
-    damaged = next(
-        chain(damaged_pages(connection), check_evidence(subject, "WHERE removed IS NULL")), None
-    )
-    if damaged is not None:
-        raise MapError(
-            f"{path} cannot be repaired, because its evidence is damaged: "
-            f"{shortened(damaged, LONGEST_PROBLEM)} Take "
-            "that session out with `fieldgrid sessions --remove`, or restore a copy of the map."
-        )
-    # The map's own plane is under the root digest: another PROJ may word it in another way.
-    connection.executemany(_REPLACE_SYSTEM, schema.reference_systems(header.datum)[:-1])
-    if schema.has_table(connection, TABLE):
-        read_marks(connection, removed=True)
-        announce_marks(connection)
-    derived.rebuild(subject)
-    renew_file(connection)
-    seal(connection)
-    begin_sums(connection)
-    # What was made is seen here only, until it is committed.
-    anew = Subject(connection, path, header, Threads(run.here))
-    for problem in problems(anew, _REPAIRED):
-        raise MapError(
-            f"{path} cannot be repaired, because this does not follow from its evidence: {problem} "
-            "Nothing was changed; restore a copy of the map."
-        )
-    left = tuple(islice(dict.fromkeys(problems(subject, _REMOVED)), MAX_PROBLEMS))
-    if left:  # which sums would call sound
-        drop_sums(connection)
-    return (*left, *check_stored(subject))
+        # The map's own plane is under the root digest: another PROJ may word it in another way.
+        connection.executemany(_REPLACE_SYSTEM, schema.reference_systems(header.datum)[:-1])
+        if schema.has_table(connection, TABLE):
+            read_marks(connection, removed=True)
+            announce_marks(connection)
+        derived.rebuild(subject)
+        renew_file(connection)
+        seal(connection)
+        begin_sums(connection)
+        # What was made is seen here only, until it is committed.
+        anew = Subject(connection, path, header, Threads(run.here))
+        for problem in problems(anew, _REPAIRED):
+            raise MapError(
+                f"{path} cannot be repaired, because this does not follow from its evidence: "
+                f"{problem} Nothing was changed; restore a copy of the map."
+            )
+        left = tuple(islice(dict.fromkeys(problems(subject, _REMOVED)), MAX_PROBLEMS))
+        if left:  # which sums would call sound
+            drop_sums(connection)
+        return (*left, *check_stored(subject))
 
 
 _REPAIRED: tuple[Check, ...] = (

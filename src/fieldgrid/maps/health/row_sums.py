@@ -35,7 +35,7 @@ _ROOT = "root"
 """Beside the tables: the root digest of the state whose sums are kept. A program that knows of no
 sums leaves that of before."""
 
-_LAYOUT = """CREATE TABLE fieldgrid_sum (
+LAYOUT = """CREATE TABLE fieldgrid_sum (
     rows_of TEXT NOT NULL PRIMARY KEY,
     sum TEXT NOT NULL
 )"""
@@ -65,18 +65,13 @@ def check_sums(subject: Subject) -> Iterator[str]:
             )
 
 
-def create_sums(connection: sqlite3.Connection) -> None:
-    """Lay out the table of sums."""
-    connection.execute(_LAYOUT)
-
-
 def begin_sums(connection: sqlite3.Connection) -> None:
     """Keep the sums of what the map holds, within the caller's transaction, and from then on.
 
     The map has been verified, and sealed.
     """
     drop_sums(connection)
-    create_sums(connection)
+    connection.execute(LAYOUT)
     sums = {table: _written(of_rows(connection, table)) for table in SUMMED_TABLES}
     connection.executemany("INSERT INTO fieldgrid_sum VALUES (?, ?)", sums.items())
     _note_root(connection)

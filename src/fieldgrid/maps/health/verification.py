@@ -164,21 +164,17 @@ def _counts(connection: sqlite3.Connection) -> tuple[int, int, int, int]:
 
 def check_evidence(subject: Subject, which: str = "") -> Iterator[str]:
     """Every frame and session, or those of `which`, against its own digest."""
+    connection, path, header, runner, _ = subject
     query = f"SELECT id FROM fieldgrid_session {which} ORDER BY id"
-    for (session_id,) in subject.connection.execute(query).fetchall():
+    for (session_id,) in connection.execute(query).fetchall():
+        row = connection.execute(f"{SESSION_SQL} WHERE id = ?", (session_id,)).fetchone()
         try:
-            yield from _check_session(subject, session_id)
+            info, check = session_info(row), _FrameCheck(subject, session_id)
+            numbers = range(len(check.records))
+            yield from filter(None, runner.in_order(check, numbers, _FRAMES_TOGETHER))
+            check_session(connection, path, header.datum, info, check.records)
         except (MapError, ConfigError) as error:
             yield str(error)
-
-
-def _check_session(subject: Subject, session_id: int) -> Iterator[str]:
-    connection, path, header, runner, _ = subject
-    row = connection.execute(f"{SESSION_SQL} WHERE id = ?", (session_id,)).fetchone()
-    info = session_info(row)
-    check = _FrameCheck(subject, session_id)
-    yield from filter(None, runner.in_order(check, range(len(check.records)), _FRAMES_TOGETHER))
-    check_session(connection, path, header.datum, info, check.records)
 
 
 def _check_upgraded(subject: Subject) -> Iterator[str]:

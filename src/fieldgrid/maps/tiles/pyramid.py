@@ -23,7 +23,7 @@ from fieldgrid.maps.file import schema
 from fieldgrid.maps.layers.declaration import Cells, ChannelGroup, Combine, is_nothing
 from fieldgrid.maps.layers.window import empty_cells
 from fieldgrid.maps.tiles.png import encode_png
-from fieldgrid.maps.tiles.tile_codec import Box, box_of
+from fieldgrid.maps.tiles.tile_codec import Box, box_of, stored_box
 from fieldgrid.maps.tiles.tiles import TileTables
 from fieldgrid.maps.tiles.tiling import parent, window_of
 from fieldgrid.maps.transfer import mean_density
@@ -176,9 +176,9 @@ class Pyramid:
         before = self._connection.execute(f"SELECT value FROM {meta}").fetchone()
         window = grown
         if grown is None:
-            for _, ty, tx, *_ in self._tables.edges():
-                tile = TileIndex(ty, tx)
-                window = union(window, _placed(tile, self._tables.observed(tile)))
+            for _, ty, tx, name, blob in self._tables.edges():
+                box = stored_box(self._groups[0], blob, f"{name} of tile {(ty, tx)} of level 0")
+                window = union(window, _placed(TileIndex(ty, tx), box))
         elif before is not None:
             try:
                 window = grown.union(window_of(before[0]))

@@ -16,7 +16,7 @@ from fieldgrid.maps.file import schema
 from fieldgrid.maps.layers.blocks import block_side
 from fieldgrid.maps.layers.declaration import Cells, ChannelGroup, is_nothing, nothing
 from fieldgrid.maps.layers.window import coarser, with_overviews
-from fieldgrid.maps.tiles.tile_codec import Box, stored_box, stored_channels
+from fieldgrid.maps.tiles.tile_codec import stored_channels
 from fieldgrid.maps.tiles.tiling import TileMatrixSet, children
 from fieldgrid.maps.writing.placing import decode_groups
 
@@ -71,15 +71,6 @@ class TileTables:
             others = [group for group in wanted if group not in kept]
             found.update(self.above(zoom, tile, others, known))
         return Cells(found, 1 << 2 * levels, block)
-
-    def observed(self, tile: TileIndex) -> Box:
-        """The part of a base tile that was observed; MapError when its density is damaged."""
-        density = self.groups[0]
-        ((blob,),) = self.rows(
-            "SELECT data FROM fieldgrid_tile WHERE (zoom, ty, tx, channels) = (?, ?, ?, ?)",
-            (self.matrices.base_zoom, *tile, density.name),
-        ) or [(None,)]
-        return stored_box(density, blob, f"{density.name} of tile {tuple(tile)} of level 0")
 
     def block(self, levels: int) -> int:
         """Cells along the side of a block in tiles that lie `levels` above the base."""

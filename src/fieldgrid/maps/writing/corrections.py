@@ -27,15 +27,7 @@ class Wander:
     north_m: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        n, values = len(self.time_ns), (*self.east_m, *self.north_m)
-        if not 0 < n <= MOST_KNOTS or len(values) != 2 * n:
-            raise ConfigError(
-                f"A wander of {n} times, {len(self.east_m)} values east and {len(self.north_m)} "
-                f"north cannot be; give as many of each, 1 to {MOST_KNOTS}."
-            )
-        _check_times(self.time_ns, "a wander")
-        if not all(math.isfinite(value) and abs(value) <= MOST_M for value in values):
-            raise ConfigError(f"A wander goes up to {MOST_M:.0f} m; {max(values)} m cannot be.")
+        _check("A wander", self.time_ns, self.east_m, self.north_m)
 
     def at(self, time_ns: int | Int64) -> tuple[Float64, Float64]:
         """Metres east and north at times."""
@@ -56,17 +48,7 @@ class HeightCorrection:
     least_sigma_m: float = 0.0
 
     def __post_init__(self) -> None:
-        n = len(self.time_ns)
-        if not 0 < n <= MOST_KNOTS or len(self.up_m) != n:
-            raise ConfigError(
-                f"Heights of {n} times and {len(self.up_m)} values cannot be; give as many of "
-                f"each, 1 to {MOST_KNOTS}."
-            )
-        _check_times(self.time_ns, "heights")
-        if not all(math.isfinite(value) and abs(value) <= MOST_M for value in self.up_m):
-            raise ConfigError(
-                f"Heights are moved by up to {MOST_M:.0f} m; {max(self.up_m, key=abs)} m cannot be."
-            )
+        _check("A correction of heights", self.time_ns, self.up_m)
         if not 0.0 <= self.least_sigma_m < math.inf:
             raise ConfigError(f"Heights with an error of {self.least_sigma_m} m cannot be.")
 
@@ -80,11 +62,21 @@ class HeightCorrection:
         return _at(time_ns, self.time_ns, self.up_m)
 
 
-def _check_times(time_ns: tuple[int, ...], what: str) -> None:
+def _check(what: str, time_ns: tuple[int, ...], *series: tuple[float, ...]) -> None:
+    """Raise ConfigError for a correction that cannot be."""
+    n = len(time_ns)
+    if not 0 < n <= MOST_KNOTS or any(len(values) != n for values in series):
+        raise ConfigError(
+            f"{what} of {n} times and {' and '.join(str(len(values)) for values in series)} values "
+            f"cannot be; give as many of each, 1 to {MOST_KNOTS}."
+        )
     if any(b <= a for a, b in itertools.pairwise(time_ns)):
-        raise ConfigError(f"The times of {what} must increase.")
+        raise ConfigError(f"{what} has times that do not increase.")
     if not -MOST_TIME_NS <= time_ns[0] <= time_ns[-1] <= MOST_TIME_NS:
-        raise ConfigError(f"The times of {what} are beyond what nanoseconds of 64 bits can say.")
+        raise ConfigError(f"{what} has times beyond what nanoseconds of 64 bits can say.")
+    values = tuple(itertools.chain.from_iterable(series))
+    if not all(math.isfinite(value) and abs(value) <= MOST_M for value in values):
+        raise ConfigError(f"{what} goes up to {MOST_M:.0f} m; {max(values, key=abs)} m cannot be.")
 
 
 def _at(time_ns: int | Int64, knots_ns: tuple[int, ...], values: tuple[float, ...]) -> Float64:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from fieldgrid.geometry import Datum, Pose
 from fieldgrid.maps.file.database import USUAL_PATIENCE, Patience
 from fieldgrid.maps.file.geometry import Ring
 from fieldgrid.maps.file.map_file import MapFile
-from fieldgrid.maps.file.records import SessionInfo
 from fieldgrid.maps.file.store import create_map, open_map
 from fieldgrid.maps.transfer import Transfer
 from fieldgrid.maps.vector.marks import Mark
@@ -135,78 +133,43 @@ def _same_place(one: Mark, other: Mark) -> bool:
     )
 
 
-class _SessionToMerge(NamedTuple):
-    """A session of a map that is taken: what it is called in the new one, and whether that has the
-    same drive already; its first frame as driven; where it was placed, and is now, as `Beside`
-    tells it."""
-
-    twin: Twin
-    name: str
-    is_taken: bool
-    first: Pose | None
-    was_placed: str
-    placed: str
-
-
 def _take_all(universal: MapFile, target: MapFile, taken: dict[str, Twin]) -> list[MergedSession]:
     """Copy the active sessions of a map, but for those that the new one has."""
     moved = None
     if not universal.has_datum(target.datum):
         moved = Redatum(universal.datum, target.datum)
-    coming = list[_SessionToMerge]()
-    for info in universal.sessions():
-        if info.active:
-            before = taken | {one.name: one.twin for one in coming if not one.is_taken}
-            coming.append(_session_to_merge(universal, info, moved, before))
+    merged, firsts, placings = list[MergedSession](), dict[str, Pose](), dict[str, str]()
     # All names first: alignments speak of sessions that come later, too.
-    names = {one.twin.info.name: one.name for one in coming}
-    placings = {one.was_placed: one.placed for one in coming}
-    for one in coming:
-        if one.is_taken:
-            continue
-        metadata = universal.metadata(one.twin.info.name)
-        if moved is not None and one.first is not None:
-            metadata = moved.metadata(metadata, one.first)
+    for info in (info for info in universal.sessions() if info.active):
+        twin = twin_of(universal, info, moved)
+        same = next((name for name, other in taken.items() if other.is_drive(twin)), None)
+        if same is not None and (why := twin.contradiction(taken[same])) is not None:
+            raise ConfigError(
+                f"Session {info.name!r} of {universal.path} is the same drive as {same!r}, which "
+                f"comes from a map before it, but it {why}; {REMEDY}, and merge again."
+            )
+        name = same or free_name(info.name, universal.path.stem, taken)
+        taken.setdefault(name, twin)
+        merged.append(MergedSession(universal.path, info.name, name, same))
+        frames = [] if moved is None else list(universal.frames(info.name))
+        if moved is not None and frames:
+            firsts[info.name] = first = frames[0].driven
+            driven = [frame.driven for frame in frames if frame.accepted]
+            placed = placing(moved.transform(info.transform, first), map(moved.pose, driven))
+            placings[placing(info.transform, driven)] = placed
+    names = {one.was: one.name for one in merged}
+    for one in (one for one in merged if one.twin is None):
+        metadata = universal.metadata(one.was)
+        if moved is not None and one.was in firsts:
+            metadata = moved.metadata(metadata, firsts[one.was])
         transform = metadata.transform.speaking_of(names, placings)
-        metadata = metadata._replace(name=one.name, transform=transform)
-        with target.add_session_of(metadata) as session:
-            for frame in universal.frames(one.twin.info.name, with_grid=True):
-                driven = frame.driven if moved is None else moved.pose(frame.driven)
-                session.add_staged(frame.staged(), driven, quality=frame.quality)
-        taken[one.name] = one.twin
-    return [
-        MergedSession(
-            universal.path, one.twin.info.name, one.name, one.name if one.is_taken else None
-        )
-        for one in coming
-    ]
-
-
-def _session_to_merge(
-    universal: MapFile, info: SessionInfo, moved: Redatum | None, taken: Mapping[str, Twin]
-) -> _SessionToMerge:
-    """A session as it comes into a map that has others, by their names there."""
-    twin = twin_of(universal, info, moved)
-    name = next((name for name, other in taken.items() if other.is_drive(twin)), None)
-    if name is not None and (why := twin.contradiction(taken[name])) is not None:
-        raise ConfigError(
-            f"Session {info.name!r} of {universal.path} is the same drive as {name!r}, which comes "
-            f"from a map before it, but it {why}; {REMEDY}, and merge again."
-        )
-    frames = list(universal.frames(info.name))
-    first = frames[0].driven if frames else None
-    driven = [frame.driven for frame in frames if frame.accepted]
-    was_placed = placed = placing(info.transform, driven)
-    if moved is not None and first is not None:
-        placed = placing(moved.transform(info.transform, first), map(moved.pose, driven))
-    return _SessionToMerge(
-        twin,
-        name or free_name(info.name, universal.path.stem, taken),
-        name is not None,
-        first,
-        was_placed,
-        placed,
-    )
+        with target.add_session_of(
+            metadata._replace(name=one.name, transform=transform)
+        ) as session:
+            for frame in universal.frames(one.was, with_grid=True):
+                pose = frame.driven if moved is None else moved.pose(frame.driven)
+                session.add_staged(frame.staged(), pose, quality=frame.quality)
+    return merged
 
 
 def free_name(name: str, stem: str, taken: Collection[str]) -> str:

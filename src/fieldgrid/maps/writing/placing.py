@@ -120,12 +120,12 @@ class TileSquares:
 
 def _tiles_under(windows: Sequence[Window]) -> Window:
     """The whole tiles that windows reach into, as one rectangle; it is empty without any."""
-    if not windows:
-        return Window(0, 0, 0, 0)
-    i0, j0, width, height = reduce(Window.union, windows)
-    i1, j1 = -(-(i0 + width) // TILE_CELLS), -(-(j0 + height) // TILE_CELLS)
-    i0, j0 = i0 // TILE_CELLS, j0 // TILE_CELLS
-    return Window(*(TILE_CELLS * value for value in (i0, j0, i1 - i0, j1 - j0)))
+    i0, j0, width, height = reduce(Window.union, windows) if windows else (0, 0, 0, 0)
+    west, south, east, north = (
+        side // TILE_CELLS * TILE_CELLS
+        for side in (i0, j0, i0 + width + TILE_CELLS - 1, j0 + height + TILE_CELLS - 1)
+    )
+    return Window(west, south, east - west, north - south)
 
 
 def _square_of(whole: Window) -> tuple[int, int]:

@@ -18,8 +18,6 @@ from fieldgrid.maps.file.digest import frame_digest
 from fieldgrid.maps.file.evidence import frames_of
 from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.file.metadata import (
-    FoundSession,
-    SessionMetadata,
     as_json,
     check_name,
     find,
@@ -127,76 +125,67 @@ def repose(
 ) -> None:
     """Give the frames of a session other poses as driven, within the caller's transaction."""
     found = find(connection, path, header.datum, name)
-    with derived.moving(
-        connection, header, found.session_id, name, path, is_out=found.removed is not None
-    ) as place:
-        place(_reposed(connection, path, found, poses, trajectory, config))
-
-
-def _reposed(
-    connection: sqlite3.Connection,
-    path: Path,
-    found: FoundSession,
-    poses: Mapping[str, Pose],
-    trajectory: Trajectory | None,
-    config: Mapping[str, Any] | None,
-) -> SessionMetadata:
-    """Change the rows of a session and its frames; returns what is kept beside these now."""
     session_id, _, metadata = found
-    if (aligned := metadata.transform.aligned) is not None:
-        # What the alignment left was said of the poses that are replaced.
-        unsure = replace(aligned, sigma_m=None, turn_sigma_deg=None, beside=())
-        metadata = metadata._replace(transform=replace(metadata.transform, aligned=unsure))
-        connection.execute(
-            "UPDATE fieldgrid_session SET transform = ? WHERE id = ?",
-            (metadata.transform.to_text(), session_id),
-        )
-    if trajectory is not None:
-        metadata = metadata._replace(trajectory=trajectory)
-        connection.execute(
-            "UPDATE fieldgrid_session SET heading_source = ? WHERE id = ?",
-            (trajectory.heading_source, session_id),
-        )
-        put_arrays(
-            connection, session_id, {ArrayKind.TRAJECTORY: metadata.arrays[ArrayKind.TRAJECTORY]}
-        )
-    if config is not None:
-        metadata = metadata._replace(config=as_json(config))
-        connection.execute(
-            "UPDATE fieldgrid_session SET config = ? WHERE id = ?", (metadata.config, session_id)
-        )
-    records = frames_of(connection, session_id)
-    frames = [record.frame_id for record in records]
-    missing = [frame for frame in frames if frame not in poses]
-    if missing:
-        raise ConfigError(
-            f"Poses are missing for {len(missing)} of the {len(frames)} frames of session "
-            f"{metadata.name!r}, the first {missing[0]!r}; give each frame one, marked rejected if "
-            "need be."
-        )
-    strange = sorted(poses.keys() - set(frames))
-    if strange:
-        raise ConfigError(
-            f"Session {metadata.name!r} of {path} has no frame {strange[0]!r}; give poses of its "
-            "own frames."
-        )
-    for record in records:
-        pose = poses[record.frame_id]
-        check_pose(metadata.transform.pose(pose))
-        values = frame_values(
-            pose,
-            record.frame_id,
-            quality_at(metadata.trajectory, pose.time_ns),
-            record.images,
-            record.images_sha256,
-            record.cells_sha256,
-        )
-        connection.execute(
-            "UPDATE fieldgrid_frame SET (frame_id, time_ns, east_m, north_m, up_m, heading_deg, "
-            "position_sigma_m, heading_sigma_deg, speed_mps, status, reason, quality, images, "
-            f"images_sha256, cells_sha256, digest) = (?{', ?' * 15}) "
-            "WHERE session_id = ? AND frame_id = ?",
-            (*values, frame_digest(values), session_id, record.frame_id),
-        )
-    sum_up(connection, session_id, metadata)
-    return metadata
+    with derived.moving(
+        connection, header, session_id, name, path, is_out=found.removed is not None
+    ) as place:
+        if (aligned := metadata.transform.aligned) is not None:
+            # What the alignment left was said of the poses that are replaced.
+            unsure = replace(aligned, sigma_m=None, turn_sigma_deg=None, beside=())
+            metadata = metadata._replace(transform=replace(metadata.transform, aligned=unsure))
+            connection.execute(
+                "UPDATE fieldgrid_session SET transform = ? WHERE id = ?",
+                (metadata.transform.to_text(), session_id),
+            )
+        if trajectory is not None:
+            metadata = metadata._replace(trajectory=trajectory)
+            connection.execute(
+                "UPDATE fieldgrid_session SET heading_source = ? WHERE id = ?",
+                (trajectory.heading_source, session_id),
+            )
+            put_arrays(
+                connection,
+                session_id,
+                {ArrayKind.TRAJECTORY: metadata.arrays[ArrayKind.TRAJECTORY]},
+            )
+        if config is not None:
+            metadata = metadata._replace(config=as_json(config))
+            connection.execute(
+                "UPDATE fieldgrid_session SET config = ? WHERE id = ?",
+                (metadata.config, session_id),
+            )
+        records = frames_of(connection, session_id)
+        frames = [record.frame_id for record in records]
+        missing = [frame for frame in frames if frame not in poses]
+        if missing:
+            raise ConfigError(
+                f"Poses are missing for {len(missing)} of the {len(frames)} frames of session "
+                f"{metadata.name!r}, the first {missing[0]!r}; give each frame one, marked "
+                "rejected if need be."
+            )
+        strange = sorted(poses.keys() - set(frames))
+        if strange:
+            raise ConfigError(
+                f"Session {metadata.name!r} of {path} has no frame {strange[0]!r}; give poses of "
+                "its own frames."
+            )
+        for record in records:
+            pose = poses[record.frame_id]
+            check_pose(metadata.transform.pose(pose))
+            values = frame_values(
+                pose,
+                record.frame_id,
+                quality_at(metadata.trajectory, pose.time_ns),
+                record.images,
+                record.images_sha256,
+                record.cells_sha256,
+            )
+            connection.execute(
+                "UPDATE fieldgrid_frame SET (frame_id, time_ns, east_m, north_m, up_m, "
+                "heading_deg, position_sigma_m, heading_sigma_deg, speed_mps, status, reason, "
+                f"quality, images, images_sha256, cells_sha256, digest) = (?{', ?' * 15}) "
+                "WHERE session_id = ? AND frame_id = ?",
+                (*values, frame_digest(values), session_id, record.frame_id),
+            )
+        sum_up(connection, session_id, metadata)
+        place(metadata)
