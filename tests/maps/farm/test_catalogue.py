@@ -33,7 +33,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     whole = write_map(folder / "whole.gpkg", [drive(5), drive(40, heading_deg=99.0)])
     (folder / "cut.gpkg").write_bytes(whole.read_bytes()[:-70_000])
     for name, change in (
-        ("frame", "UPDATE fieldgrid_grid SET data = zeroblob(length(data)) WHERE frame = 3"),
+        ("frame", "UPDATE fieldgrid_grid SET data = zeroblob(length(data)) WHERE frame IN (3, 5)"),
         ("list", "UPDATE fieldgrid_session SET accepted = accepted - 1"),
     ):
         shutil.copy(whole, folder / f"{name}.gpkg")

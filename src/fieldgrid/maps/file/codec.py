@@ -11,7 +11,7 @@ import importlib
 import json
 import re
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from typing import Any, NamedTuple
 
@@ -85,36 +85,41 @@ def encode_channels(grid: LocalGrid, extra: Mapping[str, AnyArray]) -> tuple[Enc
                 f"The {name} of a local grid has {array.dtype}; give an array of "
                 f"{np.dtype(dtype)}, for example by astype()."
             )
-    for name in extra:
+    for name, array in extra.items():
         if name in own or not isinstance(name, str):
             raise ConfigError(
                 f"A further channel of a frame cannot be named {name!r}; give it another name, a "
                 "text that is neither 'density' nor 'observed'."
             )
-    channels = _channels(FrameCells(grid, extra))
-    return tuple(_encode(name, array, grid.spec) for name, array in channels)
+        own[name] = array
+    for name, array in own.items():
+        if array.shape != grid.spec.shape or not _is_stored(array.dtype):
+            raise ConfigError(
+                f"The channel {name!r} of a frame has {array.dtype} in shape {array.shape}; give "
+                f"numbers of at most 64 bits in shape {grid.spec.shape}, one a cell of the local "
+                "grid."
+            )
+    encoded = []
+    for name, dtype, raw in _channels(FrameCells(grid, extra)):
+        size = 1 if dtype == BITS else np.dtype(dtype).itemsize
+        if size > 1:
+            raw = np.ascontiguousarray(np.frombuffer(raw, np.uint8).reshape(-1, size).T).data
+        strategy = zlib.Z_DEFAULT_STRATEGY if dtype == BITS else zlib.Z_RLE
+        encoded.append(EncodedChannel(name, dtype, deflate(raw, strategy)))
+    return tuple(encoded)
 
 
-def _channels(cells: FrameCells) -> list[tuple[str, AnyArray]]:
-    """All channels of a frame by name, in the order of their names, as they are stored."""
+def _channels(cells: FrameCells) -> Iterator[tuple[str, str, memoryview]]:
+    """The name of each channel of a frame, in the order of these, its type and its bytes, as they
+    are stored."""
     observed = cells.grid.observed
     density = np.where(observed, cells.grid.density, np.uint8(0))
-    return sorted({"density": density, "observed": observed, **cells.channels}.items())
-
-
-def _encode(name: str, array: AnyArray, spec: GridSpec) -> EncodedChannel:
-    if array.shape != spec.shape or not _is_stored(array.dtype):
-        raise ConfigError(
-            f"The channel {name!r} of a frame has {array.dtype} in shape {array.shape}; give "
-            f"numbers of at most 64 bits in shape {spec.shape}, one a cell of the local grid."
-        )
-    raw = _raw(array)
-    if array.dtype.kind == "b":
-        return EncodedChannel(name, BITS, deflate(raw))
-    size = array.dtype.itemsize
-    planes = np.frombuffer(raw, np.uint8).reshape(-1, size).T if size > 1 else raw
-    data = np.ascontiguousarray(planes).data if size > 1 else raw
-    return EncodedChannel(name, _little(array).str, deflate(data, zlib.Z_RLE))
+    for name, array in sorted({"density": density, "observed": observed, **cells.channels}.items()):
+        if array.dtype.kind == "b":
+            yield name, BITS, np.packbits(array).data
+        else:
+            flat = np.ascontiguousarray(array, _little(array)).reshape(-1)
+            yield name, flat.dtype.str, flat.view(np.uint8).data
 
 
 def stored_dtype(text: object) -> np.dtype[Any]:
@@ -173,23 +178,11 @@ def as_decoded(grid: LocalGrid, extra: Mapping[str, AnyArray]) -> FrameCells:
 def cells_sha256(cells: FrameCells) -> str:
     """The SHA-256 of a frame's channels, uncompressed, whatever compressor stored them."""
     hashed = hashlib.sha256()
-    for name, array in _channels(cells):
-        dtype = BITS if array.dtype.kind == "b" else _little(array).str
-        head = json.dumps([name, dtype, list(array.shape)], separators=(",", ":"))
+    for name, dtype, raw in _channels(cells):
+        head = json.dumps([name, dtype, list(cells.grid.spec.shape)], separators=(",", ":"))
         hashed.update(head.encode() + b"\n")
-        hashed.update(_raw(array))
+        hashed.update(raw)
     return hashed.hexdigest()
-
-
-def _raw(array: AnyArray) -> memoryview:
-    if array.dtype.kind == "b":
-        return np.packbits(array).data
-    return (
-        np.ascontiguousarray(array.astype(_little(array), copy=False))
-        .reshape(-1)
-        .view(np.uint8)
-        .data
-    )
 
 
 def _little(array: AnyArray) -> np.dtype[np.generic]:
