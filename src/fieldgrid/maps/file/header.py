@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import sqlite3
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
 
@@ -143,15 +142,33 @@ def read_header(connection: sqlite3.Connection, path: Path) -> MapHeader:
     # With a write-ahead log the last pages may be in the log, and SQLite looks after them.
     if mode != "wal" and (found := path.stat().st_size) < pages * page_bytes:
         raise cut_short(path, found, pages * page_bytes)
+    header = read_settings(connection, path)
+    expected = {*schema.OWN_TABLES, *schema.LAYERS}
+    if header.has_other_tables:
+        expected -= {"fieldgrid_grid"}
+    missing = sorted(expected - tables)
+    if missing:
+        raise MapError(f"{path} is damaged: it has no table {missing[0]}. Restore a copy.")
+    return header
+
+
+def read_settings(connection: sqlite3.Connection, path: Path) -> MapHeader:
+    """The settings of a file that is a map, as they are now: another program may have brought it up
+    to date."""
     meta = dict(connection.execute("SELECT key, value FROM fieldgrid_meta").fetchall())
-    with _explained(path):
-        version, groups = _format_of(meta, path)
-        expected = {*schema.OWN_TABLES, *schema.LAYERS}
-        if version == schema.OTHER_TABLES_VERSION:
-            expected -= {"fieldgrid_grid"}
-        missing = sorted(expected - tables)
-        if missing:
-            raise MapError(f"{path} is damaged: it has no table {missing[0]}. Restore a copy.")
+    try:
+        version = int(meta["format_version"])
+        if version > schema.FORMAT_VERSION:
+            raise MapError(
+                f"{path} has format version {version}, and this fieldgrid reads up to "
+                f"{schema.FORMAT_VERSION}; update fieldgrid to open it."
+            )
+        if version < OLDEST_VERSION:
+            raise MapError(
+                f"{path} has format version {version}, of before the first release; build it again "
+                "from its recordings."
+            )
+        groups = tuple(str(name) for name in parse_json(meta.get("channel_groups", "[]")))
         for key, value in (("tile_cells", TILE_CELLS), ("cell_weight", CELL_WEIGHT)):
             if meta[key] != str(value):
                 raise ValueError(f"{key} is {quoted(meta[key])}, not {value}")
@@ -164,38 +181,6 @@ def read_header(connection: sqlite3.Connection, path: Path) -> MapHeader:
             groups,
             version,
         )
-
-
-def reread(connection: sqlite3.Connection, path: Path, header: MapHeader) -> MapHeader:
-    """The settings with what changes of them, format and channel groups, as it is now: another
-    program may have brought the map up to date since."""
-    meta = dict(connection.execute("SELECT key, value FROM fieldgrid_meta").fetchall())
-    with _explained(path):
-        version, groups = _format_of(meta, path)
-        return header._replace(groups=groups, version=version)
-
-
-def _format_of(meta: Mapping[str, str], path: Path) -> tuple[int, tuple[str, ...]]:
-    """The version of the format, if it is one that is read, and the channel groups."""
-    version = int(meta["format_version"])
-    if version > schema.FORMAT_VERSION:
-        raise MapError(
-            f"{path} has format version {version}, and this fieldgrid reads up to "
-            f"{schema.FORMAT_VERSION}; update fieldgrid to open it."
-        )
-    if version < OLDEST_VERSION:
-        raise MapError(
-            f"{path} has format version {version}, of before the first release; build it again "
-            "from its recordings."
-        )
-    return version, tuple(str(name) for name in parse_json(meta.get("channel_groups", "[]")))
-
-
-@contextmanager
-def _explained(path: Path) -> Iterator[None]:
-    """Say of settings that cannot be read that the map is damaged."""
-    try:
-        yield
     except MapError:
         raise
     except (KeyError, TypeError, ValueError, FieldgridError) as error:

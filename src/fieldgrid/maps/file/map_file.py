@@ -22,7 +22,7 @@ from fieldgrid.maps.file.database import (
     reading,
     writing,
 )
-from fieldgrid.maps.file.header import MapHeader, reread
+from fieldgrid.maps.file.header import MapHeader, read_settings
 from fieldgrid.maps.file.metadata import SessionMetadata, name_is_taken, session_metadata
 from fieldgrid.maps.file.records import sessions_html
 from fieldgrid.maps.file.root import check_root, seal
@@ -297,7 +297,7 @@ class MapFile(MapReader):
         """
         self._require_writable()
         with reading(self._connection, self.path):
-            is_old = reread(self._connection, self.path, self._header).is_old
+            is_old = read_settings(self._connection, self.path).is_old
         if is_old:
             with self._changing():
                 pass
@@ -354,7 +354,7 @@ class MapFile(MapReader):
             return
         try:
             with reading(self._connection, self.path):
-                header = reread(self._connection, self.path, self._header)
+                header = read_settings(self._connection, self.path)
                 if header.is_old or tables_of(self._connection, header, self.path).is_settled:
                     return
             with (

@@ -21,7 +21,7 @@ from fieldgrid.geometry import GridSpec
 from fieldgrid.maps.file import schema
 from fieldgrid.maps.file.codec import BITS, EncodedChannel, cells_sha256, decode_cells
 from fieldgrid.maps.file.digest import as_json, frame_digest
-from fieldgrid.maps.file.header import MapHeader, check_plane, reread
+from fieldgrid.maps.file.header import MapHeader, check_plane, read_settings
 from fieldgrid.maps.file.metadata import digest_of, find
 from fieldgrid.maps.file.root import seal
 from fieldgrid.maps.layers.registry import kept_groups
@@ -72,7 +72,7 @@ def _drop_views(connection: sqlite3.Connection) -> None:
 def as_it_is_now(connection: sqlite3.Connection, path: Path, header: MapHeader) -> MapHeader:
     """The settings of a map that is about to be changed, whatever other programs have made of it
     since `header` was read; within the caller's transaction."""
-    now = reread(connection, path, header)
+    now = read_settings(connection, path)
     if header.has_other_tables and not now.has_other_tables:
         _drop_views(connection)
     return now

@@ -108,42 +108,29 @@ class Transform:
         """A pose as it is placed in the map. Only its place has another error when aligned."""
         if self.is_identity:
             return driven
-        up_m, up_sigma_m = driven.up_m, driven.up_sigma_m
-        if self.heights is not None:
-            up_m += float(self.heights.at(driven.time_ns))
-            up_sigma_m = max(up_sigma_m, self.heights.least_sigma_m)
-        east_m, north_m = self.points(driven.east_m, driven.north_m, driven.time_ns)
-        heading_deg = driven.heading_deg
-        if self.turn_deg:
-            heading_deg = float(wrap_deg(heading_deg + self.turn_deg))
-        return replace(
-            driven,
-            east_m=float(east_m),
-            north_m=float(north_m),
-            up_m=up_m,
-            up_sigma_m=up_sigma_m,
-            heading_deg=heading_deg,
-            position_sigma_m=float(self._sigma_m(driven.position_sigma_m)),
-        )
+        placed = {name: float(value) for name, value in self._placed(driven).items()}
+        least_sigma_m = 0.0 if self.heights is None else self.heights.least_sigma_m
+        return replace(driven, **placed, up_sigma_m=max(driven.up_sigma_m, least_sigma_m))
 
     def trajectory(self, driven: Trajectory) -> Trajectory:
         """A trajectory as it is placed in the map."""
-        if self.is_identity:
-            return driven
+        return driven if self.is_identity else replace(driven, **self._placed(driven))
+
+    def _placed(self, driven: Pose | Trajectory) -> dict[str, Any]:
+        """What is another one of a pose or of poses that are placed."""
         east_m, north_m = self.points(driven.east_m, driven.north_m, driven.time_ns)
-        heading_deg, up_m = driven.heading_deg, driven.up_m
+        turned, up_m = driven.heading_deg, driven.up_m
         if self.turn_deg:
-            heading_deg = wrap_deg(heading_deg + self.turn_deg)
+            turned = wrap_deg(turned + self.turn_deg)
         if self.heights is not None:
             up_m = up_m + self.heights.at(driven.time_ns)
-        return replace(
-            driven,
-            east_m=east_m,
-            north_m=north_m,
-            up_m=up_m,
-            heading_deg=heading_deg,
-            position_sigma_m=self._sigma_m(driven.position_sigma_m),
-        )
+        return {
+            "east_m": east_m,
+            "north_m": north_m,
+            "up_m": up_m,
+            "heading_deg": turned,
+            "position_sigma_m": self._sigma_m(driven.position_sigma_m),
+        }
 
     def _sigma_m(self, driven_m: npt.ArrayLike) -> Float64:
         """The errors of places: those of the receiver, or of the alignment, which may have shown
