@@ -79,11 +79,11 @@ def encode_channels(grid: LocalGrid, extra: Mapping[str, AnyArray]) -> tuple[Enc
     The density of a cell that was not observed means nothing and is stored as 0.
     """
     own: dict[str, AnyArray] = {"density": grid.density, "observed": grid.observed}
-    for (name, array), dtype in zip(own.items(), (np.uint8, np.bool_), strict=True):
-        if array.dtype != dtype:
+    for (name, array), kind in zip(own.items(), (np.uint8, np.bool_), strict=True):
+        if array.dtype != kind:
             raise ConfigError(
                 f"The {name} of a local grid has {array.dtype}; give an array of "
-                f"{np.dtype(dtype)}, for example by astype()."
+                f"{np.dtype(kind)}, for example by astype()."
             )
     for name, array in extra.items():
         if name in own or not isinstance(name, str):

@@ -154,8 +154,10 @@ class Pyramid:
         for name, gone in () if leaving is None else leaving.items():
             if not is_nothing(gone):
                 arrays[name] = arrays[name] - gone
-        box = None if joining is None else box_of(joining["weight"])
-        for group in self._groups if joining is not None and box is not None else ():
+        if joining is None:
+            return Cells(arrays, block=total.block)
+        box = box_of(joining["weight"])
+        for group in self._groups:
             part = (box.blocks(joining.block) if group.blocks else box).slices
             for channel in group.channels:
                 name, value = channel.name, arrays[channel.name]
@@ -187,7 +189,8 @@ class Pyramid:
                     f"The extent of the map's cells is damaged ({error}); repair the map."
                 ) from error
         self._connection.execute(f"DELETE FROM {meta}")
-        matrices, bounds = self._tables.matrices, (None,) * 4
+        matrices = self._tables.matrices
+        bounds: tuple[float | None, ...] = (None,) * 4
         top = self._tables.top_zoom() or self._base + 1
         if window is not None:
             self._connection.execute(

@@ -135,9 +135,10 @@ class Session:
 
         `quality` is that of its fix, taken from the trajectory when not given. Errors as in `add`.
         """
-        frame = source if isinstance(source, StagedFrame) else source[index]
-        load = None if frame is source else partial(source.__getitem__, index)
-        self._take(frame, pose, quality, load)
+        if isinstance(source, StagedFrame):
+            self._take(source, pose, quality)
+        else:
+            self._take(source[index], pose, quality, partial(source.__getitem__, index))
 
     def discard(self) -> None:
         """Forget everything that was added; nothing happens when it is in the map already."""

@@ -108,7 +108,9 @@ class Transform:
         """A pose as it is placed in the map. Only its place has another error when aligned."""
         if self.is_identity:
             return driven
-        placed = {name: float(value) for name, value in self._placed(driven).items()}
+        placed: dict[str, Any] = {
+            name: float(value) for name, value in self._placed(driven).items()
+        }
         least_sigma_m = 0.0 if self.heights is None else self.heights.least_sigma_m
         return replace(driven, **placed, up_sigma_m=max(driven.up_sigma_m, least_sigma_m))
 
@@ -252,14 +254,15 @@ def transform_of(text: str | None) -> Transform:
         )
         if set(rigid) != set(_RIGID_FIELDS):
             raise TypeError(f"it says {shortened(rigid)}")
-        return Transform(
-            *(_number(rigid[name]) for name in _RIGID_FIELDS),
-            wander=None if wander is None else Wander(*_series(wander, "east_m", "north_m")),
-            aligned=None if aligned is None else _aligned(aligned),
-            heights=None
-            if heights is None
-            else HeightCorrection(*_series(heights, "up_m"), _number(heights["least_sigma_m"])),
-        )
+        parts: dict[str, Any] = {name: _number(value) for name, value in rigid.items()}
+        if wander is not None:
+            parts["wander"] = Wander(*_series(wander, "east_m", "north_m"))
+        if heights is not None:
+            times, up_m = _series(heights, "up_m")
+            parts["heights"] = HeightCorrection(times, up_m, _number(heights["least_sigma_m"]))
+        if aligned is not None:
+            parts["aligned"] = _aligned(aligned)
+        return Transform(**parts)
     except (TypeError, ValueError, KeyError, AttributeError, ConfigError) as error:
         if isinstance(error, MapError):
             raise
