@@ -54,7 +54,7 @@ def test_an_array_reads_back_bit_for_bit(array: np.ndarray) -> None:
 def test_a_long_array_is_stored_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arrays_module, "_PART_BYTES", 100)
     gyro = np.arange(99.0).reshape(33, 3)
-    assert len(array_rows(ArrayKind.INPUT, {"gyro": gyro})) == 9
+    assert len(list(array_rows(ArrayKind.INPUT, {"gyro": gyro}))) == 9
     np.testing.assert_array_equal(through_a_database({"gyro": gyro})["gyro"], gyro)
 
 

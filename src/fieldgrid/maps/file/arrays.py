@@ -9,10 +9,10 @@ from __future__ import annotations
 import json
 import sqlite3
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -34,40 +34,25 @@ class ArrayKind(StrEnum):
     INPUT = "input"
 
 
-class ArrayRow(NamedTuple):
-    """A part of an array as it is stored: a row of `fieldgrid_array` without its session."""
-
-    kind: str
-    name: str
-    part: int
-    dtype: str
-    shape: str
-    data: bytes
-
-
-def array_rows(kind: ArrayKind, arrays: Mapping[str, Array]) -> list[ArrayRow]:
-    """The rows of named arrays; ConfigError for one that cannot be stored."""
-    return [row for name, array in sorted(arrays.items()) for row in _rows(kind, name, array)]
-
-
-def _rows(kind: ArrayKind, name: str, array: Array) -> Iterator[ArrayRow]:
-    values = np.asarray(array)
-    if values.dtype.kind not in _KINDS or values.dtype.names:
-        raise ConfigError(
-            f"Array {name!r} holds {values.dtype}, which a map does not store; "
-            "give numbers, texts or times, an array a field."
-        )
-    dtype = values.dtype.newbyteorder("<")
-    # Not ascontiguousarray, which would make a vector of a single value.
-    flat = values.astype(dtype, copy=False).reshape(-1)
-    step = max(1, _PART_BYTES // max(dtype.itemsize, 1))
-    for part in range(max(1, -(-flat.size // step))):
-        octets = np.frombuffer(flat[part * step : (part + 1) * step].tobytes(), dtype=np.uint8)
-        if dtype.itemsize:
-            octets = octets.reshape(-1, dtype.itemsize).T
-        yield ArrayRow(
-            kind.value, name, part, dtype.str, json.dumps(values.shape), deflate(octets.tobytes())
-        )
+def array_rows(kind: ArrayKind, arrays: Mapping[str, Array]) -> Iterator[tuple[Any, ...]]:
+    """The rows of `fieldgrid_array`, without a session, of named arrays; ConfigError for one that
+    cannot be stored."""
+    for name, array in sorted(arrays.items()):
+        values = np.asarray(array)
+        if values.dtype.kind not in _KINDS or values.dtype.names:
+            raise ConfigError(
+                f"Array {name!r} holds {values.dtype}, which a map does not store; "
+                "give numbers, texts or times, an array a field."
+            )
+        dtype, shape = values.dtype.newbyteorder("<"), json.dumps(values.shape)
+        # Not ascontiguousarray, which would make a vector of a single value.
+        flat = values.astype(dtype, copy=False).reshape(-1)
+        step = max(1, _PART_BYTES // max(dtype.itemsize, 1))
+        for part in range(max(1, -(-flat.size // step))):
+            octets = np.frombuffer(flat[part * step : (part + 1) * step].tobytes(), dtype=np.uint8)
+            if dtype.itemsize:
+                octets = octets.reshape(-1, dtype.itemsize).T
+            yield kind.value, name, part, dtype.str, shape, deflate(octets.tobytes())
 
 
 def read_arrays(
@@ -75,33 +60,39 @@ def read_arrays(
 ) -> dict[str, Array]:
     """All arrays of one kind that a session has, in the order of their names."""
     rows = connection.execute(
-        "SELECT kind, name, part, dtype, shape, data FROM fieldgrid_array "
+        "SELECT name, part, dtype, shape, data FROM fieldgrid_array "
         "WHERE session_id = ? AND kind = ? ORDER BY name, part",
         (session_id, kind.value),
     )
-    parts: dict[str, list[ArrayRow]] = {}
-    for row in rows:
-        parts.setdefault(str(row[1]), []).append(ArrayRow(*row))
-    return {name: _array(name, found) for name, found in parts.items()}
+    parts: dict[str, list[tuple[Any, ...]]] = {}
+    for name, *row in rows:
+        parts.setdefault(str(name), []).append(tuple(row))
+    return {name: _array(name, *zip(*found, strict=True)) for name, found in parts.items()}
 
 
-def _array(name: str, parts: list[ArrayRow]) -> Array:
+def _array(
+    name: str,
+    parts: Sequence[Any],
+    dtypes: Sequence[Any],
+    shapes: Sequence[Any],
+    blobs: Sequence[object],
+) -> Array:
     what = f"array {name!r}"
     try:
-        dtype, shape = stored_dtype(parts[0].dtype), tuple(map(int, parse_json(parts[0].shape)))
+        dtype, shape = stored_dtype(dtypes[0]), tuple(map(int, parse_json(shapes[0])))
         if dtype.kind not in _KINDS or min(shape, default=0) < 0:
             raise ValueError(f"its type is {dtype}, its shape {shape}")
         size = int(np.prod(shape, dtype=np.int64))
         step = max(1, _PART_BYTES // max(dtype.itemsize, 1))
         # Checked before memory is taken for what the shape claims.
-        if [row.part for row in parts] != list(range(len(parts))):
+        if list(parts) != list(range(len(parts))):
             raise ValueError("a part is missing")
         if len(parts) != max(1, -(-size // step)):
             raise ValueError(f"it has {len(parts)} parts, but the shape {shape}")
         flat = np.empty(size, dtype=dtype)
-        for row in parts:
-            place = flat[row.part * step : (row.part + 1) * step]
-            octets = inflate(row.data, place.nbytes, what)
+        for part, blob in zip(parts, blobs, strict=True):
+            place = flat[part * step : (part + 1) * step]
+            octets = inflate(blob, place.nbytes, what)
             if dtype.itemsize:
                 planes = np.frombuffer(octets, dtype=np.uint8).reshape(dtype.itemsize, -1)
                 place[:] = np.frombuffer(planes.T.tobytes(), dtype=dtype)

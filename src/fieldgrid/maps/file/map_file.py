@@ -112,8 +112,6 @@ class MapFile(MapReader):
 
     def discard(self) -> None:
         """Close the map, and give up a new one; what an existing map was given stays."""
-        if not is_ours(self._connection):
-            return
         self._abandon_session()
         self._release()
 

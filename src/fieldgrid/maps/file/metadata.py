@@ -84,7 +84,7 @@ def session_metadata(
     )
     texts = dict.fromkeys((source, source_sha256, metadata.heading_source), MAX_TEXT)
     check_lengths({metadata.config: MAX_DOCUMENT} | texts)
-    array_rows(ArrayKind.INPUT, metadata.inputs)
+    list(array_rows(ArrayKind.INPUT, metadata.inputs))  # which refuses what cannot be stored
     return metadata
 
 

@@ -70,7 +70,7 @@ class TileMatrixSet:
         """
         rows, columns = {tile.ty for tile in tiles}, {tile.tx for tile in tiles}
         zoom = self.base_zoom
-        while zoom > 1 and (_span(rows) > 2 or _span(columns) > 2):
+        while zoom > 1 and any(max(span) - min(span) > 1 for span in (rows, columns) if span):
             rows, columns = {ty >> 1 for ty in rows}, {tx >> 1 for tx in columns}
             zoom -= 1
         return zoom
@@ -86,10 +86,6 @@ def children(tile: TileIndex) -> Iterator[TileIndex]:
     for ty in (2 * tile.ty, 2 * tile.ty + 1):
         for tx in (2 * tile.tx, 2 * tile.tx + 1):
             yield TileIndex(ty, tx)
-
-
-def _span(indices: set[int]) -> int:
-    return max(indices) - min(indices) + 1 if indices else 0
 
 
 def window_of(text: str) -> Window:
