@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 
 import numpy as np
@@ -174,11 +175,5 @@ def _take_all(universal: MapFile, target: MapFile, taken: dict[str, Twin]) -> li
 
 def free_name(name: str, stem: str, taken: Collection[str]) -> str:
     """The name of a session beside others: its own, or with that of its file behind it."""
-    if name not in taken:
-        return name
-    candidate = f"{name} ({stem})"
-    count = 2
-    while candidate in taken:
-        candidate = f"{name} ({stem} {count})"
-        count += 1
-    return candidate
+    named = chain([name, f"{name} ({stem})"], (f"{name} ({stem} {k})" for k in count(2)))
+    return next(one for one in named if one not in taken)

@@ -87,8 +87,7 @@ class Transform:
 
     def __post_init__(self) -> None:
         for name, value in self._rigid().items():
-            most = MOST_DEG if name == "turn_deg" else math.inf
-            most = MOST_M if name.startswith("shift") else most
+            most = {"shift": MOST_M, "turn_": MOST_DEG}.get(name[:5], math.inf)
             if not math.isfinite(value) or abs(value) > most:
                 raise ConfigError(
                     f"A transform with {name} {value} cannot be; shifts are up to {MOST_M:.0f} m, "
