@@ -16,7 +16,7 @@ from fieldgrid.core import BuildSettings, ConfigError, Draft, MapExistsError
 from fieldgrid.live import finish, finish_session, live_folder, replay
 from fieldgrid.live.kept import session_folder
 from fieldgrid.maps import StageFile, open_map
-from fieldgrid.maps.file import map_file
+from fieldgrid.maps.tiles.pyramid import Pyramid
 from fieldgrid.maps.writing import session
 from fieldgrid.maps.writing.placing import FoldedTiles
 from fieldgrid.pipeline import build_map
@@ -55,7 +55,7 @@ STEPS: dict[str, tuple[Any, str, Any]] = {
     "before frames are placed": (FoldedTiles, "__init__", dies()),
     "frames are placed": (FoldedTiles, "cells", dies(2)),
     "before the commit": (session, "sum_up", dies(after=True)),
-    "after the commit": (map_file, "settle", dies()),
+    "after the commit": (Pyramid, "settle", dies()),
     "before the map is published": (Draft, "publish", dies()),
     "after the map was published": (Draft, "publish", dies(after=True)),
     "before what was kept is removed": (session_folder, "_remove", dies()),

@@ -215,9 +215,8 @@ def loader(connection: sqlite3.Connection, frame: int) -> Callable[[], tuple[Enc
 
 def frames_of(connection: sqlite3.Connection, session_id: int) -> list[FrameRecord]:
     """The stored frames of a session, ordered by time and frame_id."""
-    rows = connection.execute(
-        f"{FRAME_SQL} WHERE f.session_id = ? ORDER BY f.time_ns, f.frame_id", (session_id,)
-    ).fetchall()
+    query = f"{FRAME_SQL} WHERE f.session_id = ? ORDER BY f.time_ns, f.frame_id"
+    rows = connection.execute(query, (session_id,)).fetchall()
     return [frame_record(row, loader(connection, row[0])) for row in rows]
 
 

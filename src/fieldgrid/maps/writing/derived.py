@@ -44,20 +44,6 @@ def tables_of(connection: sqlite3.Connection, header: MapHeader, path: Path) -> 
     return TileTables(connection, TileMatrixSet(header.lattice), header.writable_groups(path))
 
 
-def show(
-    connection: sqlite3.Connection,
-    header: MapHeader,
-    session_id: int,
-    metadata: SessionMetadata,
-    tiles: FoldedTiles,
-    path: Path,
-) -> None:
-    """Bring a session that is not in the map into it, within the caller's transaction."""
-    show_features(connection, session_id, metadata)
-    Pyramid(tables_of(connection, header, path)).change(None, tiles)
-    touch(connection)
-
-
 def show_features(
     connection: sqlite3.Connection,
     session_id: int,

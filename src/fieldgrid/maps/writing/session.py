@@ -27,6 +27,7 @@ from fieldgrid.maps.file.metadata import (
 from fieldgrid.maps.file.records import check_pose, frame_values, is_accepted
 from fieldgrid.maps.file.schema import NOW_SQL
 from fieldgrid.maps.layers.frame import FrameCells
+from fieldgrid.maps.tiles.pyramid import Pyramid
 from fieldgrid.maps.transfer import check_cell_sizes
 from fieldgrid.maps.writing import derived
 from fieldgrid.maps.writing.placing import RECENT_FRAMES, FoldedTiles, PlacedFrame
@@ -213,7 +214,10 @@ class Session:
                 )
             put_arrays(self._connection, session_id, self._metadata.arrays)
             sum_up(self._connection, session_id, self._metadata)
-            derived.show(self._connection, header, session_id, self._metadata, tiles, self._path)
+            derived.show_features(self._connection, session_id, self._metadata)
+            tables = derived.tables_of(self._connection, header, self._path)
+            Pyramid(tables).change(None, tiles)
+            derived.touch(self._connection)
 
     def _insert_session(self) -> int:
         metadata, spec = self._metadata, self._spec
