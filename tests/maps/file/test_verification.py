@@ -12,8 +12,9 @@ import pytest
 
 from fieldgrid.core import MapError
 from fieldgrid.maps import MapFile, merge_maps, open_map
-from fieldgrid.maps.health import verification
+from fieldgrid.maps.health import feature_check, tile_check, verification
 from fieldgrid.maps.writing.placing import TileSquares
+from fieldgrid.maps.writing.subject import Subject
 from tests.maps.file.content import content
 from tests.maps.file.maps import drive, track, write_map, write_session
 
@@ -418,6 +419,20 @@ def test_repair_checks_and_folds_the_frames_once(
     with open_map(path, writable=True) as universal:
         universal.repair(1)
     assert sorted(done) == once
+
+
+def test_a_full_place_for_temporary_files_is_no_damage(
+    sound: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def small(subject: Subject) -> sqlite3.Connection:
+        scratch = feature_check.empty_map(subject)
+        (pages,) = scratch.execute("PRAGMA page_count").fetchone()
+        scratch.execute(f"PRAGMA max_page_count = {pages}")
+        return scratch
+
+    monkeypatch.setattr(tile_check, "empty_map", small)
+    with open_map(sound) as universal, pytest.raises(MapError, match=r"full.*SQLITE_TMPDIR"):
+        universal.verify(deep=True)
 
 
 def test_noise_in_the_file_never_passes_for_sound(sound: Path, tmp_path: Path) -> None:

@@ -294,6 +294,11 @@ _SENTENCES: tuple[tuple[set[int], bool | None, str], ...] = (
         "copy it and {name.name}-journal to a folder that is.",
     ),
     (
+        {sqlite3.SQLITE_FULL}, False,
+        "The place for temporary files is full, so {name} was not read to the end; free some space "
+        "there, or name another folder with SQLITE_TMPDIR.",
+    ),
+    (
         {sqlite3.SQLITE_FULL}, True,
         "The disk is full and {name} was not changed; free some space and try again.",
     ),

@@ -129,6 +129,8 @@ def problems(subject: Subject, checks: Sequence[Check]) -> Iterator[str]:
             found += 1
             yield shortened(error, LONGEST_PROBLEM)
         except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
+            if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
+                raise  # of the place for temporary files, which says nothing of the map
             found += 1
             yield f"The file is damaged: {shortened(error)}."
         if check is check_types and found > before:
