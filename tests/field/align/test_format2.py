@@ -41,7 +41,7 @@ def older(path: Path, drives: Mapping[str, Drive]) -> Path:
                 hashed = hashlib.sha256(as_json(values))
                 hashed.update(grid.density.tobytes())
                 hashed.update(np.packbits(grid.observed).tobytes())
-                cells = {c.name: c.data for c in encode_channels(grid, {})}
+                cells = {c.name: c.data for c in encode_channels(grid, {})[0]}
                 database.execute(
                     "INSERT INTO fieldgrid_frame (session_id, frame_id, time_ns, east_m, north_m, "
                     "up_m, heading_deg, position_sigma_m, heading_sigma_deg, speed_mps, status, "

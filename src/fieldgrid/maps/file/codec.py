@@ -73,8 +73,11 @@ class EncodedChannel(NamedTuple):
     data: bytes
 
 
-def encode_channels(grid: LocalGrid, extra: Mapping[str, AnyArray]) -> tuple[EncodedChannel, ...]:
-    """The channels of a frame, ordered by name; ConfigError for one that cannot be stored.
+def encode_channels(
+    grid: LocalGrid, extra: Mapping[str, AnyArray]
+) -> tuple[tuple[EncodedChannel, ...], str]:
+    """The channels of a frame, ordered by name, and their `cells_sha256`; ConfigError for one that
+    cannot be stored.
 
     The density of a cell that was not observed means nothing and is stored as 0.
     """
@@ -99,14 +102,15 @@ def encode_channels(grid: LocalGrid, extra: Mapping[str, AnyArray]) -> tuple[Enc
                 f"numbers of at most 64 bits in shape {grid.spec.shape}, one a cell of the local "
                 "grid."
             )
-    encoded = []
+    encoded, hashed = [], hashlib.sha256()
     for name, dtype, raw in _channels(FrameCells(grid, extra)):
+        _add(hashed, name, dtype, grid.spec, raw)
         size = 1 if dtype == BITS else np.dtype(dtype).itemsize
         if size > 1:
             raw = np.ascontiguousarray(np.frombuffer(raw, np.uint8).reshape(-1, size).T).data
         strategy = zlib.Z_DEFAULT_STRATEGY if dtype == BITS else zlib.Z_RLE
         encoded.append(EncodedChannel(name, dtype, deflate(raw, strategy)))
-    return tuple(encoded)
+    return tuple(encoded), hashed.hexdigest()
 
 
 def _channels(cells: FrameCells) -> Iterator[tuple[str, str, memoryview]]:
@@ -179,10 +183,15 @@ def cells_sha256(cells: FrameCells) -> str:
     """The SHA-256 of a frame's channels, uncompressed, whatever compressor stored them."""
     hashed = hashlib.sha256()
     for name, dtype, raw in _channels(cells):
-        head = json.dumps([name, dtype, list(cells.grid.spec.shape)], separators=(",", ":"))
-        hashed.update(head.encode() + b"\n")
-        hashed.update(raw)
+        _add(hashed, name, dtype, cells.grid.spec, raw)
     return hashed.hexdigest()
+
+
+def _add(hashed: Any, name: str, dtype: str, spec: GridSpec, raw: memoryview) -> None:
+    """Hash a channel."""
+    head = json.dumps([name, dtype, list(spec.shape)], separators=(",", ":"))
+    hashed.update(head.encode() + b"\n")
+    hashed.update(raw)
 
 
 def _little(array: AnyArray) -> np.dtype[np.generic]:

@@ -28,7 +28,7 @@ from fieldgrid.core import (
     parse_json,
 )
 from fieldgrid.geometry import GridSpec, LocalGrid
-from fieldgrid.maps.file.codec import EncodedChannel, cells_sha256, decode_cells, encode_channels
+from fieldgrid.maps.file.codec import EncodedChannel, decode_cells, encode_channels
 from fieldgrid.maps.layers.frame import FrameCells
 
 _MAGIC = b"fieldgrid stage 1\n"
@@ -80,13 +80,13 @@ def stage(
 
     Raises ConfigError for a channel that is no array of numbers of the grid's shape.
     """
-    cells = FrameCells(grid, channels or {})
+    encoded, sha256 = encode_channels(grid, channels or {})
     return StagedFrame(
         str(frame_id),
         int(time_ns),
         grid.spec,
-        encode_channels(grid, cells.channels),
-        cells_sha256(cells),
+        encoded,
+        sha256,
         tuple(str(image) for image in images),
         tuple(str(value) for value in images_sha256),
         bool(ground_found),
