@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from fieldgrid.core import ConfigError, MapError
-from fieldgrid.geometry import Bounds, Window
+from fieldgrid.geometry import Bounds
 from fieldgrid.maps import MapFile, MapView, Patience, open_map
 from fieldgrid.maps.views import blocks
 from tests.maps.file.maps import drive, one_cell, write_map
@@ -84,14 +84,6 @@ def test_they_come_from_the_north_and_where_something_is(universal: MapFile) -> 
     tops = [window.j0 + window.height for window in windows]
     assert tops == sorted(tops, reverse=True)
     assert all(window.j0 % 1024 == 0 or window.j0 == cut.window.j0 for window in windows)
-
-
-def test_a_window_is_cut_without_gap_or_overlap() -> None:
-    whole = Window(-9000, -1100, 18000, 2300)
-    parts = list(blocks.windows(whole))
-    assert sum(part.width * part.height for part in parts) == whole.width * whole.height
-    assert len({(part.i0, part.j0) for part in parts}) == len(parts) == 4 * 4
-    assert all(whole.intersect(part) == part for part in parts)
 
 
 def test_nobody_changes_the_map_meanwhile(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -174,11 +175,11 @@ def test_a_worker_that_lacks_what_is_asked_for_is_told(
             request = blocks_module.Request(
                 blocks.lattice, blocks.window, universal.transfer, layers=("max",)
             )
-        packed = pickle.dumps(blocks_module._BlockReader(content, request))
+        packed = pickle.dumps(partial(blocks_module._block_views, content, request))
     with monkeypatch.context() as patched:
         patched.setattr(sharing, "LAYERS", {})
         with pytest.raises(ClusterError, match="does not know the layer 'max'; start it with"):
-            pickle.loads(packed)
+            pickle.loads(packed)(request.window)
     (tmp_path / "a.gpkg").unlink()
     with pytest.raises(ClusterError, match=r"a\.gpkg does not exist on the worker .*; mount or"):
         pickle.loads(packed)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fieldgrid.geometry import GROUND_CHANNEL, LocalGrid, Window
-from fieldgrid.maps import Transfer, create_map, open_map
+from fieldgrid.core import MapError
+from fieldgrid.geometry import GROUND_CHANNEL, Bounds, LocalGrid, Window
+from fieldgrid.maps import LAYERS, Transfer, create_map, open_map
 from tests.maps.file.maps import DATUM
 from tests.maps.file.terrain import (
     SPEC,
@@ -72,3 +75,33 @@ def test_a_frame_that_saw_the_rest_of_a_block_counts_in_each_of_its_cells(
             cell, layers=["height"], frame_filter=lambda one: one.pose.time_ns > 0
         )
     assert folded.layer("height") == stored.layer("height") != alone.layer("height")
+
+
+def test_layers_that_are_folded_read_no_more_of_frames_than_they_need(tmp_path: Path) -> None:
+    path = write_drives(tmp_path / "map.gpkg", {"a": 0.0, "b": 90.0})
+    layers = ["count", "variance", "max"]
+    with open_map(path) as universal:
+        before = universal.read(layers=layers)
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("UPDATE fieldgrid_grid SET data = x'00' WHERE channel = 'step_cm'")
+    with open_map(path) as universal:
+        after = universal.read(layers=layers)
+        for name in ("density", *layers):
+            np.testing.assert_array_equal(after.layer(name), before.layer(name))
+        with pytest.raises(MapError, match="step_cm"):
+            universal.read(layers=["step"])
+
+
+@pytest.mark.parametrize("at", [None, "b"])
+def test_layers_that_are_folded_beside_kept_ones_are_as_if_all_were_kept(
+    at: str | None, tmp_path: Path
+) -> None:
+    path = write_drives(tmp_path / "map.gpkg", {"a": 0.0, "b": 90.0, "c": 17.0})
+    part = Bounds(-1.03, -0.49, 1.51, 1.27)  # where four tiles meet
+    with open_map(path) as universal:
+        folded = universal.read(part, layers=list(LAYERS), at=at)
+    with open_map(path, writable=True) as universal:
+        universal.repair(layers=["all"])
+        kept = universal.read(part, layers=list(LAYERS), at=at)
+    for name in ("observed", *LAYERS):
+        np.testing.assert_array_equal(folded.layer(name), kept.layer(name), err_msg=name)

@@ -79,10 +79,9 @@ def find_blocks(folder: Path, *, verify: bool = False, jobs: int | None = None) 
 
     ConfigError when there is no such folder, or no file that ends in .gpkg in it.
     """
-    if folder.exists() and not folder.is_dir():
-        raise ConfigError(f"{folder} is no folder; give the folder in which the maps are.")
     if not folder.is_dir():
-        raise ConfigError(f"{folder} does not exist; give the folder in which the maps are.")
+        what = "is no folder" if folder.exists() else "does not exist"
+        raise ConfigError(f"{folder} {what}; give the folder in which the maps are.")
     files = map_files(folder)
     if not files:
         raise ConfigError(f"{folder} has no file that ends in {ENDING}; build maps into it first.")

@@ -7,7 +7,7 @@ joined own cells, where sums do not say it all.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
 from itertools import chain
@@ -23,14 +23,14 @@ from fieldgrid.maps.file.evidence import EvidenceTables, reaches
 from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.file.records import FrameRecord
 from fieldgrid.maps.layers.blocks import whole_blocks
-from fieldgrid.maps.layers.declaration import Cells, ChannelGroup, Combine
+from fieldgrid.maps.layers.declaration import Cells, ChannelGroup
 from fieldgrid.maps.layers.registry import GROUPS, channel_names, groups_of
-from fieldgrid.maps.layers.window import with_overviews
+from fieldgrid.maps.layers.window import assembled
 from fieldgrid.maps.vector.marks import Mark
-from fieldgrid.maps.views.base_cells import Multiple, enlarged, follows_from_touched
-from fieldgrid.maps.views.content import MapContent
+from fieldgrid.maps.views.base_cells import Multiple, enlarged
+from fieldgrid.maps.views.content import MapContent, resampled
 from fieldgrid.maps.views.read import Request, chunks
-from fieldgrid.maps.views.sources import CellSource, FoldedOverBase, LargerCells, assembled
+from fieldgrid.maps.views.sources import CellSource, LargerCells, Together
 from fieldgrid.maps.views.view import MapView
 from fieldgrid.maps.writing.redatum import Redatum
 from fieldgrid.maps.writing.sharing import check_known, known_groups
@@ -119,18 +119,11 @@ class FarmContent:
         by = enlarged(groups, lattice, request.lattice)
         own = request._replace(lattice=lattice, window=by.under(request.window))
         if not isinstance(by, Multiple):
-            folded = self._joined(
-                request, groups, lambda content, asked, kept: content.session_source(asked, kept)
-            )
-            if not request.beyond_density:
-                return folded, 1
-            touched = tuple(group for group in groups if follows_from_touched(group))
-            base = LargerCells(self._own_cells(own, touched), by._replace(groups=touched))
-            return FoldedOverBase(folded, base, groups), by.factor
-        exact = LargerCells(self._own_cells(own, groups), by)
+            return resampled(self, request, own, by)
+        exact = LargerCells(self.own_cells(own, groups)[0], by)
         if by.factor == 1:
             return exact, 1
-        needed = exact if request.beyond_density else None
+        needed = exact if request.layers else None
         alone = [
             _FromMap(
                 self._maps,
@@ -143,27 +136,37 @@ class FarmContent:
         ]
         return _Neighbours(alone, needed, groups, by.factor), 1
 
-    def _own_cells(self, request: Request, groups: Sequence[ChannelGroup]) -> CellSource:
+    def own_cells(
+        self, request: Request, groups: tuple[ChannelGroup, ...]
+    ) -> tuple[CellSource, int]:
+        """See `Content`."""
         return self._joined(
             request, groups, lambda content, asked, kept: content.own_cells(asked, kept)[0]
+        ), 1
+
+    def folded(self, request: Request, groups: tuple[ChannelGroup, ...]) -> CellSource:
+        """See `Content`."""
+        return self._joined(
+            request, groups, lambda content, asked, kept: content.folded(asked, kept)
         )
 
     def _joined(
         self,
         request: Request,
-        groups: Sequence[ChannelGroup],
+        groups: tuple[ChannelGroup, ...],
         source: Callable[[MapContent, Request, tuple[ChannelGroup, ...]], CellSource],
     ) -> CellSource:
         """The cells of all maps as those of one; `source` finds the cells of a map."""
         kept = tuple(group for group in groups if not group.derived)
-        return _JoinedSessions(
+        together = _TogetherCells(
             [
                 _FromMap(self._maps, part, asked, lambda c, asked: source(c, asked, kept))
                 for part in self._parts
                 if (asked := part.request(request)) is not None
             ],
-            groups,
+            kept,
         )
+        return Together([together], groups)
 
 
 def _arrived(
@@ -207,27 +210,16 @@ class _FromMap:
             return found
 
 
-class _JoinedSessions:
-    """The sessions of several maps together, cell by cell."""
+class _TogetherCells:
+    """The cells of several maps as their sessions meet in them."""
 
     def __init__(self, sources: Sequence[_FromMap], groups: Sequence[ChannelGroup]) -> None:
         self._sources, self._groups = sources, groups
 
     def merged(self, window: Window) -> Cells | None:
         """See `CellSource`."""
-        total: Cells | None = None
-        for source in self._sources:
-            if (found := source.near(window)) is None:
-                continue
-            part, cells = found
-            if total is None:
-                total = _empty_like(cells, window)
-            for group in self._groups:
-                for channel in group.channels:
-                    inside = total[channel.name][window.slices_of(part)]
-                    how = np.maximum if channel.sessions is Combine.MAX else np.add
-                    how(inside, cells[channel.name], out=inside)
-        return None if total is None else with_overviews(self._groups, total)
+        found = (source.near(window) for source in self._sources)
+        return assembled(self._groups, window, filter(None, found))
 
 
 class _Neighbours:
@@ -249,34 +241,23 @@ class _Neighbours:
 
     def merged(self, window: Window) -> Cells | None:
         """See `CellSource`."""
-        total: Cells | None = None
-        maps = np.zeros(window.shape, np.uint16)
-        for source in self._alone:
-            if (found := source.near(window)) is None:
-                continue
-            part, cells = found
-            place = window.slices_of(part)
+        maps, parts = np.zeros(window.shape, np.uint16), []
+        for part, cells in filter(None, (source.near(window) for source in self._alone)):
             # Of a block that it saw a part of, a map tells in the cells beside that, too.
             tell = (cells[name] != 0 for name in self._tell if name in cells)
-            maps[place] += reduce(np.logical_or, tell)
-            if total is None:
-                total = _empty_like(cells, window)
-            for name, values in cells.items():
-                total[name][place] += values
-        if total is None or self._exact is None:
+            maps[window.slices_of(part)] += reduce(np.logical_or, tell)
+            parts.append((part, cells))
+        total = assembled((), window, parts)
+        if total is None or self._exact is None or maps.max() < 2:
             return total
+        arrays = {name: np.array(values) for name, values in total.items()}
         for chunk in chunks(window, self._factor):
             place = window.slices_of(chunk)
             if (maps[place] > 1).any():
                 exact = self._exact.merged(chunk)
-                for name, values in total.items():
+                for name, values in arrays.items():
                     values[place] = 0 if exact is None else exact[name]
-        return total
-
-
-def _empty_like(cells: Cells, window: Window) -> Cells:
-    """Cells of a window that nobody saw, with the channels of others."""
-    return Cells({name: np.zeros(window.shape, np.uint64) for name in cells}, cells.base_cells)
+        return Cells(arrays, total.base_cells)
 
 
 class _WholeChunks:
@@ -287,14 +268,8 @@ class _WholeChunks:
 
     def merged(self, window: Window) -> Cells | None:
         """See `CellSource`."""
-
-        def found() -> Iterator[tuple[Window, Cells]]:
-            for chunk in chunks(window, self._factor):
-                cells = self._source.merged(chunk)
-                if cells is not None:
-                    yield chunk, cells
-
-        return assembled(window, found())
+        parts = chunks(window, self._factor)
+        return assembled((), window, ((chunk, self._source.merged(chunk)) for chunk in parts))
 
 
 class _RebasedEvidence(EvidenceTables):

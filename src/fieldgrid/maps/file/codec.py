@@ -152,7 +152,9 @@ def decode_channel(spec: GridSpec, dtype: object, data: object, what: str) -> An
     except (TypeError, ValueError) as error:
         raise damaged(what, str(error)) from error
     planes = np.frombuffer(inflate(data, cells * kind.itemsize, what), dtype=np.uint8)
-    values = planes.reshape(kind.itemsize, cells).T.copy()  # its own, so that it can be written
+    # Its own, so that it can be written.
+    one_byte = kind.itemsize == 1
+    values = planes.copy() if one_byte else planes.reshape(kind.itemsize, cells).T.copy()
     return values.reshape(-1).view(kind).reshape(spec.shape)
 
 

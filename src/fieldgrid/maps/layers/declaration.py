@@ -7,7 +7,7 @@ channels. Nothing here depends on the order of frames or sessions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
@@ -33,7 +33,7 @@ class Combine(StrEnum):
     """Of base cells only: a larger cell has no such channel."""
 
 
-class Cells(Mapping[str, UInt64]):
+class Cells(dict[str, UInt64]):
     """The channels of some cells by name, uint64 [rows north, columns east].
 
     Each cell stands for `base_cells` cells of the lattice that frames were folded into. Where that
@@ -43,18 +43,9 @@ class Cells(Mapping[str, UInt64]):
     """
 
     def __init__(self, arrays: Mapping[str, UInt64], base_cells: int = 1, block: int = 1) -> None:
-        self._arrays = dict(arrays)
+        super().__init__(arrays)
         self.base_cells = base_cells
         self.block = block
-
-    def __getitem__(self, name: str) -> UInt64:
-        return self._arrays[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._arrays)
-
-    def __len__(self) -> int:
-        return len(self._arrays)
 
     @property
     def observed(self) -> Bool:
@@ -135,14 +126,16 @@ class ChannelGroup:
 
     They come from the frames (`fold`, given the number of cells and the lattice) or from a
     session's finished density (`of_session`, given its `Cells`; returns [channels, ...]). `frame`
-    names channels of a frame's evidence that are needed beyond density and mask. `expected` guesses
+    names channels of a frame's evidence that are needed beyond density and mask; others may be left
+    out. `expected` guesses
     each channel from a cell's weight and sum, flat arrays, as they are when it was seen once or
     always alike: what is stored is the difference, which is mostly 0 and costs nothing. It must
     give 0 for a cell of weight 0. With `blocks` there is one value for each block of cells
     (`maps.layers.blocks`), of which `fold` is given the number; such a group has no
-    `expected`. `overview_of_base` makes the overview channels that share a calculation, those
-    without `of_base`, at once. `unfold` makes the channels of a part of the window from what the
-    fold gave of it, where that is less; it must give 0 for 0.
+    `expected`. `of_frames` says that the frames of several sessions fold into what these make
+    together, so that a read folds them at once. `overview_of_base` makes the overview channels that
+    share a calculation, those without `of_base`, at once. `unfold` makes the channels of a part of
+    the window from what the fold gave of it, where that is less; it must give 0 for 0.
 
     A group without channels is *derived*: its overview channels follow from base cells of the
     groups that it `follows_from`, and are never stored.
@@ -159,6 +152,7 @@ class ChannelGroup:
     frame: tuple[str, ...] = ()
     follows_from: tuple[str, ...] = ()
     blocks: bool = False
+    of_frames: bool = False
 
     @property
     def derived(self) -> bool:

@@ -23,6 +23,9 @@ from fieldgrid.maps.layers.declaration import (
 from fieldgrid.maps.layers.frame import FrameCells, FrameInPlace
 from fieldgrid.maps.transfer import Landing, Transfer, land
 
+FOR_KERNELS = ("weight", "sum")
+"""Kernels take no channel that takes no memory."""
+
 
 class WindowFold:
     """The frames of one session over a window: all that groups accumulate of them.
@@ -85,7 +88,10 @@ class WindowFold:
         if part is not None and self._window.union(part) != self._window:
             common = self._window.intersect(part)
             assert common is not None
-            return self._within(part, self.cells(common, whole_blocks=whole_blocks))
+            cells = self.cells(common, whole_blocks=whole_blocks)
+            found = assembled(self._groups, part, [(common, cells)], whole_blocks=whole_blocks)
+            assert found is not None
+            return found
         inside, arrays = part or self._asked, dict[str, UInt64]()
         for group in self._groups:
             if group.derived:
@@ -104,23 +110,6 @@ class WindowFold:
                 )
         return Cells(arrays, block=self._side if whole_blocks else 1)
 
-    def _within(self, whole: Window, cells: Cells) -> Cells:
-        """The cells of a part of a window as those of the whole."""
-        common = self._window.intersect(whole)
-        assert common is not None
-        arrays = dict[str, UInt64]()
-        for group in self._groups:
-            side = cells.block if group.blocks else 1
-            under = blocks_under(whole, side)
-            inside = under.slices_of(blocks_under(common, side))
-            for name in (channel.name for channel in group.channels):
-                if is_nothing(cells[name]):
-                    arrays[name] = nothing(under.shape)
-                else:
-                    arrays[name] = np.zeros(under.shape, np.uint64)
-                    arrays[name][inside] = cells[name]
-        return Cells(arrays, block=cells.block)
-
     def _finish(self) -> None:
         """Take the channels from the folds: nothing of blocks in which no cell was observed."""
         folds, self._folds = self._folds, {}
@@ -130,7 +119,7 @@ class WindowFold:
                 continue
             made = folds.pop(group.name).channels()
             channels = [one.reshape(self._units(group).shape) for one in made]
-            if group is self._groups[0]:
+            if group is self._groups[0] and any(other.blocks for other in self._groups):
                 side, (height, width) = self._side, self._under.shape
                 weighty = (channels[0] > 0).reshape(height, side, width, side)
                 seen = np.logical_or.reduce(weighty, axis=(1, 3))
@@ -201,6 +190,57 @@ def combined(how: Combine, a: UInt64, b: UInt64) -> UInt64:
     if is_nothing(a) or is_nothing(b):
         return b if is_nothing(a) else a
     return np.maximum(a, b) if how is Combine.MAX else a + b
+
+
+def assembled(
+    groups: Iterable[ChannelGroup],
+    window: Window,
+    parts: Iterable[tuple[Window, Cells | None]],
+    *,
+    whole_blocks: bool = False,
+) -> Cells | None:
+    """The cells of a window from windows that it touches, as sessions meet in them; None when there
+    are none.
+
+    What has one value for each block of a part has one for each cell here, unless both consist of
+    `whole_blocks` and are to keep them.
+    """
+    highest = {
+        channel.name
+        for group in groups
+        for channel in group.channels
+        if channel.sessions is Combine.MAX
+    }
+    arrays, shapes = dict[str, UInt64](), dict[str, tuple[int, int]]()
+    base_cells = block = 1
+    for whole, cells in parts:
+        part = whole.intersect(window)
+        if cells is None or part is None:
+            continue
+        base_cells, block = cells.base_cells, cells.block if whole_blocks else 1
+        for name, values in cells.items():
+            side = whole.width // values.shape[1]
+            under = blocks_under(window, side if whole_blocks else 1)
+            shapes[name] = under.shape
+            if is_nothing(values) and name not in FOR_KERNELS:
+                continue
+            is_all = whole == window and values.shape == under.shape and values.flags.writeable
+            if name not in arrays and is_all:
+                arrays[name] = values
+                continue
+            if name not in arrays:
+                arrays[name] = np.zeros(under.shape, np.uint64)
+            touched = blocks_under(part, side)
+            found = values[blocks_under(whole, side).slices_of(touched)]
+            if whole_blocks:
+                inside = arrays[name][under.slices_of(touched)]
+            else:
+                inside, found = arrays[name][under.slices_of(part)], at_cells(found, part, side)
+            (np.maximum if name in highest else np.add)(inside, found, out=inside)
+    if not shapes:
+        return None
+    whole_arrays = {name: arrays.get(name, nothing(shape)) for name, shape in shapes.items()}
+    return Cells(whole_arrays, base_cells, block)
 
 
 def with_overviews(groups: Iterable[ChannelGroup], cells: Cells) -> Cells:

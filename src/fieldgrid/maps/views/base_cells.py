@@ -7,7 +7,6 @@ channels follow from them: the highest of all that it touches, and how much of i
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import reduce
 from typing import NamedTuple, TypeVar
 
@@ -30,7 +29,7 @@ _ROUNDING = 1e-9
 class Multiple(NamedTuple):
     """Cells of which each is a square of `factor` x `factor` of the map's own; all channels."""
 
-    groups: Sequence[ChannelGroup]
+    groups: tuple[ChannelGroup, ...]
     factor: int
 
     def under(self, window: Window) -> Window:
@@ -58,7 +57,7 @@ class Resampling(NamedTuple):
     These are maxima, and channels of overviews: how much was seen is counted in `PARTS` squared.
     """
 
-    groups: Sequence[ChannelGroup]
+    groups: tuple[ChannelGroup, ...]
     own: Lattice
     lattice: Lattice
 
@@ -108,7 +107,7 @@ def follows_from_touched(group: ChannelGroup) -> bool:
 
 
 def enlarged(
-    groups: Sequence[ChannelGroup], own: Lattice, lattice: Lattice
+    groups: tuple[ChannelGroup, ...], own: Lattice, lattice: Lattice
 ) -> Multiple | Resampling:
     """How the cells of a lattice follow from those of the map's own."""
     factor = round(lattice.cell_m / own.cell_m)

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
+from functools import partial
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from fieldgrid.core import ConfigError, Runner
 from fieldgrid.geometry import TILE_CELLS, Lattice, Window, aligned_parts
@@ -39,26 +40,11 @@ class MapBlocks(NamedTuple):
     levels: Mapping[Lattice, Window] = MappingProxyType({})
 
 
-class _BlockReader:
-    """Reads blocks of a view. Pickled it is where the map lies: each worker reads there."""
-
-    def __init__(self, content: Content, request: Request) -> None:
-        self._of = content, request
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _arrived, self._of
-
-    def __call__(self, window: Window) -> list[MapView]:
-        """The view of a block, and its overviews; none where nothing was observed or marked."""
-        content, request = self._of
-        views = read_views(content, request._replace(window=window))
-        return views if views[0].observed.any() or views[0].is_marked else []
-
-
-def _arrived(content: Content, request: Request) -> _BlockReader:
-    check_known((), request.layers)
-    # The cluster has a task for each of its threads.
-    return _BlockReader(content, request._replace(jobs=1))
+def _block_views(content: Content, request: Request, window: Window) -> list[MapView]:
+    """The view of a block, and its overviews; none where nothing was observed or marked."""
+    check_known((), request.layers)  # a worker of a cluster may not know a layer
+    views = read_views(content, request._replace(window=window))
+    return views if views[0].observed.any() or views[0].is_marked else []
 
 
 @contextmanager
@@ -80,13 +66,10 @@ def blocks_of(
             f"{window.width:.6g} x {window.height:.6g} cells of {request.lattice.cell_m} m are "
             f"over {MAX_CELLS / 1e9:.0f} thousand million; give smaller bounds or a larger cell."
         )
-    blocks = run.in_order(_BlockReader(content, request), windows(window), most=_MOST)
-    larger = [request.at_level(level) for level in range(1, request.levels + 1)]
+    read = partial(_block_views, content, request)
+    northern_first = sorted(aligned_parts(window, _ROWS, _COLUMNS), key=lambda part: -part.j0)
+    blocks = run.in_order(read, northern_first, most=_MOST)
+    larger = map(request.at_level, range(1, request.levels + 1))
     levels = {one.lattice: one.window for one in larger}
     with closing(view for block in blocks for view in block) as views:
         yield MapBlocks(request.lattice, window, views, levels)
-
-
-def windows(whole: Window) -> list[Window]:
-    """A window cut where tiles begin, the northern rows first."""
-    return sorted(aligned_parts(whole, _ROWS, _COLUMNS), key=lambda part: -part.j0)

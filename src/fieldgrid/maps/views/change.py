@@ -6,15 +6,21 @@ compared with what the drives after it and up to the second found there, again t
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from enum import IntEnum
+from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.core import UInt8
+from fieldgrid.core import ConfigError, UInt8, in_order
 from fieldgrid.geometry import OBSTACLE_ABOVE, Bounds, Datum, Lattice, Window
-from fieldgrid.maps.layers.declaration import Cells
+from fieldgrid.maps.file.history import until
+from fieldgrid.maps.layers.registry import GROUPS
+from fieldgrid.maps.transfer import check_cell_sizes
+from fieldgrid.maps.views.base_cells import enlarged
+from fieldgrid.maps.views.content import MapContent
+from fieldgrid.maps.views.read import Request, chunks
+from fieldgrid.maps.views.view import check_size
 
 
 class Change(IntEnum):
@@ -77,23 +83,52 @@ class ChangeView:
         return float((self.change == change).sum()) / self.lattice.cells_per_m**2
 
 
-def latest_states(
-    shape: tuple[int, int], sessions: Iterable[tuple[str, Cells]], after: Collection[str]
-) -> UInt8:
-    """The latest state of cells before and after a moment, uint8 [2, *shape]: 0 not observed,
-    1 no obstacle, 2 obstacle. The sessions come in the order of their drives."""
-    states = np.zeros((2, *shape), dtype=np.uint8)
-    for name, cells in sessions:
-        state = np.where(cells["peak"] > OBSTACLE_ABOVE, np.uint8(2), np.uint8(1))
-        np.copyto(states[int(name in after)], state, where=cells["seen"] > 0)
-    return states
+def read_change(
+    content: MapContent,
+    request: Request,
+    between: tuple[str | int, str | int],
+    path: Path,
+) -> ChangeView:
+    """What changed between two moments; ConfigError when no drive is up to or after the first.
 
+    In cells of any size an obstacle is what holds one of the map's own cells that is one, and it
+    is gone only where each of those was seen again.
+    """
+    check_size(request.lattice, request.window)
+    header, sessions = content.header, content.evidence.sessions()
+    early, late = ([info.name for info in until(at, sessions, path)] for at in between)
+    late = [name for name in late if name not in early]
+    if not early or not late:
+        gap = f"after {between[0]} and up to {between[1]}" if early else f"up to {between[0]}"
+        raise ConfigError(
+            f"{path} has no session {gap}, so there is nothing to compare; `fieldgrid sessions` "
+            "lists the dates of its drives."
+        )
+    for info in sessions:
+        if info.grid is not None and info.name in (*early, *late):
+            check_cell_sizes(request.lattice.cell_m, info.grid.cell_m)
+    change = np.zeros(request.window.shape, dtype=np.uint8)
+    groups = (GROUPS["density"],)
+    by = enlarged(groups, header.lattice, request.lattice)
+    own = request._replace(
+        lattice=header.lattice,
+        window=by.under(request.window),
+        sessions=(*early, *late),
+    )
+    source = content.session_source(own, groups)
 
-def unseen(states: UInt8) -> UInt8:
-    """Obstacles that were not observed after the moment, uint8 [rows, columns] of 0 and 1."""
-    return np.asarray((states[0] == 2) & (states[1] == 0), dtype=np.uint8)
+    def fill(chunk: Window) -> None:
+        under = by.under(chunk)
+        states = np.zeros((2, *under.shape), dtype=np.uint8)
+        for name, cells in source.by_session(under):
+            state = np.where(cells["peak"] > OBSTACLE_ABOVE, np.uint8(2), np.uint8(1))
+            np.copyto(states[int(name in late)], state, where=cells["seen"] > 0)
+        unseen = ((states[0] == 2) & (states[1] == 0)).astype(np.uint8)
+        before, after, lost = (by.highest(values, chunk) for values in (*states, unseen))
+        after[(lost > 0) & (after == 1)] = 0
+        change[request.window.slices_of(chunk)] = _OUTCOME[before, after]
 
-
-def outcome(states: UInt8) -> UInt8:
-    """The `Change` of cells, from their states before and after."""
-    return np.asarray(_OUTCOME[states[0], states[1]])
+    for _ in in_order(fill, chunks(request.window, by.factor)):
+        pass
+    names = tuple(early), tuple(late)
+    return ChangeView(request.lattice, request.window, change, header.datum, *names)

@@ -24,8 +24,8 @@ from fieldgrid.maps.health.verification import HealthReport, verify
 from fieldgrid.maps.transfer import Averaging, Transfer
 from fieldgrid.maps.vector.marks import Mark, read_marks
 from fieldgrid.maps.vector.stored_features import StoredFeatures, read_stored_features
-from fieldgrid.maps.views.change import ChangeView
-from fieldgrid.maps.views.content import MapContent, read_change
+from fieldgrid.maps.views.change import ChangeView, read_change
+from fieldgrid.maps.views.content import MapContent
 from fieldgrid.maps.views.read import read_views
 from fieldgrid.maps.views.readable import DrivenMap, Selection
 from fieldgrid.maps.views.view import DECISION_LAYERS, DROP_LAYERS, MapView

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import numpy as np
+
 from fieldgrid.geometry import Bounds, Lattice, Pose, Window
 from fieldgrid.maps.file.records import FrameRecord
-from fieldgrid.maps.transfer import CELL_WEIGHT, MeanFold, Transfer
+from fieldgrid.maps.transfer import CELL_WEIGHT, MeanFold, Transfer, mean_density
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +55,12 @@ def trace(
     i, j = (int(index) for index in lattice.index(east_m, north_m))
     cell = Window(i, j, 1, 1)
     found: list[Contribution] = []
-    total = MeanFold(lattice, cell, transfer)
+    total = np.zeros((2, 1), np.uint64)
     for frame in frames:
-        grid, alone = frame.grid(), MeanFold(lattice, cell, transfer)
-        total.add(grid, frame.pose)
-        alone.add(grid, frame.pose)
-        weight, weighted = (int(value) for value in alone.sums[:, 0, 0])
+        alone = MeanFold(lattice, cell, transfer)
+        alone.add(frame.grid(), frame.pose)
+        total += alone.sums[:, 0]
+        weight, weighted = alone.sums[:, 0, 0].tolist()
         if weight:
             found.append(
                 Contribution(
@@ -72,6 +74,6 @@ def trace(
                     images_sha256=frame.images_sha256,
                 )
             )
-    density, observed = total.density()
-    value = int(density[0, 0]) if observed[0, 0] else None
+    density, observed = mean_density(*total)
+    value = int(density[0]) if observed[0] else None
     return Provenance(east_m, north_m, lattice.bounds(cell), value, tuple(found))

@@ -9,13 +9,13 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from fieldgrid.core import AnyArray, Bool, UInt8, in_order
+from fieldgrid.core import Bool, UInt8, in_order
 from fieldgrid.geometry import MAX_CELL_M, TILE_CELLS, Lattice, Window, aligned_parts
 from fieldgrid.maps.cost import DENSITIES
 from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.file.records import FrameRecord
 from fieldgrid.maps.layers.blocks import blocks_under
-from fieldgrid.maps.layers.declaration import Cells, Layer
+from fieldgrid.maps.layers.declaration import Cells, ChannelGroup
 from fieldgrid.maps.layers.registry import GROUPS, LAYERS, groups_of
 from fieldgrid.maps.layers.window import coarser
 from fieldgrid.maps.transfer import Averaging, Transfer, mean_density
@@ -49,6 +49,7 @@ class Request(NamedTuple):
     sessions: tuple[str, ...] | None = None
     frame_filter: Callable[[FrameRecord], bool] | None = None
     layers: tuple[str, ...] = ()
+    """Those beside the density."""
     jobs: int | None = None
     """Threads that read it, one a core when not given."""
     ways: Callable[[Request], list[DrivenWay]] | None = None
@@ -56,11 +57,6 @@ class Request(NamedTuple):
     under them is as the frames saw it."""
     levels: int = 0
     """Overviews beside it, of cells of 2, 4, ... times the side; the window is of whole ones."""
-
-    @property
-    def beyond_density(self) -> tuple[str, ...]:
-        """The layers beside the density."""
-        return tuple(name for name in self.layers if name != "density")
 
     def at_level(self, level: int) -> Request:
         """The same of an overview."""
@@ -83,6 +79,14 @@ class Content(Protocol):
 
     def fill(self, view: MapView, request: Request) -> bool:
         """Fill an empty view by a shorter way than its channels; False where there is none."""
+
+    def own_cells(
+        self, request: Request, groups: tuple[ChannelGroup, ...]
+    ) -> tuple[CellSource, int]:
+        """Where the own cells come from, and 1."""
+
+    def folded(self, request: Request, groups: tuple[ChannelGroup, ...]) -> CellSource:
+        """All that is asked for from frames folded anew."""
 
     def cell_source(self, request: Request) -> tuple[CellSource, float]:
         """Where the cells that are asked for come from, and how many of those that are looked into
@@ -140,7 +144,7 @@ def _partly_free(content: Content, request: Request, chunk: Window, cells: Bool)
     inside = j - j0, i - i0
     place = j + chunk.j0 - request.window.j0, i + chunk.i0 - request.window.i0
     worst = {}
-    for name in dict.fromkeys(("density", *(name for name in names if name in DENSITIES))):
+    for name in ("density", *(name for name in names if name in DENSITIES)):
         values = np.where(base.observed & ~free, base.layer(name), np.uint8(0))
         worst[name] = by.highest(values, part)[inside]
     seen = by.share((base.sure_share > 0.0) | free, part)[inside]
@@ -152,17 +156,14 @@ def _partly_free(content: Content, request: Request, chunk: Window, cells: Bool)
 
 def _read(content: Content, request: Request) -> list[MapView]:
     """What the drives saw, by the shortest way that gives the same bits, and its overviews."""
-    views = []
-    for level in range(request.levels + 1):
-        one = request.at_level(level)
-        is_base = one.lattice == content.header.lattice
-        view = empty_view(
-            one.lattice, one.window, content.header.datum, one.beyond_density, is_base=is_base
-        )
-        views.append(view)
-    for level, view in enumerate(views):
-        one = request.at_level(level)
-        if not content.fill(view, one):
+    requests = [request.at_level(level) for level in range(request.levels + 1)]
+    of = content.header
+    views = [
+        empty_view(one.lattice, one.window, of.datum, one.layers, is_base=one.lattice == of.lattice)
+        for one in requests
+    ]
+    for level, one in enumerate(requests):
+        if not content.fill(views[level], one):
             _fold(content, one, views[level:])
             break
     return views
@@ -197,25 +198,24 @@ def _fold(content: Content, request: Request, views: Sequence[MapView]) -> None:
                 cells["weight"][inside], cells["sum"][inside]
             )
             for name, array in view.layers.items():
-                array[place] = _layer_values(LAYERS[name], cells, view.lattice.cell_m)[inside]
+                layer = LAYERS[name]
+                values = np.where(cells["seen"] > 0, layer.values(cells), layer.nodata or 0)
+                if layer.around is not None:
+                    reach_cells = layer.around.reach_m / view.lattice.cell_m
+                    values = layer.around.of(values, reach_cells)
+                array[place] = values[inside]
 
     for _ in in_order(fill, chunks(request.window, factor), request.jobs):
         pass
 
 
-def _layer_values(layer: Layer, cells: Cells, cell_m: float) -> AnyArray:
-    """What a layer says of cells of a window, and what stands for those of which nothing was
-    observed."""
-    values = np.where(cells["seen"] > 0, layer.values(cells), layer.nodata or 0)
-    if layer.around is None:
-        return values
-    return layer.around.of(values, layer.around.reach_m / cell_m)
-
-
 def chunks(window: Window, factor: float) -> Iterator[Window]:
     """A window cut into squares of about a quarter of a million stored cells, `factor` along the
-    side of one of its own; where tiles begin, if that is a small whole number."""
+    side of one of its own; where tiles begin, if that is a small whole number. A smaller window is
+    one of them, so that no frame or tile is read twice."""
     side = TILE_CELLS if factor in (3, 5) else 1 << _most_levels(factor)
+    if max(window.shape) <= side:
+        return iter([window])
     return aligned_parts(window, side, side)
 
 

@@ -155,6 +155,8 @@ class Selection:
         many cells."""
         with runner(1, self.scheduler) as run, universal.content() as content:
             request = self.request(universal, content, layers)
+            if self.scheduler is not None:  # a cluster has a task for each of its threads
+                request = request._replace(jobs=1)
             with blocks_of(content, request, run, smallest_px) as blocks:
                 yield blocks
 
@@ -168,12 +170,13 @@ class Selection:
             chosen = self.names(universal)
             if chosen != Selection().names(universal):
                 sessions = tuple(chosen)
+        wanted = dict.fromkeys((self.layer, *self.beside, *layers))
         return Request(
             lattice,
             window,
             content.header.transfer,
             sessions=sessions,
-            layers=tuple(dict.fromkeys((self.layer, *self.beside, *layers))),
+            layers=tuple(name for name in wanted if name != "density"),
             jobs=self.jobs,
         )
 

@@ -228,8 +228,6 @@ class MapView:
             marked = MarkedCells(marked_cells(self.marks, self.lattice, self.window))
         if marked is not None:
             return marked.decide(layer, worst, seen, self.drop_m, least_drop_m)
-        if "drop" not in self.layers:
-            return Decision(worst, seen)
         return with_drops(worst, seen, self.drop_m, least_drop_m)
 
     @property
@@ -286,14 +284,9 @@ def check_size(lattice: Lattice, window: Window) -> None:
 def fold_as_the_paper(view: MapView, frames: Sequence[FrameRecord]) -> None:
     """Fill a view from frames in the order given, block by block, a grid in memory at a time."""
     for block in squares(view.window, BLOCK_CELLS):
-        inside = [
-            frame
-            for frame in frames
-            if footprint(frame.spec, frame.pose, view.lattice).intersect(block) is not None
-        ]
-        if inside:
-            fold = PaperFold(view.lattice, block)
-            for frame in inside:
+        fold = PaperFold(view.lattice, block)
+        for frame in frames:
+            if footprint(frame.spec, frame.pose, view.lattice).intersect(block) is not None:
                 fold.add(frame.grid(), frame.pose)
-            place = view.window.slices_of(block)
-            view.density[place], view.observed[place] = fold.density()
+        place = view.window.slices_of(block)
+        view.density[place], view.observed[place] = fold.density()

@@ -41,6 +41,7 @@ GROUP = ChannelGroup(
     (Channel("frames", coarser=Combine.MAX, signed=True),),
     fold=_FrameCount,
     expected=lambda weight, _: frames_of_weight(weight)[None],
+    of_frames=True,
 )
 
 COUNT = Layer(

@@ -42,6 +42,7 @@ GROUP = ChannelGroup(
     "density",
     (Channel("weight"), Channel("sum")),
     fold=_Sums,
+    of_frames=True,
     overview=(
         OverviewChannel("peak", Combine.MAX, lambda cells: mean(cells).astype(np.uint64)),
         OverviewChannel("seen", Combine.SUM, lambda cells: cells.observed.astype(np.uint64)),

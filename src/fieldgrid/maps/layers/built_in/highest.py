@@ -36,18 +36,8 @@ def raise_to(values, cell, shift, spans, highest):  # type: ignore[no-untyped-de
 
 def _expected(weight: UInt64, total: UInt64) -> UInt64:
     """The mean rounded up, which the highest value is not below."""
-    expected = np.empty((1, weight.size), dtype=np.uint64)
-    divide_upwards(weight, total, expected[0])
-    return expected
-
-
-@kernel
-def divide_upwards(weight, total, expected):  # type: ignore[no-untyped-def]
-    """Fill `expected` with total / weight, rounded up; 0 where the total is."""
-    one = np.uint64(1)
-    for k in range(weight.size):
-        divisor = max(weight[k], one)
-        expected[k] = 0 if total[k] == 0 else (total[k] + divisor - one) // divisor
+    divisor = np.maximum(weight, np.uint64(1))
+    return ((total + divisor - np.uint64(1)) // divisor)[None]
 
 
 GROUP = ChannelGroup(
@@ -55,6 +45,7 @@ GROUP = ChannelGroup(
     (Channel("highest", Combine.MAX, Combine.MAX),),
     fold=_Highest,
     expected=_expected,
+    of_frames=True,
 )
 
 MAX = Layer(

@@ -104,18 +104,10 @@ def add_log_odds(density, drops_cm, cell, shift, spans, number, says, worth, cel
 
 def _expected(weight: UInt64, total: UInt64) -> UInt64:
     """As if all frames agreed."""
-    odds = np.empty((1, weight.size), dtype=np.int64)
-    fill_agreed(frames_of_weight(weight).view(np.int64), weight, total, odds[0])
-    return odds.view(np.uint64)
-
-
-@kernel
-def fill_agreed(frames, weight, total, odds):  # type: ignore[no-untyped-def]
-    """Fill `odds` with the log-odds of cells in which all frames saw the same."""
-    for k in range(odds.size):
-        free = max(FREE * frames[k], LEAST) if total[k] == 0 else 0
-        is_obstacle = total[k] > weight[k] * np.uint64(OBSTACLE_ABOVE)
-        odds[k] = min(OCCUPIED * frames[k], MOST) if is_obstacle else free
+    frames = frames_of_weight(weight).view(np.int64)
+    free = np.where(total == 0, np.maximum(FREE * frames, LEAST), 0)
+    is_obstacle = total > weight * np.uint64(OBSTACLE_ABOVE)
+    return np.where(is_obstacle, np.minimum(OCCUPIED * frames, MOST), free).view(np.uint64)[None]
 
 
 def _of_base(cells: Cells) -> UInt64:
@@ -135,6 +127,7 @@ GROUP = ChannelGroup(
     fold=_LogOdds,
     overview=(OverviewChannel("most_occupied", Combine.MAX, _of_base),),
     expected=_expected,
+    frame=(DROP_CHANNEL,),
 )
 
 OCCUPANCY = Layer(

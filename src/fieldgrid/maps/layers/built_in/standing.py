@@ -94,6 +94,7 @@ GROUP = ChannelGroup(
     ),
     fold=_StandingHeights,
     frame=(TOP_CHANNEL, FOOT_CHANNEL),
+    of_frames=True,
 )
 
 _GROUPS, _NAN = ("density", "standing"), float("nan")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fieldgrid.core import AnyArray, UInt64, kernel, palette
+from fieldgrid.core import AnyArray, UInt64, palette
 from fieldgrid.geometry import Lattice
 from fieldgrid.maps.layers.declaration import Cells, Channel, ChannelGroup, Colours, Layer
 from fieldgrid.maps.layers.frame import FrameInPlace
@@ -31,19 +31,7 @@ class _Squares:
 
 def _expected(weight: UInt64, total: UInt64) -> UInt64:
     """The squares of values that are all alike, cut to whole local cells."""
-    expected = np.empty((1, weight.size), dtype=np.uint64)
-    square_over(weight, total, expected[0])
-    return expected
-
-
-@kernel
-def square_over(weight, total, expected):  # type: ignore[no-untyped-def]
-    """Fill `expected` with total² / weight, cut to whole local cells; 0 where that is."""
-    for k in range(weight.size):
-        if total[k] == 0:
-            expected[k] = 0
-        else:
-            expected[k] = (total[k] * total[k] // max(weight[k], np.uint64(1))) & _WHOLE
+    return (total * total // np.maximum(weight, np.uint64(1)) & _WHOLE)[None]
 
 
 def _variance(cells: Cells) -> AnyArray:
@@ -55,7 +43,9 @@ def _variance(cells: Cells) -> AnyArray:
         return np.asarray((weight * squares - total * total) / (weight * weight))
 
 
-GROUP = ChannelGroup("variance", (Channel("squares"),), fold=_Squares, expected=_expected)
+GROUP = ChannelGroup(
+    "variance", (Channel("squares"),), fold=_Squares, expected=_expected, of_frames=True
+)
 
 VARIANCE = Layer(
     "variance",
