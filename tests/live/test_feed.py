@@ -118,7 +118,7 @@ def test_clients_come_and_go() -> None:
             with connect(served.address) as another:
                 if another.recv(4) == b"FGWN":
                     break
-        with pytest.raises(ConfigError, match=r"tcp://127.0.0.1:\d+ \(Address already in use\)"):
+        with pytest.raises(ConfigError, match="Address already in use"):
             Feed(*served.address)
         served.close()
         assert first.recv(1) == b""
@@ -149,5 +149,5 @@ def test_places_of_a_feed() -> None:
     assert parse_feed("tcp://field.lan:7007/") == ("field.lan", 7007)
     with open_feed("tcp://127.0.0.1:0") as made:
         assert isinstance(made, Feed)
-    with pytest.raises(ConfigError, match=r"cannot be at tcp://nowhere\.invalid:1"):
+    with pytest.raises(ConfigError, match=r"served at nowhere\.invalid:1"):
         Feed("nowhere.invalid", 1)

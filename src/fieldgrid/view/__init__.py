@@ -1,6 +1,7 @@
 """View: maps as a web page, for looking, asking why, and comparing; complete without a network.
 
-* `server`: `view_maps` opens a socket, a link with a token, and a browser.
+* `server`: `view_maps` opens a socket, a link with a token, and a browser; `listening`: sockets
+  that bound their clients.
 * `app`: what each address answers; `security`: who may ask it.
 * `maps`, `farms`: the maps that are shown, opened anew for each request.
 * `about`, `layers`, `drives`, `features`, `why`, `pictures`: what the page is told.
@@ -19,6 +20,7 @@ from fieldgrid.core.doors import door
 
 if TYPE_CHECKING:
     from fieldgrid.view import page as page
+    from fieldgrid.view.listening import LOOPBACK as LOOPBACK, listen as listen
     from fieldgrid.view.report import write_report as write_report
     from fieldgrid.view.security import (
         Guard as Guard,
@@ -26,9 +28,7 @@ if TYPE_CHECKING:
         network_access as network_access,
     )
     from fieldgrid.view.server import (
-        LOOPBACK as LOOPBACK,
         in_link as in_link,
-        listen as listen,
         make_server as make_server,
         view_maps as view_maps,
     )

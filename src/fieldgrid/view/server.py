@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import secrets
 import socket
 import webbrowser
@@ -10,15 +11,18 @@ from pathlib import Path
 
 import uvicorn
 from starlette.applications import Starlette
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from fieldgrid.core import ConfigError
 from fieldgrid.geometry import Datum
 from fieldgrid.view.app import Viewer, make_app
 from fieldgrid.view.farms import shown_at
 from fieldgrid.view.features import route_table
+from fieldgrid.view.listening import LOOPBACK, listen
 from fieldgrid.view.security import loopback_access, network_access
 
-LOOPBACK = "127.0.0.1"
+_PATIENCE_S = 10.0
+"""Time after which a connection is closed whose client has not asked for anything yet."""
 
 
 def view_maps(
@@ -69,6 +73,7 @@ def make_server(app: Starlette) -> uvicorn.Server:
     return uvicorn.Server(
         uvicorn.Config(
             app,
+            http=_PatientProtocol,
             log_level="warning",
             access_log=False,
             server_header=False,
@@ -78,17 +83,19 @@ def make_server(app: Starlette) -> uvicorn.Server:
     )
 
 
-def listen(host: str, port: int) -> socket.socket:
-    """A socket that waits for requests; `port` 0 is any free one."""
-    try:
-        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-        listening = socket.create_server((host, port), family=family, backlog=128)
-    except (OSError, OverflowError) as error:
-        raise ConfigError(
-            f"Nothing can be served at {host}:{port} ({error}); give another port or host."
-        ) from error
-    listening.setblocking(False)
-    return listening
+class _PatientProtocol(H11Protocol):
+    """HTTP with a client that sends whole requests in a bounded time."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self.loop.call_later(_PATIENCE_S, self._close_if_idle)
+
+    def _close_if_idle(self) -> None:
+        is_answered = bool(self.cycle) and not self.cycle.response_complete
+        if not is_answered or self.cycle.more_body:
+            self.transport.close()
+        elif not self.transport.is_closing():
+            self.loop.call_later(_PATIENCE_S, self._close_if_idle)
 
 
 def in_link(host: str | None) -> str:

@@ -6,8 +6,9 @@ import http.client
 import json
 import logging
 import socket
+import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -23,6 +24,10 @@ from tests.live.servers.making import TIMEOUT_S, event, noisy, pose_of, settled,
 AXE = ROOT / "page" / "node_modules" / "axe-core" / "axe.min.js"
 BIG = (1200, 1200)
 """A window of more bytes than sockets hold."""
+
+
+POSTED = b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9\r\n\r\n{"
+"""A request that is never whole."""
 
 
 class Stream:
@@ -121,6 +126,35 @@ def test_an_onlooker_that_does_not_read_misses_windows_and_holds_up_nobody(
     # What it was being sent when it stopped, one that waited for that, and the newest.
     assert got[0] == 1
     assert len(got) <= 3
+
+
+@pytest.mark.parametrize("sent", [b"GET / HTTP/1.1\r\n", POSTED])
+def test_clients_that_ask_nothing_are_few_and_leave_soon(served: LivePage, sent: bytes) -> None:
+    address = urlsplit(served.link).hostname, urlsplit(served.link).port
+    with ExitStack() as stack:
+        idle = [stack.enter_context(socket.create_connection(address)) for _ in range(200)]
+        for one in idle:
+            one.settimeout(0.0)
+            with suppress(OSError):
+                one.send(sent)
+        deadline_s = time.monotonic() + TIMEOUT_S
+        left = {sum(is_open(one) for one in idle)}
+        while 0 not in left:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.05)
+            left.add(sum(is_open(one) for one in idle))
+        assert 64 in left
+    assert ask(served, "/")[0] == 200
+
+
+def is_open(connection: socket.socket) -> bool:
+    """Whether the server has not hung up."""
+    try:
+        return connection.recv(65_536) != b""
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
 
 
 def test_clients_come_and_go(served: LivePage) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import selectors
 import socket
 import struct
@@ -18,8 +17,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fieldgrid.core import Closing, ConfigError, Float32
+from fieldgrid.core import Closing, Float32
 from fieldgrid.live.results import LiveWindow
+from fieldgrid.view import listen
 
 MAGIC, VERSION = b"FGWN", 1
 HEADER = struct.Struct("<4sHHIIq3d3d2I6d2I")
@@ -103,18 +103,7 @@ class Feed(Closing):
 
     def __init__(self, host: str, port: int, tell: Callable[[str], None] | None = None) -> None:
         self._tell = tell or (lambda _: None)
-        try:
-            family, *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-            self._listening = socket.create_server((host, port), family=family)
-        except OSError as error:
-            # What Python adds to it names the address again; those of a name's look-up are < 0.
-            number = error.errno or 0
-            why = os.strerror(number) if number > 0 else error.strerror
-            raise ConfigError(
-                f"The feed cannot be at tcp://{host}:{port} ({why}); give "
-                "another port, or a host of this machine."
-            ) from error
-        self._listening.setblocking(False)
+        self._listening = listen(host, port)
         self.address: tuple[str, int] = self._listening.getsockname()[:2]
         self._waker, self._woken = socket.socketpair()
         self._waker.setblocking(False)
