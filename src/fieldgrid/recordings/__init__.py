@@ -132,7 +132,7 @@ if TYPE_CHECKING:
         read_manifest as read_manifest,
         url_of as url_of,
     )
-    from fieldgrid.recordings.remote.fetched import fetch as fetch, fetch_some as fetch_some
+    from fieldgrid.recordings.remote.fetched import fetch as fetch
     from fieldgrid.recordings.ros import (
         gnss_messages as gnss_messages,
         ros_messages as ros_messages,

@@ -24,7 +24,6 @@ from fieldgrid.recordings import (
     cache_folder,
     copy_of,
     fetch,
-    fetch_some,
     in_cache,
     read_manifest,
     url_of,
@@ -113,10 +112,6 @@ def stage_share(
     return StagedShare(part, sum(moved_m), time.perf_counter() - start)
 
 
-_fetched: set[tuple[str, str]] = set()
-"""The URLs and versions of which this worker has all: looked at once a build, not once a share."""
-
-
 def _files_of(work: DriveWork, share: Share) -> set[Path]:
     """The files of the frames of a share, and of the one before it; none where they are not files
     of their own."""
@@ -130,22 +125,15 @@ def _files_of(work: DriveWork, share: Share) -> set[Path]:
 def _fetch(place: RecordingPlace, work: DriveWork, share: Share) -> None:
     """Have the files of the frames of a share here, or all where frames that are bad are passed
     over, since others may be needed then. ClusterError where that cannot be."""
-    url, version = place.url, place.version
-    copy = copy_of(url)
-    if (url, version) in _fetched and read_manifest(copy).version == version:
-        return
-    files = set() if work.skips_bad else _files_of(work, share)
+    wanted = set() if work.skips_bad else _files_of(work, share)
     try:
-        if files and fetch_some(url, version, files):
-            return
-        fetch(url)
+        copy = fetch(place.url, version=place.version, wanted=wanted)
     except FieldgridError as error:
         raise ClusterError(f"The worker on {platform.node()} has no copy: {error}") from error
-    if read_manifest(copy).version != version:
+    if read_manifest(copy).version != place.version:
         raise ClusterError(
-            f"{url} has changed since this build began; build it again when it is at rest."
+            f"{place.url} has changed since this build began; build it again when it is at rest."
         )
-    _fetched.add((url, version))
 
 
 _unpacked = lru_cache(maxsize=2)(partial(unpacked, remedy=_AT_HOME))
