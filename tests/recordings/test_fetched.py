@@ -635,7 +635,7 @@ def test_a_worker_fetches_the_files_of_its_frames_only(
     parts = [remote.stage_share(packed, Share(k, k + 2), place) for k in (0, 2)]
     monkeypatch.setenv("FIELDGRID_CACHE", str(tmp_path / "of the worker"))
     remote._unpacked.cache_clear()
-    fetched._listed.cache_clear()
+    fetched._listed_lately.cache_clear()
     listed: list[str] = []
     ls = type(memory).ls
     monkeypatch.setattr(
@@ -656,7 +656,7 @@ def test_a_worker_fetches_the_files_of_its_frames_only(
     assert files_in(copy) == files_in(here)
     # Of another version nothing is mixed with what was read of it before.
     shutil.rmtree(tmp_path / "of the worker")
-    fetched._listed.cache_clear()
+    fetched._listed_lately.cache_clear()
     memory.pipe("/vines/june-10/left/000004.jpg", b"new")
     with pytest.raises(ClusterError, match=r"has changed since this build began; build it again"):
         remote.stage_share(packed, Share(0, 2), place)
@@ -831,6 +831,6 @@ def test_a_worker_makes_its_own_copy_and_names_images_as_here(
         remote.stage_share(work, Share(0, 2), place._replace(version="of before"))
     shutil.rmtree(tmp_path / "of the worker")
     (tmp_path / "2026.zip").unlink()
-    fetched._listed.cache_clear()
+    fetched._listed_lately.cache_clear()
     with pytest.raises(ClusterError, match=r"The worker on .* has no copy: .*; "):
         remote.stage_share(work, Share(0, 2), place)

@@ -90,10 +90,12 @@ def _fetched(
     """As `fetch`, also of an archive itself."""
     copy = copy_of(url)
     with told(url):
-        noted, now_s = read_manifest(copy), time.monotonic()
+        noted = read_manifest(copy)
         if noted.version == version and noted.is_here(copy):
             return copy
-        system, root, there = _listed(url, now_s // _LISTED_S if version else now_s)
+        system, root, there = (
+            _listed_lately(url, time.monotonic() // _LISTED_S) if version else _listed(url)
+        )
         if there is None:
             return Path(root)
         names = {os.path.relpath(path, copy) for path in wanted}
@@ -116,9 +118,14 @@ def _fetched(
 
 
 @lru_cache(maxsize=1)
-def _listed(url: str, when: float) -> tuple[Any, str, Manifest | None]:
+def _listed_lately(url: str, when: float) -> tuple[Any, str, Manifest | None]:
+    """What was listed at the same time is not listed again."""
+    return _listed(url)
+
+
+def _listed(url: str) -> tuple[Any, str, Manifest | None]:
     """The file system of a URL, the path in it, and what is there; without the last where that is
-    a path of this machine. What was listed at the same time is not listed again."""
+    a path of this machine."""
     from fsspec.implementations.local import LocalFileSystem
 
     folder, _, archive = url.partition("::")
