@@ -19,9 +19,7 @@ MAX_POINTS = 20_000_000
 """More points than any sweep has; a survey is none."""
 
 _CHUNK = 1_000_000
-_HEADER_BYTES = 375
 _WEEK_S, _ADJUSTED_S = 7 * 86_400, 1_000_000_000
-_WITHOUT_TIME = (0, 2)
 _LAYERED, _EXTRA_BYTES = 3, 14
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # of points, colours, with infrared, of wave packets
 
@@ -29,45 +27,29 @@ _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # of points, colours, with infrared, of 
 def read_las(path: Path, max_bytes: int) -> RawSweep:
     """x, y, z of the points, float64, of a file of at most `max_bytes`; with their UTC in
     nanoseconds where they have GPS time (adjusted standard)."""
-    count, timed = _checked(path, max_bytes)
-    with _opened(path) as reader:
-        parts, gps_s = [], [np.zeros(0)]
+    parts, gps_s = [np.zeros((0, 3))], [np.zeros(0)]
+    with _opened(path, max_bytes) as reader:
         for chunk in reader.chunk_iterator(_CHUNK):
             parts.append(np.stack([chunk.x, chunk.y, chunk.z], axis=1))
-            if timed:
+            if _is_timed(reader.header):
                 gps_s.append(np.asarray(chunk.gps_time))
-    points = np.concatenate(parts) if parts else np.zeros((0, 3))
+    points, count = np.concatenate(parts), reader.header.point_count
     if len(points) != count:
         raise _damaged(path, f"{len(points)} of {count} points are there")
-    return RawSweep(points, _utc_ns(np.concatenate(gps_s)) if timed and len(points) else None)
-
-
-def _utc_ns(gps_s: Float64) -> Int64 | None:
-    """UTC of GPS times (adjusted standard) of one sweep; None where they are none."""
-    first_s = float(gps_s[0])
-    if not np.isfinite(gps_s).all() or np.ptp(gps_s) > LONGEST_S:
-        return None
-    try:
-        week, of_week_s = divmod(first_s + _ADJUSTED_S, _WEEK_S)
-        first_ns = unix_ns(int(week), round(of_week_s * 1e9))
-    except (ValueError, OverflowError):
-        return None
-    return first_ns + np.rint((gps_s - first_s) * 1e9).astype(np.int64)
+    return RawSweep(points, _utc_ns(np.concatenate(gps_s)))
 
 
 def las_time_ns(path: Path, max_bytes: int) -> int:
     """UTC of the first point, nanoseconds; RecordingError where the file does not say it."""
-    count, timed = _checked(path, max_bytes)
-    if not (count and timed):
-        raise RecordingError(
-            f"{path} has no points with GPS time (adjusted standard), and its name is no UTC time "
-            "in nanoseconds; add frames.csv with frame_id, timestamp_utc_s, cloud."
-        )
-    with _opened(path) as reader:
+    with _opened(path, max_bytes) as reader:
+        if not (reader.header.point_count and _is_timed(reader.header)):
+            raise RecordingError(
+                f"{path} has no points with GPS time (adjusted standard), and its name is no UTC "
+                "time in nanoseconds; add frames.csv with frame_id, timestamp_utc_s, cloud."
+            )
         gps_s = float(reader.read_points(1).gps_time[0])
     try:
-        week, of_week_s = divmod(gps_s + _ADJUSTED_S, _WEEK_S)
-        return unix_ns(int(week), round(of_week_s * 1e9))
+        return _unix_ns(gps_s)
     except (ValueError, OverflowError) as problem:
         raise RecordingError(
             f"{path} starts at a GPS time of {gps_s} s (adjusted standard), which no receiver can "
@@ -75,29 +57,75 @@ def las_time_ns(path: Path, max_bytes: int) -> int:
         ) from problem
 
 
-def _checked(path: Path, max_bytes: int) -> tuple[int, bool]:
-    """How many points there are, once it is sure that the file can hold them, and whether they have
-    GPS time (adjusted standard)."""
+def _is_timed(header: Any) -> bool:
+    """Whether the points have GPS time (adjusted standard)."""
+    has_time = "gps_time" in header.point_format.dimension_names
+    return has_time and int(header.global_encoding.gps_time_type) == 1
+
+
+def _utc_ns(gps_s: Float64) -> Int64 | None:
+    """UTC of GPS times (adjusted standard) of one sweep; None where they are none."""
+    if not len(gps_s) or not np.isfinite(gps_s).all() or np.ptp(gps_s) > LONGEST_S:
+        return None
+    first_s = float(gps_s[0])
+    try:
+        return _unix_ns(first_s) + np.rint((gps_s - first_s) * 1e9).astype(np.int64)
+    except (ValueError, OverflowError):
+        return None
+
+
+def _unix_ns(gps_s: float) -> int:
+    week, of_week_s = divmod(gps_s + _ADJUSTED_S, _WEEK_S)
+    return unix_ns(int(week), round(of_week_s * 1e9))
+
+
+@contextmanager
+def _opened(path: Path, max_bytes: int) -> Iterator[Any]:
+    """laspy's reader, once it is sure that the file can hold what it claims; what it raises on a
+    damaged file names the file."""
     size = check_regular(path)
     if size > max_bytes:
         raise RecordingError(f"{path} has {size} bytes, more than any sweep; cut it into sweeps.")
     with path.open("rb") as file:
-        start = file.read(_HEADER_BYTES).ljust(_HEADER_BYTES, b"\0")
-        encoding, minor = struct.unpack("<H17xB", start[6:26])
-        offset, records, kind, point, points = struct.unpack("<IIBHI", start[96:111])
-        if minor >= 4:
-            (points,) = struct.unpack("<Q", start[247:255])
-        packed = bool(kind & 0x80)
-        whole = start.startswith(b"LASF") and offset <= size and 54 * records <= offset and point
-        if whole and packed:
-            whole = _chunks(file, offset, size) <= min(points + 1, size // 64)
-    if not whole or (not packed and offset + points * point > size):
+        kind, offset, records = struct.unpack("<4s92xII", file.read(104).ljust(104, b"\0"))
+    if kind != b"LASF" or offset > size or 54 * records > offset:
+        raise _damaged(path, f"its points begin at byte {offset} of {size}")
+    try:
+        import laspy
+    except ImportError as error:
+        raise ConfigError(
+            f"Reading {path} takes laspy; install it with: pip install 'fieldgrid[clouds]'."
+        ) from error
+    try:
+        backend = laspy.LazBackend.Lazrs  # the one that takes chunk by chunk
+        with laspy.open(path, read_evlrs=False, laz_backend=backend) as reader:
+            _check_points(path, size, reader.header)  # before any is read
+            yield reader
+    except RecordingError:
+        raise
+    except BaseException as problem:
+        # A library on a file from strangers; what panics in it is no Exception.
+        if isinstance(problem, Exception) or type(problem).__name__ == "PanicException":
+            raise _damaged(path, problem) from problem
+        raise
+
+
+def _check_points(path: Path, size: int, header: Any) -> None:
+    """Raise RecordingError where a header claims more points than the file can hold."""
+    points, offset = header.point_count, header.offset_to_point_data
+    if header.are_points_compressed:
+        with path.open("rb") as file:
+            fits = _chunks(file, offset, size) <= min(points + 1, size // 64)
+    else:
+        fits = offset + points * header.point_format.size <= size
+    if not fits:
         raise _damaged(path, f"it claims {points} points and has {size} bytes")
     if points > MAX_POINTS:
         raise RecordingError(
             f"{path} claims {points} points, more than {MAX_POINTS}; cut it into sweeps."
         )
-    return points, kind & 0x3F not in _WITHOUT_TIME and bool(encoding & 1)
+    for packing in header.vlrs.get("LasZipVlr"):
+        _check_packing(path, header, packing.record_data)
 
 
 def _chunks(file: Any, offset: int, size: int) -> int:
@@ -112,30 +140,6 @@ def _chunks(file: Any, offset: int, size: int) -> int:
     file.seek(table)
     _, chunks = struct.unpack("<II", file.read(8))
     return int(chunks)
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """laspy's reader; what it raises on a damaged file names the file."""
-    try:
-        import laspy
-    except ImportError as error:
-        raise ConfigError(
-            f"Reading {path} takes laspy; install it with: pip install 'fieldgrid[clouds]'."
-        ) from error
-    try:
-        backend = laspy.LazBackend.Lazrs  # the one that takes chunk by chunk
-        with laspy.open(path, read_evlrs=False, laz_backend=backend) as reader:
-            for packing in reader.header.vlrs.get("LasZipVlr"):
-                _check_packing(path, reader.header, packing.record_data)
-            yield reader
-    except RecordingError:
-        raise
-    except BaseException as problem:
-        # A library on a file from strangers; what panics in it is no Exception.
-        if isinstance(problem, Exception) or type(problem).__name__ == "PanicException":
-            raise _damaged(path, problem) from problem
-        raise
 
 
 def _check_packing(path: Path, header: Any, packing: bytes) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,17 +18,8 @@ _TYPES = {
     **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
-_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-
 _BLOCK_LINES = 1 << 13
-
-
-class _PlyHeader(NamedTuple):
-    """Format, number of vertices, and name and type of their properties."""
-
-    kind: str
-    vertices: int
-    properties: list[tuple[str, str]]
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 def parse_ply(data: bytes, name: str) -> RawSweep:
@@ -38,69 +28,65 @@ def parse_ply(data: bytes, name: str) -> RawSweep:
     The vertices must stand first, as they do in every cloud.
     """
     found = _HEADER.match(data[:_MAX_HEADER])
-    header = None if found is None else _parse(found[0])
-    if found is None or header is None:
+    order, count, properties = _parse(found[0]) if found else (None, -1, [])
+    if found is None or order is None or count < 0 or not 3 <= len(properties) <= _MAX_PROPERTIES:
         raise RecordingError(
             f"{name} has no header of a PLY that starts with its vertices; export the cloud again."
         )
-    places = {key: k for k, (key, _) in enumerate(header.properties)}
-    if not {"x", "y", "z"} <= places.keys() or len(places) != len(header.properties):
+    names = [key for key, _ in properties]
+    if any(names.count(key) != 1 for key in "xyz") or len(set(names)) != len(names):
         raise RecordingError(f"{name} has no vertices with one x, y and z; export the cloud again.")
     body = memoryview(data)[found.end() :]
-    wanted = ["x", "y", "z", *(key for key in TIME_FIELDS if key in places)][:4]
-    if header.kind == "ascii":
-        values = _ascii(bytes(body), header, [places[key] for key in wanted], name)
-        return RawSweep(values[:, :3], values[:, 3] if len(wanted) > 3 else None)
-    order = _ORDERS[header.kind]
-    vertex = np.dtype([(f"{k}", f"{order}{kind}") for k, (_, kind) in enumerate(header.properties)])
-    if header.vertices * vertex.itemsize > len(body):
-        raise _too_short(name, header.vertices, len(body))
-    vertices = np.frombuffer(body, dtype=vertex, count=header.vertices)
-    columns = [vertices[f"{places[key]}"] for key in wanted]
+    wanted = [names.index(key) for key in ("x", "y", "z", *TIME_FIELDS) if key in names][:4]
+    vertex = np.dtype([(f"{k}", f"{order}{kind}") for k, (_, kind) in enumerate(properties)])
+    least = vertex.itemsize if order else 2 * len(properties)  # a digit and a space
+    if count * least > len(body) + (not order):
+        raise _too_short(name, count, len(body))
+    if order:
+        vertices = np.frombuffer(body, dtype=vertex, count=count)
+        columns = [vertices[f"{k}"] for k in wanted]
+    else:
+        columns = list(_ascii(bytes(body), count, len(properties), name)[:, wanted].T)
     with np.errstate(invalid="ignore"):  # a number that signals is no place either
         points = np.stack([column.astype(np.float64) for column in columns[:3]], axis=1)
     return RawSweep(points, columns[3] if len(columns) > 3 else None)
 
 
-def _parse(header: bytes) -> _PlyHeader | None:
-    """What a header says, None where it makes no sense."""
-    kind, count, element = "", -1, 0
+def _parse(header: bytes) -> tuple[str | None, int, list[tuple[str, str]]]:
+    """The order of bytes, the number of vertices, and name and type of their properties; no order,
+    or a negative number, where the header makes no sense."""
+    order, count, element = None, -1, 0
     properties: list[tuple[str, str]] = []
     for line in header.decode("latin-1").splitlines():
         match line.split():
-            case ["format", "ascii" | "binary_little_endian" | "binary_big_endian" as known, _]:
-                kind = known
+            case ["format", kind, _]:
+                order = _ORDERS.get(kind)
             case ["element", what, number]:
                 element += 1
                 if element == 1 and what == "vertex" and number.isdecimal() and len(number) < 16:
                     count = int(number)
-            case ["property", typename, what] if element == 1 and typename in _TYPES:
-                properties.append((what, _TYPES[typename]))
-            case ["property", *_] if element == 1:
-                return None
-    if not kind or count < 0 or not 3 <= len(properties) <= _MAX_PROPERTIES:
-        return None
-    return _PlyHeader(kind, count, properties)
+            case ["property", *parts] if element == 1:
+                if len(parts) != 2 or parts[0] not in _TYPES:
+                    return None, -1, []
+                properties.append((parts[1], _TYPES[parts[0]]))
+    return order, count, properties
 
 
-def _ascii(body: bytes, header: _PlyHeader, xyz: list[int], name: str) -> npt.NDArray[np.generic]:
-    width = len(header.properties)
-    if 2 * header.vertices * width > len(body) + 1:  # a digit and a space
-        raise _too_short(name, header.vertices, len(body))
-    lines = body.split(b"\n", header.vertices)[: header.vertices]
+def _ascii(body: bytes, count: int, width: int, name: str) -> npt.NDArray[np.float64]:
+    """The numbers of the first lines [vertex, property]."""
+    lines = body.split(b"\n", count)[:count]
     try:
         # Words take ten times the memory of the text.
-        values = np.concatenate(
-            [
-                np.array(b" ".join(lines[start : start + _BLOCK_LINES]).split(), dtype=np.float64)
-                for start in range(0, max(len(lines), 1), _BLOCK_LINES)
-            ]
-        )
+        blocks = [
+            np.array(b" ".join(lines[start : start + _BLOCK_LINES]).split(), dtype=np.float64)
+            for start in range(0, max(len(lines), 1), _BLOCK_LINES)
+        ]
     except ValueError as problem:
         raise RecordingError(f"{name} is damaged: {problem}; copy it again.") from problem
-    if values.size != header.vertices * width:
-        raise _too_short(name, header.vertices, len(body))
-    return values.reshape(-1, width)[:, xyz]
+    values = np.concatenate(blocks)
+    if values.size != count * width:
+        raise _too_short(name, count, len(body))
+    return values.reshape(-1, width)
 
 
 def _too_short(name: str, count: int, size: int) -> RecordingError:
