@@ -131,7 +131,7 @@ HUGE_PNG = PNG + chunk(b"IHDR", struct.pack(">IIBBBBB", 9000, 9000, 16, 0, 0, 0,
     ("name", "data", "match"),
     [
         ("a.png", b"", "is empty"),
-        ("a.png", b"GIF89a", "is no PNG, plain TIFF, NumPy array or PFM"),
+        ("a.png", b"GIF89a", "is no PNG, JPEG, BMP, PGM, PPM or plain TIFF"),
         ("a.png", PNG + b"\0" * 8, "is no PNG|truncated"),
         ("a.png", HUGE_PNG + chunk(b"IDAT", b"x") + chunk(b"IEND", b""), "truncated or damaged"),
         ("a.png", HUGE_PNG + b"\xff\xff\xff\xf0IDAT", "truncated or damaged"),

@@ -14,8 +14,7 @@ from fieldgrid.core import Float32, RecordingError
 from fieldgrid.recordings.files import RecordedFile
 from fieldgrid.recordings.frames.frame_table import FrameLayout
 from fieldgrid.recordings.frames.frames import DepthFrame, Frame
-from fieldgrid.recordings.frames.image_header import read_header
-from fieldgrid.recordings.frames.images import MAX_PIXELS, stored_pixels
+from fieldgrid.recordings.frames.images import checked_header, stored_pixels
 from fieldgrid.recordings.frames.npy import parse_npy
 from fieldgrid.recordings.stored import Shot
 
@@ -105,8 +104,6 @@ class DepthKind:
 
 def _decode(data: bytes, path: Path) -> _Any:
     """The numbers as stored, [row, column]."""
-    if not data:
-        raise RecordingError(f"{path} is empty; record or copy it again.")
     if data.startswith(b"\x93NUMPY"):
         values = parse_npy(data, str(path))
     elif data.startswith(b"Pf"):
@@ -134,19 +131,9 @@ def _decode(data: bytes, path: Path) -> _Any:
 def decode_depth_image(data: bytes, name: str) -> _Any:
     """The numbers in a PNG or plain TIFF of one channel, [row, column]; RecordingError for what is
     none."""
-    header = read_header(data, tiff_bits=(8, 16, 32))
-    if header is None:
-        raise RecordingError(
-            f"{name} is no PNG, plain TIFF, NumPy array or PFM; convert it, or restore it."
-        )
-    grey = data[25:26] in (b"", b"\0") if data.startswith(b"\x89PNG") else True
-    if not grey:
+    header = checked_header(data, name, tiff_bits=(8, 16, 32))
+    if data.startswith(b"\x89PNG") and data[25:26] not in (b"", b"\0"):
         raise RecordingError(f"{name} is a colour image; depths have one channel.")
-    if header.width_px * header.height_px > MAX_PIXELS:
-        raise RecordingError(
-            f"{name} claims {header.width_px} x {header.height_px} px, more than {MAX_PIXELS} in "
-            "all; scale the images down."
-        )
     can_be = header.width_px * header.height_px <= MOST_PACKED * len(data)
     whole = header._replace(is_whole=header.is_whole and can_be)
     return cast(_Any, stored_pixels(data, whole, name))

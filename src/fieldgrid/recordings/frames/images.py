@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple, cast
@@ -53,8 +54,7 @@ class ImageFile(RecordedFile):
 
     def size_px(self) -> tuple[int, int]:
         """(width, height) by the file's own header."""
-        header = _checked_header(self.data(), self.name, self.max_pixels)
-        return header.width_px, header.height_px
+        return checked_header(self.data(), self.name, self.max_pixels)[:2]
 
     def is_whole(self) -> bool:
         """Whether the end of a PNG, JPEG or TIFF is there, as far as can be seen without decoding;
@@ -65,7 +65,7 @@ class ImageFile(RecordedFile):
     def deep_pixels(self) -> _Pixels | None:
         """The pixels as stored if their values have 16 bits, else None."""
         data = self.data()
-        header = _checked_header(data, self.name, self.max_pixels)
+        header = checked_header(data, self.name, self.max_pixels)
         return stored_pixels(data, header, self.name) if header.is_deep else None
 
 
@@ -82,7 +82,7 @@ def decode_image(
     Colour becomes luma, a Bayer mosaic too; of 16 bit the upper 8 of those that the format says
     to be filled are kept, the same in every image.
     """
-    header = _checked_header(data, name, max_pixels)
+    header = checked_header(data, name, max_pixels)
     if image_format.bayer is None and not header.is_deep:
         grey = stored_pixels(data, header, name, cv2.IMREAD_GRAYSCALE)
         return np.ascontiguousarray(grey, dtype=np.uint8)
@@ -90,11 +90,13 @@ def decode_image(
     return to_grey(pixels, _encoding(pixels, image_format, name), image_format.bits)
 
 
-def _checked_header(data: bytes, name: str, max_pixels: int) -> ImageHeader:
+def checked_header(
+    data: bytes, name: str, max_pixels: int = MAX_PIXELS, tiff_bits: Collection[int] = (8, 16)
+) -> ImageHeader:
     """What an image says of itself, once it is sure that such an image can be."""
     if not data:
         raise RecordingError(f"{name} is empty; record or copy it again.")
-    header = read_header(data)
+    header = read_header(data, tiff_bits)
     if header is None:
         raise RecordingError(
             f"{name} is no PNG, JPEG, BMP, PGM, PPM or plain TIFF image; convert it, or restore it."

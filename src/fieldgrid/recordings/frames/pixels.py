@@ -24,26 +24,15 @@ BITS = range(8, 17)
 
 
 class PixelLayout(NamedTuple):
-    """How an encoding stores a pixel: `channels` numbers of `dtype`."""
+    """How an encoding stores a pixel: `channels` numbers of `dtype`; what OpenCV calls the way to
+    its luma, or which of the numbers is the luma, if not the only one."""
 
     dtype: npt.DTypeLike
     channels: int
+    code: int | None = None
+    luma: int | None = None
 
 
-# Which of a pixel's two bytes is its luma.
-_YUV = {"yuv422": 1, "uyvy": 1, "yuv422_yuy2": 0, "yuyv": 0}
-
-_LAYOUTS = {
-    **dict.fromkeys(("mono8", "8UC1"), PixelLayout(np.uint8, 1)),
-    **dict.fromkeys(("mono16", "16UC1"), PixelLayout(np.uint16, 1)),
-    **dict.fromkeys(("bgr8", "rgb8", "8UC3"), PixelLayout(np.uint8, 3)),
-    **dict.fromkeys(("bgra8", "rgba8", "8UC4"), PixelLayout(np.uint8, 4)),
-    **dict.fromkeys(("bgr16", "rgb16"), PixelLayout(np.uint16, 3)),
-    **dict.fromkeys(("bgra16", "rgba16"), PixelLayout(np.uint16, 4)),
-    **{f"bayer_{pattern}8": PixelLayout(np.uint8, 1) for pattern in BAYER_PATTERNS},
-    **{f"bayer_{pattern}16": PixelLayout(np.uint16, 1) for pattern in BAYER_PATTERNS},
-    **dict.fromkeys(_YUV, PixelLayout(np.uint8, 2)),
-}
 # OpenCV names a mosaic by the second and third pixel of the second and third row.
 _BAYER_CODES = {
     "rggb": cv2.COLOR_BayerBG2GRAY,
@@ -51,9 +40,26 @@ _BAYER_CODES = {
     "gbrg": cv2.COLOR_BayerGR2GRAY,
     "grbg": cv2.COLOR_BayerGB2GRAY,
 }
-_COLOUR_CODES = {
-    **{"bgr": cv2.COLOR_BGR2GRAY, "rgb": cv2.COLOR_RGB2GRAY, "8UC3": cv2.COLOR_BGR2GRAY},
-    **{"bgra": cv2.COLOR_BGRA2GRAY, "rgba": cv2.COLOR_RGBA2GRAY, "8UC4": cv2.COLOR_BGRA2GRAY},
+_DEPTHS = {"8": np.uint8, "16": np.uint16}
+_LAYOUTS = {
+    **{f"mono{bits}": PixelLayout(dtype, 1) for bits, dtype in _DEPTHS.items()},
+    **{f"{bits}UC1": PixelLayout(dtype, 1) for bits, dtype in _DEPTHS.items()},
+    **{
+        f"{name}{bits}": PixelLayout(dtype, channels, code)
+        for name, channels, code in (
+            ("bgr", 3, cv2.COLOR_BGR2GRAY),
+            ("rgb", 3, cv2.COLOR_RGB2GRAY),
+            ("bgra", 4, cv2.COLOR_BGRA2GRAY),
+            ("rgba", 4, cv2.COLOR_RGBA2GRAY),
+            *((f"bayer_{pattern}", 1, code) for pattern, code in _BAYER_CODES.items()),
+        )
+        for bits, dtype in _DEPTHS.items()
+    },
+    "8UC3": PixelLayout(np.uint8, 3, cv2.COLOR_BGR2GRAY),
+    "8UC4": PixelLayout(np.uint8, 4, cv2.COLOR_BGRA2GRAY),
+    # Every pixel has its own luma; the chroma beside it is shared by two.
+    **dict.fromkeys(("yuv422", "uyvy"), PixelLayout(np.uint8, 2, luma=1)),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), PixelLayout(np.uint8, 2, luma=0)),
 }
 
 
@@ -83,26 +89,15 @@ def to_grey(pixels: Pixels, encoding: str, bits: int = 16) -> Image:
             f"An image encoded as {encoding} has pixels {pixels.dtype} of shape {pixels.shape}; "
             "record it again, or correct its encoding."
         )
-    grey = _luma(np.ascontiguousarray(pixels), encoding)
+    if encoding.startswith("bayer_") and min(shape) < 3:
+        raise RecordingError(
+            f"A Bayer mosaic of {shape[1]} x {shape[0]} px is no image; record it again."
+        )
+    grey = np.ascontiguousarray(pixels if wanted.luma is None else pixels[..., wanted.luma])
+    if wanted.code is not None:
+        grey = cast(Pixels, cv2.cvtColor(grey, wanted.code))
     upper = np.minimum(grey >> (bits - 8), 255) if grey.dtype == np.uint16 else grey
     return np.asarray(upper, dtype=np.uint8)
-
-
-def _luma(pixels: Pixels, encoding: str) -> Pixels:
-    """One channel of the same depth."""
-    name = encoding.removesuffix("16").removesuffix("8")
-    code = _COLOUR_CODES.get(name)
-    if name.startswith("bayer_"):
-        if min(pixels.shape) < 3:
-            raise RecordingError(
-                f"A Bayer mosaic of {pixels.shape[1]} x {pixels.shape[0]} px is no image; record "
-                "it again."
-            )
-        code = _BAYER_CODES[name.removeprefix("bayer_")]
-    elif encoding in _YUV:
-        # Every pixel has its own luma; the chroma beside it is shared by two.
-        return np.ascontiguousarray(pixels[..., _YUV[encoding]])
-    return pixels if code is None else cast(Pixels, cv2.cvtColor(pixels, code))
 
 
 def significant_bits(samples: Iterable[Pixels]) -> int:
