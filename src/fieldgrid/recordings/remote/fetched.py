@@ -54,7 +54,7 @@ Progress = Callable[[int, int], None]
 def fetch(
     url: str,
     *,
-    progress: Progress | None = None,
+    progress: Progress = lambda done, total: None,
     version: str = "",
     wanted: Collection[Path] = (),
 ) -> Path:
@@ -77,16 +77,10 @@ def fetch(
             f"{url} is an archive; name the folder in it that is the recording, as in "
             f"zip://FOLDER::{url}"
         )
-    return _fetched(url, progress or _unseen, version, wanted)
+    return _fetched(url, progress, version, wanted)
 
 
-def _unseen(done: int, total: int) -> None:
-    """Show nothing."""
-
-
-def _fetched(
-    url: str, progress: Progress = _unseen, version: str = "", wanted: Collection[Path] = ()
-) -> Path:
+def _fetched(url: str, progress: Progress, version: str, wanted: Collection[Path]) -> Path:
     """As `fetch`, also of an archive itself."""
     copy = copy_of(url)
     with told(url):
@@ -135,13 +129,14 @@ def _listed(url: str) -> tuple[Any, str, Manifest | None]:
         # A web server that gives no parts of a file: its archive is copied as a whole.
         if not archive.startswith("http"):
             raise
-        system, root = opened(f"{folder}::file://{_fetched(archive)}")
+        whole = _fetched(archive, lambda done, total: None, "", ())
+        system, root = opened(f"{folder}::file://{whole}")
     if type(system) is LocalFileSystem:
         return system, root, None
     system.invalidate_cache()  # of listings: another process may have written since
     files = within_time(lambda: listed_files(system, root, url))
-    size = sum(size_of(version) or 0 for version in files.values())
-    within_time(lambda: check_unfolding(url, size))
+    if archive:
+        within_time(lambda: check_unfolding(archive, url, files.values()))
     return system, root, Manifest(url, files)
 
 

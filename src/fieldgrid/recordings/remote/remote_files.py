@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from pathlib import PurePosixPath
@@ -28,6 +28,7 @@ from fieldgrid.recordings.remote.copies import (
     copy_of,
     file_version,
     read_manifest,
+    size_of,
 )
 
 _T = TypeVar("_T")
@@ -130,16 +131,13 @@ def listed_files(system: Any, root: str, url: str) -> dict[str, str]:
     return files
 
 
-def check_unfolding(url: str, size: int) -> None:
-    """LimitError where files of this size in all are too much for the archive in which a chained
-    URL finds them."""
-    container = url.partition("::")[2]
-    packed = None
-    if container:
-        system, root = opened(container)
-        packed = system.info(root).get("size")
+def check_unfolding(archive: str, url: str, versions: Iterable[str]) -> None:
+    """LimitError where files of these versions are too much for the archive that they are in."""
+    system, root = opened(archive)
+    packed = system.info(root).get("size")
     if packed is not None:
-        UnfoldBudget(quoted(url, 200), packed).spend(size)
+        budget = UnfoldBudget(quoted(url, 200), packed)
+        budget.spend(sum(size_of(version) or 0 for version in versions))
 
 
 @contextmanager
