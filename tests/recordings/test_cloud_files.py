@@ -239,11 +239,11 @@ PCD += "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA {}\n"
         ("a.pcd", PCD.format("4 4 4", "1 1 1", "ascii", n=10**12), "claims 10{12} points"),
         ("a.pcd", PCD.format("4 4 4", "1 1 1", "binary", n=10**12), "claims 10{12} points"),
         ("a.pcd", PCD.format("4 4 4", "1 1 1", "binary_compressed", n=10**8), "claims 10{8}"),
-        ("a.pcd", PCD.format("4 4 4", "1 1 999999999", "binary", n=0), "by its header"),
-        ("a.pcd", PCD.format("4 4 4", "1 1", "binary", n=0), "by its header"),
-        ("a.pcd", PCD.format("", "", "binary", n=1), "by its header"),
-        ("a.pcd", PCD.format("4 4 4", "1 1 1", "binary", n="-5"), "by its header"),
-        ("a.pcd", PCD.format("4 4 3", "1 1 1", "binary", n=1) + "x" * 12, "is a damaged PCD"),
+        ("a.pcd", PCD.format("4 4 4", "1 1 999999999", "binary", n=0), "a point has|damaged PCD"),
+        ("a.pcd", PCD.format("4 4 4", "1 1", "binary", n=0), "a point has|damaged PCD"),
+        ("a.pcd", PCD.format("", "", "binary", n=1), "damaged PCD"),
+        ("a.pcd", PCD.format("4 4 4", "1 1 1", "binary", n="-5"), "damaged PCD"),
+        ("a.pcd", PCD.format("4 4 3", "1 1 1", "binary", n=1) + "x" * 12, "damaged PCD"),
         ("a.pcd", "VERSION 0.7\n", "no header of a PCD"),
         ("a.bin", "x" * 17, "no multiple of the 16"),
         ("a.npy", "x" * 17, "is no array of NumPy"),
@@ -257,6 +257,14 @@ def test_a_file_that_is_no_cloud_is_refused(
     (tmp_path / name).write_text(text)
     with pytest.raises(RecordingError, match=match):
         CloudFile(tmp_path / name).read()
+
+
+def test_a_header_is_read_once(tmp_path: Path) -> None:
+    """The library alone would take the first ten lines, and the rest for points."""
+    start, _, end = PCD.format("4 4 4", "1 1 1", "binary", n=1).partition("POINTS 1\n")
+    text = f"{start}POINTS {10**9}\nHEIGHT 1\nPOINTS 1\n{end}"
+    (tmp_path / "a.pcd").write_bytes(text.encode() + POINTS[:1].tobytes())
+    assert np.array_equal(CloudFile(tmp_path / "a.pcd", "rdf").read(), POINTS[:1])
 
 
 @pytest.mark.parametrize("shape", [(9,), (9, 2), (9, 3, 1)])
