@@ -161,7 +161,7 @@ def check_images(recording: Recording, trajectory: Trajectory) -> None:
     """Raise GnssError when images and fixes have nothing in common, before one is read."""
     if recording.frame_count == 0:
         raise ConfigError(f"Recording {recording.name} holds no frame; record images with it.")
-    images = recording.frame_times_ns() + recording.rig.image_time_offset_ns
+    images = recording.image_times_ns()
     fixes = trajectory.time_ns
     if images[-1] < fixes[0] or images[0] > fixes[-1]:
         raise GnssError(
@@ -370,7 +370,7 @@ def misplaced(offset_s: float, trajectory: Trajectory, before: str) -> str:
 
 def check_poses(recording: Recording, trajectory: Trajectory) -> None:
     """Raise GnssError when no image has a usable pose."""
-    images = recording.frame_times_ns() + recording.rig.image_time_offset_ns
+    images = recording.image_times_ns()
     if not trajectory.accepted.any():
         raise GnssError(
             f"None of the {len(trajectory)} poses of the drive can be used, mostly because: "

@@ -128,6 +128,10 @@ class Recording(Drive):
         """Times of the frames as the camera stamped them, shape (frame_count,), increasing."""
         return self.source.times_ns.copy()
 
+    def image_times_ns(self) -> Int64:
+        """Times of the frames by the clock of the receiver, as the rig's offset says."""
+        return self.source.times_ns + self.rig.image_time_offset_ns
+
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
         """Frames number `start` to before `stop`, in order of time; no image is read before it is
         asked for. In another process: `source.frames`."""

@@ -191,12 +191,13 @@ def with_frames(
         frames=recording.frame_count,
         declared_offset_s=recording.rig.image_time_offset_ns / 1e9,
     )
-    images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
     fixes_alone: Estimate | None = None
     with noted(findings):
         fixes_alone = estimate_drive(recording, settings)
         found = with_fixes(found, fixes_alone, recording)
-        found = replace(found, reasons=rejections(images_ns, fixes_alone.trajectory))
+        found = replace(
+            found, reasons=rejections(recording.image_times_ns(), fixes_alone.trajectory)
+        )
         with noted(findings, "no-overlap"):
             check_images(recording, fixes_alone.trajectory)
     with noted(findings):
@@ -227,9 +228,9 @@ def _looked(
     if fixes_alone is not None:
         track = fixes_alone.trajectory
         times_ns, heading_deg = track.time_ns, track.heading_deg
-    images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
-    follow = follows_camera(recording.rig, settings)
-    runs = stretches(images_ns, times_ns, heading_deg) if follow else []
+    runs = []
+    if follows_camera(recording.rig, settings):
+        runs = stretches(recording.image_times_ns(), times_ns, heading_deg)
     seen = look_at(recording, gridder, every, runs, tell)
     looked = len(seen.grounds)
     findings += unread_findings(seen.unread, looked + len(seen.unread))
@@ -326,14 +327,13 @@ def _with_poses(
     if mirrored is None and not off:
         findings += pose_notes(estimate)
     track = estimate.trajectory
-    images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
     at_fixes = estimate.fix_row[track.accepted[estimate.fix_row]]
     found = replace(
         with_fixes(found, estimate, recording),
-        sync=synchronisation(images_ns, track.time_ns[at_fixes]),
+        sync=synchronisation(recording.image_times_ns(), track.time_ns[at_fixes]),
         clock=clock,
         scale=by_way,
-        reasons=rejections(images_ns, track),
+        reasons=rejections(recording.image_times_ns(), track),
     )
     if apart:
         return found
@@ -355,7 +355,6 @@ def _with_map(
     nothing, and is no finding."""
     track = found.trajectory
     assert track is not None
-    images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
     told: list[Finding] = []
     with noted(findings, "no-pose"):
         told += pose_findings(recording, settings, steps, found.reasons)
@@ -363,7 +362,7 @@ def _with_map(
         found = replace(
             found,
             coverage=coverage(
-                images_ns,
+                recording.image_times_ns(),
                 track,
                 recording.rig,
                 GridSpec.of(settings.grid),

@@ -45,8 +45,7 @@ def _draw_streams(axes: Axes, found: Inspection) -> None:
         axes.plot([first_s / 1e9, last_s / 1e9], [row, row], color=colour, linewidth=6)
     axes.set_yticks(range(len(known)), [one.name[-28:] for one in known])
     axes.invert_yaxis()
-    axes.set_xlabel("time since the first stamp (s)")
-    axes.set_title("streams (grey: not used)")
+    axes.set(xlabel="time since the first stamp (s)", title="streams (grey: not used)")
     axes.grid(axis="x", linewidth=0.3)
 
 
@@ -61,15 +60,17 @@ def _draw_fixes(axes: Axes, found: Inspection) -> None:
     axes.bar(middle_s, shares, width=0.9 * length_s, color=SHARE)
     for at_s, part in zip(middle_s.tolist(), parts, strict=True):
         axes.text(at_s, 3.0, part.quality, rotation=90, ha="center", va="bottom", fontsize="small")
-    axes.set_ylim(0, 105)
-    axes.set_xlabel("time since the first fix (s)")
-    axes.set_ylabel("accepted fixes (%)")
+    axes.set(
+        ylim=(0, 105),
+        xlabel="time since the first fix (s)",
+        ylabel="accepted fixes (%)",
+        title="fixes",
+    )
     sigma = axes.twinx()
     sigmas_m = [np.nan if part.sigma_m is None else part.sigma_m for part in parts]
     sigma.plot(middle_s, sigmas_m, ".-", color=STATED)
     sigma.set_ylabel("sigma of a fix (m)", color=STATED)
     sigma.set_ylim(bottom=0.0)
-    axes.set_title("fixes")
 
 
 def _draw_images(axes: Axes, found: Inspection) -> None:
@@ -85,11 +86,11 @@ def _draw_images(axes: Axes, found: Inspection) -> None:
     shifts = [np.nan if look.shift_px is None else look.shift_px for look in looks]
     axes.plot(time_s, shifts, ".-", color=STATED, label="rows off (px)")
     known = [shift for shift in shifts if np.isfinite(shift)]
-    axes.set_ylim(
-        min([-0.6, *(shift - 0.2 for shift in known)]), max([1.0, *(s + 0.2 for s in known)])
+    axes.set(
+        ylim=(min([-0.4, *known]) - 0.2, max([0.8, *known]) + 0.2),
+        xlabel="time since the first image (s)",
+        title=f"{len(looks)} pairs of {found.frames}",
     )
-    axes.set_xlabel("time since the first image (s)")
-    axes.set_title(f"{len(looks)} pairs of {found.frames}")
     axes.legend(loc="best", fontsize="small")
     axes.grid(linewidth=0.3)
 
@@ -110,8 +111,6 @@ def _draw_track(axes: Axes, found: Inspection) -> None:
         )  # fmt: skip
     axes.set_aspect("equal", adjustable="datalim")
     axes.ticklabel_format(useOffset=False)
-    axes.set_xlabel("east (m)")
-    axes.set_ylabel("north (m)")
-    axes.set_title("track")
+    axes.set(xlabel="east (m)", ylabel="north (m)", title="track")
     axes.legend(loc="best", fontsize="small")
     axes.grid(linewidth=0.3)

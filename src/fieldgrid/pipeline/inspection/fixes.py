@@ -193,14 +193,13 @@ def pose_findings(
     lost, frames = reasons.total(), recording.frame_count
     if lost > UNUSABLE_SHARE * frames:
         count, reason = grouped_reasons(reasons)[0]
-        images_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
         fewest, advice = lost, ""
         for heading in _HEADINGS:
             pose = settings.pose.model_copy(update={"heading": heading})
             with suppress(FieldgridError):
                 other = settings.model_copy(update={"pose": pose})
                 track = estimate_drive(recording, other, steps=steps).trajectory
-                left = rejections(images_ns, track).total()
+                left = rejections(recording.image_times_ns(), track).total()
                 if left < fewest:
                     fewest, advice = left, f"With --heading {heading} {frames - left} have one. "
         yield warning(

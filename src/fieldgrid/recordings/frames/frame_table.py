@@ -12,7 +12,7 @@ from fieldgrid.recordings.files import is_inside, parse_time_ns, read_table
 from fieldgrid.recordings.frames.images import SUFFIXES
 from fieldgrid.recordings.frames.in_folder import InFolder
 from fieldgrid.recordings.stored import Shot, checked_shots
-from fieldgrid.recordings.tables.times import NO_TIME, UNITS, TimeScale, guess_scale, to_utc_ns
+from fieldgrid.recordings.tables.times import NO_TIME, TimeScale, guess_scale, to_utc_ns
 
 TimeOf = Callable[[Path], int]
 """The time of a file that its name does not tell, UTC in nanoseconds; RecordingError without."""
@@ -81,11 +81,14 @@ def read_frames(
         return checked, notes
     listings = [_files(folder / name, layout.suffixes) for name in layout.folders]
     common = set.intersection(*(set(listing) for listing in listings))
-    for stem in common:
+    notes = ()
+    for stem in sorted(common):
         names = [found[stem] for found in listings]
         files = tuple(f"{where}/{n}" for where, n in zip(layout.folders, names, strict=True))
-        shots.append(Shot(file_time_ns(folder, files[0], layout), stem, files))
-    notes = _times_told(shots)
+        time_ns, scale = file_time(folder, files[0], layout)
+        if scale is not None and not shots:
+            notes = (f"The names of the files are times: {scale.describe()}.",)
+        shots.append(Shot(time_ns, stem, files))
     alone = sum(len(listing) for listing in listings) - len(listings) * len(common)
     if alone:
         notes += (f"{counted(alone, 'image')} without a partner skipped.",)
@@ -146,48 +149,31 @@ def shot_of_row(
     return Shot(time_ns, row["frame_id"], files)
 
 
-def _times_told(shots: Sequence[Shot]) -> tuple[str, ...]:
-    """A remark on times that are those of names, and not in nanoseconds."""
-    first = min(shots, key=lambda shot: shot.frame_id, default=None)
-    found = None if first is None else _time_of_name(first.frame_id)
-    if first is None or found is None or found[0] != first.time_ns:
-        return ()
-    if found[1].places == UNITS["ns"]:
-        return ()
-    return (f"The names of the files are times: {found[1].describe()}.",)
-
-
-def _time_of_name(stem: str) -> tuple[int, TimeScale] | None:
-    """The time of a name in UTC nanoseconds, and the scale on which it is one;
-    None for what is no time since 1980, and for a date: 2024060100001 is one with a count."""
-    scale = guess_scale("", [stem], decimal_comma=False)
-    if scale is None or scale.places is None or _DATE.match(stem) is not None:
-        return None
-    time_ns = int(to_utc_ns([stem], scale, decimal_comma=False)[0])
-    return None if time_ns == NO_TIME else (time_ns, scale)
-
-
-def file_time_ns(folder: Path, file: str, layout: FrameLayout) -> int:
-    """The time of a frame by the name of its first file in nanoseconds, by what else tells it, or
-    by the name in another unit."""
+def file_time(folder: Path, file: str, layout: FrameLayout) -> tuple[int, TimeScale | None]:
+    """The time of a frame in UTC nanoseconds, by the name of its first file in nanoseconds, by what
+    else tells it, or by the name in another unit, whose scale is told then."""
     stem = PurePath(file).stem
     try:
-        return parse_time_ns({"time_ns": stem})
+        return parse_time_ns({"time_ns": stem}), None
     except ValueError:
-        named = _time_of_name(stem)
+        scale = guess_scale("", [stem], decimal_comma=False)
+    time_ns = NO_TIME
+    # 2024060100001 is a date with a count.
+    if scale is not None and scale.places is not None and _DATE.match(stem) is None:
+        time_ns = int(to_utc_ns([stem], scale, decimal_comma=False)[0])
     if layout.time_of is not None:
         try:
-            return layout.time_of(folder / file)
+            return layout.time_of(folder / file), None
         except RecordingError:
-            if named is None:
+            if time_ns == NO_TIME:
                 raise
-    if named is None:
+    if time_ns == NO_TIME:
         raise RecordingError(
             f"{folder} has no {TABLE}, and the {layout.file} name {PurePath(file).name} is no UTC "
             f"time in s, ms, us or ns; add {TABLE} with frame_id, timestamp_utc_s, "
             f"{', '.join(layout.columns)}."
         )
-    return named[0]
+    return time_ns, scale
 
 
 def _files(folder: Path, suffixes: Collection[str]) -> dict[str, str]:

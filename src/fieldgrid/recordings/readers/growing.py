@@ -14,7 +14,7 @@ from fieldgrid.recordings.files import delimiter_of
 from fieldgrid.recordings.frames.frame_table import (
     TABLE,
     FrameLayout,
-    file_time_ns,
+    file_time,
     frame_columns,
     needed_columns,
     shot_of_row,
@@ -144,7 +144,8 @@ class GrowingFolder:
         for stem in set.intersection(*map(set, self._alone)):
             files = tuple(alone.pop(stem) for alone in self._alone)
             try:
-                yield Shot(file_time_ns(self.path, files[0], self._layout), stem, files)
+                time_ns, _ = file_time(self.path, files[0], self._layout)
+                yield Shot(time_ns, stem, files)
             except RecordingError as problem:
                 yield problem
 
