@@ -54,7 +54,7 @@ Progress = Callable[[int, int], None]
 def fetch(
     url: str,
     *,
-    progress: Progress = lambda done, total: None,
+    progress: Progress | None = None,
     version: str = "",
     wanted: Collection[Path] = (),
 ) -> Path:
@@ -77,7 +77,7 @@ def fetch(
             f"{url} is an archive; name the folder in it that is the recording, as in "
             f"zip://FOLDER::{url}"
         )
-    return _fetched(url, progress, version, wanted)
+    return _fetched(url, progress or (lambda done, total: None), version, wanted)
 
 
 def _fetched(url: str, progress: Progress, version: str, wanted: Collection[Path]) -> Path:

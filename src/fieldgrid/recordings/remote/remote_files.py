@@ -48,7 +48,8 @@ def opened(url: str) -> tuple[Any, str]:
     from fsspec.core import url_to_fs
 
     schemes = {link.partition("://")[0] for link in url.split("::")} & {"http", "https"}
-    return url_to_fs(url, **{scheme: {"get_client": _web_client} for scheme in schemes})
+    system, root = url_to_fs(url, **{scheme: {"get_client": _web_client} for scheme in schemes})
+    return system, root
 
 
 async def _web_client(**options: Any) -> Any:
@@ -155,6 +156,7 @@ def told(url: str) -> Iterator[None]:
             "pip install 'fieldgrid[remote]', and the one named here."
         ) from error
     except Exception as error:  # each file system raises errors of its own (botocore, paramiko)
+        problem: BaseException = error
         cause, kept = error.__cause__, ""
         is_own = isinstance(error, OSError) and (
             error.errno in _FULL or str(error.filename).startswith(str(cache_folder()))
@@ -166,9 +168,9 @@ def told(url: str) -> Iterator[None]:
                 raise RecordingError(
                     f"{named} does not exist; give the URL of a recording, a bag or a log."
                 ) from error
-            error = cause
+            problem = cause
         # Servers redirect to addresses that hold keys.
-        why = shortened(re.sub(r"\?[^\s'\"]+", "?...", str(error))) or type(error).__name__
+        why = shortened(re.sub(r"\?[^\s'\"]+", "?...", str(problem))) or type(problem).__name__
         if is_own:
             raise RecordingError(
                 f"The copy {copy} cannot be written ({why}); free some space, remove the copy, or "
