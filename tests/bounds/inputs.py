@@ -15,7 +15,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ import numpy as np
 import zstandard
 
 from fieldgrid.cli.commands.mark import _read
-from fieldgrid.core import MapError, resolve
+from fieldgrid.core import MapError, RecordingError, resolve
 from fieldgrid.export.route_file import read_poses, read_route
 from fieldgrid.field import read_survey, read_truth, read_vehicle
 from fieldgrid.geometry import Datum, read_shapes
@@ -373,6 +373,27 @@ def picture(folder: Path) -> Read:
 
 
 @case
+def picture_headers_without_end(folder: Path) -> Read:
+    """Blanks, padding, empty chunks, and one long tag again and again."""
+    offsets = struct.pack("<HHII", 273, 4, 100_000, 800_000)
+    starts = (
+        b"P5" + (64 << 20) * b"\n",
+        b"\xff\xd8" + (64 << 20) * b"\xff",
+        b"\x89PNG\r\n\x1a\n" + bytes(64 << 20),
+        b"II*\0\x08\0\0\0\xff\xff" + 0xFFFF * offsets + bytes(400_000),
+    )
+    paths = [put(folder / f"{k}.png", lambda data=data: data) for k, data in enumerate(starts)]
+
+    def read() -> None:
+        for path in paths[1:]:
+            with suppress(RecordingError):
+                ImageFile(path).read()
+        ImageFile(paths[0]).read()
+
+    return read
+
+
+@case
 def depth_picture(folder: Path) -> Read:
     path = put(folder / "a.png", lambda: png(16_000, 16_000, 16))
     return lambda: decode_depth_image(path.read_bytes(), "a.png")
@@ -429,6 +450,21 @@ def las(folder: Path) -> Read:
         return bytes(data)
 
     path = put(folder / "a.laz", make)
+    return lambda: CloudFile(path).read()
+
+
+@case
+def las_of_records(folder: Path) -> Read:
+    def make() -> bytes:
+        made = laspy.LasData(laspy.LasHeader(point_format=1, version="1.2"))
+        made.x = made.y = made.z = np.zeros(1)
+        whole = io.BytesIO()
+        made.write(whole)
+        data, count = bytearray(whole.getvalue()), 2 * MILLION
+        data[96:104] = struct.pack("<II", 227 + 54 * count, count)
+        return bytes(data[:227]) + bytes(54 * count) + bytes(data[227:])
+
+    path = put(folder / "a.las", make)
     return lambda: CloudFile(path).read()
 
 

@@ -17,6 +17,7 @@ ROOT = Path(__file__).parents[2]
 QUICK = (
     "frames_of_one_line", "time_log_of_entities", "keys_of_dots", "keys_of_dots_of_a_vehicle",
     "keys_of_dots_of_a_build", "deep_documents", "yaml_of_aliases", "array", "pcd", "las",
+    "picture_headers_without_end", "las_of_records",
     "archive_at_a_url", "opencv_of_aliases", "journal_of_a_map",
     "bag_of_zstd", "database_of_zeros", "truth_origin", "map_of_many_sessions",
 )  # fmt: skip

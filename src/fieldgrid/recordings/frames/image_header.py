@@ -17,6 +17,9 @@ _TIFF_TAGS = frozenset({_WIDTH, _HEIGHT, _BITS, _COMPRESSION, _OFFSETS, _LENGTHS
 _TIFF_KINDS = {3: "H", 4: "I"}  # SHORT and LONG
 _TIFF_COMPRESSIONS = frozenset({1, 5, 8, 32773, 32946})  # none, LZW, deflate, PackBits, deflate
 _TIFF_MAX_STRIPS = 100_000
+_MOST_PARTS = 500_000
+"""No PNG or JPEG is made of so many; what claims more is not looked at to its end."""
+_MAX_PNM_HEADER = 1 << 16
 
 
 class ImageHeader(NamedTuple):
@@ -37,7 +40,9 @@ def read_header(data: bytes, tiff_bits: Collection[int] = (8, 16)) -> ImageHeade
             width, height, depth = struct.unpack(">IIB", data[16:25])
             # Whether all chunks are there: a decoder makes room for what they claim.
             at, kind = 8, b""
-            while kind != b"IEND" and at + 12 <= len(data):
+            for _ in range(_MOST_PARTS):
+                if kind == b"IEND" or at + 12 > len(data):
+                    break
                 kind = data[at + 4 : at + 8]
                 at += 12 + int.from_bytes(data[at : at + 4], "big")
             return ImageHeader(width, height, depth == 16, kind == b"IEND" and at <= len(data))
@@ -50,7 +55,7 @@ def read_header(data: bytes, tiff_bits: Collection[int] = (8, 16)) -> ImageHeade
             return _tiff(data, tiff_bits)
     except struct.error:
         return None
-    match = _PNM.match(data)
+    match = _PNM.match(data[:_MAX_PNM_HEADER])
     return None if match is None else ImageHeader(int(match[1]), int(match[2]), int(match[3]) > 255)
 
 
@@ -65,7 +70,11 @@ def _tiff(data: bytes, bits: Collection[int]) -> ImageHeader | None:
         entry = data[at + 2 + 12 * k : at + 14 + 12 * k]
         tag, kind, length = struct.unpack(f"{order}HHI", entry[:8])
         code = _TIFF_KINDS.get(kind)
-        if tag not in _TIFF_TAGS or code is None or not 1 <= length <= _TIFF_MAX_STRIPS:
+        if (
+            tag not in _TIFF_TAGS - tags.keys()
+            or code is None
+            or not 1 <= length <= _TIFF_MAX_STRIPS
+        ):
             continue
         size = length * struct.calcsize(code)
         start = 8 if size <= 4 else struct.unpack(f"{order}I", entry[8:])[0]
@@ -82,7 +91,9 @@ def _tiff(data: bytes, bits: Collection[int]) -> ImageHeader | None:
 
 def _jpeg(data: bytes) -> ImageHeader | None:
     at = 2
-    while at + 9 <= len(data) and data[at] == 0xFF:
+    for _ in range(_MOST_PARTS):
+        if at + 9 > len(data) or data[at] != 0xFF:
+            break
         kind = data[at + 1]
         if kind == 0xFF:  # padding
             at += 1

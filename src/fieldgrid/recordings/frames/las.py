@@ -19,6 +19,8 @@ MAX_POINTS = 20_000_000
 """More points than any sweep has; a survey is none."""
 
 _CHUNK = 1_000_000
+_MAX_HEADER = 1 << 22
+"""No sweep says as much before its points; the library reads all of that, record by record."""
 _WEEK_S, _ADJUSTED_S = 7 * 86_400, 1_000_000_000
 _LAYERED, _EXTRA_BYTES = 3, 14
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # of points, colours, with infrared, of wave packets
@@ -88,7 +90,7 @@ def _opened(path: Path, max_bytes: int) -> Iterator[Any]:
         raise RecordingError(f"{path} has {size} bytes, more than any sweep; cut it into sweeps.")
     with path.open("rb") as file:
         kind, offset, records = struct.unpack("<4s92xII", file.read(104).ljust(104, b"\0"))
-    if kind != b"LASF" or offset > size or 54 * records > offset:
+    if kind != b"LASF" or offset > min(size, _MAX_HEADER) or 54 * records > offset:
         raise _damaged(path, f"its points begin at byte {offset} of {size}")
     try:
         import laspy
