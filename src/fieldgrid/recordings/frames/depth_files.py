@@ -107,7 +107,7 @@ def _decode(data: bytes, path: Path) -> _Any:
     if data.startswith(b"\x93NUMPY"):
         values = parse_npy(data, str(path))
     elif data.startswith(b"Pf"):
-        match = _PFM.match(data)
+        match = _PFM.match(data[:1024])
         if match is None:
             raise RecordingError(f"{path} has no header of a grey PFM; write it again.")
         width, height = int(match[1]), int(match[2])

@@ -62,10 +62,11 @@ def fetch(
 
     `progress` is called with the number of files that are here and of all. Files that are no longer
     at the URL are removed from the copy; files that did not come from there stay. Another process
-    that fetches the same is waited for. Who knows the `version` to fetch gets it without asking
-    where the copy has it, and only the files that are `wanted`, by their paths in the copy, where
-    the recording has all of these. Raises RecordingError for what cannot be fetched, LimitError for
-    an archive that unfolds to too much, ConfigError where a library is missing.
+    that fetches the same is waited for. With the `version` that another machine has, nothing is
+    asked where this copy has it, too, and only the files are fetched that are `wanted`, by their
+    paths in the copy; all, where one of these is no file at the URL. Raises RecordingError for what
+    cannot be fetched, LimitError for an archive that unfolds to too much, ConfigError where a
+    library is missing.
     """
     if _SECRET.search(url):
         raise ConfigError(
