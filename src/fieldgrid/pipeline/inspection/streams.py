@@ -64,7 +64,7 @@ def summarise_stream(stream: Stream) -> StreamSummary:
     steps_s = np.diff(known) / 1e9
     ordered_s = np.diff(np.unique(known)) / 1e9
     low, middle, high = np.quantile(ordered_s, [0.16, 0.5, 0.84]) if ordered_s.size else [None] * 3
-    delay = _delay_s(stream)
+    delay = _delay(stream)
     return StreamSummary(
         name=stream.name,
         kind=stream.kind,
@@ -78,8 +78,8 @@ def summarise_stream(stream: Stream) -> StreamSummary:
         backward=int(np.count_nonzero(steps_s < 0.0)),
         repeated=int(np.count_nonzero(steps_s == 0.0)),
         unstamped=int(np.count_nonzero(stamps <= 0)),
-        delay_s=None if delay is None else float(np.median(delay.delay_s)),
-        drift_ppm=None if delay is None else _drift_ppm(delay),
+        delay_s=None if delay is None else float(np.median(delay[1])),
+        drift_ppm=None if delay is None else _drift_ppm(*delay),
     )
 
 
@@ -90,9 +90,9 @@ def stream_findings(streams: Sequence[Stream]) -> Iterator[Finding]:
         summary = summarise_stream(stream)
         yield from _order_findings(stream, summary)
         yield from _gap_findings(stream, summary)
-        delay = _delay_s(stream)
+        delay = _delay(stream)
         if delay is not None:
-            yield from _delay_findings(stream, delay)
+            yield from _delay_findings(stream, *delay)
     yield from _apart_findings(used)
 
 
@@ -143,35 +143,30 @@ def _gap_findings(stream: Stream, summary: StreamSummary) -> Iterator[Finding]:
         )
 
 
-class _Delay(NamedTuple):
-    """Seconds since the first stamp, and from stamp to being written down."""
-
-    time_s: Float64
-    delay_s: Float64
-
-
-def _delay_s(stream: Stream) -> _Delay | None:
+def _delay(stream: Stream) -> tuple[Float64, Float64] | None:
+    """Seconds since the first stamp, and from each stamp to being written down, where the record
+    tells them."""
     if stream.receive_ns is None or len(stream.receive_ns) != len(stream.stamp_ns):
         return None
     stamped = stream.stamp_ns > 0
     stamps, received = stream.stamp_ns[stamped], stream.receive_ns[stamped]
     if not len(stamps):
         return None
-    return _Delay((received - received[0]) / 1e9, (received - stamps) / 1e9)
+    return (received - received[0]) / 1e9, (received - stamps) / 1e9
 
 
-def _lower_envelope(delay: _Delay) -> _Delay:
+def _lower_envelope(time_s: Float64, delay_s: Float64) -> tuple[Float64, Float64]:
     """The least delay of each twentieth of the drive: waiting only adds to it."""
-    groups = [g for g in np.array_split(np.arange(len(delay.time_s)), 20) if g.size]
-    least = np.array([g[np.argmin(delay.delay_s[g])] for g in groups], dtype=np.intp)
-    return _Delay(delay.time_s[least], delay.delay_s[least])
+    groups = [g for g in np.array_split(np.arange(len(time_s)), 20) if g.size]
+    least = np.array([g[np.argmin(delay_s[g])] for g in groups], dtype=np.intp)
+    return time_s[least], delay_s[least]
 
 
-def _drift_ppm(delay: _Delay) -> float | None:
+def _drift_ppm(time_s: Float64, delay_s: Float64) -> float | None:
     """The median of the slopes between the least delays, parts per million; None when short."""
-    if len(delay.time_s) < 2 or delay.time_s[-1] - delay.time_s[0] < DRIFT_OVER_S:
+    if len(time_s) < 2 or time_s[-1] - time_s[0] < DRIFT_OVER_S:
         return None
-    time_s, delay_s = _lower_envelope(delay)
+    time_s, delay_s = _lower_envelope(time_s, delay_s)
     first, second = np.triu_indices(len(time_s), 1)
     apart_s = time_s[second] - time_s[first]
     clear = apart_s > 0.0
@@ -180,22 +175,22 @@ def _drift_ppm(delay: _Delay) -> float | None:
     return 1e6 * float(np.median((delay_s[second] - delay_s[first])[clear] / apart_s[clear]))
 
 
-def _jumps(delay: _Delay) -> list[tuple[float, float]]:
+def _jumps(time_s: Float64, delay_s: Float64) -> list[tuple[float, float]]:
     """When, in seconds since the first, and by how much the delay changed for good."""
     found: list[tuple[float, float]] = []
-    for k in np.flatnonzero(np.abs(np.diff(delay.delay_s)) > JUMP_S).tolist():
-        before = delay.delay_s[max(k + 1 - JUMP_OVER, 0) : k + 1]
-        after = delay.delay_s[k + 1 : k + 1 + JUMP_OVER]
+    for k in np.flatnonzero(np.abs(np.diff(delay_s)) > JUMP_S).tolist():
+        before = delay_s[max(k + 1 - JUMP_OVER, 0) : k + 1]
+        after = delay_s[k + 1 : k + 1 + JUMP_OVER]
         # Waiting adds to the least delay of neither side.
         by_s = float(after.min() - before.min())
         lasting = len(before) >= JUMP_OVER // 2 and len(after) >= JUMP_OVER // 2
         if lasting and abs(by_s) > JUMP_S:
-            found.append((float(delay.time_s[k + 1]), by_s))
+            found.append((float(time_s[k + 1]), by_s))
     return found
 
 
-def _delay_findings(stream: Stream, delay: _Delay) -> Iterator[Finding]:
-    jumps = _jumps(delay)
+def _delay_findings(stream: Stream, time_s: Float64, delay_s: Float64) -> Iterator[Finding]:
+    jumps = _jumps(time_s, delay_s)
     if jumps:
         when_s, by_s = max(jumps, key=lambda jump: abs(jump[1]))
         yield warning(
@@ -205,8 +200,8 @@ def _delay_findings(stream: Stream, delay: _Delay) -> Iterator[Finding]:
             "Do not set the clock during a drive; use only the part before or after the jump.",
         )
         return
-    drift_ppm = _drift_ppm(delay) or 0.0
-    drift_s = abs(drift_ppm) * 1e-6 * float(delay.time_s[-1] - delay.time_s[0])
+    drift_ppm = _drift_ppm(time_s, delay_s) or 0.0
+    drift_s = abs(drift_ppm) * 1e-6 * float(time_s[-1] - time_s[0])
     if abs(drift_ppm) > DRIFT_PPM and drift_s > DRIFT_S:
         yield warning(
             "clock-drift",
@@ -238,7 +233,7 @@ def _apart_findings(used: Sequence[Stream]) -> Iterator[Finding]:
 def _first_delay(used: Sequence[Stream], roles: Sequence[str]) -> tuple[Stream | None, float]:
     """The first stream of these roles whose delay is known, and its delay; None where none is."""
     for stream in (stream for role in roles for stream in used if stream.role == role):
-        delay = _delay_s(stream)
+        delay = _delay(stream)
         if delay is not None:
-            return stream, float(np.median(_lower_envelope(delay).delay_s))
+            return stream, float(np.median(_lower_envelope(*delay)[1]))
     return None, 0.0

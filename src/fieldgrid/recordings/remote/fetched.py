@@ -166,7 +166,7 @@ def _cleared(copy: Path, there: Manifest, drafts: Path) -> list[str]:
 def _get(
     system: Any, root: str, there: Manifest, names: list[str], copy: Path, drafts: Path
 ) -> None:
-    """Fetch some files, and move them to their places when all of their bytes are here."""
+    """Fetch some files, and move each to its place when all of its bytes are here."""
     places = [drafts / str(number) for number in range(len(names))]
     paths = [posixpath.join(root, name) if name else root for name in names]
     within_time(
@@ -175,11 +175,10 @@ def _get(
     )
     for name, place in zip(names, places, strict=True):
         size, expected = place.lstat().st_size, size_of(there.files[name])
-        if size != (size if expected is None else expected):
+        if expected not in (None, size):
             raise RecordingError(
                 f"{name or there.url} arrived with {size} of its {expected} bytes; repeat the "
                 "command, which goes on from there."
             )
-    for name, place in zip(names, places, strict=True):
         (copy / name).parent.mkdir(parents=True, exist_ok=True)
         place.replace(copy / name)
