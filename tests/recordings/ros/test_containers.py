@@ -358,7 +358,7 @@ def test_one_useless_file_of_several(tmp_path: Path) -> None:
     (tmp_path / "bag" / "drive_9.mcap").write_bytes(b"")
     messages, damage = read(tmp_path / "bag")
     assert messages == wanted[20:]
-    assert damage.startswith("drive_9.mcap is empty or does not begin like any bag; 40 messages")
+    assert damage.startswith("drive_9.mcap cannot be read; 40 messages")
 
 
 def test_several_databases(tmp_path: Path) -> None:

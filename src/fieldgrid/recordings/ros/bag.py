@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from array import array
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack
 from datetime import UTC, datetime, timedelta
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,21 +23,27 @@ from fieldgrid.core import (
     counted,
     limits,
 )
-from fieldgrid.recordings.ros.chunked import ChunkedFile
-from fieldgrid.recordings.ros.db3 import Db3File, is_db3
+from fieldgrid.recordings.ros.db3 import Db3Reader, is_db3
 from fieldgrid.recordings.ros.definitions import has_header
 from fieldgrid.recordings.ros.folder import BagFiles, find_files, is_bag_folder, unpacked
-from fieldgrid.recordings.ros.mcap_file import MAGIC as MCAP_MAGIC, McapRun
-from fieldgrid.recordings.ros.model import BagPart, Connection, Message, Record, Topic
-from fieldgrid.recordings.ros.rosbag1 import MAGIC as ROSBAG1_MAGIC, Rosbag1Run
+from fieldgrid.recordings.ros.mcap_file import MAGIC as MCAP_MAGIC, McapReader
+from fieldgrid.recordings.ros.model import (
+    Connection,
+    Connections,
+    FileReader,
+    Message,
+    Record,
+    Topic,
+)
+from fieldgrid.recordings.ros.rosbag1 import MAGIC as ROSBAG1_MAGIC, Rosbag1Reader
 from fieldgrid.recordings.ros.source import ZSTD_MAGIC, inflate
 from fieldgrid.recordings.ros.sqlite_file import MAGIC as SQLITE_MAGIC, mended
 from fieldgrid.recordings.ros.stamps import stamp_ns
 
-_PARTS: dict[bytes, Callable[[Path, Path], BagPart]] = {
-    ROSBAG1_MAGIC: partial(ChunkedFile, Rosbag1Run),
-    MCAP_MAGIC: partial(ChunkedFile, McapRun),
-    SQLITE_MAGIC: Db3File,
+_KINDS: dict[bytes, type[FileReader]] = {
+    ROSBAG1_MAGIC: Rosbag1Reader,
+    MCAP_MAGIC: McapReader,
+    SQLITE_MAGIC: Db3Reader,
 }
 _SUFFIXES = (".bag", ".mcap", ".db3")
 _PACKED = (".mcap.zstd", ".db3.zstd")
@@ -75,7 +81,7 @@ def is_bag(path: Path) -> bool:
         return True
     if start.startswith(SQLITE_MAGIC):
         return is_db3(path)  # A map is an SQLite database too.
-    return start.startswith(tuple(_PARTS))
+    return start.startswith(tuple(_KINDS))
 
 
 def open_bag(
@@ -98,17 +104,15 @@ class Bag(Closing):
     pickled; the copy reads as long as the original is open.
     """
 
-    def __init__(self, path: Path, listen: Listen, epoch_ns: int | None = None) -> None:
+    def __init__(self, path: Path, listen: Listen, epoch_ns: int | None) -> None:
         self.path = path
         self._epoch_ns = epoch_ns
         self._topics: dict[str, _Topic] = {}
-        self._others: dict[str, int] = {}
-        self._notes: list[str] = []
+        self._others: Counter[str] = Counter()
+        self._parts: list[_Part] = []
         self._stack = ExitStack()
         try:
-            self._parts = self._open_parts()
-            self._bytes = sum(part.path.stat().st_size for part in self._parts)
-            self._scan(listen)
+            self._read(listen)
         except BaseException as error:
             self._stack.close()
             if isinstance(error, OSError):
@@ -166,7 +170,7 @@ class Bag(Closing):
         wanted = None if topics is None else frozenset(topics)
         first, at = divmod(start, _SPAN)
         for part in self._parts[first:]:
-            for connection, receive_ns, data, _ in self._whole(part.records(wanted, at)):
+            for connection, receive_ns, data, _ in self._whole(part.run(wanted).records(at)):
                 topic = self._topics.get(connection.topic)
                 if topic is not None and topic.takes(connection):
                     yield Message(connection, receive_ns, bytes(data))
@@ -179,74 +183,60 @@ class Bag(Closing):
             )
         return self._topics[name]
 
-    def _open_parts(self) -> list[BagPart]:
+    def _read(self, listen: Listen) -> None:
+        """Read everything once: topics, counts, times, places, and what is listened to."""
         files = find_files(self.path) if self.path.is_dir() else BagFiles([self.path], [])
-        self._notes += files.notes
-        if len(files.paths) == 1:
-            return [self._part(files.paths[0])]
-        parts = []
+        self._clauses = [*files.notes]
+        self._bytes = sum(path.stat().st_size for path in files.paths if path.is_file())
+        self._room = _MOST_MESSAGES + self._bytes // 8
         for path in files.paths:
             try:
-                parts.append(self._part(path))
+                self._read_file(path, listen)
             except LimitError:
                 raise
             except RecordingError:
-                self._notes.append(f"{path.name} is empty or does not begin like any bag")
-        return parts
-
-    def _part(self, path: Path) -> BagPart:
-        if not path.is_file():
-            raise RecordingError(f"{path} is not there, or is no file; check its name.")
-        file, is_all = unpacked(path, self._stack)
-        start = _start(file)
-        if start.startswith(SQLITE_MAGIC):
-            file = mended(file, self._stack)
-        if not is_all:
-            self._notes.append(f"{path.name} cannot be decompressed to its end")
-        for magic, kind in _PARTS.items():
-            if start.startswith(magic):
-                return kind(path, file)
-        what = "is empty" if not start else "does not begin like any bag"
-        raise RecordingError(
-            f"{path} {what}: it is not a .bag, .mcap or .db3 file that can be used; record again, "
-            "or copy it again."
-        )
-
-    def _scan(self, listen: Listen) -> None:
-        """Read everything once: topics, counts, times, places, and what is listened to."""
-        room = _MOST_MESSAGES + self._bytes // 8
-        opened, self._parts = self._parts, []
-        for part in opened:
-            place = len(self._parts) * _SPAN
-            self._parts.append(part)
-            try:
-                for record in self._whole(part.records()):
-                    self._count(record, place, listen)
-                    room -= 1
-                    if room < 0:
-                        raise LimitError(
-                            f"{self.path} holds more messages than a bag of its size can; it was "
-                            "damaged or made to do harm, record again."
-                        )
-            except LimitError:
-                raise
-            except RecordingError:
-                if len(opened) == 1:
+                if len(files.paths) == 1:
                     raise
-                self._parts.pop()
-                self._notes.append(f"{part.path.name} cannot be read")
-            for _, connection in part.connections.items():
-                if connection.topic not in self._topics:
-                    self._topics[connection.topic] = _Topic(connection)
+                self._clauses.append(f"{path.name} cannot be read")
+        for name, number in self._others.items():
+            self._clauses.append(
+                f"{counted(number, 'message')} of {name} that are not of type "
+                f"{self._topics[name].connection.type} are left out"
+            )
         if not any(topic.received for topic in self._topics.values()):
-            found = self._clauses()
             raise RecordingError(
                 f"{self.path} holds no message that can be read"
-                + (f" ({found[0]})" if found else "")
+                + (f" ({self._clauses[0]})" if self._clauses else "")
                 + "; record again."
             )
         for topic in self._topics.values():
             topic.take = None
+
+    def _read_file(self, path: Path, listen: Listen) -> None:
+        if not path.is_file():
+            raise RecordingError(f"{path} is not there, or is no file; check its name.")
+        file, is_all = unpacked(path, self._stack)
+        start = _start(file)
+        kind = next((kind for magic, kind in _KINDS.items() if start.startswith(magic)), None)
+        if kind is None:
+            what = "does not begin like any bag" if start else "is empty"
+            raise RecordingError(
+                f"{path} {what}: it is not a .bag, .mcap or .db3 file that can be used; record "
+                "again, or copy it again."
+            )
+        if kind is Db3Reader:
+            file = mended(file, self._stack)
+        part = _Part(kind, path, file, Connections())
+        run = part.run()
+        place = len(self._parts) * _SPAN
+        for record in self._whole(run.records()):
+            self._count(record, place, listen)
+        self._parts.append(part)
+        if not is_all:
+            self._clauses.append(f"{path.name} cannot be decompressed to its end")
+        self._clauses += run.damage.clauses(path.name)
+        for known in part.connections.values():
+            self._topics.setdefault(known.connection.topic, _Topic(known.connection))
 
     def _count(self, record: Record, place: int, listen: Listen) -> None:
         connection, receive_ns, data, at = record
@@ -255,8 +245,14 @@ class Bag(Closing):
         if topic is None:
             topic = self._topics[name] = _Topic(connection)
         if not topic.takes(connection):
-            self._others[name] = self._others.get(name, 0) + 1
+            self._others[name] += 1
             return
+        self._room -= 1
+        if self._room < 0:
+            raise LimitError(
+                f"{self.path} holds more messages than a bag of its size can; it was damaged or "
+                "made to do harm, record again."
+            )
         number = len(topic.received)
         if number == 0:
             topic.take = listen(name, connection.type)
@@ -278,19 +274,8 @@ class Bag(Closing):
             else:
                 yield record
 
-    def _clauses(self) -> list[str]:
-        found = list(self._notes)
-        for part in self._parts:
-            found += part.damage.clauses(part.path.name)
-        for topic, number in self._others.items():
-            found.append(
-                f"{counted(number, 'message')} of {topic} that are not of type "
-                f"{self._topics[topic].connection.type} are left out"
-            )
-        return found
-
     def _damage(self) -> str:
-        clauses = self._clauses()
+        clauses = self._clauses
         if not clauses:
             return ""
         if len(clauses) > _SHOWN_CLAUSES:
@@ -299,6 +284,19 @@ class Bag(Closing):
         number = sum(len(topic.received) for topic in self._topics.values())
         used = f"{counted(number, 'message')} up to {_utc(self.end_ns)} are used"
         return f"{'; '.join([*clauses, used])}."
+
+
+class _Part(NamedTuple):
+    """One file of a bag that was read once, so that its connections are known."""
+
+    kind: type[FileReader]
+    path: Path
+    file: Path
+    connections: Connections
+
+    def run(self, topics: Collection[str] | None = None) -> FileReader:
+        """A run through it, for the messages of these topics."""
+        return self.kind(self.path, self.file, self.connections, topics)
 
 
 class _Topic:
@@ -324,7 +322,7 @@ class _Topic:
 
 def _start(path: Path) -> bytes:
     with path.open("rb") as file:
-        return file.read(max(len(magic) for magic in _PARTS))
+        return file.read(max(len(magic) for magic in _KINDS))
 
 
 def _utc(time_ns: int) -> str:

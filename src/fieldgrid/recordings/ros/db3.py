@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import closing, suppress
 from pathlib import Path
 
@@ -12,9 +12,8 @@ from fieldgrid.recordings.ros.model import (
     MAX_CONNECTIONS,
     MAX_GAPS,
     Connection,
-    Connections,
-    Damage,
     Definition,
+    FileReader,
     Record,
     ros2_name,
     size,
@@ -31,34 +30,21 @@ _FURTHEST_ROW = (1 << 63) - 1
 _ROW_BYTES = 64  # what a row costs without its data
 
 
-class Db3File:
-    """One `.db3` file."""
+class Db3Reader(FileReader):
+    """One run through a `.db3` file."""
 
-    def __init__(self, path: Path, file: Path) -> None:
-        self.path, self.file = path, file
-        self.damage = Damage()
-        self.connections = Connections()
-
-    def records(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[Record]:
-        """Every message that is readable, in the order of the file."""
-        self.damage = Damage()
+    def records(self, start: int = 0) -> Iterator[Record]:
+        """See `FileReader`."""
         try:
-            database = connect(self.file)
-        except sqlite3.Error as error:
-            raise self._unusable(error) from error
-        with closing(database):
-            try:
+            with closing(connect(self.file)) as database:
                 self._check_tables(database)
                 self._connect(database)
-            except sqlite3.Error as error:
-                raise self._unusable(error) from error
-            yield from self._rows(database, topics, start)
-
-    def _unusable(self, error: sqlite3.Error) -> RecordingError:
-        return RecordingError(
-            f"{self.path} is a damaged database ({error}), whose topics cannot be read; recover "
-            "it with `sqlite3 FILE .recover`."
-        )
+                yield from self._rows(database, start)
+        except sqlite3.Error as error:
+            raise RecordingError(
+                f"{self.path} is a damaged database ({error}), whose topics cannot be read; "
+                "recover it with `sqlite3 FILE .recover`."
+            ) from error
 
     def _check_tables(self, database: sqlite3.Connection) -> None:
         if tables(database) >= _TABLES:
@@ -89,13 +75,13 @@ class Db3File:
                 )
                 self.connections.add(number, connection)
 
-    def _rows(
-        self, database: sqlite3.Connection, topics: Collection[str] | None, start: int
-    ) -> Iterator[Record]:
-        query = _ROWS.format("")
-        if topics is not None:
-            numbers = [n for n, one in self.connections.items() if one.topic in topics]
-            query = _ROWS.format(f"AND topic_id IN ({', '.join(map(str, numbers))})")
+    def _rows(self, database: sqlite3.Connection, start: int) -> Iterator[Record]:
+        chosen = ""
+        if self.topics is not None:
+            known = self.connections.items()
+            numbers = [str(n) for n, one in known if one.connection.topic in self.topics]
+            chosen = f"AND topic_id IN ({', '.join(numbers)})"
+        query = _ROWS.format(chosen)
         budget = UnfoldBudget(self.path, self.file.stat().st_size)
         last = intact = start - 1
         step, gaps = 1, 0
@@ -124,11 +110,11 @@ class Db3File:
             last, step = last + step, 2 * step
 
     def _record(self, row: int, topic: object, time_ns: object, data: object) -> Record | None:
-        connection = self.connections.get(topic) if isinstance(topic, int) else None
-        if connection is None or not isinstance(time_ns, int) or not isinstance(data, bytes):
+        known = self.connections.get(topic) if isinstance(topic, int) else None
+        if known is None or not isinstance(time_ns, int) or not isinstance(data, bytes):
             self.damage.messages += 1
             return None
-        return Record(connection, time_ns, data, row)
+        return Record(known.connection, time_ns, data, row)
 
 
 def is_db3(path: Path) -> bool:

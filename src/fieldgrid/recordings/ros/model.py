@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass, field
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from fieldgrid.core import counted
 
@@ -59,73 +59,32 @@ class Record(NamedTuple):
     at: int
 
 
-class BagPart(Protocol):
-    """One file of a bag, known to begin as its kind does: `path` names it, `file` is read."""
-
-    path: Path
-    file: Path
-    damage: Damage
-    """Of the latest run of `records`, and complete when that has ended."""
-    connections: Connections
-    """All that a run has met so far."""
-
-    def records(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[Record]:
-        """What can be read, in the order of the file; of these topics, or of all. `start` is
-        where, an `at` of a record of an earlier run. Raises LimitError for a file that unfolds
-        to more than it may."""
-
-
 MAX_GAPS = 1000
 """A file with more damaged places than this is given up at the last of them."""
 
-UNCLOSED = "was not closed by its recorder, so its last messages may be missing"
 
-
-@dataclass
 class Damage:
     """What could not be read of one file.
 
-    `end` and `notes` are clauses that follow the name of the file: how it ends before its time,
-    and what else is wrong. `chunks` of `chunk_bytes` are damaged within, `gaps` of `gap_bytes`
-    make no sense, and single `messages` could not be read.
+    `end` is a clause that follows the name of the file: how it ends before its time. Of chunks and
+    places that are `lost` it has the bytes; single `messages` could not be read.
     """
 
-    end: str = ""
-    chunks: int = 0
-    chunk_bytes: int = 0
-    gaps: int = 0
-    gap_bytes: int = 0
-    messages: int = 0
-    notes: list[str] = field(default_factory=list)
-
-    def lose_chunk(self, count: int) -> None:
-        """Count a chunk of this many bytes as damaged."""
-        self.chunks += 1
-        self.chunk_bytes += count
-
-    def cut(self, what: str, count: int, *, partly: bool = False) -> None:
-        """Note that the file ends in the middle of something, so that `count` bytes are lost."""
-        self.end = f"ends in the middle of {what}: its last {size(count)} cannot be read" + (
-            " or only in part" if partly else ""
-        )
-
-    def lacks(self, expected: int, read: int, most: int) -> None:
-        """Note the messages that the recorder counted and that were not read, up to `most`."""
-        if expected <= most:
-            self.messages = max(self.messages, expected - read)
+    def __init__(self) -> None:
+        self.end = ""
+        self.messages = 0
+        self.lost: dict[str, list[int]] = {"chunk": [], "place": []}
 
     def clauses(self, name: str) -> list[str]:
         """What is lost of the file `name`; nothing for a whole file."""
         found = [self.end] if self.end else []
-        if self.chunks:
-            chunks = counted(self.chunks, "damaged chunk")
-            found.append(f"holds {chunks} ({size(self.chunk_bytes)})")
-        if self.gaps:
-            places = counted(self.gaps, "damaged place")
-            found.append(f"holds {places} ({size(self.gap_bytes)})")
+        for what, counts in self.lost.items():
+            if counts:
+                number = counted(len(counts), f"damaged {what}")
+                found.append(f"holds {number} ({size(sum(counts))})")
         if self.messages:
             found.append(f"holds {counted(self.messages, 'unreadable message')}")
-        return [f"{name} {clause}" for clause in found + self.notes]
+        return [f"{name} {clause}" for clause in found]
 
 
 def size(count: int) -> str:
@@ -145,25 +104,32 @@ _MAX_CHARS = 1 << 20  # of all definitions that differ
 _MAX_NAME_CHARS = 1 << 22
 
 
-class Connections:
-    """The connections of one file by their number, as many as a real file has."""
+class Known(NamedTuple):
+    """A connection, and where in its file it is told: place and offset, as of a record."""
+
+    connection: Connection
+    since: tuple[int, int]
+
+
+class Connections(dict[int, Known]):
+    """The connections of one file by their number, as many as a real file has; of an MCAP also
+    the `schemas` of those to come, names and definitions."""
 
     def __init__(self) -> None:
-        self._known: dict[int, Connection] = {}
+        super().__init__()
+        self.schemas: dict[int, tuple[str, Definition | None]] = {}
         self._definitions: dict[Definition, Definition] = {}
         self._chars = self._name_chars = 0
 
-    def add(self, number: int, connection: Connection) -> None:
+    def add(self, number: int, connection: Connection, since: tuple[int, int] = (-1, 0)) -> None:
         """Take a connection. One beyond all measure is left out, and its messages with it."""
-        if number in self._known or len(self._known) == MAX_CONNECTIONS:
-            return
         self._name_chars += len(connection.topic) + len(connection.type)
-        if self._name_chars < _MAX_NAME_CHARS:
-            definition = self._taken(connection.definition)
-            self._known[number] = connection._replace(definition=definition)
+        if len(self) < MAX_CONNECTIONS and self._name_chars < _MAX_NAME_CHARS:
+            definition = self.shared(connection.definition)
+            self.setdefault(number, Known(connection._replace(definition=definition), since))
 
-    def _taken(self, definition: Definition | None) -> Definition | None:
-        """One shared definition object for all connections whose definition is equal."""
+    def shared(self, definition: Definition | None) -> Definition | None:
+        """One object for all definitions that are equal; None for one beyond all measure."""
         if definition is None or len(definition.text) > MAX_DEFINITION_CHARS:
             return None
         if definition not in self._definitions:
@@ -173,13 +139,28 @@ class Connections:
             self._definitions[definition] = definition
         return self._definitions[definition]
 
-    def items(self) -> Iterable[tuple[int, Connection]]:
-        """The connections with their numbers."""
-        return self._known.items()
 
-    def get(self, number: int) -> Connection | None:
-        """The connection of that number, if there is one."""
-        return self._known.get(number)
+class FileReader(ABC):
+    """One run through one file of a bag, known to begin as its kind does: `path` names it, `file`
+    is read. `connections` are all that runs have met so far, and `damage` is whole when the run has
+    ended."""
+
+    def __init__(
+        self,
+        path: Path,
+        file: Path,
+        connections: Connections,
+        topics: Collection[str] | None = None,
+    ) -> None:
+        self.path, self.file = path, file
+        self.connections, self.topics = connections, topics
+        self.damage = Damage()
+
+    @abstractmethod
+    def records(self, start: int = 0) -> Iterator[Record]:
+        """What can be read, in the order of the file; of these topics, or of all. `start` is
+        where, an `at` of a record of an earlier run. Raises LimitError for a file that unfolds
+        to more than it may."""
 
 
 def ros2_name(name: str) -> str:

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 
 from fieldgrid.core import RecordingError, limits, quoted
-from fieldgrid.recordings.ros.chunked import ChunkedFile, Run
-from fieldgrid.recordings.ros.model import UNCLOSED, Connection, Definition, Record, ros2_name
-from fieldgrid.recordings.ros.source import COMPRESSIONS, BadChunkError, BoundedFile, Torn
+from fieldgrid.recordings.ros.chunked import TORN, ChunkedReader
+from fieldgrid.recordings.ros.model import Connection, Definition, Record, ros2_name
+from fieldgrid.recordings.ros.source import COMPRESSIONS, Torn
 
 MAGIC = b"#ROSBAG V"
 _VERSION = b"2.0\n"
@@ -28,22 +28,15 @@ _USUAL_MESSAGE = re.compile(
 """The header of a message that has these three fields alone, as of every recorder, in any order."""
 
 
-class Rosbag1Run(Run):
+class Rosbag1Reader(ChunkedReader):
     """One run through a `.bag` file."""
 
     chunk_mark = re.compile(rb"\x04\x00\x00\x00op=\x05")
     widest_mark = _WIDEST_CHUNK_HEADER
-
-    def __init__(
-        self, part: ChunkedFile, source: BoundedFile, topics: Collection[str] | None
-    ) -> None:
-        super().__init__(part, source, topics)
-        self._indexed = 0  # messages that the index counts
-        self._chunks, self._chunks_of_header = 0, -1
-        self._is_closed = False
+    _chunks, _chunks_of_header = 0, -1
 
     def begin(self) -> None:
-        """Check and pass over the start."""
+        """See `ChunkedReader`."""
         magic = self.source.rest(len(MAGIC) + len(_VERSION))
         if not magic.endswith(_VERSION):
             version = magic[len(MAGIC) :].decode("ascii", "replace").strip()
@@ -53,105 +46,90 @@ class Rosbag1Run(Run):
             )
 
     def next_records(self) -> Iterator[Record]:
-        """See `Run`."""
+        """See `ChunkedReader`."""
         source = self.source
         length: int = _U32.unpack(source.take(4))[0]
         if length > _MAX_HEADER_BYTES:
             raise Torn
         header = _fields(source.take(length))
         op = _op(header)
+        length = _U32.unpack(source.take(4))[0]
         if op == _CHUNK:
-            length = _U32.unpack(source.take(4))[0]
             compression = header.get(b"compression", b"").decode("ascii", "replace")
             if compression not in COMPRESSIONS:
                 raise Torn
             full_bytes = _number(header, b"size", limits().piece_bytes + 1)
             self._chunks += 1
+            self.has_all = self.is_closed and 0 < self._chunks_of_header <= self._chunks
             yield from self.chunk_records(length, compression, full_bytes)
-        elif op in (_MESSAGE, _CONNECTION):
-            source.skip(_U32.unpack(source.take(4))[0])
-            end = source.offset
-            source.go(self.at)
-            yield from self.inner_records(source.take(end - self.at))
+        elif op == _INDEX:
+            source.skip(length)
         else:
-            if op == _BAG:
-                if header.get(b"encryptor"):
-                    raise RecordingError(
-                        f"{self.path} is encrypted; decrypt it with `rosbag decrypt` first."
-                    )
-                self._is_closed = any(header.get(b"index_pos", b""))
-                self._chunks_of_header = _number(header, b"chunk_count", -1)
-            length = _U32.unpack(source.take(4))[0]
-            if op == _CHUNK_INFO:  # pairs of a connection and its number of messages in a chunk
-                pairs = source.take(length)[: length // 8 * 8]
-                self._indexed += sum(count for _, count in _PAIR.iter_unpack(pairs))
-            else:
-                source.skip(length)
-
-    def has_all(self) -> bool:
-        """See `Run`."""
-        return self._is_closed and 0 < self._chunks_of_header <= self._chunks
-
-    def finish(self) -> None:
-        """See `Run`."""
-        damage = self.damage
-        damage.lacks(self._indexed, self.seen, self.source.size)
-        if not self._is_closed and not damage.end:
-            damage.end = UNCLOSED
-        elif self._chunks < self._chunks_of_header and not damage.end:
-            damage.end = f"holds {self._chunks} of the {self._chunks_of_header} chunks that it had"
-
-    def inner_records(self, data: bytes) -> Iterator[Record]:
-        """See `Run`."""
-        view = memoryview(data)
-        end = len(data)
-        at = 0
-        while at < end:
-            if at + 4 > end:
-                raise BadChunkError
-            body = at + 4 + _U32.unpack_from(view, at)[0]
-            if body + 4 > end:
-                raise BadChunkError
-            after = body + 4 + _U32.unpack_from(view, body)[0]
-            if after > end:
-                raise BadChunkError
-            record = self._inner_record(view, at, body, after)
+            record = self._read(op, header, memoryview(source.take(length)), 0)
             if record is not None:
                 yield record
-            at = after
 
-    def _inner_record(self, view: memoryview, at: int, body: int, after: int) -> Record | None:
-        usual = _USUAL_MESSAGE.fullmatch(view, at + 4, body)
-        number, time = usual.groups() if usual else (None, None)
-        if number is None or time is None:
-            try:
-                header = _fields(bytes(view[at + 4 : body]))
-                kind = _op(header)
-            except Torn as error:
-                raise BadChunkError from error
-            number, time = header.get(b"conn", b""), header.get(b"time", b"")
-            if kind == _CONNECTION and len(number) == 4:
-                self._connect(_U32.unpack(number)[0], header, bytes(view[body + 4 : after]))
-            if kind != _MESSAGE:
-                return None
-            if len(time) != 8 or len(number) != 4:
-                raise BadChunkError
+    def lacking(self) -> str:
+        """See `ChunkedReader`."""
+        if self._chunks < self._chunks_of_header:
+            return f"holds {self._chunks} of the {self._chunks_of_header} chunks that it had"
+        return ""
+
+    def inner_records(self, data: bytes) -> Iterator[Record]:
+        """See `ChunkedReader`."""
+        view, at = memoryview(data), 0
+        while at < len(data):
+            begin, body = at + 4, at + 4 + _U32.unpack_from(view, at)[0]
+            at = body + 4 + _U32.unpack_from(view, body)[0]
+            if at > len(data):
+                raise Torn
+            usual = _USUAL_MESSAGE.fullmatch(view, begin, body)
+            number, time = usual.groups() if usual else (None, None)
+            if number is None or time is None:
+                header = _fields(bytes(view[begin:body]))
+                record = self._read(_op(header), header, view[body + 4 : at], begin)
+            else:
+                record = self._message(number, time, view[body + 4 : at], begin)
+            if record is not None:
+                yield record
+
+    def _message(self, number: bytes, time: bytes, data: memoryview, offset: int) -> Record | None:
         secs, nsecs = _PAIR.unpack(time)
-        return self.record(_U32.unpack(number)[0], secs * 10**9 + nsecs, view[body + 4 : after])
+        return self.record(_U32.unpack(number)[0], secs * 10**9 + nsecs, data, offset)
 
-    def _connect(self, number: int, header: Mapping[bytes, bytes], data: bytes) -> None:
+    def _read(
+        self, op: int, header: Mapping[bytes, bytes], data: memoryview, offset: int
+    ) -> Record | None:
+        """The message of a record, if it is one; what others say is kept."""
+        if op == _MESSAGE:
+            return self._message(header.get(b"conn", b""), header.get(b"time", b""), data, offset)
+        if op == _CONNECTION:
+            self._connect(header, bytes(data), offset)
+        elif op == _CHUNK_INFO:  # pairs of a connection and its number of messages in a chunk
+            pairs = data[: len(data) // 8 * 8]
+            self.told += sum(count for _, count in _PAIR.iter_unpack(pairs))
+        elif op == _BAG:
+            if header.get(b"encryptor"):
+                raise RecordingError(
+                    f"{self.path} is encrypted; decrypt it with `rosbag decrypt` first."
+                )
+            self.is_closed = any(header.get(b"index_pos", b""))
+            self._chunks_of_header = _number(header, b"chunk_count", -1)
+        return None
+
+    def _connect(self, header: Mapping[bytes, bytes], data: bytes, offset: int) -> None:
         try:
             fields = _fields(data)
+            number: int = _U32.unpack(header[b"conn"])[0]
             name = fields[b"type"].decode()
             topic = header[b"topic"].decode()
-        except (Torn, KeyError, UnicodeDecodeError):
+        except (*TORN, KeyError, UnicodeDecodeError):
             return  # Its messages are counted as lost.
         text = fields.get(b"message_definition", b"").decode("utf-8", "replace")
         # ROS 1 does not care about slashes that double or trail.
         topic = "/" * topic.startswith("/") + "/".join(filter(None, topic.split("/")))
-        self.connections.add(
-            number, Connection(topic, ros2_name(name), "ros1", Definition("msg", text))
-        )
+        connection = Connection(topic, ros2_name(name), "ros1", Definition("msg", text))
+        self.connections.add(number, connection, (self.at, offset))
 
     def chunk_at(self, mark: int) -> int:
         """The start of the chunk record whose `op` field is there."""
@@ -165,7 +143,7 @@ class Rosbag1Run(Run):
                 continue
             try:
                 header = _fields(block[at + 4 : at + 4 + length])
-            except Torn:
+            except TORN:
                 continue
             if header.keys() >= {b"op", b"compression", b"size"} and header[b"op"] == b"\x05":
                 return first + at
@@ -177,8 +155,6 @@ def _fields(data: bytes) -> dict[bytes, bytes]:
     found: dict[bytes, bytes] = {}
     at = 0
     while at < len(data):
-        if at + 4 > len(data):
-            raise Torn
         end = at + 4 + _U32.unpack_from(data, at)[0]
         name, equals, value = data[at + 4 : end].partition(b"=")
         if end > len(data) or not equals:

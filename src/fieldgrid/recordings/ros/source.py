@@ -6,9 +6,9 @@ import bz2
 import os
 import re
 from collections.abc import Callable, Iterator
-from io import BytesIO
+from functools import partial
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import BinaryIO
 
 import lz4.frame
 
@@ -23,10 +23,6 @@ _MAX_WINDOW_BYTES = 1 << 27
 
 class Torn(Exception):  # noqa: N818 - a way of ending, not an error of the caller
     """The file ends, or stops to make sense, before what was to be read."""
-
-
-class BadChunkError(Exception):
-    """The records within a chunk make no sense."""
 
 
 class BoundedFile(Closing):
@@ -100,45 +96,9 @@ class BoundedFile(Closing):
         return False
 
 
-class _Stream(Protocol):
-    def read(self, size: int, /) -> bytes: ...
-
-
-class _Unpacker(Protocol):
-    @property
-    def eof(self) -> bool: ...
-
-    def decompress(self, data: bytes, max_length: int, /) -> bytes: ...
-
-
-class _UnpackedStream:
-    """A stream from an object that unpacks bit by bit."""
-
-    def __init__(self, unpacker: _Unpacker, data: bytes) -> None:
-        self._unpacker, self._data = unpacker, data
-
-    def read(self, size: int) -> bytes:
-        if self._unpacker.eof:
-            return b""
-        data, self._data = self._data, b""
-        return bytes(self._unpacker.decompress(data, size))
-
-
-def _zstd(source: bytes | BinaryIO) -> _Stream:
-    import zstandard
-
-    reader = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
-    return reader.stream_reader(BytesIO(source) if isinstance(source, bytes) else source)
-
-
-_CODECS: dict[str, Callable[[bytes], _Stream]] = {
-    "bz2": lambda data: _UnpackedStream(bz2.BZ2Decompressor(), data),
-    "lz4": lambda data: _UnpackedStream(lz4.frame.LZ4FrameDecompressor(), data),
-    "zstd": _zstd,
-}
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-UNCOMPRESSED = {"", "none"}
-COMPRESSIONS = UNCOMPRESSED | set(_CODECS)
+_UNPACKERS = {"bz2": bz2.BZ2Decompressor, "lz4": lz4.frame.LZ4FrameDecompressor}
+COMPRESSIONS = {"", "none", "zstd", *_UNPACKERS}
 
 
 def inflate(data: bytes, compression: str, most: int) -> bytes:
@@ -147,24 +107,39 @@ def inflate(data: bytes, compression: str, most: int) -> bytes:
     Memory grows with what really comes out, whatever the data claim. `compression` is one of
     `COMPRESSIONS`.
     """
-    if compression in UNCOMPRESSED:
+    if compression in ("", "none"):
         return data[:most]
     import zstandard
 
-    stream = _CODECS[compression](data)
+    step = min(most, _STEP_BYTES)
+    pieces = _zstd_pieces(data, step) if compression == "zstd" else _pieces(data, compression, step)
     found = bytearray()
-    while len(found) < most:
-        try:
-            piece = stream.read(min(most - len(found), _STEP_BYTES))
-        # The first errors are of bz2 and of lz4.
-        except (OSError, EOFError, RuntimeError, ValueError, MemoryError, zstandard.ZstdError):
-            break
-        if not piece:
-            break
-        if not found and len(piece) == most:
-            return piece
-        found += piece
+    try:
+        for piece in pieces:
+            if len(piece) == most:
+                return piece
+            found += piece
+            if len(found) >= most:
+                break
+    # The first errors are of bz2 and of lz4.
+    except (OSError, EOFError, RuntimeError, ValueError, MemoryError, zstandard.ZstdError):
+        pass
+    del found[most:]
     return bytes(found)
+
+
+def _pieces(data: bytes, compression: str, step: int) -> Iterator[bytes]:
+    unpacker = _UNPACKERS[compression]()
+    while not unpacker.eof and (piece := unpacker.decompress(data, step)):
+        yield piece
+        data = b""
+
+
+def _zstd_pieces(packed: bytes | BinaryIO, step: int = _STEP_BYTES) -> Iterator[bytes]:
+    import zstandard
+
+    unpacker = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
+    yield from iter(partial(unpacker.stream_reader(packed).read, step), b"")
 
 
 def unpacked_pieces(packed: BinaryIO, budget: UnfoldBudget) -> Iterator[bytes]:
@@ -172,9 +147,8 @@ def unpacked_pieces(packed: BinaryIO, budget: UnfoldBudget) -> Iterator[bytes]:
     and LimitError beyond the budget."""
     import zstandard
 
-    stream = _zstd(packed)
     try:
-        while piece := stream.read(_STEP_BYTES):
+        for piece in _zstd_pieces(packed):
             budget.spend(len(piece))
             yield piece
     except zstandard.ZstdError as error:
