@@ -32,6 +32,7 @@ class LensModel(StrEnum):
 
 _NAMES = {
     **dict.fromkeys(("plumb_bob", "radtan", "radial_tangential"), LensModel.PLUMB_BOB),
+    "brown_conrady": LensModel.PLUMB_BOB,
     **dict.fromkeys(("rational_polynomial", "rational", "thin_prism"), LensModel.RATIONAL),
     **dict.fromkeys(("equidistant", "fisheye", "kannala_brandt4"), LensModel.EQUIDISTANT),
     **dict.fromkeys(("none", ""), LensModel.NONE),
@@ -47,10 +48,10 @@ _COUNTS = {
 def lens_model(name: str, source: str) -> LensModel:
     """The model by the name that ROS, Kalibr, EuRoC or OpenCV gives it.
 
-    plumb_bob, radtan, radial-tangential; rational_polynomial, rational, thin_prism; equidistant,
-    fisheye, kannala_brandt4; none or an empty name. CalibrationError for any other.
+    plumb_bob, radtan, radial-tangential, Brown Conrady; rational_polynomial, rational, thin_prism;
+    equidistant, fisheye, kannala_brandt4; none or an empty name. CalibrationError for any other.
     """
-    found = _NAMES.get(name.strip().lower().replace("-", "_"))
+    found = _NAMES.get(name.strip().lower().replace("-", "_").replace(" ", "_"))
     if found is None:
         raise CalibrationError(
             f"{source}: the distortion model {name[:40]!r} is not known; calibrate with plumb_bob "

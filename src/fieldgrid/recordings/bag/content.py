@@ -12,7 +12,7 @@ import numpy as np
 from fieldgrid.core import Float64, GnssError, RecordingError
 from fieldgrid.geometry import FixColumns, Gyro, Motion, Orientation, RecordedTilt, WheelSpeed
 from fieldgrid.recordings.bag.leaning import ODOMETRY_FRAME_SIGMA_DEG, Untold, orientation_of
-from fieldgrid.recordings.bag.listeners import Fixes, Sentences, Speeds, Texts, Turns
+from fieldgrid.recordings.bag.listeners import Fixes, MotionListener, Sentences, Texts
 from fieldgrid.recordings.bag.readings import Readings
 from fieldgrid.recordings.bag.sensors.mounts import imu_rotation, is_optical
 from fieldgrid.recordings.bag.topics import (
@@ -32,7 +32,7 @@ from fieldgrid.recordings.drive import Drive
 from fieldgrid.recordings.options import DriveOptions
 from fieldgrid.recordings.readers.settings_file import SETTINGS, RecordingSettings, read_settings
 from fieldgrid.recordings.ros.bag import Bag
-from fieldgrid.recordings.ros.gnss_messages import DETAILS, ORIENTATION, TILT
+from fieldgrid.recordings.ros.gnss_messages import DETAILS, ORIENTATION, TILT, Details
 from fieldgrid.recordings.tables.fix_log import FixLog
 from fieldgrid.recordings.tables.logs import chosen_log
 from fieldgrid.recordings.tables.motion_files import (
@@ -203,9 +203,9 @@ def _fixes_of_topics(bag: Bag, readings: Readings, roles: Mapping[str, str]) -> 
         notes.append("No topic with fixes; give a log with --gnss FILE.")
         return BagFixes(FixLog(FixColumns.of([]), tuple(notes)))
     fixes = found.columns(readings.times_ns(bag, topic))
-    said = readings.of(f"{topic}{DETAILS}", Texts)
-    if said is not None:
-        fixes = said.details.added_to(fixes)
+    beside = readings.of(f"{topic}{DETAILS}", Texts)
+    if beside is not None and isinstance(beside.said, Details):
+        fixes = beside.said.added_to(fixes)
     return BagFixes(FixLog(fixes, tuple(notes)), topic, None, found.sha256(), topic)
 
 
@@ -216,10 +216,10 @@ def find_motion(content: BagIndex, imu_axes: str = AXES) -> tuple[Motion, tuple[
     notes: list[str] = []
     gyro = wheels = inertial = None
     topic = content.roles.get("imu", "")
-    turns = readings.of(topic, Turns)
+    turns = readings.of(topic, MotionListener)
     if turns is not None and turns.places:
         R_flu_imu, told = axes_of(content.transforms, imu_axes, content.frame_id("imu"))
-        times_ns, sensed = readings.series(bag, topic, turns.places, turns.rows(6))
+        times_ns, sensed = readings.series(bag, topic, turns.places, turns.rows())
         upward, is_whole = R_flu_imu[2], True
         if told == TAKEN and (felt := felt_upward(sensed[:, 3:])) is not None:
             upward, is_whole = felt, False
@@ -235,7 +235,7 @@ def find_motion(content: BagIndex, imu_axes: str = AXES) -> tuple[Motion, tuple[
                 turned = [sensed[:, part] @ R_vehicle_imu.T for part in (slice(3), slice(3, 6))]
             inertial = inertial_of(in_order(times_ns, np.hstack(turned), 3)[0], notes)
     topic = content.roles.get("odometry", "")
-    speeds = readings.of(topic, Speeds)
+    speeds = readings.of(topic, MotionListener)
     if speeds is not None and speeds.places:
         told_mps = readings.series(bag, topic, speeds.places, np.array(speeds.values))
         series, lost = in_order(*told_mps)
@@ -267,8 +267,7 @@ def _leaning(content: BagIndex, imu_axes: str, motion: Motion, notes: list[str])
         return motion
     roles = ("attitude",) if given else ("imu", "odometry")
     for topic in filter(None, map(content.roles.get, roles)):
-        turns = readings.of(topic, Turns)
-        heard = readings.attitude if given else turns or readings.of(topic, Speeds)
+        heard = readings.attitude if given else readings.of(topic, MotionListener)
         if heard is None or not heard.leans.places:
             continue
         is_imu = content.bag.topics[topic].type == IMU
@@ -276,7 +275,7 @@ def _leaning(content: BagIndex, imu_axes: str, motion: Motion, notes: list[str])
         frame_sigma_deg = 0.0 if is_imu else ODOMETRY_FRAME_SIGMA_DEG
         told = readings.series(content.bag, topic, heard.leans.places, heard.leans.values())
         found: Orientation | Untold
-        if how == TAKEN and turns is not None and felt_upward(turns.rows(6)[:, 3:]) is not None:
+        if how == TAKEN and is_imu and felt_upward(heard.rows()[:, 3:]) is not None:
             found = Untold("it does not feel gravity along its z axis", by_axes=True)
         else:
             found = orientation_of(*told, R_flu_body, frame_sigma_deg, axes_known=how != TAKEN)

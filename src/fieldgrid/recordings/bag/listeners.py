@@ -6,17 +6,18 @@ import hashlib
 import math
 from array import array
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 from fieldgrid.core import Float64, Int64, RecordingError, counted
-from fieldgrid.geometry import FixColumns, Orientation, RecordedTilt
+from fieldgrid.geometry import FixColumns
 from fieldgrid.poses import NmeaCounts, NmeaStream
 from fieldgrid.recordings.bag.leaning import Leans
+from fieldgrid.recordings.bag.topics import IMU, ODOMETRY, POSE, SURE_POSE
 from fieldgrid.recordings.ros.definitions import decode
-from fieldgrid.recordings.ros.gnss_messages import Details, Tilts, quality_of
+from fieldgrid.recordings.ros.gnss_messages import JsonRows, quality_of
 from fieldgrid.recordings.ros.model import Message
 
 _UNLIMITED = 1 << 60
@@ -26,10 +27,11 @@ class TopicListener:
     """The messages of one topic, each decoded and added; those that do not fit their type are
     counted. `frame_id` is that of the first message.
 
-    `values` are the numbers of each message in `places`; `leans` is how the frame `body` leans.
+    `values` are `width` numbers of each message in `places`.
     """
 
     hashes = False
+    width = 0
 
     def __init__(self) -> None:
         self.is_dropped = False
@@ -37,7 +39,6 @@ class TopicListener:
         self.damaged = 0
         self.counts: Counter[str] = Counter()
         self.places, self.values = array("q"), array("d")
-        self.leans, self.body = Leans(), ""
         self._hash = hashlib.sha256()
 
     def take(self, message: Message, place: int) -> None:
@@ -65,9 +66,9 @@ class TopicListener:
     def _add(self, message: Any, place: int) -> None:
         """What a decoded message says."""
 
-    def rows(self, width: int) -> Float64:
+    def rows(self) -> Float64:
         """The values [n, width], in the order of the record; NaN for what is not measured."""
-        return np.array(self.values, dtype=np.float64).reshape(-1, width)
+        return np.array(self.values, dtype=np.float64).reshape(-1, self.width)
 
     def sha256(self) -> str:
         """The hash of all messages one after the other, in hexadecimal."""
@@ -105,6 +106,7 @@ class Fixes(TopicListener):
     """Positions of sensor_msgs/NavSatFix."""
 
     hashes = True
+    width = 5
 
     def _add(self, message: Any, place: int) -> None:
         lat_deg, lon_deg, height_m = message.latitude, message.longitude, message.altitude
@@ -126,7 +128,7 @@ class Fixes(TopicListener):
         known = time_ns > 0
         if not known.all():
             self.counts["without a time skipped"] = int(np.count_nonzero(~known))
-        lat, lon, height, quality, sigma = self.rows(5)[known].T
+        lat, lon, height, quality, sigma = self.rows()[known].T
         return FixColumns.of(
             time_ns[known],
             lat_deg=lat,
@@ -137,53 +139,46 @@ class Fixes(TopicListener):
         )
 
 
-class Turns(TopicListener):
-    """Rates of turn about the axes of an IMU, rad/s, forces along them, m/s², and how it leans by
-    its own estimate."""
-
-    def _add(self, message: Any, place: int) -> None:
-        self.body = self.frame_id
-        self.leans.add(message, place)
-        if message.angular_velocity_covariance[:1].tolist() == [-1.0]:  # by its definition
-            self.counts["whose covariance says that there is no gyro"] += 1
-            return
-        rates, forces = message.angular_velocity, message.linear_acceleration
-        felt = (forces.x, forces.y, forces.z)
-        if message.linear_acceleration_covariance[:1].tolist() == [-1.0]:
-            felt = (math.nan, math.nan, math.nan)
-        self.places.append(place)
-        self.values.extend((rates.x, rates.y, rates.z, *felt))
+def _sensed(message: Any) -> tuple[float, ...] | str:
+    """Rates about the axes of an IMU, rad/s, and forces along them, m/s²."""
+    if message.angular_velocity_covariance[:1].tolist() == [-1.0]:  # by its definition
+        return "whose covariance says that there is no gyro"
+    rates, forces = message.angular_velocity, message.linear_acceleration
+    felt = (forces.x, forces.y, forces.z)
+    if message.linear_acceleration_covariance[:1].tolist() == [-1.0] or not any(felt):
+        felt = (math.nan, math.nan, math.nan)
+    return (rates.x, rates.y, rates.z, *felt)
 
 
-class Speeds(TopicListener):
-    """Speeds along the x axis of the vehicle, m/s, and how it leans, by nav_msgs/Odometry."""
-
-    def _add(self, message: Any, place: int) -> None:
-        self.body = self.body or message.child_frame_id
-        self.leans.add(message, place)
-        self.places.append(place)
-        self.values.append(message.twist.twist.linear.x)
-
-
-class AttitudeMessages(TopicListener):
-    """How the vehicle leans, by the topic that was given for it."""
-
-    def _add(self, message: Any, place: int) -> None:
-        if not self.body:  # a pose names the frame that it is in, and not whose it is
-            is_imu = hasattr(message, "orientation")
-            self.body = self.frame_id if is_imu else getattr(message, "child_frame_id", "")
-        self.leans.add(message, place)
+_ROWS: dict[str, tuple[int, Callable[[Any], tuple[float, ...] | str]]] = {
+    IMU: (6, _sensed),
+    ODOMETRY: (1, lambda message: (message.twist.twist.linear.x,)),
+    POSE: (0, lambda _: ()),
+    SURE_POSE: (0, lambda _: ()),
+}
+"""How many numbers a message of a type gives, and which; or why it gives none."""
 
 
-class TiltListener(TopicListener):
-    """Roll and pitch as a converted drive keeps them."""
+class MotionListener(TopicListener):
+    """What moves: the numbers of its messages, and how the frame `body` leans by them."""
 
-    def __init__(self, kind: type[RecordedTilt | Orientation]) -> None:
+    def __init__(self, type_: str) -> None:
         super().__init__()
-        self.tilts = Tilts(kind)
+        self.width, self._row = _ROWS[type_]
+        self._is_imu = type_ == IMU
+        self.leans, self.body = Leans(), ""
 
     def _add(self, message: Any, place: int) -> None:
-        self.tilts.add(message.data)
+        # A pose names the frame that it is in, and not whose it is.
+        own = self.frame_id if self._is_imu else getattr(message, "child_frame_id", "")
+        self.body = self.body or own
+        self.leans.add(message, place)
+        row = self._row(message)
+        if isinstance(row, str):
+            self.counts[row] += 1
+        else:
+            self.places.append(place)
+            self.values.extend(row)
 
 
 class First(TopicListener):
@@ -199,11 +194,11 @@ class First(TopicListener):
 
 
 class Texts(TopicListener):
-    """What texts say of the fixes on the topic beside them."""
+    """What texts say, as rows: of the fixes on the topic beside them, of roll and pitch."""
 
-    def __init__(self) -> None:
+    def __init__(self, said: JsonRows) -> None:
         super().__init__()
-        self.details = Details()
+        self.said = said
 
     def _add(self, message: Any, place: int) -> None:
-        self.details.add(message.data)
+        self.said.add(message.data)

@@ -8,7 +8,7 @@ heard that may still be the one, by what their names are worth.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -16,21 +16,30 @@ import numpy as np
 from fieldgrid.core import Float64, Int64, RecordingError
 from fieldgrid.geometry import Datum, Orientation, RecordedTilt, Rig
 from fieldgrid.recordings.bag.listeners import (
-    AttitudeMessages,
     First,
     Fixes,
+    MotionListener,
     Sentences,
-    Speeds,
     Texts,
-    TiltListener,
     TopicListener,
-    Turns,
 )
 from fieldgrid.recordings.bag.order import clock
-from fieldgrid.recordings.bag.topic_names import worth
-from fieldgrid.recordings.bag.topics import FIX, FIXES, IMU, INFO, NMEA, ODOMETRY, TF, TF_STATIC
+from fieldgrid.recordings.bag.topic_names import stream_frame, worth
+from fieldgrid.recordings.bag.topics import (
+    FIX,
+    FIXES,
+    IMU,
+    INFO,
+    NMEA,
+    NUMBER,
+    ODOMETRY,
+    PLACE,
+    TEXT,
+    TF,
+    TF_STATIC,
+)
 from fieldgrid.recordings.bag.transforms import Transforms
-from fieldgrid.recordings.bag.trees import FrameTrack, MovingTrees, Trees
+from fieldgrid.recordings.bag.trees import FrameTrack, MovingTrees, StreamPlace, Trees
 from fieldgrid.recordings.ros.bag import Bag, Take
 from fieldgrid.recordings.ros.gnss_messages import (
     DATUM,
@@ -38,25 +47,40 @@ from fieldgrid.recordings.ros.gnss_messages import (
     ORIENTATION,
     RIG,
     TILT,
+    Details,
+    Tilts,
     datum_of,
     rig_of,
 )
-from fieldgrid.recordings.ros.model import Message
-
-_TEXT = "std_msgs/msg/String"
 
 
-_ROLES: dict[str, tuple[str, type[TopicListener]]] = {
-    FIX: ("fix", Fixes),
-    NMEA: ("nmea", Sentences),
-    IMU: ("imu", Turns),
-    ODOMETRY: ("odometry", Speeds),
-}
-_TILTS: dict[str, type[RecordedTilt | Orientation]] = {
-    TILT: RecordedTilt,
-    ORIENTATION: Orientation,
-}
-_SAID_ONCE = {RIG: (_TEXT,), DATUM: (_TEXT, FIX)}
+class _Row(NamedTuple):
+    """Topics of some types whose names end so, and what hears their messages. Of the topics of a
+    `role` the one is heard whose name is worth most."""
+
+    types: tuple[str, ...]
+    end: str
+    listener: Callable[[str], TopicListener]
+    role: str = ""
+
+
+_TABLE = (
+    _Row((INFO,), "", lambda _: First()),
+    _Row((NUMBER,), "/option/Depth_Units/value", lambda _: First()),
+    _Row((TEXT,), RIG, lambda _: First()),
+    _Row((TEXT, FIX), DATUM, lambda _: First()),
+    _Row((TEXT,), DETAILS, lambda _: Texts(Details())),
+    _Row((TEXT,), TILT, lambda _: Texts(Tilts(RecordedTilt))),
+    _Row((TEXT,), ORIENTATION, lambda _: Texts(Tilts(Orientation))),
+    _Row((FIX,), "", lambda _: Fixes(), "fix"),
+    _Row((NMEA,), "", lambda _: Sentences(), "nmea"),
+    _Row((IMU,), "", lambda _: MotionListener(IMU), "imu"),
+    _Row((ODOMETRY,), "", lambda _: MotionListener(ODOMETRY), "odometry"),
+    _Row(TF, TF_STATIC, lambda _: Trees()),
+    _Row(TF, "", lambda _: MovingTrees()),
+    _Row((PLACE,), "", StreamPlace),
+)
+"""What is heard of a bag; the first row that fits holds."""
 
 
 _Heard = TypeVar("_Heard", bound=TopicListener)
@@ -79,41 +103,22 @@ class Readings:
         self._given, self._gnss = given, gnss
         self._heard: dict[str, TopicListener] = {}
         self._best: dict[str, str] = {}
-        self.attitude: AttitudeMessages | None = None
+        self.attitude: MotionListener | None = None
         self._notes: dict[str, str] = {}
 
     def listen(self, name: str, type_: str) -> Take | None:
         """What takes the messages of a topic; see :data:`fieldgrid.recordings.ros.bag.Listen`."""
-        heard: TopicListener | None = None
-        if type_ in _SAID_ONCE.get(name, ()) or type_ == INFO:
-            heard = First()
-        elif type_ in _ROLES:
-            role, kind = _ROLES[type_]
-            heard = kind() if self._may_be(role, name) else None
-        elif type_ in TF:
-            heard = (
-                Trees()
-                if name.endswith(TF_STATIC)
-                else MovingTrees(
-                    lambda: "odometry" not in self._best and "odometry" not in self._given
-                )
-            )
-        elif type_ == _TEXT and name.endswith(DETAILS):
-            heard = Texts()
-        elif type_ == _TEXT and name in _TILTS:
-            heard = TiltListener(_TILTS[name])
-        if heard is not None:
-            self._heard[name] = heard
+        rows = (row for row in _TABLE if type_ in row.types and name.endswith(row.end))
+        row = next(rows, None)
+        heard = None
+        if row is not None and (not row.role or self._may_be(row.role, name)):
+            heard = self._heard[name] = row.listener(name)
+        if isinstance(heard, MovingTrees):
+            heard.is_needed = lambda: not {"odometry"} & {*self._best, *self._given}
         if name != self._given.get("attitude"):
             return None if heard is None else heard.take
-        self.attitude = AttitudeMessages()
-        takes = [one.take for one in (heard, self.attitude) if one is not None]
-
-        def take(message: Message, place: int) -> None:
-            for each in takes:
-                each(message, place)
-
-        return take
+        self.attitude = heard if isinstance(heard, MotionListener) else MotionListener(type_)
+        return self.attitude.take
 
     def _may_be(self, role: str, name: str) -> bool:
         """Whether a topic may be the one of its role, since no better one is known."""
@@ -125,7 +130,8 @@ class Readings:
         if best is not None:
             if worth(role, name) >= worth(role, best):
                 return False
-            self._heard.pop(best).is_dropped = True
+            dropped = self._heard.pop(best)
+            dropped.is_dropped = dropped is not self.attitude
         self._best[role] = name
         return True
 
@@ -136,13 +142,14 @@ class Readings:
 
     def tilt(self, topic: str) -> RecordedTilt | Orientation | None:
         """What a converted drive keeps of roll and pitch on a topic."""
-        heard = self.of(topic, TiltListener)
-        return None if heard is None else heard.tilts.found()
+        heard = self.of(topic, Texts)
+        return heard.said.found() if heard is not None and isinstance(heard.said, Tilts) else None
 
     def frame_id(self, topic: str | None) -> str:
-        """The frame of the first message of a topic, empty where nothing was heard."""
+        """The frame of the messages of a topic, by the first or by its name; empty where nothing
+        was heard."""
         heard = self._heard.get(topic or "")
-        return "" if heard is None else heard.frame_id
+        return "" if heard is None else stream_frame(topic or "") or heard.frame_id
 
     def first(self, topic: str | None) -> Any:
         """The first message of a topic of calibrations; None where there is none."""

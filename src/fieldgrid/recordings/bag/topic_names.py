@@ -1,18 +1,26 @@
-"""What the name of a topic says of it: which side of a pair, how good a source for a role."""
+"""What the name of a topic says of it: which side of a pair, how good a source for a role.
+
+The recorder of RealSense's tools names topics `/device_0/sensor_0/Infrared_1/image/data`, with
+`info/camera_info` and `tf/0` beside `image`, and options such as `option/Depth_Units/value` beside
+the streams of a sensor; a message names no frame. That is `src/media/ros/ros_file_format.h` and
+`ros_writer.cpp` in github.com/IntelRealSense/librealsense; by `doc/d435i.md` there, x points to the
+right, y down and z forward in all streams, gyro and accelerometer too.
+"""
 
 from __future__ import annotations
 
 import re
 
 # How names tell the two sides apart: what stands in a left topic, and in its right partner.
-_SIDES = tuple(
-    (re.compile(rf"(?<![a-z]){left}(?![a-z0-9])", re.IGNORECASE), right)
-    for left, right in (
-        *(("left", "right"), ("l", "r"), ("cam0", "cam1"), ("cam_0", "cam_1")),
-        *(("camera0", "camera1"), ("camera_0", "camera_1"), ("image_0", "image_1")),
-        *(("infra1", "infra2"), ("infra_1", "infra_2")),
-    )
+_SIDES = (
+    *(("", "left", "right"), ("", "l", "r")),
+    *(("cam_?|camera_?|image_", "0", "1"), ("infra_?|infrared_", "1", "2")),
 )
+_LEFT, _RIGHT = (
+    [re.compile(rf"(?<![a-z])({row[0]}){row[k]}(?![a-z0-9])", re.IGNORECASE) for row in _SIDES]
+    for k in (1, 2)
+)
+_STREAM = re.compile(r"((?:/device_\d+)/sensor_\d+)(/[A-Z][A-Za-z]*_\d+)/")
 
 
 MADE = re.compile(r"filter|ground|obstacle|cluster|map|accumul|global|segment|debug")
@@ -56,7 +64,9 @@ def namespace(name: str) -> str:
 
 def right_partners(left: str) -> list[str]:
     """Names that the right partner of a left topic may have."""
-    named = (pattern.sub(right, left) for pattern, right in _SIDES)
+    named = (
+        pattern.sub(rf"\g<1>{row[2]}", left) for pattern, row in zip(_LEFT, _SIDES, strict=True)
+    )
     return [name for name in named if name != left]
 
 
@@ -64,5 +74,16 @@ def side_of(name: str) -> str:
     """ "left", "right", or "" where a name says neither."""
     if right_partners(name):
         return "left"
-    rights = (rf"(?<![a-z]){right}(?![a-z0-9])" for _, right in _SIDES)
-    return "right" if any(re.search(p, name, re.IGNORECASE) for p in rights) else ""
+    return "right" if any(pattern.search(name) for pattern in _RIGHT) else ""
+
+
+def stream_frame(name: str) -> str:
+    """The frame of a stream by a topic of RealSense's recorder; empty for other topics."""
+    found = _STREAM.match(name)
+    return f"{found[1]}{found[2]}/optical".lstrip("/") if found else ""
+
+
+def unit_topic(name: str) -> str:
+    """The topic of the unit of depths in metres, of the sensor that an image is of."""
+    found = _STREAM.match(name)
+    return f"{found[1]}/option/Depth_Units/value" if found else ""

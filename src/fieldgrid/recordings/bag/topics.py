@@ -34,6 +34,8 @@ POSE, SURE_POSE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCo
 FIXES = frozenset({"fix", "nmea"})
 """The roles that give fixes, of which one is taken."""
 TF_STATIC, TF = "/tf_static", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+PLACE = "geometry_msgs/msg/Transform"
+TEXT, NUMBER = "std_msgs/msg/String", "std_msgs/msg/Float32"
 
 TYPES_OF_ROLES: dict[str, tuple[str, ...]] = {
     **{"left": (IMAGE, COMPRESSED), "right": (IMAGE, COMPRESSED)},
@@ -125,15 +127,16 @@ def short(kind: str) -> str:
 
 
 def static_transforms(topics: Mapping[str, Topic], roles: Mapping[str, str]) -> list[str]:
-    """The topics of static transforms: the usual one, and those of the namespaces that the
-    topics in use are in."""
+    """The topics of static transforms: the usual one, those of the namespaces that the topics in
+    use are in, and the places of streams."""
     used = [f"/{name.lstrip('/')}" for name in roles.values()]
-    return [
+    found = [
         name
         for name in _of_types(topics, TF)
         if name.endswith(TF_STATIC)
         and any(other.startswith(name.removesuffix("tf_static")) for other in used)
     ]
+    return found + _of_types(topics, (PLACE,))
 
 
 def is_rectified(topic: str) -> bool:
@@ -308,6 +311,7 @@ class _Finder:
         parts = base_name(image).split("/")[:-1]
         near = ["/".join(parts[:k]) for k in range(len(parts), 0, -1)]
         beside = [f"{place}/camera_info" for place in (base_name(image), *near[: 2 if lone else 1])]
+        beside += [f"{place}/info/camera_info" for place in near[:2]]
         beside += [f"{place}/{side}/camera_info" for place in near if side]
         sided = [name for name in infos if side_of(name) == side]
         candidates = [

@@ -24,6 +24,8 @@ _SECOND_NS = 1_000_000_000
 class _Poses(TopicListener):
     """The poses of a topic, [n, 7]: where, and the quaternion x, y, z, w."""
 
+    width = 7
+
     def __init__(self, type_: str) -> None:
         super().__init__()
         self.type = type_
@@ -77,7 +79,7 @@ def read_pose_topic(
         name = _chosen(bag, list(heard), topic)
         found = heard[name]
         found.finish()
-        values = found.rows(7)
+        values = found.rows()
         if found.type == _PATH:
             stamps_ns = bag.dated(np.array(found.stamps_ns, dtype=np.int64))
             time_ns = clock(name, stamps_ns, stamps_ns).time_ns

@@ -36,6 +36,12 @@ class Transforms:
             if len(self._parents) < _MAX_FRAMES:
                 self._parents[child] = (parent, place)
 
+    def put(self, child: str, parent: str, transform: Any) -> None:
+        """One geometry_msgs/Transform, if it is any."""
+        place = _place(transform)
+        if place is not None:
+            self._parents[child] = (parent, place)
+
     def add_unmoved(self, message: Any) -> None:
         """Add the transforms of a message, and note for :meth:`unmoved` the frames that move or
         change their parent."""

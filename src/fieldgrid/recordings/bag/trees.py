@@ -13,6 +13,7 @@ import numpy as np
 from fieldgrid.core import Float64, Int64
 from fieldgrid.recordings.bag.listeners import TopicListener
 from fieldgrid.recordings.bag.order import clock
+from fieldgrid.recordings.bag.topic_names import stream_frame
 from fieldgrid.recordings.bag.transforms import Transforms, told
 from fieldgrid.recordings.ros.bag import Bag
 
@@ -56,17 +57,31 @@ class Trees(TopicListener):
         self.transforms.add(message)
 
 
+class StreamPlace(Trees):
+    """Where the frame of a stream is, by a topic of RealSense's recorder that ends in the number
+    of what it is seen from."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self._name = name
+
+    def _add(self, message: Any, place: int) -> None:
+        name = self._name
+        self.transforms.put(stream_frame(name), name.rpartition("/")[2], message)
+
+
 class MovingTrees(Trees):
     """Transforms on /tf: the way of the vehicle, as long as `is_needed` says that nothing else
     tells it, and those that never change, which some robots publish there, too."""
 
-    def __init__(self, is_needed: Callable[[], bool] = lambda: False) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self._is_needed, self._is_whole = is_needed, True
+        self.is_needed: Callable[[], bool] = lambda: False
+        self._is_whole = True
         self._ways: dict[tuple[str, str], tuple[array[int], array[float]]] = {}
 
     def _wants(self, place: int) -> bool:
-        self._is_whole = self._is_whole and self._is_needed()
+        self._is_whole = self._is_whole and self.is_needed()
         return self._is_whole or _is_sample(place)
 
     def _add(self, message: Any, place: int) -> None:

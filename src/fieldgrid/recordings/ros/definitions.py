@@ -53,6 +53,11 @@ _FIRST_NAMES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 _MATRICES = {"sensor_msgs/msg/CameraInfo": frozenset("DKRP"), "stereo_msgs/msg/DisparityImage": "T"}
 """Fields that ROS 1 writes large, and ROS 2 small."""
 
+# RealSense's recorder has a version in the place of the frame, and where it is 1, the unit of
+# depths after what the definition says: third-party/realsense-file/rosbag/msgs/sensor_msgs/Image.h
+# in librealsense.
+_VERSION_AT, _WITH_UNIT, _UNIT_BYTES = slice(12, 17), b"\x01\x00\x00\x001", 4
+
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*){2,}", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
 _MAX_UNROLLED = 10_000
@@ -132,6 +137,8 @@ def decode(message: Message) -> Any:
     """
     connection, data = message.connection, message.data
     name = connection.type
+    if connection.topic.startswith("/device_") and name == "sensor_msgs/msg/Image":
+        data = data[:-_UNIT_BYTES] if data[_VERSION_AT] == _WITH_UNIT else data
     if connection.encoding not in _ENCODINGS:
         raise RecordingError(
             f"Messages of {connection.topic} are encoded as {quoted(connection.encoding)}, which "

@@ -9,7 +9,12 @@ import numpy as np
 
 from fieldgrid.core import CalibrationError, Float64
 from fieldgrid.geometry import DepthCamera, StereoCamera, lens_model, raw_camera
-from fieldgrid.perception import Rectifier, camera_from_projections, rectify_by_projections
+from fieldgrid.perception import (
+    Rectifier,
+    camera_from_projections,
+    rectify_by_pose,
+    rectify_by_projections,
+)
 from fieldgrid.recordings.bag.content import BagIndex
 from fieldgrid.recordings.bag.topics import INFO, is_rectified, listing
 
@@ -63,9 +68,18 @@ def stereo_pair(content: BagIndex, said: bool | None) -> CameraPair:
         raw_camera(one.size_px, one.K, one.D, lens_model(one.model, one.source), one.source)
         for one in (left, right)
     )
-    found = rectify_by_projections(
-        first, second, (left.R, right.R), (left.P, right.P), right.source
-    )
+    if left.P.any() or right.P.any():
+        turns, projections = (left.R, right.R), (left.P, right.P)
+        found = rectify_by_projections(first, second, turns, projections, right.source)
+    else:
+        frames = content.frame_id("left_info"), content.frame_id("right_info")
+        placed = content.transforms.place(*frames)
+        if placed is None:
+            raise CalibrationError(
+                f"{left.source} and {right.source} have no P, and no static transform joins their "
+                f"frames {frames[0]!r} and {frames[1]!r}; calibrate the pair."
+            )
+        found = rectify_by_pose(first, second, placed.R, placed.at_m, path.name)
     if found.rectifier is None:
         return CameraPair(found.camera, None, found.R_rect_left, ())
     note = f"The images are raw, and rectified by {left.source} and {right.source}."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -26,6 +27,7 @@ from fieldgrid.recordings.bag.sensors.frames import (
 from fieldgrid.recordings.bag.sensors.images import DepthImage, DisparityImage, RawImage
 from fieldgrid.recordings.bag.sensors.mounts import SensorFrame, optical
 from fieldgrid.recordings.bag.sensors.packed_depth import PackedDepthImage
+from fieldgrid.recordings.bag.topic_names import unit_topic
 from fieldgrid.recordings.bag.topics import COMPRESSED, no_frames
 from fieldgrid.recordings.calibration.loading import read_calibration
 from fieldgrid.recordings.frames.pixels import BITS, significant_bits
@@ -108,9 +110,18 @@ def _depth(content: BagIndex) -> FrameSensor:
     camera = depth_camera(content, content.settings.baseline_m)
     plan = plan_single(content.bag, content.roles["depth"])
     frame = _single_frame(content.frame_id("depth_info"), content)
-    is_packed = content.bag.topics[content.roles["depth"]].type == COMPRESSED
-    kind = PackedDepthImage if is_packed else DepthImage
-    return FrameSensor(frame, plan, camera, DepthMaker(kind, (camera.width_px, camera.height_px)))
+    topic, size_px = content.roles["depth"], (camera.width_px, camera.height_px)
+    if content.bag.topics[topic].type == COMPRESSED:
+        return FrameSensor(frame, plan, camera, DepthMaker(PackedDepthImage, size_px))
+    said = content.readings.first(unit_topic(topic))
+    unit_m = 0.001 if said is None else float(said.data)
+    if not 1e-6 < unit_m < 1.0:
+        raise CalibrationError(
+            f"{content.path}: {unit_topic(topic)} says that depths are in units of {unit_m} m, "
+            "which no camera uses; record again."
+        )
+    kind = partial(DepthImage, unit_m=unit_m)
+    return FrameSensor(frame, plan, camera, DepthMaker(kind, size_px))
 
 
 def _cloud(content: BagIndex) -> FrameSensor:

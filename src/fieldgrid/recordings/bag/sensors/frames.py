@@ -7,7 +7,7 @@ its partner comes, and what belongs to no frame is not held at all.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import ClassVar, NamedTuple, Protocol
@@ -98,7 +98,7 @@ class DepthMaker:
     """Makes images of depths of messages that `kind` reads."""
 
     roles: ClassVar[tuple[str, ...]] = ("depth",)
-    kind: type[DepthImage] | type[DisparityImage] | type[PackedDepthImage]
+    kind: Callable[[Message, int], DepthImage | DisparityImage | PackedDepthImage]
     size_px: tuple[int, int]
 
     def frame(self, number: int, time_ns: int, taken: tuple[Taken, ...]) -> Frame:

@@ -95,13 +95,16 @@ class CompressedImage(MessageSource):
 
 @dataclass(frozen=True, slots=True)
 class DepthImage(MessageSource):
-    """A sensor_msgs/Image of depths: 16UC1 in millimetres or 32FC1 in metres."""
+    """A sensor_msgs/Image of depths: 16UC1 in units, usually millimetres, or 32FC1 in metres."""
+
+    unit_m: float = 0.001
 
     def read(self) -> Float32:
         """Depth along the optical axis, metres; NaN where there is none."""
         message = self.decoded()
         if message.encoding in MILLIMETRES:
-            return depths_of_millimetres(pixels_of(message, np.dtype(np.uint16), 1, self.name))
+            whole = pixels_of(message, np.dtype(np.uint16), 1, self.name)
+            return depths_of_units(whole, self.unit_m)
         if message.encoding == METRES:
             return known_depths(pixels_of(message, np.dtype(np.float32), 1, self.name).copy())
         raise RecordingError(
@@ -140,9 +143,9 @@ class DisparityImage(MessageSource):
         return known_depths(depth_m)
 
 
-def depths_of_millimetres(millimetres: UInt16) -> Float32:
+def depths_of_units(units: UInt16, unit_m: float = 0.001) -> Float32:
     """Metres, NaN where there is no depth."""
-    return known_depths(millimetres.astype(np.float32) * np.float32(0.001))
+    return known_depths(units.astype(np.float32) * np.float32(unit_m))
 
 
 def known_depths(depth_m: Float32) -> Float32:

@@ -16,7 +16,7 @@ import numpy as np
 from fieldgrid.core import Float32, RecordingError, UInt16, UInt32, kernel
 from fieldgrid.recordings.bag.sensors.images import (
     MessageSource,
-    depths_of_millimetres,
+    depths_of_units,
     known_depths,
 )
 from fieldgrid.recordings.frames.depth_files import MOST_PACKED, decode_depth_image
@@ -37,7 +37,7 @@ class PackedDepthImage(MessageSource):
         said, data = str(message.format), message.data.tobytes()
         encoding = said.partition(";")[0].strip()
         if "compressedDepth" not in said:
-            return depths_of_millimetres(self._png(data, said))
+            return depths_of_units(self._png(data, said))
         if encoding not in ("16UC1", "mono16", "32FC1"):
             raise self._unknown(said)
         if len(data) < _CONFIG.size:
@@ -46,7 +46,7 @@ class PackedDepthImage(MessageSource):
         packed = data[_CONFIG.size :]
         whole = self._rvl(packed) if said.endswith("rvl") else self._png(packed, said)
         if encoding != "32FC1":
-            return depths_of_millimetres(whole)
+            return depths_of_units(whole)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             depth_m = np.float32(a) / (whole.astype(np.float32) - np.float32(b))
         depth_m[whole == 0] = np.nan
