@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -87,21 +88,21 @@ def ordered(time_ns: Int64) -> OrderedMessages:
     if np.all(np.diff(times_ns) > 0):
         return OrderedMessages(times_ns, place.astype(np.int64), 0, timeless)
     kept: list[tuple[int, int]] = []
-    waiting: list[tuple[int, int]] = []
-    last_ns = 0
-    for item in zip(times_ns.tolist(), place.tolist(), strict=True):
-        first = heapq.heappushpop(waiting, item) if len(waiting) == WINDOW else None
-        if len(waiting) < WINDOW:
-            heapq.heappush(waiting, item)
-        if first is not None and first[0] > last_ns:
+    for first in _released(zip(times_ns.tolist(), place.tolist(), strict=True)):
+        if not kept or first[0] > kept[-1][0]:
             kept.append(first)
-            last_ns = first[0]
-    for first in sorted(waiting):
-        if first[0] > last_ns:
-            kept.append(first)
-            last_ns = first[0]
     columns = np.array(kept, dtype=np.int64).reshape(-1, 2)
     return OrderedMessages(columns[:, 0], columns[:, 1], len(times_ns) - len(kept), timeless)
+
+
+def _released(items: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    """Items in the order in which they leave a heap that holds a few."""
+    waiting: list[tuple[int, int]] = []
+    for item in items:
+        heapq.heappush(waiting, item)
+        if len(waiting) > WINDOW:
+            yield heapq.heappop(waiting)
+    yield from sorted(waiting)
 
 
 def pair(left_ns: Int64, right_ns: Int64) -> PairMatch:

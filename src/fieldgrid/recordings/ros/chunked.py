@@ -27,8 +27,7 @@ class ChunkedReader(FileReader):
     """One run through a file of records."""
 
     chunk_mark: ClassVar[re.Pattern[bytes]]
-    """What every chunk has at its start or soon after."""
-    widest_mark: ClassVar[int]
+    """How a chunk begins."""
 
     at = 0
     told, _seen = 0, 0  # messages that the recorder counted, and that were read
@@ -48,9 +47,9 @@ class ChunkedReader(FileReader):
         """The messages of records that follow one another in `data`; raises one of `TORN` where
         they make no sense."""
 
-    @abstractmethod
-    def chunk_at(self, mark: int) -> int:
-        """Where the chunk starts whose mark is at this offset; negative if there is none."""
+    def is_chunk(self) -> bool:
+        """Whether what begins here like a chunk is one."""
+        return True
 
     def lacking(self) -> str:
         """What a file lacks that was closed, a clause; or nothing."""
@@ -130,13 +129,8 @@ class ChunkedReader(FileReader):
         """Go on at the next chunk after damage; notes how much is lost."""
         source, start, gaps = self.source, self.at, self.damage.lost["place"]
         try:
-            if len(gaps) < MAX_GAPS and source.find(
-                self.chunk_mark, start + 1, lambda mark: self.chunk_at(mark) > start,
-                self.widest_mark,
-            ):  # fmt: skip
-                begin = self.chunk_at(source.offset)
-                source.go(begin)
-                gaps.append(begin - start)
+            if len(gaps) < MAX_GAPS and source.find(self.chunk_mark, start + 1, self.is_chunk):
+                gaps.append(source.offset - start)
                 return True
         except TORN:
             pass

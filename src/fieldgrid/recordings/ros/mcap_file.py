@@ -43,7 +43,6 @@ class McapReader(ChunkedReader):
     chunk_mark = re.compile(
         rb"\x06.{5}\x00{3}.{28}(?:\x04\x00{3}zstd|\x03\x00{3}lz4|\x00{4})", re.DOTALL
     )
-    widest_mark = 64
 
     def begin(self) -> None:
         """See `ChunkedReader`."""
@@ -78,14 +77,13 @@ class McapReader(ChunkedReader):
             if record is not None:
                 yield record
 
-    def chunk_at(self, mark: int) -> int:
+    def is_chunk(self) -> bool:
         """See `ChunkedReader`."""
-        self.source.go(mark)
         try:
             self._chunk_head(_HEAD.unpack(self.source.take(_HEAD.size))[1])
         except Torn:
-            return -1
-        return mark
+            return False
+        return True
 
     def _chunk_head(self, length: int) -> tuple[str, int, int, int]:
         """The compression of the chunk, its bytes without it, their CRC, its bytes in the file."""

@@ -21,7 +21,6 @@ _OPS = {_MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION}
 _MAX_HEADER_BYTES = 1 << 20
 _U32 = struct.Struct("<I")
 _PAIR = struct.Struct("<II")
-_WIDEST_CHUNK_HEADER = 64
 _USUAL_MESSAGE = re.compile(
     rb"(?:\x09\0{3}conn=(.{4})|\x04\0{3}op=\x02|\x0d\0{3}time=(.{8})){3}", re.DOTALL
 )
@@ -31,8 +30,11 @@ _USUAL_MESSAGE = re.compile(
 class Rosbag1Reader(ChunkedReader):
     """One run through a `.bag` file."""
 
-    chunk_mark = re.compile(rb"\x04\x00\x00\x00op=\x05")
-    widest_mark = _WIDEST_CHUNK_HEADER
+    chunk_mark = re.compile(
+        rb".\0{3}(?:\x04\0{3}op=\x05|\x09\0{3}size=.{4}"
+        rb"|[\x0f\x10]\0{3}compression=(?:none|bz2|lz4)){3}",
+        re.DOTALL,
+    )
     _chunks, _chunks_of_header = 0, -1
 
     def begin(self) -> None:
@@ -130,24 +132,6 @@ class Rosbag1Reader(ChunkedReader):
         topic = "/" * topic.startswith("/") + "/".join(filter(None, topic.split("/")))
         connection = Connection(topic, ros2_name(name), "ros1", Definition("msg", text))
         self.connections.add(number, connection, (self.at, offset))
-
-    def chunk_at(self, mark: int) -> int:
-        """The start of the chunk record whose `op` field is there."""
-        source = self.source
-        first = max(0, mark - _WIDEST_CHUNK_HEADER)
-        source.go(first)
-        block = source.rest(2 * _WIDEST_CHUNK_HEADER)
-        for at in range(mark - first - 4, -1, -1):
-            length = _U32.unpack_from(block, at)[0]
-            if at + 4 + length > len(block) or length > _WIDEST_CHUNK_HEADER:
-                continue
-            try:
-                header = _fields(block[at + 4 : at + 4 + length])
-            except TORN:
-                continue
-            if header.keys() >= {b"op", b"compression", b"size"} and header[b"op"] == b"\x05":
-                return first + at
-        return -1
 
 
 def _fields(data: bytes) -> dict[bytes, bytes]:

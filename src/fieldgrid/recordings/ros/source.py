@@ -18,6 +18,7 @@ _STEP_BYTES = 1 << 22
 _SEARCH_BYTES = 1 << 20
 _MAX_SEARCHED_BYTES = 1 << 30
 _MAX_WRONG = 10_000
+_WIDEST_MATCH = 64
 _MAX_WINDOW_BYTES = 1 << 27
 
 
@@ -76,20 +77,20 @@ class BoundedFile(Closing):
         self._file.seek(offset)
         self.offset = offset
 
-    def find(
-        self, pattern: re.Pattern[bytes], start: int, is_right: Callable[[int], bool], width: int
-    ) -> bool:
-        """Go to the next match of `pattern` (at most `width` bytes wide) that is right.
+    def find(self, pattern: re.Pattern[bytes], start: int, is_right: Callable[[], bool]) -> bool:
+        """Go to the next match of `pattern` that is right, as is asked there.
 
         Gives up after many that are not, and after a gigabyte: they are there to cost time.
         """
         wrong, stop = 0, min(self.size, start + _MAX_SEARCHED_BYTES)
         while start < stop and wrong < _MAX_WRONG:
             self.go(start)
-            block = self.rest(_SEARCH_BYTES + width)
+            block = self.rest(_SEARCH_BYTES + _WIDEST_MATCH)
             for match in pattern.finditer(block):
-                if match.start() < _SEARCH_BYTES and is_right(start + match.start()):
-                    self.go(start + match.start())
+                place = start + match.start()
+                self.go(place)
+                if match.start() < _SEARCH_BYTES and is_right():
+                    self.go(place)
                     return True
                 wrong += 1
             start += _SEARCH_BYTES

@@ -6,10 +6,9 @@ its partner comes, and what belongs to no frame is not held at all.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import count, islice
 from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
@@ -35,7 +34,7 @@ from fieldgrid.recordings.ros.bag import Bag
 from fieldgrid.recordings.ros.model import Message
 
 MOST_HELD = 2 * WINDOW
-"""How many messages of one topic wait for those of another at most."""
+"""How many frames wait for what is missing of them at most."""
 
 
 class Plan(NamedTuple):
@@ -199,11 +198,11 @@ def _clock_notes(topic: str, found: Clock) -> list[str]:
 
 
 def _order_notes(topic: str, found: OrderedMessages) -> list[str]:
-    counted = (
+    left_out = (
         (found.timeless, "messages without a time skipped"),
         (found.late, "messages skipped that repeat a time or come after later ones"),
     )
-    return [f"{topic}: {count} {what}." for count, what in counted if count]
+    return [f"{topic}: {number} {what}." for number, what in left_out if number]
 
 
 def read_frames(bag: Bag, plan: Plan) -> Iterator[tuple[Taken, ...]]:
@@ -231,53 +230,26 @@ def read_frames(bag: Bag, plan: Plan) -> Iterator[tuple[Taken, ...]]:
 
 
 def _read_topics(bag: Bag, plan: Plan, numbers: Sequence[int]) -> Iterator[tuple[Taken, ...]]:
-    """What the frames take from some of the topics, until more than a few messages of one of
-    several topics have to be held."""
-    where = [bag.places(plan.topics[k]) for k in numbers]
-    start = min(int(at[plan.places[k].min()]) for k, at in zip(numbers, where, strict=True))
-    queues = {
-        plan.topics[k]: _Queue(plan, k, int(np.searchsorted(at, start)))
-        for k, at in zip(numbers, where, strict=True)
-    }
-    left = len(plan.time_ns)
-    for message in bag.messages(tuple(queues), start):
-        queue = queues[message.topic]
-        queue.put(message)
-        while left and all(one.ready for one in queues.values()):
-            yield tuple(one.ready.popleft() for one in queues.values())
-            left -= 1
-        if not left or (len(queues) > 1 and queue.held > MOST_HELD):
+    """What the frames take from some of the topics, until more than a few frames wait for what is
+    missing of several topics."""
+    where = {k: bag.places(plan.topics[k]) for k in numbers}
+    start = min(int(where[k][plan.places[k].min()]) for k in numbers)
+    of_topic = {plan.topics[k]: k for k in numbers}
+    seen = {k: int(np.searchsorted(where[k], start)) for k in numbers}
+    frames = {k: dict(zip(plan.places[k].tolist(), count())) for k in numbers}
+    waiting: dict[int, dict[int, Taken]] = {}
+    done = 0
+    for message in bag.messages(tuple(of_topic), start):
+        k = of_topic[message.topic]
+        frame = frames[k].get(seen[k])
+        seen[k] += 1
+        if frame is None:
+            continue
+        taken = Taken(message, int(plan.message_ns[k][frame]))
+        waiting.setdefault(frame, {})[k] = taken
+        while len(waiting.get(done, ())) == len(numbers):
+            found = waiting.pop(done)
+            yield tuple(found[k] for k in numbers)
+            done += 1
+        if done == len(plan.time_ns) or (len(numbers) > 1 and len(waiting) > MOST_HELD):
             return
-
-
-class _Queue:
-    """The messages of one topic that frames take, brought into the order of the frames, of a
-    reading that begins with the message of a place.
-
-    Those that come before their turn wait, which :func:`ordered` has seen to be few.
-    """
-
-    def __init__(self, plan: Plan, number: int, first: int) -> None:
-        places = plan.places[number]
-        self.ready: deque[Taken] = deque()
-        self._wanted = frozenset(places.tolist())
-        self._places, self._times_ns = places, plan.message_ns[number]
-        self._next, self._seen = 0, first
-        self._early: dict[int, Message] = {}
-
-    @property
-    def held(self) -> int:
-        """How many messages are held."""
-        return len(self.ready) + len(self._early)
-
-    def put(self, message: Message) -> None:
-        """The next message of the topic, whether a frame takes it or not."""
-        place = self._seen
-        self._seen += 1
-        if place not in self._wanted:
-            return
-        self._early[place] = message
-        while self._next < len(self._places) and int(self._places[self._next]) in self._early:
-            found = self._early.pop(int(self._places[self._next]))
-            self.ready.append(Taken(found, int(self._times_ns[self._next])))
-            self._next += 1
