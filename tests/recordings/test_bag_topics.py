@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from fieldgrid.core import RecordingError
-from fieldgrid.recordings.bag.topics import Choice, choose, is_rectified, static_transforms
+from fieldgrid.recordings.bag.topic_names import is_rectified
+from fieldgrid.recordings.bag.topics import Choice, choose, static_transforms
 from fieldgrid.recordings.ros.model import Topic
 
 BAG = Path("drive.mcap")

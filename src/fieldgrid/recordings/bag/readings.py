@@ -24,7 +24,7 @@ from fieldgrid.recordings.bag.listeners import (
     TopicListener,
 )
 from fieldgrid.recordings.bag.order import clock
-from fieldgrid.recordings.bag.topic_names import stream_frame, worth
+from fieldgrid.recordings.bag.topic_names import stream_frame
 from fieldgrid.recordings.bag.topics import (
     FIX,
     FIXES,
@@ -34,6 +34,7 @@ from fieldgrid.recordings.bag.topics import (
     NUMBER,
     ODOMETRY,
     PLACE,
+    ROLES,
     TEXT,
     TF,
     TF_STATIC,
@@ -111,7 +112,7 @@ class Readings:
         rows = (row for row in _TABLE if type_ in row.types and name.endswith(row.end))
         row = next(rows, None)
         heard = None
-        if row is not None and (not row.role or self._may_be(row.role, name)):
+        if row is not None and (not row.role or self._may_be(row.role, name, type_)):
             heard = self._heard[name] = row.listener(name)
         if isinstance(heard, MovingTrees):
             heard.is_needed = lambda: not {"odometry"} & {*self._best, *self._given}
@@ -120,15 +121,15 @@ class Readings:
         self.attitude = heard if isinstance(heard, MotionListener) else MotionListener(type_)
         return self.attitude.take
 
-    def _may_be(self, role: str, name: str) -> bool:
+    def _may_be(self, role: str, name: str, type_: str) -> bool:
         """Whether a topic may be the one of its role, since no better one is known."""
         if role in FIXES and self._gnss is not None:
             return name == self._gnss
         if role in self._given:
             return name == self._given[role]
-        best = self._best.get(role)
+        best, rank = self._best.get(role), ROLES[role].rank
         if best is not None:
-            if worth(role, name) >= worth(role, best):
+            if rank(name, type_) >= rank(best, type_):
                 return False
             dropped = self._heard.pop(best)
             dropped.is_dropped = dropped is not self.attitude

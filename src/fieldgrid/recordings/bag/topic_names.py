@@ -23,19 +23,25 @@ _LEFT, _RIGHT = (
 _STREAM = re.compile(r"((?:/device_\d+)/sensor_\d+)(/[A-Z][A-Za-z]*_\d+)/")
 
 
+_RECTIFIED = re.compile(r"(?<![a-z])rect")
 MADE = re.compile(r"filter|ground|obstacle|cluster|map|accumul|global|segment|debug")
 
 
-def _driven(name: str) -> int:
+def is_made(name: str) -> bool:
+    """Whether a topic is made of others."""
+    return MADE.search(name.lower()) is not None
+
+
+def driven_rank(name: str) -> int:
     """Wheels before whatever else estimates a speed; estimates that contain the fixes last."""
     if re.search(r"gps|gnss|navsat|global|map", name.lower()):
         return 3
-    if MADE.search(name.lower()) or re.search(r"ekf|visual|vio|vo\b", name.lower()):
+    if is_made(name) or re.search(r"ekf|visual|vio|vo\b", name.lower()):
         return 2
     return 0 if re.search(r"wheel|controller|drive|encoder", name.lower()) else 1
 
 
-def _imu_rank(name: str) -> tuple[bool, bool, bool, bool]:
+def imu_rank(name: str) -> tuple[bool, bool, bool, bool]:
     """With a gyro before without, the vehicle's own before one inside a camera, calibrated before
     raw."""
     inside = re.search(r"camera|zed|oak|realsense|d4\d\d|ouster|livox|velodyne", name.lower())
@@ -43,13 +49,9 @@ def _imu_rank(name: str) -> tuple[bool, bool, bool, bool]:
     return "accel" in name.lower(), inside is not None, is_raw, not name.endswith("data")
 
 
-def worth(role: str, name: str) -> tuple[int, ...]:
-    """How good a name is for a role, the lowest being the best."""
-    if role == "imu":
-        return _imu_rank(name)
-    if role == "odometry":
-        return (_driven(name),)
-    return (role == "fix" and MADE.search(name.lower()) is not None,)
+def is_rectified(topic: str) -> bool:
+    """Whether an image topic is named as a rectified one, like `image_rect` or `rect/image`."""
+    return any(_RECTIFIED.search(word) for word in base_name(topic).lower().split("/")[-2:])
 
 
 def base_name(name: str) -> str:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from fieldgrid.core import NoFramesError, RecordingError
 from fieldgrid.recordings.bag.topic_names import (
-    MADE,
     base_name,
+    driven_rank,
+    imu_rank,
+    is_made,
+    is_rectified,
     namespace,
     right_partners,
     side_of,
-    worth,
 )
 from fieldgrid.recordings.ros.gnss_messages import DATUM
 from fieldgrid.recordings.ros.model import Topic
@@ -37,23 +39,54 @@ TF_STATIC, TF = "/tf_static", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 PLACE = "geometry_msgs/msg/Transform"
 TEXT, NUMBER = "std_msgs/msg/String", "std_msgs/msg/Float32"
 
-TYPES_OF_ROLES: dict[str, tuple[str, ...]] = {
-    **{"left": (IMAGE, COMPRESSED), "right": (IMAGE, COMPRESSED)},
-    **{"left_info": (INFO,), "right_info": (INFO,), "depth_info": (INFO,)},
-    **{"disparity": (DISPARITY,), "depth": (IMAGE, COMPRESSED), "cloud": (CLOUD,)},
-    **{"fix": (FIX,), "nmea": (NMEA,), "imu": (IMU,), "odometry": (ODOMETRY,)},
-    "attitude": (IMU, ODOMETRY, POSE, SURE_POSE),
+_PICTURES = (IMAGE, COMPRESSED)
+_NO_PICTURE = re.compile(r"depth|disparity|confidence|mask|label|segment|debug|theora")
+
+
+class TopicRole(NamedTuple):
+    """What a topic is to a recording: of which types it is, the role of its calibration, how its
+    name has to be, and of several the rank, by name and type; the lowest is the best."""
+
+    types: tuple[str, ...]
+    info: str = ""
+    named: str = ""
+    rank: Callable[[str, str], Any] = lambda _name, _type: 0
+
+
+def _depth_rank(name: str, type_: str) -> tuple[bool, bool, bool, bool]:
+    """Of the depth camera itself, rectified, plain, without loss first."""
+    is_packed = type_ == COMPRESSED
+    return "aligned" in name, not is_rectified(name), is_packed, not name.endswith("Depth")
+
+
+ROLES: dict[str, TopicRole] = {
+    "left": TopicRole(_PICTURES, "left_info"),
+    "right": TopicRole(_PICTURES, "right_info"),
+    "left_info": TopicRole((INFO,)),
+    "right_info": TopicRole((INFO,)),
+    "depth_info": TopicRole((INFO,)),
+    "disparity": TopicRole((DISPARITY,), "left_info"),
+    # The cameras of Luxonis call depths just `stereo`.
+    "depth": TopicRole(
+        _PICTURES,
+        "depth_info",
+        r"^(?!.*confidence).*(depth|(?<![a-z])stereo/image_(raw|rect)$)",
+        _depth_rank,
+    ),
+    "cloud": TopicRole((CLOUD,), rank=lambda name, _: is_made(name)),
+    "fix": TopicRole((FIX,), rank=lambda name, _: is_made(name)),
+    "nmea": TopicRole((NMEA,)),
+    "imu": TopicRole((IMU,), rank=lambda name, _: imu_rank(name)),
+    "odometry": TopicRole((ODOMETRY,), rank=lambda name, _: driven_rank(name)),
+    "attitude": TopicRole((IMU, ODOMETRY, POSE, SURE_POSE)),
 }
+TYPES_OF_ROLES = {name: role.types for name, role in ROLES.items()}
 _SENSORS: dict[Sensing, tuple[str, ...]] = {
     "stereo": ("left", "right", "right_info"),
     "disparity": ("disparity",),
     "depth": ("depth", "depth_info"),
     "cloud": ("cloud",),
 }
-_NO_PICTURE = re.compile(r"depth|disparity|confidence|mask|label|segment|debug|theora")
-_DEPTH = re.compile(r"depth|(?<![a-z])stereo/image_(raw|rect)$")
-"""Names of depth images; the cameras of Luxonis say just `stereo`."""
-_RECTIFIED = re.compile(r"(?<![a-z])rect")
 _MOST_LISTED = 2000
 
 
@@ -139,11 +172,6 @@ def static_transforms(topics: Mapping[str, Topic], roles: Mapping[str, str]) -> 
     return found + _of_types(topics, (PLACE,))
 
 
-def is_rectified(topic: str) -> bool:
-    """Whether an image topic is named as a rectified one, like `image_rect` or `rect/image`."""
-    return any(_RECTIFIED.search(word) for word in base_name(topic).lower().split("/")[-2:])
-
-
 def _told(roles: Mapping[str, str], topics: Mapping[str, Topic]) -> tuple[str, ...]:
     used = ", ".join(f"{role} {topic}" for role, topic in roles.items())
     notes = [f"Topics: {used}."] if used else []
@@ -177,32 +205,22 @@ class _Finder:
     def check_given(self, everything: Mapping[str, Topic]) -> None:
         """Raise for a given topic that cannot be what it is said to be."""
         for role, name in self._given.items():
-            if name not in everything:
-                raise RecordingError(
-                    f"{self._path} has no topic {name!r} for --topic {role}=; it has "
-                    f"{listing(everything.values())}."
-                )
-            found = everything[name].type
-            if found not in TYPES_OF_ROLES[role]:
-                wanted = " or ".join(short(kind) for kind in TYPES_OF_ROLES[role])
-                raise RecordingError(
-                    f"{self._path}: --topic {role}={name} is of the type {short(found)}, not "
-                    f"{wanted}; give another topic of {listing(everything.values())}."
-                )
-            if everything[name].count == 0:
-                raise RecordingError(
-                    f"{self._path}: --topic {role}={name} has no message; give another topic of "
-                    f"{listing(everything.values())}."
-                )
+            topic, types = everything.get(name), ROLES[role].types
+            if topic is None:
+                what = "is not there"
+            elif topic.type not in types:
+                what = f"is of the type {short(topic.type)}, not {' or '.join(map(short, types))}"
+            elif topic.count == 0:
+                what = "has no message"
+            else:
+                continue
+            raise RecordingError(
+                f"{self._path}: --topic {role}={name} {what}; give another topic of "
+                f"{listing(everything.values())}."
+            )
 
     def sensor(self, wanted: str | None) -> Sensing:
         """Find the topics of the given sensor, else of the wanted one, else of the best."""
-        finders: dict[Sensing, Callable[[], bool]] = {
-            "stereo": self._stereo,
-            "disparity": self._disparity,
-            "depth": self._depth,
-            "cloud": self._cloud,
-        }
         if "left" in self._given and self._given["left"] == self._given.get("right"):
             raise RecordingError(
                 f"{self._path}: left and right are both {self._given['left']}; give two topics."
@@ -212,13 +230,34 @@ class _Finder:
             raise RecordingError(
                 f"{self._path}: the given topics are of {' and '.join(asked)}; give those of one."
             )
-        asked = asked or [kind for kind in finders if wanted in (None, kind)]
-        return next((kind for kind in asked if finders[kind]()), "")
+        for kind in asked or [kind for kind in _SENSORS if wanted in (None, kind)]:
+            if self._stereo() if kind == "stereo" else self.single(kind):
+                return kind
+        return ""
 
-    def single(self, role: str) -> None:
-        """Find the one topic of a role, if there is any."""
-        names = _of_types(self._topics, TYPES_OF_ROLES[role])
-        self._one_of(role, names, lambda name: worth(role, name))
+    def single(self, role: str) -> bool:
+        """Find the one topic of a role, and of its calibration: the given one, else the one of the
+        lowest rank. Whether there is any."""
+        row = ROLES[role]
+        names = [
+            name
+            for name in _of_types(self._topics, row.types)
+            if re.search(row.named, base_name(name).lower())
+        ]
+        if role in self._given:
+            names = [self._given[role]]
+        ranks = [row.rank(name, self._topics[name].type) for name in names]
+        names = [name for name, rank in zip(names, ranks, strict=True) if rank == min(ranks)]
+        if len(names) > 1:
+            raise RecordingError(
+                f"{self._path} has several topics for {role}: {', '.join(names)}; choose one with "
+                f"--topic {role}={names[0]}."
+            )
+        for name in names:
+            self.roles[role] = name
+            if row.info:
+                self._info(row.info, name, lone=True)
+        return bool(names)
 
     def _stereo(self) -> bool:
         pairs = self._pairs()
@@ -237,7 +276,7 @@ class _Finder:
             return False
         self.roles["left"], self.roles["right"] = min(pairs, key=lambda p: (len(p[0]), p[0]))
         for side in ("left", "right"):
-            self._info(f"{side}_info", self.roles[side], side, lone=False)
+            self._info(ROLES[side].info, self.roles[side], lone=False)
         return True
 
     def _pairs(self) -> list[tuple[str, str]]:
@@ -275,39 +314,11 @@ class _Finder:
             f"add --topic {other}=NAME, of {listing(images)}."
         )
 
-    def _disparity(self) -> bool:
-        found = self._one_of("disparity", _of_types(self._topics, (DISPARITY,)), lambda _: 0)
-        if found:
-            self._info("left_info", found, "left")
-        return bool(found)
-
-    def _depth(self) -> bool:
-        images = _of_types(self._topics, (IMAGE, COMPRESSED))
-        depths = [n for n in images if _DEPTH.search(base_name(n).lower())]
-        depths = [n for n in depths if "confidence" not in n.lower()]
-        # Of the depth camera itself, rectified, plain, without loss first.
-        found = self._one_of(
-            "depth",
-            depths,
-            lambda n: (
-                "aligned" in n,
-                not is_rectified(n),
-                self._topics[n].type == COMPRESSED,
-                not n.endswith("Depth"),
-            ),
-        )
-        if found:
-            self._info("depth_info", found, "")
-        return bool(found)
-
-    def _cloud(self) -> bool:
-        clouds = _of_types(self._topics, (CLOUD,))
-        return bool(self._one_of("cloud", clouds, lambda n: MADE.search(n.lower()) is not None))
-
-    def _info(self, role: str, image: str, side: str, *, lone: bool = True) -> None:
+    def _info(self, role: str, image: str, *, lone: bool) -> None:
         """The calibration beside an image, or the only one of its side, or if it may be `lone`
         the only one at all. That there is none is told later."""
-        infos = _of_types(self._topics, (INFO,))
+        infos, side = _of_types(self._topics, (INFO,)), role.removesuffix("_info")
+        side = side if side != "depth" else ""
         parts = base_name(image).split("/")[:-1]
         near = ["/".join(parts[:k]) for k in range(len(parts), 0, -1)]
         beside = [f"{place}/camera_info" for place in (base_name(image), *near[: 2 if lone else 1])]
@@ -322,22 +333,6 @@ class _Finder:
         ]
         if candidates:
             self.roles[role] = candidates[0]
-
-    def _one_of(self, role: str, names: list[str], worth: Callable[[str], object]) -> str:
-        """Take for a role the given topic, else the one that is worth most (the lowest), if there
-        is any; its name, or ''."""
-        if role in self._given:
-            names = [self._given[role]]
-        best = min((worth(name) for name in names), default=None)  # type: ignore[type-var]
-        names = [name for name in names if worth(name) == best]
-        if len(names) > 1:
-            raise RecordingError(
-                f"{self._path} has several topics for {role}: {', '.join(names)}; choose one with "
-                f"--topic {role}={names[0]}."
-            )
-        if names:
-            self.roles[role] = names[0]
-        return self.roles.get(role, "")
 
 
 def _of_types(topics: Mapping[str, Topic], types: tuple[str, ...]) -> list[str]:

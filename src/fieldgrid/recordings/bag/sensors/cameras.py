@@ -16,7 +16,8 @@ from fieldgrid.perception import (
     rectify_by_projections,
 )
 from fieldgrid.recordings.bag.content import BagIndex
-from fieldgrid.recordings.bag.topics import INFO, is_rectified, listing
+from fieldgrid.recordings.bag.topic_names import is_rectified
+from fieldgrid.recordings.bag.topics import INFO, listing
 
 _MOST_COEFFICIENTS = 64
 
