@@ -34,7 +34,7 @@ if TYPE_CHECKING:
         orientation_of as orientation_of,
         stated_orientation as stated_orientation,
     )
-    from fieldgrid.recordings.bag.listeners import Fixes as Fixes
+    from fieldgrid.recordings.bag.listeners import Numbers as Numbers
     from fieldgrid.recordings.bag.order import MAX_APART_NS as MAX_APART_NS, is_utc as is_utc
     from fieldgrid.recordings.bag.sensors.frames import (
         CloudMaker as CloudMaker,

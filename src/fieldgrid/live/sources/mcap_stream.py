@@ -33,9 +33,9 @@ from fieldgrid.recordings import (
     CloudKind,
     CloudMaker,
     Connection,
-    Fixes,
     FrameKind,
     Message,
+    Numbers,
     PairKind,
     PairMaker,
     Taken,
@@ -324,9 +324,9 @@ class McapStream:
                 waiting.popleft()
 
     def _fix(self, message: Message, time_ns: int, intake: Intake) -> None:
-        one = Fixes()
+        one = Numbers(message.connection.type)
         one.take(message, 0)
-        self._push(list(one.columns(np.array([time_ns]))), "fix", intake)
+        self._push(list(one.fixes(np.array([time_ns]))), "fix", intake)
 
     def _sentence(self, message: Message, time_ns: int, intake: Intake) -> None:
         text = decode(message).sentence.encode("utf-8", "replace").strip()

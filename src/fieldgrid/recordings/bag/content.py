@@ -12,7 +12,7 @@ import numpy as np
 from fieldgrid.core import Float64, GnssError, RecordingError
 from fieldgrid.geometry import FixColumns, Gyro, Motion, Orientation, RecordedTilt, WheelSpeed
 from fieldgrid.recordings.bag.leaning import ODOMETRY_FRAME_SIGMA_DEG, Untold, orientation_of
-from fieldgrid.recordings.bag.listeners import Fixes, MotionListener, Sentences, Texts
+from fieldgrid.recordings.bag.listeners import Numbers, Sentences, Texts
 from fieldgrid.recordings.bag.readings import Readings
 from fieldgrid.recordings.bag.sensors.mounts import imu_rotation, is_optical
 from fieldgrid.recordings.bag.topics import (
@@ -198,11 +198,11 @@ def _fixes_of_topics(bag: Bag, readings: Readings, roles: Mapping[str, str]) -> 
             )
         notes.append(f"{topic}: no sentence gives a dated position.")
     topic = roles.get("fix", "")
-    found = readings.of(topic, Fixes)
+    found = readings.of(topic, Numbers)
     if found is None:
         notes.append("No topic with fixes; give a log with --gnss FILE.")
         return BagFixes(FixLog(FixColumns.of([]), tuple(notes)))
-    fixes = found.columns(readings.times_ns(bag, topic))
+    fixes = found.fixes(readings.times_ns(bag, topic))
     beside = readings.of(f"{topic}{DETAILS}", Texts)
     if beside is not None and isinstance(beside.said, Details):
         fixes = beside.said.added_to(fixes)
@@ -216,7 +216,7 @@ def find_motion(content: BagIndex, imu_axes: str = AXES) -> tuple[Motion, tuple[
     notes: list[str] = []
     gyro = wheels = inertial = None
     topic = content.roles.get("imu", "")
-    turns = readings.of(topic, MotionListener)
+    turns = readings.of(topic, Numbers)
     if turns is not None and turns.places:
         R_flu_imu, told = axes_of(content.transforms, imu_axes, content.frame_id("imu"))
         times_ns, sensed = readings.series(bag, topic, turns.places, turns.rows())
@@ -235,7 +235,7 @@ def find_motion(content: BagIndex, imu_axes: str = AXES) -> tuple[Motion, tuple[
                 turned = [sensed[:, part] @ R_vehicle_imu.T for part in (slice(3), slice(3, 6))]
             inertial = inertial_of(in_order(times_ns, np.hstack(turned), 3)[0], notes)
     topic = content.roles.get("odometry", "")
-    speeds = readings.of(topic, MotionListener)
+    speeds = readings.of(topic, Numbers)
     if speeds is not None and speeds.places:
         told_mps = readings.series(bag, topic, speeds.places, np.array(speeds.values))
         series, lost = in_order(*told_mps)
@@ -267,7 +267,7 @@ def _leaning(content: BagIndex, imu_axes: str, motion: Motion, notes: list[str])
         return motion
     roles = ("attitude",) if given else ("imu", "odometry")
     for topic in filter(None, map(content.roles.get, roles)):
-        heard = readings.attitude if given else readings.of(topic, MotionListener)
+        heard = readings.attitude if given else readings.of(topic, Numbers)
         if heard is None or not heard.leans.places:
             continue
         is_imu = content.bag.topics[topic].type == IMU

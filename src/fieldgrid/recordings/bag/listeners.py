@@ -15,7 +15,7 @@ from fieldgrid.core import Float64, Int64, RecordingError, counted
 from fieldgrid.geometry import FixColumns
 from fieldgrid.poses import NmeaCounts, NmeaStream
 from fieldgrid.recordings.bag.leaning import Leans
-from fieldgrid.recordings.bag.topics import IMU, ODOMETRY, POSE, SURE_POSE
+from fieldgrid.recordings.bag.topics import FIX, IMU, ODOMETRY, POSE, SURE_POSE
 from fieldgrid.recordings.ros.definitions import decode
 from fieldgrid.recordings.ros.gnss_messages import JsonRows, quality_of
 from fieldgrid.recordings.ros.model import Message
@@ -78,7 +78,7 @@ class TopicListener:
         """Remarks, without the topic and the full stop."""
         if self.damaged:
             yield f"{counted(self.damaged, 'message')} that cannot be decoded skipped"
-        for what, count in self.counts.items():
+        for what, count in (+self.counts).items():
             yield f"{counted(count, 'message')} {what}"
 
 
@@ -102,41 +102,13 @@ class Sentences(TopicListener):
         return self._stream.counts
 
 
-class Fixes(TopicListener):
-    """Positions of sensor_msgs/NavSatFix."""
-
-    hashes = True
-    width = 5
-
-    def _add(self, message: Any, place: int) -> None:
-        lat_deg, lon_deg, height_m = message.latitude, message.longitude, message.altitude
-        if not (math.isfinite(lat_deg) and math.isfinite(lon_deg)):
-            self.counts["without a position skipped"] += 1
-            return
-        if not math.isfinite(height_m):
-            self.counts["without a height: taken as 0 m"] += 1
-            height_m = 0.0
-        quality, sigma_m = quality_of(message)
-        self.places.append(place)
-        self.values.extend(
-            (lat_deg, lon_deg, height_m, quality, math.nan if sigma_m is None else sigma_m)
-        )
-
-    def columns(self, times_ns: Int64) -> FixColumns:
-        """The fixes by the times of all messages of the topic, 0 for none."""
-        time_ns = times_ns[np.array(self.places, dtype=np.int64)]
-        known = time_ns > 0
-        if not known.all():
-            self.counts["without a time skipped"] = int(np.count_nonzero(~known))
-        lat, lon, height, quality, sigma = self.rows()[known].T
-        return FixColumns.of(
-            time_ns[known],
-            lat_deg=lat,
-            lon_deg=lon,
-            height_m=height,
-            quality=quality.astype(np.int64),
-            sigma_m=sigma,
-        )
+def _fix(message: Any) -> tuple[float, ...] | str:
+    """Latitude, longitude, height, quality and sigma."""
+    if not (math.isfinite(message.latitude) and math.isfinite(message.longitude)):
+        return "without a position skipped"
+    quality, sigma_m = quality_of(message)
+    sigma_m = math.nan if sigma_m is None else sigma_m
+    return (message.latitude, message.longitude, message.altitude, quality, sigma_m)
 
 
 def _sensed(message: Any) -> tuple[float, ...] | str:
@@ -151,6 +123,7 @@ def _sensed(message: Any) -> tuple[float, ...] | str:
 
 
 _ROWS: dict[str, tuple[int, Callable[[Any], tuple[float, ...] | str]]] = {
+    FIX: (5, _fix),
     IMU: (6, _sensed),
     ODOMETRY: (1, lambda message: (message.twist.twist.linear.x,)),
     POSE: (0, lambda _: ()),
@@ -159,26 +132,45 @@ _ROWS: dict[str, tuple[int, Callable[[Any], tuple[float, ...] | str]]] = {
 """How many numbers a message of a type gives, and which; or why it gives none."""
 
 
-class MotionListener(TopicListener):
-    """What moves: the numbers of its messages, and how the frame `body` leans by them."""
+class Numbers(TopicListener):
+    """The numbers of messages of a type, and of what moves how the frame `body` leans by them."""
 
     def __init__(self, type_: str) -> None:
         super().__init__()
+        self.hashes = type_ == FIX
         self.width, self._row = _ROWS[type_]
-        self._is_imu = type_ == IMU
+        self._type = type_
         self.leans, self.body = Leans(), ""
 
     def _add(self, message: Any, place: int) -> None:
-        # A pose names the frame that it is in, and not whose it is.
-        own = self.frame_id if self._is_imu else getattr(message, "child_frame_id", "")
-        self.body = self.body or own
-        self.leans.add(message, place)
+        if self._type != FIX:
+            # A pose names the frame that it is in, and not whose it is.
+            child = getattr(message, "child_frame_id", "")
+            self.body = self.body or (self.frame_id if self._type == IMU else child)
+            self.leans.add(message, place)
         row = self._row(message)
         if isinstance(row, str):
             self.counts[row] += 1
         else:
             self.places.append(place)
             self.values.extend(row)
+
+    def fixes(self, times_ns: Int64) -> FixColumns:
+        """The fixes by the times of all messages of the topic, 0 for none."""
+        time_ns = times_ns[np.array(self.places, dtype=np.int64)]
+        known = time_ns > 0
+        lat, lon, height, quality, sigma = self.rows()[known].T
+        without = ~np.isfinite(height)
+        self.counts["without a height: taken as 0 m"] += int(np.count_nonzero(without))
+        self.counts["without a time skipped"] += int(np.count_nonzero(~known))
+        return FixColumns.of(
+            time_ns[known],
+            lat_deg=lat,
+            lon_deg=lon,
+            height_m=np.where(without, 0.0, height),
+            quality=quality.astype(np.int64),
+            sigma_m=sigma,
+        )
 
 
 class First(TopicListener):

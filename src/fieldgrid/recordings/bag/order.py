@@ -41,16 +41,6 @@ class OrderedMessages(NamedTuple):
     timeless: int
 
 
-class PairMatch(NamedTuple):
-    """Which of `left` belongs to which of `right`, both increasing; how far apart they are at
-    most, and how many of either are left over."""
-
-    left: Index
-    right: Index
-    apart_ns: int
-    unpaired: tuple[int, int]
-
-
 def is_utc(time_ns: Int64) -> Bool:
     """Whether times can be UTC: a clock that counts from the start of a machine is not."""
     return (time_ns >= MIN_TIME_NS) & (time_ns <= MAX_TIME_NS)
@@ -105,44 +95,19 @@ def _released(items: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
     yield from sorted(waiting)
 
 
-def pair(left_ns: Int64, right_ns: Int64) -> PairMatch:
-    """Moments of two cameras, increasing each, that are one: equal stamps first, then the
-    nearest of the rest within a quarter of the usual interval and :data:`MAX_APART_NS`."""
-    _, left, right = np.intersect1d(left_ns, right_ns, assume_unique=True, return_indices=True)
-    rest_left = np.setdiff1d(np.arange(len(left_ns)), left)
-    rest_right = np.setdiff1d(np.arange(len(right_ns)), right)
-    usual = [np.median(np.diff(times)) / 4 for times in (left_ns, right_ns) if len(times) > 1]
-    within_ns = int(min([MAX_APART_NS, *usual]))
-    near = _nearest(left_ns[rest_left], right_ns[rest_right], within_ns)
-    near_left, near_right = rest_left[near[0]], rest_right[near[1]]
-    # Of the rest, two pairs cannot cross: each would be the nearer one of the other's partner. One
-    # that crosses an equal pair is none.
-    ahead = np.searchsorted(left, near_left) == np.searchsorted(right, near_right)
-    left = np.sort(np.concatenate([left, near_left[ahead]]))
-    right = np.sort(np.concatenate([right, near_right[ahead]]))
-    apart = np.abs(left_ns[left] - right_ns[right])
-    return PairMatch(
-        left,
-        right,
-        int(apart.max()) if len(apart) else 0,
-        (len(left_ns) - len(left), len(right_ns) - len(right)),
-    )
-
-
-def _nearest(left_ns: Int64, right_ns: Int64, within_ns: int) -> tuple[Index, Index]:
-    """Places of the pairs that are the nearest to each other on either side."""
+def pair(left_ns: Int64, right_ns: Int64) -> tuple[Index, Index]:
+    """Places of the moments of two cameras, increasing each, that are one: the nearest to each
+    other within a quarter of the usual interval and :data:`MAX_APART_NS`."""
     if not (len(left_ns) and len(right_ns)):
         none = np.zeros(0, dtype=np.intp)
         return none, none
-    of_left = _nearest_one(left_ns, right_ns)
-    of_right = _nearest_one(right_ns, left_ns)
-    here = np.arange(len(left_ns))
-    mutual = (of_right[of_left] == here) & (np.abs(right_ns[of_left] - left_ns) <= within_ns)
-    return here[mutual], of_left[mutual]
+    usual = [np.median(np.diff(times)) / 4 for times in (left_ns, right_ns) if len(times) > 1]
+    of_left, of_right = _nearest(left_ns, right_ns), _nearest(right_ns, left_ns)
+    near = np.abs(right_ns[of_left] - left_ns) <= min([MAX_APART_NS, *usual])
+    left = np.flatnonzero(near & (of_right[of_left] == np.arange(len(left_ns))))
+    return left, of_left[left]
 
 
-def _nearest_one(times_ns: Int64, others_ns: Int64) -> Index:
-    after = np.clip(np.searchsorted(others_ns, times_ns), 0, len(others_ns) - 1)
-    before = np.maximum(after - 1, 0)
-    is_before = np.abs(times_ns - others_ns[before]) <= np.abs(others_ns[after] - times_ns)
-    return np.where(is_before, before, after)
+def _nearest(times_ns: Int64, others_ns: Int64) -> Index:
+    """Places of the nearest of the others, the earlier of two that are as near."""
+    return np.searchsorted(others_ns[1:] + others_ns[:-1], 2 * times_ns)

@@ -17,8 +17,7 @@ from fieldgrid.core import Float64, Int64, RecordingError
 from fieldgrid.geometry import Datum, Orientation, RecordedTilt, Rig
 from fieldgrid.recordings.bag.listeners import (
     First,
-    Fixes,
-    MotionListener,
+    Numbers,
     Sentences,
     Texts,
     TopicListener,
@@ -73,10 +72,10 @@ _TABLE = (
     _Row((TEXT,), DETAILS, lambda _: Texts(Details())),
     _Row((TEXT,), TILT, lambda _: Texts(Tilts(RecordedTilt))),
     _Row((TEXT,), ORIENTATION, lambda _: Texts(Tilts(Orientation))),
-    _Row((FIX,), "", lambda _: Fixes(), "fix"),
+    _Row((FIX,), "", lambda _: Numbers(FIX), "fix"),
     _Row((NMEA,), "", lambda _: Sentences(), "nmea"),
-    _Row((IMU,), "", lambda _: MotionListener(IMU), "imu"),
-    _Row((ODOMETRY,), "", lambda _: MotionListener(ODOMETRY), "odometry"),
+    _Row((IMU,), "", lambda _: Numbers(IMU), "imu"),
+    _Row((ODOMETRY,), "", lambda _: Numbers(ODOMETRY), "odometry"),
     _Row(TF, TF_STATIC, lambda _: Trees()),
     _Row(TF, "", lambda _: MovingTrees()),
     _Row((PLACE,), "", StreamPlace),
@@ -104,7 +103,7 @@ class Readings:
         self._given, self._gnss = given, gnss
         self._heard: dict[str, TopicListener] = {}
         self._best: dict[str, str] = {}
-        self.attitude: MotionListener | None = None
+        self.attitude: Numbers | None = None
         self._notes: dict[str, str] = {}
 
     def listen(self, name: str, type_: str) -> Take | None:
@@ -118,7 +117,7 @@ class Readings:
             heard.is_needed = lambda: not {"odometry"} & {*self._best, *self._given}
         if name != self._given.get("attitude"):
             return None if heard is None else heard.take
-        self.attitude = heard if isinstance(heard, MotionListener) else MotionListener(type_)
+        self.attitude = heard if isinstance(heard, Numbers) else Numbers(type_)
         return self.attitude.take
 
     def _may_be(self, role: str, name: str, type_: str) -> bool:

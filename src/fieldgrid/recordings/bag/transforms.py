@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldgrid.core import CalibrationError, Float64
+from fieldgrid.recordings.poses.pose_files import rotations
 
 _DEEPEST = 64
 _MAX_FRAMES = 10_000
@@ -115,18 +116,9 @@ def _plain(frame: str) -> str:
 def _place(transform: Any) -> FrameTransform | None:
     shift, turn = transform.translation, transform.rotation
     at_m = np.array([shift.x, shift.y, shift.z], dtype=np.float64)
-    q = np.array([turn.w, turn.x, turn.y, turn.z], dtype=np.float64)
+    q = np.array([turn.x, turn.y, turn.z, turn.w], dtype=np.float64)
     if not (np.abs(at_m).max() < _FARTHEST_M and np.abs(q).max() < 2.0):  # nor NaN
         return None
-    length = float(np.linalg.norm(q))
-    if abs(length - 1.0) > _UNIT:
+    if abs(float(np.linalg.norm(q)) - 1.0) > _UNIT:
         return None
-    w, x, y, z = q / length
-    R = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return FrameTransform(R, at_m)
+    return FrameTransform(rotations(q[None])[0], at_m)

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldgrid.core import CalibrationError, Float64
-from fieldgrid.geometry import DepthCamera, StereoCamera, lens_model, raw_camera
+from fieldgrid.geometry import DepthCamera, lens_model, raw_camera
 from fieldgrid.perception import (
-    Rectifier,
+    Rectification,
     camera_from_projections,
     rectify_by_pose,
     rectify_by_projections,
@@ -20,16 +20,6 @@ from fieldgrid.recordings.bag.topic_names import is_rectified
 from fieldgrid.recordings.bag.topics import INFO, listing
 
 _MOST_COEFFICIENTS = 64
-
-
-class CameraPair(NamedTuple):
-    """A stereo camera, how raw pairs become rectified ones (None where they are), the rotation
-    from the frame of the raw left camera to the rectified one's, and remarks."""
-
-    camera: StereoCamera
-    rectifier: Rectifier | None
-    R_rect_left: Float64
-    notes: tuple[str, ...]
 
 
 class _Info(NamedTuple):
@@ -44,8 +34,9 @@ class _Info(NamedTuple):
     source: str
 
 
-def stereo_pair(content: BagIndex, said: bool | None) -> CameraPair:
-    """The camera of the pair by its two calibrations. Raises CalibrationError.
+def stereo_pair(content: BagIndex, said: bool | None) -> Rectification:
+    """The camera of the pair, and how raw images are rectified, by its two calibrations. Raises
+    CalibrationError.
 
     Whether the images are rectified is `said`, or by None told by the names of their topics.
     """
@@ -64,27 +55,22 @@ def stereo_pair(content: BagIndex, said: bool | None) -> CameraPair:
         )
     if named[0] if said is None else said:
         camera = camera_from_projections(left.P, right.P, left.size_px, right.source)
-        return CameraPair(camera, None, left.R, ())
+        return Rectification(camera, None, left.R)
     first, second = (
         raw_camera(one.size_px, one.K, one.D, lens_model(one.model, one.source), one.source)
         for one in (left, right)
     )
     if left.P.any() or right.P.any():
         turns, projections = (left.R, right.R), (left.P, right.P)
-        found = rectify_by_projections(first, second, turns, projections, right.source)
-    else:
-        frames = content.frame_id("left_info"), content.frame_id("right_info")
-        placed = content.transforms.place(*frames)
-        if placed is None:
-            raise CalibrationError(
-                f"{left.source} and {right.source} have no P, and no static transform joins their "
-                f"frames {frames[0]!r} and {frames[1]!r}; calibrate the pair."
-            )
-        found = rectify_by_pose(first, second, placed.R, placed.at_m, path.name)
-    if found.rectifier is None:
-        return CameraPair(found.camera, None, found.R_rect_left, ())
-    note = f"The images are raw, and rectified by {left.source} and {right.source}."
-    return CameraPair(found.camera, found.rectifier, found.R_rect_left, (note,))
+        return rectify_by_projections(first, second, turns, projections, right.source)
+    frames = content.frame_id("left_info"), content.frame_id("right_info")
+    placed = content.transforms.place(*frames)
+    if placed is None:
+        raise CalibrationError(
+            f"{left.source} and {right.source} have no P, and no static transform joins their "
+            f"frames {frames[0]!r} and {frames[1]!r}; calibrate the pair."
+        )
+    return rectify_by_pose(first, second, placed.R, placed.at_m, path.name)
 
 
 def depth_camera(content: BagIndex, baseline: float | None) -> DepthCamera:

@@ -82,10 +82,11 @@ def _stereo(content: BagIndex) -> FrameSensor:
         name, R, camera, rectifier = "", np.eye(3), found.camera, found.rectifier
         notes = found.notes + notes
     else:
-        pair = stereo_pair(content, settings.rectified)
-        name, camera, rectifier = content.frame_id("left_info"), pair.camera, pair.rectifier
-        R = pair.R_rect_left @ optical(name, content.transforms)
-        notes = pair.notes + notes
+        name = content.frame_id("left_info")
+        camera, rectifier, R_rect_left = stereo_pair(content, settings.rectified)
+        R = R_rect_left @ optical(name, content.transforms)
+        if rectifier is not None:
+            notes = ("The images are raw, and rectified by their camera_info.", *notes)
     middle_m = np.array([camera.baseline_m / 2.0, 0.0, 0.0])
     maker = PairMaker((camera.width_px, camera.height_px), rectifier, compressed, bits)
     return FrameSensor(SensorFrame(name, R, middle_m, middle_m), plan, camera, maker, notes)

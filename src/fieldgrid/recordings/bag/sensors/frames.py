@@ -165,27 +165,22 @@ def plan_pairs(bag: Bag, left: str, right: str) -> Plan:
     notes = [note for topic, one in clocks.items() for note in _clock_notes(topic, one)]
     first, second = (ordered(clocks[topic].time_ns) for topic in (left, right))
     notes += [*_order_notes(left, first), *_order_notes(right, second)]
-    pairs = pair(first.time_ns, second.time_ns)
-    if not len(pairs.left):
+    of_left, of_right = pair(first.time_ns, second.time_ns)
+    if not len(of_left):
         raise RecordingError(
             f"{bag.path}: no image of {left} ({len(first.time_ns)}) is of the moment of one of "
             f"{right} ({len(second.time_ns)}), to 10 ms; give the two topics of one stereo camera, "
             "and trigger both sides together."
         )
-    if pairs.apart_ns:
-        notes.append(f"Left and right are up to {pairs.apart_ns / 1e6:.3g} ms apart.")
-    if any(pairs.unpaired):
-        notes.append(
-            f"{pairs.unpaired[0]} left and {pairs.unpaired[1]} right images without a partner "
-            "skipped."
-        )
-    return Plan(
-        first.time_ns[pairs.left],
-        (left, right),
-        (first.time_ns[pairs.left], second.time_ns[pairs.right]),
-        (first.place[pairs.left], second.place[pairs.right]),
-        tuple(notes),
-    )
+    left_ns, right_ns = first.time_ns[of_left], second.time_ns[of_right]
+    apart_ns = np.abs(left_ns - right_ns).max()
+    if apart_ns:
+        notes.append(f"Left and right are up to {apart_ns / 1e6:.3g} ms apart.")
+    alone = [len(first.time_ns) - len(of_left), len(second.time_ns) - len(of_left)]
+    if any(alone):
+        notes.append(f"{alone[0]} left and {alone[1]} right images without a partner skipped.")
+    places = first.place[of_left], second.place[of_right]
+    return Plan(left_ns, (left, right), (left_ns, right_ns), places, tuple(notes))
 
 
 def _clock_notes(topic: str, found: Clock) -> list[str]:
