@@ -58,15 +58,11 @@ def clock(topic: str, stamp_ns: Int64, receive_ns: Int64, *, received: bool = Fa
     if not known.any():
         raise RecordingError(
             f"The times of {topic} are no UTC: its header stamps are like "
-            f"{_example(stamp_ns)} ns and the recorder's like {_example(receive_ns)} ns, so its "
+            f"{stamp_ns[:1]} ns and the recorder's like {receive_ns[:1]} ns, so its "
             "messages cannot be brought together with fixes; record with the clock set, or say "
             "with --epoch 2026-05-14T07:30:00Z when the clock of a simulation began."
         )
     return Clock(np.where(known, receive_ns, 0), True)
-
-
-def _example(time_ns: Int64) -> int:
-    return int(time_ns[0]) if len(time_ns) else 0
 
 
 def ordered(time_ns: Int64) -> OrderedMessages:

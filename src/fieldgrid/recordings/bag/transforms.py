@@ -34,26 +34,18 @@ class Transforms:
     def add(self, message: Any) -> None:
         """The transforms of a tf2_msgs/TFMessage; those that are no transform are left out."""
         for _, (child, parent, place) in told(message):
-            if len(self._parents) < _MAX_FRAMES:
-                self._parents[child] = (parent, place)
+            self.put(child, parent, place)
 
-    def put(self, child: str, parent: str, transform: Any) -> None:
-        """One geometry_msgs/Transform, if it is any."""
-        place = _place(transform)
-        if place is not None:
-            self._parents[child] = (parent, place)
-
-    def add_unmoved(self, message: Any) -> None:
-        """Add the transforms of a message, and note for :meth:`unmoved` the frames that move or
-        change their parent."""
-        for _, (child, parent, place) in told(message):
-            known = self._parents.get(child)
-            if known is None and len(self._parents) < _MAX_FRAMES:
-                self._parents[child] = (parent, place)
-            elif known is not None:
-                apart = max(np.abs(a - b).max() for a, b in zip(known[1], place, strict=True))
-                if known[0] != parent or not apart < _SAME:
-                    self._moved.add(child)
+    def put(self, child: str, parent: str, place: FrameTransform) -> None:
+        """One frame. Those that move or change their parent are noted for :meth:`unmoved`."""
+        known = self._parents.get(child)
+        if known is None and len(self._parents) == _MAX_FRAMES:
+            return
+        if known is not None:
+            apart = max(np.abs(a - b).max() for a, b in zip(known[1], place, strict=True))
+            if known[0] != parent or not apart < _SAME:
+                self._moved.add(child)
+        self._parents[child] = (parent, place)
 
     def unmoved(self) -> Transforms:
         """The tree without the frames that were seen to move."""
@@ -104,7 +96,7 @@ def told(message: Any) -> Iterator[tuple[Any, tuple[str, str, FrameTransform]]]:
     """The transforms of a message that are any, each with its child, parent and place."""
     for one in message.transforms:
         child, parent = _plain(one.child_frame_id), _plain(one.header.frame_id)
-        place = _place(one.transform)
+        place = place_of(one.transform)
         if place is not None and child != parent:
             yield one, (child, parent, place)
 
@@ -113,7 +105,8 @@ def _plain(frame: str) -> str:
     return frame.lstrip("/")
 
 
-def _place(transform: Any) -> FrameTransform | None:
+def place_of(transform: Any) -> FrameTransform | None:
+    """What a geometry_msgs/Transform says; None where it is none."""
     shift, turn = transform.translation, transform.rotation
     at_m = np.array([shift.x, shift.y, shift.z], dtype=np.float64)
     q = np.array([turn.x, turn.y, turn.z, turn.w], dtype=np.float64)

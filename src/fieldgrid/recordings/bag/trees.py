@@ -14,7 +14,7 @@ from fieldgrid.core import Float64, Int64
 from fieldgrid.recordings.bag.listeners import TopicListener
 from fieldgrid.recordings.bag.order import clock
 from fieldgrid.recordings.bag.topic_names import stream_frame
-from fieldgrid.recordings.bag.transforms import Transforms, told
+from fieldgrid.recordings.bag.transforms import Transforms, place_of, told
 from fieldgrid.recordings.ros.bag import Bag
 
 _MOST_TREES = 10_000
@@ -66,8 +66,9 @@ class StreamPlace(Trees):
         self._name = name
 
     def _add(self, message: Any, place: int) -> None:
-        name = self._name
-        self.transforms.put(stream_frame(name), name.rpartition("/")[2], message)
+        at = place_of(message)
+        if at is not None:
+            self.transforms.put(stream_frame(self._name), self._name.rpartition("/")[2], at)
 
 
 class MovingTrees(Trees):
@@ -86,7 +87,7 @@ class MovingTrees(Trees):
 
     def _add(self, message: Any, place: int) -> None:
         if _is_sample(place):
-            self.transforms.add_unmoved(message)
+            self.transforms.add(message)
         for one, (child, parent, at) in told(message):
             if parent.rpartition("/")[2] in _WORLD and _BASE.fullmatch(child):
                 stamp = one.header.stamp

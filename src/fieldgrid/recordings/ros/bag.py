@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +20,7 @@ from fieldgrid.core import (
     UnfoldBudget,
     counted,
     limits,
+    utc_text,
 )
 from fieldgrid.recordings.ros.db3 import Db3Reader, is_db3
 from fieldgrid.recordings.ros.definitions import has_header
@@ -50,7 +49,6 @@ _PACKED = (".mcap.zstd", ".db3.zstd")
 _SHOWN_CLAUSES = 3
 _MOST_MESSAGES = 1_000_000  # and one more for each 8 bytes of the files
 _SPAN = 1 << 44  # places in a bag: those of one file after those of the one before
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 Take = Callable[[Message, int], None]
 """Takes a message and its place among those of its topic."""
@@ -99,9 +97,9 @@ def open_bag(
 class Bag(Closing):
     """An open bag: its topics, its messages as a stream, and what of it could not be read.
 
-    `topics` counts the readable messages; `start_ns` and `end_ns` are the times at which the
-    first and the last of them were received. `damage` is empty, or one sentence. A bag can be
-    pickled; the copy reads as long as the original is open.
+    `topics`, by their names, count the readable messages, of `files` in their order; `start_ns` and
+    `end_ns` are the times at which the first and the last of them were received. `damage` is empty,
+    or one sentence. A bag can be pickled; the copy reads as long as the original is open.
     """
 
     def __init__(self, path: Path, listen: Listen, epoch_ns: int | None) -> None:
@@ -121,26 +119,15 @@ class Bag(Closing):
                     "space for temporary files."
                 ) from error
             raise
-        times = [topic.received for topic in self._topics.values() if topic.received]
-        self.start_ns = min(min(received) for received in times)
-        self.end_ns = max(max(received) for received in times)
+        received = [topic.received for topic in self._topics.values() if topic.received]
+        self.start_ns, self.end_ns = min(map(min, received)), max(map(max, received))
         self.damage = self._damage()
+        self.files = tuple(part.path.name for part in self._parts)
+        self.topics = {name: topic.summary() for name, topic in sorted(self._topics.items())}
 
     def __getstate__(self) -> dict[str, Any]:
         # What was unpacked for this bag is removed when it is closed, and not when a copy is.
         return {**self.__dict__, "_stack": ExitStack()}
-
-    @property
-    def topics(self) -> Mapping[str, Topic]:
-        """The topics by their names, in the order of these."""
-        return MappingProxyType(
-            {name: topic.summary() for name, topic in sorted(self._topics.items())}
-        )
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """The names of the files that are read, in their order."""
-        return tuple(part.path.name for part in self._parts)
 
     def close(self) -> None:
         """Remove what was unpacked; the bag cannot be read any more."""
@@ -149,11 +136,8 @@ class Bag(Closing):
     def stamps(self, topic: str) -> tuple[Int64, Int64]:
         """The stamps in the headers of a topic's messages, 0 where the type has no header, and
         the times at which they were received: nanoseconds, in the order of `messages`."""
-        found = self._topic(topic)
-        stamped, received = (
-            self.dated(np.array(one, dtype=np.int64)) for one in (found.stamped, found.received)
-        )
-        return stamped, received
+        found = self._topics[topic]
+        return self.dated(np.array(found.stamped)), self.dated(np.array(found.received))
 
     def dated(self, time_ns: Int64) -> Int64:
         """Times of a clock that counts from its own start as UTC, if its epoch is known; 0 stays
@@ -163,7 +147,7 @@ class Bag(Closing):
     def places(self, topic: str) -> Int64:
         """Where in the bag each message of a topic is; never decreasing. Messages that lie
         together, as in a chunk, have one place."""
-        return np.array(self._topic(topic).places, dtype=np.int64)
+        return np.array(self._topics[topic].places)
 
     def messages(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[Message]:
         """The messages of these topics, or of all, in the order of recording, from a place on."""
@@ -175,13 +159,6 @@ class Bag(Closing):
                 if topic is not None and topic.takes(connection):
                     yield Message(connection, receive_ns, bytes(data))
             at = 0
-
-    def _topic(self, name: str) -> _Topic:
-        if name not in self._topics:
-            raise RecordingError(
-                f"{self.path} has no topic {name!r}; it has {', '.join(sorted(self._topics))}."
-            )
-        return self._topics[name]
 
     def _read(self, listen: Listen) -> None:
         """Read everything once: topics, counts, times, places, and what is listened to."""
@@ -282,7 +259,7 @@ class Bag(Closing):
             rest = counted(len(clauses) - _SHOWN_CLAUSES, "further fault")
             clauses = [*clauses[:_SHOWN_CLAUSES], rest]
         number = sum(len(topic.received) for topic in self._topics.values())
-        used = f"{counted(number, 'message')} up to {_utc(self.end_ns)} are used"
+        used = f"{counted(number, 'message')} up to {utc_text(self.end_ns)[:19]}Z are used"
         return f"{'; '.join([*clauses, used])}."
 
 
@@ -323,11 +300,3 @@ class _Topic:
 def _start(path: Path) -> bytes:
     with path.open("rb") as file:
         return file.read(max(len(magic) for magic in _KINDS))
-
-
-def _utc(time_ns: int) -> str:
-    try:
-        time = _EPOCH + timedelta(seconds=time_ns // 10**9)
-    except OverflowError:
-        return f"{time_ns} ns"
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -67,24 +67,20 @@ def unpacked(path: Path, stack: ExitStack) -> tuple[Path, bool]:
     with path.open("rb") as file:
         if file.read(len(ZSTD_MAGIC)) != ZSTD_MAGIC:
             return path, True
-    folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-    inner = folder / path.name.removesuffix(_PACKED)
-    return inner, _unpack(path, inner)
-
-
-def _unpack(path: Path, inner: Path) -> bool:
+    folder = stack.enter_context(tempfile.TemporaryDirectory())
+    inner = Path(folder, path.name.removesuffix(_PACKED))
     try:
-        with path.open("rb") as packed, inner.open("wb") as file:
+        with path.open("rb") as packed, inner.open("wb") as whole:
             for piece in unpacked_pieces(packed, UnfoldBudget(path, path.stat().st_size)):
-                file.write(piece)
+                whole.write(piece)
     except EOFError:
-        return False
+        return inner, False
     except OSError as error:
         raise RecordingError(
             f"{path} cannot be decompressed ({error.strerror}); free some space for temporary "
             "files, or unpack it with `zstd -d`."
         ) from error
-    return True
+    return inner, True
 
 
 def _named(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -16,11 +15,8 @@ MAX_POINTS = 20_000_000
 """More points than any sweep has."""
 
 _FARTHEST_M = 1e6
-_FLOATS: dict[int, np.dtype[Any]] = {
-    7: np.dtype(np.float32),
-    8: np.dtype(np.float64),
-}  # PointField's own numbers
-_NUMBERS = {5: np.dtype(np.int32), 6: np.dtype(np.uint32), **_FLOATS}
+_NUMBERS = {5: np.dtype("i4"), 6: np.dtype("u4"), 7: np.dtype("f4"), 8: np.dtype("f8")}
+"""Types of fields by PointField's own numbers."""
 _SECOND_NS = 1_000_000_000
 
 R_OPTICAL_FLU: Float64 = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -71,42 +67,30 @@ def _sweep_of(message: Any, name: str) -> Sweep:
             f"{name} has {len(message.data)} bytes in rows of {row}, too few for {width} x "
             f"{height} points of {point} bytes; it is damaged, record it again."
         )
+    order = ">" if message.is_bigendian else "<"
+    fields: dict[str, tuple[int, np.dtype[Any]]] = {}
+    for field in message.fields:
+        kind = _NUMBERS.get(int(field.datatype))
+        if kind is not None and int(field.offset) + kind.itemsize <= point:
+            fields.setdefault(field.name, (int(field.offset), kind.newbyteorder(order)))
     data = np.ascontiguousarray(message.data, dtype=np.uint8)
-    order: Literal["<", ">"] = ">" if message.is_bigendian else "<"
 
-    def column(place: tuple[int, np.dtype[Any]]) -> AnyArray:
-        offset, dtype = place
-        cells = np.ndarray((height, width), dtype.newbyteorder(order), data, offset, (row, point))
-        return cells.reshape(-1)
+    def column(name: str) -> AnyArray:
+        offset, kind = fields[name]
+        return np.ndarray((height, width), kind, data, offset, (row, point)).reshape(-1)
 
-    columns = []
     for axis in "xyz":
-        place = _field(message, (axis,), point, _FLOATS)
-        if place is None:
+        if axis not in fields or fields[axis][1].kind != "f":
             raise RecordingError(
                 f"{name} has no field {axis} of 32 or 64 bit floats within its {point} bytes a "
                 "point; record the points as x, y, z."
             )
-        with np.errstate(over="ignore", invalid="ignore"):
-            columns.append(column(place).astype(np.float32))
-    points = np.stack(columns, axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        points = np.stack([column(axis).astype(np.float32) for axis in "xyz"], axis=1)
     sane = (np.abs(points) < _FARTHEST_M).all(axis=1)  # false for NaN, too
     after_s = None
-    timed = _field(message, TIME_FIELDS, point, _NUMBERS)
+    timed = next((field for field in fields if field in TIME_FIELDS), None)
     if timed is not None:
         stamp = message.header.stamp
         after_s = seconds_after(column(timed)[sane], stamp.sec * _SECOND_NS + stamp.nanosec)
     return Sweep(points if sane.all() else points[sane], after_s)
-
-
-def _field(
-    message: Any, names: tuple[str, ...], point_step: int, kinds: Mapping[int, np.dtype[Any]]
-) -> tuple[int, np.dtype[Any]] | None:
-    """Offset and type of the first field of some names that has one of some types and lies within
-    a point."""
-    for field in message.fields:
-        if field.name in names and int(field.datatype) in kinds:
-            dtype = kinds[int(field.datatype)]
-            if int(field.offset) + dtype.itemsize <= point_step:
-                return int(field.offset), dtype
-    return None

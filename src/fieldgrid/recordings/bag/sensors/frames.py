@@ -152,7 +152,7 @@ def plan_single(bag: Bag, topic: str) -> Plan:
     found = ordered(times.time_ns)
     if not len(found.time_ns):
         raise RecordingError(f"{bag.path}: {topic} has no message with a time; record it again.")
-    notes = [*_clock_notes(topic, times), *_order_notes(topic, found)]
+    notes = _notes(topic, times, found)
     return Plan(found.time_ns, (topic,), (found.time_ns,), (found.place,), tuple(notes))
 
 
@@ -162,9 +162,8 @@ def plan_pairs(bag: Bag, left: str, right: str) -> Plan:
     clocks = {topic: clock(topic, *stamps[topic]) for topic in (left, right)}
     if any(one.received for one in clocks.values()):  # two clocks would not pair
         clocks = {topic: clock(topic, *stamps[topic], received=True) for topic in (left, right)}
-    notes = [note for topic, one in clocks.items() for note in _clock_notes(topic, one)]
     first, second = (ordered(clocks[topic].time_ns) for topic in (left, right))
-    notes += [*_order_notes(left, first), *_order_notes(right, second)]
+    notes = _notes(left, clocks[left], first) + _notes(right, clocks[right], second)
     of_left, of_right = pair(first.time_ns, second.time_ns)
     if not len(of_left):
         raise RecordingError(
@@ -183,21 +182,17 @@ def plan_pairs(bag: Bag, left: str, right: str) -> Plan:
     return Plan(left_ns, (left, right), (left_ns, right_ns), places, tuple(notes))
 
 
-def _clock_notes(topic: str, found: Clock) -> list[str]:
-    if not found.received:
-        return []
-    return [
-        f"{topic}: the recorder's times are taken, since header stamps are no UTC; they are later "
-        "by what a message takes."
-    ]
-
-
-def _order_notes(topic: str, found: OrderedMessages) -> list[str]:
-    left_out = (
-        (found.timeless, "messages without a time skipped"),
-        (found.late, "messages skipped that repeat a time or come after later ones"),
+def _notes(topic: str, times: Clock, found: OrderedMessages) -> list[str]:
+    told = (
+        (
+            times.received,
+            "the recorder's times are taken, since header stamps are no UTC; they are later by what "
+            "a message takes",
+        ),
+        (found.timeless, f"{found.timeless} messages without a time skipped"),
+        (found.late, f"{found.late} messages skipped that repeat a time or come after later ones"),
     )
-    return [f"{topic}: {number} {what}." for number, what in left_out if number]
+    return [f"{topic}: {what}." for is_so, what in told if is_so]
 
 
 def read_frames(bag: Bag, plan: Plan) -> Iterator[tuple[Taken, ...]]:
