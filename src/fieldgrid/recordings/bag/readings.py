@@ -86,13 +86,6 @@ _TABLE = (
 _Heard = TypeVar("_Heard", bound=TopicListener)
 
 
-class TopicSeries(NamedTuple):
-    """Values of a topic with their times, 0 where there is none, in the order of the record."""
-
-    time_ns: Int64
-    values: Float64
-
-
 class Readings:
     """Listens to a bag while it is opened, and tells afterwards what was heard.
 
@@ -213,9 +206,11 @@ class Readings:
                 return name, way
         return None
 
-    def series(self, bag: Bag, topic: str, places: array[int], values: Float64) -> TopicSeries:
-        """Values that were heard, by the one clock that their topic has."""
-        return TopicSeries(self.times_ns(bag, topic)[np.array(places, dtype=np.int64)], values)
+    def series(
+        self, bag: Bag, topic: str, places: array[int], values: Float64
+    ) -> tuple[Int64, Float64]:
+        """Times, 0 where there is none, and values that were heard, in the order of the record."""
+        return self.times_ns(bag, topic)[np.array(places, dtype=np.int64)], values
 
     def times_ns(self, bag: Bag, topic: str) -> Int64:
         """The times of all messages of a topic, 0 for none."""

@@ -186,8 +186,8 @@ def _notes(topic: str, times: Clock, found: OrderedMessages) -> list[str]:
     told = (
         (
             times.received,
-            "the recorder's times are taken, since header stamps are no UTC; they are later by what "
-            "a message takes",
+            "the recorder's times are taken, since header stamps are no UTC; they are later by "
+            "what a message takes",
         ),
         (found.timeless, f"{found.timeless} messages without a time skipped"),
         (found.late, f"{found.late} messages skipped that repeat a time or come after later ones"),
