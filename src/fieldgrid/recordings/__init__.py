@@ -148,11 +148,14 @@ if TYPE_CHECKING:
         nav_sat_fix as nav_sat_fix,
         quality_of as quality_of,
     )
+    from fieldgrid.recordings.ros.mcap_file import (
+        UNNAMED as UNNAMED,
+        connection_of as connection_of,
+        named as named,
+    )
     from fieldgrid.recordings.ros.model import (
         Connection as Connection,
-        Definition as Definition,
         Message as Message,
-        ros2_name as ros2_name,
     )
     from fieldgrid.recordings.ros.ros_messages import (
         ANTENNA as ANTENNA,

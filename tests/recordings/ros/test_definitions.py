@@ -9,9 +9,10 @@ import pytest
 from mcap.writer import Writer as McapLibraryWriter
 
 from fieldgrid.core import RecordingError
-from fieldgrid.recordings import Connection, Definition, Message, decode
+from fieldgrid.recordings import Connection, Message, decode
 from fieldgrid.recordings.ros.bag import open_bag
 from fieldgrid.recordings.ros.definitions import has_header, types
+from fieldgrid.recordings.ros.model import Definition
 from tests.recordings.bags import Maker
 from tests.recordings.ros.samples import FIX, ROS1, ROS2, TYPES, samples, write_old_db3
 

@@ -1,15 +1,11 @@
-"""The bytes of an MCAP as a link gives them, and what its channels are."""
+"""The bytes of an MCAP as a link gives them."""
 
 from __future__ import annotations
 
-from typing import Any
-
 from fieldgrid.live.intake import Intake
 from fieldgrid.live.sources.links import Link, LinkEndedError
-from fieldgrid.recordings import Connection, Definition, ros2_name
 
 POLL_S = 0.25
-_SYNTAX = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl"}
 
 
 class LinkDoneError(Exception):
@@ -40,14 +36,3 @@ class LinkBytes:
         taken = bytes(self._held[:count])
         del self._held[:count]
         return taken
-
-
-def connection_of(channel: Any, schema: Any) -> Connection:
-    """What the messages of a channel are, as readers of bags have it."""
-    definition = None
-    if schema is not None and schema.encoding in _SYNTAX and schema.data.strip():
-        definition = Definition(_SYNTAX[schema.encoding], schema.data.decode("utf-8", "replace"))
-    name, encoding = "" if schema is None else schema.name, channel.message_encoding
-    if encoding in ("cdr", "ros1"):
-        name = ros2_name(name)
-    return Connection(channel.topic, name, encoding, definition)

@@ -19,7 +19,7 @@ from fieldgrid.live.intake import Intake, SourceEndedError
 from fieldgrid.live.pose.sensor_rows import Rows, rows_of
 from fieldgrid.live.sources.imu_stream import ImuStream
 from fieldgrid.live.sources.links import open_link, parse_address
-from fieldgrid.live.sources.mcap_link import LinkBytes, LinkDoneError, connection_of
+from fieldgrid.live.sources.mcap_link import LinkBytes, LinkDoneError
 from fieldgrid.live.sources.orientation_stream import ATTITUDE, RECORDED, OrientationStream
 from fieldgrid.live.sources.receiver import ReceiverStream
 from fieldgrid.recordings import (
@@ -30,6 +30,7 @@ from fieldgrid.recordings import (
     TF,
     TF_STATIC,
     TYPES_OF_ROLES,
+    UNNAMED,
     CloudKind,
     CloudMaker,
     Connection,
@@ -41,9 +42,11 @@ from fieldgrid.recordings import (
     Taken,
     Transforms,
     as_utc,
+    connection_of,
     decode,
     is_optical,
     is_utc,
+    named,
     optical,
     short,
     stamp_ns,
@@ -167,13 +170,13 @@ class McapStream:
     def _read(self, records: Any, intake: Intake) -> None:
         from mcap.records import Channel, Message as Record, Schema
 
-        schemas: dict[int, Schema] = {}
+        schemas = {0: UNNAMED}
         channels: dict[int, _StreamChannel] = {}
         for record in records:
             if isinstance(record, Schema):
-                schemas[record.id] = record
+                schemas[record.id] = named(record)
             elif isinstance(record, Channel) and record.id not in channels:
-                connection = connection_of(record, schemas.get(record.schema_id))
+                connection = connection_of(record, schemas.get(record.schema_id, UNNAMED))
                 channels[record.id] = _StreamChannel(
                     connection,
                     self._role(connection, intake),

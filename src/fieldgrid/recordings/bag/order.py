@@ -59,8 +59,9 @@ def clock(topic: str, stamp_ns: Int64, receive_ns: Int64, *, received: bool = Fa
         stamped, heard = (int(times.max(initial=0)) for times in (stamp_ns, receive_ns))
         raise RecordingError(
             f"The times of {topic} are no UTC: its header stamps go up to {stamped} ns and the "
-            f"recorder's up to {heard} ns, so its messages cannot be brought together with fixes; record with the clock set, or say "
-            "with --epoch 2026-05-14T07:30:00Z when the clock of a simulation began."
+            f"recorder's up to {heard} ns, so its messages cannot be brought together with fixes; "
+            "record with the clock set, or say with --epoch 2026-05-14T07:30:00Z when the clock of "
+            "a simulation began."
         )
     return Clock(np.where(known, receive_ns, 0), True)
 

@@ -15,6 +15,7 @@ from fieldgrid.recordings.ros.model import (
     Definition,
     FileReader,
     Record,
+    definition_of,
     ros2_name,
     size,
 )
@@ -25,7 +26,6 @@ _ROWS = (
     "SELECT rowid, topic_id, timestamp, data FROM messages"
     " WHERE rowid > ? AND typeof(rowid) = 'integer' {} ORDER BY rowid"
 )
-_SYNTAX = {"ros2msg": "msg", "ros2idl": "idl"}
 _FURTHEST_ROW = (1 << 63) - 1
 _ROW_BYTES = 64  # what a row costs without its data
 
@@ -126,14 +126,13 @@ def is_db3(path: Path) -> bool:
         return False
 
 
-def _definitions(database: sqlite3.Connection) -> dict[str, Definition]:
+def _definitions(database: sqlite3.Connection) -> dict[str, Definition | None]:
     """The definitions by their type, which bags have from ROS 2 Iron on."""
-    found: dict[str, Definition] = {}
+    found: dict[str, Definition | None] = {}
     with suppress(sqlite3.Error):  # no such table, or a damaged one
         rows = database.execute(
             "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
         )
         for name, encoding, text in rows.fetchmany(MAX_CONNECTIONS):
-            if encoding in _SYNTAX and isinstance(text, str) and text.strip():
-                found[name] = Definition(_SYNTAX[encoding], text)
+            found[name] = definition_of(str(encoding), str(text))
     return found

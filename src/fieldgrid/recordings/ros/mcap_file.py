@@ -17,6 +17,7 @@ from fieldgrid.recordings.ros.model import (
     Connection,
     Definition,
     Record,
+    definition_of,
     ros2_name,
 )
 from fieldgrid.recordings.ros.source import COMPRESSIONS, Torn
@@ -34,7 +35,6 @@ _U16 = struct.Struct("<H")
 _U64 = struct.Struct("<Q")
 _MAX_TIME_NS = (1 << 63) - 1
 _MAX_NAME_BYTES = 16  # of a compression
-_ROS_SYNTAX = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl"}
 
 
 class McapReader(ChunkedReader):
@@ -123,17 +123,31 @@ class McapReader(ChunkedReader):
         return None
 
     def _add_schema(self, schema: Schema) -> None:
-        syntax = _ROS_SYNTAX.get(schema.encoding)
-        definition = None
-        if syntax and schema.data.strip():
-            definition = Definition(syntax, schema.data.decode("utf-8", "replace"))
+        name, definition = named(schema)
         if len(self.connections.schemas) < MAX_CONNECTIONS:
-            self.connections.schemas[schema.id] = schema.name, self.connections.shared(definition)
+            self.connections.schemas[schema.id] = name, self.connections.shared(definition)
 
     def _add_channel(self, channel: Channel, offset: int) -> None:
-        name, definition = self.connections.schemas.get(channel.schema_id, ("", None))
-        encoding = channel.message_encoding
-        if encoding in ("cdr", "ros1"):
-            name = ros2_name(name)
-        connection = Connection(channel.topic, name, encoding, definition)
-        self.connections.add(channel.id, connection, (self.at, offset))
+        schema = self.connections.schemas.get(channel.schema_id, UNNAMED)
+        self.connections.add(channel.id, connection_of(channel, schema), (self.at, offset))
+
+
+Named = tuple[str, Definition | None]
+"""The name of a type and its definition, if there is any."""
+
+UNNAMED: Named = ("", None)
+
+
+def named(schema: Schema) -> Named:
+    """What a schema says."""
+    text = schema.data.decode("utf-8", "replace")
+    return schema.name, definition_of(schema.encoding, text)
+
+
+def connection_of(channel: Channel, schema: Named) -> Connection:
+    """What the messages of a channel are."""
+    name, definition = schema
+    encoding = channel.message_encoding
+    if encoding in ("cdr", "ros1"):
+        name = ros2_name(name)
+    return Connection(channel.topic, name, encoding, definition)

@@ -25,6 +25,14 @@ class Definition(NamedTuple):
     text: str
 
 
+_SYNTAX = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl"}
+
+
+def definition_of(encoding: str, text: str) -> Definition | None:
+    """The definition that a bag has in an encoding of schemas of MCAP; None for none of ROS."""
+    return Definition(_SYNTAX[encoding], text) if encoding in _SYNTAX and text.strip() else None
+
+
 class Connection(NamedTuple):
     """What the messages of a topic are: `encoding` is "cdr", "ros1" or a foreign one."""
 

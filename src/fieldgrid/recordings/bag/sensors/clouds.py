@@ -15,7 +15,12 @@ MAX_POINTS = 20_000_000
 """More points than any sweep has."""
 
 _FARTHEST_M = 1e6
-_NUMBERS = {5: np.dtype("i4"), 6: np.dtype("u4"), 7: np.dtype("f4"), 8: np.dtype("f8")}
+_NUMBERS: dict[int, np.dtype[Any]] = {
+    5: np.dtype("i4"),
+    6: np.dtype("u4"),
+    7: np.dtype("f4"),
+    8: np.dtype("f8"),
+}
 """Types of fields by PointField's own numbers."""
 _SECOND_NS = 1_000_000_000
 
