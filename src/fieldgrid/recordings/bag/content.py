@@ -61,10 +61,14 @@ class BagFixes(NamedTuple):
     hash of its messages, that they are from."""
 
     log: FixLog
-    source: str = ""
     path: Path | None = None
-    sha256: str = ""
     topic: str = ""
+    sha256: str = ""
+
+    @property
+    def source(self) -> str:
+        """The name of what they are from."""
+        return self.topic if self.path is None else self.path.name
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +128,7 @@ def read_content(bag: Bag, path: Path, options: DriveOptions, readings: Readings
         fixes = _fixes_of_topics(bag, readings, choice.roles)
     else:
         log = chosen_log(log_path, settings, options)
-        fixes = BagFixes(log, log_path.name, log_path)
+        fixes = BagFixes(log, log_path)
     fixes = fixes._replace(log=options.in_time(fixes.log, settings.gnss_offset_ns))
     used = {r: topic for r, topic in choice.roles.items() if r not in FIXES or topic == fixes.topic}
     for role in {"imu", "odometry", "attitude"} & used.keys():
@@ -190,7 +194,7 @@ def _fixes_of_topics(bag: Bag, readings: Readings, roles: Mapping[str, str]) -> 
                 FixColumns.of_rows(sentences.fixes),
                 tuple(f"{topic}: {n}." for n in nmea_notes(nmea)),
             )
-            return BagFixes(log, topic, None, sentences.sha256(), topic)
+            return BagFixes(log, None, topic, sentences.sha256())
         if nmea.undated and "fix" not in roles:
             raise GnssError(
                 f"{bag.path}: {topic} has {nmea.undated} positions but no valid RMC or ZDA "
@@ -206,7 +210,7 @@ def _fixes_of_topics(bag: Bag, readings: Readings, roles: Mapping[str, str]) -> 
     beside = readings.of(f"{topic}{DETAILS}", Texts)
     if beside is not None and isinstance(beside.said, Details):
         fixes = beside.said.added_to(fixes)
-    return BagFixes(FixLog(fixes, tuple(notes)), topic, None, found.sha256(), topic)
+    return BagFixes(FixLog(fixes, tuple(notes)), None, topic, found.sha256())
 
 
 def find_motion(content: BagIndex, imu_axes: str = AXES) -> tuple[Motion, tuple[str, ...]]:

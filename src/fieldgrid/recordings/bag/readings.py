@@ -39,7 +39,7 @@ from fieldgrid.recordings.bag.topics import (
     TF_STATIC,
 )
 from fieldgrid.recordings.bag.transforms import Transforms
-from fieldgrid.recordings.bag.trees import FrameTrack, MovingTrees, StreamPlace, Trees
+from fieldgrid.recordings.bag.trees import FrameTrack, MovingTrees, Trees
 from fieldgrid.recordings.ros.bag import Bag, Take
 from fieldgrid.recordings.ros.gnss_messages import (
     DATUM,
@@ -76,9 +76,9 @@ _TABLE = (
     _Row((NMEA,), "", lambda _: Sentences(), "nmea"),
     _Row((IMU,), "", lambda _: Numbers(IMU), "imu"),
     _Row((ODOMETRY,), "", lambda _: Numbers(ODOMETRY), "odometry"),
-    _Row(TF, TF_STATIC, lambda _: Trees()),
-    _Row(TF, "", lambda _: MovingTrees()),
-    _Row((PLACE,), "", StreamPlace),
+    _Row(TF, TF_STATIC, Trees),
+    _Row(TF, "", MovingTrees),
+    _Row((PLACE,), "", Trees),
 )
 """What is heard of a bag; the first row that fits holds."""
 

@@ -44,28 +44,21 @@ class FrameTrack(NamedTuple):
 
 
 class Trees(TopicListener):
-    """Static transforms."""
+    """Static transforms; on a topic of RealSense's recorder that ends in the number of what they
+    are seen from, the place of a stream."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str) -> None:
         super().__init__()
+        self._name = name
         self.transforms = Transforms()
 
     def _wants(self, place: int) -> bool:
         return place < _MOST_TREES
 
     def _add(self, message: Any, place: int) -> None:
-        self.transforms.add(message)
-
-
-class StreamPlace(Trees):
-    """Where the frame of a stream is, by a topic of RealSense's recorder that ends in the number
-    of what it is seen from."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__()
-        self._name = name
-
-    def _add(self, message: Any, place: int) -> None:
+        if hasattr(message, "transforms"):
+            self.transforms.add(message)
+            return
         at = place_of(message)
         if at is not None:
             self.transforms.put(stream_frame(self._name), self._name.rpartition("/")[2], at)
@@ -75,8 +68,8 @@ class MovingTrees(Trees):
     """Transforms on /tf: the way of the vehicle, as long as `is_needed` says that nothing else
     tells it, and those that never change, which some robots publish there, too."""
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
         self.is_needed: Callable[[], bool] = lambda: False
         self._is_whole = True
         self._ways: dict[tuple[str, str], tuple[array[int], array[float]]] = {}

@@ -88,30 +88,33 @@ class _NotStandardError(Exception):
     """A type of a ROS distribution with other fields than it has there."""
 
 
+def _with(release: Stores, more: dict[str, str]) -> Typestore:
+    store = get_typestore(release)
+    for name, text in more.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
 @cache
 def types() -> Typestore:
     """The types of ROS 2 Humble, `nmea_msgs/msg/Sentence` and `grid_map_msgs/msg/GridMap`."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for text, name in (
-        (_NMEA, "nmea_msgs/msg/Sentence"),
-        (_GRID_MAP_INFO, "grid_map_msgs/msg/GridMapInfo"),
-        (_GRID_MAP, "grid_map_msgs/msg/GridMap"),
-    ):
-        store.register(get_types_from_msg(text, name))
-    return store
+    more = {
+        "nmea_msgs/msg/Sentence": _NMEA,
+        "grid_map_msgs/msg/GridMapInfo": _GRID_MAP_INFO,
+        "grid_map_msgs/msg/GridMap": _GRID_MAP,
+    }
+    return _with(Stores.ROS2_HUMBLE, more)
 
 
 @cache
 def ros1_types() -> Typestore:
     """The types of ROS Noetic, and those beside them that are written."""
-    store = get_typestore(Stores.ROS1_NOETIC)
-    for text, name in (
-        (_TF, "tf2_msgs/msg/TFMessage"),
-        (_ROS1_GRID_MAP_INFO, "grid_map_msgs/msg/GridMapInfo"),
-        (_ROS1_GRID_MAP, "grid_map_msgs/msg/GridMap"),
-    ):
-        store.register(get_types_from_msg(text, name))
-    return store
+    more = {
+        "tf2_msgs/msg/TFMessage": _TF,
+        "grid_map_msgs/msg/GridMapInfo": _ROS1_GRID_MAP_INFO,
+        "grid_map_msgs/msg/GridMap": _ROS1_GRID_MAP,
+    }
+    return _with(Stores.ROS1_NOETIC, more)
 
 
 def has_header(connection: Connection) -> bool:

@@ -52,19 +52,10 @@ def vector(x: float, y: float, z: float, *, name: str = "Vector3") -> Any:
 
 def quaternion(R: Float64) -> Any:
     """A rotation [3, 3] as a geometry_msgs/Quaternion."""
-    # The eigenvector to the greatest eigenvalue, which is good for all rotations.
-    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
-    K = np.array(
-        [
-            [a - e - i, b + d, c + g, h - f],
-            [b + d, e - a - i, f + h, c - g],
-            [c + g, f + h, i - a - e, d - b],
-            [h - f, c - g, d - b, a + e + i],
-        ]
-    )
-    x, y, z, w = np.linalg.eigh(K)[1][:, -1].tolist()
-    sign = 1.0 if w >= 0.0 else -1.0
-    return new("geometry_msgs/Quaternion", x=sign * x, y=sign * y, z=sign * z, w=sign * w)
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(R).as_quat(canonical=True).tolist()
+    return new("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
 
 def turn_left(yaw_rad: float) -> Any:

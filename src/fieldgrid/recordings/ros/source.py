@@ -131,9 +131,11 @@ def inflate(data: bytes, compression: str, most: int) -> bytes:
 
 def _pieces(data: bytes, compression: str, step: int) -> Iterator[bytes]:
     unpacker = _UNPACKERS[compression]()
-    while not unpacker.eof and (piece := unpacker.decompress(data, step)):
-        yield piece
+    piece = data
+    while piece and not unpacker.eof:
+        piece = unpacker.decompress(data, step)
         data = b""
+        yield piece
 
 
 def _zstd_pieces(packed: bytes | BinaryIO, step: int = _STEP_BYTES) -> Iterator[bytes]:
