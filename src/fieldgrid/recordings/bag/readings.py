@@ -7,6 +7,7 @@ heard that may still be the one, by what their names are worth.
 
 from __future__ import annotations
 
+import re
 from array import array
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, NamedTuple, TypeVar
@@ -55,30 +56,30 @@ from fieldgrid.recordings.ros.gnss_messages import (
 
 
 class _Row(NamedTuple):
-    """Topics of some types whose names end so, and what hears their messages. Of the topics of a
-    `role` the one is heard whose name is worth most."""
+    """Topics of some types whose whole names fit a pattern, and what hears their messages. Of the
+    topics of a `role` the one is heard whose name has the lowest rank."""
 
     types: tuple[str, ...]
-    end: str
+    named: str
     listener: Callable[[str], TopicListener]
     role: str = ""
 
 
 _TABLE = (
-    _Row((INFO,), "", lambda _: First()),
-    _Row((NUMBER,), "/option/Depth_Units/value", lambda _: First()),
+    _Row((INFO,), ".*", lambda _: First()),
+    _Row((NUMBER,), ".*/option/Depth_Units/value", lambda _: First()),
     _Row((TEXT,), RIG, lambda _: First()),
     _Row((TEXT, FIX), DATUM, lambda _: First()),
-    _Row((TEXT,), DETAILS, lambda _: Texts(Details())),
+    _Row((TEXT,), f".*{DETAILS}", lambda _: Texts(Details())),
     _Row((TEXT,), TILT, lambda _: Texts(Tilts(RecordedTilt))),
     _Row((TEXT,), ORIENTATION, lambda _: Texts(Tilts(Orientation))),
-    _Row((FIX,), "", lambda _: Numbers(FIX), "fix"),
-    _Row((NMEA,), "", lambda _: Sentences(), "nmea"),
-    _Row((IMU,), "", lambda _: Numbers(IMU), "imu"),
-    _Row((ODOMETRY,), "", lambda _: Numbers(ODOMETRY), "odometry"),
-    _Row(TF, TF_STATIC, Trees),
-    _Row(TF, "", MovingTrees),
-    _Row((PLACE,), "", Trees),
+    _Row((FIX,), ".*", lambda _: Numbers(FIX), "fix"),
+    _Row((NMEA,), ".*", lambda _: Sentences(), "nmea"),
+    _Row((IMU,), ".*", lambda _: Numbers(IMU), "imu"),
+    _Row((ODOMETRY,), ".*", lambda _: Numbers(ODOMETRY), "odometry"),
+    _Row(TF, f".*{TF_STATIC}", Trees),
+    _Row(TF, ".*", MovingTrees),
+    _Row((PLACE,), ".*", Trees),
 )
 """What is heard of a bag; the first row that fits holds."""
 
@@ -101,7 +102,7 @@ class Readings:
 
     def listen(self, name: str, type_: str) -> Take | None:
         """What takes the messages of a topic; see :data:`fieldgrid.recordings.ros.bag.Listen`."""
-        rows = (row for row in _TABLE if type_ in row.types and name.endswith(row.end))
+        rows = (row for row in _TABLE if type_ in row.types and re.fullmatch(row.named, name))
         row = next(rows, None)
         heard = None
         if row is not None and (not row.role or self._may_be(row.role, name, type_)):
@@ -152,22 +153,21 @@ class Readings:
     def stereo_infos(self) -> dict[str, str]:
         """The calibrations of left cameras with those of their right ones: of one size and one
         projection, but for T, which only the right one has. Empty where that leaves a choice."""
-        lefts: dict[Any, list[str]] = {}
-        rights: dict[Any, list[str]] = {}
+        alike: dict[Any, list[tuple[float, str]]] = {}
         for name, heard in self._heard.items():
             info: Any = heard.message if isinstance(heard, First) else None
             projection = np.asarray(getattr(info, "p", ()), dtype=np.float64)
-            if projection.shape != (12,) or not projection[0] > 0.0:
-                continue
-            times_baseline = projection[3]  # f·T
-            camera = (int(info.width), int(info.height), np.delete(projection, 3).tobytes())
-            if times_baseline <= 0.0:
-                side = lefts if times_baseline == 0.0 else rights
-                side.setdefault(camera, []).append(name)
-        both = lefts.keys() & rights.keys()
-        if any(len(lefts[camera]) + len(rights[camera]) > 2 for camera in both):
-            return {}
-        return {lefts[camera][0]: rights[camera][0] for camera in both}
+            if projection.shape == (12,) and projection[0] > 0.0 and projection[3] <= 0.0:
+                camera = (int(info.width), int(info.height), np.delete(projection, 3).tobytes())
+                alike.setdefault(camera, []).append((float(projection[3]), name))  # f·T
+        pairs = {}
+        for infos in alike.values():
+            left, right = max(infos), min(infos)
+            if left[0] == 0.0 > right[0]:
+                pairs[left[1]] = right[1]
+                if len(infos) > 2:
+                    return {}
+        return pairs
 
     def rig(self) -> Rig | None:
         """The rig that the bag says exactly."""
