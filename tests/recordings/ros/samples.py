@@ -175,6 +175,19 @@ def write_mcap(
         writer.finish()
 
 
+def write(path: Path, compression: str = "none", count: int = 60) -> list[Plain]:
+    """A bag of samples, of the kind that its name says; what is to be read of it."""
+    store = ROS1 if path.suffix == ".bag" else ROS2
+    made = samples(store, count)
+    if path.suffix == ".bag":
+        write_rosbag1(path, made, compression)
+    elif path.suffix == ".mcap":
+        write_mcap(path, made, compression)
+    else:
+        write_old_db3(path, made).close()
+    return expected(made, store)
+
+
 def write_folder(
     path: Path,
     made: list[Sample],

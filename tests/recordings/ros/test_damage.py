@@ -16,7 +16,6 @@ from fieldgrid.recordings import decode
 from fieldgrid.recordings.ros.bag import open_bag
 from tests.recordings.ros.samples import (
     MCAP_COMPRESSIONS,
-    ROS1,
     ROS1_COMPRESSIONS,
     ROS2,
     Plain,
@@ -24,10 +23,10 @@ from tests.recordings.ros.samples import (
     expected,
     read,
     samples,
+    write,
     write_folder,
     write_mcap,
     write_old_db3,
-    write_rosbag1,
 )
 
 SENTENCE = re.compile(r"[^\n]+; \d+ messages? up to [-\d:TZ]+ are used\.")
@@ -67,18 +66,16 @@ def check_cuts(path: Path, wanted: list[Plain], step: int) -> None:
         assert len(messages) == len(wanted) or damage, offset
 
 
-def test_cut_ros1_bag(tmp_path: Path) -> None:
-    path = tmp_path / "drive.bag"
-    made = samples(ROS1)
-    write_rosbag1(path, made)
-    check_cuts(path, expected(made, ROS1), 97)
+@pytest.mark.parametrize("kind", ["bag", "mcap"])
+def test_a_bag_cut_anywhere(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / f"drive.{kind}"
+    check_cuts(path, write(path), 97)
 
 
-@pytest.mark.parametrize("use_chunking", [True, False])
-def test_cut_mcap(use_chunking: bool, tmp_path: Path) -> None:
+def test_an_mcap_without_chunks_cut_anywhere(tmp_path: Path) -> None:
     path = tmp_path / "drive.mcap"
     made = samples(ROS2)
-    write_mcap(path, made, "none", use_chunking=use_chunking)
+    write_mcap(path, made, "none", use_chunking=False)
     check_cuts(path, expected(made, ROS2), 97)
 
 
@@ -103,12 +100,11 @@ def check_compressed_cuts(path: Path, wanted: list[Plain], chunk_starts: list[in
 @pytest.mark.parametrize("compression", ["bz2", "lz4"])
 def test_cut_compressed_ros1_bag(compression: str, tmp_path: Path) -> None:
     path = tmp_path / "drive.bag"
-    made = samples(ROS1)
-    write_rosbag1(path, made, compression)
+    wanted = write(path, compression)
     blob = path.read_bytes()
     starts = [match.start() for match in re.finditer(rb"op=\x05", blob)]
     assert len(starts) > 3
-    check_compressed_cuts(path, expected(made, ROS1), [*starts, blob.rindex(b"op=\x07")])
+    check_compressed_cuts(path, wanted, [*starts, blob.rindex(b"op=\x07")])
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
@@ -141,14 +137,13 @@ def test_cut_compressed_mcap(compression: str, tmp_path: Path) -> None:
 
 def test_a_ros1_bag_that_was_never_closed(tmp_path: Path) -> None:
     path = tmp_path / "drive.bag"
-    made = samples(ROS1)
-    write_rosbag1(path, made, "lz4")
+    wanted = write(path, "lz4")
     blob = path.read_bytes()
     at = blob.index(b"index_pos=") + len(b"index_pos=")
     index = int.from_bytes(blob[at : at + 8], "little")
     path.write_bytes((blob[:at] + bytes(8) + blob[at + 8 :])[:index])
     messages, damage = read(path)
-    assert messages == expected(made, ROS1)
+    assert messages == wanted
     assert damage == (
         "drive.bag was not closed by its recorder, so its last messages may be missing; "
         "60 messages up to 2024-06-01T12:00:02Z are used."
@@ -157,18 +152,16 @@ def test_a_ros1_bag_that_was_never_closed(tmp_path: Path) -> None:
 
 def test_a_ros1_bag_that_lacks_only_its_index(tmp_path: Path) -> None:
     path = tmp_path / "drive.bag"
-    made = samples(ROS1)
-    write_rosbag1(path, made)
+    wanted = write(path)
     blob = path.read_bytes()
     for end in (blob.rindex(b"op=\x07"), len(blob) - 3):
         path.write_bytes(blob[:end])
-        assert read(path) == (expected(made, ROS1), "")
+        assert read(path) == (wanted, "")
 
 
 def test_a_ros1_bag_cut_between_chunks(tmp_path: Path) -> None:
     path = tmp_path / "drive.bag"
-    made = samples(ROS1)
-    write_rosbag1(path, made)
+    write(path)
     blob = path.read_bytes()
     op = [match.start() for match in re.finditer(rb"\x04\x00\x00\x00op=\x05", blob)][2]
     start = blob.rindex(b"\x00\x00\x00", 0, op - 30)  # somewhere in the index before the chunk
@@ -180,29 +173,33 @@ def test_a_ros1_bag_cut_between_chunks(tmp_path: Path) -> None:
 
 def test_an_mcap_without_its_summary_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "drive.mcap"
-    made = samples(ROS2)
-    write_mcap(path, made)
+    wanted = write(path, "zstd")
     blob = path.read_bytes()
     data_end = blob.rindex(b"\x0f\x04\x00\x00\x00\x00\x00\x00\x00")
     path.write_bytes(blob[: data_end + 13])
-    assert read(path) == (expected(made, ROS2), "")
+    assert read(path) == (wanted, "")
     path.write_bytes(blob[:data_end])
     messages, damage = read(path)
-    assert messages == expected(made, ROS2)
+    assert messages == wanted
     assert "drive.mcap was not closed by its recorder" in damage
 
 
-@pytest.mark.parametrize("kind", ["bag", "mcap"])
-def test_what_follows_a_damaged_place_is_read(kind: str, tmp_path: Path) -> None:
+CHUNK_MARKS = {"bag": rb"\x04\x00\x00\x00op=\x05", "mcap": rb"\x04\x00\x00\x00zstd"}
+
+
+def second_chunk(path: Path) -> int:
+    """Where the mark of the second chunk is."""
+    pattern = CHUNK_MARKS[path.suffix[1:]]
+    return [match.start() for match in re.finditer(pattern, path.read_bytes())][1]
+
+
+@pytest.mark.parametrize(("kind", "compression"), [("bag", "none"), ("mcap", "zstd")])
+def test_what_follows_a_damaged_place_is_read(kind: str, compression: str, tmp_path: Path) -> None:
     path = tmp_path / f"drive.{kind}"
-    store = {"bag": ROS1, "mcap": ROS2}[kind]
-    made = samples(store)
-    {"bag": write_rosbag1, "mcap": write_mcap}[kind](path, made)
-    wanted = expected(made, store)
+    wanted = write(path, compression)
     blob = bytearray(path.read_bytes())
     # The head of the second chunk, whose length is nonsense then.
-    pattern = rb"\x04\x00\x00\x00op=\x05" if kind == "bag" else rb"\x04\x00\x00\x00zstd"
-    second = [match.start() for match in re.finditer(pattern, bytes(blob))][1]
+    second = second_chunk(path)
     blob[second - 60 : second + 30] = b"\xff" * 90
     path.write_bytes(blob)
     messages, damage = read(path)
@@ -214,58 +211,41 @@ def test_what_follows_a_damaged_place_is_read(kind: str, tmp_path: Path) -> None
     assert f"drive.{kind} holds {len(lost)} unreadable messages" in damage
 
 
-def test_a_chunk_that_calls_itself_something_else_is_missed(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("kind", "compression", "op_at", "ops"),
+    [("mcap", "zstd", -37, (7, 15, 2, 0, 200)), ("bag", "none", 7, (4, 99))],
+)
+def test_a_chunk_that_calls_itself_something_else_is_missed(
+    kind: str, compression: str, op_at: int, ops: tuple[int, ...], tmp_path: Path
+) -> None:
     """As MCAP, another kind of record that is skipped, and the end of the data."""
-    path = tmp_path / "drive.mcap"
-    made = samples(ROS2)
-    write_mcap(path, made)
-    blob = bytearray(path.read_bytes())
-    chunk = [match.start() - 37 for match in re.finditer(rb"\x04\x00\x00\x00zstd", bytes(blob))][1]
-    assert blob[chunk] == 6
-    for op in (7, 15, 2, 0, 200):
-        blob[chunk] = op
-        path.write_bytes(blob)
-        messages, damage = read(path)
-        assert 40 < len(messages) < 60
-        assert f"holds {60 - len(messages)} unreadable messages" in damage
-
-
-def test_a_ros1_chunk_that_calls_itself_something_else_is_missed(tmp_path: Path) -> None:
-    path = tmp_path / "drive.bag"
-    write_rosbag1(path, samples(ROS1))
-    blob = bytearray(path.read_bytes())
-    op = [match.end() - 1 for match in re.finditer(rb"\x04\x00\x00\x00op=\x05", bytes(blob))][1]
-    for value in (4, 99):
+    path = tmp_path / f"drive.{kind}"
+    write(path, compression)
+    blob, op = bytearray(path.read_bytes()), second_chunk(path) + op_at
+    assert blob[op] in (5, 6)
+    for value in ops:
         blob[op] = value
         path.write_bytes(blob)
         messages, damage = read(path)
         assert 40 < len(messages) < 60
         assert f"holds {60 - len(messages)} unreadable messages" in damage
-        assert ("of the" in damage and "chunks that it had" in damage) or "damaged place" in damage
+        if kind == "bag":
+            assert "chunks that it had" in damage or "damaged place" in damage
 
 
-@pytest.mark.parametrize("compression", MCAP_COMPRESSIONS)
-def test_wrong_bytes_within_an_mcap(compression: str, tmp_path: Path) -> None:
-    path = tmp_path / "drive.mcap"
-    made = samples(ROS2)
-    write_mcap(path, made, compression)
-    check_flips(path, expected(made, ROS2), random.Random(1))
-
-
-@pytest.mark.parametrize("compression", ROS1_COMPRESSIONS)
-def test_wrong_bytes_within_a_ros1_bag(compression: str, tmp_path: Path) -> None:
-    path = tmp_path / "drive.bag"
-    made = samples(ROS1)
-    write_rosbag1(path, made, compression)
-    # A ROS 1 bag has no checksums, so contents may be wrong; bz2 has its own.
-    check_flips(path, expected(made, ROS1), random.Random(2), exact=compression == "bz2")
-
-
-def test_wrong_bytes_within_a_database(tmp_path: Path) -> None:
-    path = tmp_path / "drive.db3"
-    made = samples(ROS2)
-    write_old_db3(path, made).close()
-    check_flips(path, expected(made, ROS2), random.Random(3), exact=False)
+@pytest.mark.parametrize(
+    ("kind", "compression"),
+    [
+        *(("mcap", compression) for compression in MCAP_COMPRESSIONS),
+        *(("bag", compression) for compression in ROS1_COMPRESSIONS),
+        ("db3", "none"),
+    ],
+)
+def test_wrong_bytes_within_a_bag(kind: str, compression: str, tmp_path: Path) -> None:
+    path = tmp_path / f"drive.{kind}"
+    # Only an MCAP and bz2 have checksums; else contents may be wrong.
+    exact = kind == "mcap" or compression == "bz2"
+    check_flips(path, write(path, compression), random.Random(1), exact=exact)
 
 
 def check_flips(path: Path, wanted: list[Plain], rng: random.Random, *, exact: bool = True) -> None:
@@ -307,9 +287,7 @@ def _whole(path: Path, blob: bytes) -> Path:
 
 def test_cut_database(tmp_path: Path) -> None:
     path = tmp_path / "drive.db3"
-    made = samples(ROS2, count=400)
-    write_old_db3(path, made).close()
-    wanted = expected(made, ROS2)
+    wanted = write(path, count=400)
     blob = path.read_bytes()
     cut = tmp_path / "cut.db3"
     for offset in range(0, len(blob), 3333):
@@ -325,8 +303,7 @@ def test_cut_database(tmp_path: Path) -> None:
 
 def test_rows_behind_a_damaged_page_are_read(tmp_path: Path) -> None:
     path = tmp_path / "drive.db3"
-    made = samples(ROS2, count=400)
-    write_old_db3(path, made).close()
+    write(path, count=400)
     blob = bytearray(path.read_bytes())
     middle = len(blob) // 2 // 4096 * 4096
     blob[middle : middle + 4096] = b"\xff" * 4096
@@ -359,7 +336,7 @@ def test_a_log_that_cannot_be_used_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "drive.db3"
-    write_old_db3(path, samples(ROS2)).close()
+    write(path)
     (tmp_path / "drive.db3-wal").write_bytes(b"log")
 
     def full(*_: object) -> None:
@@ -431,7 +408,7 @@ def test_a_pipe_is_no_bag(tmp_path: Path) -> None:
 
 def test_the_database_module_is_not_told_to_write(tmp_path: Path) -> None:
     path = tmp_path / "drive.db3"
-    write_old_db3(path, samples(ROS2)).close()
+    write(path)
     path.chmod(0o444)
     before = path.read_bytes()
     assert len(read(path)[0]) == 60
