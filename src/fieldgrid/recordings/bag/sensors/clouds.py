@@ -49,9 +49,6 @@ class MessageCloud(MessageSource):
         if self.corrected:
             after_s = None
         turn = np.array(self.R, dtype=np.float32).reshape(3, 3)
-        if np.abs(turn).max(axis=1).min() == 1.0:  # axes that only change places, exactly
-            axes = np.abs(turn).argmax(axis=1)
-            return Sweep(np.ascontiguousarray(points[:, axes] * turn[range(3), axes]), after_s)
         return Sweep(points @ turn.T, after_s)
 
 
