@@ -57,17 +57,16 @@ class Transforms:
         """Take in another tree, whose word on a frame holds."""
         self._parents.update(other._parents)
 
-    def has(self, frame: str) -> bool:
-        """Whether a frame is in the tree."""
-        frame = _plain(frame)
-        return frame in self._parents or any(frame == p for p, _ in self._parents.values())
-
     def place(self, frame: str, base: str) -> FrameTransform | None:
-        """A frame seen from `base`, whichever is above the other; None where nothing joins them.
+        """A frame of the tree seen from `base`, whichever is above the other; None where nothing
+        joins them.
 
         Raises CalibrationError for frames that hang in a circle.
         """
-        up, from_base = self._ancestors(_plain(frame)), self._ancestors(_plain(base))
+        frame = _plain(frame)
+        if frame not in self._parents and all(frame != p for p, _ in self._parents.values()):
+            return None
+        up, from_base = self._ancestors(frame), self._ancestors(_plain(base))
         shared = next((name for name in up if name in from_base), None)
         if shared is None:
             return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -69,7 +69,7 @@ def _sweep_of(message: Any, name: str) -> Sweep:
             f"{name} has {len(message.data)} bytes in rows of {row}, too few for {width} x "
             f"{height} points of {point} bytes; it is damaged, record it again."
         )
-    order = ">" if message.is_bigendian else "<"
+    order: Literal["<", ">"] = ">" if message.is_bigendian else "<"
     fields: dict[str, tuple[int, np.dtype[Any]]] = {}
     for field in message.fields:
         kind = _NUMBERS.get(int(field.datatype))

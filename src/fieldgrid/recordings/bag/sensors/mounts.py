@@ -100,8 +100,8 @@ def exactly(rig: Rig) -> SensorMounting:
 def _by_transforms(
     path: Path, usual: Path, transforms: Transforms, sensor: SensorFrame, antenna: str
 ) -> SensorMounting:
-    placed = _place(transforms, sensor.name, GROUND)
-    if placed is None and _place(transforms, sensor.name, BASE) is not None:
+    placed = transforms.place(sensor.name, GROUND)
+    if placed is None and transforms.place(sensor.name, BASE) is not None:
         raise CalibrationError(
             f"{path}: its static transforms place the sensor ({sensor.name!r}) on {BASE}, but do "
             f"not say how high that is above the ground; record the transform from {GROUND} to "
@@ -109,7 +109,7 @@ def _by_transforms(
         )
     if placed is None:
         raise missing_mounting(usual, path)
-    at_antenna = _place(transforms, antenna, GROUND)
+    at_antenna = transforms.place(antenna, GROUND)
     if at_antenna is None:
         raise CalibrationError(
             f"{path}: its static transforms place the sensor ({sensor.name!r}) above {GROUND}, but "
@@ -117,7 +117,7 @@ def _by_transforms(
             f"the whole map; record the antenna's transform, or write {usual} ({estimating(path)} "
             "does)."
         )
-    axle = _place(transforms, AXLE, GROUND)
+    axle = transforms.place(AXLE, GROUND)
     return _mounted(path, placed, at_antenna, axle, sensor)
 
 
@@ -170,10 +170,6 @@ def _rounded(value: float) -> float:
     return round(float(value), _DIGITS) + 0.0  # and no -0
 
 
-def _place(transforms: Transforms, frame: str, base: str) -> FrameTransform | None:
-    return transforms.place(frame, base) if frame and transforms.has(frame) else None
-
-
 def is_optical(frame: str) -> bool:
     """Whether a frame is named as one whose axes point right, down and forward."""
     return "optical" in frame.lower()
@@ -191,7 +187,7 @@ def optical(frame: str, transforms: Transforms, axes: str | None = None) -> Floa
     if is_optical(frame):
         return np.eye(3)
     for base in (GROUND, BASE):
-        placed = _place(transforms, frame, base)
+        placed = transforms.place(frame, base)
         if placed is not None and placed.R[1, 0] < -0.5 and placed.R[2, 2] < 0.5:
             return np.eye(3)
     return R_OPTICAL_FLU
@@ -201,7 +197,7 @@ def imu_rotation(imu_frame: str, transforms: Transforms) -> Float64 | None:
     """From an IMU's axes to those of the vehicle, forward, left, up [3, 3]; None where no static
     transform tells it."""
     for base in (BASE, GROUND):
-        placed = _place(transforms, imu_frame, base)
+        placed = transforms.place(imu_frame, base)
         if placed is not None:
             whole = np.round(placed.R)
             return np.asarray(whole if np.abs(whole - placed.R).max() < _SAME else placed.R)
