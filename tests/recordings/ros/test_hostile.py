@@ -200,6 +200,15 @@ def test_a_million_connections_are_not_kept(tmp_path: Path) -> None:
         assert len(bag.topics) == 10_000
 
 
+def test_connections_that_each_chunk_repeats_count_once(tmp_path: Path) -> None:
+    path = tmp_path / "drive.bag"
+    definition = fields(type=b"std_msgs/Empty", md5sum=b"", message_definition=b"")
+    often = fields(op=b"\x07", conn=b"\x01\0\0\0", topic=b"/" + 1000 * b"a") + definition
+    path.write_bytes(rosbag1(chunk(5000 * often + CONNECTION + MESSAGE)))
+    with open_bag(path) as bag:
+        assert bag.topics["/a"].count == 1
+
+
 @pytest.mark.parametrize("kind", ["bag", "mcap", "db3"])
 def test_memory_does_not_grow_with_the_length(kind: str, tmp_path: Path) -> None:
     peaks = []

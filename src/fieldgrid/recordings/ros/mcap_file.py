@@ -13,7 +13,6 @@ from mcap.records import Channel, Schema
 
 from fieldgrid.recordings.ros.chunked import ChunkedReader
 from fieldgrid.recordings.ros.model import (
-    MAX_CONNECTIONS,
     Connection,
     Definition,
     Record,
@@ -115,21 +114,16 @@ class McapReader(ChunkedReader):
             stream = ReadDataStream(BytesIO(view))
             try:
                 if op == _SCHEMA:
-                    self._add_schema(Schema.read(stream))
+                    schema = Schema.read(stream)
+                    self.connections.add_schema(schema.id, *named(schema))
                 else:
-                    self._add_channel(Channel.read(stream), offset)
+                    channel = Channel.read(stream)
+                    about = self.connections.schemas.get(channel.schema_id, UNNAMED)
+                    connection = connection_of(channel, about)
+                    self.connections.add(channel.id, connection, (self.at, offset))
             except (struct.error, EndOfFile, UnicodeDecodeError):
                 pass  # The messages that need it are counted as lost.
         return None
-
-    def _add_schema(self, schema: Schema) -> None:
-        name, definition = named(schema)
-        if len(self.connections.schemas) < MAX_CONNECTIONS:
-            self.connections.schemas[schema.id] = name, self.connections.shared(definition)
-
-    def _add_channel(self, channel: Channel, offset: int) -> None:
-        schema = self.connections.schemas.get(channel.schema_id, UNNAMED)
-        self.connections.add(channel.id, connection_of(channel, schema), (self.at, offset))
 
 
 Named = tuple[str, Definition | None]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sized
 from pathlib import Path
 from typing import NamedTuple
 
@@ -131,10 +131,18 @@ class Connections(dict[int, Known]):
 
     def add(self, number: int, connection: Connection, since: tuple[int, int] = (-1, 0)) -> None:
         """Take a connection. One beyond all measure is left out, and its messages with it."""
-        self._name_chars += len(connection.topic) + len(connection.type)
-        if len(self) < MAX_CONNECTIONS and self._name_chars < _MAX_NAME_CHARS:
+        if number not in self and self._has_room(self, connection.topic + connection.type):
             definition = self.shared(connection.definition)
-            self.setdefault(number, Known(connection._replace(definition=definition), since))
+            self[number] = Known(connection._replace(definition=definition), since)
+
+    def add_schema(self, number: int, name: str, definition: Definition | None) -> None:
+        """Take a schema, as a connection is taken."""
+        if number not in self.schemas and self._has_room(self.schemas, name):
+            self.schemas[number] = name, self.shared(definition)
+
+    def _has_room(self, among: Sized, names: str) -> bool:
+        self._name_chars += len(names)
+        return len(among) < MAX_CONNECTIONS and self._name_chars < _MAX_NAME_CHARS
 
     def shared(self, definition: Definition | None) -> Definition | None:
         """One object for all definitions that are equal; None for one beyond all measure."""
