@@ -157,16 +157,13 @@ class Details(JsonRows):
     def added_to(self, fixes: FixColumns) -> FixColumns:
         """The fixes, those of a time of which something is said with what is said of them."""
         times_ns, said = self._rows()
-        order = np.argsort(times_ns, kind="stable")
-        place = np.searchsorted(times_ns[order], fixes.time_ns)
-        if np.array_equal(times_ns, fixes.time_ns):
-            order = place = np.arange(len(times_ns))
-        rows = np.flatnonzero(place < len(order))
-        at = order[place[rows]]
-        same = times_ns[at] == fixes.time_ns[rows]
-        rows, at = rows[same], at[same]
+        at = np.arange(len(times_ns))
+        if not np.array_equal(times_ns, fixes.time_ns):
+            first = dict(zip(times_ns[::-1].tolist(), at[::-1].tolist(), strict=True))
+            at = np.array([first.get(t, -1) for t in fixes.time_ns.tolist()], dtype=np.int64)
+        rows = np.flatnonzero(at >= 0)
         columns = {}
-        for name, values in zip(self._names, said[at].T, strict=True):
+        for name, values in zip(self._names, said[at[rows]].T, strict=True):
             column = getattr(fixes, name).copy()
             if column.dtype == np.int64:
                 values = np.where(np.isnan(values), -1.0, np.round(values))
