@@ -122,23 +122,25 @@ def _sensed(message: Any) -> tuple[float, ...] | str:
     return (rates.x, rates.y, rates.z, *felt)
 
 
-_ROWS: dict[str, tuple[int, Callable[[Any], tuple[float, ...] | str]]] = {
+NumberTable = dict[str, tuple[int, Callable[[Any], tuple[float, ...] | str]]]
+"""How many numbers a message of a type gives, and which; or why it gives none."""
+
+_ROWS: NumberTable = {
     FIX: (5, _fix),
     IMU: (6, _sensed),
     ODOMETRY: (1, lambda message: (message.twist.twist.linear.x,)),
     POSE: (0, lambda _: ()),
     SURE_POSE: (0, lambda _: ()),
 }
-"""How many numbers a message of a type gives, and which; or why it gives none."""
 
 
 class Numbers(TopicListener):
     """The numbers of messages of a type, and of what moves how the frame `body` leans by them."""
 
-    def __init__(self, type_: str) -> None:
+    def __init__(self, type_: str, rows: NumberTable = _ROWS) -> None:
         super().__init__()
         self.hashes = type_ == FIX
-        self.width, self._row = _ROWS[type_]
+        self.width, self._row = rows[type_]
         self._type = type_
         self.leans, self.body = Leans(), ""
 

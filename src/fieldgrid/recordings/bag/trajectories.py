@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from array import array
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fieldgrid.core import RecordingError
-from fieldgrid.recordings.bag.listeners import TopicListener
+from fieldgrid.recordings.bag.listeners import Numbers, NumberTable, TopicListener
 from fieldgrid.recordings.bag.order import clock
 from fieldgrid.recordings.bag.topics import ODOMETRY, POSE, SURE_POSE, listing, short
 from fieldgrid.recordings.poses.pose_files import MOST_M, OFF_UNIT, BodyPoses, rotations
@@ -21,42 +20,39 @@ _TYPES = (ODOMETRY, POSE, SURE_POSE, _PATH)
 _SECOND_NS = 1_000_000_000
 
 
-class _Poses(TopicListener):
-    """The poses of a topic, [n, 7]: where, and the quaternion x, y, z, w."""
+def _numbers(pose: Any) -> tuple[float, ...]:
+    """Where, and the quaternion x, y, z, w."""
+    p, q = pose.position, pose.orientation
+    return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
+
+
+_ROWS: NumberTable = {
+    ODOMETRY: (7, lambda message: _numbers(message.pose.pose)),
+    SURE_POSE: (7, lambda message: _numbers(message.pose.pose)),
+    POSE: (7, lambda message: _numbers(message.pose)),
+}
+
+
+class _Path(TopicListener):
+    """A path, which grows, so that the last message counts; `places` are its stamps."""
 
     width = 7
-
-    def __init__(self, type_: str) -> None:
-        super().__init__()
-        self.type = type_
-        self.stamps_ns = array("q")
-        self._whole: Message | None = None
+    last: Message | None = None
 
     def take(self, message: Message, place: int) -> None:
-        """The next message; of paths, which grow, the last one counts."""
-        if self.type == _PATH:
-            self._whole = message
-        else:
-            super().take(message, place)
+        """Keep the latest message."""
+        self.last = message
 
     def finish(self) -> None:
         """Read the path, once it is known which is the last."""
-        if self._whole is not None:
-            super().take(self._whole, 0)
+        if self.last is not None:
+            super().take(self.last, 0)
 
     def _add(self, message: Any, place: int) -> None:
-        if self.type == _PATH:
-            for one in message.poses:
-                stamp = one.header.stamp
-                self.stamps_ns.append(stamp.sec * _SECOND_NS + stamp.nanosec)
-                self._append(one.pose)
-            return
-        self.places.append(place)
-        self._append(message.pose if self.type == POSE else message.pose.pose)
-
-    def _append(self, pose: Any) -> None:
-        p, q = pose.position, pose.orientation
-        self.values.extend((p.x, p.y, p.z, q.x, q.y, q.z, q.w))
+        for one in message.poses:
+            stamp = one.header.stamp
+            self.places.append(stamp.sec * _SECOND_NS + stamp.nanosec)
+            self.values.extend(_numbers(one.pose))
 
 
 def read_pose_topic(
@@ -67,25 +63,25 @@ def read_pose_topic(
 
     Raises RecordingError where there is none, several, or one whose poses are none.
     """
-    heard: dict[str, _Poses] = {}
+    heard: dict[str, TopicListener] = {}
 
     def listen(name: str, type_: str) -> Take | None:
         if type_ not in _TYPES or (topic is not None and name != topic):
             return None
-        heard[name] = _Poses(type_)
+        heard[name] = _Path() if type_ == _PATH else Numbers(type_, _ROWS)
         return heard[name].take
 
     with open_bag(path, listen, epoch_ns) as bag:
         name = _chosen(bag, list(heard), topic)
         found = heard[name]
-        found.finish()
-        values = found.rows()
-        if found.type == _PATH:
-            stamps_ns = bag.dated(np.array(found.stamps_ns, dtype=np.int64))
+        if isinstance(found, _Path):
+            found.finish()
+            stamps_ns = bag.dated(np.array(found.places))
             time_ns = clock(name, stamps_ns, stamps_ns).time_ns
         else:
             times_ns = clock(name, *bag.stamps(name)).time_ns
-            time_ns = times_ns[np.array(found.places, dtype=np.int64)]
+            time_ns = times_ns[np.array(found.places)]
+    values = found.rows()
     length = np.linalg.norm(values[:, 3:], axis=1)
     good = np.isfinite(values).all(axis=1) & (np.abs(values[:, :3]) < MOST_M).all(axis=1)
     wrong = ~(good & (np.abs(length - 1.0) < OFF_UNIT))
