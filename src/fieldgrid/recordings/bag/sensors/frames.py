@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count, islice
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -64,15 +64,6 @@ class Taken(NamedTuple):
     time_ns: int
 
 
-class FrameMaker(Protocol):
-    """How the frames of a bag are made; it can be pickled."""
-
-    roles: ClassVar[tuple[str, ...]]
-
-    def frame(self, number: int, time_ns: int, taken: tuple[Taken, ...]) -> Frame:
-        """The frame of a number and a time, of its messages."""
-
-
 @dataclass(frozen=True, slots=True)
 class PairMaker:
     """Makes pairs for a calibration of `size_px`; of 16 bits the cameras fill the lower `bits`."""
@@ -117,6 +108,10 @@ class CloudMaker:
     def frame(self, number: int, time_ns: int, taken: tuple[Taken, ...]) -> Frame:
         """The cloud, undecoded."""
         return CloudFrame(f"{number:06d}", time_ns, MessageCloud(*taken[0], self.R, self.corrected))
+
+
+FrameMaker = PairMaker | DepthMaker | CloudMaker
+"""How the frames of a bag are made of their messages; it can be pickled."""
 
 
 @dataclass(frozen=True, slots=True)
