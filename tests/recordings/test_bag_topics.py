@@ -219,6 +219,12 @@ def test_of_several_sensors_the_vehicles_own_is_taken(role: str, text: str, expe
     assert chosen(text).roles[role] == expected
 
 
+def test_a_gyro_goes_with_the_accelerometer_beside_it() -> None:
+    found = chosen("imu /camera/accel/sample\nimu /camera/gyro/sample").roles
+    assert found == {"imu": "/camera/gyro/sample", "acceleration": "/camera/accel/sample"}
+    assert "acceleration" not in chosen("imu /camera/accel/sample\nimu /imu/data").roles
+
+
 @pytest.mark.parametrize("role", ["fix", "nmea", "imu", "odometry"])
 def test_several_alike_are_an_error_that_names_them_and_the_flag(role: str) -> None:
     with pytest.raises(RecordingError, match=rf"for {role}: /a, /b; .*--topic {role}=/a"):

@@ -134,11 +134,14 @@ def test_depths_have_the_unit_that_the_sensor_says(bag: Path) -> None:
         assert np.nanmax(depth_m) == np.nanmin(depth_m) == pytest.approx(2.5)
 
 
-def test_the_gyro_turns_about_the_axes_of_a_camera(bag: Path) -> None:
+def test_gyro_and_accelerometer_have_the_axes_of_a_camera(bag: Path) -> None:
     with open_drive(bag, DriveOptions(gnss="gnss_rtk.nmea")) as drive:
-        gyro = drive.motion().gyro
-        assert gyro is not None
-        assert gyro.rate_rad_s.tolist() == pytest.approx([-0.2] * 40)
+        motion = drive.motion()
+        assert motion.gyro is not None
+        assert motion.gyro.rate_rad_s.tolist() == pytest.approx([-0.2] * 40)
+        assert motion.inertial is not None
+        right_forward_up = np.nanmean(motion.inertial.force_mps2, axis=0)
+        assert right_forward_up.tolist() == pytest.approx([0.1, 0.2, 9.8], abs=1e-4)
 
 
 def test_without_a_log_and_without_places_it_is_said_what_to_give(bag: Path) -> None:

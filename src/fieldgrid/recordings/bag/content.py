@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64, GnssError, RecordingError
+from fieldgrid.core import Float64, GnssError, Int64, RecordingError
 from fieldgrid.geometry import FixColumns, Gyro, Motion, Orientation, RecordedTilt, WheelSpeed
 from fieldgrid.recordings.bag.leaning import ODOMETRY_FRAME_SIGMA_DEG, Untold, orientation_of
 from fieldgrid.recordings.bag.listeners import Numbers, Sentences, Texts
@@ -38,6 +39,7 @@ from fieldgrid.recordings.tables.logs import chosen_log
 from fieldgrid.recordings.tables.motion_files import (
     AXES,
     R_VEHICLE_FLU,
+    MotionSeries,
     directions,
     gravity_unit_mps2,
     in_order,
@@ -131,7 +133,7 @@ def read_content(bag: Bag, path: Path, options: DriveOptions, readings: Readings
         fixes = BagFixes(log, log_path)
     fixes = fixes._replace(log=options.in_time(fixes.log, settings.gnss_offset_ns))
     used = {r: topic for r, topic in choice.roles.items() if r not in FIXES or topic == fixes.topic}
-    for role in {"imu", "odometry", "attitude"} & used.keys():
+    for role in {"imu", "acceleration", "odometry", "attitude"} & used.keys():
         try:
             readings.times_ns(bag, used[role])
         except RecordingError as problem:
@@ -224,6 +226,11 @@ def find_motion(content: BagIndex, imu_axes: str = AXES) -> tuple[Motion, tuple[
     if turns is not None and turns.places:
         R_flu_imu, told = axes_of(content.transforms, imu_axes, content.frame_id("imu"))
         times_ns, sensed = readings.series(bag, topic, turns.places, turns.rows())
+        accelerometer = content.roles.get("acceleration", "")
+        forces = readings.of(accelerometer, Numbers)
+        if forces is not None and forces.places:
+            felt_at = readings.series(bag, accelerometer, forces.places, forces.rows()[:, 3:])
+            sensed[:, 3:] = between(times_ns, in_order(*felt_at, 3)[0])
         upward, is_whole = R_flu_imu[2], True
         if told == TAKEN and (felt := felt_upward(sensed[:, 3:])) is not None:
             upward, is_whole = felt, False
@@ -324,6 +331,16 @@ def felt_upward(forces_mps2: Float64) -> Float64 | None:
     upward = np.zeros(3)
     upward[own] = np.sign(usual[own])
     return None if upward[2] == 1.0 else upward
+
+
+def between(times_ns: Int64, series: MotionSeries) -> Float64:
+    """Values [n, k] of a series at other times, straight between its own; NaN outside of it."""
+    if not len(series.time_ns):
+        return np.full((len(times_ns), series.values.shape[1]), math.nan)
+    first_ns = times_ns[0]
+    at, known = (times_ns - first_ns) / 1e9, (series.time_ns - first_ns) / 1e9
+    columns = [np.interp(at, known, one, math.nan, math.nan) for one in series.values.T]
+    return np.column_stack(columns)
 
 
 def turns_across(sensed: Float64, upward: Float64) -> bool:

@@ -75,6 +75,7 @@ _TABLE = (
     _Row((TEXT,), ORIENTATION, lambda _: Texts(Tilts(Orientation))),
     _Row((FIX,), ".*", lambda _: Numbers(FIX), "fix"),
     _Row((NMEA,), ".*", lambda _: Sentences(), "nmea"),
+    _Row((IMU,), "(?i).*accel.*", lambda _: Numbers(IMU)),
     _Row((IMU,), ".*", lambda _: Numbers(IMU), "imu"),
     _Row((ODOMETRY,), ".*", lambda _: Numbers(ODOMETRY), "odometry"),
     _Row(TF, f".*{TF_STATIC}", Trees),

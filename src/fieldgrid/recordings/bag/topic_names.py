@@ -49,6 +49,14 @@ def imu_rank(name: str) -> tuple[bool, bool, bool, bool]:
     return "accel" in name.lower(), inside is not None, is_raw, not name.endswith("data")
 
 
+def accelerometer(gyro: str) -> str:
+    """The topic of the accelerometer that goes with a gyro on a topic of its own; the topic itself
+    where the name is of no gyro."""
+    return re.sub(
+        "gyro", lambda found: "Accel" if found[0][0] == "G" else "accel", gyro, flags=re.I
+    )
+
+
 def is_rectified(topic: str) -> bool:
     """Whether an image topic is named as a rectified one, like `image_rect` or `rect/image`."""
     return any(_RECTIFIED.search(word) for word in base_name(topic).lower().split("/")[-2:])

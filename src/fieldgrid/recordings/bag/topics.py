@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 from fieldgrid.core import NoFramesError, RecordingError
 from fieldgrid.recordings.bag.topic_names import (
+    accelerometer,
     base_name,
     driven_rank,
     imu_rank,
@@ -133,6 +134,9 @@ def choose(
         if role not in unwanted:
             finder.single(role)
     roles = finder.roles
+    forces = filled.get(accelerometer(roles.get("imu", "")))
+    if forces is not None and forces.type == IMU and forces.name != roles["imu"]:
+        roles["acceleration"] = forces.name
     if "attitude" in given:
         roles["attitude"] = given["attitude"]
     return Choice(kind, roles, _told(roles, filled), problem)
