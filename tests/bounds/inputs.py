@@ -343,7 +343,7 @@ def yaml_of_aliases(folder: Path) -> Read:
     one = "  camera_model: pinhole\n  intrinsics: *a9\n  resolution: [640, 480]\n"
     one += "  distortion_model: radtan\n  distortion_coeffs: *a9\n  T_cn_cnm1: *a9\n"
     path = put(folder / "camchain.yaml", lambda: text + "cam0:\n" + one + "cam1:\n" + one)
-    return lambda: read_kalibr(path, None)
+    return lambda: read_kalibr(path).calibration(None)
 
 
 @case
@@ -353,14 +353,14 @@ def opencv_of_aliases(folder: Path) -> Read:
         f"a{k}: &a{k} [{','.join(10 * [f'*a{k - 1}'])}]\n" for k in range(1, 10)
     )
     lenses = put(folder / "intrinsics.yml", lambda: text + "M1: *a9\nD1: *a9\nM2: *a9\nD2: *a9\n")
-    rest = put(folder / "extrinsics.yml", lambda: text + "R: *a9\nT: *a9\nR1: *a9\nP1: *a9\n")
-    return lambda: read_opencv(lenses, None, extrinsics=rest)
+    put(folder / "extrinsics.yml", lambda: text + "R: *a9\nT: *a9\nR1: *a9\nP1: *a9\n")
+    return lambda: read_opencv(lenses).calibration(None)
 
 
 @case
 def deep_yaml(folder: Path) -> Read:
     path = put(folder / "camchain.yaml", lambda: 50_000 * "[")
-    return lambda: read_kalibr(path, None)
+    return lambda: read_kalibr(path).calibration(None)
 
 
 # --- pictures and clouds

@@ -84,7 +84,7 @@ def test_poses_are_fixes_from_the_start_that_is_declared(sequence: Path) -> None
         assert fix.heading_deg == pytest.approx(heading)
         assert (fix.quality, fix.sigma_m, fix.heading_sigma_deg) == (4, 0.1, 0.2)
     assert recording.notes == (
-        "The camera height of 1.65 m is KITTI's published value; no file of the sequence gives it.",
+        "The camera height of 1.65 m is KITTI's published value; no file gives it.",
         "The fixes are the poses of 06.txt, taken as good to 0.1 m and 0.2°.",
     )
 
@@ -176,16 +176,20 @@ def write(path: Path, text: str) -> None:
         ("recording.toml", "", r"counts from 0, .* add recording\.toml with \[start\] utc_s"),
         ("recording.toml", "[start]\nutc_s = 5\n", "utc_s is 5; give the UTC of the first frame"),
         ("recording.toml", "[start]\nutc_s = 'x'\n", "utc_s is 'x', which is no number"),
-        ("times.txt", "0\n1\n", "3 left and 3 right images for 2 times"),
+        ("times.txt", "0\n1\n", "2 times"),
         ("times.txt", "0\nnan\n2\n", "a time that is no second from the start"),
         ("times.txt", "0\n1\n-2\n", "a time that is no second from the start"),
         ("times.txt", "0\n1\nx\n", r"times\.txt is damaged: could not convert"),
         ("times.txt", "0\n1\n1\n", "have the same time"),
         ("calib.txt", f"P0: {P0}\n", "lacks P1 with 12 numbers"),
         ("calib.txt", f"P0: {P0}\nP1: {P2}\n", r"baseline of -0\.06"),
-        ("poses.txt", POSES[0], "has 12 numbers, not 12 for each of 3 images"),
-        ("poses.txt", "\n".join([*POSES[:2], "nan " * 12]), "has 36 numbers, not 12 for each"),
-        ("poses.txt", "\n".join([*POSES[:2], "0 " * 12]), "holds a matrix that is no rotation"),
+        ("poses.txt", POSES[0], "has 1 poses, not one of KITTI for each of 3 times"),
+        ("poses.txt", "\n".join([*POSES[:2], "nan " * 12]), "line 3: it holds NaN"),
+        (
+            "poses.txt",
+            "\n".join([*POSES[:2], "0 " * 12]),
+            "line 3: its first three columns are no rotation",
+        ),
         ("image_0/000000.png", "x", r"is no PNG"),
     ],
 )
@@ -202,7 +206,9 @@ def test_what_a_sequence_cannot_use_is_refused(sequence: Path) -> None:
     with pytest.raises(ConfigError, match="poses of a KITTI sequence are no table"):
         open_recording(sequence, columns=Columns({"time": "t"}))
     (sequence / "image_1" / "000002.png").unlink()
-    with pytest.raises(RecordingError, match="3 left and 2 right images for 3 times"):
+    with pytest.raises(
+        RecordingError, match=r"do not hold the same files, 000002\.png is only in one"
+    ):
         open_recording(sequence)
 
 

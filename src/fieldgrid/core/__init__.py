@@ -58,6 +58,7 @@ if TYPE_CHECKING:
         DatumError as DatumError,
         FieldgridError as FieldgridError,
         GnssError as GnssError,
+        LackingError as LackingError,
         LimitError as LimitError,
         MapError as MapError,
         MapExistsError as MapExistsError,

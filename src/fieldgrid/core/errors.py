@@ -7,6 +7,7 @@ what to do next::
     ├── ConfigError        (ValueError)   a setting that cannot be
     ├── RecordingError     (ValueError)   a recording that is missing something or unreadable
     │   ├── CalibrationError              a rig that cannot be, or does not fit the images
+    │   │   └── LackingError              several of these at once, in the order to mend them
     │   ├── NoFramesError                 a drive without frames where they are needed
     │   └── LimitError                    an input that unfolds to more than it may
     ├── GnssError          (ValueError)   no usable fix, or no fix where the images are
@@ -36,6 +37,19 @@ class RecordingError(FieldgridError, ValueError):
 
 class CalibrationError(RecordingError):
     """A calibration or mounting that cannot be, or does not fit the images."""
+
+
+class LackingError(CalibrationError):
+    """Several things that a recording lacks, each an error of its own in `problems`, in the order
+    in which a user can mend them."""
+
+    def __init__(self, *problems: RecordingError) -> None:
+        parts = [one.problems if isinstance(one, LackingError) else (one,) for one in problems]
+        self.problems: tuple[RecordingError, ...] = tuple(one for part in parts for one in part)
+        super().__init__(*self.problems)
+
+    def __str__(self) -> str:
+        return " Also: ".join(map(str, self.problems))
 
 
 class NoFramesError(RecordingError):

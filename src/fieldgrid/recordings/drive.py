@@ -155,6 +155,14 @@ class Recording(Drive):
         return self
 
 
+def no_fixes(path: Path) -> RecordingError:
+    """What is said of a drive without fixes beside other things that it lacks."""
+    return RecordingError(
+        f"{path} has no fixes; give the log of its receiver with --gnss, or poses of another "
+        "program with --poses."
+    )
+
+
 def with_frames(drive: Drive, make: Callable[[Drive], Recording]) -> Drive:
     """The recording that `make` makes of a drive; where it cannot, the drive, which keeps why."""
     try:

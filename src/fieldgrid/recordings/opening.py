@@ -8,10 +8,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from fieldgrid.core import RecordingError
+from fieldgrid.core import LackingError, NoFramesError, RecordingError
 from fieldgrid.recordings.calibration.mounting import Mounting
 from fieldgrid.recordings.cutting import cut
-from fieldgrid.recordings.drive import Drive, Recording
+from fieldgrid.recordings.drive import Drive, Recording, no_fixes
 from fieldgrid.recordings.format import Format, find_format, formats, register_format
 from fieldgrid.recordings.frames.frame_table import TABLE
 from fieldgrid.recordings.options import DriveOptions
@@ -79,6 +79,10 @@ def open_drive(path: str | Path, options: DriveOptions | None = None) -> Drive:
         given = drive.pose_source
         if options.poses is not None:
             given = options.poses.over(given)
+        lacks = drive.refusal is not None and not isinstance(drive.refusal, NoFramesError)
+        if lacks and given is None and not len(drive.fixes()):
+            assert drive.refusal is not None
+            drive = replace(drive, refusal=LackingError(drive.refusal, no_fixes(path)))
         try:
             drive = with_given_poses(drive, given, options.epoch_ns)
             return cut(drive, options.from_ns, options.until_ns)

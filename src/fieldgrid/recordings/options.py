@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
-from fieldgrid.core import CalibrationError, ConfigError, quoted
+from fieldgrid.core import CalibrationError, ConfigError, LackingError, RecordingError, quoted
 from fieldgrid.geometry import LeverArm, Mount
 from fieldgrid.recordings.calibration.mounting import Mounting, missing_mounting, read_mounting
 from fieldgrid.recordings.poses.pose_source import PoseSource
@@ -29,6 +30,9 @@ MAX_GIVEN_OFFSET_S = 40 * 365 * 86_400
 beyond."""
 
 NO_MOUNTING = Mounting(Mount(1.0, 0.0), LeverArm(0.0, 0.0, 0.0), source="no mounting")
+
+Found = TypeVar("Found")
+Made = TypeVar("Made")
 
 _FLAGS = {
     "gnss": "--gnss",
@@ -131,3 +135,22 @@ class DriveOptions:
     def in_time(self, log: FixLog, own_ns: int = 0) -> FixLog:
         """A GNSS log moved by the offset that was given, else by the recording's own."""
         return log.moved(own_ns if self.gnss_offset_ns is None else self.gnss_offset_ns)
+
+
+def together(find: Callable[[], Found], stand_in: Found, make: Callable[[Found], Made]) -> Made:
+    """What is made of what is found. Where nothing is found, it is made of a stand-in, so that all
+    that is missing is told in one error: what is needed to find the rest first."""
+    found, missing = stand_in, None
+    try:
+        found = find()
+    except RecordingError as problem:
+        missing = problem
+    try:
+        made = make(found)
+    except RecordingError as problem:
+        if missing is None:
+            raise
+        raise LackingError(problem, missing) from problem
+    if missing is not None:
+        raise missing
+    return made

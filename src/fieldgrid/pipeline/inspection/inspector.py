@@ -17,7 +17,7 @@ from fieldgrid.pipeline.inspection.drive import pose_notes, with_fixes, with_fra
 from fieldgrid.pipeline.inspection.findings import error, in_order, info, warning
 from fieldgrid.pipeline.inspection.fixes import fix_findings
 from fieldgrid.pipeline.inspection.frame_pass import Tell
-from fieldgrid.pipeline.inspection.refusals import noted, refusal
+from fieldgrid.pipeline.inspection.refusals import noted, refusal, refusals
 from fieldgrid.pipeline.inspection.report import Inspection
 from fieldgrid.pipeline.inspection.rigs import rig_findings
 from fieldgrid.pipeline.inspection.streams import stream_findings, summarise_stream
@@ -46,7 +46,7 @@ def inspect_recording(
         with open_drive(path, options) as opened, _unmounted(opened, options) as seen:
             return _inspected(opened, settings, tell, seen.streams())
     except FieldgridError as problem:
-        return Inspection(str(path), "", path.name, (refusal(problem),))
+        return Inspection(str(path), "", path.name, tuple(refusals(problem)))
     except OSError as problem:
         sentence = f"{problem.filename or path} cannot be read: {problem.strerror or problem}."
         found = error("recording", sentence, "Check the path, its permissions and the disk.")
@@ -83,7 +83,7 @@ def _inspected(
     except NoFramesError as problem:
         findings.append(refusal(problem, "no-images"))
     except RecordingError as problem:
-        findings.append(refusal(problem))
+        findings += refusals(problem)
         found = replace(found, frames=None)
     if recording is not None and recording.frame_count == 0:
         findings.append(

@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from fieldgrid.core import CalibrationError, ConfigError, FieldgridError, GnssError, RecordingError
+from fieldgrid.core import (
+    CalibrationError,
+    ConfigError,
+    FieldgridError,
+    GnssError,
+    LackingError,
+    RecordingError,
+)
 from fieldgrid.pipeline.inspection.findings import Finding, error
 
 _CODES: tuple[tuple[type[FieldgridError], str], ...] = (
@@ -23,6 +30,12 @@ def refusal(problem: FieldgridError, code: str = "") -> Finding:
     if not what:
         return error(code or usual, str(problem), "Look at what the recording page asks for.")
     return error(code or usual, f"{what}.", remedy[0].upper() + remedy[1:])
+
+
+def refusals(problem: FieldgridError) -> list[Finding]:
+    """The findings that an error of a build is, one for each thing that is lacking."""
+    problems = problem.problems if isinstance(problem, LackingError) else (problem,)
+    return [refusal(one) for one in problems]
 
 
 @contextmanager

@@ -6,12 +6,19 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+from fieldgrid.core import CalibrationError, LackingError
 from fieldgrid.recordings.bag.content import BagIndex, as_drive, find_motion, read_content
 from fieldgrid.recordings.bag.readings import Readings
 from fieldgrid.recordings.bag.sensors.frame_sensor import are_corrected, find_lidar, sense
 from fieldgrid.recordings.bag.sensors.frames import BagFrames, CloudMaker
-from fieldgrid.recordings.bag.sensors.mounts import exactly, find_mounting, mounting_path
+from fieldgrid.recordings.bag.sensors.mounts import (
+    GROUND,
+    exactly,
+    find_mounting,
+    mounting_path,
+)
 from fieldgrid.recordings.bag.topics import short
+from fieldgrid.recordings.calibration.mounting import missing_mounting
 from fieldgrid.recordings.drive import (
     Drive,
     Recording,
@@ -48,9 +55,15 @@ def open_bag_drive(path: Path, options: DriveOptions) -> Drive:
 def _recording(drive: Drive, content: BagIndex, options: DriveOptions) -> Recording:
     """Raises RecordingError for a bag that has nothing to make frames of, and CalibrationError
     where nothing tells the rig."""
-    sensed = sense(content)
     usual = mounting_path(content.path)
-    exact = content.readings.rig() if options.mounting is None and not usual.exists() else None
+    is_said = options.mounting is not None or usual.exists()
+    exact = None if is_said else content.readings.rig()
+    try:
+        sensed = sense(content)
+    except CalibrationError as problem:
+        if is_said or options.unmounted or exact is not None or content.transforms.has(GROUND):
+            raise
+        raise LackingError(problem, missing_mounting(usual, content.path)) from problem
     if exact is not None and sensed.fits(exact.sensor):
         mounted = exactly(exact)
     else:

@@ -7,43 +7,32 @@ from pathlib import Path
 from typing import Any
 
 from fieldgrid.core import CalibrationError
-from fieldgrid.geometry import LensModel, RawCamera, lens_model, raw_camera
-from fieldgrid.perception import rectify_by_pose
-from fieldgrid.recordings.calibration.calibrated import Calibration, rectified_here
+from fieldgrid.recordings.calibration.calibrated import Entries, Pair, data, raw_pair
 from fieldgrid.recordings.calibration.yaml_text import listed, load_yaml, resolution, rows
 
 
-def read_kalibr(path: Path, rectified: bool | None) -> Calibration:
-    """The calibration in a file, cam0 being the left camera. It describes raw images."""
+def read_kalibr(path: Path) -> Pair:
+    """The pair in a file, cam0 being the left camera. It describes raw images."""
     document = load_yaml(path)
-    entries = [document.get(name) for name in ("cam0", "cam1")]
-    for name, entry in zip(("cam0", "cam1"), entries, strict=True):
-        if not isinstance(entry, dict):
+    for name in ("cam0", "cam1"):
+        if not isinstance(document.get(name), dict):
             raise CalibrationError(f"{path} has no {name}; calibrate both cameras of the pair.")
-    first, second = (entry for entry in entries if isinstance(entry, dict))
-    left, right = pinhole(first, path, "cam0"), pinhole(second, path, "cam1")
-    T = rows(second, "T_cn_cnm1", (4, 4), path)
-    found = rectify_by_pose(left, right, T[:3, :3], T[:3, 3], str(path))
-    if rectified and found.rectifier is not None:
-        raise CalibrationError(
-            f"{path} describes raw images, and recording.toml says rectified = true; give P1 and "
-            "P2 of the rectified ones in stereo_opencv.yaml."
-        )
-    return rectified_here(found, path)
+    left, right = (pinhole(document[name], path, name) for name in ("cam0", "cam1"))
+    return raw_pair(path, left, right, rows(document["cam1"], "T_cn_cnm1", (4, 4), path))
 
 
 def pinhole(
     entry: Mapping[str, Any], path: Path, name: str, coefficients: str = "distortion_coeffs"
-) -> RawCamera:
+) -> Entries:
     """One camera as Kalibr and EuRoC describe it; `coefficients` is how the file calls those."""
-    model = entry.get("camera_model")
-    if model != "pinhole":
+    kind = entry.get("camera_model")
+    if kind != "pinhole":
         raise CalibrationError(
-            f"{path}: the camera_model of {name} is {str(model)[:40]!r}, and only pinhole is read; "
+            f"{path}: the camera_model of {name} is {str(kind)[:40]!r}, and only pinhole is read; "
             "calibrate with pinhole-radtan or pinhole-equi."
         )
     fx, fy, cx, cy = listed(entry, "intrinsics", 4, path).tolist()
-    K = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
-    lens = lens_model(str(entry.get("distortion_model")), f"{path}: {name}")
-    D = () if lens is LensModel.NONE else listed(entry, coefficients, None, path)
-    return raw_camera(resolution(entry, path), K, D, lens, f"{path}: {name}")
+    model = str(entry.get("distortion_model"))
+    D = () if model == "none" else listed(entry, coefficients, None, path)
+    document = {"K": data([fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]), "D": data(D)}
+    return Entries(document, Path(f"{path}: {name}"), resolution(entry, path), model=model)

@@ -11,7 +11,8 @@ import numpy as np
 
 from fieldgrid.core import CalibrationError, Float64, RecordingError, counted
 from fieldgrid.geometry import Gyro, Motion
-from fieldgrid.perception import Rectification, is_rotation, rectify_by_pose
+from fieldgrid.perception import is_rotation
+from fieldgrid.recordings.calibration.calibrated import Calibration, raw_pair
 from fieldgrid.recordings.calibration.kalibr import pinhole
 from fieldgrid.recordings.calibration.mounting import MOUNTING, Mounting
 from fieldgrid.recordings.calibration.yaml_text import load_yaml, matrix
@@ -20,7 +21,7 @@ from fieldgrid.recordings.files import is_inside, parse_time_ns, read_lines
 from fieldgrid.recordings.format import Format
 from fieldgrid.recordings.frames.frame_table import MAX_FRAMES
 from fieldgrid.recordings.frames.image_format import image_format
-from fieldgrid.recordings.options import NO_MOUNTING, DriveOptions
+from fieldgrid.recordings.options import NO_MOUNTING, DriveOptions, together
 from fieldgrid.recordings.readers.settings_file import SETTINGS, read_settings
 from fieldgrid.recordings.stored import PairKind, Shot, StoredFrames, checked_shots
 from fieldgrid.recordings.tables.columns import Columns
@@ -68,28 +69,35 @@ def open_euroc(path: Path, options: DriveOptions) -> Drive:
     )
 
     def make(drive: Drive) -> Recording:
-        left, right = (
-            pinhole(load_yaml(path), path, path.parent.name, coefficients="distortion_coefficients")
-            for path in (mav / _LEFT / _SENSOR, mav / _RIGHT / _SENSOR)
-        )
-        T_body_left, T_body_right = (_pose(mav / name / _SENSOR) for name in (_LEFT, _RIGHT))
-        T = np.linalg.inv(T_body_right) @ T_body_left
-        rectification = rectify_by_pose(left, right, T[:3, :3], T[:3, 3], str(mav))
-        camera = rectification.camera
-        mounting = options.find_mounting(mounting_path(path), path)
-        shots, frame_notes = _shots(folder, mav, options.incomplete)
-        stored, image_notes = image_format(folder, shots, settings)
-        turning, turning_notes = _turning(mav, mounting, rectification)
-        size_px = (camera.width_px, camera.height_px)
-        return as_recording(
-            with_motion(drive, turning, turning_notes),
-            mounting.rig(camera, options.offset_or(settings.image_time_offset_ns)),
-            StoredFrames(folder, shots, PairKind(size_px, rectification.rectifier, stored)),
-            frame_notes + image_notes,
-            is_mounted=mounting is not NO_MOUNTING,
-        )
+        def mounted(mounting: Mounting) -> Recording:
+            calibration = _calibration(mav)
+            camera = calibration.camera
+            shots, frame_notes = _shots(folder, mav, options.incomplete)
+            stored, image_notes = image_format(folder, shots, settings)
+            size_px = (camera.width_px, camera.height_px)
+            return as_recording(
+                with_motion(drive, *_turning(mav, mounting, calibration.R_rect_left)),
+                mounting.rig(camera, options.offset_or(settings.image_time_offset_ns)),
+                StoredFrames(folder, shots, PairKind(size_px, calibration.rectifier, stored)),
+                frame_notes + image_notes,
+                is_mounted=mounting is not NO_MOUNTING,
+            )
+
+        usual = mounting_path(path)
+        return together(lambda: options.find_mounting(usual, path), NO_MOUNTING, mounted)
 
     return with_frames(drive, make)
+
+
+def _calibration(mav: Path) -> Calibration:
+    """The pair of cam0 and cam1, whose images are raw."""
+    sensors = mav / _LEFT / _SENSOR, mav / _RIGHT / _SENSOR
+    left, right = (
+        pinhole(load_yaml(path), path, path.parent.name, "distortion_coefficients")
+        for path in sensors
+    )
+    T_body_left, T_body_right = (_pose(path) for path in sensors)
+    return raw_pair(mav, left, right, np.linalg.inv(T_body_right) @ T_body_left).calibration(None)
 
 
 def _mav(path: Path) -> Path | None:
@@ -176,9 +184,7 @@ def _pose(path: Path) -> Float64:
     return T
 
 
-def _turning(
-    mav: Path, mounting: Mounting, rectification: Rectification
-) -> tuple[Motion, tuple[str, ...]]:
+def _turning(mav: Path, mounting: Mounting, R_rect_left: Float64) -> tuple[Motion, tuple[str, ...]]:
     """The IMU in the vehicle's axes, as the cameras give them, and the clockwise rate about its
     vertical."""
     path = mav / _IMU / _DATA
@@ -187,7 +193,7 @@ def _turning(
     R_body_imu = (
         _pose(mav / _IMU / _SENSOR)[:3, :3] if (mav / _IMU / _SENSOR).is_file() else np.eye(3)
     )
-    R_rect_body = rectification.R_rect_left @ _pose(mav / _LEFT / _SENSOR)[:3, :3].T
+    R_rect_body = R_rect_left @ _pose(mav / _LEFT / _SENSOR)[:3, :3].T
     # Far below what can be calibrated; axes that are meant to be parallel are so to the bit.
     R_vehicle_imu = np.round(mounting.mount.rotation() @ R_rect_body @ R_body_imu, 9)
     with open_table(path) as table:

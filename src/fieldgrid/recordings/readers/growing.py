@@ -23,7 +23,7 @@ from fieldgrid.recordings.frames.frames import Frame
 from fieldgrid.recordings.frames.image_format import image_format
 from fieldgrid.recordings.frames.images import ImageFile
 from fieldgrid.recordings.frames.in_folder import InFolder
-from fieldgrid.recordings.options import DriveOptions
+from fieldgrid.recordings.options import NO_MOUNTING, DriveOptions, together
 from fieldgrid.recordings.readers.folder import SESSION, folder_mounting_path
 from fieldgrid.recordings.readers.sensors import read_seen
 from fieldgrid.recordings.readers.settings_file import (
@@ -219,9 +219,12 @@ def open_growing(path: str | Path, options: DriveOptions | None = None) -> Growi
     options.refuse(f"{path} is no bag", "epoch_ns")
     if settings.gnss_offset_ns:
         raise RecordingError(f"{live}; leave gnss_time_offset_s out of {path / SETTINGS}.")
-    mounting = options.find_mounting(folder_mounting_path(path), path)
-    offset_ns = options.offset_or(settings.image_time_offset_ns)
-    seen = read_seen(path, settings, mounting, offset_ns, growing=True)
+    usual, offset_ns = folder_mounting_path(path), options.offset_or(settings.image_time_offset_ns)
+    seen = together(
+        lambda: options.find_mounting(usual, path),
+        NO_MOUNTING,
+        lambda mounting: read_seen(path, settings, mounting, offset_ns, growing=True),
+    )
     return GrowingFolder(
         path,
         settings.name or path.resolve().name,

@@ -1,4 +1,4 @@
-"""KITTI's calibration files: three transformations and the rectified cameras to a rig.
+"""What KITTI's layouts share: calibration files, and two folders of images with the same names.
 
 Their frames are the IMU (x forward, y left, z up), the lidar, and camera 0 before and after
 rectification (x right, y down, z forward).
@@ -7,6 +7,7 @@ rectification (x right, y down, z forward).
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +16,18 @@ from fieldgrid.core import CalibrationError, Float64, RecordingError
 from fieldgrid.geometry import LeverArm, Mount, Rig
 from fieldgrid.perception import camera_from_projections
 from fieldgrid.recordings.files import read_text
+from fieldgrid.recordings.frames.images import SUFFIXES
+from fieldgrid.recordings.stored import Shot, checked_shots
 from fieldgrid.recordings.tables.motion_files import R_VEHICLE_FLU
 
 CAMERA_HEIGHT_M = 1.65
 """Height of the cameras above the road: in KITTI's paper and drawing, in none of its files."""
 
+HEIGHT_NOTE = (
+    f"The camera height of {CAMERA_HEIGHT_M} m is KITTI's published value; no file gives it."
+)
+
+_FILES = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt")
 _MAX_BYTES = 1 << 20
 
 
@@ -32,23 +40,21 @@ def mount_angles_deg(R_vehicle_camera: Float64) -> tuple[float, float, float]:
     return math.degrees(tilt), math.degrees(roll), math.degrees(yaw)
 
 
-def _centre(projection: Float64) -> Float64:
-    """Optical centre in the frame of rectified camera 0, metres."""
-    try:
-        return np.asarray(-np.linalg.solve(projection[:, :3], projection[:, 3]), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        raise CalibrationError(
-            f"The projection matrix {projection.tolist()} has no inverse; restore the calibration."
-        ) from None
-
-
 def read_kitti_rig(drive: Path, left: str, right: str) -> Rig:
     """The rig of cameras `left` and `right`, like "00" and "01"; the vehicle is level when its IMU
     is."""
-    path = _find(drive, "calib_cam_to_cam.txt")
-    table = read_entries(path)
-    T_cam_velo = _transform(_find(drive, "calib_velo_to_cam.txt"))
-    T_velo_imu = _transform(_find(drive, "calib_imu_to_velo.txt"))
+    date = drive.resolve().parent
+    files = [
+        next((p for p in (date / name, drive / name) if p.is_file()), date / name)
+        for name in _FILES
+    ]
+    if missing := [file.name for file in files if not file.is_file()]:
+        raise CalibrationError(
+            f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} neither in {date} nor "
+            f"in {drive}; unpack KITTI's calibration of that day."
+        )
+    path, table = files[0], read_entries(files[0])
+    T_cam_velo, T_velo_imu = map(_transform, files[1:])
     T_rect_cam = np.eye(4)
     T_rect_cam[:3, :3] = _rotation(table, "R_rect_00", path)
     T_rect_imu = T_rect_cam @ T_cam_velo @ T_velo_imu
@@ -58,8 +64,10 @@ def read_kitti_rig(drive: Path, left: str, right: str) -> Rig:
         numbers(table, f"P_rect_{side}", 12, path).reshape(3, 4) for side in (left, right)
     )
     camera = camera_from_projections(P_left, P_right, (int(width), int(height)), str(path))
+    # Optical centres in the frame of rectified camera 0, metres.
+    left_m, right_m = (-np.linalg.solve(P[:, :3], P[:, 3]) for P in (P_left, P_right))
     R_imu_rect = T_rect_imu[:3, :3].T
-    middle_imu = R_imu_rect @ ((_centre(P_left) + _centre(P_right)) / 2.0 - T_rect_imu[:3, 3])
+    middle_imu = R_imu_rect @ ((left_m + right_m) / 2.0 - T_rect_imu[:3, 3])
     try:
         mount = Mount(CAMERA_HEIGHT_M, *mount_angles_deg(R_VEHICLE_FLU @ R_imu_rect))
         # What oxts positions is the IMU itself.
@@ -68,16 +76,6 @@ def read_kitti_rig(drive: Path, left: str, right: str) -> Rig:
     except CalibrationError as problem:
         raise CalibrationError(f"{path}: {problem}") from problem
     return Rig(camera, mount, antenna)
-
-
-def _find(drive: Path, name: str) -> Path:
-    date = drive.resolve().parent
-    for folder in (date, drive):
-        if (folder / name).is_file():
-            return folder / name
-    raise CalibrationError(
-        f"{name} is neither in {date} nor in {drive}; unpack KITTI's calibration of that day."
-    )
 
 
 def _transform(path: Path) -> Float64:
@@ -116,3 +114,34 @@ def floats(text: str, path: Path) -> list[float]:
         return [float(word) for word in text.split()]
     except ValueError as problem:
         raise RecordingError(f"{path} is damaged: {problem}; copy it again.") from problem
+
+
+def image_folders(path: Path, sides: Iterable[tuple[str, str]]) -> tuple[str, str] | None:
+    """The first of some pairs of folders that are both there."""
+    return next((pair for pair in sides if all((path / name).is_dir() for name in pair)), None)
+
+
+def paired_shots(
+    path: Path, folders: tuple[str, str], times_ns: Sequence[int], *, incomplete: bool = False
+) -> tuple[Shot, ...]:
+    """A frame for each time, of images that have the same names in both folders."""
+    left, right = (
+        {file.name for file in (path / name).iterdir() if file.suffix.lower() in SUFFIXES}
+        for name in folders
+    )
+    alone = sorted(left ^ right)
+    if alone and not incomplete:
+        raise RecordingError(
+            f"{path}: {folders[0]} and {folders[1]} do not hold the same files, {alone[0]} is only "
+            "in one; unpack the drive again."
+        )
+    names = sorted(left | right)
+    if len(names) != len(times_ns):
+        raise RecordingError(
+            f"{path} has {len(times_ns)} times for {len(names)} images; unpack the drive again."
+        )
+    shots = [
+        Shot(time_ns, Path(name).stem, (f"{folders[0]}/{name}", f"{folders[1]}/{name}"))
+        for time_ns, name in zip(times_ns, names, strict=True)
+    ]
+    return checked_shots(shots, path, incomplete=incomplete)

@@ -6,150 +6,142 @@ It has no GNSS. Its poses can stand in for one, once it is said where and when t
 from __future__ import annotations
 
 import math
-from array import array
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.core import Float64, Quality, RecordingError
-from fieldgrid.geometry import Datum, FixColumns, LeverArm, Mount, Rig, StereoCamera, wrap_deg
+from fieldgrid.core import Float64, LackingError, Quality, RecordingError
+from fieldgrid.geometry import Datum, FixColumns, LeverArm, Mount, StereoCamera, wrap_deg
 from fieldgrid.perception import camera_from_projections
-from fieldgrid.recordings.calibration.mounting import MOUNTING
-from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_frames
-from fieldgrid.recordings.files import read_lines
+from fieldgrid.recordings.calibration.mounting import MOUNTING, Mounting, missing_mounting
+from fieldgrid.recordings.drive import Drive, Recording, as_recording, no_fixes, with_frames
+from fieldgrid.recordings.files import read_text
 from fieldgrid.recordings.format import Format
-from fieldgrid.recordings.frames.images import SUFFIXES, ImageFile
-from fieldgrid.recordings.options import NO_MOUNTING, DriveOptions
+from fieldgrid.recordings.frames.images import ImageFile
+from fieldgrid.recordings.options import NO_MOUNTING, DriveOptions, together
+from fieldgrid.recordings.poses.pose_files import BodyPoses, read_pose_file
 from fieldgrid.recordings.readers.kitti_calibration import (
     CAMERA_HEIGHT_M,
+    HEIGHT_NOTE,
     floats,
+    image_folders,
     numbers,
+    paired_shots,
     read_entries,
 )
-from fieldgrid.recordings.readers.settings_file import (
-    SETTINGS,
-    RecordingSettings,
-    Start,
-    read_settings,
-)
-from fieldgrid.recordings.stored import PairKind, Shot, StoredFrames, checked_shots
+from fieldgrid.recordings.readers.settings_file import SETTINGS, RecordingSettings, read_settings
+from fieldgrid.recordings.stored import PairKind, StoredFrames
 from fieldgrid.recordings.tables.fix_log import FixLog
 from fieldgrid.recordings.tables.logs import find_log, with_log
 
 _CALIBRATION, _TIMES, _POSES = "calib.txt", "times.txt", "poses.txt"
-_SIDES = (("0", "1"), ("2", "3"))
+_SIDES = (("image_0", "image_1"), ("image_2", "image_3"))
 _SIGMA_M, _SIGMA_DEG = 0.1, 0.2  # what KITTI says of its RTK and INS, roughly
 
 
 def recognises(path: Path) -> bool:
     """Whether a path is a sequence."""
-    if not all((path / name).is_file() for name in (_CALIBRATION, _TIMES)):
-        return False
-    return any(all((path / f"image_{number}").is_dir() for number in pair) for pair in _SIDES)
+    named = all((path / name).is_file() for name in (_CALIBRATION, _TIMES))
+    return named and image_folders(path, _SIDES) is not None
 
 
 def open_sequence(path: Path, options: DriveOptions) -> Drive:
     """The sequence at a path: fixes of a log that is given, else of its own poses."""
     options.refuse_of_bags(path)
     settings = read_settings(path / SETTINGS)
+    log_path, poses_path = find_log(path, options.gnss), _find_poses(path)
+    usual = path / MOUNTING
+    is_mounted = options.mounting is not None or usual.exists()
     if settings.start is None:
+        problems: list[RecordingError] = [
+            RecordingError(
+                f"{path / _TIMES} counts from 0, and nothing says when it was driven; add "
+                f"{SETTINGS} with [start] utc_s = seconds since 1970 of its first image, and "
+                "[datum] lat_deg, lon_deg and height_m = where that was taken, unless --gnss or "
+                "--frame-origin says it."
+            )
+        ]
+        if log_path is not None and not (is_mounted or options.unmounted):
+            problems.append(missing_mounting(usual, path))
+        if log_path is None and poses_path is None and options.poses is None:
+            problems.append(no_fixes(path))
+        raise problems[0] if len(problems) == 1 else LackingError(*problems)
+    times_s = floats(read_text(path / _TIMES), path / _TIMES)
+    if not all(0.0 <= time_s < 1e6 for time_s in times_s):
         raise RecordingError(
-            f"{path / _TIMES} counts from 0, and nothing says when it was driven; add {SETTINGS} "
-            "with [start] utc_s = seconds since 1970 of its first image, and [datum] lat_deg, "
-            "lon_deg and height_m = where that was taken, unless --gnss or --frame-origin says it."
+            f"{path / _TIMES} holds a time that is no second from the start; restore it."
         )
-    times_ns = _times_ns(path / _TIMES, settings.start)
-    log_path = find_log(path, options.gnss)
+    times_ns = [settings.start.time_ns + round(time_s * 1e9) for time_s in times_s]
     drive = Drive(
         path=path,
         name=settings.name or path.resolve().name,
         datum_hint=settings.datum,
         pose_source=settings.poses,
     )
-    left, right = next(s for s in _SIDES if all((path / f"image_{n}").is_dir() for n in s))
-    offset_ns = options.offset_or(settings.image_time_offset_ns)
+
+    def find_mounting() -> Mounting:
+        if log_path is not None or is_mounted:
+            return options.find_mounting(usual, path)
+        return Mounting(Mount(CAMERA_HEIGHT_M, 0.0), LeverArm(0.0, 0.0, 0.0))
+
     if log_path is not None:
         drive = with_log(drive, path, log_path, settings, options)
+    else:
+        options.refuse("The poses of a KITTI sequence are no table", "columns")
+        drive = _with_own_poses(drive, poses_path, times_ns, settings, find_mounting().mount)
 
-        def make(drive: Drive) -> Recording:
-            camera, frames = _frames(path, left, right, times_ns)
-            mounting = options.find_mounting(path / MOUNTING, path)
-            rig = mounting.rig(camera, offset_ns)
-            return as_recording(drive, rig, frames, is_mounted=mounting is not NO_MOUNTING)
+    def make(mounting: Mounting) -> Recording:
+        sides = image_folders(path, _SIDES)
+        assert sides is not None
+        file = path / _CALIBRATION
+        table = read_entries(file)
+        P_left, P_right = (numbers(table, f"P{side[-1]}", 12, file).reshape(3, 4) for side in sides)
+        shots = paired_shots(path, sides, times_ns, incomplete=options.incomplete)
+        size_px = ImageFile(path / shots[0].files[0]).size_px()
+        camera = camera_from_projections(P_left, P_right, size_px, str(file))
+        rig = mounting.rig(camera, options.offset_or(settings.image_time_offset_ns))
+        if log_path is None:
+            antenna = _first_camera(P_left, camera, mounting.mount)
+            rig = replace(rig, antenna=antenna, heading_offset_deg=0.0)
+        notes = () if log_path is not None or is_mounted else (HEIGHT_NOTE,)
+        frames = StoredFrames(path, shots, PairKind(size_px))
+        return as_recording(drive, rig, frames, notes, is_mounted=mounting is not NO_MOUNTING)
 
-        return with_frames(drive, make)
-    options.refuse("The poses of a KITTI sequence are no table", "columns")
-    camera, frames = _frames(path, left, right, times_ns)
-    mount, notes = _own_mount(path, options)
-    log = _poses_as_fixes(path, times_ns, settings, mount)
-    source = _POSES if len(log.fixes) else ""
-    drive = replace(
-        drive,
-        log=log,
-        gnss_source=source,
-        gnss_path=path / source if source else None,
-        notes=log.notes,
-    )
-    antenna = _first_camera(_projection(path, left), camera, mount)
-    rig = Rig(camera, mount, antenna, image_time_offset_ns=offset_ns, heading_offset_deg=0.0)
-    return as_recording(drive, rig, frames, notes)
+    return with_frames(drive, lambda _: together(find_mounting, NO_MOUNTING, make))
 
 
-def _frames(
-    path: Path, left: str, right: str, times_ns: list[int]
-) -> tuple[StereoCamera, StoredFrames]:
-    listings = [
-        sorted(p.name for p in (path / f"image_{n}").iterdir() if p.suffix.lower() in SUFFIXES)
-        for n in (left, right)
-    ]
-    if not len(listings[0]) == len(listings[1]) == len(times_ns):
+def _find_poses(path: Path) -> Path | None:
+    """The poses in the sequence, or where KITTI unpacks them."""
+    name = path.resolve().name
+    places = (path / _POSES, path.resolve().parent.parent / "poses" / f"{name}.txt")
+    return next((p for p in places if p.is_file()), None)
+
+
+def _with_own_poses(
+    drive: Drive, file: Path | None, times_ns: list[int], settings: RecordingSettings, mount: Mount
+) -> Drive:
+    """The drive with the fixes that its poses come to; or a note on what is missing for them."""
+    if file is None:
+        return replace(drive, notes=(f"No GNSS: neither a log nor {_POSES}; give --gnss FILE.",))
+    if settings.datum is None:
+        missing = f"No GNSS: for {file.name} to stand in for it, add [datum] to {SETTINGS}."
+        return replace(drive, notes=(missing,))
+    poses = read_pose_file(file)
+    if poses.time_ns is not None or len(poses.R) != len(times_ns):
         raise RecordingError(
-            f"{path} has {len(listings[0])} left and {len(listings[1])} right images for "
-            f"{len(times_ns)} times; unpack the sequence again."
+            f"{file} has {len(poses.R)} poses, not one of KITTI for each of {len(times_ns)} times; "
+            "restore it."
         )
-    shots = checked_shots(
-        [
-            Shot(time_ns, Path(a).stem, (f"image_{left}/{a}", f"image_{right}/{b}"))
-            for time_ns, a, b in zip(times_ns, *listings, strict=True)
-        ],
-        path,
-    )
-    matrices = _projection(path, left), _projection(path, right)
-    size_px = ImageFile(path / shots[0].files[0]).size_px()
-    camera = camera_from_projections(*matrices, size_px, str(path / _CALIBRATION))
-    return camera, StoredFrames(path, shots, PairKind((camera.width_px, camera.height_px)))
-
-
-def _numbers(path: Path) -> array[float]:
-    """All numbers of a text."""
-    numbers = array("d")
-    for _, line in read_lines(path):
-        numbers.extend(floats(line, path))
-    return numbers
-
-
-def _times_ns(path: Path, start: Start) -> list[int]:
-    times_s = _numbers(path)
-    if not all(0.0 <= time_s < 1e6 for time_s in times_s):
-        raise RecordingError(f"{path} holds a time that is no second from the start; restore it.")
-    return [start.time_ns + round(time_s * 1e9) for time_s in times_s]
-
-
-def _projection(path: Path, number: str) -> Float64:
-    file = path / _CALIBRATION
-    return numbers(read_entries(file), f"P{number}", 12, file).reshape(3, 4)
-
-
-def _own_mount(path: Path, options: DriveOptions) -> tuple[Mount, tuple[str, ...]]:
-    """How the cameras sit, by a mounting that is given, else as KITTI's; and a remark."""
-    if options.mounting is not None or (path / MOUNTING).exists():
-        return options.find_mounting(path / MOUNTING, path).mount, ()
-    note = (
-        f"The camera height of {CAMERA_HEIGHT_M} m is KITTI's published value; no file of the "
-        "sequence gives it."
-    )
-    return Mount(CAMERA_HEIGHT_M, 0.0), (note,)
+    start_deg = None if settings.start is None else settings.start.heading_deg
+    log = FixLog(_fixes(poses, times_ns, settings.datum, start_deg or 0.0, mount))
+    notes = [
+        f"The fixes are the poses of {file.name}, taken as good to {_SIGMA_M} m and {_SIGMA_DEG}°."
+    ]
+    if start_deg is None:
+        notes.append("Nothing says where the vehicle heads at first; that is taken as north.")
+    source = drive.path / _POSES
+    return replace(drive, log=log, gnss_source=_POSES, gnss_path=source, notes=tuple(notes))
 
 
 def _first_camera(left_projection: Float64, camera: StereoCamera, mount: Mount) -> LeverArm:
@@ -160,52 +152,13 @@ def _first_camera(left_projection: Float64, camera: StereoCamera, mount: Mount) 
     return LeverArm(right, forward, mount.height_m + up)
 
 
-def _poses_as_fixes(
-    path: Path, times_ns: list[int], settings: RecordingSettings, mount: Mount
-) -> FixLog:
-    """The fixes that the poses come to; none, and what is missing for them."""
-    name = path.resolve().name
-    places = (path / _POSES, path.resolve().parent.parent / "poses" / f"{name}.txt")
-    file = next((p for p in places if p.is_file()), None)
-    if file is None:
-        return FixLog(
-            FixColumns.of([]), (f"No GNSS: neither a log nor {_POSES}; give --gnss FILE.",)
-        )
-    if settings.datum is None:
-        missing = f"No GNSS: for {file.name} to stand in for it, add [datum] to {SETTINGS}."
-        return FixLog(FixColumns.of([]), (missing,))
-    assert settings.start is not None
-    poses = _poses(file, len(times_ns))
-    fixes = _fixes(poses, times_ns, settings.datum, settings.start.heading_deg or 0.0, mount)
-    notes = [
-        f"The fixes are the poses of {file.name}, taken as good to {_SIGMA_M} m and {_SIGMA_DEG}°.",
-    ]
-    if settings.start.heading_deg is None:
-        notes.append("Nothing says where the vehicle heads at first; that is taken as north.")
-    return FixLog(fixes, tuple(notes))
-
-
-def _poses(path: Path, count: int) -> Float64:
-    """Camera 0 in the frame of its first image (x right, y down, z forward), [n, 3, 4]."""
-    values = np.array(_numbers(path))
-    if values.size != 12 * count or not (np.abs(values) < 1e7).all():
-        raise RecordingError(
-            f"{path} has {values.size} numbers, not 12 for each of {count} images; restore it."
-        )
-    poses = values.reshape(count, 3, 4)
-    turns = poses[:, :, :3]
-    if np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0) > 1e-2:
-        raise RecordingError(f"{path} holds a matrix that is no rotation; restore it.")
-    return poses
-
-
 def _fixes(
-    poses: Float64, times_ns: list[int], datum: Datum, start_deg: float, mount: Mount
+    poses: BodyPoses, times_ns: list[int], datum: Datum, start_deg: float, mount: Mount
 ) -> FixColumns:
     """The fixes of camera 0 and the headings of the nose, the vehicle being level at first."""
     R_vehicle_camera = mount.rotation()
-    right_m, forward_m, up_m = R_vehicle_camera @ poses[:, :, 3].T
-    noses = R_vehicle_camera @ poses[:, :, :3] @ R_vehicle_camera.T
+    right_m, forward_m, up_m = R_vehicle_camera @ poses.position_m.T
+    noses = R_vehicle_camera @ poses.R @ R_vehicle_camera.T
     headings = wrap_deg(start_deg + np.degrees(np.arctan2(noses[:, 0, 1], noses[:, 1, 1])))
     cos, sin = math.cos(math.radians(start_deg)), math.sin(math.radians(start_deg))
     lat, lon, height = datum.to_geodetic(

@@ -26,6 +26,7 @@ from fieldgrid.recordings.frames.frame_table import (
     read_frames,
 )
 from fieldgrid.recordings.frames.image_format import image_format, stored_size_px
+from fieldgrid.recordings.options import together
 from fieldgrid.recordings.readers.settings_file import RecordingSettings
 from fieldgrid.recordings.stored import FrameKind, PairKind, Shot
 
@@ -102,15 +103,19 @@ def _kinds(path: Path, settings: RecordingSettings) -> list[str]:
 def _pairs(
     path: Path, settings: RecordingSettings, mounting: Mounting, offset_ns: int, layout: FrameLayout
 ) -> SensorFrames:
-    shots, notes = read_frames(path, settings.frames, layout)
-    calibration = read_calibration(
-        path / CALIBRATION, settings.calibration, settings.rectified, stored_size_px(path, shots)
-    )
-    rig = mounting.rig(calibration.camera, offset_ns)
-    stored, image_notes = image_format(path, shots, settings)
-    size_px = (rig.camera.width_px, rig.camera.height_px)
-    kind = PairKind(size_px, calibration.rectifier, stored)
-    return SensorFrames(rig, shots, kind, (*calibration.notes, *notes, *image_notes))
+    def seen(found: tuple[tuple[Shot, ...], tuple[str, ...]]) -> SensorFrames:
+        shots, notes = found
+        size_px = stored_size_px(path, shots)
+        calibration = read_calibration(
+            path / CALIBRATION, settings.calibration, settings.rectified, size_px
+        )
+        rig = mounting.rig(calibration.camera, offset_ns)
+        stored, image_notes = image_format(path, shots, settings)
+        size_px = (rig.camera.width_px, rig.camera.height_px)
+        kind = PairKind(size_px, calibration.rectifier, stored)
+        return SensorFrames(rig, shots, kind, (*calibration.notes, *notes, *image_notes))
+
+    return together(lambda: read_frames(path, settings.frames, layout), ((), ()), seen)
 
 
 def _depths(
@@ -140,9 +145,9 @@ def _depth_rig(
     """The rig of a depth camera, the disparity at infinity of its pair, and remarks."""
     info = path / CALIBRATION / (settings.calibration or DEPTH_INFO)
     if info.exists() and (settings.calibration is None or info.name == DEPTH_INFO):
-        camera, notes = read_ros_camera(info)
-        camera = replace(camera, baseline_m=settings.baseline_m or mounting.baseline_m)
-        return mounting.rig(camera, offset_ns), 0.0, notes
+        baseline_m = settings.baseline_m or mounting.baseline_m
+        camera = replace(read_ros_camera(info), baseline_m=baseline_m)
+        return mounting.rig(camera, offset_ns), 0.0, ()
     calibration = read_calibration(path / CALIBRATION, settings.calibration, settings.rectified)
     if calibration.rectifier is not None:
         raise CalibrationError(
