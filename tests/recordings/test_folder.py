@@ -181,14 +181,6 @@ def test_without_a_table_the_names_give_pairs_and_times(drive: Path) -> None:
     assert "1 image without a partner skipped." in recording.notes
 
 
-def test_images_are_not_read_before_they_are_asked_for(drive: Path) -> None:
-    (drive / "left" / "1.png").write_bytes(b"no image")
-    frames = list(open_recording(drive).frames())
-    frames[0].images()
-    with pytest.raises(RecordingError, match=r"1\.png is no PNG"):
-        frames[1].images()
-
-
 def test_images_of_another_size_do_not_fit_the_calibration(drive: Path) -> None:
     for side in ("left", "right"):
         cv2.imwrite(str(drive / side / "0.png"), np.zeros((24, 32), dtype=np.uint8))

@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -16,7 +17,14 @@ import numpy as np
 import pytest
 
 import fieldgrid as fg
-from fieldgrid.core import BuildSettings, ConfigError, Int64, NoFramesError, RecordingError
+from fieldgrid.core import (
+    BuildSettings,
+    ConfigError,
+    Int64,
+    LackingError,
+    NoFramesError,
+    RecordingError,
+)
 from fieldgrid.export import export_map
 from fieldgrid.geometry import FixColumns, Rig
 from fieldgrid.maps import open_map
@@ -51,6 +59,9 @@ from tests.maps.file.content import content
 from tests.recordings import bags
 from tests.recordings.bags import Maker
 from tests.recordings.test_bag import said_of, settle
+from tests.recordings.test_euroc import write_euroc
+from tests.recordings.test_kitti import write_kitti
+from tests.recordings.test_kitti_odometry import write_sequence
 
 pytestmark = pytest.mark.usefixtures("worked_out_once")
 
@@ -234,6 +245,9 @@ def test_what_stands_against_the_frames_is_kept_with_the_fixes(make_drive: MakeD
         write_estimate(estimate_mount(folder), folder)
 
 
+# --- what every format keeps
+
+
 def images_of(source: FrameSource, start: int, stop: int) -> list[tuple[str, bytes]]:
     return [
         (frame.frame_id, b"".join(image.tobytes() for image in frame.images()))
@@ -241,35 +255,159 @@ def images_of(source: FrameSource, start: int, stop: int) -> list[tuple[str, byt
     ]
 
 
-@pytest.mark.parametrize(
-    "container",
-    [
-        "mcap",
-        *(pytest.param(c, marks=pytest.mark.long) for c in (None, *bags.CONTAINERS) if c != "mcap"),
-    ],
+def made_bag(container: bags.Container, folder: Path, out: Path) -> Path:
+    said = said_of(Maker(container), folder)
+    return settle(bags.write_bag(out / "drive", container, Maker(container), said))
+
+
+MAKERS: dict[str, tuple[str, Callable[[Path, Path], Path]]] = {
+    "folder": ("plain folder", lambda folder, _: folder),
+    "euroc": ("EuRoC", write_euroc),
+    "kitti": ("KITTI raw", lambda _, out: write_kitti(out)),
+    "odometry": ("KITTI odometry", lambda _, out: write_sequence(out)),
+    **{container: ("ROS bag", partial(made_bag, container)) for container in bags.CONTAINERS},
+}
+"""The formats, and what makes a drive of each: of a plain folder with a gyro, in a folder."""
+
+
+@pytest.fixture(
+    params=[
+        pytest.param(
+            name, marks=pytest.mark.long if name in set(bags.CONTAINERS) - {"mcap"} else ()
+        )
+        for name in MAKERS
+    ]
 )
-def test_another_process_reads_its_share(
-    container: bags.Container | None, make_drive: MakeDrive, tmp_path: Path
-) -> None:
-    path = make_drive("june", range(4, 9))
-    if container is not None:
-        maker = Maker(container)
-        said = said_of(maker, path)
-        path = settle(bags.write_bag(tmp_path / "b" / "drive", container, maker, said))
-    with fg.open_recording(path) as recording:
-        source = recording.source
-        whole = images_of(source, 0, 5)
+def made(request: pytest.FixtureRequest, make_drive: MakeDrive, tmp_path: Path) -> tuple[str, Path]:
+    """A drive in each format, of three frames or more but for KITTI's two."""
+    kind, maker = MAKERS[request.param]
+    folder = make_drive("june", range(4, 7))
+    (folder / "imu").mkdir()
+    lines = (TWO_LANES / "imu" / "imu_100hz.csv").read_text().splitlines(keepends=True)
+    (folder / "imu" / "imu_100hz.csv").write_text("".join(lines[:2500]))
+    return kind, maker(folder, tmp_path / "made")
+
+
+def test_a_drive_opens_with_frames_and_fixes(made: tuple[str, Path]) -> None:
+    kind, path = made
+    with open_drive(path) as drive:
+        recording = drive.recording()
+        assert (drive.kind, recording.kind) == (kind, kind)
+        assert recording.frame_count >= 2
+        assert recording.is_mounted
+        times_ns = recording.frame_times_ns()
+        assert (np.diff(times_ns) > 0).all()
+        assert [frame.time_ns for frame in recording.frames()] == times_ns.tolist()
+        assert len(drive.fixes())
+        assert drive.gnss_source
+        assert {"left", "right"} <= {stream.role for stream in drive.streams()}
+        size_px = (recording.rig.camera.width_px, recording.rig.camera.height_px)
+        assert {image.shape for f in recording.frames() for image in f.images()} == {size_px[::-1]}
+        assert drive.losses == ()
+
+
+def test_frames_from_one_to_another_also_in_another_process(made: tuple[str, Path]) -> None:
+    with fg.open_recording(made[1]) as recording:
+        source, count = recording.source, recording.frame_count
+        whole = images_of(source, 0, count)
         assert [name for name, _ in whole] == [frame.frame_id for frame in recording.frames()]
-        assert [frame.frame_id for frame in recording.frames(2, 4)] == [n for n, _ in whole[2:4]]
-        assert list(recording.frames(3, 99))[-1].frame_id == whole[-1][0]
-        assert list(recording.frames(4, 2)) == []
+        assert [frame.frame_id for frame in recording.frames(1, 2)] == [whole[1][0]]
+        assert [f.frame_id for f in recording.frames(count - 1, 99)] == [whole[-1][0]]
+        assert list(recording.frames(count, 1)) == []
         with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-            shares = list(pool.map(images_of, [source] * 2, [0, 3], [3, 5]))
+            shares = list(pool.map(images_of, [source] * 2, [0, 1], [1, count]))
         assert shares[0] + shares[1] == whole
         (frame,) = pickle.loads(pickle.dumps(list(recording.frames(1, 2))))
-        assert images_of(source, 1, 2) == [
-            (frame.frame_id, b"".join(image.tobytes() for image in frame.images()))
-        ]
+        assert b"".join(image.tobytes() for image in frame.images()) == whole[1][1]
+
+
+def test_a_part_of_the_time_is_cut_out(made: tuple[str, Path]) -> None:
+    with fg.open_recording(made[1]) as recording:
+        times_ns = recording.frame_times_ns() + recording.rig.image_time_offset_ns
+        first, last = (int(times_ns[k]) for k in (0, -1))
+    with open_drive(made[1], DriveOptions(from_ns=first, until_ns=last)) as drive:
+        part = drive.recording()
+        assert part.frame_times_ns().tolist() == recording.frame_times_ns()[:-1].tolist()
+        assert all(first <= fix.time_ns < last for fix in part.fixes())
+    with pytest.raises(RecordingError, match="Nothing is left of"):
+        open_drive(made[1], DriveOptions(until_ns=400_000_000 * 10**9))
+
+
+def test_what_a_format_cannot_use_is_refused(made: tuple[str, Path], tmp_path: Path) -> None:
+    kind, path = made
+    if kind != "ROS bag":
+        with pytest.raises(ConfigError, match="leave --topic left out"):
+            open_drive(path, DriveOptions(topics={"left": "/a"}))
+        with pytest.raises(ConfigError, match="leave --epoch out"):
+            open_drive(path, DriveOptions(epoch_ns=10**18))
+    with pytest.raises(ConfigError, match=r"none\.json cannot be read"):
+        open_drive(path, DriveOptions(mounting=tmp_path / "none.json")).recording()
+    with pytest.raises(fg.FieldgridError, match=r"none\.nmea"):
+        open_drive(path, DriveOptions(gnss="none.nmea"))
+
+
+@pytest.mark.parametrize("left", [0.0, 0.5, 0.97])
+def test_files_that_are_cut_are_told_and_never_crash(
+    left: float, made: tuple[str, Path], tmp_path: Path
+) -> None:
+    """Each file of the drive in turn, once: an error is a sentence, or what is there is read."""
+    path = made[1]
+    files = [p for p in [path, *path.rglob("*")] if p.is_file()]
+    seen: set[str] = set()
+    for file in files:
+        if (key := f"{file.parent.name}/{file.suffix}") in seen:
+            continue
+        seen.add(key)
+        whole = file.read_bytes()
+        file.unlink()  # images may be links
+        file.write_bytes(whole[: int(left * len(whole))])
+        try:
+            with open_drive(path) as drive:
+                for frame in drive.recording().frames():
+                    frame.images()
+        except fg.FieldgridError as problem:
+            assert str(problem)[-1] in ".)", str(problem)  # noqa: PT017
+        file.write_bytes(whole)
+    assert seen
+
+
+def test_all_that_is_lacking_is_told_at_once(made: tuple[str, Path]) -> None:
+    """Without calibration, mounting and fixes: one error, in the order in which they are mended."""
+    kind, path = made
+    lacking = {
+        "plain folder": (
+            ("calibration", "gnss", "frames.csv"),
+            ("neither stereo_opencv", "has no frames.csv", "no mounting.json"),
+        ),
+        "EuRoC": (
+            ("mav0/cam0/sensor.yaml", "mounting.json", "gnss"),
+            ("sensor.yaml cannot be read", "no mounting.json"),
+        ),
+        "KITTI raw": (
+            tuple(f"calib_{n}.txt" for n in ("cam_to_cam", "velo_to_cam", "imu_to_velo")),
+            ("calib_cam_to_cam.txt and calib_velo_to_cam.txt and calib_imu_to_velo.txt are",),
+        ),
+        "KITTI odometry": (("recording.toml", "../../poses"), ("nothing says when it was driven",)),
+        "ROS bag": ((), ()),
+    }
+    names, sentences = lacking[kind]
+    if not names:
+        pytest.skip("what a bag lacks is in tests of its own")
+    for name in names:
+        one = path / name
+        shutil.rmtree(one) if one.is_dir() else one.unlink()
+    with pytest.raises(RecordingError) as caught, open_drive(path) as drive:
+        drive.recording()
+    said = str(caught.value)
+    assert "\n" not in said
+    if kind != "KITTI raw":
+        sentences += ("has no fixes; give the log",)
+        assert isinstance(caught.value, LackingError)
+        assert len(caught.value.problems) == len(sentences)
+        copied = pickle.loads(pickle.dumps(caught.value))
+        assert str(copied) == said
+    places = [said.index(sentence) for sentence in sentences]
+    assert places == sorted(places)
 
 
 def test_rigs_options_and_gridders_can_be_pickled() -> None:

@@ -46,11 +46,15 @@ CALIBRATION = {
 
 @pytest.fixture
 def date_folder(tmp_path: Path) -> Path:
+    return write_kitti(tmp_path)
+
+
+def write_kitti(out: Path) -> Path:
     """A folder of a date with its calibration and one drive of two grey pairs."""
-    folder = tmp_path / "2011_09_30"
+    folder = out / "2011_09_30"
     drive = folder / DRIVE
+    folder.mkdir(parents=True)
     for name, text in CALIBRATION.items():
-        folder.mkdir(exist_ok=True)
         (folder / name).write_text(text)
     for number in ("00", "01"):
         add_camera(drive, number)

@@ -51,8 +51,12 @@ POSES = (pose(0, 0, 0, 0), pose(10, 0.1, -0.2, 1.5), pose(-20, -0.3, -0.1, 3.0))
 
 @pytest.fixture
 def sequence(tmp_path: Path) -> Path:
+    return write_sequence(tmp_path)
+
+
+def write_sequence(out: Path) -> Path:
     """Sequence 06 with three frames and its poses where KITTI puts them."""
-    folder = tmp_path / "dataset" / "sequences" / "06"
+    folder = out / "dataset" / "sequences" / "06"
     for side in ("image_0", "image_1"):
         (folder / side).mkdir(parents=True)
         for k in range(3):
@@ -61,8 +65,8 @@ def sequence(tmp_path: Path) -> Path:
     (folder / "calib.txt").write_text(f"P0: {P0}\nP1: {P1}\nP2: {P2}\nP3: {P3}\nTr: {P0}\n")
     (folder / "times.txt").write_text("0.000000e+00\n1.036224e-01\n2.072000e-01\n")
     (folder / "recording.toml").write_text(SETTINGS)
-    (tmp_path / "dataset" / "poses").mkdir()
-    (tmp_path / "dataset" / "poses" / "06.txt").write_text("\n".join(POSES) + "\n")
+    (out / "dataset" / "poses").mkdir()
+    (out / "dataset" / "poses" / "06.txt").write_text("\n".join(POSES) + "\n")
     return folder
 
 
@@ -190,7 +194,6 @@ def write(path: Path, text: str) -> None:
             "\n".join([*POSES[:2], "0 " * 12]),
             "line 3: its first three columns are no rotation",
         ),
-        ("image_0/000000.png", "x", r"is no PNG"),
     ],
 )
 def test_a_sequence_that_is_broken(file: str, text: str, message: str, sequence: Path) -> None:
@@ -201,8 +204,6 @@ def test_a_sequence_that_is_broken(file: str, text: str, message: str, sequence:
 
 
 def test_what_a_sequence_cannot_use_is_refused(sequence: Path) -> None:
-    with pytest.raises(ConfigError, match="has no topics"):
-        open_recording(sequence, topics={"left": "/a"})
     with pytest.raises(ConfigError, match="poses of a KITTI sequence are no table"):
         open_recording(sequence, columns=Columns({"time": "t"}))
     (sequence / "image_1" / "000002.png").unlink()

@@ -10,33 +10,28 @@ from pathlib import Path, PurePath
 import numpy as np
 
 from fieldgrid.core import CalibrationError, Float64, RecordingError, counted
-from fieldgrid.geometry import Gyro, Motion
+from fieldgrid.geometry import Motion
 from fieldgrid.perception import is_rotation
 from fieldgrid.recordings.calibration.calibrated import Calibration, raw_pair
 from fieldgrid.recordings.calibration.kalibr import pinhole
 from fieldgrid.recordings.calibration.mounting import MOUNTING, Mounting
 from fieldgrid.recordings.calibration.yaml_text import load_yaml, matrix
 from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_frames, with_motion
-from fieldgrid.recordings.files import is_inside, parse_time_ns, read_lines
+from fieldgrid.recordings.files import is_inside, parse_time_ns, read_table
 from fieldgrid.recordings.format import Format
 from fieldgrid.recordings.frames.frame_table import MAX_FRAMES
 from fieldgrid.recordings.frames.image_format import image_format
 from fieldgrid.recordings.options import NO_MOUNTING, DriveOptions, together
 from fieldgrid.recordings.readers.settings_file import SETTINGS, read_settings
 from fieldgrid.recordings.stored import PairKind, Shot, StoredFrames, checked_shots
-from fieldgrid.recordings.tables.columns import Columns
 from fieldgrid.recordings.tables.logs import find_log, with_log
-from fieldgrid.recordings.tables.motion_files import MotionSeries, in_order, inertial_of, skipped
-from fieldgrid.recordings.tables.table_time import find_time
-from fieldgrid.recordings.tables.tables import open_table
+from fieldgrid.recordings.tables.motion_files import read_imu
 
 _LOOKS_FOR = "mav0 with cam0 and cam1"
 _TOP = "mav0"
 _LEFT, _RIGHT, _IMU = "cam0", "cam1", "imu0"
 _DATA, _SENSOR = "data.csv", "sensor.yaml"
 _MAX_AWAY_M = 100.0
-_RATES = tuple(f"w_RS_S_{axis} [rad s^-1]" for axis in "xyz")
-_FORCES = tuple(f"a_RS_S_{axis} [m s^-2]" for axis in "xyz")
 
 
 def mounting_path(path: Path) -> Path:
@@ -149,17 +144,15 @@ def _images(camera: Path) -> dict[int, str]:
     """The names of the images of a camera by their times, UTC nanoseconds."""
     path = camera / _DATA
     images: dict[int, str] = {}
-    for number, line in read_lines(path):
-        if not line.strip() or line.startswith("#"):
-            continue
-        stamp, _, name = (part.strip() for part in line.partition(","))
+    for number, row in read_table(path, (), named=lambda _: ["time_ns", "file"]):
+        name = row["file"]
         if not is_inside(name) or len(PurePath(name).parts) != 1:
             raise RecordingError(
                 f"{path}, line {number}: {name[:40]!r} is no name of a file in {camera.name}/data; "
                 "give rows of a time in nanoseconds and a file name."
             )
         try:
-            time_ns = parse_time_ns({"time_ns": stamp})
+            time_ns = parse_time_ns(row)
         except ValueError as problem:
             raise RecordingError(f"{path}, line {number}: {problem}; correct it.") from problem
         if len(images) == MAX_FRAMES:
@@ -196,29 +189,8 @@ def _turning(mav: Path, mounting: Mounting, R_rect_left: Float64) -> tuple[Motio
     R_rect_body = R_rect_left @ _pose(mav / _LEFT / _SENSOR)[:3, :3].T
     # Far below what can be calibrated; axes that are meant to be parallel are so to the bit.
     R_vehicle_imu = np.round(mounting.mount.rotation() @ R_rect_body @ R_body_imu, 9)
-    with open_table(path) as table:
-        missing = [name for name in _RATES if name not in table.header]
-        if missing:
-            return Motion(), (f"{_IMU}/{_DATA}: no column {missing[0]}; it is not used.",)
-        forces = _FORCES if set(_FORCES) <= set(table.header) else ()
-        columns = [table.header.index(name) for name in (*_RATES, *forces)]
-        time = find_time(table, Columns())
-        times, rows = [np.zeros(0, dtype=np.int64)], [np.zeros((0, len(columns)))]
-        for block in table.blocks():
-            times.append(time.utc_ns(block))
-            rows.append(np.stack([table.numbers(block, column) for column in columns], axis=1))
-    series, lost = in_order(np.concatenate(times), np.concatenate(rows), 3)
-    notes = skipped(f"{_IMU}/{_DATA}", lost, "row")
-    if not len(series.time_ns):
-        return Motion(), tuple(notes)
-    upward = R_vehicle_imu[2]
-    rate = -sum(part * turning for part, turning in zip(upward, series.values.T, strict=False))
-    sensed = np.full((len(rate), 6), np.nan)
-    for part in range(len(columns) // 3):
-        three = slice(3 * part, 3 * part + 3)
-        sensed[:, three] = series.values[:, three] @ R_vehicle_imu.T
-    inertial = inertial_of(MotionSeries(series.time_ns, sensed), notes)
-    return Motion(gyro=Gyro(series.time_ns, rate), inertial=inertial), tuple(notes)
+    notes: list[str] = []
+    return read_imu([path], R_vehicle_imu, notes, guessed=[]), tuple(notes)
 
 
 FORMAT = Format(

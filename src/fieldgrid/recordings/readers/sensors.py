@@ -115,7 +115,8 @@ def _pairs(
         kind = PairKind(size_px, calibration.rectifier, stored)
         return SensorFrames(rig, shots, kind, (*calibration.notes, *notes, *image_notes))
 
-    return together(lambda: read_frames(path, settings.frames, layout), ((), ()), seen)
+    none: tuple[tuple[Shot, ...], tuple[str, ...]] = (), ()
+    return together(lambda: read_frames(path, settings.frames, layout), none, seen)
 
 
 def _depths(

@@ -41,6 +41,8 @@ _STANDARD_GRAVITY_MPS2 = 9.80665
 
 _MOST_SENSED = 1e9
 """Beyond any rate or force: a sample with more is none."""
+_UPRIGHT = 0.999
+"""Of an axis that is taken for the vertical where there is no other, least part along it."""
 _MOSTLY = 0.5
 """An accelerometer that says something in fewer of its rows than this says nothing."""
 _SPEEDS = (
@@ -83,17 +85,25 @@ def check_axes(axes: str) -> str:
 def read_motion(folder: Path, imu_axes: str = AXES) -> MotionFiles:
     """What `imu/` and `odometry/` of a recording hold; nothing where they are not."""
     notes: list[str] = []
-    found = [s for p in _tables(folder / "imu") if (s := _read_imu(p, imu_axes, notes))]
+    R_vehicle_imu = R_VEHICLE_FLU @ np.array(directions(imu_axes), dtype=np.float64).T
+    motion = read_imu(_tables(folder / "imu"), R_vehicle_imu, notes, notes)
+    wheels = _joined([s for p in _tables(folder / "odometry") if (s := _read_speed(p, notes))])
+    if wheels is not None:
+        motion = motion._replace(wheels=WheelSpeed(*wheels))
+    return MotionFiles(motion, tuple(notes))
+
+
+def read_imu(
+    paths: Sequence[Path], R_vehicle_imu: Float64, notes: list[str], guessed: list[str]
+) -> Motion:
+    """What the files of one IMU hold, whose axes `R_vehicle_imu` turns into those of the vehicle.
+    Remarks are added to `notes`, those on names of columns to `guessed`."""
+    found = [s for path in paths if (s := _read_imu(path, R_vehicle_imu, notes, guessed))]
     turning = _joined(found)
     whole = _joined([(path, s) for path, s in found if np.isfinite(s.values[:1, 0]).all()])
-    wheels = _joined([s for p in _tables(folder / "odometry") if (s := _read_speed(p, notes))])
-    return MotionFiles(
-        Motion(
-            gyro=None if turning is None else Gyro(turning.time_ns, -turning.values[:, 2]),
-            wheels=None if wheels is None else WheelSpeed(*wheels),
-            inertial=None if whole is None else inertial_of(whole, notes),
-        ),
-        tuple(notes),
+    return Motion(
+        gyro=None if turning is None else Gyro(turning.time_ns, -turning.values[:, 2]),
+        inertial=None if whole is None else inertial_of(whole, notes),
     )
 
 
@@ -153,21 +163,24 @@ def _tables(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.name.lower().endswith(endings))
 
 
-def _read_imu(path: Path, axes: str, notes: list[str]) -> tuple[Path, MotionSeries] | None:
+def _read_imu(
+    path: Path, R_vehicle_imu: Float64, notes: list[str], guessed: list[str]
+) -> tuple[Path, MotionSeries] | None:
     """Rates (rad/s) and forces (m/s²) along the vehicle's axes right, forward, up, [n, 6]; NaN
     where a file has fewer axes. None without a gyro about the vertical."""
-    vertical = next(k for k, axis in enumerate(axes) if axis in "ud")
+    vertical = int(np.abs(R_vehicle_imu[2]).argmax())
     with open_table(path) as table:
         rates = [_find(table, _RATES, axis, "w_RS_S_{} [rad s^-1]") for axis in "xyz"]
         forces = [_find(table, _FORCES, axis, "a_RS_S_{} [m s^-2]") for axis in "xyz"]
         upward = rates[vertical]
-        if upward is None:
+        aslant = abs(R_vehicle_imu[2, vertical]) < _UPRIGHT and None in rates
+        if upward is None or aslant:
             notes.append(f"{path.name}: no column gyro_{'xyz'[vertical]}_rad_s; it is not used.")
             return None
         name, in_degrees = upward
         if not name.startswith("gyro_") or not name.endswith("_rad_s"):
             unit = "deg/s" if in_degrees else "rad/s"
-            notes.append(f"{path.name}: gyro from '{name}', taken as {unit}.")
+            guessed.append(f"{path.name}: gyro from '{name}', taken as {unit}.")
         turning = [found for found in rates if found is not None]
         pushing = [found for found in forces if found is not None]
         turning = turning if len(turning) == 3 else [upward]
@@ -175,9 +188,8 @@ def _read_imu(path: Path, axes: str, notes: list[str]) -> tuple[Path, MotionSeri
         factors = [math.radians(1.0) if found[1] else 1.0 for found in turning]
         factors += [_STANDARD_GRAVITY_MPS2 if found[1] else 1.0 for found in pushing]
         named = [found[0] for found in turning + pushing]
-        read = _read(table, named, factors, notes, len(turning))
+        read = _read(table, named, factors, notes, guessed, len(turning))
     sensed = np.full((len(read.time_ns), 6), np.nan)
-    R_vehicle_imu = R_VEHICLE_FLU @ np.array(directions(axes), dtype=np.float64).T
     if len(turning) == 1:
         sensed[:, 2] = read.values[:, 0] * R_vehicle_imu[2, vertical]
     for part in range(len(turning + pushing) // 3):
@@ -210,7 +222,9 @@ def _read_speed(path: Path, notes: list[str]) -> tuple[Path, MotionSeries] | Non
         if apart is None:
             notes.append(f"{path.name}: no column speed_mps; it is not used.")
             return None
-        series = _read(table, [named[apart]], [apart.factor * SPEEDS.get(apart.unit, 1.0)], notes)
+        series = _read(
+            table, [named[apart]], [apart.factor * SPEEDS.get(apart.unit, 1.0)], notes, notes
+        )
         if named[apart] != "speed_mps":
             notes.append(
                 f"{path.name}: speed from '{named[apart]}' in {apart.unit or 'm/s (assumed)'}."
@@ -219,7 +233,12 @@ def _read_speed(path: Path, notes: list[str]) -> tuple[Path, MotionSeries] | Non
 
 
 def _read(
-    table: OpenTable, names: list[str], factors: list[float], notes: list[str], needed: int = 1
+    table: OpenTable,
+    names: list[str],
+    factors: list[float],
+    notes: list[str],
+    guessed: list[str],
+    needed: int = 1,
 ) -> MotionSeries:
     """Columns [n, k] with their times, increasing; rows without one of the first `needed` of them
     are dropped and counted."""
@@ -230,7 +249,7 @@ def _read(
         rows.append(np.stack([table.numbers(block, place) for place in places], axis=1))
     series, lost = in_order(np.concatenate(times), np.concatenate(rows) * factors, needed)
     notes += skipped(table.path.name, lost, "row")
-    notes += time.notes
+    guessed += time.notes
     return series
 
 
