@@ -333,6 +333,11 @@ FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
         lambda drive: (drive / MOUNTING).unlink(),
         r"run `fieldgrid mount .* --write --antenna FORWARD LEFT UP`",
     ),
+    "neither calibration nor mounting nor log": (
+        lambda drive: [shutil.rmtree(drive / name) for name in ("calibration", "gnss")],
+        r"has neither stereo_opencv\.yaml nor .*\. Also: .*run `fieldgrid mount .*\. Also: .* has no "
+        r"fixes; give the log of its receiver",
+    ),
     "no overlap in time": (
         lambda drive: edit(drive / "frames.csv", ",13081338", ",13081438"),
         r"Images \(2011-06-15T13:16:59\.840Z to .*\) and fixes \(2011-06-15T10:30:.*\) do not "

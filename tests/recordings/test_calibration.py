@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 import yaml
 
 from fieldgrid.core import CalibrationError
+from fieldgrid.recordings import open_recording
 from fieldgrid.recordings.calibration.loading import Calibration, read_calibration
 
 Float64 = npt.NDArray[np.float64]
@@ -384,9 +386,209 @@ def test_kalibr_describes_both_cameras_and_raw_images(folder: Path) -> None:
     fails(folder, r"describes raw images, and recording\.toml says rectified = true", True)
 
 
-def fails(folder: Path, match: str, rectified: bool | None = None) -> None:
+# --- what cameras hold themselves
+
+VGA = (672, 376)
+
+
+def zed(resolution: str = "VGA", **stereo: Any) -> str:
+    """As calib.stereolabs.com gives it, for images of 672 x 376 px and of another size."""
+    turn = np.array([0.01, -0.014, 0.007])
+    entries = {
+        "Baseline": 1000 * -T[0],
+        "TY": 1000 * -T[1],
+        "TZ": 1000 * -T[2],
+        **{f"RX_{resolution}": turn[0], f"CV_{resolution}": turn[1], f"RZ_{resolution}": turn[2]},
+        **stereo,
+    }
+    lines = ["[STEREO]", *(f"{k}={v}" for k, v in entries.items() if v is not None)]
+    for side, K, D in (("LEFT", K1, D1), ("RIGHT", K2, D2)):
+        for name, factor in ((resolution, 1.0), ("HD", 2.0)):
+            lines += ["", f"[{side}_CAM_{name}]"]
+            values = (K[0, 0], K[1, 1], K[0, 2] + 170, K[1, 2] + 70)
+            lines += [
+                f"{k}={factor * v}" for k, v in zip(("fx", "fy", "cx", "cy"), values, strict=True)
+            ]
+            lines += [f"{k}={v}" for k, v in zip(("k1", "k2", "p1", "p2", "k3"), D, strict=True)]
+    return "\r\n".join(lines) + "\r\n"
+
+
+def depthai(*, size: tuple[int, int] = VGA, turned: bool = False, **changes: Any) -> dict[str, Any]:
+    """As CalibrationHandler.eepromToJsonFile writes it, with a colour camera beside the pair."""
+
+    def camera(K: Float64, D: list[float], to: int, R: Float64, T: Float64) -> dict[str, Any]:
+        return {
+            "cameraType": 0,
+            "distortionCoeff": [*D, *[0.0] * (14 - len(D))],
+            "extrinsics": {
+                "rotationMatrix": R.tolist(),
+                "specTranslation": {"x": 0.0, "y": 0.0, "z": 0.0},
+                "toCameraSocket": to,
+                "translation": dict(zip("xyz", (100 * T).tolist(), strict=True)),
+            },
+            "height": size[1],
+            "width": size[0],
+            "intrinsicMatrix": (K + np.array([[0, 0, 170], [0, 0, 70], [0, 0, 0]])).tolist(),
+            "lensPosition": 0,
+            "specHfovDeg": 71.86,
+        }
+
+    left = camera(K1, D1, 2, R, T)
+    right = camera(K2, D2, 0, np.eye(3), np.zeros(3))
+    if turned:
+        left, right = camera(K1, D1, 0, np.eye(3), T), camera(K2, D2, 1, R.T, -R.T @ T)
+    colour = camera(K1, D1, -1, np.zeros((0, 0)), np.zeros(3))
+    return {
+        "batchName": "",
+        "boardName": "DM9098",
+        "cameraData": [[0, colour], [1, left], [2, right]],
+        "stereoRectificationData": {"leftCameraSocket": 1, "rightCameraSocket": 2},
+        "version": 7,
+        **changes,
+    }
+
+
+def as_opencv() -> str:
+    """The same rig."""
+    aside = np.array([[0, 0, 170], [0, 0, 70], [0, 0, 0]])
+    text = opencv(K1=K1 + aside, K2=K2 + aside)
+    return text.replace(f"{SIZE[0]}", f"{VGA[0]}", 1).replace(f"{SIZE[1]}", f"{VGA[1]}", 1)
+
+
+MAKERS_FILES = {
+    "SN10028.conf": zed(),
+    "oak.json": json.dumps(depthai()),
+    "oak-d.json": json.dumps(depthai(turned=True, stereoRectificationData={})),
+}
+
+
+@pytest.mark.parametrize("name", MAKERS_FILES)
+def test_the_calibration_that_a_camera_holds(name: str, folder: Path) -> None:
+    """It is that of the same rig as OpenCV's file says it."""
+    (folder / "stereo_opencv.yaml").write_text(as_opencv())
+    expected = read_calibration(folder)
+    (folder / "stereo_opencv.yaml").unlink()
+    (folder / name).write_text(MAKERS_FILES[name])
+    found = read_calibration(folder, None, False, VGA)
+    assert found.notes == (f"The images are raw, and rectified by {name}.",)
+    for key in ("focal_px", "cx_px", "cy_px", "baseline_m"):
+        assert getattr(found.camera, key) == pytest.approx(getattr(expected.camera, key), rel=1e-9)
+    image = np.random.default_rng(2).integers(0, 256, VGA[::-1], dtype=np.uint8)
+    assert found.rectifier is not None
+    assert expected.rectifier is not None
+    for one, other in zip(
+        found.rectifier(image, image), expected.rectifier(image, image), strict=True
+    ):
+        assert np.abs(one.astype(int) - other).max() <= 1
+    fails(folder, r"add \[images\] rectified = false to recording.toml if these are raw", size=VGA)
+    fails(folder, "recording.toml says rectified = true; give P1 and P2", True, size=VGA)
+
+
+def test_the_turn_of_a_zed_is_that_of_its_makers_own_reader(folder: Path) -> None:
+    """Which hands Baseline, TY and TZ to stereoRectify as they are."""
+    (folder / "SN1.conf").write_text(zed())
+    aside = np.array([[0, 0, 170], [0, 0, 70], [0, 0, 0]])
+    found_by_zed = cv2.stereoRectify(
+        *(K1 + aside, np.array(D1), K2 + aside, np.array(D2), VGA, R, -T[:, None]),
+        flags=cv2.CALIB_ZERO_DISPARITY,
+        alpha=0,
+    )
+    found = read_calibration(folder, None, False, VGA)
+    assert np.abs(found.R_rect_left - found_by_zed[0]).max() < 1e-9
+    assert found.camera.focal_px == pytest.approx(found_by_zed[2][0, 0])
+
+
+def test_images_of_an_oak_may_be_smaller_than_calibrated(folder: Path) -> None:
+    """Scaled to the width, and cut above and below, as CalibrationHandler does it."""
+    (folder / "oak.json").write_text(json.dumps(depthai(size=(1344, 800))))
+    found = read_calibration(folder, None, False, VGA).camera
+    assert (found.width_px, found.height_px) == VGA
+    whole = read_calibration(folder, None, False).camera
+    assert (whole.width_px, whole.height_px) == (1344, 800)
+    assert found.baseline_m == pytest.approx(whole.baseline_m)
+
+
+def broken(**changes: Any) -> str:
+    document = depthai()
+    camera = document["cameraData"][1][1]
+    camera |= {k: v for k, v in changes.items() if k in camera}
+    camera["extrinsics"] |= {k: v for k, v in changes.items() if k in camera["extrinsics"]}
+    return json.dumps(document)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("SN1.conf", zed("HD"), r"lacks \[LEFT_CAM_VGA\] with the numbers FX FY"),
+        ("SN1.conf", zed(RX_VGA=None), r"lacks \[STEREO\] with the numbers RX_VGA"),
+        ("SN1.conf", zed(Baseline=None), r"lacks \[STEREO\] with the numbers BASELINE"),
+        ("SN1.conf", zed(Baseline="twelve"), r"lacks \[STEREO\] with the numbers BASELINE"),
+        ("SN1.conf", zed(Baseline=-120.0), "swap left and right"),
+        ("SN1.conf", "", r"lacks \[LEFT_CAM_VGA\] with the numbers FX FY CX CY"),
+        ("oak.json", "[]", "is no calibration of an OAK camera"),
+        ("oak.json", "{", "is no calibration of an OAK camera"),
+        ("oak.json", '{"cameraData": [[1]]}', "is no calibration of an OAK camera"),
+        ("oak.json", broken(intrinsicMatrix=[]), "lacks intrinsicMatrix as a matrix of 3 x 3"),
+        ("oak.json", broken(width=0), "is no calibration of an OAK camera"),
+        ("oak.json", broken(distortionCoeff=[0.1] * 6), "has 6 distortion coefficients"),
+        ("oak.json", broken(toCameraSocket=0), "does not say how its left and right camera stand"),
+        ("oak.json", broken(translation={"x": -18.0}), "is no calibration of an OAK camera"),
+    ],
+)
+def test_a_calibration_of_a_camera_that_cannot_be(
+    name: str, text: str, message: str, folder: Path
+) -> None:
+    (folder / name).write_text(text)
+    fails(folder, rf"{re.escape(name)}.*{message}", False, size=VGA)
+
+
+def test_a_zed_must_be_of_a_known_size(folder: Path) -> None:
+    (folder / "SN1.conf").write_text(zed())
+    fails(folder, "and these have an unknown size; write the calibration", False)
+    fails(folder, r"and these have \(320, 240\); write", False, size=SIZE)
+
+
+@pytest.mark.parametrize("name", MAKERS_FILES)
+def test_a_whole_recording_with_the_calibration_of_its_camera(name: str, folder: Path) -> None:
+    """ZED's images in a folder of their own, as its SDK exports them, with a table of times."""
+    drive = folder.parent
+    rows = ["frame_id,time_ns,left,right"]
+    for k in range(2):
+        names = [f"{side}{k:06d}.png" for side in ("left", "right")]
+        for file in names:
+            image = np.random.default_rng(k).integers(0, 256, VGA[::-1], dtype=np.uint8)
+            assert cv2.imwrite(str(drive / file), image)
+        rows.append(f"{k},{(1_308_133_815 + k) * 10**9},{names[0]},{names[1]}")
+    (drive / "frames.csv").write_text("\n".join(rows))
+    (drive / "recording.toml").write_text("[images]\nrectified = false\n")
+    mounting = {
+        "camera_height_above_ground_m": 2.0,
+        "camera_tilt_down_deg": 15.0,
+        "gnss_antenna_from_camera_mid_flu_m": [0, 0, 1],
+    }
+    (folder / "mounting.json").write_text(json.dumps(mounting))
+    (folder / "stereo_opencv.yaml").write_text(as_opencv())
+    with open_recording(drive) as recording:
+        expected = [frame.images() for frame in recording.frames()]
+    (folder / "stereo_opencv.yaml").unlink()
+    (folder / name).write_text(MAKERS_FILES[name])
+    with open_recording(drive) as recording:
+        found = [frame.images() for frame in recording.frames()]
+        assert recording.rig.camera.baseline_m == pytest.approx(float(np.linalg.norm(T)))
+    for pair, same in zip(found, expected, strict=True):
+        for one, other in zip(pair, same, strict=True):
+            assert np.abs(one.astype(int) - other).max() <= 1
+
+
+def fails(
+    folder: Path,
+    match: str,
+    rectified: bool | None = None,
+    *,
+    size: tuple[int, int] | None = None,
+) -> None:
     with pytest.raises(CalibrationError, match=match) as caught:
-        read_calibration(folder, rectified=rectified)
+        read_calibration(folder, None, rectified, size)
     assert "\n" not in str(caught.value)
     assert re.search(r"[;:] .*\.$", str(caught.value))
 

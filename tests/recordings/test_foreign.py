@@ -10,7 +10,7 @@ from fieldgrid.core import GnssError, RecordingError
 from fieldgrid.recordings import DriveOptions, open_drive
 from fieldgrid.recordings.tables.logs import read_fix_log
 from tests.poses.gnss.sentences import gga, rmc, sentence
-from tests.recordings.test_fix_table import START_NS, START_S
+from tests.recordings.test_fix_table import START_NS
 
 NOISE = bytes(range(90)) * 5
 
@@ -91,27 +91,3 @@ def test_a_folder_of_another_program_is_named(
         (tmp_path / name).write_bytes(b"\x89")
     with pytest.raises(RecordingError, match=message):
         open_drive(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "what"),
-    [
-        ("oak.json", '{"batchName": "", "cameraData": [[1, {}]]}', "DepthAI's calibration"),
-        ("SN123.conf", "[LEFT_CAM_HD]\nfx=700\n[STEREO]\nBaseline=120\n", "ZED's factory"),
-    ],
-)
-def test_a_calibration_of_a_maker_is_named(
-    name: str, content: str, what: str, tmp_path: Path
-) -> None:
-    for side in ("left", "right"):
-        (tmp_path / side).mkdir()
-        (tmp_path / side / f"{START_S}000000000.png").touch()
-    (tmp_path / "calibration").mkdir()
-    (tmp_path / "calibration" / name).write_text(content)
-    mounting = (
-        '{"camera_height_above_ground_m": 2.0, "camera_tilt_down_deg": 15.0,'
-        ' "gnss_antenna_from_camera_mid_flu_m": [0, 0, 1]}'
-    )
-    (tmp_path / "calibration" / "mounting.json").write_text(mounting)
-    with pytest.raises(RecordingError, match=rf"{what}.*K1, D1, K2, D2, R and T \(metres\)"):
-        open_drive(tmp_path).recording()

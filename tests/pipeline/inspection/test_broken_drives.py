@@ -362,6 +362,18 @@ def test_a_drive_that_does_not_say_how_its_camera_is_mounted(drive: Make) -> Non
     assert (found.frames, found.frames_usable) == (None, None)
 
 
+def test_all_that_a_drive_lacks_is_found_at_once(drive: Make) -> None:
+    folder = drive(frames=FEW)
+    shutil.rmtree(folder / "calibration")
+    shutil.rmtree(folder / "gnss")
+    found = inspect_recording(folder)
+    assert not found.builds
+    lacking = [one for one in found.findings if one.code in ("calibration", "recording")]
+    said = [f"{one.message} {one.remedy}" for one in lacking]
+    for sentence, wanted in zip(said, ("stereo_opencv", "mounting.json", "--gnss"), strict=True):
+        assert wanted in sentence
+
+
 def test_a_forgotten_lever_arm(drive: Make) -> None:
     folder = drive(frames=FEW)
     change_mounting(folder, gnss_antenna_from_camera_mid_flu_m=[0, 0, 0])
