@@ -109,6 +109,21 @@ def numbers(recording: Recording) -> list[tuple[int, int]]:
     return [(int(left[0, 0]), int(right[0, 0]) - 100) for left, right in pairs]
 
 
+def test_all_that_a_bag_lacks_is_told_at_once(opened: Opened) -> None:
+    def images(maker: Maker) -> Iterator[Said]:
+        return (one for one in stereo_said(maker) if one.topic.endswith("image_rect"))
+
+    with pytest.raises(LackingError) as caught:
+        opened(images, mounting=False)
+    camera, mounting, fixes = map(str, caught.value.problems)
+    assert "camera_info" in camera
+    assert "fieldgrid mount" in mounting
+    assert "--gnss" in fixes
+    with pytest.raises(CalibrationError) as one:
+        opened(lambda maker: [*images(maker), *fixes_said(maker)])
+    assert not isinstance(one.value, LackingError)
+
+
 # Fixes
 
 
@@ -128,21 +143,6 @@ def numbers(recording: Recording) -> list[tuple[int, int]]:
         (7, 2.0, 2, -1),
     ],
 )
-def test_all_that_a_bag_lacks_is_told_at_once(opened: Opened) -> None:
-    def images(maker: Maker) -> Iterator[Said]:
-        return (one for one in stereo_said(maker) if one.topic.endswith("image_rect"))
-
-    with pytest.raises(LackingError) as caught:
-        opened(images, mounting=False)
-    camera, mounting, fixes = map(str, caught.value.problems)
-    assert "camera_info" in camera
-    assert "fieldgrid mount" in mounting
-    assert "--gnss" in fixes
-    with pytest.raises(CalibrationError) as one:
-        opened(lambda maker: [*images(maker), *fixes_said(maker)])
-    assert not isinstance(one.value, LackingError)
-
-
 def test_the_quality_is_by_status_and_covariance(
     status: int, sigma_m: float, covariance_type: int, quality: int
 ) -> None:
