@@ -298,8 +298,8 @@ def edit(path: Path, old: str, new: str) -> None:
         ("imu0/sensor.yaml", "- 1.0", "- 3.0", "T_BS is no rigid transformation"),
         ("cam0/sensor.yaml", "%YAML:1.0", "[", "is not YAML"),
         ("cam0/data.csv", "13081338", "x", "line 2: time_ns 'x"),
-        ("cam0/data.csv", "000003.jpg", "../000003.jpg", "is no name of a file in cam0/data"),
-        ("cam0/data.csv", ",000003.jpg", "", "line 2: '' is no name of a file in cam0/data"),
+        ("cam0/data.csv", "000003.jpg", "../000003.jpg", "leads out of the recording"),
+        ("cam0/data.csv", ",000003.jpg", "", "line 2: file is empty"),
         ("cam0/data.csv", "000003.jpg", "none.jpg", "1 of 6 images are missing"),
         ("cam0/data.csv", "13081338", "13081339", "no image of cam0 has the time of one of cam1"),
         (

@@ -16,7 +16,7 @@ from fieldgrid.core import CalibrationError, ConfigError, FieldgridError, Record
 from fieldgrid.geometry import Mount
 from fieldgrid.poses.gates.conditioning import condition
 from fieldgrid.recordings import Recording, open_recording
-from fieldgrid.recordings.readers.kitti_calibration import mount_angles_deg
+from fieldgrid.recordings.calibration.kitti import mount_angles_deg
 
 SharedData = Callable[[str], Path]
 Matrix = npt.NDArray[np.float64]

@@ -15,7 +15,7 @@ import pytest
 from fieldgrid.core import CalibrationError, ConfigError, FieldgridError, RecordingError
 from fieldgrid.geometry import Datum, LeverArm, Mount, StereoCamera, wrap_deg
 from fieldgrid.recordings import Columns, open_recording
-from fieldgrid.recordings.readers.kitti_calibration import CAMERA_HEIGHT_M
+from fieldgrid.recordings.calibration.kitti import CAMERA_HEIGHT_M
 
 START_S = 1_317_384_506
 DATUM = Datum(49.0, 8.4, 110.0)

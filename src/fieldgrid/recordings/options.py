@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
 from fieldgrid.core import CalibrationError, ConfigError, LackingError, RecordingError, quoted
 from fieldgrid.geometry import LeverArm, Mount
 from fieldgrid.recordings.calibration.mounting import Mounting, missing_mounting, read_mounting
+from fieldgrid.recordings.drive import Drive, Recording, with_frames
 from fieldgrid.recordings.poses.pose_source import PoseSource
 from fieldgrid.recordings.tables.columns import Columns
 from fieldgrid.recordings.tables.fix_log import FixLog
@@ -135,6 +136,18 @@ class DriveOptions:
     def in_time(self, log: FixLog, own_ns: int = 0) -> FixLog:
         """A GNSS log moved by the offset that was given, else by the recording's own."""
         return log.moved(own_ns if self.gnss_offset_ns is None else self.gnss_offset_ns)
+
+
+def mounted(
+    drive: Drive, find: Callable[[], Mounting], make: Callable[[Mounting], Recording]
+) -> Drive:
+    """The recording that is made of a drive with its mounting; where it cannot be, the drive, which
+    keeps why."""
+
+    def made(mounting: Mounting) -> Recording:
+        return replace(make(mounting), is_mounted=mounting is not NO_MOUNTING)
+
+    return with_frames(drive, lambda _: together(find, NO_MOUNTING, made))
 
 
 def together(find: Callable[[], Found], stand_in: Found, make: Callable[[Found], Made]) -> Made:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 from fieldgrid.core import Int64, RecordingError
 from fieldgrid.recordings.files import check_regular
 from fieldgrid.recordings.frames.frames import Frame, PairRectifier, StereoFrame
-from fieldgrid.recordings.frames.images import AS_STORED, ImageFile, ImageFormat
+from fieldgrid.recordings.frames.images import AS_STORED, SUFFIXES, ImageFile, ImageFormat
 
 
 class Shot(NamedTuple):
@@ -121,3 +121,34 @@ def checked_shots(
                 f"or let `build --skip-bad` leave their frames out. First: {first}"
             ) from first
     return tuple(ordered)
+
+
+def image_folders(path: Path, sides: Iterable[tuple[str, str]]) -> tuple[str, str] | None:
+    """The first of some pairs of folders that are both there."""
+    return next((pair for pair in sides if all((path / name).is_dir() for name in pair)), None)
+
+
+def paired_shots(
+    path: Path, folders: tuple[str, str], times_ns: Sequence[int], *, incomplete: bool = False
+) -> tuple[Shot, ...]:
+    """A frame for each time, of images that have the same names in both folders."""
+    left, right = (
+        {file.name for file in (path / name).iterdir() if file.suffix.lower() in SUFFIXES}
+        for name in folders
+    )
+    alone = sorted(left ^ right)
+    if alone and not incomplete:
+        raise RecordingError(
+            f"{path}: {folders[0]} and {folders[1]} do not hold the same files, {alone[0]} is only "
+            "in one; unpack the drive again."
+        )
+    names = sorted(left | right)
+    if len(names) != len(times_ns):
+        raise RecordingError(
+            f"{path} has {len(times_ns)} times for {len(names)} images; unpack the drive again."
+        )
+    shots = [
+        Shot(time_ns, Path(name).stem, (f"{folders[0]}/{name}", f"{folders[1]}/{name}"))
+        for time_ns, name in zip(times_ns, names, strict=True)
+    ]
+    return checked_shots(shots, path, incomplete=incomplete)

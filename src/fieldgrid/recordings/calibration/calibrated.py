@@ -80,7 +80,7 @@ def data(values: Any) -> dict[str, list[float]]:
     return {"data": np.asarray(values, dtype=np.float64).ravel().tolist()}
 
 
-class Pair(NamedTuple):
+class CalibratedPair(NamedTuple):
     """What files say of a stereo pair, whichever their dialect: both cameras, and R and T from the
     left to the right one (metres). `is_raw` tells a dialect that
     describes raw images, `is_factory` one that does so whatever images the camera delivers."""
@@ -152,7 +152,7 @@ class Pair(NamedTuple):
 
 def raw_pair(
     path: Path, left: Entries, right: Entries, T: Float64, *, is_factory: bool = False
-) -> Pair:
+) -> CalibratedPair:
     """Two raw cameras, of which `T` [4, 4] takes points of the left one's frame to the right's."""
     between = Entries({"R": data(T[:3, :3]), "T": data(T[:3, 3])}, path)
-    return Pair(path, left, right, between, is_raw=True, is_factory=is_factory)
+    return CalibratedPair(path, left, right, between, is_raw=True, is_factory=is_factory)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.core import MAX_BYTES, CalibrationError, Float64, parse_json
-from fieldgrid.recordings.calibration.calibrated import Entries, Pair, data, raw_pair
+from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Entries, data, raw_pair
 from fieldgrid.recordings.calibration.yaml_text import rows
 from fieldgrid.recordings.files import read_text
 
@@ -21,7 +21,7 @@ _LEFT, _RIGHT = 1, 2  # sockets CAM_B and CAM_C
 _FISHEYE = 1
 
 
-def read_depthai(path: Path, size_px: tuple[int, int] | None) -> Pair:
+def read_depthai(path: Path, size_px: tuple[int, int] | None) -> CalibratedPair:
     """The pair in a file for images of this (width, height), None for the size that was calibrated.
     It describes raw images, and the camera gives rectified ones, too."""
     try:

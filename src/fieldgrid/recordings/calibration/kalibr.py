@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from fieldgrid.core import CalibrationError
-from fieldgrid.recordings.calibration.calibrated import Entries, Pair, data, raw_pair
+from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Entries, data, raw_pair
 from fieldgrid.recordings.calibration.yaml_text import listed, load_yaml, resolution, rows
 
 
-def read_kalibr(path: Path) -> Pair:
+def read_kalibr(path: Path) -> CalibratedPair:
     """The pair in a file, cam0 being the left camera. It describes raw images."""
     document = load_yaml(path)
     for name in ("cam0", "cam1"):

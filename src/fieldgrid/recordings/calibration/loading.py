@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fieldgrid.core import CalibrationError
 from fieldgrid.geometry import SAME
-from fieldgrid.recordings.calibration.calibrated import Calibration, Pair
+from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Calibration
 from fieldgrid.recordings.calibration.depthai import read_depthai
 from fieldgrid.recordings.calibration.kalibr import read_kalibr
 from fieldgrid.recordings.calibration.mounting import MOUNTING
@@ -78,7 +78,7 @@ def _other(folder: Path) -> Path:
     )
 
 
-def _pair(path: Path, rectified: bool | None, size_px: tuple[int, int] | None) -> Pair:
+def _pair(path: Path, rectified: bool | None, size_px: tuple[int, int] | None) -> CalibratedPair:
     """The pair in a file, whose kind its name and content tell."""
     if path.suffix == ".conf":
         return read_zed(path, size_px)

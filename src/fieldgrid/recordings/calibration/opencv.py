@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from fieldgrid.core import CalibrationError
-from fieldgrid.recordings.calibration.calibrated import Entries, Pair
+from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Entries
 from fieldgrid.recordings.calibration.yaml_text import image_size, load_yaml, matrix
 
 _MOST_ASIDE = 0.2
 """Of a side of an image, how far the middle of a lens may be from that of the image."""
 
 
-def read_opencv(path: Path, size_px: tuple[int, int] | None = None) -> Pair:
+def read_opencv(path: Path, size_px: tuple[int, int] | None = None) -> CalibratedPair:
     """The pair in a file, or in that of the lenses (`intrinsics.yml`) and `extrinsics.yml` beside
     it. `size_px` is the (width, height) of the images, where the file does not say it."""
     document = load_yaml(path)
@@ -49,4 +49,4 @@ def read_opencv(path: Path, size_px: tuple[int, int] | None = None) -> Pair:
         Entries(document, path, size_px, {key: f"{key}{number}" for key in "KDRP"}, model)
         for number in "12"
     )
-    return Pair(path, left, right, Entries(document, path), notes=notes)
+    return CalibratedPair(path, left, right, Entries(document, path), notes=notes)

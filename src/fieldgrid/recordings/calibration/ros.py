@@ -8,7 +8,7 @@ import numpy as np
 
 from fieldgrid.core import CalibrationError
 from fieldgrid.geometry import DepthCamera
-from fieldgrid.recordings.calibration.calibrated import Entries, Pair
+from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Entries
 from fieldgrid.recordings.calibration.yaml_text import image_size, load_yaml
 
 _NAMES = {
@@ -21,7 +21,7 @@ _STRAIGHT_DEG = 0.01
 """A rotation below it moves no pixel by a quarter of its side."""
 
 
-def read_ros(left: Path, right: Path, rectified: bool | None) -> Pair:
+def read_ros(left: Path, right: Path, rectified: bool | None) -> CalibratedPair:
     """The pair in two files. Where it is said that the images are rectified, a rotation to rectify
     them contradicts it: CalibrationError."""
     first, second = _read(left), _read(right)
@@ -37,7 +37,7 @@ def read_ros(left: Path, right: Path, rectified: bool | None) -> Pair:
                 "calibration of the rectified pair (the identity there, and in camera_matrix what "
                 "is in projection_matrix), or leave `rectified` out."
             )
-    return Pair(left, first, second, Entries({}, right))
+    return CalibratedPair(left, first, second, Entries({}, right))
 
 
 def read_ros_camera(path: Path) -> DepthCamera:

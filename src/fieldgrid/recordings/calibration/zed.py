@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from fieldgrid.core import CalibrationError, Float64
-from fieldgrid.recordings.calibration.calibrated import Entries, Pair, data, raw_pair
+from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Entries, data, raw_pair
 from fieldgrid.recordings.files import read_text
 
 _MAX_BYTES = 1 << 20
@@ -23,7 +23,7 @@ _NAMES = {
 """How sections call the (width, height) of an image."""
 
 
-def read_zed(path: Path, size_px: tuple[int, int] | None) -> Pair:
+def read_zed(path: Path, size_px: tuple[int, int] | None) -> CalibratedPair:
     """The pair in a file for images of this (width, height). It describes raw images, and the
     camera's SDK exports rectified ones."""
     values: dict[str, str] = {}

@@ -127,16 +127,15 @@ def _read(drive: Drive, source: PoseSource, axes: str, epoch_ns: int | None) -> 
 
     path = drive.path if source.file is None else source.file
     offset_ns = source.offset_ns or 0
-    if is_bag(path):
-        if source.times is not None:
-            raise ConfigError(f"The poses of {path} have their own times; leave --poses-times out.")
-        return read_pose_topic(path, source.topic, offset_ns, epoch_ns)
-    if source.topic is not None:
-        raise ConfigError(f"{path} is no bag and has no topics; leave --poses-topic out.")
     image_offset_ns = 0 if drive.rig is None else drive.rig.image_time_offset_ns
-    if source.offset_ns is None and axes == CAMERA_AXES:
-        offset_ns = image_offset_ns  # they have the stamps of the images that they were made of
-    body = read_pose_file(path, offset_ns)
+    if is_bag(path):
+        body = read_pose_topic(path, source.topic, offset_ns, epoch_ns)
+    elif source.topic is not None:
+        raise ConfigError(f"{path} is no bag and has no topics; leave --poses-topic out.")
+    else:
+        if source.offset_ns is None and axes == CAMERA_AXES:
+            offset_ns = image_offset_ns  # they have the stamps of the images they were made of
+        body = read_pose_file(path, offset_ns)
     if body.time_ns is not None:
         if source.times is not None:
             raise ConfigError(f"The poses of {path} have their own times; leave --poses-times out.")

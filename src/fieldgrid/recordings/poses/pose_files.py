@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +16,6 @@ MOST_M = 1e7
 """No trajectory leads farther from its origin."""
 
 _TUM, _KITTI = 8, 12
-_BLOCK_ROWS = 1 << 13
 OFF_UNIT = 0.02
 """By how much a quaternion's length and a matrix's rows may be off, as they are written."""
 
@@ -101,12 +101,10 @@ def _read_numbers(
 ) -> tuple[list[int], list[str], Float64]:
     """The numbers of a file whose lines have one of these widths, the same in all; `wanted` is
     what an error asks for. Of each line that is no remark: where it is in the file, its first word,
-    and its values [n, width]. The words are turned into numbers block by block: they take ten times
-    the memory of the file."""
+    and its values [n, width]."""
     lines: list[int] = []
     first: list[str] = []
-    rows: list[list[str]] = []
-    blocks: list[Float64] = []
+    numbers = array("d")
     width = 0
     for number, line in read_lines(path):
         words = line.partition("#")[0].replace(",", " ").split()
@@ -122,28 +120,20 @@ def _read_numbers(
             )
         lines.append(number)
         first.append(words[0])
-        rows.append(words)
-        if len(rows) == _BLOCK_ROWS:
-            blocks.append(_numbers(path, rows))
-            rows = []
+        try:
+            numbers.extend(map(float, words))
+        except ValueError as problem:
+            why = str(problem).replace("could not convert string to float", "no number")
+            raise RecordingError(f"{path}: {why[:200]}; write the file again.") from problem
     if width not in widths:
         found = f"{width} numbers" if width else "nothing"
         raise RecordingError(f"{path} has {found} a line; give {wanted}.")
-    blocks.append(_numbers(path, rows).reshape(len(rows), width))
-    values = np.concatenate(blocks)
+    values = np.array(numbers).reshape(-1, width)
     rest = values[:, 1:] if width == _TUM else values
     limit = np.inf if width == 1 else MOST_M
     wrong = np.asarray(~(np.isfinite(values).all(axis=1) & (np.abs(rest) < limit).all(axis=1)))
     _refuse(path, lines, wrong, "it holds NaN, or a number beyond any drive")
     return lines, first, values
-
-
-def _numbers(path: Path, rows: list[list[str]]) -> Float64:
-    try:
-        return np.array(rows, dtype=np.float64)
-    except ValueError as problem:
-        why = str(problem).replace("could not convert string to float", "no number")
-        raise RecordingError(f"{path}: {why}; write the file again.") from problem
 
 
 def _refuse(path: Path, lines: list[int], wrong: Bool, why: str) -> None:

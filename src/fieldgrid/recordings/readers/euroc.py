@@ -1,27 +1,22 @@
-"""EuRoC (ASL) folders: `mav0/cam0`, `cam1` and `imu0`, each with `sensor.yaml` and `data.csv`.
-
-A sensor's T_BS takes points from its frame to that of the body, which is the IMU as a rule.
-"""
+"""EuRoC (ASL) folders: `mav0/cam0`, `cam1` and `imu0`, each with `sensor.yaml` and `data.csv`."""
 
 from __future__ import annotations
 
-from pathlib import Path, PurePath
+from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.core import CalibrationError, Float64, RecordingError, counted
+from fieldgrid.core import Float64, RecordingError, counted
 from fieldgrid.geometry import Motion
-from fieldgrid.perception import is_rotation
-from fieldgrid.recordings.calibration.calibrated import Calibration, raw_pair
-from fieldgrid.recordings.calibration.kalibr import pinhole
+from fieldgrid.recordings.calibration.euroc import body_pose, read_euroc
 from fieldgrid.recordings.calibration.mounting import MOUNTING, Mounting
-from fieldgrid.recordings.calibration.yaml_text import load_yaml, matrix
-from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_frames, with_motion
-from fieldgrid.recordings.files import is_inside, parse_time_ns, read_table
+from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_motion
+from fieldgrid.recordings.files import read_table
 from fieldgrid.recordings.format import Format
-from fieldgrid.recordings.frames.frame_table import MAX_FRAMES
+from fieldgrid.recordings.frames.frame_table import MAX_FRAMES, FrameLayout, shot_of_row
 from fieldgrid.recordings.frames.image_format import image_format
-from fieldgrid.recordings.options import NO_MOUNTING, DriveOptions, together
+from fieldgrid.recordings.frames.images import SUFFIXES
+from fieldgrid.recordings.options import DriveOptions, mounted
 from fieldgrid.recordings.readers.settings_file import SETTINGS, read_settings
 from fieldgrid.recordings.stored import PairKind, Shot, StoredFrames, checked_shots
 from fieldgrid.recordings.tables.logs import find_log, with_log
@@ -31,7 +26,7 @@ _LOOKS_FOR = "mav0 with cam0 and cam1"
 _TOP = "mav0"
 _LEFT, _RIGHT, _IMU = "cam0", "cam1", "imu0"
 _DATA, _SENSOR = "data.csv", "sensor.yaml"
-_MAX_AWAY_M = 100.0
+_ROWS = FrameLayout(("file",), ("data",), SUFFIXES, "image")
 
 
 def mounting_path(path: Path) -> Path:
@@ -63,36 +58,23 @@ def open_euroc(path: Path, options: DriveOptions) -> Drive:
         options,
     )
 
-    def make(drive: Drive) -> Recording:
-        def mounted(mounting: Mounting) -> Recording:
-            calibration = _calibration(mav)
-            camera = calibration.camera
-            shots, frame_notes = _shots(folder, mav, options.incomplete)
-            stored, image_notes = image_format(folder, shots, settings)
-            size_px = (camera.width_px, camera.height_px)
-            return as_recording(
-                with_motion(drive, *_turning(mav, mounting, calibration.R_rect_left)),
-                mounting.rig(camera, options.offset_or(settings.image_time_offset_ns)),
-                StoredFrames(folder, shots, PairKind(size_px, calibration.rectifier, stored)),
-                frame_notes + image_notes,
-                is_mounted=mounting is not NO_MOUNTING,
-            )
+    def make(mounting: Mounting) -> Recording:
+        calibration = read_euroc(*sensors).calibration(None)
+        camera = calibration.camera
+        shots, frame_notes = _shots(folder, mav, options.incomplete)
+        stored, image_notes = image_format(folder, shots, settings)
+        size_px = (camera.width_px, camera.height_px)
+        R_rect_body = calibration.R_rect_left @ body_pose(sensors[0])[:3, :3].T
+        return as_recording(
+            with_motion(drive, *_turning(mav / _IMU, mounting.mount.rotation() @ R_rect_body)),
+            mounting.rig(camera, options.offset_or(settings.image_time_offset_ns)),
+            StoredFrames(folder, shots, PairKind(size_px, calibration.rectifier, stored)),
+            frame_notes + image_notes,
+        )
 
-        usual = mounting_path(path)
-        return together(lambda: options.find_mounting(usual, path), NO_MOUNTING, mounted)
-
-    return with_frames(drive, make)
-
-
-def _calibration(mav: Path) -> Calibration:
-    """The pair of cam0 and cam1, whose images are raw."""
     sensors = mav / _LEFT / _SENSOR, mav / _RIGHT / _SENSOR
-    left, right = (
-        pinhole(load_yaml(path), path, path.parent.name, "distortion_coefficients")
-        for path in sensors
-    )
-    T_body_left, T_body_right = (_pose(path) for path in sensors)
-    return raw_pair(mav, left, right, np.linalg.inv(T_body_right) @ T_body_left).calibration(None)
+    usual = mounting_path(path)
+    return mounted(drive, lambda: options.find_mounting(usual, path), make)
 
 
 def _mav(path: Path) -> Path | None:
@@ -144,53 +126,33 @@ def _images(camera: Path) -> dict[int, str]:
     """The names of the images of a camera by their times, UTC nanoseconds."""
     path = camera / _DATA
     images: dict[int, str] = {}
-    for number, row in read_table(path, (), named=lambda _: ["time_ns", "file"]):
-        name = row["file"]
-        if not is_inside(name) or len(PurePath(name).parts) != 1:
-            raise RecordingError(
-                f"{path}, line {number}: {name[:40]!r} is no name of a file in {camera.name}/data; "
-                "give rows of a time in nanoseconds and a file name."
-            )
-        try:
-            time_ns = parse_time_ns(row)
-        except ValueError as problem:
-            raise RecordingError(f"{path}, line {number}: {problem}; correct it.") from problem
+    for number, row in read_table(path, (), named=lambda _: ["frame_id", "file"]):
+        row["time_ns"] = row["frame_id"]
+        shot = shot_of_row(row, f"{path}, line {number}", _ROWS, str)
+        (name,) = shot.files
         if len(images) == MAX_FRAMES:
             raise RecordingError(
                 f"{path} lists more than {MAX_FRAMES} images; split the recording."
             )
-        if time_ns in images:
+        if shot.time_ns in images:
             raise RecordingError(
-                f"{path}, line {number}: {images[time_ns]} and {name} have the same time {time_ns} "
-                "ns; correct the time stamps."
+                f"{path}, line {number}: {images[shot.time_ns]} and {name} have the same time "
+                f"{shot.time_ns} ns; correct the time stamps."
             )
-        images[time_ns] = name
+        images[shot.time_ns] = name
     return images
 
 
-def _pose(path: Path) -> Float64:
-    """T_BS, once it is sure to be a rigid motion."""
-    T = matrix(load_yaml(path), "T_BS", (4, 4), path)
-    is_near = bool((np.abs(T[:3, 3]) < _MAX_AWAY_M).all())
-    if not (is_rotation(T[:3, :3]) and is_near and (T[3] == (0, 0, 0, 1)).all()):
-        raise CalibrationError(f"{path}: T_BS is no rigid transformation; restore the file.")
-    return T
-
-
-def _turning(mav: Path, mounting: Mounting, R_rect_left: Float64) -> tuple[Motion, tuple[str, ...]]:
-    """The IMU in the vehicle's axes, as the cameras give them, and the clockwise rate about its
-    vertical."""
-    path = mav / _IMU / _DATA
-    if not path.is_file():
+def _turning(imu: Path, R_vehicle_body: Float64) -> tuple[Motion, tuple[str, ...]]:
+    """The IMU in the vehicle's axes, as the cameras give them."""
+    if not (imu / _DATA).is_file():
         return Motion(), ()
-    R_body_imu = (
-        _pose(mav / _IMU / _SENSOR)[:3, :3] if (mav / _IMU / _SENSOR).is_file() else np.eye(3)
-    )
-    R_rect_body = R_rect_left @ _pose(mav / _LEFT / _SENSOR)[:3, :3].T
-    # Far below what can be calibrated; axes that are meant to be parallel are so to the bit.
-    R_vehicle_imu = np.round(mounting.mount.rotation() @ R_rect_body @ R_body_imu, 9)
+    sensor = imu / _SENSOR
+    R_body_imu = body_pose(sensor)[:3, :3] if sensor.is_file() else np.eye(3)
     notes: list[str] = []
-    return read_imu([path], R_vehicle_imu, notes, guessed=[]), tuple(notes)
+    # Far below what can be calibrated; axes that are meant to be parallel are so to the bit.
+    R_vehicle_imu = np.round(R_vehicle_body @ R_body_imu, 9)
+    return read_imu([imu / _DATA], R_vehicle_imu, notes, guessed=[]), tuple(notes)
 
 
 FORMAT = Format(

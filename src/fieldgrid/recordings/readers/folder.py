@@ -8,10 +8,10 @@ from pathlib import Path
 from fieldgrid.core import NoFramesError
 from fieldgrid.recordings.calibration.loading import read_calibration
 from fieldgrid.recordings.calibration.mounting import MOUNTING, Mounting, read_mounting
-from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_frames, with_motion
+from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_motion
 from fieldgrid.recordings.format import Format
 from fieldgrid.recordings.frames.frame_table import TABLE
-from fieldgrid.recordings.options import NO_MOUNTING, DriveOptions, together
+from fieldgrid.recordings.options import DriveOptions, mounted
 from fieldgrid.recordings.readers.sensors import CALIBRATION, has_frames, read_seen
 from fieldgrid.recordings.readers.settings_file import SETTINGS, read_session_datum, read_settings
 from fieldgrid.recordings.stored import StoredFrames
@@ -49,23 +49,15 @@ def open_folder(path: Path, options: DriveOptions) -> Drive:
     if not ((path / TABLE).is_file() or has_frames(path) or settings.frames is not None):
         return _without_frames(path, options, drive)
 
-    def make(drive: Drive) -> Recording:
+    def make(mounting: Mounting) -> Recording:
         offset_ns = options.offset_or(settings.image_time_offset_ns)
+        seen = read_seen(path, settings, mounting, offset_ns, incomplete=options.incomplete)
+        frames = StoredFrames(path, seen.shots, seen.kind)
+        moving = with_motion(drive, *read_motion(path, mounting.imu_axes))
+        return as_recording(moving, seen.rig, frames, seen.notes)
 
-        def mounted(mounting: Mounting) -> Recording:
-            seen = read_seen(path, settings, mounting, offset_ns, incomplete=options.incomplete)
-            return as_recording(
-                with_motion(drive, *read_motion(path, mounting.imu_axes)),
-                seen.rig,
-                StoredFrames(path, seen.shots, seen.kind),
-                seen.notes,
-                is_mounted=mounting is not NO_MOUNTING,
-            )
-
-        usual = folder_mounting_path(path)
-        return together(lambda: options.find_mounting(usual, path), NO_MOUNTING, mounted)
-
-    found = with_frames(drive, make)
+    usual = folder_mounting_path(path)
+    found = mounted(drive, lambda: options.find_mounting(usual, path), make)
     return found if found.refusal is None else with_motion(found, *read_motion(path))
 
 

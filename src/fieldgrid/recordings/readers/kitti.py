@@ -9,20 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from fieldgrid.core import Int64, RecordingError
+from fieldgrid.recordings.calibration.kitti import (
+    HEIGHT_NOTE,
+    floats,
+    read_kitti_rig,
+)
 from fieldgrid.recordings.calibration.mounting import MOUNTING
 from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_frames
 from fieldgrid.recordings.files import read_lines, read_text
 from fieldgrid.recordings.format import Format
 from fieldgrid.recordings.options import DriveOptions
-from fieldgrid.recordings.readers.kitti_calibration import (
-    HEIGHT_NOTE,
-    floats,
-    image_folders,
-    paired_shots,
-    read_kitti_rig,
-)
 from fieldgrid.recordings.readers.oxts import FIELDS, oxts_fixes, oxts_motion
-from fieldgrid.recordings.stored import PairKind, StoredFrames
+from fieldgrid.recordings.stored import PairKind, StoredFrames, image_folders, paired_shots
 from fieldgrid.recordings.tables.fix_log import FixLog
 from fieldgrid.recordings.tables.times import TimeScale, UnreadableTimeError, to_utc_ns
 

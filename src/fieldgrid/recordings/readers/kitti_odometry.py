@@ -5,39 +5,32 @@ It has no GNSS. Its poses can stand in for one, once it is said where and when t
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from fieldgrid.core import Float64, LackingError, Quality, RecordingError
-from fieldgrid.geometry import Datum, FixColumns, LeverArm, Mount, StereoCamera, wrap_deg
+from fieldgrid.core import LackingError, RecordingError
+from fieldgrid.geometry import LeverArm, Mount
 from fieldgrid.perception import camera_from_projections
-from fieldgrid.recordings.calibration.mounting import MOUNTING, Mounting, missing_mounting
-from fieldgrid.recordings.drive import Drive, Recording, as_recording, no_fixes, with_frames
-from fieldgrid.recordings.files import read_text
-from fieldgrid.recordings.format import Format
-from fieldgrid.recordings.frames.images import ImageFile
-from fieldgrid.recordings.options import NO_MOUNTING, DriveOptions, together
-from fieldgrid.recordings.poses.pose_files import BodyPoses, read_pose_file
-from fieldgrid.recordings.readers.kitti_calibration import (
+from fieldgrid.recordings.calibration.kitti import (
     CAMERA_HEIGHT_M,
     HEIGHT_NOTE,
     floats,
-    image_folders,
     numbers,
-    paired_shots,
     read_entries,
 )
-from fieldgrid.recordings.readers.settings_file import SETTINGS, RecordingSettings, read_settings
-from fieldgrid.recordings.stored import PairKind, StoredFrames
-from fieldgrid.recordings.tables.fix_log import FixLog
+from fieldgrid.recordings.calibration.mounting import MOUNTING, Mounting, missing_mounting
+from fieldgrid.recordings.drive import Drive, Recording, as_recording, no_fixes
+from fieldgrid.recordings.files import read_text
+from fieldgrid.recordings.format import Format
+from fieldgrid.recordings.frames.images import ImageFile
+from fieldgrid.recordings.options import DriveOptions, mounted
+from fieldgrid.recordings.readers.kitti_poses import find_poses, first_camera, with_own_poses
+from fieldgrid.recordings.readers.settings_file import SETTINGS, read_settings
+from fieldgrid.recordings.stored import PairKind, StoredFrames, image_folders, paired_shots
 from fieldgrid.recordings.tables.logs import find_log, with_log
 
-_CALIBRATION, _TIMES, _POSES = "calib.txt", "times.txt", "poses.txt"
+_CALIBRATION, _TIMES = "calib.txt", "times.txt"
 _SIDES = (("image_0", "image_1"), ("image_2", "image_3"))
-_SIGMA_M, _SIGMA_DEG = 0.1, 0.2  # what KITTI says of its RTK and INS, roughly
 
 
 def recognises(path: Path) -> bool:
@@ -50,7 +43,7 @@ def open_sequence(path: Path, options: DriveOptions) -> Drive:
     """The sequence at a path: fixes of a log that is given, else of its own poses."""
     options.refuse_of_bags(path)
     settings = read_settings(path / SETTINGS)
-    log_path, poses_path = find_log(path, options.gnss), _find_poses(path)
+    log_path, poses_path = find_log(path, options.gnss), find_poses(path)
     usual = path / MOUNTING
     is_mounted = options.mounting is not None or usual.exists()
     if settings.start is None:
@@ -89,7 +82,7 @@ def open_sequence(path: Path, options: DriveOptions) -> Drive:
         drive = with_log(drive, path, log_path, settings, options)
     else:
         options.refuse("The poses of a KITTI sequence are no table", "columns")
-        drive = _with_own_poses(drive, poses_path, times_ns, settings, find_mounting().mount)
+        drive = with_own_poses(drive, poses_path, times_ns, settings, find_mounting().mount)
 
     def make(mounting: Mounting) -> Recording:
         sides = image_folders(path, _SIDES)
@@ -102,78 +95,13 @@ def open_sequence(path: Path, options: DriveOptions) -> Drive:
         camera = camera_from_projections(P_left, P_right, size_px, str(file))
         rig = mounting.rig(camera, options.offset_or(settings.image_time_offset_ns))
         if log_path is None:
-            antenna = _first_camera(P_left, camera, mounting.mount)
+            antenna = first_camera(P_left, camera, mounting.mount)
             rig = replace(rig, antenna=antenna, heading_offset_deg=0.0)
         notes = () if log_path is not None or is_mounted else (HEIGHT_NOTE,)
         frames = StoredFrames(path, shots, PairKind(size_px))
-        return as_recording(drive, rig, frames, notes, is_mounted=mounting is not NO_MOUNTING)
+        return as_recording(drive, rig, frames, notes)
 
-    return with_frames(drive, lambda _: together(find_mounting, NO_MOUNTING, make))
-
-
-def _find_poses(path: Path) -> Path | None:
-    """The poses in the sequence, or where KITTI unpacks them."""
-    name = path.resolve().name
-    places = (path / _POSES, path.resolve().parent.parent / "poses" / f"{name}.txt")
-    return next((p for p in places if p.is_file()), None)
-
-
-def _with_own_poses(
-    drive: Drive, file: Path | None, times_ns: list[int], settings: RecordingSettings, mount: Mount
-) -> Drive:
-    """The drive with the fixes that its poses come to; or a note on what is missing for them."""
-    if file is None:
-        return replace(drive, notes=(f"No GNSS: neither a log nor {_POSES}; give --gnss FILE.",))
-    if settings.datum is None:
-        missing = f"No GNSS: for {file.name} to stand in for it, add [datum] to {SETTINGS}."
-        return replace(drive, notes=(missing,))
-    poses = read_pose_file(file)
-    if poses.time_ns is not None or len(poses.R) != len(times_ns):
-        raise RecordingError(
-            f"{file} has {len(poses.R)} poses, not one of KITTI for each of {len(times_ns)} times; "
-            "restore it."
-        )
-    start_deg = None if settings.start is None else settings.start.heading_deg
-    log = FixLog(_fixes(poses, times_ns, settings.datum, start_deg or 0.0, mount))
-    notes = [
-        f"The fixes are the poses of {file.name}, taken as good to {_SIGMA_M} m and {_SIGMA_DEG}°."
-    ]
-    if start_deg is None:
-        notes.append("Nothing says where the vehicle heads at first; that is taken as north.")
-    source = drive.path / _POSES
-    return replace(drive, log=log, gnss_source=_POSES, gnss_path=source, notes=tuple(notes))
-
-
-def _first_camera(left_projection: Float64, camera: StereoCamera, mount: Mount) -> LeverArm:
-    """The optical centre of camera 0, of which the poses are."""
-    left_from_first_m = -float(left_projection[0, 3]) / camera.focal_px
-    aside_m = np.array([-left_from_first_m - camera.baseline_m / 2.0, 0.0, 0.0])
-    right, forward, up = (mount.rotation() @ aside_m).tolist()
-    return LeverArm(right, forward, mount.height_m + up)
-
-
-def _fixes(
-    poses: BodyPoses, times_ns: list[int], datum: Datum, start_deg: float, mount: Mount
-) -> FixColumns:
-    """The fixes of camera 0 and the headings of the nose, the vehicle being level at first."""
-    R_vehicle_camera = mount.rotation()
-    right_m, forward_m, up_m = R_vehicle_camera @ poses.position_m.T
-    noses = R_vehicle_camera @ poses.R @ R_vehicle_camera.T
-    headings = wrap_deg(start_deg + np.degrees(np.arctan2(noses[:, 0, 1], noses[:, 1, 1])))
-    cos, sin = math.cos(math.radians(start_deg)), math.sin(math.radians(start_deg))
-    lat, lon, height = datum.to_geodetic(
-        right_m * cos + forward_m * sin, forward_m * cos - right_m * sin, mount.height_m + up_m
-    )
-    return FixColumns.of(
-        times_ns,
-        lat_deg=lat,
-        lon_deg=lon,
-        height_m=height,
-        quality=Quality.RTK_FIXED,
-        sigma_m=_SIGMA_M,
-        heading_deg=headings,
-        heading_sigma_deg=_SIGMA_DEG,
-    )
+    return mounted(drive, find_mounting, make)
 
 
 FORMAT = Format(

@@ -12,6 +12,7 @@ from fieldgrid.core import CalibrationError, Float64
 from fieldgrid.geometry import LeverArm, Mount, Rig, Sensor
 from fieldgrid.recordings.bag.sensors.clouds import R_OPTICAL_FLU
 from fieldgrid.recordings.bag.transforms import FrameTransform, Transforms
+from fieldgrid.recordings.calibration.kitti import mount_angles_deg
 from fieldgrid.recordings.calibration.mounting import (
     MOUNTING,
     Mounting,
@@ -19,7 +20,6 @@ from fieldgrid.recordings.calibration.mounting import (
     missing_mounting,
 )
 from fieldgrid.recordings.options import NO_MOUNTING, DriveOptions
-from fieldgrid.recordings.readers.kitti_calibration import mount_angles_deg
 from fieldgrid.recordings.ros.gnss_messages import RIG
 from fieldgrid.recordings.tables.motion_files import directions
 

@@ -1,4 +1,4 @@
-"""What KITTI's layouts share: calibration files, and two folders of images with the same names.
+"""KITTI's calibration files: three transformations and the rectified cameras to a rig.
 
 Their frames are the IMU (x forward, y left, z up), the lidar, and camera 0 before and after
 rectification (x right, y down, z forward).
@@ -7,7 +7,6 @@ rectification (x right, y down, z forward).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,6 @@ from fieldgrid.core import CalibrationError, Float64, RecordingError
 from fieldgrid.geometry import LeverArm, Mount, Rig
 from fieldgrid.perception import camera_from_projections
 from fieldgrid.recordings.files import read_text
-from fieldgrid.recordings.frames.images import SUFFIXES
-from fieldgrid.recordings.stored import Shot, checked_shots
 from fieldgrid.recordings.tables.motion_files import R_VEHICLE_FLU
 
 CAMERA_HEIGHT_M = 1.65
@@ -114,34 +111,3 @@ def floats(text: str, path: Path) -> list[float]:
         return [float(word) for word in text.split()]
     except ValueError as problem:
         raise RecordingError(f"{path} is damaged: {problem}; copy it again.") from problem
-
-
-def image_folders(path: Path, sides: Iterable[tuple[str, str]]) -> tuple[str, str] | None:
-    """The first of some pairs of folders that are both there."""
-    return next((pair for pair in sides if all((path / name).is_dir() for name in pair)), None)
-
-
-def paired_shots(
-    path: Path, folders: tuple[str, str], times_ns: Sequence[int], *, incomplete: bool = False
-) -> tuple[Shot, ...]:
-    """A frame for each time, of images that have the same names in both folders."""
-    left, right = (
-        {file.name for file in (path / name).iterdir() if file.suffix.lower() in SUFFIXES}
-        for name in folders
-    )
-    alone = sorted(left ^ right)
-    if alone and not incomplete:
-        raise RecordingError(
-            f"{path}: {folders[0]} and {folders[1]} do not hold the same files, {alone[0]} is only "
-            "in one; unpack the drive again."
-        )
-    names = sorted(left | right)
-    if len(names) != len(times_ns):
-        raise RecordingError(
-            f"{path} has {len(times_ns)} times for {len(names)} images; unpack the drive again."
-        )
-    shots = [
-        Shot(time_ns, Path(name).stem, (f"{folders[0]}/{name}", f"{folders[1]}/{name}"))
-        for time_ns, name in zip(times_ns, names, strict=True)
-    ]
-    return checked_shots(shots, path, incomplete=incomplete)
