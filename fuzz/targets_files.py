@@ -18,9 +18,11 @@ from fieldgrid.field import read_survey, read_vehicle
 from fieldgrid.geometry import Datum, read_shapes
 from fieldgrid.maps import marks_of_geojson
 from fieldgrid.recordings import CloudFile, read_gear_spans, read_mounting
+from fieldgrid.recordings.calibration.depthai import read_depthai
 from fieldgrid.recordings.calibration.kalibr import read_kalibr
 from fieldgrid.recordings.calibration.opencv import read_opencv
 from fieldgrid.recordings.calibration.ros import read_ros_camera
+from fieldgrid.recordings.calibration.zed import read_zed
 from fieldgrid.recordings.frames.depth_files import decode_depth_image
 from fieldgrid.recordings.frames.image_header import read_header
 from fieldgrid.recordings.frames.images import decode_image
@@ -40,6 +42,33 @@ _KALIBR = (
     b"  distortion_coeffs: [0.1, -0.02, 0.001, 0.0]\n  resolution: [640, 480]\n"
     b"  T_cn_cnm1: [[1, 0, 0, -0.12], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n"
 )
+_CAMERA_VGA = b"fx=340\nfy=340\ncx=336\ncy=188\nk1=-0.17\nk2=0.02\np1=0\np2=0\nk3=0\n"
+_ZED = (
+    b"[LEFT_CAM_VGA]\n" + _CAMERA_VGA + b"[RIGHT_CAM_VGA]\n" + _CAMERA_VGA
+    + b"[STEREO]\nBaseline=120\nTY=0.1\nTZ=-0.2\nRX_VGA=0.001\nCV_VGA=0.002\nRZ_VGA=0\n"
+)  # fmt: skip
+_DEPTHAI = json.dumps(
+    {
+        "cameraData": [
+            [
+                socket,
+                {
+                    "cameraType": 0,
+                    "distortionCoeff": [0.1, -0.2, *[0.0] * 12],
+                    "extrinsics": {
+                        "rotationMatrix": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+                        "toCameraSocket": 2 if socket == 1 else -1,
+                        "translation": {"x": -7.5, "y": 0.0, "z": 0.0},
+                    },
+                    "height": 800,
+                    "width": 1280,
+                    "intrinsicMatrix": [[800.0, 0.0, 640.0], [0.0, 800.0, 400.0], [0.0, 0.0, 1.0]],
+                },
+            ]
+            for socket in (1, 2)
+        ]
+    }
+).encode()
 _EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "two_lanes" / "calibration"
 _OPENCV = (_EXAMPLE / "stereo_opencv.yaml").read_bytes()
 _CAMERA = (
@@ -269,6 +298,10 @@ TARGETS = [
            _seeded(_KALIBR)),
     Target("opencv", _of_file("a.yaml", lambda path: read_opencv(path).calibration(None)),
            _seeded(_OPENCV)),
+    Target("zed", _of_file("SN1.conf", lambda path: read_zed(path, (672, 376)).calibration(False)),
+           _seeded(_ZED)),
+    Target("depthai", _of_file("a.json", lambda path: read_depthai(path, None).calibration(False)),
+           _seeded(_DEPTHAI)),
     Target("camera info", _of_file("a.yaml", read_ros_camera), _seeded(_CAMERA)),
     Target("survey", _of_file("s.csv", lambda p: read_survey(p, _DATUM)), _seeded(*_SURVEY)),
     Target("survey as GeoJSON", _of_file("s.geojson", lambda p: read_survey(p, _DATUM)),

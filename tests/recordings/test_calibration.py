@@ -525,8 +525,8 @@ def broken(**changes: Any) -> str:
         ("SN1.conf", zed(Baseline="twelve"), r"lacks \[STEREO\] with the numbers BASELINE"),
         ("SN1.conf", zed(Baseline=-120.0), "swap left and right"),
         ("SN1.conf", "", r"lacks \[LEFT_CAM_VGA\] with the numbers FX FY CX CY"),
-        ("oak.json", "[]", "is no calibration of an OAK camera"),
-        ("oak.json", "{", "is no calibration of an OAK camera"),
+        ("oak.json", '["cameraData"]', "is no calibration of an OAK camera"),
+        ("oak.json", '{"cameraData"', "is no calibration of an OAK camera"),
         ("oak.json", '{"cameraData": [[1]]}', "is no calibration of an OAK camera"),
         ("oak.json", broken(intrinsicMatrix=[]), "lacks intrinsicMatrix as a matrix of 3 x 3"),
         ("oak.json", broken(width=0), "is no calibration of an OAK camera"),
@@ -540,6 +540,16 @@ def test_a_calibration_of_a_camera_that_cannot_be(
 ) -> None:
     (folder / name).write_text(text)
     fails(folder, rf"{re.escape(name)}.*{message}", False, size=VGA)
+
+
+def test_other_files_beside_are_no_calibration(folder: Path) -> None:
+    (folder / "notes.json").write_text("{}")
+    fails(folder, "neither stereo_opencv.yaml nor .*; put the calibration of the pair there")
+    for name in ("a.json", "b.json"):
+        (folder / name).write_text(json.dumps(depthai()))
+    fails(folder, r"several calibrations of one kind: a\.json, b\.json; name one", False)
+    found = read_calibration(folder, "b.json", False)
+    assert found.notes == ("The images are raw, and rectified by b.json.",)
 
 
 def test_a_zed_must_be_of_a_known_size(folder: Path) -> None:

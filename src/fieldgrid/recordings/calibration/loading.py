@@ -9,11 +9,11 @@ from fieldgrid.geometry import SAME
 from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Calibration
 from fieldgrid.recordings.calibration.depthai import read_depthai
 from fieldgrid.recordings.calibration.kalibr import read_kalibr
-from fieldgrid.recordings.calibration.mounting import MOUNTING
 from fieldgrid.recordings.calibration.opencv import read_opencv
 from fieldgrid.recordings.calibration.ros import read_ros
 from fieldgrid.recordings.calibration.yaml_text import load_yaml
 from fieldgrid.recordings.calibration.zed import read_zed
+from fieldgrid.recordings.files import read_text
 
 _OPENCV = "stereo_opencv.yaml"
 _ROS_LEFT, _ROS_RIGHT = "stereo_left_camera_info.yaml", "stereo_right_camera_info.yaml"
@@ -54,9 +54,7 @@ def read_calibration(
 def _other(folder: Path) -> Path:
     """The one file of another kind."""
     for pattern in _OTHERS:
-        present = sorted(path for path in folder.glob(pattern) if path.name != MOUNTING)
-        if pattern == "left.yaml" and not (folder / "right.yaml").exists():
-            continue
+        present = [path for path in sorted(folder.glob(pattern)) if _may_be_one(path)]
         if len(present) > 1:
             names = ", ".join(path.name for path in present)
             raise CalibrationError(
@@ -76,6 +74,13 @@ def _other(folder: Path) -> Path:
         f"{folder} has neither {_OPENCV} nor {_ROS_LEFT} with {_ROS_RIGHT} nor *camchain*.yaml "
         f"nor the camera's own SN*.conf or JSON{named}"
     )
+
+
+def _may_be_one(path: Path) -> bool:
+    """Whether a file is not of something else, which may have such a name, too."""
+    if path.suffix == ".json":
+        return '"cameraData"' in read_text(path, error=CalibrationError)
+    return path.name != "left.yaml" or path.with_name("right.yaml").exists()
 
 
 def _pair(path: Path, rectified: bool | None, size_px: tuple[int, int] | None) -> CalibratedPair:
