@@ -83,13 +83,12 @@ class DriveOptions:
                     f"{quoted(role)} is nothing that a topic can be; known are {', '.join(ROLES)}."
                 )
         for offset_ns, what, goal in (
-            (self.image_time_offset_ns, "image", "GNSS time"),
-            (self.gnss_offset_ns, "GNSS", "the time of images, gyro and wheels"),
+            (self.image_time_offset_ns, "An image", "GNSS time"),
+            (self.gnss_offset_ns, "A GNSS", "the time of images, gyro and wheels"),
         ):
             if offset_ns is not None and abs(offset_ns) > MAX_GIVEN_OFFSET_S * 1_000_000_000:
-                article = "An" if what == "image" else "A"
                 raise ConfigError(
-                    f"{article} {what} time offset of {offset_ns / 1e9} s is beyond 40 years; give "
+                    f"{what} time offset of {offset_ns / 1e9} s is beyond 40 years; give "
                     f"the seconds that a time of it must be moved by to be {goal}."
                 )
 

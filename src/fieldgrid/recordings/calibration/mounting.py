@@ -36,10 +36,6 @@ _METRES, _DEGREES = "measure it and give a number in metres", "measure it and gi
 _POINT = "give [forward, left, up] in metres"
 
 
-def _axes(value: object) -> str:
-    return check_axes(str(value))
-
-
 _Point = Annotated[list[Number], Field(min_length=3, max_length=3)]
 
 
@@ -59,7 +55,7 @@ class _File(EntryTable):
     heading_convention: HeadingConvention = entry(
         f"give one of {', '.join(get_args(HeadingConvention))}", "cw_north"
     )
-    imu_axes: Annotated[str, BeforeValidator(_axes)] = entry(
+    imu_axes: Annotated[str, BeforeValidator(lambda value: check_axes(str(value)))] = entry(
         "give where x, y and z of the IMU point, like flu", AXES
     )
 
@@ -121,7 +117,7 @@ def read_mounting(path: Path) -> Mounting:
     and yaw are 0 when absent; height, tilt and antenna have no usual value and must be there.
     A key that is neither known nor one of the remarks is an error: it may be a misspelt one.
     """
-    said = _said(path, _load(path))
+    _, said = _read(path)
     height_m = said.camera_height_above_ground_m
     forward, left, up = said.gnss_antenna_from_camera_mid_flu_m
     axle = said.camera_mid_from_rear_axle_ground_flu_m
@@ -148,10 +144,7 @@ def write_mounting(path: Path, mounting: Mounting) -> None:
     A file that is there keeps its remarks, and is replaced at once or not at all. Raises
     CalibrationError when it is no mounting, MapWriteError when the disk does not take it.
     """
-    document: dict[str, Any] = {}
-    if path.exists():
-        document = _load(path)
-        _said(path, document)
+    document = _read(path)[0] if path.exists() else {}
     mount, antenna, axle_m = mounting.mount, mounting.antenna, mounting.rear_axle_forward_m
     # Rounded to micrometres: the height was added when it was read.
     up_m = round(antenna.up_m - mount.height_m, 6)
@@ -181,7 +174,8 @@ def write_mounting(path: Path, mounting: Mounting) -> None:
         draft.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def _load(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> tuple[dict[str, Any], _File]:
+    """All that a file holds, remarks included, and what it says."""
     text = read_text(path, MAX_BYTES, CalibrationError)
     try:
         document = parse_json(text)
@@ -190,14 +184,9 @@ def _load(path: Path) -> dict[str, Any]:
     if not isinstance(document, dict):
         first = next(iter(_File.model_fields))
         raise CalibrationError(f"{path} does not hold a JSON object with {first}; add one.")
-    return document
-
-
-def _said(path: Path, document: dict[str, Any]) -> _File:
     try:
-        return fitted(_File, {key: v for key, v in document.items() if key not in _REMARKS})
+        return document, fitted(_File, {k: v for k, v in document.items() if k not in _REMARKS})
     except MisfitError as problem:
-        remarks = ""
-        if "is not a setting" in str(problem):
-            remarks = f" For remarks there are {', '.join(_REMARKS)}."
+        unknown = "is not a setting" in str(problem)
+        remarks = f" For remarks there are {', '.join(_REMARKS)}." if unknown else ""
         raise CalibrationError(f"{path}{problem}{remarks}") from problem
