@@ -396,8 +396,8 @@ def zed(resolution: str = "VGA", **stereo: Any) -> str:
     turn = np.array([0.01, -0.014, 0.007])
     entries = {
         "Baseline": 1000 * -T[0],
-        "TY": 1000 * -T[1],
-        "TZ": 1000 * -T[2],
+        "TY": 1000 * T[1],
+        "TZ": 1000 * T[2],
         **{f"RX_{resolution}": turn[0], f"CV_{resolution}": turn[1], f"RZ_{resolution}": turn[2]},
         **stereo,
     }
@@ -484,18 +484,21 @@ def test_the_calibration_that_a_camera_holds(name: str, folder: Path) -> None:
     fails(folder, "recording.toml says rectified = true; give P1 and P2", True, size=VGA)
 
 
-def test_the_turn_of_a_zed_is_that_of_its_makers_own_reader(folder: Path) -> None:
-    """Which hands Baseline, TY and TZ to stereoRectify as they are."""
-    (folder / "SN1.conf").write_text(zed())
-    aside = np.array([[0, 0, 170], [0, 0, 70], [0, 0, 0]])
-    found_by_zed = cv2.stereoRectify(
-        *(K1 + aside, np.array(D1), K2 + aside, np.array(D2), VGA, R, -T[:, None]),
-        flags=cv2.CALIB_ZERO_DISPARITY,
-        alpha=0,
-    )
+def test_the_lenses_of_a_newer_zed_have_sections_of_their_own(folder: Path) -> None:
+    lens = {"k1": 0.1, "k2": -0.05, "p1": 0.001, "p2": 0.0005, "k3": 0.01, "k4": 0.2, "k5": -0.03}
+    lines = [f"{key} = {value}" for key, value in {**lens, "k6": 0.005}.items()]
+    sections = ["", "[LEFT_DISTO]", *lines, "[RIGHT_DISTO]", *lines]
+    (folder / "SN1.conf").write_text(zed() + "\n".join(sections))
     found = read_calibration(folder, None, False, VGA)
-    assert np.abs(found.R_rect_left - found_by_zed[0]).max() < 1e-9
-    assert found.camera.focal_px == pytest.approx(found_by_zed[2][0, 0])
+    (folder / "SN1.conf").unlink()
+    D = [*lens.values(), 0.005]
+    aside = np.array([[0, 0, 170], [0, 0, 70], [0, 0, 0]])
+    text = opencv(K1=K1 + aside, K2=K2 + aside, D1=D, D2=D)
+    text = text.replace(f"{SIZE[0]}", f"{VGA[0]}", 1).replace(f"{SIZE[1]}", f"{VGA[1]}", 1)
+    (folder / "stereo_opencv.yaml").write_text(text)
+    expected = read_calibration(folder)
+    assert found.camera.focal_px == pytest.approx(expected.camera.focal_px)
+    assert np.abs(found.R_rect_left - expected.R_rect_left).max() < 1e-9
 
 
 def test_images_of_an_oak_may_be_smaller_than_calibrated(folder: Path) -> None:

@@ -1,7 +1,9 @@
-"""The factory calibration of a ZED, `SN*.conf`: a section for each camera and resolution, and
-[STEREO] with where the right camera is, in millimetres.
+"""The factory calibration of a ZED, `SN*.conf`: a section for each camera and resolution, of newer
+ones the lenses in [LEFT_DISTO] and [RIGHT_DISTO], and [STEREO] with how the cameras stand to each
+other, in millimetres.
 
-After `examples/include/calibration.hpp` of github.com/stereolabs/zed-open-capture.
+After what reads it, `examples/include/calibration.hpp` of github.com/stereolabs/zed-open-capture,
+and what writes it, `stereo_calibration` of github.com/stereolabs/zedx-one-capture.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from fieldgrid.recordings.files import read_text
 _MAX_BYTES = 1 << 20
 _NAMES = {
     **{(2208, 1242): "2K", (1920, 1080): "FHD", (1280, 720): "HD", (672, 376): "VGA"},
-    **{(1920, 1200): "FHD1200", (960, 600): "SVGA"},
+    **{(1920, 1200): "FHD1200", (960, 600): "SVGA", (3840, 2160): "4K", (3200, 1800): "QHDPLUS"},
 }
 """How sections call the (width, height) of an image."""
 
@@ -51,13 +53,16 @@ def read_zed(path: Path, size_px: tuple[int, int] | None) -> CalibratedPair:
             ) from None
 
     cameras = []
-    for side in ("LEFT_CAM", "RIGHT_CAM"):
-        fx, fy, cx, cy, *lens = numbers(f"{side}_{name}", "FX FY CX CY K1 K2 P1 P2 K3", K3="0")
+    for side in ("LEFT", "RIGHT"):
+        fx, fy, cx, cy = numbers(f"{side}_CAM_{name}", "FX FY CX CY")
+        if f"[{side}_DISTO] K1" in values:
+            lens = numbers(f"{side}_DISTO", "K1 K2 P1 P2 K3 K4 K5 K6")
+        else:
+            lens = numbers(f"{side}_CAM_{name}", "K1 K2 P1 P2 K3", K3="0")
         K = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
         cameras.append(Entries({"K": data(K), "D": data(lens)}, path, size_px))
     T = np.eye(4)
     T[:3, :3] = cv2.Rodrigues(numbers("STEREO", f"RX_{name} CV_{name} RZ_{name}"))[0]
-    # Where the right camera is, while T takes points to its frame. TY and TZ may be of a size.
-    aside = {f"{key}_{name}": values.get(f"[STEREO] {key}", "0") for key in ("TY", "TZ")}
-    T[:3, 3] = -numbers("STEREO", " ".join(("BASELINE", *aside)), **aside) / 1000.0
+    # The sign of the baseline alone is turned round, as the maker's calibration writes it.
+    T[:3, 3] = numbers("STEREO", "BASELINE TY TZ", TY="0", TZ="0") * (-1e-3, 1e-3, 1e-3)
     return raw_pair(path, cameras[0], cameras[1], T, is_factory=True)
