@@ -96,7 +96,9 @@ def open_sequence(path: Path, options: DriveOptions) -> Drive:
         rig = mounting.rig(camera, options.offset_or(settings.image_time_offset_ns))
         if log_path is None:
             antenna = first_camera(P_left, camera, mounting.mount)
-            rig = replace(rig, antenna=antenna, heading_offset_deg=0.0)
+            rig = replace(
+                rig, antenna=antenna, heading_offset_deg=0.0, heading_convention="cw_north"
+            )
         notes = () if log_path is not None or is_mounted else (HEIGHT_NOTE,)
         frames = StoredFrames(path, shots, PairKind(size_px))
         return as_recording(drive, rig, frames, notes)

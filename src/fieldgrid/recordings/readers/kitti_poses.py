@@ -30,11 +30,11 @@ def with_own_poses(
     drive: Drive, file: Path | None, times_ns: list[int], settings: RecordingSettings, mount: Mount
 ) -> Drive:
     """The drive with the fixes that its poses come to; or a note on what is missing for them."""
-    if file is None:
-        return replace(drive, notes=(f"No GNSS: neither a log nor {POSES}; give --gnss FILE.",))
-    if settings.datum is None:
-        missing = f"No GNSS: for {file.name} to stand in for it, add [datum] to {SETTINGS}."
-        return replace(drive, notes=(missing,))
+    if file is None or settings.datum is None:
+        missing = f"No GNSS: neither a log nor {POSES}; give --gnss FILE."
+        if file is not None:
+            missing = f"No GNSS: for {file.name} to stand in for it, add [datum] to {SETTINGS}."
+        return replace(drive, log=FixLog(FixColumns.of([]), (missing,)), notes=(missing,))
     poses = read_pose_file(file)
     if poses.time_ns is not None or len(poses.R) != len(times_ns):
         raise RecordingError(
@@ -42,14 +42,14 @@ def with_own_poses(
             "restore it."
         )
     start_deg = None if settings.start is None else settings.start.heading_deg
-    log = FixLog(_fixes(poses, times_ns, settings.datum, start_deg or 0.0, mount))
+    fixes = _fixes(poses, times_ns, settings.datum, start_deg or 0.0, mount)
     notes = [
         f"The fixes are the poses of {file.name}, taken as good to {_SIGMA_M} m and {_SIGMA_DEG}°."
     ]
     if start_deg is None:
         notes.append("Nothing says where the vehicle heads at first; that is taken as north.")
-    source = drive.path / POSES
-    return replace(drive, log=log, gnss_source=POSES, gnss_path=source, notes=tuple(notes))
+    log = FixLog(fixes, tuple(notes))
+    return replace(drive, log=log, gnss_source=POSES, gnss_path=file, notes=log.notes)
 
 
 def first_camera(left_projection: Float64, camera: StereoCamera, mount: Mount) -> LeverArm:
