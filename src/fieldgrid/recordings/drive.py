@@ -141,14 +141,12 @@ class Recording(Drive):
 
     def streams(self) -> Sequence[Stream]:
         """Everything that was recorded, also what is not used."""
-        if self.topics:
-            return self.topics
         times_ns = self.frame_times_ns()
         frames = [
             Stream(role, "cloud" if role == "cloud" else "image", role, len(times_ns), times_ns)
             for role in self.source.roles
         ]
-        return [*frames, *Drive.streams(self)]
+        return self.topics or [*frames, *Drive.streams(self)]
 
     def recording(self) -> Recording:
         """The drive itself."""

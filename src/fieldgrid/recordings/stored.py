@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -96,13 +97,11 @@ def checked_shots(
                 f"Frames {earlier.frame_id} and {later.frame_id} of {folder} have the same time "
                 f"{later.time_ns} ns; correct the time stamps."
             )
-    seen: set[str] = set()
-    for shot in ordered:
-        if shot.frame_id in seen:
-            raise RecordingError(
-                f"The frame_id {shot.frame_id!r} occurs twice in {folder}; give each frame its own."
-            )
-        seen.add(shot.frame_id)
+    ((frame_id, count),) = Counter(shot.frame_id for shot in ordered).most_common(1)
+    if count > 1:
+        raise RecordingError(
+            f"The frame_id {frame_id!r} occurs twice in {folder}; give each frame its own."
+        )
     if not incomplete:
         names = [name for shot in ordered for name in shot.files]
         missing, first = 0, None

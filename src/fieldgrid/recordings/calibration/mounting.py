@@ -78,13 +78,15 @@ class Mounting:
     def rig(self, sensor: Sensor, image_time_offset_ns: int = 0) -> Rig:
         """The rig with this sensor; CalibrationError when the two disagree in the baseline."""
         said_m = self.baseline_m
-        if isinstance(sensor, StereoCamera) and said_m is not None:
-            baseline_m = sensor.baseline_m
-            if abs(said_m - baseline_m) > 0.01 * baseline_m:
-                raise CalibrationError(
-                    f"{self.source}: {_BASELINE} is {said_m}, but the calibration says "
-                    f"{baseline_m:g} m; correct the one that is wrong."
-                )
+        if (
+            isinstance(sensor, StereoCamera)
+            and said_m is not None
+            and abs(said_m - sensor.baseline_m) > 0.01 * sensor.baseline_m
+        ):
+            raise CalibrationError(
+                f"{self.source}: {_BASELINE} is {said_m}, but the calibration says "
+                f"{sensor.baseline_m:g} m; correct the one that is wrong."
+            )
         return Rig(
             sensor,
             self.mount,

@@ -19,9 +19,7 @@ def read_opencv(path: Path, size_px: tuple[int, int] | None = None) -> Calibrate
     """The pair in a file, or in that of the lenses (`intrinsics.yml`) and `extrinsics.yml` beside
     it. `size_px` is the (width, height) of the images, where the file does not say it."""
     document = load_yaml(path)
-    for theirs, ours in (("M1", "K1"), ("M2", "K2")):
-        if theirs in document:
-            document.setdefault(ours, document[theirs])
+    lens = "M" if "M1" in document and "K1" not in document else "K"
     places = path.with_name(path.name.replace("intrinsics", "extrinsics"))
     # A file with P2 is whole; without it, what is missing is in the other one.
     apart = places != path and "R" not in document
@@ -33,7 +31,7 @@ def read_opencv(path: Path, size_px: tuple[int, int] | None = None) -> Calibrate
     if size_px is None or {"image_width", "image_height"} & document.keys():
         size_px = image_size(document, path)
     else:
-        middle_px = matrix(document, "K1", (3, 3), path)[:2, 2]
+        middle_px = matrix(document, f"{lens}1", (3, 3), path)[:2, 2]
         if (np.abs(middle_px / size_px - 0.5) > _MOST_ASIDE).any():
             raise CalibrationError(
                 f"{path} does not say the size of its images, and the middle of the lens, "
@@ -46,7 +44,9 @@ def read_opencv(path: Path, size_px: tuple[int, int] | None = None) -> Calibrate
             f"{size_px[0]} x {size_px[1]} px.",
         )
     left, right = (
-        Entries(document, path, size_px, {key: f"{key}{number}" for key in "KDRP"}, model)
-        for number in "12"
+        Entries(
+            document, path, size_px, {key: f"{key}{n}" for key in "DRP"} | {"K": lens + n}, model
+        )
+        for n in "12"
     )
     return CalibratedPair(path, left, right, Entries(document, path), notes=notes)
