@@ -82,8 +82,8 @@ def data(values: Any) -> dict[str, list[float]]:
 
 class CalibratedPair(NamedTuple):
     """What files say of a stereo pair, whichever their dialect: both cameras, and R and T from the
-    left to the right one (metres). `is_raw` tells a dialect that
-    describes raw images, `is_factory` one that does so whatever images the camera delivers."""
+    left to the right one (metres). `is_raw` tells a dialect that describes raw images, `is_factory`
+    one that does so whatever images the camera delivers."""
 
     path: Path
     left: Entries
