@@ -11,12 +11,7 @@ from fieldgrid.recordings.bag.content import BagIndex, as_drive, find_motion, re
 from fieldgrid.recordings.bag.readings import Readings
 from fieldgrid.recordings.bag.sensors.frame_sensor import are_corrected, find_lidar, sense
 from fieldgrid.recordings.bag.sensors.frames import BagFrames, CloudMaker
-from fieldgrid.recordings.bag.sensors.mounts import (
-    GROUND,
-    exactly,
-    find_mounting,
-    mounting_path,
-)
+from fieldgrid.recordings.bag.sensors.mounts import exactly, find_mounting, mounting_path
 from fieldgrid.recordings.bag.topics import short
 from fieldgrid.recordings.calibration.mounting import missing_mounting
 from fieldgrid.recordings.drive import (
@@ -61,7 +56,8 @@ def _recording(drive: Drive, content: BagIndex, options: DriveOptions) -> Record
     try:
         sensed = sense(content)
     except CalibrationError as problem:
-        if is_said or options.unmounted or exact is not None or content.transforms.has(GROUND):
+        may_be_told = any("TFMessage" in topic.type for topic in content.bag.topics.values())
+        if is_said or options.unmounted or exact is not None or may_be_told:
             raise
         raise LackingError(problem, missing_mounting(usual, content.path)) from problem
     if exact is not None and sensed.fits(exact.sensor):
