@@ -14,11 +14,14 @@ MAX_BYTES = 1 << 20
 _TOO_DEEP = "it is nested too deeply"
 
 # Comments and strings as TOML's grammar finds them, from the left; what stays are keys, numbers,
-# brackets.
+# brackets. What is open at the end is a string too, so that each sign is looked at once.
 _TEXTS = re.compile(
-    r"""#[^\n]*|\"{3}(?:\\.|[^\\])*?\"{3}|'{3}.*?'{3}|"(?:\\.|[^"\\\n])*"|'[^'\n]*'""", re.DOTALL
+    r"""#[^\n]*+"""
+    r"""|\"{3}(?:\\.|[^\\"]|"(?!""))*+"{0,5}|'{3}.*?(?:'{3,5}|\Z)"""
+    r"""|"(?:\\.|[^"\\\n])*+"?|'[^'\n]*+'?""",
+    re.DOTALL,
 )
-_LONG_KEY = re.compile(r"(?:[\w-]+[ \t]*\.[ \t]*){32}")
+_LONG_KEY = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){32}")
 
 
 def parse_toml(text: str, parse_float: Callable[[str], Any] = float) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import ValidationError
 
-from fieldgrid.core import BuildSettings, ConfigError, FieldgridError
+from fieldgrid.core import BuildSettings, ConfigError, FieldgridError, quoted, shortened
 from fieldgrid.geometry import GridSpec, Lidar, Pose, Rig, Status, Trajectory, wrap_deg
 from fieldgrid.maps import MapFile, Patience, SessionInfo, open_map
 from fieldgrid.perception import OriginTrack, Sweep
@@ -68,7 +68,7 @@ def repose_map(
             sessions = [session for session in sessions if session.name == name]
             if not sessions:
                 raise ConfigError(
-                    f"{path} has no active session {name!r}; fieldgrid sessions lists them."
+                    f"{path} has no active session {quoted(name)}; fieldgrid sessions lists them."
                 )
         return [_repose(universal, session, pose_settings or {}) for session in sessions]
 
@@ -156,7 +156,8 @@ def _settings(session: SessionInfo, pose_settings: Mapping[str, Any]) -> BuildSe
         first = error.errors()[0]
         raise ConfigError(
             f"Session {session.name!r} was built with settings that this version does not take: "
-            f"{'.'.join(str(part) for part in first['loc'])} = {first['input']!r}."
+            f"{'.'.join(str(part) for part in first['loc'])} = "
+            f"{shortened(repr(first['input']), 60)}."
         ) from error
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-from fieldgrid.core import ConfigError
+from fieldgrid.core import ConfigError, quoted
 from fieldgrid.geometry import wrap_deg
 
 
@@ -26,7 +26,7 @@ def heading_source(text: str) -> HeadingSource:
     match = re.fullmatch(r"constant:([-+]?\d+(?:\.\d+)?)", text)
     if not match or not -360.0 <= float(match[1]) <= 360.0:
         raise ConfigError(
-            f"Heading source {text!r} is none of smooth, course, recorded, constant:DEG "
+            f"Heading source {quoted(text)} is none of smooth, course, recorded, constant:DEG "
             "(degrees clockwise from north, as in constant:-100)."
         )
     return HeadingSource("constant", float(wrap_deg(float(match[1]))))

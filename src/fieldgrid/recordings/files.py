@@ -25,6 +25,7 @@ from fieldgrid.core import (
     UnfoldBudget,
     bounded_lines,
     check_rows,
+    quoted,
 )
 
 MAX_TEXT_BYTES = 256 << 20
@@ -42,7 +43,7 @@ _SECONDS = re.compile(r"(\d{1,12})(?:\.(\d+))?")
 def check_regular(path: Path, error: type[FieldgridError] = RecordingError) -> int:
     """The size in bytes of a regular file; a missing one, a folder or a pipe is an error."""
     if "\0" in str(path):
-        raise error(f"{str(path)!r} cannot be read: it holds a NUL; correct the path.")
+        raise error(f"{quoted(path)} cannot be read: it holds a NUL; correct the path.")
     with _reading(path, error):
         status = path.stat()
     if not stat.S_ISREG(status.st_mode):
@@ -141,7 +142,7 @@ def read_table(
             if name not in header:
                 raise RecordingError(
                     f"{path} has no column {name}; its header must have at least "
-                    f"{', '.join(required)}. It has: {', '.join(header)[:500]}."
+                    f"{', '.join(required)}. It has: {', '.join(header)[:200]}."
                 )
         for row in rows:
             cells = [cell.strip() for cell in row] + [""] * len(header)
@@ -178,7 +179,8 @@ def parse_time_ns(row: dict[str, str]) -> int:
     if not MIN_TIME_NS <= time_ns <= MAX_TIME_NS:
         unit = "nanoseconds" if column == "time_ns" else "seconds"
         raise ValueError(
-            f"{column} {text!r} is no UTC time after 1980 in {unit} since 1970, without exponent"
+            f"{column} {quoted(text)} is no UTC time after 1980 in {unit} since 1970, without "
+            "exponent"
         )
     return time_ns
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import shapely
 
-from fieldgrid.core import ConfigError, Float64, Int64, NoRouteError, counted
+from fieldgrid.core import ConfigError, Float64, Int64, NoRouteError, counted, shortened
 from fieldgrid.field.route.ground import Ground
 from fieldgrid.field.route.path import Path
 from fieldgrid.field.route.search import MAX_STATES, Searcher, SearchPose
@@ -312,8 +312,8 @@ def check_place(name: str, place: tuple[float, ...]) -> None:
     """Raise ConfigError for numbers that are no place; `name` says what it is for."""
     if len(place) not in (2, 3) or not all(math.isfinite(value) for value in place):
         raise ConfigError(
-            f"A {name} of {place!r} is not a position; give metres east and north, and a heading "
-            "in degrees if it matters."
+            f"A {name} of {shortened(repr(place), 60)} is not a position; give metres east and "
+            "north, and a heading in degrees if it matters."
         )
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.core import ConfigError, Float64, parse_toml
+from fieldgrid.core import ConfigError, Float64, parse_toml, quoted, shortened
 
 MAX_FILE_BYTES = 100_000
 
@@ -43,11 +43,15 @@ class Vehicle:
         for name, (low, high) in limits.items():
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float):
-                raise ConfigError(f"A vehicle's {name} is a number of metres, not {value!r}.")
+                raise ConfigError(
+                    f"A vehicle's {name} is a number of metres, not {shortened(repr(value), 60)}."
+                )
             if not (math.isfinite(value) and low <= value <= high):
                 raise ConfigError(f"A vehicle's {name} of {value} is outside {low}..{high} m.")
         if not isinstance(self.reverse, bool):
-            raise ConfigError(f"A vehicle's reverse is true or false, not {self.reverse!r}.")
+            raise ConfigError(
+                f"A vehicle's reverse is true or false, not {shortened(repr(self.reverse), 60)}."
+            )
 
     @property
     def curvature_1pm(self) -> float:
@@ -98,7 +102,9 @@ def read_vehicle(path: str | Path) -> Vehicle:
     known = [field.name for field in fields(Vehicle)]
     for key in table:
         if key not in known:
-            raise ConfigError(f"{path} has an unknown key {key!r}; known are {', '.join(known)}.")
+            raise ConfigError(
+                f"{path} has an unknown key {quoted(key)}; known are {', '.join(known)}."
+            )
     try:
         return Vehicle(**table)
     except ConfigError as error:

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from fieldgrid.core import ConfigError
+from fieldgrid.core import ConfigError, quoted
 
 _APART = 4.0
 """Plants are single ones when their spacing is more than this number of half widths of a canopy, so
@@ -96,5 +96,5 @@ CROPS = {
 def crop_named(name: str) -> Crop:
     """A preset by its name; ConfigError for another name."""
     if name not in CROPS:
-        raise ConfigError(f"{name!r} is no crop; known are {', '.join(CROPS)}.")
+        raise ConfigError(f"{quoted(name)} is no crop; known are {', '.join(CROPS)}.")
     return CROPS[name]

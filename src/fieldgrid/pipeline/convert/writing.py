@@ -9,7 +9,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from fieldgrid.core import ConfigError, GnssError, NoFramesError, RecordingError, refuse_input
+from fieldgrid.core import (
+    ConfigError,
+    GnssError,
+    NoFramesError,
+    RecordingError,
+    quoted,
+    refuse_input,
+)
 from fieldgrid.geometry import Trajectory
 from fieldgrid.pipeline.convert.drive import (
     fix_messages,
@@ -67,7 +74,7 @@ def convert_recording(
         kind = Images(images)
     except ValueError:
         raise ConfigError(
-            f"Images {images!r} cannot be written; give one of {', '.join(Images)}."
+            f"Images {quoted(images)} cannot be written; give one of {', '.join(Images)}."
         ) from None
     if not isinstance(drive, str | Path):
         return _converted(drive, out, kind, overwrite, progress)

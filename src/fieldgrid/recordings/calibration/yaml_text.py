@@ -11,14 +11,37 @@ from typing import Any
 import numpy as np
 import yaml
 
-from fieldgrid.core import CalibrationError, Float64
+from fieldgrid.core import CalibrationError, Float64, shortened
 from fieldgrid.recordings.files import read_text
 
-_MAX_BYTES = 1 << 20
+_MAX_BYTES = 1 << 16
+_MAX_DEPTH = 50
+_MAX_SCALAR = 1000
+_MERGE = "tag:yaml.org,2002:merge"
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain YAML, and OpenCV's tag for a matrix as the mapping that it is."""
+    """Plain YAML in which each value stands for itself, so that what it unfolds to is not larger
+    than its text; and OpenCV's tag for a matrix as the mapping that it is."""
+
+    depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """The next node; ValueError for one that is not plain."""
+        event = self.peek_event()
+        line = event.start_mark.line + 1
+        if getattr(event, "anchor", None) is not None:
+            raise ValueError(f"line {line} has an anchor or alias; write the value itself there")
+        if len(getattr(event, "value", "")) > _MAX_SCALAR:
+            raise ValueError(f"a value in line {line} has more than {_MAX_SCALAR} characters")
+        if self.depth == _MAX_DEPTH:
+            raise ValueError(f"line {line} is nested too deeply")
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        if node is not None and node.tag == _MERGE:
+            raise ValueError(f"line {line} has a merge key; write the values themselves there")
+        return node
 
 
 def _opencv_matrix(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Hashable, Any]:
@@ -28,6 +51,16 @@ def _opencv_matrix(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Hash
 _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
 
 
+def parse_yaml(text: str) -> Any:
+    """The value of a YAML document without aliases. ValueError says why there is none."""
+    if len(text) > _MAX_BYTES:
+        raise ValueError(f"it has more than {_MAX_BYTES} characters")
+    try:
+        return yaml.load(text, _Loader)
+    except (yaml.YAMLError, ValueError, TypeError, LookupError) as problem:
+        raise ValueError(shortened(problem)) from problem
+
+
 def load_yaml(path: Path) -> dict[str, Any]:
     """The mapping in a file; CalibrationError for anything else."""
     # OpenCV's own reader of this format is not made for files from strangers.
@@ -35,10 +68,9 @@ def load_yaml(path: Path) -> dict[str, Any]:
     if text.startswith("%YAML:1.0"):  # OpenCV's header, which is no YAML
         text = text.partition("\n")[2]
     try:
-        document = yaml.load(text, _Loader)
-    except (yaml.YAMLError, ValueError, TypeError, RecursionError) as problem:
-        why = " ".join(str(problem).split())[:300]
-        raise CalibrationError(f"{path} is not YAML: {why}; correct it.") from problem
+        document = parse_yaml(text)
+    except ValueError as problem:
+        raise CalibrationError(f"{path} is not YAML: {problem}; correct it.") from problem
     if not isinstance(document, dict):
         raise CalibrationError(f"{path} holds no calibration; write it again.")
     return document
@@ -50,7 +82,9 @@ def image_size(document: Mapping[str, Any], path: Path) -> tuple[int, int]:
     for key in ("image_width", "image_height"):
         value = document.get(key)
         if not isinstance(value, int):
-            raise CalibrationError(f"{path}: {key} is {value!r}; add the image size in pixels.")
+            raise CalibrationError(
+                f"{path}: {key} is {shortened(repr(value), 60)}; add the image size in pixels."
+            )
         sizes.append(value)
     return sizes[0], sizes[1]
 
@@ -60,7 +94,9 @@ def resolution(document: Mapping[str, Any], path: Path) -> tuple[int, int]:
     value = document.get("resolution")
     whole = isinstance(value, list) and all(type(v) is int for v in value)
     if not (isinstance(value, list) and whole and len(value) == 2):
-        raise CalibrationError(f"{path}: resolution is {value!r}; give [width, height] in pixels.")
+        raise CalibrationError(
+            f"{path}: resolution is {shortened(repr(value), 60)}; give [width, height] in pixels."
+        )
     return value[0], value[1]
 
 

@@ -9,6 +9,8 @@ from typing import Annotated, Any, TypeVar, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
+from fieldgrid.core import quoted, shortened
+
 LIMIT = 10**9
 """No length, angle or offset is as large."""
 
@@ -74,10 +76,10 @@ def fitted(model: type[Model], document: Any) -> Model:
             if isinstance(kind, type) and issubclass(kind, EntryTable):
                 table = kind
     value = first["input"]
-    value = str(value) if isinstance(value, Decimal) else reprlib.repr(value)
+    value = shortened(value, 60) if isinstance(value, Decimal) else reprlib.repr(value)
     if first["type"] == "extra_forbidden":
         known = ", ".join(table.model_fields)
-        raise MisfitError(f": {first['loc'][-1]!r} is not a setting; known are {known}.")
+        raise MisfitError(f": {quoted(first['loc'][-1])} is not a setting; known are {known}.")
     if info is None:
         raise MisfitError(f" holds {value}; give a table.")
     if first["type"] == "missing":

@@ -121,14 +121,14 @@ def may_hold_nmea(path: Path, head: bytes) -> bool:
     return any(kind.with_nmea and kind.is_it(head, path.suffix.lower()) for kind in _KINDS)
 
 
+_ZED = [re.compile(rf"{side}\D*\d+\.(png|jpe?g)") for side in ("left", "right")]
+
+
 def about_folder(path: Path) -> str:
     """What a folder that is no recording holds, and what would make it one, as a further sentence;
     '' where that is not known."""
     names = sorted(entry.name for entry in islice(path.iterdir(), _NAMES_AT_MOST))
-    left, right = (
-        next((n for n in names if re.fullmatch(rf"{side}\D*\d+\.(png|jpe?g)", n)), None)
-        for side in ("left", "right")
-    )
+    left, right = (next((n for n in names if picture.fullmatch(n)), None) for picture in _ZED)
     if left and right:
         return (
             f" It has {left} beside {right}, as ZED's export writes: move them into left/ and "

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.parsers import expat
 
-from fieldgrid.core import MIN_TIME_NS, RecordingError, counted
+from fieldgrid.core import MIN_TIME_NS, RecordingError, counted, quoted
 from fieldgrid.geometry import Fix, FixColumns
 from fieldgrid.recordings.files import check_regular, read_bytes
 from fieldgrid.recordings.tables.fix_log import FixLog
@@ -93,7 +93,7 @@ def _the_log(path: Path) -> Path:
     if path.is_dir():
         logs = _logs(path)
         if len(logs) != 1:
-            names = ", ".join(log.name for log in logs)[:300] or "none"
+            names = ", ".join(log.name for log in logs)[:200] or "none"
             raise RecordingError(f"{path} has {len(logs)} time logs: {names}; give one of them.")
         return logs[0]
     if path.suffix.lower() == ".xml":
@@ -165,7 +165,7 @@ def _read_header(path: Path) -> _TimeLogHeader:
             ddi = attributes.get("A", "")
             if re.fullmatch(r"[0-9A-Fa-f]{4}", ddi) is None:
                 raise RecordingError(
-                    f"{path}: DLV has the DDI {ddi[:30]!r}; it must be four hex digits."
+                    f"{path}: DLV has the DDI {quoted(ddi)}; it must be four hex digits."
                 )
             ddis.append(int(ddi, 16))
     if not {"TIM", "PTN"} <= kinds or "A" not in {*names, *fixed} or "B" not in {*names, *fixed}:
@@ -179,7 +179,7 @@ def _number(text: str, what: str) -> float:
     except ValueError:
         value = float("nan")
     if not abs(value) < 1e12:
-        raise RecordingError(f"{what} is {text[:30]!r}, not a number; correct it.")
+        raise RecordingError(f"{what} is {quoted(text)}, not a number; correct it.")
     return value
 
 

@@ -17,7 +17,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64, Int64, Quality, RecordingError, bounded_lines, check_rows
+from fieldgrid.core import (
+    Float64,
+    Int64,
+    Quality,
+    RecordingError,
+    bounded_lines,
+    check_rows,
+    quoted,
+)
 from fieldgrid.geometry import FixColumns, ecef_to_geodetic
 from fieldgrid.recordings.files import open_log_bytes
 from fieldgrid.recordings.tables.columns import Columns, how_to_say
@@ -107,7 +115,7 @@ def read_solution(path: Path, columns: Columns | None = None) -> FixLog:
         found, first = _read_header(lines)
         said = "" if columns is None else columns.time_zone
         if not said and found.scale not in _SCALES:
-            header = f"calls its time {found.scale!r}" if found.scale else "has no header"
+            header = f"calls its time {quoted(found.scale)}" if found.scale else "has no header"
             raise RecordingError(
                 f"{path} is a solution like RTKLIB's, and {header}: its times may be those of GPS "
                 "or UTC, 18 s apart; say which they are: "
@@ -197,7 +205,7 @@ def _of_one_header(path: Path, lines: Iterable[str], found: _Columns) -> Iterato
     for line in lines:
         if line.startswith("%") and _with_remark(found, line) != found:
             raise RecordingError(
-                f"{path} has another header among its rows, {line.strip()[:80]!r}, which differs "
+                f"{path} has another header among its rows, {quoted(line.strip())}, which differs "
                 "from what came before; give what follows it as a file of its own."
             )
         yield line

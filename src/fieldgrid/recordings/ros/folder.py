@@ -12,15 +12,13 @@ from contextlib import ExitStack
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
-import yaml
-
 from fieldgrid.core import RecordingError, UnfoldBudget
+from fieldgrid.recordings.calibration.yaml_text import parse_yaml
 from fieldgrid.recordings.ros.source import ZSTD_MAGIC, unpacked_pieces
 
 METADATA = "metadata.yaml"
 _KEY = "rosbag2_bagfile_information"
 _MAX_METADATA_BYTES = 1 << 24
-_MAX_LIST_CHARS = 1 << 18
 _LIST = re.compile(r"^( *)relative_file_paths:.*\n(?:\1[ -].*\n|[ \t]*\n)*", re.MULTILINE)
 _ROS2, _ROS1 = (".db3", ".mcap"), (".bag", ".bag.active")
 _PACKED = ".zstd"
@@ -108,10 +106,10 @@ def _metadata(folder: Path) -> bytes:
 def _listed(folder: Path) -> list[str]:
     """The names that the description lists; none where it is missing or unreadable."""
     found = _LIST.search(_metadata(folder).decode("utf-8", "replace") + "\n")
-    if found is None or len(found[0]) > _MAX_LIST_CHARS:
+    if found is None:
         return []
     try:
-        names = yaml.safe_load(textwrap.dedent(found[0]))["relative_file_paths"]
-    except (yaml.YAMLError, RecursionError, ValueError, LookupError, TypeError):
+        names = parse_yaml(textwrap.dedent(found[0]))["relative_file_paths"]
+    except (ValueError, LookupError, TypeError):
         return []
     return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []

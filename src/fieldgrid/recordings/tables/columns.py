@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import NamedTuple
 
-from fieldgrid.core import ConfigError
+from fieldgrid.core import ConfigError, quoted, shortened
 from fieldgrid.recordings.tables.times import UNITS, zone_scale
 
 SPEEDS = {
@@ -146,7 +146,7 @@ class Columns:
         for role in self.names:
             if role not in ROLES:
                 known = ", ".join((*ROLES, *_OPTIONS))
-                raise ConfigError(f"Columns: {role!r} cannot be mapped; known are {known}.")
+                raise ConfigError(f"Columns: {quoted(role)} cannot be mapped; known are {known}.")
         for key, known_units in (
             ("time_units", (*UNITS, *(f"gps_{unit}" for unit in UNITS))),
             ("speed_units", tuple(SPEEDS)),
@@ -157,7 +157,7 @@ class Columns:
             value = getattr(self, key)
             if value and value not in known_units:
                 raise ConfigError(
-                    f"Columns: {key} is {value!r}; give one of {', '.join(known_units)}."
+                    f"Columns: {key} is {quoted(value)}; give one of {', '.join(known_units)}."
                 )
         if self.crs and self.lat_lon_units:
             raise ConfigError("Columns: crs is of metres; leave lat_lon_units out.")
@@ -183,7 +183,8 @@ def epoch_s(text: str, what: str = "Columns: time_epoch") -> int:
         moment = None
     if moment is None or not 1980 <= moment.year <= 2200 or moment.microsecond:
         raise ConfigError(
-            f"{what} is {text!r}; give a moment of UTC in whole seconds, like 2026-05-14T07:30:00Z."
+            f"{what} is {quoted(text)}; give a moment of UTC in whole seconds, like "
+            "2026-05-14T07:30:00Z."
         )
     return int((moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp())
 
@@ -192,7 +193,9 @@ def columns_from_mapping(mapping: Mapping[str, object]) -> Columns:
     """The columns by a table of a settings file."""
     for key, value in mapping.items():
         if not isinstance(value, str):
-            raise ConfigError(f"Columns: {key} is {value!r}; give a column name in quotes.")
+            raise ConfigError(
+                f"Columns: {key} is {shortened(repr(value), 60)}; give a column name in quotes."
+            )
     said = {key: str(value) for key, value in mapping.items()}
     options = {key: said.pop(key) for key in _OPTIONS if key in said}
     return Columns(said, **options)
@@ -204,7 +207,9 @@ def columns_from_text(text: str) -> Columns:
     for item in text.split(","):
         key, equals, value = item.partition("=")
         if not equals:
-            raise ConfigError(f"Columns: {item!r} is not KEY=COLUMN; write it like lat=Latitude.")
+            raise ConfigError(
+                f"Columns: {quoted(item)} is not KEY=COLUMN; write it like lat=Latitude."
+            )
         if key.strip() in mapping:
             raise ConfigError(f"Columns: {key.strip()} is given twice; keep one.")
         mapping[key.strip()] = value.strip()
@@ -222,13 +227,16 @@ def how_to_say(**said: str) -> str:
     )
 
 
+_BEFORE_UNIT = re.compile(r"(.+)_(?:(\d+)p(\d+))?")
+
+
 def take_apart(name: str) -> ColumnName:
     """The words of a column name: ``Speed [km/h]`` is speed in km_h."""
     words = re.sub(r"(?<=[a-z])(?=[A-Z][a-z])", "_", name)
     plain = re.sub(r"[^a-z0-9]+", "_", words.lower()).strip("_")
     factor = 1.0
     for unit in sorted((*SPEEDS, *LENGTHS, *_ANGLES), key=len, reverse=True):
-        match = re.fullmatch(rf"(.+?)_(?:(\d+)p(\d+))?{unit}", plain)
+        match = _BEFORE_UNIT.fullmatch(plain.removesuffix(unit)) if plain.endswith(unit) else None
         if match is not None:
             if match[2]:
                 factor = float(f"{match[2]}.{match[3]}")
@@ -264,7 +272,7 @@ def time_candidates(header: Sequence[str]) -> list[str]:
     others = []
     for name in header:
         words = set(re.sub(r"[^a-z0-9]+", " ", name.lower()).split())
-        joined = re.fullmatch(r".*(?:time|stamp|epoch).*", name.lower()) is not None
+        joined = any(word in name.lower() for word in ("time", "stamp", "epoch"))
         # What begins anew every week is no time by itself, though its size may look like one.
         of_week = guess("tow", [name]) is not None
         if (words & _TIME_WORDS or joined) and not words & _NO_TIME_WORDS and not of_week:

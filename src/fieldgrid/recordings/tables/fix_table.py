@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.core import Float64, Index, Quality, RecordingError, counted
+from fieldgrid.core import Float64, Index, Quality, RecordingError, counted, quoted
 from fieldgrid.geometry import (
     NOT_SAID,
     FixColumns,
@@ -96,7 +96,7 @@ class _Plan:
                 name = own if own in header else guess(role, header, projected=projected)
             elif name and name not in header:
                 raise RecordingError(
-                    f"{self.table.path} has no column {name!r} for {role}; "
+                    f"{self.table.path} has no column {quoted(name)} for {role}; "
                     f"it has: {', '.join(header)[:500]}."
                 )
             if name:

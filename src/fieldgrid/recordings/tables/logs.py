@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from fieldgrid.core import RecordingError
+from fieldgrid.core import RecordingError, quoted
 from fieldgrid.geometry import FixColumns
 from fieldgrid.recordings.drive import Drive
 from fieldgrid.recordings.files import DELIMITERS, open_log_bytes
@@ -42,7 +42,7 @@ def find_log(folder: Path, wanted: str | Path | None) -> Path | None:
             if path.is_file() or (path.is_dir() and is_time_log(path)):
                 return path
         raise RecordingError(
-            f"The GNSS log {str(wanted)!r} is neither in {folder / 'gnss'} nor a file of its own; "
+            f"The GNSS log {quoted(wanted)} is neither in {folder / 'gnss'} nor a file of its own; "
             f"the recording has: {names}."
         )
     if len(present) > 1:

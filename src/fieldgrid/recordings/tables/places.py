@@ -17,13 +17,12 @@ _E7 = 1e8
 """Beyond this whole numbers are 1e-7 degrees, as u-blox and MAVLink count: coordinates of
 projections are no larger."""
 
-_LONGEST = 100
-"""No angle is written with more signs; the pattern takes the cube of their number."""
-
-_PART = r"(\d+(?:\.\d+)?)"
+# Nothing that was read is given back, so that each sign is looked at once.
+_PART = r"(\d++(?:\.\d++)?+)"
 _ANGLE = re.compile(
-    rf"([NSEW]?)\s*([+-]?){_PART}\s*(?:°|º|deg|d|\s)?\s*"
-    rf"(?:{_PART}\s*(?:'|\u2032|\u2019|m|\s)?\s*(?:{_PART}\s*(?:\"|\u2033|\u201d|''|s)?\s*)?)?([NSEW]?)",
+    rf"([NSEW]?)\s*+([+-]?){_PART}\s*+(?:°|º|deg|d)?+\s*+"
+    rf"(?:{_PART}\s*+(?:'|\u2032|\u2019|m)?+\s*+"
+    rf"(?:{_PART}\s*+(?:\"|\u2033|\u201d|''|(?-i:s))?+\s*+)?+)?+([NSEW]?)",
     re.IGNORECASE,
 )
 
@@ -118,8 +117,7 @@ def longitude(cell: str) -> float | None:
 
 
 def _degrees(cell: str, sides: str) -> float | None:
-    text = cell.strip()
-    match = _ANGLE.fullmatch(text) if len(text) <= _LONGEST else None
+    match = _ANGLE.fullmatch(cell.strip())
     if match is None:
         return None
     before, sign, whole, minutes, seconds, after = match.groups()

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Int64, RecordingError
+from fieldgrid.core import Int64, RecordingError, quoted
 from fieldgrid.recordings.tables.columns import Columns, epoch_s, guess, how_to_say, time_candidates
 from fieldgrid.recordings.tables.tables import OpenTable, TableRows
 from fieldgrid.recordings.tables.times import (
@@ -74,7 +74,7 @@ def find_time(table: OpenTable, columns: Columns) -> TimeColumn:
     said = columns.names.get("time", "")
     if said and said not in table.header:
         raise RecordingError(
-            f"{table.path} has no column {said!r} for time; "
+            f"{table.path} has no column {quoted(said)} for time; "
             f"it has: {', '.join(table.header)[:500]}."
         )
     if not said and "date" not in columns.names:
@@ -136,7 +136,7 @@ def _shown(table: OpenTable, name: str) -> str:
     """A column with its first value, as an error shows it."""
     cells = table.sample.cells(table.header.index(name))
     value = next((cell.strip() for cell in cells if cell.strip()), "")
-    return f"{name} {value[:40]!r}"
+    return f"{name} {quoted(value)}"
 
 
 def _column(table: OpenTable, name: str, columns: Columns) -> TimeColumn | None:

@@ -17,7 +17,7 @@ from typing import NamedTuple, TextIO
 
 import numpy as np
 
-from fieldgrid.core import Float64, RecordingError, bounded_lines, check_rows
+from fieldgrid.core import Float64, RecordingError, bounded_lines, check_rows, quoted
 from fieldgrid.recordings.files import delimiter_of, open_log_bytes
 
 COMMENTS = ("#", "%")
@@ -30,6 +30,8 @@ NOTHING = frozenset({"", "nan", "na", "n/a", "none", "null", "nil", "-", "--", "
 _BLOCK_ROWS = 1 << 13
 _BLOCK_CELLS = 1 << 19
 _MAX_COLUMNS = 4096
+_MAX_CELL = 300
+"""No name, number or time is as long; what is longer is none."""
 _DATA = re.compile(r"[\s\"]*[+-]?\.?\d")
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+(?:[eE][+-]?\d+)?\s*")
 
@@ -71,7 +73,7 @@ class OpenTable:
         (names,) = csv.reader([first.lstrip("#% ")], delimiter=self._delimiter)
         if len(names) > _MAX_COLUMNS:
             raise RecordingError(f"{self.path} has {len(names)} columns; check the file.")
-        self.header = tuple(name.strip() for name in names)
+        self.header = tuple(name.strip()[:_MAX_CELL] for name in names)
         self._line -= len(taken)
         self._lines = chain(taken, self._lines)
         self._quoted: Iterator[list[str]] | None = None
@@ -137,7 +139,7 @@ class OpenTable:
         try:
             return float("nan") if cell.strip().lower() in NOTHING else float(cell)
         except ValueError:
-            value = parse(cell) if parse is not None else None
+            value = parse(cell) if parse is not None and len(cell) <= _MAX_CELL else None
             if value is not None:
                 return value
             raise self.error(line, column, cell, "is not a number") from None
@@ -145,7 +147,9 @@ class OpenTable:
     def error(self, line: int, column: int, cell: str, what: str) -> RecordingError:
         """The error that a cell `is not` something."""
         name = self.header[column]
-        return RecordingError(f"{self.path}, line {line}: {name} {cell[:40]!r} {what}; correct it.")
+        return RecordingError(
+            f"{self.path}, line {line}: {name} {quoted(cell)} {what}; correct it."
+        )
 
     def column(self, name: str) -> int | None:
         """The place of a column by its name as it stands in the header."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import MAX_TIME_NS, MIN_TIME_NS, Int64
+from fieldgrid.core import MAX_TIME_NS, MIN_TIME_NS, Int64, quoted
 from fieldgrid.poses import GPS_EPOCH_UNIX_S, unix_ns
 from fieldgrid.recordings.tables.tables import NOTHING
 
@@ -30,6 +30,7 @@ _YEAR_1980_S = 315_532_800
 _UNIX_DAY = date(1970, 1, 1).toordinal()
 
 _NUMBER = re.compile(r"\+?\d+(?:\.\d*)?(?:[eE]\+?\d{1,3})?")
+_TOGETHER = re.compile(r"(19[89]|20\d)\d(0\d|1[0-2])[0-3]\d[0-2]\d[0-5]\d[0-6]\d(\.\d*)?")
 _CIVIL = re.compile(
     r"(\d{4})[-/.]?(\d\d)[-/.]?(\d\d)[T _-]?(\d\d)[:.-]?(\d\d)[:.-]?(\d\d)", re.ASCII
 )
@@ -85,8 +86,7 @@ def guess_scale(name: str, cells: Sequence[str], decimal_comma: bool) -> TimeSca
             return TimeScale(UNITS["s"], origin_s=_YEAR_1980_S)
         sizes = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (GPS_EPOCH_UNIX_S, "s"))
         unit = next((unit for size, unit in sizes if size <= value < 1e20), None)
-        date_time = r"(19[89]|20\d)\d(0\d|1[0-2])[0-3]\d[0-2]\d[0-5]\d[0-6]\d(\.\d*)?"
-        if re.fullmatch(date_time, cell) is None:
+        if _TOGETHER.fullmatch(cell) is None:
             return None if unit is None else TimeScale(UNITS[unit])
     cell = _year_first(cell)
     match = _CIVIL.match(cell)
@@ -277,7 +277,8 @@ def zone_s(text: str) -> int:
     match = re.fullmatch(r"([+-])(\d\d?):?(\d\d)?", text, re.ASCII)
     if match is None or int(match[2]) > 15:
         raise ValueError(
-            f"{text!r} is no time zone like +02:00 (how far that clock was ahead of UTC) or UTC"
+            f"{quoted(text)} is no time zone like +02:00 (how far that clock was ahead of UTC) or "
+            "UTC"
         )
     seconds = int(match[2]) * 3600 + int(match[3] or 0) * 60
     return -seconds if match[1] == "-" else seconds
