@@ -46,7 +46,7 @@ _ORIGINS = (
     None,  # no browser
     re.compile(r"https://(app|studio)\.foxglove\.dev"),
     re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?"),
-    re.compile(r"(?!https?:)[a-z][a-z0-9+.-]*://.*"),  # programs with pages of their own
+    re.compile(r"(?!https?:)[a-z][a-z0-9+.-]{0,30}://.*"),  # programs with pages of their own
 )
 """A web page can connect to whatever its reader's machine reaches, so others are refused."""
 

@@ -31,7 +31,9 @@ class _Loader(yaml.SafeLoader):
         event = self.peek_event()
         line = event.start_mark.line + 1
         if getattr(event, "anchor", None) is not None:
-            raise ValueError(f"line {line} has an anchor or alias; write the value itself there")
+            raise ValueError(
+                f"line {line} has an anchor or alias where the value itself must stand"
+            )
         if len(getattr(event, "value", "")) > _MAX_SCALAR:
             raise ValueError(f"a value in line {line} has more than {_MAX_SCALAR} characters")
         if self.depth == _MAX_DEPTH:
@@ -40,7 +42,7 @@ class _Loader(yaml.SafeLoader):
         node = super().compose_node(parent, index)
         self.depth -= 1
         if node is not None and node.tag == _MERGE:
-            raise ValueError(f"line {line} has a merge key; write the values themselves there")
+            raise ValueError(f"line {line} has a merge key where the values themselves must stand")
         return node
 
 

@@ -134,7 +134,7 @@ def about_folder(path: Path) -> str:
             f" It has {left} beside {right}, as ZED's export writes: move them into left/ and "
             f"right/ (mkdir left right; mv left?*.* left; mv right?*.* right), and {_TABLE}."
         )
-    infrared = next((n for n in names if re.search(r"_Infrared.*_[\d.]+\.png$", n)), None)
+    infrared = next((n for n in names if "_Infrared" in n and re.search(r"_[\d.]+\.png$", n)), None)
     if infrared:
         return (
             f" It has {infrared}, as RealSense's rs-convert writes: put Infrared 1 into left/, "

@@ -92,8 +92,12 @@ def _the_log(path: Path) -> Path:
         path = path.parent
     if path.is_dir():
         logs = _logs(path)
+        if not logs:
+            raise RecordingError(
+                f"{path} has no time log TLG*.bin; copy all of TASKDATA from the terminal."
+            )
         if len(logs) != 1:
-            names = ", ".join(log.name for log in logs)[:200] or "none"
+            names = ", ".join(log.name for log in logs)[:200]
             raise RecordingError(f"{path} has {len(logs)} time logs: {names}; give one of them.")
         return logs[0]
     if path.suffix.lower() == ".xml":

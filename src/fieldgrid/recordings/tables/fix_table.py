@@ -97,7 +97,7 @@ class _Plan:
             elif name and name not in header:
                 raise RecordingError(
                     f"{self.table.path} has no column {quoted(name)} for {role}; "
-                    f"it has: {', '.join(header)[:500]}."
+                    f"it has: {', '.join(header)[:200]}."
                 )
             if name:
                 self.places[role] = header.index(name)

@@ -75,7 +75,7 @@ def find_time(table: OpenTable, columns: Columns) -> TimeColumn:
     if said and said not in table.header:
         raise RecordingError(
             f"{table.path} has no column {quoted(said)} for time; "
-            f"it has: {', '.join(table.header)[:500]}."
+            f"it has: {', '.join(table.header)[:200]}."
         )
     if not said and "date" not in columns.names:
         week = _by_week(table, columns)

@@ -37,7 +37,7 @@ _CIVIL = re.compile(
 _DAY_FIRST = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})[.,T ]\s*(\d:)?", re.ASCII)
 _CLOCK = re.compile(r"\s*(\d\d?):(\d\d):(\d\d)((?:\.\d*)?)\s*", re.ASCII)
 _REST = re.compile(
-    r"(?:[.,:](\d{1,12}))?\s*(?:Z|UTC|GMT)?\s*([+-](?:0\d|1[0-5]):?(?:\d\d)?)?", re.I | re.A
+    r"(?:[.,:](\d{1,12}))?\s*+(?:Z|UTC|GMT)?+\s*+([+-](?:0\d|1[0-5]):?(?:\d\d)?)?", re.I | re.A
 )
 _REST_DASHED = re.compile(r"(?:[.,-](\d{1,12}))?()")
 
