@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from copy import deepcopy
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -74,9 +73,9 @@ def kalibr(left: dict[str, Any] | None = None, right: dict[str, Any] | None = No
         )
     T_cn_cnm1 = np.vstack([np.column_stack([R, T]), [0, 0, 0, 1]])
     cameras[1]["T_cn_cnm1"] = T_cn_cnm1.tolist()
-    return yaml.safe_dump(
-        {"cam0": {**cameras[0], **(left or {})}, "cam1": {**cameras[1], **deepcopy(right or {})}}
-    )
+    document = {"cam0": {**cameras[0], **(left or {})}, "cam1": {**cameras[1], **(right or {})}}
+    # Of a list that stands twice PyYAML would write an alias.
+    return yaml.safe_dump(json.loads(json.dumps(document)))
 
 
 class Matrices(NamedTuple):
