@@ -83,6 +83,9 @@ class LongDrive:
     def frame_times_ns(self) -> npt.NDArray[np.int64]:
         return self._start_ns + np.arange(self.frame_count, dtype=np.int64) * 20_000_000
 
+    def image_times_ns(self) -> npt.NDArray[np.int64]:
+        return self.frame_times_ns() + self.rig.image_time_offset_ns
+
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
         for k, time_ns in list(enumerate(self.frame_times_ns().tolist()))[start:stop]:
             self.drawn += 1

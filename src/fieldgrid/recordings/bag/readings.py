@@ -60,27 +60,28 @@ class _Row(NamedTuple):
     topics of a `role` the one is heard whose name has the lowest rank."""
 
     types: tuple[str, ...]
-    named: str
+    named: re.Pattern[str]
     listener: Callable[[str], TopicListener]
     role: str = ""
 
 
+_ANY = re.compile(".*")
 _TABLE = (
-    _Row((INFO,), ".*", lambda _: First()),
-    _Row((NUMBER,), ".*/option/Depth_Units/value", lambda _: First()),
-    _Row((TEXT,), RIG, lambda _: First()),
-    _Row((TEXT, FIX), DATUM, lambda _: First()),
-    _Row((TEXT,), f".*{DETAILS}", lambda _: Texts(Details())),
-    _Row((TEXT,), TILT, lambda _: Texts(Tilts(RecordedTilt))),
-    _Row((TEXT,), ORIENTATION, lambda _: Texts(Tilts(Orientation))),
-    _Row((FIX,), ".*", lambda _: Numbers(FIX), "fix"),
-    _Row((NMEA,), ".*", lambda _: Sentences(), "nmea"),
-    _Row((IMU,), "(?i).*accel.*", lambda _: Numbers(IMU)),
-    _Row((IMU,), ".*", lambda _: Numbers(IMU), "imu"),
-    _Row((ODOMETRY,), ".*", lambda _: Numbers(ODOMETRY), "odometry"),
-    _Row(TF, f".*{TF_STATIC}", Trees),
-    _Row(TF, ".*", MovingTrees),
-    _Row((PLACE,), ".*", Trees),
+    _Row((INFO,), _ANY, lambda _: First()),
+    _Row((NUMBER,), re.compile(".*/option/Depth_Units/value"), lambda _: First()),
+    _Row((TEXT,), re.compile(RIG), lambda _: First()),
+    _Row((TEXT, FIX), re.compile(DATUM), lambda _: First()),
+    _Row((TEXT,), re.compile(f".*{DETAILS}"), lambda _: Texts(Details())),
+    _Row((TEXT,), re.compile(TILT), lambda _: Texts(Tilts(RecordedTilt))),
+    _Row((TEXT,), re.compile(ORIENTATION), lambda _: Texts(Tilts(Orientation))),
+    _Row((FIX,), _ANY, lambda _: Numbers(FIX), "fix"),
+    _Row((NMEA,), _ANY, lambda _: Sentences(), "nmea"),
+    _Row((IMU,), re.compile("(?i).*accel.*"), lambda _: Numbers(IMU)),
+    _Row((IMU,), _ANY, lambda _: Numbers(IMU), "imu"),
+    _Row((ODOMETRY,), _ANY, lambda _: Numbers(ODOMETRY), "odometry"),
+    _Row(TF, re.compile(f".*{TF_STATIC}"), Trees),
+    _Row(TF, _ANY, MovingTrees),
+    _Row((PLACE,), _ANY, Trees),
 )
 """What is heard of a bag; the first row that fits holds."""
 
@@ -103,7 +104,7 @@ class Readings:
 
     def listen(self, name: str, type_: str) -> Take | None:
         """What takes the messages of a topic; see :data:`fieldgrid.recordings.ros.bag.Listen`."""
-        rows = (row for row in _TABLE if type_ in row.types and re.fullmatch(row.named, name))
+        rows = (row for row in _TABLE if type_ in row.types and row.named.fullmatch(name))
         row = next(rows, None)
         heard = None
         if row is not None and (not row.role or self._may_be(row.role, name, type_)):

@@ -50,7 +50,7 @@ class TopicRole(NamedTuple):
 
     types: tuple[str, ...]
     info: str = ""
-    named: str = ""
+    named: re.Pattern[str] = re.compile("")
     rank: Callable[[str, str], Any] = lambda _name, _type: 0
 
 
@@ -71,7 +71,7 @@ ROLES: dict[str, TopicRole] = {
     "depth": TopicRole(
         _PICTURES,
         "depth_info",
-        r"^(?!.*confidence).*(depth|(?<![a-z])stereo/image_(raw|rect)$)",
+        re.compile(r"^(?!.*confidence).*(depth|(?<![a-z])stereo/image_(raw|rect)$)"),
         _depth_rank,
     ),
     "cloud": TopicRole((CLOUD,), rank=lambda name, _: is_made(name)),
@@ -246,7 +246,7 @@ class _Finder:
         names = [
             name
             for name in _of_types(self._topics, row.types)
-            if re.search(row.named, base_name(name).lower())
+            if row.named.search(base_name(name).lower())
         ]
         if role in self._given:
             names = [self._given[role]]

@@ -40,8 +40,7 @@ from fieldgrid.recordings.remote.remote_files import (
 )
 
 _SECRET = re.compile(
-    r"://[^/@:]{0,200}:[^/@]{0,200}@|[?&][^=&]{0,200}(token|sig|key|secret|password|credential)",
-    re.IGNORECASE,
+    r"://[^/@:]*+:[^/@]*+@|[?&][^=?&]*?(token|sig|key|secret|password|credential)", re.IGNORECASE
 )
 _BATCH = 64
 _LISTED_S = 60.0
