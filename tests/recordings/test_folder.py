@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from fieldgrid.core import CalibrationError, FieldgridError, GnssError, RecordingError
+from fieldgrid.core import CalibrationError, FieldgridError, GnssError, LackingError, RecordingError
 from fieldgrid.geometry import Datum, Fix, LeverArm, Motion, Mount, StereoCamera, nose_heading_deg
 from fieldgrid.recordings import (
     Columns,
@@ -282,6 +282,16 @@ def test_the_log_is_picked_by_name_or_path(drive: Path, tmp_path: Path) -> None:
     assert lat_of("gnss/b.csv") == ("gnss/b.csv", 41.2)
     assert lat_of(drive / "gnss" / "b.csv") == ("gnss/b.csv", 41.2)
     assert lat_of(elsewhere) == ("elsewhere.csv", 41.3)
+
+
+def test_which_log_is_meant_is_asked_with_all_else_that_is_missing(drive: Path) -> None:
+    shutil.rmtree(drive / "calibration")
+    (drive / "gnss" / "b.nmea").write_text("")
+    with pytest.raises(LackingError) as caught, open_drive(drive):
+        pass
+    kinds = [type(problem) for problem in caught.value.problems]
+    assert kinds == [CalibrationError, CalibrationError, RecordingError]
+    assert "several GNSS logs" in str(caught.value.problems[-1])
 
 
 def test_the_settings_name_the_columns_of_a_log(drive: Path) -> None:

@@ -401,7 +401,7 @@ def test_all_that_is_lacking_is_told_at_once(made: tuple[str, Path]) -> None:
     said = str(caught.value)
     assert "\n" not in said
     if kind != "KITTI raw":
-        sentences += ("has no fixes; give the log",)
+        sentences += ("has no GNSS log",)
         assert isinstance(caught.value, LackingError)
         assert len(caught.value.problems) == len(sentences)
         copied = pickle.loads(pickle.dumps(caught.value))

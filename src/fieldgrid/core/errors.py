@@ -43,9 +43,9 @@ class LackingError(CalibrationError):
     """Several things that a recording lacks, each an error of its own in `problems`, in the order
     in which a user can mend them."""
 
-    def __init__(self, *problems: RecordingError) -> None:
+    def __init__(self, *problems: FieldgridError) -> None:
         parts = [one.problems if isinstance(one, LackingError) else (one,) for one in problems]
-        self.problems: tuple[RecordingError, ...] = tuple(one for part in parts for one in part)
+        self.problems: tuple[FieldgridError, ...] = tuple(one for part in parts for one in part)
         super().__init__(*self.problems)
 
     def __str__(self) -> str:

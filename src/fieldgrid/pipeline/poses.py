@@ -48,7 +48,7 @@ from fieldgrid.poses import (
     levelling_attitude,
     off_sentence,
 )
-from fieldgrid.recordings import Drive, Recording
+from fieldgrid.recordings import Drive, Recording, no_fixes
 
 ASKEW_DEG = 2.0
 """A camera that looks so far aside puts what is 7 m away by a cell of the paper elsewhere. Less
@@ -81,11 +81,7 @@ def estimate_drive(
     before all else where no fix is within reach of the datum, GnssError where there is no log.
     """
     if not drive.gnss_source and not len(drive.fixes()) and drive.motion().poses is None:
-        why = (
-            f"{drive.name} has no GNSS log, without which nothing can be placed; put the log of "
-            "this drive into its folder gnss/, name it with --gnss, or give poses with --poses."
-        )
-        raise GnssError(" ".join([why, *drive.log.notes]))
+        raise no_fixes(drive.name, drive.log.notes)
     settings = settings or BuildSettings()
     datum = datum or drive.datum_hint
     if datum is not None:

@@ -65,6 +65,7 @@ if TYPE_CHECKING:
         Recording as Recording,
         Stream as Stream,
         as_recording as as_recording,
+        no_fixes as no_fixes,
         with_frames as with_frames,
     )
     from fieldgrid.recordings.files import read_text as read_text

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from fieldgrid.core import Closing, Int64, NoFramesError, RecordingError
+from fieldgrid.core import Closing, GnssError, Int64, NoFramesError, RecordingError
 from fieldgrid.geometry import Datum, FixColumns, Motion, Rig
 from fieldgrid.recordings.frames.frames import Frame, FrameSource
 from fieldgrid.recordings.poses.pose_files import BodyPoses
@@ -153,12 +153,13 @@ class Recording(Drive):
         return self
 
 
-def no_fixes(path: Path) -> RecordingError:
-    """What is said of a drive without fixes beside other things that it lacks."""
-    return RecordingError(
-        f"{path} has no fixes; give the log of its receiver with --gnss, or poses of another "
-        "program with --poses."
+def no_fixes(name: str, notes: Sequence[str] = ()) -> GnssError:
+    """What is said of a drive without fixes; `notes` are those of its log."""
+    why = (
+        f"{name} has no GNSS log, without which nothing can be placed; put the log of this "
+        "drive into its folder gnss/, name it with --gnss, or give poses with --poses."
     )
+    return GnssError(" ".join([why, *notes]))
 
 
 def with_frames(drive: Drive, make: Callable[[Drive], Recording]) -> Drive:

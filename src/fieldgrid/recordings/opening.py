@@ -82,7 +82,9 @@ def open_drive(path: str | Path, options: DriveOptions | None = None) -> Drive:
         lacks = drive.refusal is not None and not isinstance(drive.refusal, NoFramesError)
         if lacks and given is None and not len(drive.fixes()):
             assert drive.refusal is not None
-            drive = replace(drive, refusal=LackingError(drive.refusal, no_fixes(path)))
+            drive = replace(
+                drive, refusal=LackingError(drive.refusal, no_fixes(drive.name, drive.log.notes))
+            )
         try:
             drive = with_given_poses(drive, given, options.epoch_ns)
             return cut(drive, options.from_ns, options.until_ns)

@@ -368,7 +368,7 @@ def test_all_that_a_drive_lacks_is_found_at_once(drive: Make) -> None:
     shutil.rmtree(folder / "gnss")
     found = inspect_recording(folder)
     assert not found.builds
-    lacking = [one for one in found.findings if one.code in ("calibration", "recording")]
+    lacking = [one for one in found.findings if one.code in ("calibration", "recording", "fixes")]
     said = [f"{one.message} {one.remedy}" for one in lacking]
     for sentence, wanted in zip(said, ("stereo_opencv", "mounting.json", "--gnss"), strict=True):
         assert wanted in sentence

@@ -58,7 +58,7 @@ def command(
     else:
         _print(found, figure)
     if not found.builds:
-        wrong = [one.code for one in found.findings if one.severity.value == "error"]
+        wrong = dict.fromkeys(one.code for one in found.findings if one.severity.value == "error")
         raise RecordingError(
             f"a build of {found.name} would fail ({', '.join(wrong)}); the findings say what to do."
         )

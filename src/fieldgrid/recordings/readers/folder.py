@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from fieldgrid.core import NoFramesError
+from fieldgrid.core import LackingError, NoFramesError, RecordingError
 from fieldgrid.recordings.calibration.loading import read_calibration
 from fieldgrid.recordings.calibration.mounting import MOUNTING, Mounting, read_mounting
 from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_motion
@@ -13,7 +13,12 @@ from fieldgrid.recordings.format import Format
 from fieldgrid.recordings.frames.frame_table import TABLE
 from fieldgrid.recordings.options import DriveOptions, mounted
 from fieldgrid.recordings.readers.sensors import CALIBRATION, has_frames, read_seen
-from fieldgrid.recordings.readers.settings_file import SETTINGS, read_session_datum, read_settings
+from fieldgrid.recordings.readers.settings_file import (
+    SETTINGS,
+    RecordingSettings,
+    read_session_datum,
+    read_settings,
+)
 from fieldgrid.recordings.stored import StoredFrames
 from fieldgrid.recordings.tables.logs import find_log, with_log
 from fieldgrid.recordings.tables.motion_files import AXES, read_motion
@@ -33,19 +38,25 @@ def open_folder(path: Path, options: DriveOptions) -> Drive:
     settings file."""
     options.refuse_of_bags(path)
     settings = read_settings(path / SETTINGS)
-    log_path = find_log(path, options.gnss)
-    drive = with_log(
-        Drive(
-            path=path,
-            name=settings.name or path.resolve().name,
-            datum_hint=settings.datum or read_session_datum(path / SESSION),
-            pose_source=settings.poses,
-        ),
-        path,
-        log_path,
-        settings,
-        options,
+    bare = Drive(
+        path=path,
+        name=settings.name or path.resolve().name,
+        datum_hint=settings.datum or read_session_datum(path / SESSION),
+        pose_source=settings.poses,
     )
+    try:
+        drive = with_log(bare, path, find_log(path, options.gnss), settings, options)
+    except RecordingError as problem:
+        refusal = _with_frames(bare, settings, options).refusal
+        if refusal is None or isinstance(refusal, NoFramesError):
+            raise
+        raise LackingError(refusal, problem) from problem
+    return _with_frames(drive, settings, options)
+
+
+def _with_frames(drive: Drive, settings: RecordingSettings, options: DriveOptions) -> Drive:
+    """A drive with the frames of its folder; where it has none, it says why."""
+    path = drive.path
     if not ((path / TABLE).is_file() or has_frames(path) or settings.frames is not None):
         return _without_frames(path, options, drive)
 

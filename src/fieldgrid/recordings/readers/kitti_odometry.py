@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from fieldgrid.core import LackingError, RecordingError
+from fieldgrid.core import FieldgridError, LackingError, RecordingError
 from fieldgrid.geometry import LeverArm, Mount
 from fieldgrid.perception import camera_from_projections
 from fieldgrid.recordings.calibration.kitti import (
@@ -47,7 +47,7 @@ def open_sequence(path: Path, options: DriveOptions) -> Drive:
     usual = path / MOUNTING
     is_mounted = options.mounting is not None or usual.exists()
     if settings.start is None:
-        problems: list[RecordingError] = [
+        problems: list[FieldgridError] = [
             RecordingError(
                 f"{path / _TIMES} counts from 0, and nothing says when it was driven; add "
                 f"{SETTINGS} with [start] utc_s = seconds since 1970 of its first image, and "
@@ -58,7 +58,7 @@ def open_sequence(path: Path, options: DriveOptions) -> Drive:
         if log_path is not None and not (is_mounted or options.unmounted):
             problems.append(missing_mounting(usual, path))
         if log_path is None and poses_path is None and options.poses is None:
-            problems.append(no_fixes(path))
+            problems.append(no_fixes(path.name))
         raise problems[0] if len(problems) == 1 else LackingError(*problems)
     times_s = floats(read_text(path / _TIMES), path / _TIMES)
     if not all(0.0 <= time_s < 1e6 for time_s in times_s):
