@@ -93,6 +93,17 @@ def test_cells_of_any_size_are_those_of_the_merged_map(
                     np.testing.assert_array_equal(ours, theirs)
 
 
+@pytest.mark.parametrize("cell_m", [None, 0.2])
+@pytest.mark.parametrize("east_m", [-6.0, -4.0, -2.0, 0.0, 2.0, 4.0])
+def test_a_window_inside_of_maps_is_that_of_the_merged_map(
+    farm: Farm, merged: Path, east_m: float, cell_m: float | None
+) -> None:
+    part = Bounds(east_m, -0.8, east_m + 1.6, 0.8)
+    with open_map(merged) as universal:
+        one = farm.read(part, cell_m=cell_m, layers=ALL)
+        assert_same(one, universal.read(part, cell_m=cell_m, layers=ALL))
+
+
 def test_blocks_and_overviews_are_those_of_the_merged_map(farm: Farm, merged: Path) -> None:
     part = Bounds(-9.0, -3.0, 7.0, 9.0)
     with open_map(merged) as universal:

@@ -225,7 +225,8 @@ def assembled(
             if is_nothing(values) and name not in FOR_KERNELS:
                 continue
             is_all = whole == window and values.shape == under.shape and values.flags.writeable
-            if name not in arrays and is_all:
+            # An overview may be the array of a channel: to each is added apart.
+            if name not in arrays and is_all and not any(values is one for one in arrays.values()):
                 arrays[name] = values
                 continue
             if name not in arrays:
