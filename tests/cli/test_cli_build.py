@@ -336,7 +336,7 @@ FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "neither calibration nor mounting nor log": (
         lambda drive: [shutil.rmtree(drive / name) for name in ("calibration", "gnss")],
         r"has neither stereo_opencv\.yaml nor .*\. Also: .*run `fieldgrid mount .*\. Also: .* has "
-        r"no fixes; give the log of its receiver",
+        r"no GNSS log",
     ),
     "no overlap in time": (
         lambda drive: edit(drive / "frames.csv", ",13081338", ",13081438"),
