@@ -526,7 +526,7 @@ def broken(**changes: Any) -> str:
         ("SN1.conf", zed(RX_VGA=None), r"lacks \[STEREO\] with the numbers RX_VGA"),
         ("SN1.conf", zed(Baseline=None), r"lacks \[STEREO\] with the numbers BASELINE"),
         ("SN1.conf", zed(Baseline="twelve"), r"lacks \[STEREO\] with the numbers BASELINE"),
-        ("SN1.conf", zed(Baseline=-120.0), "swap left and right"),
+        ("SN1.conf", zed(Baseline=-120.0), ".*swap left and right"),
         ("SN1.conf", "", r"lacks \[LEFT_CAM_VGA\] with the numbers FX FY CX CY"),
         ("oak.json", '["cameraData"]', "is no calibration of an OAK camera"),
         ("oak.json", '{"cameraData"', "is no calibration of an OAK camera"),
@@ -542,7 +542,7 @@ def test_a_calibration_of_a_camera_that_cannot_be(
     name: str, text: str, message: str, folder: Path
 ) -> None:
     (folder / name).write_text(text)
-    fails(folder, rf"{re.escape(name)}.*{message}", False, size=VGA)
+    fails(folder, rf"^\S*/{re.escape(name)}:? {message}", False, size=VGA)
 
 
 def test_other_files_beside_are_no_calibration(folder: Path) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import MAX_BYTES, CalibrationError, Float64, parse_json
+from fieldgrid.core import MAX_BYTES, CalibrationError, Float64, parse_json, shortened
 from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Entries, data, raw_pair
 from fieldgrid.recordings.calibration.yaml_text import rows
 from fieldgrid.recordings.files import read_text
@@ -42,9 +42,12 @@ def read_depthai(path: Path, size_px: tuple[int, int] | None) -> CalibratedPair:
                 f"{path} does not say how its left and right camera stand to each other; "
                 "calibrate the pair again."
             )
+    except CalibrationError:  # which says more
+        raise
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as problem:
         raise CalibrationError(
-            f"{path} is no calibration of an OAK camera with a left and a right one ({problem}); "
+            f"{path} is no calibration of an OAK camera with a left and a right one "
+            f"({shortened(problem)}); "
             "write it again by CalibrationHandler.eepromToJsonFile."
         ) from problem
     return raw_pair(path, sides[0], sides[1], T, is_factory=True)
@@ -60,8 +63,12 @@ def _camera(camera: dict[str, Any], path: Path, size_px: tuple[int, int] | None)
     K[1, 2] -= (scale * camera["height"] - height) / 2.0
     is_fisheye = camera.get("cameraType") == _FISHEYE
     lens = camera["distortionCoeff"][: 4 if is_fisheye else None]
-    document = {"K": data(K), "D": data(lens)}
-    return Entries(document, path, (width, height), model="fisheye" if is_fisheye else None)
+    return Entries(
+        {"K": data(K), "D": data(lens)},
+        path,
+        (width, height),
+        model="fisheye" if is_fisheye else None,
+    )
 
 
 def _place(extrinsics: dict[str, Any], path: Path) -> Float64:
