@@ -32,7 +32,7 @@ def main() -> None:
         commands = {
             "start": ["--version"],
             "build": f"build {EXAMPLE} -o {path} --overwrite --gnss gnss_rtk.nmea".split(),
-            "show": f"show {path} -o {folder / 'map.png'}".split(),
+            "show": f"show {path} -o {folder / 'map.png'} --overwrite".split(),
             "verify": f"verify {path}".split(),
             "export tif": f"export {path} {folder / 'map.tif'} --overwrite".split(),
         }
