@@ -71,6 +71,7 @@ PARTS = {
     "parsing": Part("benchmarks.parsing", times=Times.ALL),
     "odometry": Part("benchmarks.odometry", ROAD, times=Times.ALL),
     "track_hour": Part("benchmarks.track_hour", times=Times.ALL),
+    "intake": Part("benchmarks.intake", (*RENDERED, *LOGS, *ROAD)),
     "reading": Part("benchmarks.reading", RENDERED[:1], times=Times.ALL),
     "verifying": Part("benchmarks.verifying", times=Times.ALL),
     "drives": Part("benchmarks.drives", times=Times.ALL),
