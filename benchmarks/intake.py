@@ -26,7 +26,8 @@ def main() -> None:
     """Print the table."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else DATA
     for path in _candidates(folder):
-        print(f"{path.relative_to(folder)}: {_opened(path)}", flush=True)
+        line = f"{path.relative_to(folder)}: {_opened(path)}"
+        print(line.replace(f"{folder}/", ""), flush=True)
 
 
 def _candidates(folder: Path) -> Iterator[Path]:

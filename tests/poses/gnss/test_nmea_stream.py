@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 
 from fieldgrid.geometry import Fix
 from fieldgrid.poses import NmeaStream
-from tests.poses.gnss.sentences import NOON, SECOND, gga, parse, parse_nmea, rmc, sentence
+from tests.poses.gnss.sentences import JUNE_15, NOON, SECOND, gga, parse, parse_nmea, rmc, sentence
 
 
 def epoch(k: int) -> list[bytes]:
@@ -121,6 +121,13 @@ def test_an_endless_stream_without_a_date_is_held_up_to_a_limit() -> None:
     fixes = parser.feed(rmc("125000")) + parser.finish()
     assert len(fixes) == 100
     assert fixes[-1].time_ns == NOON + 2999 * SECOND
+
+
+def test_positions_without_a_date_take_the_first_day_that_is_given_across_midnight() -> None:
+    day = JUNE_15 // (86_400 * SECOND)
+    fixes = stream(gga("235959"), gga("000000"), first_day=day)
+    assert [(fix.time_ns - JUNE_15) // SECOND for fix in fixes] == [86_399, 86_400]
+    assert stream(rmc("120000"), gga("120000"), first_day=3)[0].time_ns == NOON
 
 
 def test_an_endless_stream_takes_no_memory() -> None:

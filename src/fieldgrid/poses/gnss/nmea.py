@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from fieldgrid.geometry import Fix
 from fieldgrid.poses.gnss import nmea_proprietary, nmea_standard, nmea_unicore
 from fieldgrid.poses.gnss.fields import checksums
-from fieldgrid.poses.gnss.nmea_epochs import EpochLog, NmeaCounts
+from fieldgrid.poses.gnss.nmea_epochs import Calendar, EpochLog, NmeaCounts
 
 # Intact sentences out of a stream of bytes, whatever lies between them.
 #
@@ -107,17 +107,22 @@ class NmeaStream:
     A fix is given when `late_epochs` later times have been heard of, since any sentence may
     come that late; 1 is right for a receiver that finishes an epoch before it starts another.
     Of the positions that come before the first date the last `max_undated` are kept for it, so
-    that memory is bounded. While it is open whether a receiver that writes RMC alone will write
-    GGA as well, its first 20 epochs wait. Nothing in the stream makes it raise an error. What else
-    was found so far is in `counts`.
+    that memory is bounded. `first_day`, in days since 1970, is the date of the first position where
+    no sentence tells one, as in a log of GGA alone. While it is open whether a receiver that
+    writes RMC alone will write GGA as well, its first 20 epochs wait. Nothing in the stream makes
+    it raise an error. What else was found so far is in `counts`.
     """
 
-    def __init__(self, *, late_epochs: int = 4, max_undated: int = 10_000) -> None:
+    def __init__(
+        self, *, late_epochs: int = 4, max_undated: int = 10_000, first_day: int | None = None
+    ) -> None:
         if late_epochs < 1 or max_undated < 1:
             raise ValueError(f"late_epochs {late_epochs} and max_undated {max_undated} must be > 0")
         self.counts = NmeaCounts()
         self._framer = Framer(self.counts)
-        self._epochs = EpochLog(late_epochs, max_undated, self.counts)
+        self._epochs = EpochLog(
+            late_epochs, Calendar(max_undated, self.counts, first_day), self.counts
+        )
 
     def feed(self, chunk: bytes) -> list[Fix]:
         """The fixes that are complete after some more bytes, in their order."""

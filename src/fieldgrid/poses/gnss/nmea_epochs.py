@@ -52,16 +52,16 @@ class Calendar:
     """Dates fixes that come in the order of a log.
 
     A date holds until the next, across midnight, and serves the fixes before the first one,
-    which wait for it: at most `max_waiting` do.
+    which wait for it: at most `max_waiting` do. With a `first_day` none has to wait.
     """
 
-    def __init__(self, max_waiting: int, counts: NmeaCounts) -> None:
+    def __init__(self, max_waiting: int, counts: NmeaCounts, first_day: int | None) -> None:
         self._counts = counts
         self._max_waiting = max_waiting
         self._waiting: deque[tuple[int, Fix]] = deque()
         self._last_ns: int | None = None
         self._day = 0  # since the first epoch, from the times of day alone
-        self._shift: int | None = None  # from these to days since 1970
+        self._shift = first_day  # from these to days since 1970
 
     def take(self, of_day_ns: int, unix_day: int | None, fix: Fix | None) -> list[Fix]:
         """The next epoch, whose fix has the time of day. Gives the fixes that have a date now."""
@@ -122,9 +122,9 @@ class EpochLog:
     `current` is the epoch that untimed sentences belong to.
     """
 
-    def __init__(self, late_epochs: int, max_undated: int, counts: NmeaCounts) -> None:
+    def __init__(self, late_epochs: int, calendar: Calendar, counts: NmeaCounts) -> None:
         self.counts = counts
-        self._calendar = Calendar(max_undated, counts)
+        self._calendar = calendar
         self.current: Epoch | None = None
         self._late_epochs = late_epochs
         self._open: deque[Epoch] = deque()
