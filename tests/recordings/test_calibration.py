@@ -529,7 +529,7 @@ def broken(**changes: Any) -> str:
         ("SN1.conf", zed(Baseline=-120.0), ".*swap left and right"),
         ("SN1.conf", "", r"lacks \[LEFT_CAM_VGA\] with the numbers FX FY CX CY"),
         ("oak.json", '["cameraData"]', "is no calibration of an OAK camera"),
-        ("oak.json", '{"cameraData"', "is no calibration of an OAK camera"),
+        ("oak.json", '{"cameraData"', "is not JSON"),
         ("oak.json", '{"cameraData": [[1]]}', "is no calibration of an OAK camera"),
         ("oak.json", broken(intrinsicMatrix=[]), "lacks intrinsicMatrix as a matrix of 3 x 3"),
         ("oak.json", broken(width=0), "is no calibration of an OAK camera"),

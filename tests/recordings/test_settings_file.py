@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from decimal import Decimal
 from pathlib import Path
 
 import pytest
@@ -46,7 +47,7 @@ def test_everything_can_be_said(tmp_path: Path) -> None:
         rectified=False,
         bayer="grbg",
         bits=12,
-        start=Start(1317384506123456789, -90.0),
+        start=Start(utc_s=Decimal("1317384506.123456789"), heading_deg=-90.0),
     )
 
 

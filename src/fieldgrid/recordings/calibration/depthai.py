@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import MAX_BYTES, CalibrationError, Float64, parse_json, shortened
+from fieldgrid.core import CalibrationError, Float64, shortened
 from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Entries, data, raw_pair
 from fieldgrid.recordings.calibration.yaml_text import rows
-from fieldgrid.recordings.files import read_text
+from fieldgrid.recordings.readers.entries import read_document
 
 _LEFT, _RIGHT = 1, 2  # sockets CAM_B and CAM_C
 _FISHEYE = 1
@@ -25,7 +25,7 @@ def read_depthai(path: Path, size_px: tuple[int, int] | None) -> CalibratedPair:
     """The pair in a file for images of this (width, height), None for the size that was calibrated.
     It describes raw images, and the camera gives rectified ones, too."""
     try:
-        document = parse_json(read_text(path, MAX_BYTES, CalibrationError))
+        document = read_document(path, "JSON", CalibrationError)
         cameras = dict(document["cameraData"])
         chosen = document.get("stereoRectificationData") or {}
         sockets = [chosen.get(f"{s}CameraSocket", -1) for s in ("left", "right")]

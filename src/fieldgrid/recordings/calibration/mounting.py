@@ -9,7 +9,7 @@ from typing import Annotated, Any, get_args
 
 from pydantic import BeforeValidator, Field
 
-from fieldgrid.core import MAX_BYTES, CalibrationError, parse_json, replacing
+from fieldgrid.core import CalibrationError, replacing
 from fieldgrid.geometry import (
     HeadingConvention,
     LeverArm,
@@ -19,8 +19,7 @@ from fieldgrid.geometry import (
     StereoCamera,
     check_offset,
 )
-from fieldgrid.recordings.files import read_text
-from fieldgrid.recordings.readers.entries import EntryTable, MisfitError, Number, entry, fitted
+from fieldgrid.recordings.readers.entries import EntryTable, Number, entry, fitted, read_document
 from fieldgrid.recordings.tables.motion_files import AXES, check_axes
 
 MOUNTING = "mounting.json"
@@ -178,17 +177,5 @@ def write_mounting(path: Path, mounting: Mounting) -> None:
 
 def _read(path: Path) -> tuple[dict[str, Any], _File]:
     """All that a file holds, remarks included, and what it says."""
-    text = read_text(path, MAX_BYTES, CalibrationError)
-    try:
-        document = parse_json(text)
-    except ValueError as problem:
-        raise CalibrationError(f"{path} is not JSON: {problem}; correct it.") from problem
-    if not isinstance(document, dict):
-        first = next(iter(_File.model_fields))
-        raise CalibrationError(f"{path} does not hold a JSON object with {first}; add one.")
-    try:
-        return document, fitted(_File, {k: v for k, v in document.items() if k not in _REMARKS})
-    except MisfitError as problem:
-        unknown = "is not a setting" in str(problem)
-        remarks = f" For remarks there are {', '.join(_REMARKS)}." if unknown else ""
-        raise CalibrationError(f"{path}{problem}{remarks}") from problem
+    document = read_document(path, "JSON", CalibrationError)
+    return document, fitted(_File, document, str(path), CalibrationError, _REMARKS)

@@ -4,12 +4,22 @@ an error ends with."""
 from __future__ import annotations
 
 import reprlib
+from collections.abc import Callable, Collection
 from decimal import Decimal
-from typing import Annotated, Any, TypeVar, get_args
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from fieldgrid.core import quoted, shortened
+from fieldgrid.core import (
+    MAX_BYTES,
+    RecordingError,
+    parse_json,
+    parse_toml,
+    quoted,
+    shortened,
+)
+from fieldgrid.recordings.files import read_text
 
 LIMIT = 10**9
 """No length, angle or offset is as large."""
@@ -54,17 +64,48 @@ Number = Annotated[float, BeforeValidator(_metres)]
 Positive = Annotated[Number, Field(gt=0.0)]
 
 
-class MisfitError(ValueError):
-    """Why a document does not fit its model, as the end of a sentence after the file's name."""
+_PARSERS: dict[str, Callable[[str, Callable[[str], Any]], Any]] = {
+    "TOML": parse_toml,
+    "JSON": parse_json,
+}
 
 
-def fitted(model: type[Model], document: Any) -> Model:
-    """The document as a model. Raises MisfitError with the first thing that is wrong."""
+def read_document(
+    path: Path,
+    kind: Literal["TOML", "JSON"],
+    error: type[RecordingError] = RecordingError,
+    number: Callable[[str], Any] = float,
+) -> Any:
+    """What a file of this kind holds, its numbers with a point made by `number`; an error of the
+    type `error` for a file that is not of the kind."""
+    text = read_text(path, MAX_BYTES, error)
+    try:
+        return _PARSERS[kind](text, number)
+    except (ValueError, ArithmeticError) as problem:
+        raise error(f"{path} is not {kind}: {problem}; correct it.") from problem
+
+
+def fitted(
+    model: type[Model],
+    document: Any,
+    where: str,
+    error: type[RecordingError] = RecordingError,
+    remarks: Collection[str] = (),
+) -> Model:
+    """The document as a model, without the `remarks`, keys of which nothing is read. Raises an
+    `error` with the first thing that is wrong; `where` is what it calls the document."""
+    if isinstance(document, dict):
+        document = {key: value for key, value in document.items() if key not in remarks}
     try:
         return model.model_validate(document)
-    except ValidationError as error:
+    except ValidationError as problem:
         # A key that is not known may be the misspelt one that is missing.
-        first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
+        first = min(problem.errors(), key=lambda one: one["type"] != "extra_forbidden")
+    raise error(where + _misfit(model, first, remarks))
+
+
+def _misfit(model: type[EntryTable], first: Any, remarks: Collection[str]) -> str:
+    """What does not fit, as the end of a sentence after the name of the document."""
     # The innermost table and entry at a place, and the entry's key.
     table: type[EntryTable] = model
     info, key = None, ""
@@ -79,12 +120,13 @@ def fitted(model: type[Model], document: Any) -> Model:
     value = shortened(value, 60) if isinstance(value, Decimal) else reprlib.repr(value)
     if first["type"] == "extra_forbidden":
         known = ", ".join(table.model_fields)
-        raise MisfitError(f": {quoted(first['loc'][-1])} is not a setting; known are {known}.")
+        more = f"; for remarks there are {', '.join(remarks)}" if remarks else ""
+        return f": {quoted(first['loc'][-1])} is not a setting; known are {known}{more}."
     if info is None:
-        raise MisfitError(f" holds {value}; give a table.")
+        return f" holds {value}; give a table with {next(iter(table.model_fields))}."
     if first["type"] == "missing":
-        raise MisfitError(f" lacks {key}; {info.description}.")
+        return f" lacks {key}; {info.description}."
     if first["type"] == "model_type":
-        raise MisfitError(f": {key} is {value}; give a table [{key}].")
+        return f": {key} is {value}; give a table [{key}]."
     why = f", which {first['ctx']['error']}" if first["type"] == "value_error" else ""
-    raise MisfitError(f": {key} is {value}{why}; {info.description}.")
+    return f": {key} is {value}{why}; {info.description}."

@@ -9,29 +9,20 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field
 
-from fieldgrid.core import (
-    MAX_BYTES,
-    MAX_TIME_NS,
-    MIN_TIME_NS,
-    ConfigError,
-    DatumError,
-    RecordingError,
-    parse_json,
-    parse_toml,
-)
+from fieldgrid.core import MAX_TIME_NS, MIN_TIME_NS, ConfigError, DatumError, RecordingError
 from fieldgrid.geometry import Datum
-from fieldgrid.recordings.files import is_inside, read_text
+from fieldgrid.recordings.files import is_inside
 from fieldgrid.recordings.frames.pixels import BAYER_PATTERNS, BITS
 from fieldgrid.recordings.options import MAX_GIVEN_OFFSET_S
 from fieldgrid.recordings.poses.pose_source import PoseSource
 from fieldgrid.recordings.readers.entries import (
     EntryTable,
     Exact,
-    MisfitError,
     Number,
     Positive,
     entry,
     fitted,
+    read_document,
 )
 from fieldgrid.recordings.tables.columns import Columns, columns_from_mapping
 from fieldgrid.recordings.tables.motion_files import check_axes
@@ -40,49 +31,6 @@ SETTINGS = "recording.toml"
 
 SENSORS = ("stereo", "depth", "disparity", "cloud")
 """What a recording's frames can be."""
-
-
-@dataclass(frozen=True, slots=True)
-class Start:
-    """When a drive began whose times count from 0, and where it headed, None when not said."""
-
-    time_ns: int
-    heading_deg: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class RecordingSettings:
-    """What `recording.toml` says; the defaults are what holds without it.
-
-    `frames` and `calibration` are paths inside the recording. `rectified` is whether the images
-    are rectified, None when that is not said; `bayer` the colours of the first two rows of images
-    that are a Bayer mosaic, like "rggb"; `bits` how many of 16 bits the camera fills.
-    `sensor` is which frames to take where there are several kinds. Of depths and disparities,
-    `scale` is what one unit of their files is, metres or px, and `baseline_m` that of the pair
-    they come from. Of clouds, `axes` are where x, y and z point, `cloud_scale_m` what one unit of
-    their files is, `points_per_sr` how dense they are, and `corrected` whether their points were
-    carried to one instant. `poses` says where poses of another program are.
-    """
-
-    name: str = ""
-    image_time_offset_ns: int = 0
-    gnss_offset_ns: int = 0
-    datum: Datum | None = None
-    columns: Columns | None = None
-    frames: str | None = None
-    calibration: str | None = None
-    rectified: bool | None = None
-    bayer: str | None = None
-    bits: int | None = None
-    start: Start | None = None
-    sensor: str | None = None
-    scale: float | None = None
-    baseline_m: float | None = None
-    axes: str | None = None
-    cloud_scale_m: float = 1.0
-    points_per_sr: float | None = None
-    corrected: bool | None = None
-    poses: PoseSource | None = None
 
 
 def _inside(name: str) -> str:
@@ -99,6 +47,10 @@ _Path = Annotated[str, AfterValidator(_inside)]
 _TEXT = "give a text in quotes"
 _INSIDE = "give a path inside its folder, in quotes"
 _ABOVE = "give a number above 0"
+
+
+def _ns(seconds: Decimal) -> int:
+    return round(seconds * 1_000_000_000)
 
 
 class _Datum(EntryTable):
@@ -137,7 +89,9 @@ class _Images(EntryTable):
     )
 
 
-class _Start(EntryTable):
+class Start(EntryTable):
+    """When a drive began whose times count from 0, and where it headed, None when not said."""
+
     utc_s: Exact = entry(
         "give the UTC of the first frame as seconds since 1970, a time after 1980",
         ge=MIN_TIME_NS / 10**9,
@@ -145,8 +99,10 @@ class _Start(EntryTable):
     )
     heading_deg: Number | None = entry("give the heading of the first frame in degrees", None)
 
-    def start(self) -> Start:
-        return Start(round(self.utc_s * 1_000_000_000), self.heading_deg)
+    @property
+    def time_ns(self) -> int:
+        """UTC in nanoseconds."""
+        return _ns(self.utc_s)
 
 
 class _Depth(EntryTable):
@@ -193,8 +149,43 @@ class _Poses(EntryTable):
             self.axes,
             None if point is None else (point[0], point[1], point[2]),
             None if self.times is None else folder / self.times,
-            None if offset_s is None else round(offset_s * 1_000_000_000),
+            None if offset_s is None else _ns(offset_s),
         )
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingSettings:
+    """What `recording.toml` says; the defaults are what holds without it.
+
+    `frames` and `calibration` are paths inside the recording. `rectified` is whether the images
+    are rectified, None when that is not said; `bayer` the colours of the first two rows of images
+    that are a Bayer mosaic, like "rggb"; `bits` how many of 16 bits the camera fills.
+    `sensor` is which frames to take where there are several kinds. Of depths and disparities,
+    `scale` is what one unit of their files is, metres or px, and `baseline_m` that of the pair
+    they come from. Of clouds, `axes` are where x, y and z point, `cloud_scale_m` what one unit of
+    their files is, `points_per_sr` how dense they are, and `corrected` whether their points were
+    carried to one instant. `poses` says where poses of another program are.
+    """
+
+    name: str = ""
+    image_time_offset_ns: int = 0
+    gnss_offset_ns: int = 0
+    datum: Datum | None = None
+    columns: Columns | None = None
+    frames: str | None = None
+    calibration: str | None = None
+    rectified: bool | None = None
+    bayer: str | None = None
+    bits: int | None = None
+    start: Start | None = None
+    sensor: str | None = None
+    scale: float | None = None
+    baseline_m: float | None = None
+    axes: str | None = None
+    cloud_scale_m: float = 1.0
+    points_per_sr: float | None = None
+    corrected: bool | None = None
+    poses: PoseSource | None = None
 
 
 class _File(EntryTable):
@@ -217,7 +208,7 @@ class _File(EntryTable):
     datum: _Datum | None = entry("give a table [datum]", None)
     gnss: _Gnss = entry("give a table [gnss.columns]", _Gnss())
     images: _Images = entry("give a table [images]", _Images())
-    start: _Start | None = entry("give a table [start]", None)
+    start: Start | None = entry("give a table [start]", None)
     sensor: Literal["stereo", "depth", "disparity", "cloud"] | None = entry(
         f"give one of {', '.join(SENSORS)}", None
     )
@@ -234,17 +225,11 @@ def read_settings(path: Path) -> RecordingSettings:
     """
     if not path.exists():
         return RecordingSettings()
-    text = read_text(path, MAX_BYTES)
+    document = read_document(path, "TOML", number=Decimal)  # exact, for the nanoseconds
+    said = fitted(_File, document, str(path))
     try:
-        document = parse_toml(text, Decimal)  # exact, for the nanoseconds
-    except (ValueError, ArithmeticError) as problem:
-        raise RecordingError(f"{path} is not TOML: {problem}; correct it.") from problem
-    try:
-        said = fitted(_File, document)
         columns = None if said.gnss.columns is None else columns_from_mapping(said.gnss.columns)
         datum = None if said.datum is None else Datum(**said.datum.model_dump())
-    except MisfitError as problem:
-        raise RecordingError(f"{path}{problem}") from problem
     except (ConfigError, DatumError) as problem:
         raise RecordingError(f"{path}: {problem}") from problem
     if said.depth and said.disparity:
@@ -254,16 +239,14 @@ def read_settings(path: Path) -> RecordingSettings:
     depth, disparity = said.depth or _Depth(), said.disparity or _Disparity()
     return RecordingSettings(
         name=said.name,
-        image_time_offset_ns=round(said.image_time_offset_s * 1_000_000_000),
-        gnss_offset_ns=round(said.gnss_time_offset_s * 1_000_000_000),
+        image_time_offset_ns=_ns(said.image_time_offset_s),
+        gnss_offset_ns=_ns(said.gnss_time_offset_s),
         datum=datum,
         columns=columns,
         frames=said.frames,
         calibration=said.calibration,
-        rectified=said.images.rectified,
-        bayer=said.images.bayer,
-        bits=said.images.bits,
-        start=None if said.start is None else said.start.start(),
+        **said.images.model_dump(),
+        start=said.start,
         sensor=said.sensor,
         scale=depth.scale_m or disparity.scale_px,
         baseline_m=depth.baseline_m or disparity.baseline_m,
@@ -277,20 +260,12 @@ def read_settings(path: Path) -> RecordingSettings:
 
 def read_session_datum(path: Path) -> Datum | None:
     """The origin that `session.json` declares. Other programs write files of that name too."""
-    if not path.exists():
-        return None
-    text = read_text(path, MAX_BYTES)
-    try:
-        document = parse_json(text, Decimal)
-    except (ValueError, ArithmeticError) as problem:
-        raise RecordingError(f"{path} is not JSON: {problem}; correct or remove it.") from problem
+    document = read_document(path, "JSON", number=Decimal) if path.exists() else None
     origin = document.get("ltp_origin") if isinstance(document, dict) else None
     if not isinstance(origin, dict):
         return None
+    said = fitted(_Origin, origin, f"{path}: ltp_origin")
     try:
-        said = fitted(_Origin, origin)
         return Datum(said.lat_deg, said.lon_deg, said.ellipsoid_height_m)
-    except MisfitError as problem:
-        raise RecordingError(f"{path}: ltp_origin{problem}") from problem
     except DatumError as problem:
         raise RecordingError(f"{path}: {problem}") from problem
