@@ -249,7 +249,7 @@ def test_each_calibration_file_is_needed(name: str, date_folder: Path) -> None:
     [
         ("R_rect_00: 1 0", "R_rect_00: 2 0", "R_rect_00 is no rotation"),
         ("R_rect_00: 1 0", "R_rect_00: -1 0", "R_rect_00 is no rotation"),
-        ("S_rect_00: 6.4e+01 4.8e+01", "S_rect_00: nan 48", "lacks S_rect_00 with 2 numbers"),
+        ("S_rect_00: 6.4e+01 4.8e+01", "S_rect_00: nan 48", "lacks S_rect_00 as 2 numbers"),
         ("S_rect_00: 6.4e+01", "S_rect_00: 0", "images of 0 x 48 px"),
         ("31.5 -50 0 100", "31.5 -50 0 120", "do not share focal length"),
         ("31.5 -50", "31.5 50", "baseline of -0.5 m"),

@@ -17,7 +17,7 @@ from fieldgrid.perception import (
     rectify_by_pose,
     rectify_by_projections,
 )
-from fieldgrid.recordings.calibration.yaml_text import matrix
+from fieldgrid.recordings.calibration.yaml_text import numbers
 
 _BY_COUNT = {
     **{0: LensModel.NONE, 5: LensModel.PLUMB_BOB},
@@ -58,7 +58,7 @@ class Entries(NamedTuple):
 
     def get(self, key: str) -> Float64:
         """The matrix; CalibrationError for one that is missing or has another shape."""
-        return matrix(self.document, self.names.get(key, key), _SHAPES[key], self.path)
+        return numbers(self.document, self.names.get(key, key), _SHAPES[key], self.path)
 
     def camera(self) -> RawCamera:
         """The camera behind its lens."""
@@ -75,9 +75,9 @@ class Entries(NamedTuple):
         return raw_camera(self.size_px, K, D, model, str(self.path))
 
 
-def data(values: Any) -> dict[str, list[float]]:
-    """Numbers as a matrix of a document."""
-    return {"data": np.asarray(values, dtype=np.float64).ravel().tolist()}
+def pinhole_matrix(fx: float, fy: float, cx: float, cy: float) -> Float64:
+    """The matrix K of a camera, pixels."""
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 class CalibratedPair(NamedTuple):
@@ -154,5 +154,5 @@ def raw_pair(
     path: Path, left: Entries, right: Entries, T: Float64, *, is_factory: bool = False
 ) -> CalibratedPair:
     """Two raw cameras, of which `T` [4, 4] takes points of the left one's frame to the right's."""
-    between = Entries({"R": data(T[:3, :3]), "T": data(T[:3, 3])}, path)
+    between = Entries({"R": T[:3, :3], "T": T[:3, 3]}, path)
     return CalibratedPair(path, left, right, between, is_raw=True, is_factory=is_factory)

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.core import CalibrationError, Float64, shortened
-from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Entries, data, raw_pair
-from fieldgrid.recordings.calibration.yaml_text import rows
+from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Entries, raw_pair
+from fieldgrid.recordings.calibration.yaml_text import numbers
 from fieldgrid.recordings.readers.entries import read_document
 
 _LEFT, _RIGHT = 1, 2  # sockets CAM_B and CAM_C
@@ -55,7 +55,7 @@ def read_depthai(path: Path, size_px: tuple[int, int] | None) -> CalibratedPair:
 
 def _camera(camera: dict[str, Any], path: Path, size_px: tuple[int, int] | None) -> Entries:
     """A camera, for images that are scaled, and cut around their middle, to another size."""
-    K = rows(camera, "intrinsicMatrix", (3, 3), path)
+    K = numbers(camera, "intrinsicMatrix", (3, 3), path)
     width, height = size_px or (camera["width"], camera["height"])
     scale = max(width / camera["width"], height / camera["height"])
     K[:2] *= scale
@@ -64,7 +64,7 @@ def _camera(camera: dict[str, Any], path: Path, size_px: tuple[int, int] | None)
     is_fisheye = camera.get("cameraType") == _FISHEYE
     lens = camera["distortionCoeff"][: 4 if is_fisheye else None]
     return Entries(
-        {"K": data(K), "D": data(lens)},
+        {"K": K, "D": lens},
         path,
         (width, height),
         model="fisheye" if is_fisheye else None,
@@ -74,6 +74,6 @@ def _camera(camera: dict[str, Any], path: Path, size_px: tuple[int, int] | None)
 def _place(extrinsics: dict[str, Any], path: Path) -> Float64:
     """From the camera to that of its toCameraSocket, metres."""
     T = np.eye(4)
-    T[:3, :3] = rows(extrinsics, "rotationMatrix", (3, 3), path)
+    T[:3, :3] = numbers(extrinsics, "rotationMatrix", (3, 3), path)
     T[:3, 3] = [float(extrinsics["translation"][axis]) / 100.0 for axis in "xyz"]
     return T

@@ -1,4 +1,8 @@
-"""`camchain.yaml` of Kalibr: two raw pinholes, and where the second is seen from the first."""
+"""`camchain.yaml` of Kalibr and `sensor.yaml` of EuRoC (ASL) folders: raw pinholes, and where they
+are: the second seen from the first, or each on the body.
+
+A sensor's T_BS takes points from its frame to that of the body, which is the IMU as a rule.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from fieldgrid.core import CalibrationError
-from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Entries, data, raw_pair
-from fieldgrid.recordings.calibration.yaml_text import listed, load_yaml, resolution, rows
+import numpy as np
+
+from fieldgrid.core import CalibrationError, Float64, quoted
+from fieldgrid.perception import is_rotation
+from fieldgrid.recordings.calibration.calibrated import (
+    CalibratedPair,
+    Entries,
+    pinhole_matrix,
+    raw_pair,
+)
+from fieldgrid.recordings.calibration.yaml_text import image_size, load_yaml, numbers
+
+_MAX_AWAY_M = 100.0
 
 
 def read_kalibr(path: Path) -> CalibratedPair:
@@ -17,22 +31,41 @@ def read_kalibr(path: Path) -> CalibratedPair:
     for name in ("cam0", "cam1"):
         if not isinstance(document.get(name), dict):
             raise CalibrationError(f"{path} has no {name}; calibrate both cameras of the pair.")
-    left, right = (pinhole(document[name], path, name) for name in ("cam0", "cam1"))
-    return raw_pair(path, left, right, rows(document["cam1"], "T_cn_cnm1", (4, 4), path))
+    left, right = (_pinhole(document[name], path, name) for name in ("cam0", "cam1"))
+    return raw_pair(path, left, right, numbers(document["cam1"], "T_cn_cnm1", (4, 4), path))
 
 
-def pinhole(
+def read_euroc(left: Path, right: Path) -> CalibratedPair:
+    """The pair of two files. It describes raw images."""
+    coefficients = "distortion_coefficients"
+    cameras = [
+        _pinhole(load_yaml(path), path, path.parent.name, coefficients) for path in (left, right)
+    ]
+    T = np.linalg.inv(body_pose(right)) @ body_pose(left)
+    return raw_pair(left.parents[1], cameras[0], cameras[1], T)
+
+
+def body_pose(path: Path) -> Float64:
+    """T_BS, once it is sure to be a rigid motion."""
+    T = numbers(load_yaml(path), "T_BS", (4, 4), path)
+    is_near = bool((np.abs(T[:3, 3]) < _MAX_AWAY_M).all())
+    if not (is_rotation(T[:3, :3]) and is_near and (T[3] == (0, 0, 0, 1)).all()):
+        raise CalibrationError(f"{path}: T_BS is no rigid transformation; restore the file.")
+    return T
+
+
+def _pinhole(
     entry: Mapping[str, Any], path: Path, name: str, coefficients: str = "distortion_coeffs"
 ) -> Entries:
-    """One camera as Kalibr and EuRoC describe it; `coefficients` is how the file calls those."""
+    """One camera; `coefficients` is how its file calls those of the lens."""
     kind = entry.get("camera_model")
     if kind != "pinhole":
         raise CalibrationError(
-            f"{path}: the camera_model of {name} is {str(kind)[:40]!r}, and only pinhole is read; "
+            f"{path}: the camera_model of {name} is {quoted(str(kind))}, and only pinhole is read; "
             "calibrate with pinhole-radtan or pinhole-equi."
         )
-    fx, fy, cx, cy = listed(entry, "intrinsics", 4, path).tolist()
+    K = pinhole_matrix(*numbers(entry, "intrinsics", (4,), path))
     model = str(entry.get("distortion_model"))
-    D = () if model == "none" else listed(entry, coefficients, None, path)
-    document = {"K": data([fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]), "D": data(D)}
-    return Entries(document, Path(f"{path}: {name}"), resolution(entry, path), model=model)
+    D = () if model == "none" else numbers(entry, coefficients, None, path)
+    whose = Path(f"{path}: {name}")
+    return Entries({"K": K, "D": D}, whose, image_size(entry, path), model=model)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import CalibrationError, Float64, RecordingError
+from fieldgrid.core import CalibrationError, Float64
 from fieldgrid.geometry import LeverArm, Mount, Rig
-from fieldgrid.perception import camera_from_projections
-from fieldgrid.recordings.files import read_text
+from fieldgrid.perception import camera_from_projections, is_rotation
+from fieldgrid.recordings.calibration.yaml_text import load_yaml, numbers
 from fieldgrid.recordings.tables.motion_files import R_VEHICLE_FLU
 
 CAMERA_HEIGHT_M = 1.65
@@ -25,7 +26,6 @@ HEIGHT_NOTE = (
 )
 
 _FILES = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt")
-_MAX_BYTES = 1 << 20
 
 
 def mount_angles_deg(R_vehicle_camera: Float64) -> tuple[float, float, float]:
@@ -50,16 +50,16 @@ def read_kitti_rig(drive: Path, left: str, right: str) -> Rig:
             f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} neither in {date} nor "
             f"in {drive}; unpack KITTI's calibration of that day."
         )
-    path, table = files[0], read_entries(files[0])
-    T_cam_velo, T_velo_imu = map(_transform, files[1:])
-    T_rect_cam = np.eye(4)
+    path, table = files[0], load_yaml(files[0])
+    T_rect_cam, T_cam_velo, T_velo_imu = np.eye(4), np.eye(4), np.eye(4)
     T_rect_cam[:3, :3] = _rotation(table, "R_rect_00", path)
+    for file, T in zip(files[1:], (T_cam_velo, T_velo_imu), strict=True):
+        moved = load_yaml(file)
+        T[:3, :3], T[:3, 3] = _rotation(moved, "R", file), numbers(moved, "T", (3,), file)
     T_rect_imu = T_rect_cam @ T_cam_velo @ T_velo_imu
-    width, height = numbers(table, f"S_rect_{left}", 2, path)
+    width, height = numbers(table, f"S_rect_{left}", (2,), path)
     # From rectified camera 0 to pixels.
-    P_left, P_right = (
-        numbers(table, f"P_rect_{side}", 12, path).reshape(3, 4) for side in (left, right)
-    )
+    P_left, P_right = (numbers(table, f"P_rect_{side}", (3, 4), path) for side in (left, right))
     camera = camera_from_projections(P_left, P_right, (int(width), int(height)), str(path))
     # Optical centres in the frame of rectified camera 0, metres.
     left_m, right_m = (-np.linalg.solve(P[:, :3], P[:, 3]) for P in (P_left, P_right))
@@ -75,39 +75,8 @@ def read_kitti_rig(drive: Path, left: str, right: str) -> Rig:
     return Rig(camera, mount, antenna)
 
 
-def _transform(path: Path) -> Float64:
-    table = read_entries(path)
-    T = np.eye(4)
-    T[:3, :3] = _rotation(table, "R", path)
-    T[:3, 3] = numbers(table, "T", 3, path)
-    return T
-
-
-def _rotation(table: dict[str, str], key: str, path: Path) -> Float64:
-    R = numbers(table, key, 9, path).reshape(3, 3)
-    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
+def _rotation(table: dict[str, Any], key: str, path: Path) -> Float64:
+    R = numbers(table, key, (3, 3), path)
+    if not is_rotation(R):
         raise CalibrationError(f"{path}: {key} is no rotation; restore the file.")
     return R
-
-
-def read_entries(path: Path) -> dict[str, str]:
-    """Lines `key: values` of a calibration file."""
-    text = read_text(path, _MAX_BYTES, CalibrationError)
-    lines = (line.partition(":") for line in text.splitlines())
-    return {key.strip(): values for key, _, values in lines}
-
-
-def numbers(table: dict[str, str], key: str, count: int, path: Path) -> Float64:
-    """The `count` numbers of an entry."""
-    values = np.array(floats(table.get(key, ""), path), dtype=np.float64)
-    if values.size != count or not (np.abs(values) < 1e9).all():
-        raise CalibrationError(f"{path} lacks {key} with {count} numbers; restore the file.")
-    return values
-
-
-def floats(text: str, path: Path) -> list[float]:
-    """The numbers of a text, separated by white space."""
-    try:
-        return [float(word) for word in text.split()]
-    except ValueError as problem:
-        raise RecordingError(f"{path} is damaged: {problem}; copy it again.") from problem

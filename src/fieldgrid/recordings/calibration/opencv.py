@@ -9,7 +9,7 @@ import numpy as np
 
 from fieldgrid.core import CalibrationError
 from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Entries
-from fieldgrid.recordings.calibration.yaml_text import image_size, load_yaml, matrix
+from fieldgrid.recordings.calibration.yaml_text import image_size, load_yaml, numbers
 
 _MOST_ASIDE = 0.2
 """Of a side of an image, how far the middle of a lens may be from that of the image."""
@@ -31,7 +31,7 @@ def read_opencv(path: Path, size_px: tuple[int, int] | None = None) -> Calibrate
     if size_px is None or {"image_width", "image_height"} & document.keys():
         size_px = image_size(document, path)
     else:
-        middle_px = matrix(document, f"{lens}1", (3, 3), path)[:2, 2]
+        middle_px = numbers(document, f"{lens}1", (3, 3), path)[:2, 2]
         if (np.abs(middle_px / size_px - 0.5) > _MOST_ASIDE).any():
             raise CalibrationError(
                 f"{path} does not say the size of its images, and the middle of the lens, "

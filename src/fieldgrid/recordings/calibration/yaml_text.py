@@ -1,5 +1,4 @@
-"""YAML files of calibrations, from strangers: numbers, sizes and matrices with errors that name
-the file."""
+"""YAML files of calibrations, from strangers: sizes and numbers with errors that name the file."""
 
 from __future__ import annotations
 
@@ -17,6 +16,7 @@ from fieldgrid.recordings.files import read_text
 _MAX_BYTES = 1 << 16
 _MAX_DEPTH = 50
 _MAX_SCALAR = 1000
+_MAX_NUMBER = 1e9
 _MERGE = "tag:yaml.org,2002:merge"
 
 
@@ -79,62 +79,32 @@ def load_yaml(path: Path) -> dict[str, Any]:
 
 
 def image_size(document: Mapping[str, Any], path: Path) -> tuple[int, int]:
-    """image_width and image_height."""
-    sizes = []
-    for key in ("image_width", "image_height"):
-        value = document.get(key)
-        if not isinstance(value, int):
-            raise CalibrationError(
-                f"{path}: {key} is {shortened(repr(value), 60)}; add the image size in pixels."
-            )
-        sizes.append(value)
-    return sizes[0], sizes[1]
-
-
-def resolution(document: Mapping[str, Any], path: Path) -> tuple[int, int]:
-    """`resolution` as Kalibr and EuRoC write it."""
-    value = document.get("resolution")
-    whole = isinstance(value, list) and all(type(v) is int for v in value)
-    if not (isinstance(value, list) and whole and len(value) == 2):
+    """The (width, height) of images: `resolution`, or image_width and image_height."""
+    apart = [document.get("image_width"), document.get("image_height")]
+    size_px = document.get("resolution", apart)
+    is_list = isinstance(size_px, list) and len(size_px) == 2
+    if not (is_list and all(type(side) is int for side in size_px)):
         raise CalibrationError(
-            f"{path}: resolution is {shortened(repr(value), 60)}; give [width, height] in pixels."
+            f"{path}: the size of its images is {shortened(repr(size_px), 60)}; give image_width "
+            "and image_height in pixels, or resolution: [width, height]."
         )
-    return value[0], value[1]
+    return size_px[0], size_px[1]
 
 
-def matrix(
-    document: Mapping[str, Any], key: str, shape: tuple[int, int] | None, path: Path
+def numbers(
+    document: Mapping[str, Any], key: str, shape: tuple[int, ...] | None, path: Path
 ) -> Float64:
-    """The matrix `key`, of `shape` or of any; its numbers stand below `data`."""
+    """The numbers `key`, of `shape` or in a row of any length: a matrix of OpenCV with its `data`,
+    a list, a list of rows, or words in a line."""
     entry = document.get(key)
-    data = entry.get("data") if isinstance(entry, dict) else None
-    return _numbers(data, key, shape, path)
-
-
-def rows(document: Mapping[str, Any], key: str, shape: tuple[int, int], path: Path) -> Float64:
-    """The matrix `key`, written as a list of rows."""
-    lines = document.get(key)
-    flat: list[object] = []
-    for line in lines if isinstance(lines, list) else ():
-        whole = isinstance(line, list) and len(line) == shape[1]
-        flat += line if whole else [None]
-    return _numbers(flat, key, shape, path)
-
-
-def listed(document: Mapping[str, Any], key: str, count: int | None, path: Path) -> Float64:
-    """The list `key`, of `count` numbers or of any."""
-    values = _numbers(document.get(key), key, None if count is None else (1, count), path)
-    return values.ravel()
-
-
-def _numbers(data: object, key: str, shape: tuple[int, int] | None, path: Path) -> Float64:
+    entry = entry.get("data") if isinstance(entry, dict) else entry
     try:
-        found = [float(v) for v in data] if isinstance(data, list) else [math.nan]
+        values = np.asarray(entry.split() if isinstance(entry, str) else entry, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        found = [math.nan]
-    values = np.array(found, dtype=np.float64)
-    size = values.size if shape is None else shape[0] * shape[1]
-    if values.size != size or not np.isfinite(values).all():
-        wanted = "a matrix" if shape is None else f"a matrix of {shape[0]} x {shape[1]}"
-        raise CalibrationError(f"{path} lacks {key} as {wanted} of numbers; add its data.")
-    return values if shape is None else values.reshape(shape)
+        values = np.array(math.nan)
+    count = values.size if shape is None else math.prod(shape)
+    in_rows = values.ndim == 1 or values.shape == shape
+    if not (in_rows and values.size == count and (np.abs(values) < _MAX_NUMBER).all()):
+        size = "" if shape is None else f"{' x '.join(map(str, shape))} "
+        raise CalibrationError(f"{path} lacks {key} as {size}numbers; add or restore them.")
+    return values.reshape(-1 if shape is None else shape)

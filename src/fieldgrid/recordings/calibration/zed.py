@@ -14,7 +14,12 @@ import cv2
 import numpy as np
 
 from fieldgrid.core import CalibrationError, Float64
-from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Entries, data, raw_pair
+from fieldgrid.recordings.calibration.calibrated import (
+    CalibratedPair,
+    Entries,
+    pinhole_matrix,
+    raw_pair,
+)
 from fieldgrid.recordings.files import read_text
 
 _MAX_BYTES = 1 << 20
@@ -54,13 +59,12 @@ def read_zed(path: Path, size_px: tuple[int, int] | None) -> CalibratedPair:
 
     cameras = []
     for side in ("LEFT", "RIGHT"):
-        fx, fy, cx, cy = numbers(f"{side}_CAM_{name}", "FX FY CX CY")
+        K = pinhole_matrix(*numbers(f"{side}_CAM_{name}", "FX FY CX CY"))
         if f"[{side}_DISTO] K1" in values:
             lens = numbers(f"{side}_DISTO", "K1 K2 P1 P2 K3 K4 K5 K6")
         else:
             lens = numbers(f"{side}_CAM_{name}", "K1 K2 P1 P2 K3", K3="0")
-        K = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-        cameras.append(Entries({"K": data(K), "D": data(lens)}, path, size_px))
+        cameras.append(Entries({"K": K, "D": lens}, path, size_px))
     T = np.eye(4)
     T[:3, :3] = cv2.Rodrigues(numbers("STEREO", f"RX_{name} CV_{name} RZ_{name}"))[0]
     # The sign of the baseline alone is turned round, as the maker's calibration writes it.

@@ -112,7 +112,7 @@ def _read_numbers(
             continue
         width = width or len(words)
         if width not in widths:
-            break
+            raise RecordingError(f"{path} has {width} numbers a line; give {wanted}.")
         if len(words) != width:
             raise RecordingError(
                 f"{path}, line {number}: {len(words)} numbers, and the first line has {width}; "
@@ -125,14 +125,16 @@ def _read_numbers(
         except ValueError as problem:
             why = str(problem).replace("could not convert string to float", "no number")
             raise RecordingError(f"{path}: {why[:200]}; write the file again.") from problem
-    if width not in widths:
-        found = f"{width} numbers" if width else "nothing"
-        raise RecordingError(f"{path} has {found} a line; give {wanted}.")
+    if not lines:
+        raise RecordingError(f"{path} is empty; give {wanted}.")
     values = np.array(numbers).reshape(-1, width)
-    rest = values[:, 1:] if width == _TUM else values
-    limit = np.inf if width == 1 else MOST_M
-    wrong = np.asarray(~(np.isfinite(values).all(axis=1) & (np.abs(rest) < limit).all(axis=1)))
-    _refuse(path, lines, wrong, "it holds NaN, or a number beyond any drive")
+    is_possible = np.isfinite(values).all(axis=1)
+    if width != _KITTI:
+        is_possible &= values[:, 0] >= 0.0
+    if width != 1:
+        is_possible &= (np.abs(values[:, int(width == _TUM) :]) < MOST_M).all(axis=1)
+    why = "it holds NaN, a time below 0, or a number beyond any drive"
+    _refuse(path, lines, ~is_possible, why)
     return lines, first, values
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from fieldgrid.core import Float64, RecordingError, counted
 from fieldgrid.geometry import Motion
-from fieldgrid.recordings.calibration.euroc import body_pose, read_euroc
+from fieldgrid.recordings.calibration.kalibr import body_pose, read_euroc
 from fieldgrid.recordings.calibration.mounting import MOUNTING, Mounting
 from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_motion
 from fieldgrid.recordings.files import read_table

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.core import Int64, RecordingError
-from fieldgrid.recordings.calibration.kitti import (
-    HEIGHT_NOTE,
-    floats,
-    read_kitti_rig,
-)
+from fieldgrid.core import Float64, Int64, RecordingError, shortened
+from fieldgrid.recordings.calibration.kitti import HEIGHT_NOTE, read_kitti_rig
 from fieldgrid.recordings.calibration.mounting import MOUNTING
 from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_frames
 from fieldgrid.recordings.files import read_lines, read_text
@@ -83,11 +78,16 @@ def _drives(path: Path) -> list[Path]:
     return [p for p in candidates if (p / "oxts").is_dir() and any(p.glob("image_0[0-3]"))]
 
 
-def _row(path: Path) -> list[float]:
-    values = floats(read_text(path, _MAX_OXTS_BYTES), path)
-    if len(values) != len(FIELDS) or not all(math.isfinite(v) for v in values):
+def _row(path: Path) -> Float64:
+    try:
+        values = np.array(read_text(path, _MAX_OXTS_BYTES).split(), dtype=np.float64)
+    except ValueError as problem:
         raise RecordingError(
-            f"{path} has {len(values)} numbers, not {len(FIELDS)} finite ones; copy it again."
+            f"{path} is damaged: {shortened(problem)}; copy it again."
+        ) from problem
+    if values.size != len(FIELDS) or not np.isfinite(values).all():
+        raise RecordingError(
+            f"{path} has {values.size} numbers, not {len(FIELDS)} finite ones; copy it again."
         )
     return values
 

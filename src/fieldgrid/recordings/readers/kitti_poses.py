@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.core import Float64, Quality, RecordingError
+from fieldgrid.core import Float64, Int64, Quality, RecordingError
 from fieldgrid.geometry import Datum, FixColumns, LeverArm, Mount, StereoCamera, wrap_deg
 from fieldgrid.recordings.drive import Drive
 from fieldgrid.recordings.poses.pose_files import BodyPoses, read_pose_file
@@ -19,21 +18,19 @@ POSES = "poses.txt"
 _SIGMA_M, _SIGMA_DEG = 0.1, 0.2  # what KITTI says of its RTK and INS, roughly
 
 
-def find_poses(path: Path) -> Path | None:
-    """The poses in the sequence, or where KITTI unpacks them."""
-    name = path.resolve().name
-    places = (path / POSES, path.resolve().parent.parent / "poses" / f"{name}.txt")
-    return next((p for p in places if p.is_file()), None)
-
-
 def with_own_poses(
-    drive: Drive, file: Path | None, times_ns: list[int], settings: RecordingSettings, mount: Mount
+    drive: Drive, times_ns: Int64 | None, settings: RecordingSettings, mount: Mount
 ) -> Drive:
-    """The drive with the fixes that its poses come to; or a note on what is missing for them."""
-    if file is None or settings.datum is None:
+    """The drive with the fixes that its poses, in the sequence or where KITTI unpacks them, come
+    to; or a note on what is missing for them."""
+    sequence = drive.path.resolve()
+    places = (drive.path / POSES, sequence.parent.parent / "poses" / f"{sequence.name}.txt")
+    file = next((place for place in places if place.is_file()), None)
+    if file is None or times_ns is None or settings.datum is None:
         missing = f"No GNSS: neither a log nor {POSES}; give --gnss FILE."
         if file is not None:
-            missing = f"No GNSS: for {file.name} to stand in for it, add [datum] to {SETTINGS}."
+            needs = "[datum]" if settings.datum is None else "[start]"
+            missing = f"No GNSS: for {file.name} to stand in for it, add {needs} to {SETTINGS}."
         return replace(drive, log=FixLog(FixColumns.of([]), (missing,)), notes=(missing,))
     poses = read_pose_file(file)
     if poses.time_ns is not None or len(poses.R) != len(times_ns):
@@ -61,7 +58,7 @@ def first_camera(left_projection: Float64, camera: StereoCamera, mount: Mount) -
 
 
 def _fixes(
-    poses: BodyPoses, times_ns: list[int], datum: Datum, start_deg: float, mount: Mount
+    poses: BodyPoses, times_ns: Int64, datum: Datum, start_deg: float, mount: Mount
 ) -> FixColumns:
     """The fixes of camera 0 and the headings of the nose, the vehicle being level at first."""
     R_vehicle_camera = mount.rotation()
