@@ -219,7 +219,7 @@ def test_times_that_cannot_be(stamp: str, date_folder: Path) -> None:
 @pytest.mark.parametrize("text", ["", "1 2 3", "49 " * 29 + "nan", "49 " * 31])
 def test_oxts_rows_that_cannot_be(text: str, date_folder: Path) -> None:
     (date_folder / DRIVE / "oxts" / "data" / "0000000003.txt").write_text(text)
-    fails(date_folder, r"0000000003\.txt has \d+ numbers, not 30 finite ones")
+    fails(date_folder, r"0000000003\.txt is no row of 30 finite")
 
 
 @pytest.mark.parametrize(("number", "name"), [(3, "roll"), (4, "pitch"), (5, "yaw")])
@@ -233,7 +233,7 @@ def test_angles_in_degrees_are_refused(number: int, name: str, date_folder: Path
 
 def test_oxts_rows_that_are_no_numbers(date_folder: Path) -> None:
     (date_folder / DRIVE / "oxts" / "data" / "0000000003.txt").write_text("here " * 30)
-    fails(date_folder, r"0000000003\.txt is damaged: could not convert")
+    fails(date_folder, r"0000000003\.txt is no row of 30 finite")
 
 
 @pytest.mark.parametrize("name", sorted(CALIBRATION))

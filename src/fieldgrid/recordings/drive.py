@@ -85,15 +85,17 @@ class Drive(Closing):
         """Everything that was recorded, also what is not used."""
         if self.topics:
             return self.topics
-        fixes_ns, gyro, wheels = self.fixes().time_ns, self.motion().gyro, self.motion().wheels
-        found = []
-        if self.gnss_source:
-            found.append(Stream(self.gnss_source, "fixes", "fix", len(fixes_ns), fixes_ns))
-        if gyro is not None:
-            found.append(Stream("gyro", "gyro", "gyro", len(gyro.time_ns), gyro.time_ns))
-        if wheels is not None:
-            found.append(Stream("wheels", "speed", "wheels", len(wheels.time_ns), wheels.time_ns))
-        return found
+        said = self.motion()
+        found = (
+            (self.gnss_source, "fixes", "fix", self.fixes() if self.gnss_source else None),
+            ("gyro", "gyro", "gyro", said.gyro),
+            ("wheels", "speed", "wheels", said.wheels),
+        )
+        return [
+            Stream(name, kind, role, len(series.time_ns), series.time_ns)
+            for name, kind, role, series in found
+            if series is not None
+        ]
 
     def recording(self) -> Recording:
         """The drive as one with frames; raises what stands against that: NoFramesError where it

@@ -34,8 +34,7 @@ from fieldgrid.recordings.readers.settings_file import (
 )
 from fieldgrid.recordings.stored import FrameKind, PairKind, Shot
 
-_PIECE_BYTES = 4 << 20
-"""Of a table that grows, what is in memory at once."""
+_MOST_LINE_BYTES = 4 << 20
 
 _MOST_PROBLEMS = 1000
 """Of wrong rows and names, how many are told one by one each time."""
@@ -158,47 +157,36 @@ class GrowingFolder:
                     "another folder."
                 )
             file.seek(self._read_bytes)
-            while data := file.read(_PIECE_BYTES):
-                whole = data[: data.rfind(b"\n") + 1]
-                if not whole and len(data) == _PIECE_BYTES:
-                    raise RecordingError(
-                        f"{table} has a line of more than {_PIECE_BYTES >> 20} MiB, so it is no "
-                        "table of frames; check the file."
-                    )
-                if not whole:
-                    return
-                yield from self._of_lines(table, whole.splitlines(keepends=True))
-                file.seek(self._read_bytes)
+            while (raw := file.readline(_MOST_LINE_BYTES)).endswith(b"\n"):
+                self._read_bytes += len(raw)
+                self._lines += 1
+                where = f"{table}, line {self._lines}"
+                try:
+                    yield from self._of_row(raw.decode("utf-8-sig"), where)
+                except RecordingError as problem:
+                    yield problem
+                except (UnicodeDecodeError, csv.Error) as problem:
+                    yield RecordingError(f"{where}: {problem}; correct it.")
+        if len(raw) == _MOST_LINE_BYTES:
+            raise RecordingError(
+                f"{table} has a line of more than {_MOST_LINE_BYTES >> 20} MiB, so it is no table "
+                "of frames; check the file."
+            )
 
-    def _of_lines(self, table: Path, lines: list[bytes]) -> Iterator[Shot | RecordingError]:
-        for raw in lines:
-            self._read_bytes += len(raw)
-            self._lines += 1
-            where = f"{table}, line {self._lines}"
-            try:
-                if (shot := self._of_row(raw, where)) is not None:
-                    yield shot
-            except RecordingError as problem:
-                yield problem
-            except (UnicodeDecodeError, csv.Error) as problem:
-                yield RecordingError(f"{where}: {problem}; correct it.")
-
-    def _of_row(self, raw: bytes, where: str) -> Shot | None:
-        text = raw.decode("utf-8-sig")
+    def _of_row(self, text: str, where: str) -> Iterator[Shot]:
+        """The frame of a row; none of the header and of empty rows."""
         if not self._header:
             self._delimiter = delimiter_of(text)
         cells = [cell.strip() for cell in next(csv.reader([text], delimiter=self._delimiter), [])]
-        if self._header:
-            if not any(cells):
-                return None
+        if not self._header:
+            header, needed = frame_columns(cells), needed_columns(self._layout)
+            if not set(needed) <= set(header):
+                raise RecordingError(f"{where} is no header with at least {', '.join(needed)}.")
+            self._header = header
+        elif any(cells):
             cells += [""] * len(self._header)
             row = dict(zip(self._header, cells, strict=False))
-            return shot_of_row(row, where, self._layout, self._in_folder)
-        cells, needed = frame_columns(cells), needed_columns(self._layout)
-        if not set(needed) <= set(cells):
-            raise RecordingError(f"{where} is no header with at least {', '.join(needed)}.")
-        self._header = cells
-        return None
+            yield shot_of_row(row, where, self._layout, self._in_folder)
 
 
 def open_growing(path: str | Path, options: DriveOptions | None = None) -> GrowingFolder:

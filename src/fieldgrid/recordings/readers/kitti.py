@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.core import Float64, Int64, RecordingError, shortened
+from fieldgrid.core import Float64, Int64, RecordingError
 from fieldgrid.recordings.calibration.kitti import HEIGHT_NOTE, read_kitti_rig
 from fieldgrid.recordings.calibration.mounting import MOUNTING
 from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_frames
@@ -79,16 +79,13 @@ def _drives(path: Path) -> list[Path]:
 
 
 def _row(path: Path) -> Float64:
+    words = read_text(path, _MAX_OXTS_BYTES).split()
     try:
-        values = np.array(read_text(path, _MAX_OXTS_BYTES).split(), dtype=np.float64)
-    except ValueError as problem:
-        raise RecordingError(
-            f"{path} is damaged: {shortened(problem)}; copy it again."
-        ) from problem
+        values = np.array(words, dtype=np.float64)
+    except ValueError:
+        values = np.zeros(0)
     if values.size != len(FIELDS) or not np.isfinite(values).all():
-        raise RecordingError(
-            f"{path} has {values.size} numbers, not {len(FIELDS)} finite ones; copy it again."
-        )
+        raise RecordingError(f"{path} is no row of {len(FIELDS)} finite numbers; copy it again.")
     return values
 
 
