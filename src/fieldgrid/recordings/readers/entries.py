@@ -51,14 +51,9 @@ Exact = Annotated[Decimal, BeforeValidator(_number)]
 """A finite number as it stands in the file, to the last nanosecond."""
 
 
-def _metres(value: object) -> float:
-    number = float(_number(value))
-    if abs(number) >= LIMIT:
-        raise ValueError("is too large")
-    return number
-
-
-Number = Annotated[float, BeforeValidator(_metres)]
+Number = Annotated[
+    float, BeforeValidator(lambda value: float(_number(value))), Field(gt=-LIMIT, lt=LIMIT)
+]
 """A finite number of metres, degrees or pixels."""
 
 Positive = Annotated[Number, Field(gt=0.0)]

@@ -125,22 +125,16 @@ def _shots(folder: Path, mav: Path, incomplete: bool) -> tuple[tuple[Shot, ...],
 def _images(camera: Path) -> dict[int, str]:
     """The names of the images of a camera by their times, UTC nanoseconds."""
     path = camera / _DATA
-    images: dict[int, str] = {}
-    for number, row in read_table(path, (), named=lambda _: ["frame_id", "file"]):
-        row["time_ns"] = row["frame_id"]
-        shot = shot_of_row(row, f"{path}, line {number}", _ROWS, str)
-        (name,) = shot.files
-        if len(images) == MAX_FRAMES:
+    shots: list[Shot] = []
+    for number, row in read_table(path, (), named=lambda _: ["time_ns", "file"]):
+        row["frame_id"] = f"{row['time_ns']} ({row['file']})"
+        shots.append(shot_of_row(row, f"{path}, line {number}", _ROWS, str))
+        if len(shots) > MAX_FRAMES:
             raise RecordingError(
                 f"{path} lists more than {MAX_FRAMES} images; split the recording."
             )
-        if shot.time_ns in images:
-            raise RecordingError(
-                f"{path}, line {number}: {images[shot.time_ns]} and {name} have the same time "
-                f"{shot.time_ns} ns; correct the time stamps."
-            )
-        images[shot.time_ns] = name
-    return images
+    checked = checked_shots(shots, camera, "image", incomplete=True)
+    return {shot.time_ns: shot.files[0] for shot in checked}
 
 
 def _turning(imu: Path, R_vehicle_body: Float64) -> tuple[Motion, tuple[str, ...]]:
