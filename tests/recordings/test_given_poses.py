@@ -257,7 +257,7 @@ GOOD = "1308133815.0 0 0 0 0 0 0 1\n1308133816.0 1 0 0 0 0 0 1\n1308133817.0 2 0
         (GOOD + "1308133818.0 2 0 0 0 0 0\n", "line 4: 7 numbers, and the first line has 8"),
         (GOOD + "1308133818.0 2 0 0 0 0 0 x\n", "no number: 'x'"),
         (GOOD + "1308133818.0 nan 0 0 0 0 0 1\n", r"line 4: it holds NaN"),
-        (GOOD + "1308133818.0 9e9 0 0 0 0 0 1\n", r"line 4: it holds NaN, a time below 0, or a number beyond"),
+        (GOOD + "1308133818.0 9e9 0 0 0 0 0 1\n", "line 4: .*, or a number beyond"),
         (GOOD + "1308133818.0 2 0 0 0 0 0 0\n", "line 4: its quaternion has not the length 1"),
         (GOOD + "1308133818.0 2 0 0 0 0 0 2\n", "line 4: its quaternion has not the length 1"),
         (GOOD.replace("13081338", "0"), "'015.0' is no UTC time since 1970; if the times count"),

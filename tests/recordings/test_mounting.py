@@ -79,6 +79,57 @@ def test_remarks_stay_and_what_is_no_longer_said_goes(tmp_path: Path) -> None:
     }
 
 
+def test_what_a_mounting_may_leave_out(tmp_path: Path) -> None:
+    path = tmp_path / "mounting.json"
+    path.write_text(json.dumps(LEAST))
+    assert read_mounting(path) == Mounting(
+        Mount(2.5, 15.0, 0.0, 0.0), LeverArm(-0.125, -0.5, 2.75), source=str(path)
+    )
+
+
+POINT, OFFSET = "gnss_antenna_from_camera_mid_flu_m", "heading_offset_deg"
+LEAST = {
+    "camera_height_above_ground_m": 2.5,
+    "camera_tilt_down_deg": 15.0,
+    POINT: [-0.5, 0.125, 0.25],
+}
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ("", "is not JSON"),
+        ("[" * 100_000, "is not JSON"),
+        ('{"a": 1e}', "is not JSON"),
+        ("[1]", r"holds \[1\]; give a table with camera_height"),
+        ({"camera_height_above_ground_m": None}, "lacks camera_height_above_ground_m; measure"),
+        ({"camera_tilt_down_deg": None}, "lacks camera_tilt_down_deg"),
+        ({POINT: None}, "a forgotten lever arm misplaces"),
+        ({POINT: [1, 2]}, r"is \[1, 2\]; measure it and give"),
+        ({POINT: [1, 2, "3"]}, "is '3', which is no number"),
+        ({POINT: [450, 0, 0]}, "beyond 30 m"),
+        ({"camera_height_above_ground_m": 265}, "camera height of 265"),
+        ({"camera_height_above_ground_m": float("nan")}, "is nan, which is no number; measure"),
+        ({"camera_tilt_down_deg": True}, "is True, which is no number"),
+        ({"camera_roll_deg": 90}, "camera roll of 90"),
+        ({"camera_hight": 2.0}, "'camera_hight' is not .* known are camera_h.*; for remarks"),
+        ({OFFSET: 700}, "heading offset of 700.0° is beyond 360°"),
+        ({"heading_convention": "ccw"}, "heading_convention is 'ccw'; give one of"),
+        ({"imu_axes": "fru"}, "imu_axes is 'fru', which .* give where x, y and z of the IMU point"),
+        ({"imu_axes": 3}, "imu_axes is 3, which"),
+    ],
+)
+def test_what_is_no_mounting_is_refused(
+    said: str | dict[str, object], message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "mounting.json"
+    if isinstance(said, dict):
+        said = json.dumps({k: v for k, v in {**LEAST, **said}.items() if v is not None})
+    path.write_text(said)
+    with pytest.raises(CalibrationError, match=rf"mounting\.json.*{message}"):
+        read_mounting(path)
+
+
 def test_what_is_no_mounting_is_not_replaced(tmp_path: Path) -> None:
     path = tmp_path / "mounting.json"
     path.write_text('{"camera_hight": 2.0}')

@@ -147,7 +147,7 @@ def test_depths_need_a_calibration(tmp_path: Path) -> None:
     [
         (info(k=0, p=100), "was never calibrated"),
         (info(k=100, p=1), "depth_camera_info.yaml: A focal length of 1"),
-        ("image_width: 64\n", "image_height is None"),
+        ("image_width: 64\n", "images is .64, None.; give image_width"),
         ("]", "is not YAML"),
     ],
 )
