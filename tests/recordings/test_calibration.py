@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 from fieldgrid.core import CalibrationError
-from fieldgrid.recordings import open_recording
+from fieldgrid.recordings import DriveOptions, open_drive
 from fieldgrid.recordings.calibration.loading import Calibration, read_calibration
 
 Float64 = npt.NDArray[np.float64]
@@ -97,6 +97,14 @@ def by_opencv(D_left: list[float], D_right: list[float]) -> Matrices:
     return Matrices(*found[:4])
 
 
+def by_fisheye() -> Matrices:
+    """The same for the lenses of a fisheye."""
+    found = cv2.fisheye.stereoRectify(
+        *(K1, np.array(FISH1), K2, np.array(FISH2), SIZE, R, T[:, None]), cv2.CALIB_ZERO_DISPARITY
+    )
+    return Matrices(*found[:4])
+
+
 def check(found: Calibration, D: tuple[list[float], ...], m: Matrices) -> None:
     """The camera and the images are those of OpenCV's own functions for these matrices."""
     camera = found.camera
@@ -121,57 +129,113 @@ def folder(tmp_path: Path) -> Path:
     return calibration
 
 
-@pytest.mark.parametrize("rectified", [None, False])
-def test_opencv_by_the_places_of_the_cameras(rectified: bool | None, folder: Path) -> None:
-    (folder / "stereo_opencv.yaml").write_text(opencv())
-    found = read_calibration(folder, rectified=rectified)
-    check(found, (D1, D2), by_opencv(D1, D2))
-    assert found.notes == ("The images are raw, and rectified by stereo_opencv.yaml.",)
+def put(folder: Path, files: dict[str, str]) -> Path:
+    """The folder with these files and no others."""
+    for path in folder.iterdir():
+        path.unlink()
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    return folder
 
 
-def test_opencv_as_the_file_prescribes(folder: Path) -> None:
-    m = by_opencv(D1, D2)
-    wider = [P.copy() for P in m[2:]]
-    for P in wider:
-        P[:2] *= 0.9
-        P[:2, 2] += (3.0, -2.0)
-    given = {"R1": m.R1, "R2": m.R2, "P1": wider[0], "P2": wider[1]}
-    (folder / "stereo_opencv.yaml").write_text(opencv(**given))
-    check(read_calibration(folder, rectified=False), (D1, D2), Matrices(m.R1, m.R2, *wider))
-    for rectified in (None, True):
-        found = read_calibration(folder, rectified=rectified)
-        assert found.rectifier is None
-        assert found.camera.focal_px == pytest.approx(0.9 * m.P1[0, 0])
-        # A remark only where nobody has said it.
-        assert ("if they are raw, say so" in "".join(found.notes)) == (rectified is None)
+def fails(
+    folder: Path,
+    match: str,
+    rectified: bool | None = None,
+    *,
+    named: str | None = None,
+    size: tuple[int, int] | None = None,
+) -> None:
+    with pytest.raises(CalibrationError, match=match) as caught:
+        read_calibration(folder, named, rectified, size)
+    assert "\n" not in str(caught.value)
+    assert re.search(r"[;:] .*\.$", str(caught.value))
+
+
+def added(P: Float64, *changes: tuple[int, int, float]) -> Float64:
+    """A matrix with numbers added at rows and columns."""
+    changed = P.copy()
+    for row, column, by in changes:
+        changed[row, column] += by
+    return changed
+
+
+CV, ROS_LEFT, ROS_RIGHT = (
+    *("stereo_opencv.yaml", "stereo_left_camera_info.yaml"),
+    "stereo_right_camera_info.yaml",
+)
+M = by_opencv(D1, D2)
+WIDER = Matrices(*M[:2], *(added(P * 0.9, (2, 2, 0.1), (0, 2, 3), (1, 2, -2)) for P in M[2:]))
+RATIONAL = [0.1, -0.05, 0.001, 0.0005, 0.01, 0.2, -0.03, 0.005]
+FISHEYE = [{"distortion_model": "equidistant", "distortion_coeffs": D} for D in (FISH1, FISH2)]
+
+
+def ros_pair(left: str = ROS_LEFT, right: str = ROS_RIGHT, **changes: Any) -> dict[str, str]:
+    return {left: ros(K1, D1, M.R1, M.P1, **changes), right: ros(K2, D2, M.R2, M.P2)}
+
+
+RAW: dict[str, tuple[dict[str, str], tuple[list[float], ...], Matrices]] = {
+    "opencv": ({CV: opencv()}, (D1, D2), M),
+    "prescribed": ({CV: opencv(**WIDER._asdict())}, (D1, D2), WIDER),
+    "rational": (
+        {CV: opencv(D1=RATIONAL, D2=RATIONAL)},
+        (RATIONAL, RATIONAL),
+        by_opencv(RATIONAL, RATIONAL),
+    ),
+    "fisheye": (
+        {CV: opencv(D1=FISH1, D2=FISH2, distortion_model="fisheye")},
+        (FISH1, FISH2),
+        by_fisheye(),
+    ),
+    "ros": (ros_pair(), (D1, D2), M),
+    "calibrator": (ros_pair("left.yaml", "right.yaml"), (D1, D2), M),
+    "kalibr": ({"june-camchain.yaml": kalibr()}, (D1[:4], D2[:4]), by_opencv(D1[:4], D2[:4])),
+    "equidistant": ({"camchain.yaml": kalibr(*FISHEYE)}, (FISH1, FISH2), by_fisheye()),
+}
+
+
+@pytest.mark.parametrize("name", RAW)
+def test_raw_images_are_rectified_as_opencv_does(name: str, folder: Path) -> None:
+    files, lenses, matrices = RAW[name]
+    put(folder, files)
+    file = next(iter(files))
+    found = read_calibration(folder, rectified=False)
+    check(found, lenses, matrices)
+    assert found.notes == (f"The images are raw, and rectified by {file}.",)
+    if name in ("prescribed", "ros", "calibrator"):  # which tell how rectified ones look, too
+        for rectified in (None, True):
+            if rectified and name != "prescribed":
+                continue  # their rotations say that they are not
+            found = read_calibration(folder, rectified=rectified)
+            assert found.rectifier is None
+            assert found.camera.focal_px == pytest.approx(matrices.P1[0, 0])
+            # A remark only where nobody has said it.
+            assert ("if they are raw, say so" in "".join(found.notes)) == (rectified is None)
+    else:
+        check(read_calibration(folder), lenses, matrices)
 
 
 def test_the_two_files_of_opencvs_own_program(folder: Path) -> None:
     """They call the matrices of the lenses M1 and M2, and do not say the size of the images."""
-    m = by_opencv(D1, D2)
-    whole = opencv(R1=m.R1, R2=m.R2, P1=m.P1, P2=m.P2)
-    (folder / "stereo_opencv.yaml").write_text(whole)
-    expected = read_calibration(folder).camera
-    (folder / "stereo_opencv.yaml").unlink()
-    lenses = opencv(K1=None, K2=None, R=None, T=None, M1=K1, M2=K2).splitlines()
-    lenses = [line for line in lenses if not line.startswith("image_")]
-    (folder / "intrinsics.yml").write_text("\n".join(lenses))
-    fails(folder, r"extrinsics\.yml cannot be read")
-    places = opencv(K1=None, D1=None, K2=None, D2=None, R1=m.R1, R2=m.R2, P1=m.P1, P2=m.P2)
-    places_lines = [line for line in places.splitlines() if not line.startswith("image_")]
-    (folder / "extrinsics.yml").write_text("\n".join(places_lines))
+    expected = read_calibration(put(folder, {CV: opencv(**M._asdict())})).camera
+
+    def sizeless(text: str) -> str:
+        return "\n".join(line for line in text.splitlines() if not line.startswith("image_"))
+
+    lenses = sizeless(opencv(K1=None, K2=None, R=None, T=None, M1=K1, M2=K2))
+    places = sizeless(opencv(K1=None, D1=None, K2=None, D2=None, **M._asdict()))
+    fails(put(folder, {"intrinsics.yml": lenses}), r"extrinsics\.yml cannot be read")
+    fails(put(folder, {"extrinsics.yml": places}), r"of extrinsics\.yml, name the one with both")
+    put(folder, {"intrinsics.yml": lenses, "extrinsics.yml": places})
     fails(folder, "the size of its images is .None, None.; give image_width")
     for named in (None, "intrinsics.yml"):
-        check(read_calibration(folder, named, False, SIZE), (D1, D2), m)
+        check(read_calibration(folder, named, False, SIZE), (D1, D2), M)
         found = read_calibration(folder, named, None, SIZE)
         assert found.camera == expected
         assert found.notes[0].startswith("intrinsics.yml with extrinsics.yml describes how to")
         assert found.notes[1].endswith("that of the first one is taken, 320 x 240 px.")
     for other in ((640, 480), (160, 120)):
-        with pytest.raises(CalibrationError, match="158, 121 px, is not that of images of"):
-            read_calibration(folder, None, False, other)
-    (folder / "intrinsics.yml").unlink()
-    fails(folder, r"of extrinsics\.yml, name the one with both cameras")
+        fails(folder, "158, 121 px, is not that of images of", False, size=other)
 
 
 @pytest.mark.parametrize(
@@ -179,210 +243,183 @@ def test_the_two_files_of_opencvs_own_program(folder: Path) -> None:
 )
 def test_a_whole_file_called_intrinsics(left_out: tuple[str, ...], folder: Path) -> None:
     """With P1 and P2 it needs no second file."""
-    given = by_opencv(D1, D2)._asdict() | dict.fromkeys(left_out)
-    (folder / "stereo_intrinsics.yaml").write_text(opencv(**given))
+    put(folder, {"stereo_intrinsics.yaml": opencv(**M._asdict() | dict.fromkeys(left_out))})
     found = read_calibration(folder, "stereo_intrinsics.yaml", True)
-    assert found.camera.focal_px == pytest.approx(by_opencv(D1, D2).P1[0, 0])
+    assert found.camera.focal_px == pytest.approx(M.P1[0, 0])
 
 
-def test_a_calibration_in_squares_of_the_board_is_refused(folder: Path) -> None:
-    (folder / "stereo_opencv.yaml").write_text(opencv(T=T / 0.01))
-    fails(folder, "give the translation in metres", rectified=False)
+STRAIGHT_K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
+STRAIGHT_P = np.hstack([STRAIGHT_K, np.zeros((3, 1))])
+ASIDE_P = added(STRAIGHT_P, (0, 2, -2), (0, 3, -60))
+STRAIGHT = {"K1": STRAIGHT_K, "K2": STRAIGHT_K, "D1": [0.0] * 5, "D2": [0.0] * 5}
+STRAIGHT |= {"R": np.eye(3), "T": [-0.2, 0, 0]}
+NO_LENS = {"distortion_model": "none", "distortion_coeffs": [], "intrinsics": [300, 300, 160, 120]}
+PLACED = np.vstack([np.column_stack([np.eye(3), [-0.2, 0, 0]]), [0, 0, 0, 1]]).tolist()
 
 
-def test_a_fisheye_of_opencv_must_be_named(folder: Path) -> None:
-    path = folder / "stereo_opencv.yaml"
-    path.write_text(opencv(D1=FISH1, D2=FISH2))
-    with pytest.raises(CalibrationError, match="has 4 distortion coefficients and does not name"):
-        read_calibration(folder)
-    path.write_text(opencv(D1=FISH1, D2=FISH2, distortion_model="fisheye"))
-    matrices = cv2.fisheye.stereoRectify(
-        *(K1, np.array(FISH1), K2, np.array(FISH2), SIZE, R, T[:, None]), cv2.CALIB_ZERO_DISPARITY
-    )[:4]
-    check(read_calibration(folder), (FISH1, FISH2), Matrices(*matrices))
-
-
-def test_rational_coefficients_of_opencv(folder: Path) -> None:
-    D = [0.1, -0.05, 0.001, 0.0005, 0.01, 0.2, -0.03, 0.005]
-    (folder / "stereo_opencv.yaml").write_text(opencv(D1=D, D2=D))
-    check(read_calibration(folder), (D, D), by_opencv(D, D))
-
-
-def test_ros_files_of_raw_images(folder: Path) -> None:
-    m = by_opencv(D1, D2)
-    (folder / "stereo_left_camera_info.yaml").write_text(ros(K1, D1, m.R1, m.P1))
-    (folder / "stereo_right_camera_info.yaml").write_text(ros(K2, D2, m.R2, m.P2))
-    check(read_calibration(folder, rectified=False), (D1, D2), m)
-    as_rectified = read_calibration(folder)
-    assert as_rectified.rectifier is None
-    assert "taken as rectified" in as_rectified.notes[0]
-
-
-def test_ros_files_as_its_calibrator_calls_them(folder: Path) -> None:
-    m = by_opencv(D1, D2)
-    (folder / "left.yaml").write_text(ros(K1, D1, m.R1, m.P1))
-    with pytest.raises(CalibrationError, match=r'of left\.yaml, name .*: calibration = "\.\.\."'):
-        read_calibration(folder)
-    (folder / "right.yaml").write_text(ros(K2, D2, m.R2, m.P2))
-    check(read_calibration(folder, rectified=False), (D1, D2), m)
-    (folder / "stereo_opencv.yaml").write_text(opencv())
-    other = read_calibration(folder, rectified=False).notes
-    assert other == ("The images are raw, and rectified by stereo_opencv.yaml.",)
-
-
-def test_kalibr(folder: Path) -> None:
-    # Kalibr puts the name of the bag before its own.
-    (folder / "camchain-june.yaml").write_text(kalibr())
-    (folder / "june-camchain.yaml").write_text(kalibr())
-    with pytest.raises(CalibrationError, match=r"camchain-june\.yaml, june-camchain\.yaml; name"):
-        read_calibration(folder)
-    (folder / "camchain-june.yaml").unlink()
-    found = read_calibration(folder)
-    check(found, (D1[:4], D2[:4]), by_opencv(D1[:4], D2[:4]))
-    assert found.notes == ("The images are raw, and rectified by june-camchain.yaml.",)
-
-
-def test_kalibr_equidistant(folder: Path) -> None:
-    lens = [{"distortion_model": "equidistant", "distortion_coeffs": D} for D in (FISH1, FISH2)]
-    (folder / "camchain.yaml").write_text(kalibr(*lens))
-    matrices = cv2.fisheye.stereoRectify(
-        *(K1, np.array(FISH1), K2, np.array(FISH2), SIZE, R, T[:, None]), cv2.CALIB_ZERO_DISPARITY
-    )[:4]
-    check(read_calibration(folder), (FISH1, FISH2), Matrices(*matrices))
-
-
-def test_kalibr_of_a_pair_that_is_rectified(folder: Path) -> None:
-    straight = {
-        "distortion_model": "none",
-        "distortion_coeffs": [],
-        "intrinsics": [300, 300, 160, 120],
-    }
-    T_cn_cnm1 = np.eye(4)
-    T_cn_cnm1[0, 3] = -0.2
-    (folder / "camchain.yaml").write_text(
-        kalibr(straight, {**straight, "T_cn_cnm1": T_cn_cnm1.tolist()})
-    )
-    for rectified in (None, True, False):
+@pytest.mark.parametrize(
+    ("files", "offset_px"),
+    [
+        ({CV: opencv(**STRAIGHT)}, 0.0),
+        ({CV: opencv(**STRAIGHT, P1=STRAIGHT_P, P2=ASIDE_P)}, 2.0),
+        (
+            {
+                ROS_LEFT: ros(STRAIGHT_K, [0.0] * 5, np.eye(3), STRAIGHT_P),
+                ROS_RIGHT: ros(STRAIGHT_K, [0.0] * 5, np.eye(3), ASIDE_P),
+            },
+            2.0,
+        ),
+        ({"camchain.yaml": kalibr(NO_LENS, {**NO_LENS, "T_cn_cnm1": PLACED})}, 0.0),
+    ],
+)
+def test_a_pair_that_is_rectified(files: dict[str, str], offset_px: float, folder: Path) -> None:
+    put(folder, files)
+    for rectified in (None, True):
         found = read_calibration(folder, rectified=rectified)
-        assert found.rectifier is None
-        assert found.notes == ()
+        assert (found.rectifier, found.notes) == (None, ())
         assert found.camera.baseline_m == pytest.approx(0.2)
+        assert found.camera.disparity_offset_px == offset_px
 
 
-def test_a_file_can_be_named_of_several(folder: Path) -> None:
-    for name in ("camchain-1.yaml", "camchain-2.yaml"):
-        (folder / name).write_text(kalibr())
-    with pytest.raises(CalibrationError, match=r"camchain-1\.yaml, camchain-2\.yaml; name one in"):
-        read_calibration(folder)
-    by_kalibr = read_calibration(folder, "camchain-2.yaml")
-    assert by_kalibr.notes[0].endswith("by camchain-2.yaml.")
-    (folder.parent / "raw.yml").write_text(opencv(D1=[*D1[:4], 0.0], D2=[*D2[:4], 0.0]))
-    by_cv = read_calibration(folder, "raw.yml")
-    assert by_cv.camera.focal_px == pytest.approx(by_kalibr.camera.focal_px)
-    m = by_opencv(D1, D2)
-    (folder / "raw_left.yaml").write_text(ros(K1, D1, m.R1, m.P1))
-    (folder / "raw_right.yaml").write_text(ros(K2, D2, m.R2, m.P2))
-    check(read_calibration(folder, "raw_left.yaml", False), (D1, D2), m)
-    with pytest.raises(CalibrationError, match="name that of the left one"):
-        read_calibration(folder, "raw_right.yaml", False)
-    with pytest.raises(CalibrationError, match=r"none\.yaml cannot be read"):
-        read_calibration(folder, "none.yaml")
+def test_which_file_is_read(folder: Path) -> None:
+    """OpenCV's and ROS's before all others, of which one is named or there is only one."""
+    put(folder, {CV: opencv(), "camchain.yaml": "nothing", "left.yaml": "", "right.yaml": ""})
+    assert read_calibration(folder).notes[0].endswith(f"by {CV}.")
+    names = "camchain-1.yaml", "2-camchain.yaml"  # Kalibr puts the name of the bag before its own
+    put(folder, dict.fromkeys(names, kalibr()))
+    fails(folder, r"kind: 2-camchain\.yaml, camchain-1\.yaml; name one in recording\.toml")
+    for name in names:
+        assert read_calibration(folder, name).notes[0].endswith(f"by {name}.")
+    (folder.parent / "raw.yml").write_text(opencv())
+    check(read_calibration(folder, "raw.yml"), (D1, D2), M)
+    put(folder, ros_pair("raw_left.yaml", "raw_right.yaml"))
+    check(read_calibration(folder, "raw_left.yaml", False), (D1, D2), M)
+    fails(folder, "name that of the left one", False, named="raw_right.yaml")
+    fails(folder, r"none\.yaml cannot be read", named="none.yaml")
+    put(folder, {"left.yaml": ros_pair()[ROS_LEFT]})
+    fails(folder, r'of left\.yaml, name .*: calibration = "\.\.\."')
+    put(folder, {ROS_LEFT: ros_pair()[ROS_LEFT]})
+    fails(folder, "stereo_right_camera_info.yaml cannot be read: No such file")
+    (folder / ROS_RIGHT).write_text(ros(K2, D2, M.R2, M.P2 * [1, 1, 1, 1.01]))
+    (folder / CV).write_text(opencv(**M._asdict()))
+    fails(folder, r"disagree in f·b, [\d.]+ and [\d.]+ px·m; remove the one")
 
 
-def test_kalibr_says_nothing_beside_the_others(folder: Path) -> None:
-    (folder / "camchain.yaml").write_text("nothing")
-    (folder / "stereo_opencv.yaml").write_text(opencv())
-    assert read_calibration(folder).camera.baseline_m == pytest.approx(float(np.linalg.norm(T)))
+TURNED = {**M._asdict(), "P1": None, "P2": None}
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"D2": None}, "lacks D2 as numbers"),
-        ({"K1": None}, "lacks K1 as 3 x 3 numbers"),
-        ({"R": None}, "lacks R as 3 x 3 numbers"),
         ({"T": [0.1, 0.2]}, "lacks T as 3 x 1 numbers"),
+        ({"T": "\n   data: [a, 0, 0]"}, "lacks T as 3 x 1 numbers"),
+        ({"T": [float("nan"), 0, 0]}, "lacks T as 3 x 1 numbers"),
         ({"T": [0.18, 0, 0]}, "swap left and right"),
         ({"T": [-180, 0, 0]}, "m apart, which is outside"),
+        ({"T": T / 0.01}, "give the translation in metres"),
+        ({"D1": FISH1}, "has 4 distortion coefficients and does not name"),
         ({"D1": [0.1] * 6}, "has 6 distortion coefficients and does not name their model"),
         ({"D1": [0.1] * 5, "distortion_model": "rational"}, "rational has 8 or 12 or 14"),
         ({"distortion_model": "fov"}, "distortion model 'fov' is not known"),
         ({"R1": np.eye(3)}, "lacks R2 as 3 x 3 numbers"),
         ({"K1": np.diag([1e8, 1e8, 1.0])}, "does not fit images of 320 x 240 px"),
+        (TURNED, "lacks P1 as 3 x 4 numbers"),
+        ({"P1": M.P1}, "lacks R1 as 3 x 3 numbers"),
     ],
 )
-def test_an_opencv_file_that_cannot_be(changes: dict[str, Any], message: str, folder: Path) -> None:
-    (folder / "stereo_opencv.yaml").write_text(opencv(**changes))
-    fails(folder, rf"stereo_opencv\.yaml.*{message}")
+def test_an_opencv_file_of_a_raw_pair_that_cannot_be(
+    changes: dict[str, Any], message: str, folder: Path
+) -> None:
+    text = opencv(**changes)
+    fails(put(folder, {CV: text}), rf"stereo_opencv\.yaml.*{message}", False)
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"distortion_model": "fov"}, "distortion model 'fov' is not known"),
-        ({"distortion_model": "equidistant"}, "equidistant has 4 coefficients, not 5"),
+        ({"P2": None}, "lacks P2 as 3 x 4 numbers"),
+        ({"P1": [1, 2, 3]}, "lacks P1 as 3 x 4 numbers"),
+        ({"P1": np.zeros(12)}, "not calibrated"),
+        ({"P1": added(STRAIGHT_P, (1, 1, 3))}, r"fx = 300\.0 and fy = 303\.0 px differ"),
+        ({"P2": added(STRAIGHT_P, (0, 3, -60), (1, 2, 2))}, "do not share focal length and rows"),
+        ({"P2": added(STRAIGHT_P, (0, 0, 6), (1, 1, 6))}, "do not share focal length and rows"),
+        ({"P2": added(STRAIGHT_P, (1, 3, -60))}, "do not share focal length and rows"),
+        ({"P2": added(STRAIGHT_P, (0, 3, 60))}, r"baseline of -0\.2 m"),
+        ({"P2": added(STRAIGHT_P, (0, 3, -6e4))}, r"baseline of 200\.0 m"),
+    ],
+)
+def test_projections_that_cannot_be(changes: dict[str, Any], message: str, folder: Path) -> None:
+    text = opencv(**{**STRAIGHT, "P1": STRAIGHT_P, "P2": ASIDE_P, **changes})
+    fails(put(folder, {CV: text}), rf"stereo_opencv\.yaml.*{message}")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "holds no calibration"),
+        ("a: [1, 2", "is not YAML"),
+        ("a: !!python/object/apply:os.system ['true']", "is not YAML"),
+        ("a: !!opencv-matrix 5", "is not YAML"),
+        ("[" * 5000, "is not YAML"),
+        ("image_width: wide\nimage_height: 480", "images is .'wide', 480.; give image_width"),
+        (opencv(**STRAIGHT).replace("320", "0", 1), "images of 0 x 240 px"),
+    ],
+)
+def test_a_calibration_file_that_is_none(text: str, message: str, folder: Path) -> None:
+    fails(put(folder, {CV: text}), rf"stereo_opencv\.yaml.*{message}")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
         ({"rectification_matrix": None}, "lacks rectification_matrix as 3 x 3 numbers"),
         ({"rectification_matrix": {"data": [0.0] * 9}}, "left camera is no rotation"),
         ({"distortion_coefficients": {"data": [float("nan")] * 5}}, "lacks distortion_coeff"),
         ({"image_width": 10**9}, r"is for images of \(1000000000, 240\) px"),
+        ({"camera_matrix": {"data": [0.0] * 9}}, r"K\[0\] = 0 means that the camera was never"),
         ({"projection_matrix": {"data": [0.0] * 12}}, "not calibrated"),
     ],
 )
 def test_a_ros_file_that_cannot_be(changes: dict[str, Any], message: str, folder: Path) -> None:
-    m = by_opencv(D1, D2)
-    (folder / "stereo_left_camera_info.yaml").write_text(ros(K1, D1, m.R1, m.P1, **changes))
-    (folder / "stereo_right_camera_info.yaml").write_text(ros(K2, D2, m.R2, m.P2))
-    fails(folder, rf"camera_info\.yaml.*{message}", rectified=False)
+    fails(put(folder, ros_pair(**changes)), rf"camera_info\.yaml.*{message}", rectified=False)
 
 
 def test_rectified_pairs_have_no_rotation_to_rectify_them(folder: Path) -> None:
-    m = by_opencv(D1, D2)
-    left, right = (folder / f"stereo_{side}_camera_info.yaml" for side in ("left", "right"))
-    left.write_text(ros(K1, D1, np.eye(3), m.P1))
-    right.write_text(ros(K2, D2, m.R2, m.P2))
-    turn_deg = np.degrees(np.linalg.norm(cv2.Rodrigues(m.R2)[0]))
+    put(folder, ros_pair(rectification_matrix={"data": numbers(np.eye(3))}))
+    turn_deg = np.degrees(np.linalg.norm(cv2.Rodrigues(M.R2)[0]))
     said = rf"right_camera_info.*by {turn_deg:.2f} degrees.*leave `rectified` out"
     fails(folder, said, rectified=True)
-    assert "taken as rectified" in read_calibration(folder).notes[0]
-    right.write_text(ros(K2, D2, np.eye(3), m.P2))
+    (folder / ROS_RIGHT).write_text(ros(K2, D2, np.eye(3), M.P2))
     assert read_calibration(folder, rectified=True).notes == ()
-
-
-FISHEYE = {"distortion_model": "equidistant", "distortion_coeffs": FISH1}
 
 
 @pytest.mark.parametrize(
     ("left", "right", "message"),
     [
         ({"camera_model": "omni"}, {}, "camera_model of cam0 is 'omni', and only pinhole"),
-        ({"camera_model": None}, {}, "camera_model of cam0 is 'None', and only pinhole"),
-        ({"distortion_model": "fov"}, {}, "cam0: the distortion model 'fov' is not known"),
-        ({"distortion_coeffs": [0.1]}, {}, "plumb_bob has 4 or 5 coefficients, not 1"),
+        ({"distortion_coeffs": [0.1]}, {}, "plumb_bob has 4 or 5 coefficients"),
         ({"distortion_coeffs": "none"}, {}, "lacks distortion_coeffs"),
         ({"intrinsics": [300, 300, 160]}, {}, "lacks intrinsics as 4 numbers"),
-        ({"intrinsics": [300, "x", 160, 2]}, {}, "lacks intrinsics"),
         ({"resolution": [320]}, {}, r"size of its images is \[320\]; give"),
         ({"resolution": [320, True]}, {}, "the size of its images is"),
-        ({"resolution": [0, 0]}, {}, "both must be of one size"),
         ({"resolution": [640, 480]}, {}, "both must be of one size"),
-        ({}, FISHEYE, "one lens is plumb_bob, the other equidistant"),
-        ({}, {"T_cn_cnm1": None}, "lacks T_cn_cnm1 as 4 x 4 numbers"),
+        ({}, FISHEYE[0], "one lens is plumb_bob, the other equidistant"),
         ({}, {"T_cn_cnm1": [[1, 0, 0]] * 4}, "lacks T_cn_cnm1 as 4 x 4 numbers"),
+        ({}, {"T_cn_cnm1": np.ones((2, 8)).tolist()}, "lacks T_cn_cnm1 as 4 x 4 numbers"),
         ({}, {"T_cn_cnm1": np.zeros((4, 4)).tolist()}, "between the cameras is no rotation"),
-        ({}, {"T_cn_cnm1": np.eye(4).tolist()}, "m apart, which is outside"),
     ],
 )
 def test_a_kalibr_file_that_cannot_be(
     left: dict[str, Any], right: dict[str, Any], message: str, folder: Path
 ) -> None:
-    (folder / "camchain.yaml").write_text(kalibr(left, right))
-    fails(folder, rf"camchain\.yaml.*{message}")
+    fails(put(folder, {"camchain.yaml": kalibr(left, right)}), rf"camchain\.yaml.*{message}")
 
 
 def test_kalibr_describes_both_cameras_and_raw_images(folder: Path) -> None:
-    (folder / "camchain.yaml").write_text("cam0: {camera_model: pinhole}\ncam1: 7\n")
+    put(folder, {"camchain.yaml": "cam0: {camera_model: pinhole}\ncam1: 7\n"})
     fails(folder, r"camchain\.yaml has no cam1; calibrate both")
-    (folder / "camchain.yaml").write_text(kalibr())
+    put(folder, {"camchain.yaml": kalibr()})
     fails(folder, r"describes raw images, and recording\.toml says rectified = true", True)
 
 
@@ -448,65 +485,50 @@ def depthai(*, size: tuple[int, int] = VGA, turned: bool = False, **changes: Any
     }
 
 
-def as_opencv() -> str:
+def as_opencv(D_left: list[float] = D1, D_right: list[float] = D2) -> str:
     """The same rig."""
     aside = np.array([[0, 0, 170], [0, 0, 70], [0, 0, 0]])
-    text = opencv(K1=K1 + aside, K2=K2 + aside)
+    text = opencv(K1=K1 + aside, K2=K2 + aside, D1=D_left, D2=D_right)
     return text.replace(f"{SIZE[0]}", f"{VGA[0]}", 1).replace(f"{SIZE[1]}", f"{VGA[1]}", 1)
 
 
+_KEYS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+# Newer ZEDs have sections of their own for the lenses.
+DISTO = [f"{key} = {v}" for key, v in zip(_KEYS, RATIONAL, strict=True)]
+NEWER_ZED = "\n".join([zed(), "[LEFT_DISTO]", *DISTO, "[RIGHT_DISTO]", *DISTO])
 MAKERS_FILES = {
-    "SN10028.conf": zed(),
-    "oak.json": json.dumps(depthai()),
-    "oak-d.json": json.dumps(depthai(turned=True, stereoRectificationData={})),
+    "SN10028.conf": (zed(), as_opencv()),
+    "SN1.conf": (NEWER_ZED, as_opencv(RATIONAL, RATIONAL)),
+    "oak.json": (json.dumps(depthai()), as_opencv()),
+    "oak-d.json": (json.dumps(depthai(turned=True, stereoRectificationData={})), as_opencv()),
 }
 
 
 @pytest.mark.parametrize("name", MAKERS_FILES)
 def test_the_calibration_that_a_camera_holds(name: str, folder: Path) -> None:
     """It is that of the same rig as OpenCV's file says it."""
-    (folder / "stereo_opencv.yaml").write_text(as_opencv())
-    expected = read_calibration(folder)
-    (folder / "stereo_opencv.yaml").unlink()
-    (folder / name).write_text(MAKERS_FILES[name])
-    found = read_calibration(folder, None, False, VGA)
+    text, same = MAKERS_FILES[name]
+    expected = read_calibration(put(folder, {CV: same}))
+    found = read_calibration(put(folder, {name: text}), None, False, VGA)
     assert found.notes == (f"The images are raw, and rectified by {name}.",)
     for key in ("focal_px", "cx_px", "cy_px", "baseline_m"):
         assert getattr(found.camera, key) == pytest.approx(getattr(expected.camera, key), rel=1e-9)
+    assert np.abs(found.R_rect_left - expected.R_rect_left).max() < 1e-9
     image = np.random.default_rng(2).integers(0, 256, VGA[::-1], dtype=np.uint8)
     assert found.rectifier is not None
     assert expected.rectifier is not None
-    for one, other in zip(
-        found.rectifier(image, image), expected.rectifier(image, image), strict=True
-    ):
+    images = found.rectifier(image, image), expected.rectifier(image, image)
+    for one, other in zip(*images, strict=True):
         assert np.abs(one.astype(int) - other).max() <= 1
     fails(folder, r"add \[images\] rectified = false to recording.toml if these are raw", size=VGA)
     fails(folder, "recording.toml says rectified = true; give P1 and P2", True, size=VGA)
 
 
-def test_the_lenses_of_a_newer_zed_have_sections_of_their_own(folder: Path) -> None:
-    lens = {"k1": 0.1, "k2": -0.05, "p1": 0.001, "p2": 0.0005, "k3": 0.01, "k4": 0.2, "k5": -0.03}
-    lines = [f"{key} = {value}" for key, value in {**lens, "k6": 0.005}.items()]
-    sections = ["", "[LEFT_DISTO]", *lines, "[RIGHT_DISTO]", *lines]
-    (folder / "SN1.conf").write_text(zed() + "\n".join(sections))
-    found = read_calibration(folder, None, False, VGA)
-    (folder / "SN1.conf").unlink()
-    D = [*lens.values(), 0.005]
-    aside = np.array([[0, 0, 170], [0, 0, 70], [0, 0, 0]])
-    text = opencv(K1=K1 + aside, K2=K2 + aside, D1=D, D2=D)
-    text = text.replace(f"{SIZE[0]}", f"{VGA[0]}", 1).replace(f"{SIZE[1]}", f"{VGA[1]}", 1)
-    (folder / "stereo_opencv.yaml").write_text(text)
-    expected = read_calibration(folder)
-    assert found.camera.focal_px == pytest.approx(expected.camera.focal_px)
-    assert np.abs(found.R_rect_left - expected.R_rect_left).max() < 1e-9
-
-
 def test_images_of_an_oak_may_be_smaller_than_calibrated(folder: Path) -> None:
     """Scaled to the width, and cut above and below, as CalibrationHandler does it."""
-    (folder / "oak.json").write_text(json.dumps(depthai(size=(1344, 800))))
-    found = read_calibration(folder, None, False, VGA).camera
+    put(folder, {"oak.json": json.dumps(depthai(size=(1344, 800)))})
+    found, whole = (read_calibration(folder, None, False, size).camera for size in (VGA, None))
     assert (found.width_px, found.height_px) == VGA
-    whole = read_calibration(folder, None, False).camera
     assert (whole.width_px, whole.height_px) == (1344, 800)
     assert found.baseline_m == pytest.approx(whole.baseline_m)
 
@@ -519,91 +541,56 @@ def broken(**changes: Any) -> str:
     return json.dumps(document)
 
 
+NO_OAK = "is no calibration of an OAK camera"
+
+
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
         ("SN1.conf", zed("HD"), r"lacks \[LEFT_CAM_VGA\] with the numbers FX FY"),
-        ("SN1.conf", zed(RX_VGA=None), r"lacks \[STEREO\] with the numbers RX_VGA"),
-        ("SN1.conf", zed(Baseline=None), r"lacks \[STEREO\] with the numbers BASELINE"),
         ("SN1.conf", zed(Baseline="twelve"), r"lacks \[STEREO\] with the numbers BASELINE"),
         ("SN1.conf", zed(Baseline=-120.0), ".*swap left and right"),
-        ("SN1.conf", "", r"lacks \[LEFT_CAM_VGA\] with the numbers FX FY CX CY"),
-        ("oak.json", '["cameraData"]', "is no calibration of an OAK camera"),
+        ("oak.json", '["cameraData"]', NO_OAK),
         ("oak.json", '{"cameraData"', "is not JSON"),
-        ("oak.json", '{"cameraData": [[1]]}', "is no calibration of an OAK camera"),
+        ("oak.json", '{"cameraData": [[1]]}', NO_OAK),
         ("oak.json", broken(intrinsicMatrix=[]), "lacks intrinsicMatrix as 3 x 3 numbers"),
-        ("oak.json", broken(width=0), "is no calibration of an OAK camera"),
+        ("oak.json", broken(width=0), NO_OAK),
         ("oak.json", broken(distortionCoeff=[0.1] * 6), "has 6 distortion coefficients"),
         ("oak.json", broken(toCameraSocket=0), "does not say how its left and right camera stand"),
-        ("oak.json", broken(translation={"x": -18.0}), "is no calibration of an OAK camera"),
+        ("oak.json", broken(translation={"x": -18.0}), NO_OAK),
     ],
 )
 def test_a_calibration_of_a_camera_that_cannot_be(
     name: str, text: str, message: str, folder: Path
 ) -> None:
-    (folder / name).write_text(text)
-    fails(folder, rf"^\S*/{re.escape(name)}:? {message}", False, size=VGA)
+    fails(put(folder, {name: text}), rf"^\S*/{re.escape(name)}:? {message}", False, size=VGA)
 
 
-def test_other_files_beside_are_no_calibration(folder: Path) -> None:
-    (folder / "notes.json").write_text("{}")
+def test_which_file_of_a_camera_is_read(folder: Path) -> None:
+    put(folder, {"notes.json": "{}"})
     fails(folder, "neither stereo_opencv.yaml nor .*; put the calibration of the pair there")
-    for name in ("a.json", "b.json"):
-        (folder / name).write_text(json.dumps(depthai()))
+    put(folder, {"notes.json": "{}", **dict.fromkeys(("a.json", "b.json"), json.dumps(depthai()))})
     fails(folder, r"several calibrations of one kind: a\.json, b\.json; name one", False)
     found = read_calibration(folder, "b.json", False)
     assert found.notes == ("The images are raw, and rectified by b.json.",)
-
-
-def test_a_zed_must_be_of_a_known_size(folder: Path) -> None:
-    (folder / "SN1.conf").write_text(zed())
+    put(folder, {"SN1.conf": zed()})
     fails(folder, "and these have an unknown size; write the calibration", False)
     fails(folder, r"and these have \(320, 240\); write", False, size=SIZE)
 
 
-@pytest.mark.parametrize("name", MAKERS_FILES)
-def test_a_whole_recording_with_the_calibration_of_its_camera(name: str, folder: Path) -> None:
-    """ZED's images in a folder of their own, as its SDK exports them, with a table of times."""
+def test_a_recording_has_the_size_of_its_images(folder: Path) -> None:
+    """Of which a ZED's calibration is one; they may lie in one folder, as its SDK exports them."""
     drive = folder.parent
-    rows = ["frame_id,time_ns,left,right"]
-    for k in range(2):
-        names = [f"{side}{k:06d}.png" for side in ("left", "right")]
-        for file in names:
-            image = np.random.default_rng(k).integers(0, 256, VGA[::-1], dtype=np.uint8)
-            assert cv2.imwrite(str(drive / file), image)
-        rows.append(f"{k},{(1_308_133_815 + k) * 10**9},{names[0]},{names[1]}")
-    (drive / "frames.csv").write_text("\n".join(rows))
+    for side in ("left", "right"):
+        assert cv2.imwrite(str(drive / f"{side}0.png"), np.zeros(VGA[::-1], dtype=np.uint8))
+    row = "frame_id,time_ns,left,right\n0,1308133815000000000,left0.png,right0.png\n"
+    (drive / "frames.csv").write_text(row)
     (drive / "recording.toml").write_text("[images]\nrectified = false\n")
-    mounting = {
-        "camera_height_above_ground_m": 2.0,
-        "camera_tilt_down_deg": 15.0,
-        "gnss_antenna_from_camera_mid_flu_m": [0, 0, 1],
-    }
-    (folder / "mounting.json").write_text(json.dumps(mounting))
-    (folder / "stereo_opencv.yaml").write_text(as_opencv())
-    with open_recording(drive) as recording:
-        expected = [frame.images() for frame in recording.frames()]
-    (folder / "stereo_opencv.yaml").unlink()
-    (folder / name).write_text(MAKERS_FILES[name])
-    with open_recording(drive) as recording:
-        found = [frame.images() for frame in recording.frames()]
+    put(folder, {"SN1.conf": zed()})
+    with open_drive(drive, DriveOptions(unmounted=True)) as found:
+        recording = found.recording()
         assert recording.rig.camera.baseline_m == pytest.approx(float(np.linalg.norm(T)))
-    for pair, same in zip(found, expected, strict=True):
-        for one, other in zip(pair, same, strict=True):
-            assert np.abs(one.astype(int) - other).max() <= 1
-
-
-def fails(
-    folder: Path,
-    match: str,
-    rectified: bool | None = None,
-    *,
-    size: tuple[int, int] | None = None,
-) -> None:
-    with pytest.raises(CalibrationError, match=match) as caught:
-        read_calibration(folder, None, rectified, size)
-    assert "\n" not in str(caught.value)
-    assert re.search(r"[;:] .*\.$", str(caught.value))
+        assert next(recording.frames()).images()[0].shape == VGA[::-1]
 
 
 def test_the_vineyards_own_files_agree(shared_data: Callable[[str], Path]) -> None:
@@ -617,7 +604,6 @@ def test_the_vineyards_own_files_agree(shared_data: Callable[[str], Path]) -> No
     image = np.random.default_rng(1).integers(0, 256, (480, 640), dtype=np.uint8)
     assert by_cv.rectifier is not None
     assert by_ros.rectifier is not None
-    for ours, theirs in zip(
-        by_cv.rectifier(image, image), by_ros.rectifier(image, image), strict=True
-    ):
+    images = by_cv.rectifier(image, image), by_ros.rectifier(image, image)
+    for ours, theirs in zip(*images, strict=True):
         assert np.abs(ours.astype(int) - theirs).max() <= 1
