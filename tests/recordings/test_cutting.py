@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from fieldgrid.core import RecordingError
 from fieldgrid.recordings import DriveOptions, open_drive
 from tests.conftest import TWO_LANES
-from tests.recordings import bags
 
 RTK = "gnss_rtk.nmea"
 START_NS = 1308133811 * 10**9
@@ -39,25 +35,3 @@ def test_fixes_motion_and_frames_are_cut_alike(counted_from_ns: int) -> None:
         first = int(np.searchsorted(other.frame_times_ns(), one.frame_times_ns()[0]))
         frames = zip(one.frames(), other.frames(first), strict=False)
         assert all(a.frame_id == b.frame_id for a, b in frames)
-
-
-def test_frames_of_a_bag_keep_their_names(tmp_path: Path) -> None:
-    maker = bags.Maker("mcap")
-    P = np.array([[905.0, 0.0, 320.0, 0.0], [0.0, 905.0, 240.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
-    right = P.copy()
-    right[0, 3] = -905.0 * 0.18
-    pairs = [(START_NS + k * 10**9, f"left/{k:06d}.jpg", f"right/{k:06d}.jpg") for k in range(4)]
-    said = bags.images_said(maker, TWO_LANES, pairs, (P, right), compressed=True)
-    path = bags.write_bag(tmp_path / "drive", "mcap", maker, said)
-    mounting = TWO_LANES / "calibration" / "mounting.json"
-    options = DriveOptions(mounting=mounting, from_ns=10**9, until_ns=3 * 10**9)
-    with open_drive(path, options) as drive:
-        found = [(frame.frame_id, frame.time_ns) for frame in drive.recording().frames()]
-    assert found == [(f"{k:06d}", START_NS + k * 10**9) for k in (1, 2)]
-
-
-def test_a_part_with_nothing_in_it_is_refused() -> None:
-    with pytest.raises(
-        RecordingError, match=r"Nothing is left of .* 2011-06-15T10:30:11.* --until"
-    ):
-        open_drive(TWO_LANES, DriveOptions(RTK, from_ns=500 * 10**9))

@@ -12,11 +12,12 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, strategies as st
 
-from fieldgrid.core import CalibrationError, ConfigError, FieldgridError, RecordingError
+from fieldgrid.core import CalibrationError, ConfigError, RecordingError
 from fieldgrid.geometry import Mount
 from fieldgrid.poses.gates.conditioning import condition
 from fieldgrid.recordings import Recording, open_recording
 from fieldgrid.recordings.calibration.kitti import mount_angles_deg
+from tests.recordings.test_folder import change
 
 SharedData = Callable[[str], Path]
 Matrix = npt.NDArray[np.float64]
@@ -80,87 +81,59 @@ def add_camera(drive: Path, number: str) -> None:
     )
 
 
-def fails(path: Path, match: str, kind: type[FieldgridError] = RecordingError) -> None:
-    with pytest.raises(FieldgridError, match=match) as caught:
-        open_recording(path)
-    assert type(caught.value) is kind
-
-
-# --- what is read
-
-
-def test_a_drive_is_found_from_every_folder_above_it(date_folder: Path) -> None:
+def test_a_drive_is_read_from_every_folder_above_it(date_folder: Path) -> None:
     for path in (date_folder / DRIVE, date_folder, date_folder.parent):
         assert open_recording(path).name == DRIVE
-
-
-def test_frames_have_exact_times_and_grey_images(date_folder: Path) -> None:
-    recording = open_recording(date_folder)
+    recording = open_recording(date_folder, gnss="oxts")
     assert recording.frame_times_ns().tolist() == [1317384506399641520, 1317384506503629564]
     frames = list(recording.frames())
     assert [frame.frame_id for frame in frames] == ["0000000000", "0000000001"]
     left, right = frames[1].images()
     assert (left[0, 0], right[0, 0]) == (10, 11)
-
-
-def test_fixes_are_those_of_oxts(date_folder: Path) -> None:
-    recording = open_recording(date_folder)
     fixes = recording.fixes()
     assert [fix.quality for fix in fixes] == [6, 4, 5, 2, 1, 0, 0]
     assert fixes[1].time_ns == 1317384501123456789
     assert fixes[1][1:4] == (49.0, 8.4, 113.0)
     assert (fixes[0].satellites, fixes[1].satellites) == (None, 10)
-    assert fixes[1].sigma_m == 0.0135
+    assert (fixes[1].sigma_m, fixes[1].heading_sigma_deg, fixes[1].hdop) == (0.0135, 0.1, None)
     assert fixes[1].speed_mps == pytest.approx(5.0)
     assert fixes[1].heading_deg == pytest.approx(0.0)  # a yaw of 90 degrees from east
-    assert (fixes[1].heading_sigma_deg, fixes[1].hdop) == (0.1, None)
-    assert recording.gnss_source == "oxts"
-    assert recording.datum_hint is None
+    assert (recording.gnss_source, recording.datum_hint) == ("oxts", None)
     assert any("1.65 m" in note for note in recording.notes)
+    for name in CALIBRATION:  # which may lie in the drive, too
+        (date_folder / name).rename(date_folder / DRIVE / name)
+    assert open_recording(date_folder).rig == recording.rig
 
 
 def test_the_rig_is_the_chain_from_imu_to_rectified_camera(date_folder: Path) -> None:
     rig = open_recording(date_folder).rig
     assert (rig.camera.focal_px, rig.camera.baseline_m) == (100.0, 0.5)
-    np.testing.assert_allclose(
-        [rig.mount.height_m, rig.mount.tilt_deg, rig.mount.roll_deg, rig.mount.yaw_deg],
-        [1.65, 0.0, 0.0, 0.0],
-        atol=1e-9,
-    )
+    mount, antenna = rig.mount, rig.antenna
+    found = [mount.height_m, mount.tilt_deg, mount.roll_deg, mount.yaw_deg]
+    assert found == pytest.approx([1.65, 0.0, 0.0, 0.0], abs=1e-9)
     # The camera is 0.3 + 0.8 m ahead of the IMU; the middle of the baseline 0.25 m right of
     # the camera, which is 0.2 m right of the IMU; and -0.1 + 0.9 m above the IMU.
-    antenna = rig.antenna
-    np.testing.assert_allclose(
-        [antenna.right_m, antenna.forward_m, antenna.up_m], [-0.45, -1.1, 1.65 - 0.8], atol=1e-9
-    )
-
-
-def test_a_tilted_camera_gives_a_tilted_mount(date_folder: Path) -> None:
-    tilt = math.radians(10.0)
+    found = [antenna.right_m, antenna.forward_m, antenna.up_m]
+    assert found == pytest.approx([-0.45, -1.1, 1.65 - 0.8], abs=1e-9)
+    s, c = math.sin(math.radians(10.0)), math.cos(math.radians(10.0))
     # Rows are the camera's axes in those of the lidar: right, down, forward.
-    rows = [
-        [0, -1, 0],
-        [-math.sin(tilt), 0, -math.cos(tilt)],
-        [math.cos(tilt), 0, -math.sin(tilt)],
-    ]
-    text = " ".join(str(v) for row in rows for v in row)
-    (date_folder / "calib_velo_to_cam.txt").write_text(f"R: {text}\nT: 0 0 0\n")
+    text = f"R: 0 -1 0 {-s} 0 {-c} {c} 0 {-s}\nT: 0 0 0\n"
+    (date_folder / "calib_velo_to_cam.txt").write_text(text)
     assert open_recording(date_folder).rig.mount.tilt_deg == pytest.approx(10.0)
 
 
 @given(st.floats(-9, 74), st.floats(-19, 19), st.floats(-44, 44))
 def test_mount_angles_are_the_inverse_of_the_rotation(tilt: float, roll: float, yaw: float) -> None:
     angles = mount_angles_deg(Mount(1.0, tilt, roll, yaw).rotation())
-    np.testing.assert_allclose(angles, (tilt, roll, yaw), atol=1e-9)
+    assert angles == pytest.approx((tilt, roll, yaw), abs=1e-9)
 
 
 def test_the_colour_pair_serves_without_the_grey_one(date_folder: Path) -> None:
-    drive = date_folder / DRIVE
     for number in ("02", "03"):
-        add_camera(drive, number)
+        add_camera(date_folder / DRIVE, number)
     grey = open_recording(date_folder)
     assert next(grey.frames()).images()[0][0, 0] == 0
-    (drive / "image_00").rename(drive / "unused")
+    (date_folder / DRIVE / "image_00").rename(date_folder / "unused")
     colour = open_recording(date_folder)
     assert next(colour.frames()).images()[0][0, 0] == 2
     assert colour.rig.camera.baseline_m == pytest.approx(0.52)
@@ -169,98 +142,59 @@ def test_the_colour_pair_serves_without_the_grey_one(date_folder: Path) -> None:
     assert shift_m == pytest.approx(0.25 - 0.2)
 
 
-def test_the_calibration_may_lie_in_the_drive(date_folder: Path) -> None:
-    for name in CALIBRATION:
-        (date_folder / name).rename(date_folder / DRIVE / name)
-    assert open_recording(date_folder).frame_count == 2
-
-
-# --- what is wrong
-
-
-def test_several_drives_ask_for_one(date_folder: Path) -> None:
-    for name in ("image_00", "oxts"):
-        (date_folder / "2011_09_30_drive_0021_sync" / name).mkdir(parents=True)
-    fails(date_folder, f"holds 2 KITTI drives: {DRIVE}, 2011_09_30_drive_0021_sync; give one")
-
-
-def test_another_log_cannot_be_given(date_folder: Path) -> None:
-    with pytest.raises(ConfigError, match=r"and not in rtk\.nmea; leave --gnss out"):
-        open_recording(date_folder, gnss="rtk.nmea")
-    assert open_recording(date_folder, gnss="oxts").frame_count == 2
-
-
-def test_a_drive_without_a_pair(date_folder: Path) -> None:
-    (date_folder / DRIVE / "image_01").rename(date_folder / DRIVE / "image_03")
-    fails(date_folder, "neither image_00 and image_01 nor image_02 and image_03")
-
-
-def test_pairs_must_be_complete(date_folder: Path) -> None:
-    (date_folder / DRIVE / "image_01" / "data" / "0000000001.png").unlink()
-    fails(date_folder, r"do not hold the same files, 0000000001\.png is only in one")
-
-
-@pytest.mark.parametrize("folder", ["image_00", "oxts"])
-def test_every_file_needs_its_time(folder: str, date_folder: Path) -> None:
-    path = date_folder / DRIVE / folder / "timestamps.txt"
-    path.write_text("2011-09-30 12:08:26.399641520\n")
-    fails(date_folder, r"has 1 times (in timestamps\.txt for 7 rows|for 2 images)")
-    path.unlink()
-    fails(date_folder, r"timestamps\.txt cannot be read: No such file")
-
-
-@pytest.mark.parametrize("stamp", ["yesterday", "2011-13-30 12:08:26.3", "2011-09-30 12:08:26.x"])
-def test_times_that_cannot_be(stamp: str, date_folder: Path) -> None:
-    path = date_folder / DRIVE / "image_00" / "timestamps.txt"
-    path.write_text(f"{stamp}\n2011-09-30 12:08:26.503629564\n")
-    fails(date_folder, rf"'{stamp}' is no time like 2011")
-
-
-@pytest.mark.parametrize("text", ["", "1 2 3", "49 " * 29 + "nan", "49 " * 31])
-def test_oxts_rows_that_cannot_be(text: str, date_folder: Path) -> None:
-    (date_folder / DRIVE / "oxts" / "data" / "0000000003.txt").write_text(text)
-    fails(date_folder, r"0000000003\.txt is no row of 30 finite")
-
-
-@pytest.mark.parametrize(("number", "name"), [(3, "roll"), (4, "pitch"), (5, "yaw")])
-def test_angles_in_degrees_are_refused(number: int, name: str, date_folder: Path) -> None:
-    path = date_folder / DRIVE / "oxts" / "data" / "0000000003.txt"
-    values = path.read_text().split()
-    values[number] = "-7.5"
-    path.write_text(" ".join(values))
-    fails(date_folder, rf"Row 4 of oxts has a {name} of -7\.5, which is no angle")
-
-
-def test_oxts_rows_that_are_no_numbers(date_folder: Path) -> None:
-    (date_folder / DRIVE / "oxts" / "data" / "0000000003.txt").write_text("here " * 30)
-    fails(date_folder, r"0000000003\.txt is no row of 30 finite")
-
-
-@pytest.mark.parametrize("name", sorted(CALIBRATION))
-def test_each_calibration_file_is_needed(name: str, date_folder: Path) -> None:
-    (date_folder / name).write_text("nothing: 0\n")
-    fails(date_folder, rf"{name} lacks R", CalibrationError)
-    (date_folder / name).unlink()
-    fails(date_folder, rf"{name} is neither in .*2011_09_30 nor in", CalibrationError)
+CAM = "calib_cam_to_cam.txt"
+OXTS = f"{DRIVE}/oxts/data/0000000003.txt"
+STAMPS = f"{DRIVE}/image_00/timestamps.txt"
+YAW = f"0 0 {math.pi / 2}"
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "message"),
+    ("file", "old", "new", "message"),
     [
-        ("R_rect_00: 1 0", "R_rect_00: 2 0", "R_rect_00 is no rotation"),
-        ("R_rect_00: 1 0", "R_rect_00: -1 0", "R_rect_00 is no rotation"),
-        ("S_rect_00: 6.4e+01 4.8e+01", "S_rect_00: nan 48", "lacks S_rect_00 as 2 numbers"),
-        ("S_rect_00: 6.4e+01", "S_rect_00: 0", "images of 0 x 48 px"),
-        ("31.5 -50 0 100", "31.5 -50 0 120", "do not share focal length"),
-        ("31.5 -50", "31.5 50", "baseline of -0.5 m"),
-        ("P_rect_00: 100", "P_rect_00: 0", "is not calibrated"),
+        (f"{DRIVE}/image_01", None, None, "neither image_00 and image_01 nor image_02 and image"),
+        (f"{DRIVE}/image_01/data/0000000001.png", None, None, r"0000000001\.png is only in one"),
+        (STAMPS, "\n2011-09-30 12:08:26.503629564", "", "has 1 times for 2 images"),
+        (STAMPS, None, None, r"timestamps\.txt cannot be read: No such file"),
+        (STAMPS, "2011-09-30 12:08:26.3", "yesterday", "'yesterday.*' is no time like 2011"),
+        (STAMPS, "2011-09-30 12:08:26.3", "2011-13-30 12:08:26.3", "is no time like 2011"),
+        (f"{DRIVE}/oxts/timestamps.txt", ":26.", ":26x", "is no time like 2011"),
+        (f"{DRIVE}/oxts/timestamps.txt", None, "2011-09-30 12:08:26.3", "1 times .* for 7 rows"),
+        (OXTS, None, "", r"0000000003\.txt is no row of 30 finite numbers"),
+        (OXTS, None, "49 " * 29 + "nan", r"0000000003\.txt is no row of 30 finite numbers"),
+        (OXTS, None, "49 " * 31, r"0000000003\.txt is no row of 30 finite numbers"),
+        (OXTS, None, "here " * 30, r"0000000003\.txt is no row of 30 finite numbers"),
+        (OXTS, None, None, r"has 7 times in timestamps\.txt for 6 rows"),
+        (OXTS, YAW, "-7.5 0 0", "Row 4 of oxts has a roll of -7.5, which is no angle"),
+        (OXTS, YAW, "0 -7.5 0", "Row 4 of oxts has a pitch of -7.5, which is no angle"),
+        (OXTS, YAW, "0 0 -7.5", "Row 4 of oxts has a yaw of -7.5, which is no angle"),
+        *((name, None, "nothing: 0\n", f"{name} lacks R") for name in CALIBRATION),
+        *((name, None, None, f"{name} is neither in .*2011_09_30 nor in") for name in CALIBRATION),
+        (CAM, "R_rect_00: 1 0", "R_rect_00: 2 0", "R_rect_00 is no rotation"),
+        (CAM, "R_rect_00: 1 0", "R_rect_00: -1 0", "R_rect_00 is no rotation"),
+        (CAM, "S_rect_00: 6.4e+01 4.8e+01", "S_rect_00: nan 48", "lacks S_rect_00 as 2 numbers"),
+        (CAM, "S_rect_00: 6.4e+01", "S_rect_00: 0", "images of 0 x 48 px"),
+        (CAM, "31.5 -50 0 100", "31.5 -50 0 120", "do not share focal length"),
+        (CAM, "31.5 -50", "31.5 50", "baseline of -0.5 m"),
+        (CAM, "P_rect_00: 100", "P_rect_00: 0", "is not calibrated"),
     ],
 )
-def test_a_calibration_that_cannot_be(old: str, new: str, message: str, date_folder: Path) -> None:
-    text = CALIBRATION["calib_cam_to_cam.txt"]
-    assert old in text
-    (date_folder / "calib_cam_to_cam.txt").write_text(text.replace(old, new))
-    fails(date_folder, rf"calib_cam_to_cam\.txt.*{message}", CalibrationError)
+def test_what_is_broken(
+    file: str, old: str | None, new: str | None, message: str, date_folder: Path
+) -> None:
+    change(date_folder / file, old, new)
+    with pytest.raises(RecordingError, match=message) as caught:
+        open_recording(date_folder)
+    assert type(caught.value) is (CalibrationError if file in CALIBRATION else RecordingError)
+
+
+def test_one_drive_and_its_own_fixes(date_folder: Path) -> None:
+    with pytest.raises(ConfigError, match=r"and not in rtk\.nmea; leave --gnss out"):
+        open_recording(date_folder, gnss="rtk.nmea")
+    for name in ("image_00", "oxts"):
+        (date_folder / "2011_09_30_drive_0021_sync" / name).mkdir(parents=True)
+    two = f"holds 2 KITTI drives: {DRIVE}, 2011_09_30_drive_0021_sync; give one"
+    with pytest.raises(RecordingError, match=two):
+        open_recording(date_folder)
 
 
 # --- the real drive
