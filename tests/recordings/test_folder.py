@@ -16,7 +16,7 @@ import pytest
 
 from fieldgrid.core import CalibrationError, FieldgridError, LackingError, RecordingError
 from fieldgrid.geometry import Datum, Fix, LeverArm, Motion, Mount, StereoCamera, nose_heading_deg
-from fieldgrid.recordings import Columns, DriveOptions, open_drive, open_recording
+from fieldgrid.recordings import Columns, DriveOptions, open_drive, open_growing, open_recording
 from fieldgrid.recordings.frames import frame_table
 from tests.conftest import TWO_LANES
 
@@ -291,6 +291,7 @@ def test_a_recording_without_gnss_opens_and_names_what_is_passed_over(drive: Pat
 # --- what is wrong
 
 TIME = f"{START_S}.1"
+HEADER = b"frame_id,timestamp_utc_s,left,right\n"
 MISSING = "\n".join(
     ["frame_id,timestamp_utc_s,left,right", *(f"{k},{START_S + k},l,r" for k in range(600))]
 )
@@ -367,6 +368,42 @@ def test_a_table_of_many_frames_is_bounded(drive: Path, monkeypatch: pytest.Monk
         assert tracemalloc.get_traced_memory()[1] < 600 * 10_000
     finally:
         tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        (b"a,b\nf0,f1\n", "line 2 is no header with at least frame_id, left, right"),
+        (HEADER + b"f0,\xff\n", "line 2: .* can't decode byte 0xff .*; correct it"),
+        (HEADER + b"f0,soon,left/0.png,right/0.png\n", "line 2: timestamp_utc_s 'soon' is no UTC"),
+        (HEADER + b"f0,1308133815,/etc/passwd,right/0.png\n", "line 2: .* leads out of"),
+        (HEADER + b"x\n" * 2000, "has 1000 more new rows or names that are no frames"),
+        (HEADER + b"x" * (4 << 20), "has a line of more than 4 MiB"),
+    ],
+)
+def test_what_is_wrong_with_a_table_that_grows(table: bytes, message: str, drive: Path) -> None:
+    """It is told of a row, and the rows after it are read, but for a line without an end."""
+    (drive / "frames.csv").unlink()
+    folder = open_growing(drive)
+    (drive / "frames.csv").write_bytes(table)
+    if len(table) > 4 << 20:
+        with pytest.raises(RecordingError, match=message):
+            folder.new_shots()
+        return
+    shots, problems = folder.new_shots()
+    assert shots == []
+    assert re.search(message, str(problems[-1]))
+    with (drive / "frames.csv").open("ab") as file:
+        file.write(b"" if table.startswith(HEADER) else HEADER)
+        file.write(f"f9,{START_S}.1,left/0.png,right/0.png\nf10,{START_S}.2".encode())
+    (shot,), problems = folder.new_shots()
+    assert (shot.frame_id, problems) == ("f9", [])
+
+
+def test_fixes_that_arrive_live_are_not_moved(drive: Path) -> None:
+    (drive / "recording.toml").write_text("gnss_time_offset_s = 1\n")
+    with pytest.raises(RecordingError, match="leave gnss_time_offset_s out of"):
+        open_growing(drive)
 
 
 # --- real data

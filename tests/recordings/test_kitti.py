@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from fieldgrid.core import CalibrationError, ConfigError, RecordingError
-from fieldgrid.geometry import Mount
+from fieldgrid.geometry import LeverArm, Mount
 from fieldgrid.poses.gates.conditioning import condition
 from fieldgrid.recordings import Recording, open_recording
 from fieldgrid.recordings.calibration.kitti import mount_angles_deg
@@ -120,6 +121,11 @@ def test_the_rig_is_the_chain_from_imu_to_rectified_camera(date_folder: Path) ->
     text = f"R: 0 -1 0 {-s} 0 {-c} {c} 0 {-s}\nT: 0 0 0\n"
     (date_folder / "calib_velo_to_cam.txt").write_text(text)
     assert open_recording(date_folder).rig.mount.tilt_deg == pytest.approx(10.0)
+    own: dict[str, object] = {"camera_height_above_ground_m": 2.0, "camera_tilt_down_deg": 5.0}
+    own["gnss_antenna_from_camera_mid_flu_m"] = [0.0, 0.0, 1.0]
+    (date_folder / DRIVE / "mounting.json").write_text(json.dumps(own))
+    rig = open_recording(date_folder).rig
+    assert (rig.mount, rig.antenna) == (Mount(2.0, 5.0), LeverArm(0.0, 0.0, 3.0))
 
 
 @given(st.floats(-9, 74), st.floats(-19, 19), st.floats(-44, 44))

@@ -88,8 +88,7 @@ def _mav(path: Path) -> Path | None:
 def _folders(path: Path) -> tuple[Path, Path]:
     """The folder of the recording, and that of the sensors in it, which may be the same."""
     mav = _mav(path)
-    if mav is None:
-        raise RecordingError(f"{path} has no {_LOOKS_FOR}; give the folder that holds them.")
+    assert mav is not None, f"{path} has no {_LOOKS_FOR}"
     return mav.parent if mav.name == _TOP else mav, mav
 
 
