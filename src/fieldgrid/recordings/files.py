@@ -91,22 +91,21 @@ def read_lines(path: Path) -> Iterator[tuple[int, str]]:
 @contextmanager
 def open_log_bytes(path: Path) -> Iterator[BinaryIO]:
     """A log as a stream of bytes, unpacked where it is packed by gzip, whatever its name."""
-    size = check_regular(path)
+    size = _check_size(path, MAX_LOG_BYTES, RecordingError)
     with _reading(path), path.open("rb") as file:
-        packed = file.read(2) == b"\x1f\x8b"
+        is_packed = file.read(2) == b"\x1f\x8b"
         file.seek(0)
-        source = cast(BinaryIO, gzip.GzipFile(fileobj=file)) if packed else file
-        budget = UnfoldBudget(path, size, is_log=True) if packed else None
-        yield cast(BinaryIO, io.BufferedReader(_Limited(source, path, budget), 1 << 16))
+        unpacked = io.BufferedReader(_Unpacked(file, path, size), 1 << 16) if is_packed else file
+        yield cast(BinaryIO, unpacked)
 
 
-class _Limited(io.RawIOBase):
-    """A source that ends with an error where a log can no longer be meant."""
+class _Unpacked(io.RawIOBase):
+    """What a gzip file holds, which ends with an error where a log can no longer be meant."""
 
-    def __init__(self, source: BinaryIO, path: Path, budget: UnfoldBudget | None) -> None:
+    def __init__(self, file: BinaryIO, path: Path, packed_bytes: int) -> None:
         super().__init__()
-        self._source, self._path, self._left = source, path, MAX_LOG_BYTES
-        self._budget = budget
+        self._source, self._path = gzip.GzipFile(fileobj=file), path
+        self._budget, self._left = UnfoldBudget(path, packed_bytes, is_log=True), MAX_LOG_BYTES
 
     def readable(self) -> bool:
         return True
@@ -114,8 +113,7 @@ class _Limited(io.RawIOBase):
     def readinto(self, buffer: object) -> int:
         view = memoryview(buffer).cast("B")  # type: ignore[arg-type]
         data = self._source.read(len(view))
-        if self._budget is not None:
-            self._budget.spend(len(data))
+        self._budget.spend(len(data))
         self._left -= len(data)
         if self._left < 0:
             raise RecordingError(
@@ -185,13 +183,14 @@ def parse_time_ns(row: dict[str, str]) -> int:
     return time_ns
 
 
-def _check_size(path: Path, max_bytes: int, error: type[FieldgridError]) -> None:
+def _check_size(path: Path, max_bytes: int, error: type[FieldgridError]) -> int:
     size = check_regular(path, error)
     if size > max_bytes:
         raise error(
             f"{path} has {size} bytes, more than the {max_bytes} that such a file can need; "
             "check that it is the right file."
         )
+    return size
 
 
 @dataclass(frozen=True, slots=True)
