@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from fieldgrid.core import CalibrationError, Float64
 from fieldgrid.geometry import LeverArm, Mount, Rig
 from fieldgrid.perception import camera_from_projections, is_rotation
-from fieldgrid.recordings.calibration.yaml_text import load_yaml, numbers
+from fieldgrid.recordings.calibration.yaml_text import numbers
+from fieldgrid.recordings.files import read_text
 from fieldgrid.recordings.tables.motion_files import R_VEHICLE_FLU
 
 CAMERA_HEIGHT_M = 1.65
@@ -26,6 +26,7 @@ HEIGHT_NOTE = (
 )
 
 _FILES = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt")
+_MAX_BYTES = 1 << 20
 
 
 def mount_angles_deg(R_vehicle_camera: Float64) -> tuple[float, float, float]:
@@ -50,11 +51,11 @@ def read_kitti_rig(drive: Path, left: str, right: str) -> Rig:
             f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} neither in {date} nor "
             f"in {drive}; unpack KITTI's calibration of that day."
         )
-    path, table = files[0], load_yaml(files[0])
+    path, table = files[0], read_entries(files[0])
     T_rect_cam, T_cam_velo, T_velo_imu = np.eye(4), np.eye(4), np.eye(4)
     T_rect_cam[:3, :3] = _rotation(table, "R_rect_00", path)
     for file, T in zip(files[1:], (T_cam_velo, T_velo_imu), strict=True):
-        moved = load_yaml(file)
+        moved = read_entries(file)
         T[:3, :3], T[:3, 3] = _rotation(moved, "R", file), numbers(moved, "T", (3,), file)
     T_rect_imu = T_rect_cam @ T_cam_velo @ T_velo_imu
     width, height = numbers(table, f"S_rect_{left}", (2,), path)
@@ -75,7 +76,14 @@ def read_kitti_rig(drive: Path, left: str, right: str) -> Rig:
     return Rig(camera, mount, antenna)
 
 
-def _rotation(table: dict[str, Any], key: str, path: Path) -> Float64:
+def read_entries(path: Path) -> dict[str, str]:
+    """Lines `key: values` of a calibration file."""
+    text = read_text(path, _MAX_BYTES, CalibrationError)
+    lines = (line.partition(":") for line in text.splitlines())
+    return {key.strip(): values for key, _, values in lines}
+
+
+def _rotation(table: dict[str, str], key: str, path: Path) -> Float64:
     R = numbers(table, key, (3, 3), path)
     if not is_rotation(R):
         raise CalibrationError(f"{path}: {key} is no rotation; restore the file.")

@@ -11,9 +11,9 @@ from pathlib import Path
 from fieldgrid.core import RecordingError
 from fieldgrid.geometry import LeverArm, Mount
 from fieldgrid.perception import camera_from_projections
-from fieldgrid.recordings.calibration.kitti import CAMERA_HEIGHT_M, HEIGHT_NOTE
+from fieldgrid.recordings.calibration.kitti import CAMERA_HEIGHT_M, HEIGHT_NOTE, read_entries
 from fieldgrid.recordings.calibration.mounting import MOUNTING, Mounting
-from fieldgrid.recordings.calibration.yaml_text import load_yaml, numbers
+from fieldgrid.recordings.calibration.yaml_text import numbers
 from fieldgrid.recordings.drive import Drive, Recording, as_recording
 from fieldgrid.recordings.format import Format
 from fieldgrid.recordings.frames.images import ImageFile
@@ -72,7 +72,7 @@ def open_sequence(path: Path, options: DriveOptions) -> Drive:
         sides = image_folders(path, _SIDES)
         assert sides is not None
         file = path / _CALIBRATION
-        table = load_yaml(file)
+        table = read_entries(file)
         P_left, P_right = (numbers(table, f"P{side[-1]}", (3, 4), file) for side in sides)
         shots = paired_shots(path, sides, times_ns.tolist(), incomplete=options.incomplete)
         size_px = ImageFile(path / shots[0].files[0]).size_px()
