@@ -43,9 +43,8 @@ def cut(drive: Drive, from_ns: int | None, until_ns: int | None) -> Drive:
     Raises RecordingError where nothing is left.
     """
     poses = drive.motion().poses
-    frames_ns = np.zeros(0, dtype=np.int64)
-    if isinstance(drive, Recording):
-        frames_ns = drive.source.times_ns + drive.rig.image_time_offset_ns
+    none = np.zeros(0, dtype=np.int64)
+    frames_ns = drive.image_times_ns() if isinstance(drive, Recording) else none
     columns = [drive.fixes().time_ns, frames_ns if poses is None else poses.time_ns, frames_ns]
     spans = [(int(times.min()), int(times.max())) for times in columns if len(times)]
     if (from_ns is None and until_ns is None) or not spans:
