@@ -237,6 +237,8 @@ def test_a_recording_knows_its_own_motion(drive: Path) -> None:
     assert motion.wheels is not None
     assert motion.gyro.time_ns.tolist() == [1_308_133_815_500_000_000]
     assert (motion.gyro.rate_rad_s.tolist(), motion.wheels.speed_mps.tolist()) == ([0.25], [-0.25])
+    shutil.rmtree(drive / "calibration")  # then it is no recording, and moves all the same
+    assert open_drive(drive).motion().gyro is not None
 
 
 def test_a_mounting_declares_what_a_recorded_heading_means(drive: Path) -> None:
@@ -342,6 +344,25 @@ def test_what_is_broken(
     assert re.search(message, str(problem))
     assert type(problem) is (CalibrationError if "calibration/" in file else RecordingError)
     assert "\n" not in str(problem)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sentences"),
+    [
+        ("depth", ["neither stereo_opencv.yaml", "has no depth image", "no mounting.json"]),
+        ("clouds", ["has no cloud", "no mounting.json"]),
+    ],
+)
+def test_all_that_other_frames_lack_is_told_at_once(
+    kind: str, sentences: list[str], drive: Path
+) -> None:
+    for name in ("left", "calibration", "frames.csv"):
+        change(drive / name, None, None)
+    (drive / kind).mkdir()
+    problem = refusal(drive)
+    assert isinstance(problem, LackingError)
+    for said, sentence in zip(map(str, problem.problems), sentences, strict=True):
+        assert sentence in said
 
 
 def test_what_is_no_recording(tmp_path: Path) -> None:

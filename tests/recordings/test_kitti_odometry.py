@@ -115,6 +115,7 @@ def test_a_tilted_camera_climbs_no_hill(sequence: Path) -> None:
     recording = open_recording(sequence)
     assert recording.rig.mount == Mount(1.7, 10.0)
     assert recording.rig.antenna.up_m == pytest.approx(1.7)
+    assert not any("1.65 m" in note for note in recording.notes)
     fixes = recording.fixes()
     enu = np.stack(DATUM.to_enu(fixes.lat_deg, fixes.lon_deg, fixes.height_m))
     moved = [2 * math.sin(math.pi / 6), 2 * math.cos(math.pi / 6), 0.0]

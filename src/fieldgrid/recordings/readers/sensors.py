@@ -46,7 +46,19 @@ class SensorFrames(NamedTuple):
     shots: tuple[Shot, ...]
     kind: FrameKind
     notes: tuple[str, ...]
-    layout: FrameLayout = PAIRS
+    layout: FrameLayout
+
+
+_Seen = tuple[Rig, FrameKind, tuple[str, ...]]
+"""The rig, what its frames are, and remarks."""
+
+_Shots = tuple[tuple[Shot, ...], tuple[str, ...]]
+"""Frames and remarks on them."""
+
+_Reader = Callable[
+    [Path, RecordingSettings, Mounting, int, FrameLayout, tuple[Shot, ...]],
+    _Seen,
+]
 
 
 def has_frames(path: Path) -> bool:
@@ -72,15 +84,20 @@ def read_seen(
     found = _kinds(path, settings)
     sensor = settings.sensor or next(iter(found), "stereo")
     layout = _LAYOUTS[sensor]._replace(incomplete=incomplete, growing=growing)
-    read: dict[
-        str, Callable[[Path, RecordingSettings, Mounting, int, FrameLayout], SensorFrames]
-    ] = {
+    read: dict[str, _Reader] = {
         "stereo": _pairs,
         "depth": _depths,
         "disparity": _depths,
         "cloud": _clouds,
     }
-    seen = read[sensor](path, settings, mounting, offset_ns, layout)._replace(layout=layout)
+
+    def made(frames: _Shots) -> SensorFrames:
+        shots, notes = frames
+        rig, kind, more = read[sensor](path, settings, mounting, offset_ns, layout, shots)
+        return SensorFrames(rig, shots, kind, (*more, *notes), layout)
+
+    none: _Shots = (), ()
+    seen = together(lambda: read_frames(path, settings.frames, layout), none, made)
     others = [other for other in found if other != sensor]
     if settings.sensor is None and others:
         note = (
@@ -101,28 +118,32 @@ def _kinds(path: Path, settings: RecordingSettings) -> list[str]:
 
 
 def _pairs(
-    path: Path, settings: RecordingSettings, mounting: Mounting, offset_ns: int, layout: FrameLayout
-) -> SensorFrames:
-    def seen(found: tuple[tuple[Shot, ...], tuple[str, ...]]) -> SensorFrames:
-        shots, notes = found
-        size_px = stored_size_px(path, shots)
-        calibration = read_calibration(
-            path / CALIBRATION, settings.calibration, settings.rectified, size_px
-        )
-        rig = mounting.rig(calibration.camera, offset_ns)
-        stored, image_notes = image_format(path, shots, settings)
-        size_px = (rig.camera.width_px, rig.camera.height_px)
-        kind = PairKind(size_px, calibration.rectifier, stored)
-        return SensorFrames(rig, shots, kind, (*calibration.notes, *notes, *image_notes))
-
-    none: tuple[tuple[Shot, ...], tuple[str, ...]] = (), ()
-    return together(lambda: read_frames(path, settings.frames, layout), none, seen)
+    path: Path,
+    settings: RecordingSettings,
+    mounting: Mounting,
+    offset_ns: int,
+    layout: FrameLayout,
+    shots: tuple[Shot, ...],
+) -> _Seen:
+    size_px = stored_size_px(path, shots)
+    calibration = read_calibration(
+        path / CALIBRATION, settings.calibration, settings.rectified, size_px
+    )
+    camera = calibration.camera
+    stored, notes = image_format(path, shots, settings)
+    kind = PairKind((camera.width_px, camera.height_px), calibration.rectifier, stored)
+    return mounting.rig(camera, offset_ns), kind, (*calibration.notes, *notes)
 
 
 def _depths(
-    path: Path, settings: RecordingSettings, mounting: Mounting, offset_ns: int, layout: FrameLayout
-) -> SensorFrames:
-    rig, offset_px, calibration_notes = _depth_rig(path, settings, mounting, offset_ns)
+    path: Path,
+    settings: RecordingSettings,
+    mounting: Mounting,
+    offset_ns: int,
+    layout: FrameLayout,
+    shots: tuple[Shot, ...],
+) -> _Seen:
+    rig, offset_px, notes = _depth_rig(path, settings, mounting, offset_ns)
     camera = rig.sensor
     assert isinstance(camera, DepthCamera)
     if layout.columns == DEPTHS.columns:
@@ -135,9 +156,7 @@ def _depths(
     else:
         product = camera.fx_px * camera.baseline_m
         stated = DepthFormat("disparity", settings.scale, product, offset_px)
-    shots, notes = read_frames(path, settings.frames, layout)
-    kind = DepthKind((camera.width_px, camera.height_px), stated)
-    return SensorFrames(rig, shots, kind, (*calibration_notes, *notes))
+    return rig, DepthKind((camera.width_px, camera.height_px), stated), notes
 
 
 def _depth_rig(
@@ -180,22 +199,25 @@ def _depth_rig(
 
 
 def _clouds(
-    path: Path, settings: RecordingSettings, mounting: Mounting, offset_ns: int, layout: FrameLayout
-) -> SensorFrames:
-    shots, notes = read_frames(path, settings.frames, layout)
+    path: Path,
+    settings: RecordingSettings,
+    mounting: Mounting,
+    offset_ns: int,
+    layout: FrameLayout,
+    shots: tuple[Shot, ...],
+) -> _Seen:
     kind = CloudKind(settings.axes or AXES, bool(settings.corrected), settings.cloud_scale_m)
-    if settings.points_per_sr is not None:
-        return SensorFrames(
-            mounting.rig(Lidar(settings.points_per_sr), offset_ns), shots, kind, notes
-        )
-    if layout.growing:
+    density, note = settings.points_per_sr, ""
+    if density is None and layout.growing:
         raise CalibrationError(
             f"Nothing says how dense the clouds of {path} are, and none is there to measure it; "
             "add it to recording.toml: [cloud] points_per_sr."
         )
-    density, name = _measured_density(path, shots, kind)
-    note = f"The lidar takes {density:.0f} points in a steradian, by {name}."
-    return SensorFrames(mounting.rig(Lidar(density), offset_ns), shots, kind, (*notes, note))
+    if density is None and shots:
+        density, name = _measured_density(path, shots, kind)
+        note = f"The lidar takes {density:.0f} points in a steradian, by {name}."
+    # Without any cloud, the error is that there is none.
+    return mounting.rig(Lidar(density or 1.0), offset_ns), kind, (note,) if note else ()
 
 
 def _measured_density(path: Path, shots: tuple[Shot, ...], kind: CloudKind) -> tuple[float, str]:
