@@ -288,7 +288,7 @@ def test_an_imu_without_gyro_and_times_that_repeat(opened: Opened) -> None:
         assert wheels.time_ns.tolist() == [UTC, UTC + 1, UTC + 2]
         assert wheels.speed_mps.tolist() == [1.0, -1.5, 2.0]
         notes = " ".join(recording.notes)
-    assert "5 messages whose covariance says that there is no gyro" in notes
+    assert "/imu/data: 5 messages without a gyro." in notes
     assert "/wheels/odom: 1 message without a time or value, or repeated" in notes
 
 

@@ -19,9 +19,9 @@ from fieldgrid.poses.attitude.measurements import AntennaTrack
 from fieldgrid.recordings import (
     ORIENTATION,
     DriveOptions,
-    Leans,
     Message,
     decode,
+    lean_of,
     open_drive,
     orientation_of,
 )
@@ -297,14 +297,15 @@ def test_a_topic_that_is_given_counts_before_what_a_conversion_kept(tmp_path: Pa
 
 
 def of_quaternions(turns: list[tuple[float, ...]], R_flu_body: np.ndarray | None = None) -> Any:
-    heard = Leans()
-    maker = Maker("mcap")
-    for k, turn in enumerate(turns):
-        message = replace(maker.imu(1, (0, 0, 0)), orientation=maker.quaternion(*turn))
-        heard.add(message, k)
-    times = (np.array(heard.places, dtype=np.int64) + 1) * 100_000_000
+    times = np.arange(1, len(turns) + 1) * 100_000_000
     R = np.eye(3) if R_flu_body is None else R_flu_body
-    return orientation_of(times, heard.values(), R, 0.0, axes_known=R_flu_body is not None)
+    return orientation_of(times, told_by(turns), R, 0.0, axes_known=R_flu_body is not None)
+
+
+def told_by(turns: list[tuple[float, ...]]) -> np.ndarray:
+    maker = Maker("mcap")
+    imu = maker.imu(1, (0, 0, 0))
+    return np.array([lean_of(replace(imu, orientation=maker.quaternion(*turn))) for turn in turns])
 
 
 def test_a_frame_that_points_down_with_a_body_that_does_is_upright() -> None:
@@ -335,13 +336,9 @@ def test_quaternions_of_nothing_are_skipped_and_near_ones_thinned() -> None:
     found = of_quaternions(turns)
     assert len(found.time_ns) == len(STAMPS)
     assert "fewer than two" in of_quaternions(turns[:2]).why
-    heard = Leans()
-    maker = Maker("mcap")
-    for k in range(200):
-        turn = maker.quaternion(*quaternion(leans(k * 5_000_000)))
-        heard.add(replace(maker.imu(1, (0, 0, 0)), orientation=turn), k)
+    near = told_by([quaternion(leans(k * 5_000_000)) for k in range(200)])
     times = np.arange(1, 201) * 5_000_000
-    thin = orientation_of(times, heard.values(), np.eye(3), 0.0, axes_known=False)
+    thin = orientation_of(times, near, np.eye(3), 0.0, axes_known=False)
     assert isinstance(thin, Orientation)
     assert np.diff(thin.time_ns).min() == 40_000_000
 
@@ -353,12 +350,9 @@ def test_an_orientation_makes_the_attitude_of_a_drive_without_accelerometer() ->
     way = hike(hills(10.0, 45.0), FIELD)
     seen = way.at(np.arange(0.0, way.drive.time_s[-1], 0.05))
     turns = [quaternion(R @ R_FLU_VEHICLE.T) for R in seen.R]
-    heard, maker = Leans(), Maker("mcap")
-    for k, turn in enumerate(turns):
-        heard.add(replace(maker.imu(1, (0, 0, 0)), orientation=maker.quaternion(*turn)), k)
     track: AntennaTrack = track_of(way)
     times = track.time_ns[0] + np.arange(len(turns)) * 50_000_000
-    found = orientation_of(times, heard.values(), np.eye(3), 0.0, axes_known=False)
+    found = orientation_of(times, told_by(turns), np.eye(3), 0.0, axes_known=False)
     assert isinstance(found, Orientation)
     without = estimate_attitude(track, np.array(ANTENNA_M), wanted_ns=FRAMES)
     with_it = estimate_attitude(
@@ -374,20 +368,20 @@ def test_a_real_imu_s_orientation_is_where_it_feels_gravity(
     shared_data: Callable[[str], Path],
 ) -> None:
     """The Husky's IMU stands on its edge: y is up, and it sees no vehicle axes."""
-    heard, forces = Leans(), []
+    told, forces = [], []
 
     def listen(name: str, _: str) -> Take | None:
         return take if name == "/imu/data" else None
 
     def take(message: Message, place: int) -> None:
         found = decode(message)
-        heard.add(found, place)
+        told.append(lean_of(found))
         force = found.linear_acceleration
         forces.append((force.x, force.y, force.z))
 
     with open_bag(shared_data("husky_gps_rosbag") / "test1.bag", listen):
         pass
-    up, sigma = np.split(heard.values(), [3], axis=1)
+    up, sigma = np.split(np.array(told), [3], axis=1)
     usual, felt = up.mean(axis=0), np.mean(forces, axis=0)
     apart = np.cross(usual, felt) / (np.linalg.norm(usual) * np.linalg.norm(felt))
     assert np.degrees(np.linalg.norm(apart)) < 0.3

@@ -7,7 +7,6 @@ its third row is the vertical as the body has it. The heading that it holds is n
 from __future__ import annotations
 
 import math
-from array import array
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,53 +33,38 @@ UPRIGHT = math.cos(math.radians(30.0))
 LEAST_STEP_NS = 40_000_000
 """Nearer values add little, and a map keeps them all."""
 
-_OF_POSE = 21, 28
-"""The variances of roll and pitch in a covariance of x, y, z and the turns about them."""
+_OF_POSE, _OF_IMU = [21, 28], [0, 4]
+"""The variances of roll and pitch in a covariance of x, y, z and the turns about them, and in one
+of the turns alone."""
 
-_OF_IMU = 0, 4
+_UNTOLD = (math.nan,) * 4
 
 
-class Leans:
-    """The vertical in a body's axes, [3], with its stated 1-sigma error (degrees; NaN for none), of
-    the messages that tell it."""
-
-    def __init__(self) -> None:
-        self.places = array("q")
-        self._values = array("f")
-
-    def add(self, message: Any, place: int) -> None:
-        """A sensor_msgs/Imu, nav_msgs/Odometry, or pose with or without a covariance."""
-        if hasattr(message, "orientation_covariance"):
-            covariance, turn = message.orientation_covariance, message.orientation
-            if covariance[0] == -1.0:  # by its definition: it has no orientation
-                return
-            variances = [float(covariance[k]) for k in _OF_IMU]
-        elif hasattr(message.pose, "covariance"):
-            variances = [float(message.pose.covariance[k]) for k in _OF_POSE]
-            turn = message.pose.pose.orientation
-        else:
-            variances, turn = [], message.pose.orientation
-        x, y, z, w = turn.x, turn.y, turn.z, turn.w
-        length2 = x * x + y * y + z * z + w * w
-        if not abs(length2 - 1.0) < 2.0 * OFF_UNIT:
-            return
-        most = max(variances, default=0.0)
-        sigma_deg = math.degrees(math.sqrt(most)) if 0.0 < most < math.inf else math.nan
-        if sigma_deg > MOST_SIGMA_DEG:
-            return
-        self.places.append(place)
-        self._values.extend(
-            (
-                2.0 * (x * z - w * y) / length2,
-                2.0 * (y * z + w * x) / length2,
-                (w * w - x * x - y * y + z * z) / length2,
-                sigma_deg,
-            )
-        )
-
-    def values(self) -> Float64:
-        """Verticals and sigmas [n, 4], in the order of the record."""
-        return np.array(self._values, dtype=np.float64).reshape(-1, 4)
+def lean_of(message: Any) -> tuple[float, float, float, float]:
+    """The vertical in a body's axes, and its stated 1-sigma error (degrees; NaN for none), by a
+    sensor_msgs/Imu, nav_msgs/Odometry, or pose with or without a covariance; NaN if it tells none.
+    """
+    if hasattr(message, "orientation_covariance"):
+        variances, turn = message.orientation_covariance[_OF_IMU].tolist(), message.orientation
+        if variances[0] == -1.0:  # by its definition: it has no orientation
+            return _UNTOLD
+    elif hasattr(message.pose, "covariance"):
+        variances = message.pose.covariance[_OF_POSE].tolist()
+        turn = message.pose.pose.orientation
+    else:
+        variances, turn = [0.0], message.pose.orientation
+    x, y, z, w = turn.x, turn.y, turn.z, turn.w
+    length2 = x * x + y * y + z * z + w * w
+    most = max(variances)
+    sigma_deg = math.degrees(math.sqrt(most)) if 0.0 < most < math.inf else math.nan
+    if sigma_deg > MOST_SIGMA_DEG or not abs(length2 - 1.0) < 2.0 * OFF_UNIT:
+        return _UNTOLD
+    return (
+        2.0 * (x * z - w * y) / length2,
+        2.0 * (y * z + w * x) / length2,
+        (w * w - x * x - y * y + z * z) / length2,
+        sigma_deg,
+    )
 
 
 class Untold(NamedTuple):
@@ -116,7 +100,10 @@ def orientation_of(
     if mean_up < 0.0 and not axes_known:
         return Untold("by its orientation the vehicle is upside down", by_axes=True)
     up = up * np.sign(mean_up)  # frames whose z axis points down: north, east, down
-    rows = _apart(time_ns)
+    rows, k = [], 0
+    while k < len(time_ns):
+        rows.append(k)
+        k = int(np.searchsorted(time_ns, time_ns[k] + LEAST_STEP_NS))
     return stated_orientation(time_ns[rows], up[rows], kept[rows, 3], frame_sigma_deg)
 
 
@@ -134,12 +121,3 @@ def stated_orientation(
         sigma,
         np.full(len(time_ns), frame_sigma_deg),
     )
-
-
-def _apart(time_ns: Int64) -> Int64:
-    """Rows at least `LEAST_STEP_NS` apart."""
-    kept, k = [], 0
-    while k < len(time_ns):
-        kept.append(k)
-        k = int(np.searchsorted(time_ns, time_ns[k] + LEAST_STEP_NS))
-    return np.array(kept, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Transforms of a bag that do not change: where each frame sits on the vehicle."""
+"""Transforms of a bag: where each frame sits on the vehicle, and which way its axes point."""
 
 from __future__ import annotations
 
@@ -9,12 +9,22 @@ import numpy as np
 
 from fieldgrid.core import CalibrationError, Float64
 from fieldgrid.recordings.poses.pose_files import rotations
+from fieldgrid.recordings.tables.motion_files import directions
+
+GROUND, BASE = "base_footprint", "base_link"
+"""Frames by the convention of ROS: on the ground below the vehicle, and on the vehicle."""
+
+R_OPTICAL_FLU: Float64 = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+"""Directions forward, left, up as right, down, forward."""
 
 _DEEPEST = 64
 _MAX_FRAMES = 10_000
 _FARTHEST_M, _UNIT = 1e6, 0.01
 _SAME = 1e-6
 """Transforms that differ by less, in metres or radians, are of one place."""
+
+_WHOLE = 1e-9
+"""A rotation that is so near to one by right angles is that."""
 
 
 class FrameTransform(NamedTuple):
@@ -33,7 +43,7 @@ class Transforms:
 
     def add(self, message: Any) -> None:
         """The transforms of a tf2_msgs/TFMessage; those that are no transform are left out."""
-        for _, (child, parent, place) in told(message):
+        for _, child, parent, place in told(message):
             self.put(child, parent, place)
 
     def put(self, child: str, parent: str, place: FrameTransform) -> None:
@@ -79,25 +89,24 @@ class Transforms:
         here = FrameTransform(np.eye(3), np.zeros(3))
         found = {frame: here}
         while frame in self._parents:
-            parent, place = self._parents[frame]
-            if parent in found or len(found) > _DEEPEST:
+            frame, place = self._parents[frame]
+            if frame in found or len(found) > _DEEPEST:
                 raise CalibrationError(
                     f"The static transforms of frame {frame!r} lead in a circle; record a "
                     "/tf_static in which each frame has one parent, or write mounting.json."
                 )
             here = FrameTransform(place.R @ here.R, place.R @ here.at_m + place.at_m)
-            found[parent] = here
-            frame = parent
+            found[frame] = here
         return found
 
 
-def told(message: Any) -> Iterator[tuple[Any, tuple[str, str, FrameTransform]]]:
+def told(message: Any) -> Iterator[tuple[Any, str, str, FrameTransform]]:
     """The transforms of a message that are any, each with its child, parent and place."""
     for one in message.transforms:
         child, parent = _plain(one.child_frame_id), _plain(one.header.frame_id)
         place = place_of(one.transform)
         if place is not None and child != parent:
-            yield one, (child, parent, place)
+            yield one, child, parent, place
 
 
 def _plain(frame: str) -> str:
@@ -109,8 +118,41 @@ def place_of(transform: Any) -> FrameTransform | None:
     shift, turn = transform.translation, transform.rotation
     at_m = np.array([shift.x, shift.y, shift.z], dtype=np.float64)
     q = np.array([turn.x, turn.y, turn.z, turn.w], dtype=np.float64)
-    if not (np.abs(at_m).max() < _FARTHEST_M and np.abs(q).max() < 2.0):  # nor NaN
-        return None
-    if abs(float(np.linalg.norm(q)) - 1.0) > _UNIT:
+    is_near = np.abs(at_m).max() < _FARTHEST_M and np.abs(q).max() < 2.0  # nor NaN
+    if not is_near or abs(float(np.linalg.norm(q)) - 1.0) > _UNIT:
         return None
     return FrameTransform(rotations(q[None])[0], at_m)
+
+
+def is_optical(frame: str) -> bool:
+    """Whether a frame is named as one whose axes point right, down and forward."""
+    return "optical" in frame.lower()
+
+
+def optical(frame: str, transforms: Transforms, axes: str | None = None) -> Float64:
+    """Turns directions of a sensor's frame into right, down, forward.
+
+    `axes` are where its x, y and z point, when that is said. Else frames whose name says so are
+    optical, and others are taken as forward, left, up, unless the static transforms show their x
+    axis to point right and their z axis not up.
+    """
+    if axes is not None:
+        return R_OPTICAL_FLU @ np.array(directions(axes), dtype=np.float64).T
+    if is_optical(frame):
+        return np.eye(3)
+    for base in (GROUND, BASE):
+        placed = transforms.place(frame, base)
+        if placed is not None and placed.R[1, 0] < -0.5 and placed.R[2, 2] < 0.5:
+            return np.eye(3)
+    return R_OPTICAL_FLU
+
+
+def imu_rotation(imu_frame: str, transforms: Transforms) -> Float64 | None:
+    """From an IMU's axes to those of the vehicle, forward, left, up [3, 3]; None where no static
+    transform tells it."""
+    for base in (BASE, GROUND):
+        placed = transforms.place(imu_frame, base)
+        if placed is not None:
+            whole = np.round(placed.R)
+            return np.asarray(whole if np.abs(whole - placed.R).max() < _WHOLE else placed.R)
+    return None

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fieldgrid.core import AnyArray, Float32, Float64, RecordingError
+from fieldgrid.core import AnyArray, Float32, RecordingError
 from fieldgrid.perception import TIME_FIELDS, Sweep, seconds_after
 from fieldgrid.recordings.bag.sensors.images import MessageSource
 
@@ -23,9 +23,6 @@ _NUMBERS: dict[int, np.dtype[Any]] = {
 }
 """Types of fields by PointField's own numbers."""
 _SECOND_NS = 1_000_000_000
-
-R_OPTICAL_FLU: Float64 = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-"""Directions forward, left, up as right, down, forward."""
 
 
 @dataclass(frozen=True, slots=True)

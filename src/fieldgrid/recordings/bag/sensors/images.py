@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.core import AnyArray, Float32, RecordingError, UInt16
+from fieldgrid.recordings.bag.topic_names import COMPRESSED
 from fieldgrid.recordings.frames.frames import Image
 from fieldgrid.recordings.frames.images import MAX_PIXELS, decode_image, self_contained
 from fieldgrid.recordings.frames.pixels import Pixels, layout, to_grey
@@ -91,6 +92,13 @@ class CompressedImage(MessageSource):
     def encoded(self) -> bytes:
         """The image as recorded, if it is a JPEG or a PNG."""
         return self_contained(self.decoded().data.tobytes())
+
+
+def image_source(message: Message, time_ns: int, bits: int = 16) -> RawImage | CompressedImage:
+    """One side of a pair, by the type of its message."""
+    if message.connection.type == COMPRESSED:
+        return CompressedImage(message, time_ns)
+    return RawImage(message, time_ns, bits)
 
 
 @dataclass(frozen=True, slots=True)
