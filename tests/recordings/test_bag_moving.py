@@ -13,7 +13,7 @@ import pytest
 from fieldgrid.geometry import Carrier, Trajectory
 from fieldgrid.pipeline import estimate_drive
 from fieldgrid.recordings import Drive, open_drive
-from fieldgrid.recordings.bag.trees import forward_speeds
+from fieldgrid.recordings.bag.transforms import forward_speeds
 from tests.recordings import bags
 from tests.recordings.bags import CONTAINERS, Container, Maker, Said
 from tests.simulated import K_TURN, fixes_of, simulate, time_ns

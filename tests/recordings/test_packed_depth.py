@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from fieldgrid.core import RecordingError, UInt16
-from fieldgrid.recordings.bag.sensors.packed_depth import PackedDepthImage, unpack_rvl
+from fieldgrid.recordings.bag.sensors.images import PackedDepthImage, unpack_rvl
 from tests.recordings.test_bag_messages import UTC, Make, read
 
 __all__ = ["read"]

@@ -18,21 +18,18 @@ from typing import TYPE_CHECKING
 from fieldgrid.core.doors import door
 
 if TYPE_CHECKING:
-    from fieldgrid.recordings.bag.leaning import (
+    from fieldgrid.recordings.bag.listeners import Numbers as Numbers, lean_of as lean_of
+    from fieldgrid.recordings.bag.motion import (
         LEAST_STEP_NS as LEAST_STEP_NS,
         ODOMETRY_FRAME_SIGMA_DEG as ODOMETRY_FRAME_SIGMA_DEG,
-        Untold as Untold,
-        lean_of as lean_of,
-        orientation_of as orientation_of,
-        stated_orientation as stated_orientation,
-    )
-    from fieldgrid.recordings.bag.listeners import Numbers as Numbers
-    from fieldgrid.recordings.bag.motion import (
         OPTICAL_AXES as OPTICAL_AXES,
         TAKEN as TAKEN,
+        Untold as Untold,
         axes_of as axes_of,
         felt_upward as felt_upward,
+        orientation_of as orientation_of,
         rate_about as rate_about,
+        stated_orientation as stated_orientation,
         turns_across as turns_across,
     )
     from fieldgrid.recordings.bag.order import MAX_APART_NS as MAX_APART_NS, is_utc as is_utc

@@ -14,13 +14,30 @@ import numpy as np
 from fieldgrid.core import Float64, Int64, RecordingError, counted
 from fieldgrid.geometry import Fix, FixColumns
 from fieldgrid.poses import NmeaStream
-from fieldgrid.recordings.bag.leaning import lean_of
-from fieldgrid.recordings.bag.topic_names import FIX, IMU, ODOMETRY, POSE, SURE_POSE
+from fieldgrid.recordings.bag.topic_names import (
+    FIX,
+    IMU,
+    ODOMETRY,
+    POSE,
+    SURE_POSE,
+    stream_frame,
+)
+from fieldgrid.recordings.poses.pose_files import OFF_UNIT
 from fieldgrid.recordings.ros.definitions import decode
 from fieldgrid.recordings.ros.gnss_messages import JsonRows, quality_of
 from fieldgrid.recordings.ros.model import Message
 
 _UNLIMITED = 1 << 60
+
+MOST_SIGMA_DEG = 15.0
+"""An orientation that states a larger error says that it does not know: odometry in the plane has a
+large variance there."""
+
+_OF_POSE, _OF_IMU = [21, 28], [0, 4]
+"""The variances of roll and pitch in a covariance of x, y, z and the turns about them, and in one
+of the turns alone."""
+
+_UNTOLD = (math.nan,) * 4
 
 
 class TopicListener:
@@ -62,9 +79,9 @@ class TopicListener:
 
     @property
     def frame_id(self) -> str:
-        """The frame of the first message, empty where it has none."""
+        """The frame of the messages, by the name of the topic or the first of them; else empty."""
         header = getattr(self.first, "header", None)
-        return "" if header is None else str(header.frame_id)
+        return stream_frame(self.name) or ("" if header is None else str(header.frame_id))
 
     def sha256(self) -> str:
         """The hash of all messages one after the other, in hexadecimal."""
@@ -113,6 +130,33 @@ def _fix(message: Any) -> tuple[float, ...]:
     return (message.latitude, message.longitude, message.altitude, quality, sigma_m)
 
 
+def lean_of(message: Any) -> tuple[float, float, float, float]:
+    """The vertical in a body's axes, and its stated 1-sigma error (degrees; NaN for none), by a
+    sensor_msgs/Imu, nav_msgs/Odometry, or pose with or without a covariance; NaN if it tells none.
+    """
+    if hasattr(message, "orientation_covariance"):
+        variances, turn = message.orientation_covariance[_OF_IMU].tolist(), message.orientation
+        if variances[0] == -1.0:  # by its definition: it has no orientation
+            return _UNTOLD
+    elif hasattr(message.pose, "covariance"):
+        variances = message.pose.covariance[_OF_POSE].tolist()
+        turn = message.pose.pose.orientation
+    else:
+        variances, turn = [0.0], message.pose.orientation
+    x, y, z, w = turn.x, turn.y, turn.z, turn.w
+    length2 = x * x + y * y + z * z + w * w
+    most = max(variances)
+    sigma_deg = math.degrees(math.sqrt(most)) if 0.0 < most < math.inf else math.nan
+    if sigma_deg > MOST_SIGMA_DEG or not abs(length2 - 1.0) < 2.0 * OFF_UNIT:
+        return _UNTOLD
+    return (
+        2.0 * (x * z - w * y) / length2,
+        2.0 * (y * z + w * x) / length2,
+        (w * w - x * x - y * y + z * z) / length2,
+        sigma_deg,
+    )
+
+
 def _sensed(message: Any) -> tuple[float, ...]:
     """Rates about the axes of an IMU, rad/s, forces along them, m/s², and how it leans."""
     rates, forces = message.angular_velocity, message.linear_acceleration
@@ -157,6 +201,13 @@ class Numbers(TopicListener):
     def places(self) -> Int64:
         """The places of the messages that could be decoded, [n]."""
         return np.array(self._places, dtype=np.int64)
+
+    @property
+    def body(self) -> str:
+        """The frame that the orientations are of: of odometry that of the vehicle; a pose names the
+        frame that it is in, and not whose it is."""
+        is_imu = hasattr(self.first, "angular_velocity")
+        return self.frame_id if is_imu else str(getattr(self.first, "child_frame_id", ""))
 
     def rows(self) -> Float64:
         """Their numbers [n, k], in the order of the record."""

@@ -1,15 +1,20 @@
-"""How the vehicle of a bag moved: gyro, wheels, and all axes of an IMU or what states its lean."""
+"""How the vehicle of a bag moved: gyro, wheels, and all axes of an IMU or what states its lean.
+
+An orientation turns a body's axes into those of a frame whose z axis is up (REP 103, REP 145), so
+its third row is the vertical as the body has it. The heading that it holds is not used.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.core import Float64, Int64, counted
 from fieldgrid.geometry import Gyro, Motion, Orientation, RecordedTilt, WheelSpeed
 from fieldgrid.recordings.bag.content import BagIndex
-from fieldgrid.recordings.bag.leaning import ODOMETRY_FRAME_SIGMA_DEG, Untold, orientation_of
+from fieldgrid.recordings.bag.listeners import Numbers
 from fieldgrid.recordings.bag.topic_names import IMU
 from fieldgrid.recordings.bag.transforms import Transforms, imu_rotation, is_optical
 from fieldgrid.recordings.ros.gnss_messages import ORIENTATION, TILT
@@ -31,6 +36,22 @@ _GRAVITY_SHARE = 0.95
 
 _UPRIGHT = 0.5
 """Of an axis along the vertical, more than this is along it."""
+
+UNSTATED_SIGMA_DEG, LEAST_SIGMA_DEG = 1.0, 0.5
+"""The error of an orientation that states none, and of none less."""
+
+ODOMETRY_FRAME_SIGMA_DEG = 2.0
+"""By how much the frame of odometry may lean: that of a vehicle that did not start level."""
+
+LEVEL = math.radians(0.01)
+"""A vertical that moves less throughout belongs to poses in the plane, or to an IMU that estimates
+nothing."""
+
+UPRIGHT = math.cos(math.radians(30.0))
+"""A vehicle leans less on average."""
+
+LEAST_STEP_NS = 40_000_000
+"""Nearer values add little, and a map keeps them all."""
 
 
 def find_motion(content: BagIndex, imu_axes: str = AXES) -> tuple[Motion, tuple[str, ...]]:
@@ -109,22 +130,22 @@ def _leaning(
         if feels or motion.tilt is not None:
             return None
     for topic in [given] if given else map(content.roles.get, ("imu", "odometry")):
-        if topic is None or (heard := readings.series(topic)) is None:
+        heard = readings.of(topic, Numbers)
+        if heard is None or (told := readings.series(topic)) is None:
             continue
-        times_ns, rows = heard
+        times_ns, rows = told
         if not np.isfinite(rows[:, -4]).any():
             continue
-        is_imu = readings.bag.topics[topic].type == IMU
-        R_flu_body, how = axes_of(
-            content.transforms, imu_axes if is_imu else AXES, readings.body(topic)
-        )
+        is_imu = readings.bag.topics[heard.name].type == IMU
+        axes = imu_axes if is_imu else AXES
+        R_flu_body, how = axes_of(content.transforms, axes, heard.body)
         frame_sigma_deg = 0.0 if is_imu else ODOMETRY_FRAME_SIGMA_DEG
         found: Orientation | Untold
         if how == TAKEN and is_imu and felt_upward(rows[:, 3:6]) is not None:
             found = Untold("it does not feel gravity along its z axis", by_axes=True)
         else:
-            told = times_ns, rows[:, -4:], R_flu_body, frame_sigma_deg
-            found = orientation_of(*told, axes_known=how != TAKEN)
+            seen = times_ns, rows[:, -4:], R_flu_body, frame_sigma_deg
+            found = orientation_of(*seen, axes_known=how != TAKEN)
         if isinstance(found, Orientation):
             notes.append(f"{topic}: roll and pitch by its orientation.")
             return found
@@ -184,8 +205,62 @@ def turns_across(sensed: Float64, upward: Float64) -> bool:
 
 def rate_about(rates: Float64, row: Float64) -> Float64:
     """The rate about an axis; an axis that is one of the IMU's own gives its very numbers."""
-    own = int(np.abs(row).argmax())
-    if np.count_nonzero(row) == 1 and abs(row[own]) == 1.0:
-        return np.asarray(rates[:, own] * row[own], dtype=np.float64)
+    own = row != 0.0  # of the other axes an IMU may say NaN
     with np.errstate(over="ignore", invalid="ignore"):  # such a rate is none, and left out
-        return np.asarray(rates @ row, dtype=np.float64)
+        return np.asarray(rates[:, own] @ row[own], dtype=np.float64)
+
+
+class Untold(NamedTuple):
+    """Why orientations tell no roll and pitch; `by_axes` where it is how the body sits that is not
+    known."""
+
+    why: str
+    by_axes: bool = False
+
+
+def orientation_of(
+    times_ns: Int64,
+    values: Float64,
+    R_flu_body: Float64,
+    frame_sigma_deg: float,
+    *,
+    axes_known: bool,
+) -> Orientation | Untold:
+    """Roll and pitch by verticals and sigmas [n, 4] of a body that sits so in its vehicle.
+
+    Where that is taken and not known (`axes_known`), a vertical downward is none: a frame north,
+    east, down and a body forward, right, down look the same, and their pitches are opposite.
+    """
+    (time_ns, kept), _ = in_order(times_ns, values, 3)
+    if len(time_ns) < 2:
+        return Untold("fewer than two messages have an orientation")
+    up = kept[:, :3] @ (R_VEHICLE_FLU @ R_flu_body).T
+    if np.ptp(up, axis=0).max() < LEVEL:
+        return Untold("its orientation never leans otherwise, as that of poses in the plane")
+    mean_up = float(up[:, 2].mean())
+    if abs(mean_up) < UPRIGHT:
+        return Untold("by its orientation the vehicle lies on its side", by_axes=True)
+    if mean_up < 0.0 and not axes_known:
+        return Untold("by its orientation the vehicle is upside down", by_axes=True)
+    up = up * np.sign(mean_up)  # frames whose z axis points down: north, east, down
+    rows, k = [], 0
+    while k < len(time_ns):
+        rows.append(k)
+        k = int(np.searchsorted(time_ns, time_ns[k] + LEAST_STEP_NS))
+    return stated_orientation(time_ns[rows], up[rows], kept[rows, 3], frame_sigma_deg)
+
+
+def stated_orientation(
+    time_ns: Int64, up: Float64, sigma_deg: Float64, frame_sigma_deg: float
+) -> Orientation:
+    """Roll and pitch by verticals [n, 3] in the vehicle's axes, with their stated 1-sigma errors
+    [n], NaN for none."""
+    right, forward, above = up.T
+    sigma = np.maximum(np.where(sigma_deg > 0.0, sigma_deg, UNSTATED_SIGMA_DEG), LEAST_SIGMA_DEG)
+    return Orientation(
+        time_ns,
+        np.degrees(np.arctan2(-right, above)),
+        np.degrees(np.arctan2(forward, np.hypot(right, above))),
+        sigma,
+        np.full(len(time_ns), frame_sigma_deg),
+    )

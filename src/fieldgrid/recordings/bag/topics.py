@@ -45,7 +45,7 @@ from fieldgrid.recordings.bag.topic_names import (
     right_partners,
     side_of,
 )
-from fieldgrid.recordings.bag.trees import MovingTrees, StreamPlace, Trees
+from fieldgrid.recordings.bag.transforms import MovingTrees, StreamPlace, Trees
 from fieldgrid.recordings.ros.gnss_messages import (
     DATUM,
     DETAILS,

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from functools import partial
 from itertools import islice
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,6 @@ from fieldgrid.core import CalibrationError, Float64, RecordingError
 from fieldgrid.geometry import DepthCamera, Lidar, Sensor
 from fieldgrid.perception import points_per_sr
 from fieldgrid.recordings.bag.content import BagIndex, folder_of
-from fieldgrid.recordings.bag.sensors.cameras import disparity_camera, info_of, stereo_pair
 from fieldgrid.recordings.bag.sensors.clouds import MessageCloud
 from fieldgrid.recordings.bag.sensors.frames import FrameMaker, Plan, plan_frames, read_frames
 from fieldgrid.recordings.bag.sensors.images import (
@@ -22,14 +22,15 @@ from fieldgrid.recordings.bag.sensors.images import (
     DepthImage,
     DisparityImage,
     MessageSource,
+    PackedDepthImage,
     image_source,
 )
-from fieldgrid.recordings.bag.sensors.packed_depth import PackedDepthImage
-from fieldgrid.recordings.bag.topic_names import COMPRESSED, unit_topic
-from fieldgrid.recordings.bag.topics import no_frames
+from fieldgrid.recordings.bag.topic_names import COMPRESSED, INFO, is_rectified, unit_topic
+from fieldgrid.recordings.bag.topics import listing, no_frames
 from fieldgrid.recordings.bag.transforms import optical
+from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Calibration, Entries, data
 from fieldgrid.recordings.calibration.loading import read_calibration
-from fieldgrid.recordings.calibration.ros import depth_camera
+from fieldgrid.recordings.calibration.ros import check_calibrated, depth_camera
 from fieldgrid.recordings.frames.frames import CloudFrame, DepthFrame, StereoFrame
 from fieldgrid.recordings.frames.pixels import BITS, significant_bits
 from fieldgrid.recordings.ros.definitions import decode
@@ -37,6 +38,9 @@ from fieldgrid.recordings.ros.model import Message
 
 _CALIBRATION = "calibration"
 _SAMPLES = 5
+_MOST_NUMBERS = 64
+"""More than any matrix of a camera_info has."""
+
 _CORRECTED = re.compile(r"deskew|undistort|dedistort|corrected|compensated|registered")
 
 
@@ -89,7 +93,7 @@ def _stereo(content: BagIndex) -> FrameSensor:
         # Without the rotation that rectifies, no transform tells where the rectified camera looks.
         name, R = "", np.eye(3)
     else:
-        found = stereo_pair(content, settings.rectified)
+        found = _calibrated_pair(content, settings.rectified)
         name = content.frame_id("left_info")
         R = found.R_rect_left @ optical(name, transforms)
     camera = found.camera
@@ -109,7 +113,7 @@ def _disparity(content: BagIndex) -> FrameSensor:
         )
     plan = plan_frames(content.readings.bag, content.roles["disparity"])
     first = _first(content, plan)
-    camera = disparity_camera(content, first)
+    camera = _disparity_camera(content, first)
     middle_m = np.array([(camera.baseline_m or 0.0) / 2.0, 0.0, 0.0])
     found = _depth_sensor(content, first.header.frame_id, plan, camera, DisparityImage)
     return found._replace(measured_m=middle_m)
@@ -117,7 +121,7 @@ def _disparity(content: BagIndex) -> FrameSensor:
 
 def _depth(content: BagIndex) -> FrameSensor:
     topic, topics = content.roles["depth"], content.readings.bag.topics
-    camera = depth_camera(info_of(content, "depth_info"), content.settings.baseline_m)
+    camera = depth_camera(_info(content, "depth_info"), content.settings.baseline_m)
     said = content.readings.first(unit_topic(topic))
     unit_m = 0.001 if said is None else float(said.data)
     if not 1e-6 < unit_m < 1.0:
@@ -197,3 +201,67 @@ def _bits(content: BagIndex, plan: Plan) -> tuple[int, tuple[str, ...]]:
         f"them; if that is wrong, say so in {content.settings_path.name}: [images] bits = {bits}."
     )
     return bits, (note,)
+
+
+def _calibrated_pair(content: BagIndex, said: bool | None) -> Calibration:
+    """The camera of the pair, and how raw images are rectified, by its two calibrations. Raises
+    CalibrationError.
+
+    Whether the images are rectified is `said`, or by None told by the names of their topics.
+    """
+    left, right = _info(content, "left_info"), _info(content, "right_info")
+    topics = content.roles["left"], content.roles["right"]
+    named = {is_rectified(topic) for topic in topics}
+    if said is None and len(named) > 1:
+        raise CalibrationError(
+            f"{content.path}: of {topics[0]} and {topics[1]} one is rectified and one is not; "
+            "choose two alike with --topic left= and --topic right=."
+        )
+    between = Entries({}, left.path)
+    if not (left.has("P") or right.has("P")):
+        frames = content.frame_id("left_info"), content.frame_id("right_info")
+        placed = content.transforms.place(*frames)
+        if placed is None:
+            raise CalibrationError(
+                f"{left.path} and {right.path} have no P, and no static transform joins their "
+                f"frames {frames[0]!r} and {frames[1]!r}; calibrate the pair."
+            )
+        between = Entries({"R": data(placed.R), "T": data(placed.at_m)}, left.path)
+    pair = CalibratedPair(left.path, left, right, between)
+    found = pair.calibration(named.pop() if said is None else said)
+    return found._replace(R_rect_left=left.get("R")) if left.has("R") else found
+
+
+def _disparity_camera(content: BagIndex, image: Any) -> DepthCamera:
+    """The camera of disparity images, of which the first is given: f and T are its own."""
+    info = _info(content, "left_info")
+    P = info.get("P")
+    P[0, 0] = P[1, 1] = float(image.f)
+    return depth_camera(info._replace(document={"P": data(P)}), float(image.t))
+
+
+def _info(content: BagIndex, role: str) -> Entries:
+    """The calibration of a camera by a sensor_msgs/CameraInfo of either ROS. CalibrationError for
+    one that is missing, or not of whole images."""
+    path, roles, topics = content.path, content.roles, content.readings.bag.topics
+    message = content.readings.first(roles.get(role))
+    if message is None:
+        infos = [topic for topic in topics.values() if topic.type == INFO]
+        raise CalibrationError(
+            f"{path} has no readable camera_info for {role}; record that of the camera, or name "
+            f"it with --topic {role}=NAME, of {listing(infos or topics.values())}."
+        )
+    source = Path(f"{path.name}: {roles[role]}")
+    if message.binning_x > 1 or message.binning_y > 1 or message.roi.width or message.roi.height:
+        raise CalibrationError(
+            f"{source}: binning or a region of interest is set, which is not read; record whole "
+            "images with the calibration of their size."
+        )
+    numbers = {key: getattr(message, key.lower())[: _MOST_NUMBERS + 1] for key in "KDRP"}
+    used = "KDRP" if numbers["P"].any() else "KD"
+    if not numbers["R"].any():
+        numbers["R"] = np.eye(3)
+    document = {key: data(numbers[key]) for key in used}
+    size_px = int(message.width), int(message.height)
+    info = Entries(document, source, size_px, model=str(message.distortion_model))
+    return check_calibrated(info)
