@@ -121,13 +121,11 @@ class Readings:
     def transforms(self, static: Collection[str]) -> Transforms:
         """The tree of the static transforms of these topics, and below them of what is published
         on others and never moves."""
+        trees = [moving.transforms.unmoved() for moving in self._all(MovingTrees)]
+        trees += [found.transforms for name in static if (found := self.of(name, Trees))]
         tree = Transforms()
-        for moving in self._all(MovingTrees):
-            tree.update(moving.transforms.unmoved())
-        for name in static:
-            found = self.of(name, Trees)
-            if found is not None:
-                tree.update(found.transforms)
+        for one in trees:
+            tree.update(one)
         return tree
 
     def moving(self) -> tuple[str, str, WheelSpeed] | None:

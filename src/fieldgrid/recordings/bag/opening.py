@@ -6,12 +6,11 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import CalibrationError, Float64, LackingError, RecordingError
-from fieldgrid.geometry import LeverArm, Mount, Sensor
+from fieldgrid.core import CalibrationError, LackingError, RecordingError
+from fieldgrid.geometry import LeverArm, Lidar, Mount
 from fieldgrid.recordings.bag.content import BagIndex, Readings, as_drive, read_content
 from fieldgrid.recordings.bag.motion import find_motion
 from fieldgrid.recordings.bag.sensors.frame_sensor import FrameSensor, lidar, sense
@@ -46,23 +45,17 @@ def open_bag_drive(path: Path, options: DriveOptions) -> Drive:
         content = read_content(path, options, readings)
         drive, imu_axes = as_drive(content), AXES
         try:
-            sensed = _sensed(content, options)
-            mounted = find_mounting(content, options, sensed)
-            if sensed.maker is None:
-                R = mounted.R_sensor @ sensed.R
-                sensed = lidar(content, sensed, R, mounted.sensor)
-            sensor = mounted.sensor or sensed.sensor
-            assert sensor is not None
+            sensed, mounting = find_mounting(content, options, _sensed(content, options))
+            sensed = lidar(content, sensed) if sensed.maker is None else sensed
             assert sensed.maker is not None
-            offset_ns = options.offset_or(content.settings.image_time_offset_ns)
-            drive = as_recording(
-                drive,
-                mounted.mounting.rig(sensor, offset_ns),
-                BagFrames(bag, sensed.plan, sensed.maker),
-                (*sensed.notes, *mounted.notes),
-                is_mounted=mounted.mounting is not NO_MOUNTING,
+            assert sensed.sensor is not None
+            rig = mounting.rig(
+                sensed.sensor, options.offset_or(content.settings.image_time_offset_ns)
             )
-            imu_axes = mounted.mounting.imu_axes
+            frames = BagFrames(bag, sensed.plan, sensed.maker)
+            is_mounted = mounting is not NO_MOUNTING
+            drive = as_recording(drive, rig, frames, sensed.notes, is_mounted=is_mounted)
+            imu_axes = mounting.imu_axes
         except RecordingError as problem:
             drive = replace(drive, refusal=problem)
         drive = with_motion(drive, *find_motion(content, imu_axes))
@@ -90,16 +83,6 @@ def _sensed(content: BagIndex, options: DriveOptions) -> FrameSensor:
         raise LackingError(problem, missing_mounting(usual, content.path)) from problem
 
 
-class SensorMounting(NamedTuple):
-    """The mounting of a sensor, the turn of points that it does not tell, remarks, and the sensor
-    itself where the bag says it exactly."""
-
-    mounting: Mounting
-    R_sensor: Float64 = np.eye(3)
-    notes: tuple[str, ...] = ()
-    sensor: Sensor | None = None
-
-
 def mounting_path(path: Path) -> Path:
     """The mounting beside a bag that is one file, which has its name unless another is there; of a
     folder, in it."""
@@ -109,15 +92,19 @@ def mounting_path(path: Path) -> Path:
     return shared if shared.exists() and not own.exists() else own
 
 
-def find_mounting(content: BagIndex, options: DriveOptions, sensed: FrameSensor) -> SensorMounting:
+def find_mounting(
+    content: BagIndex, options: DriveOptions, sensed: FrameSensor
+) -> tuple[FrameSensor, Mounting]:
     """The mounting that is given or lies beside the bag, else that of the rig that the bag says
-    exactly, else that of its static transforms. Raises CalibrationError when nothing tells it."""
+    exactly, else that of its static transforms; and the sensor with what these say of it. Raises
+    CalibrationError when nothing tells the mounting."""
     usual = mounting_path(content.path)
     if options.mounting is not None or usual.exists():
-        return SensorMounting(_moved(options.find_mounting(usual, content.path), sensed))
+        return sensed, _moved(options.find_mounting(usual, content.path), sensed)
     message = content.readings.first(RIG)
     rig = None if message is None else rig_of(message)
-    if rig is not None and sensed.fits(rig.sensor):
+    kind = Lidar if sensed.sensor is None else type(sensed.sensor)
+    if rig is not None and isinstance(rig.sensor, kind):
         mounting = Mounting(
             rig.mount,
             rig.antenna,
@@ -126,14 +113,14 @@ def find_mounting(content: BagIndex, options: DriveOptions, sensed: FrameSensor)
             rig.heading_convention,
             source=RIG,
         )
-        notes = (f"Mount and antenna by {RIG}.",)
-        return SensorMounting(mounting, notes=notes, sensor=rig.sensor)
+        notes = (*sensed.notes, f"Mount and antenna by {RIG}.")
+        return sensed._replace(sensor=rig.sensor, notes=notes), mounting
     try:
         return _by_transforms(content, usual, sensed)
     except CalibrationError:
         if not options.unmounted:
             raise
-        return SensorMounting(NO_MOUNTING)
+        return sensed, NO_MOUNTING
 
 
 def _moved(mounting: Mounting, sensed: FrameSensor) -> Mounting:
@@ -151,8 +138,11 @@ def _moved(mounting: Mounting, sensed: FrameSensor) -> Mounting:
     )
 
 
-def _by_transforms(content: BagIndex, usual: Path, sensed: FrameSensor) -> SensorMounting:
-    """The mounting by places below the ground's frame: of the sensor, the antenna, the axle."""
+def _by_transforms(
+    content: BagIndex, usual: Path, sensed: FrameSensor
+) -> tuple[FrameSensor, Mounting]:
+    """The mounting by places below the ground's frame: of the sensor, the antenna, the axle. A
+    lidar may look anywhere; what a mount cannot say is done to its points."""
     path, transforms = content.path, content.transforms
     antenna = content.frame_id("nmea") or content.frame_id("fix")
     placed, at_antenna = transforms.place(sensed.name, GROUND), transforms.place(antenna, GROUND)
@@ -175,14 +165,14 @@ def _by_transforms(content: BagIndex, usual: Path, sensed: FrameSensor) -> Senso
     origin = R_VEHICLE_FLU @ (placed.at_m + placed.R @ sensed.R.T @ sensed.origin_m)
     below = np.array([origin[0], origin[1], 0.0])
     height_m = _rounded(origin[2])
-    R_sensor, notes = np.eye(3), [f"Mount and antenna by static transforms below {GROUND}."]
+    notes = [f"Mount and antenna by static transforms below {GROUND}."]
     try:
         mount = Mount(height_m, *map(_rounded, mount_angles_deg(R)))
     except CalibrationError:
         if sensed.sensor is not None:
             raise
-        # A lidar may look anywhere; what a mount cannot say is done to its points.
-        mount, R_sensor = Mount(height_m, 0.0), Mount(1.0, 0.0).rotation().T @ R
+        mount = Mount(height_m, 0.0)
+        sensed = sensed._replace(R=mount.rotation().T @ R @ sensed.R)
         notes.append(f"The points of {sensed.name} are turned to look ahead.")
     try:
         arm = LeverArm(*map(_rounded, R_VEHICLE_FLU @ at_antenna.at_m - below))
@@ -191,7 +181,7 @@ def _by_transforms(content: BagIndex, usual: Path, sensed: FrameSensor) -> Senso
     axle = transforms.place(AXLE, GROUND)
     axle_m = None if axle is None else _rounded((R_VEHICLE_FLU @ axle.at_m - below)[1])
     mounting = Mounting(mount, arm, axle_m, source=f"{path.name}: /tf_static")
-    return SensorMounting(mounting, R_sensor, tuple(notes))
+    return sensed._replace(notes=(*sensed.notes, *notes)), mounting
 
 
 def _rounded(value: float) -> float:

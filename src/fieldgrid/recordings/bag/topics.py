@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from fieldgrid.core import NoFramesError, RecordingError
+from fieldgrid.core import RecordingError
 from fieldgrid.geometry import Orientation, RecordedTilt
 from fieldgrid.recordings.bag.listeners import (
     Numbers,
@@ -195,15 +195,6 @@ def choose(
     others = [t for t in filled.values() if t.type in _TAKEN and t.name not in roles.values()]
     told = {f"Topics: {used}.": used, f"Not used: {listing(others)}.": others}
     return Choice(kind, roles, tuple(note for note, is_so in told.items() if is_so), problem)
-
-
-def no_frames(topics: Mapping[str, Topic], path: Path) -> NoFramesError:
-    """The error of a bag in which there is nothing that frames could be made of."""
-    return NoFramesError(
-        f"{path} has no pair of a left and a right image, and neither disparity, depth image with "
-        f"its camera_info, nor point cloud; it has {listing(topics.values())}; name the images "
-        "with --topic left=NAME --topic right=NAME, or --topic depth=NAME."
-    )
 
 
 def listing(topics: Iterable[Topic]) -> str:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import CalibrationError, Float64, RecordingError
+from fieldgrid.core import CalibrationError, Float64, NoFramesError, RecordingError
 from fieldgrid.geometry import DepthCamera, Lidar, Sensor
 from fieldgrid.perception import points_per_sr
 from fieldgrid.recordings.bag.content import BagIndex, folder_of
@@ -26,7 +26,7 @@ from fieldgrid.recordings.bag.sensors.images import (
     image_source,
 )
 from fieldgrid.recordings.bag.topic_names import COMPRESSED, INFO, is_rectified, unit_topic
-from fieldgrid.recordings.bag.topics import listing, no_frames
+from fieldgrid.recordings.bag.topics import listing
 from fieldgrid.recordings.bag.transforms import optical
 from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Calibration, Entries, data
 from fieldgrid.recordings.calibration.loading import read_calibration
@@ -63,13 +63,6 @@ class FrameSensor(NamedTuple):
     measured_m: Float64 = np.zeros(3)
     notes: tuple[str, ...] = ()
 
-    def fits(self, sensor: Sensor) -> bool:
-        """Whether the frames can be of a sensor."""
-        if isinstance(sensor, Lidar) or self.sensor is None or isinstance(self.sensor, Lidar):
-            return isinstance(sensor, Lidar) and self.sensor is None
-        sizes = [(one.width_px, one.height_px) for one in (sensor, self.sensor)]
-        return type(sensor) is type(self.sensor) and sizes[0] == sizes[1]
-
 
 def sense(content: BagIndex) -> FrameSensor:
     """The sensor and the plan of its frames. Raises RecordingError for a bag that has none or
@@ -78,7 +71,12 @@ def sense(content: BagIndex) -> FrameSensor:
         raise content.choice.problem
     kinds = {"stereo": _stereo, "disparity": _disparity, "depth": _depth, "cloud": _cloud}
     if not content.choice.kind:
-        raise no_frames(content.readings.bag.topics, content.path)
+        raise NoFramesError(
+            f"{content.path} has no pair of a left and a right image, and neither disparity, depth "
+            "image with its camera_info, nor point cloud; it has "
+            f"{listing(content.readings.bag.topics.values())}; name the images with --topic "
+            "left=NAME --topic right=NAME, or --topic depth=NAME."
+        )
     return kinds[content.choice.kind](content)
 
 
@@ -154,16 +152,16 @@ def _cloud(content: BagIndex) -> FrameSensor:
     return FrameSensor(name, R, plan, notes=plan.notes)
 
 
-def lidar(content: BagIndex, sensed: FrameSensor, R: Float64, known: Sensor | None) -> FrameSensor:
-    """The sensor of clouds whose points `R` turns into right, down, forward: the one that is known,
-    else as the settings say it, else by the first clouds that have enough points."""
+def lidar(content: BagIndex, sensed: FrameSensor) -> FrameSensor:
+    """The sensor of clouds, once it is known how they are turned: the one that the bag says, else
+    as the settings say it, else by the first clouds that have enough points."""
     topic, settings = sensed.plan.topics[0], content.settings
     corrected = settings.corrected  # whether points were carried to one instant already
     if corrected is None:
         corrected = _CORRECTED.search(topic.lower()) is not None
-    source = partial(MessageCloud, R=tuple(R.ravel().tolist()), corrected=corrected)
-    sensed = sensed._replace(maker=FrameMaker(CloudFrame, ("cloud",), (source,)), sensor=known)
-    if known is not None:
+    source = partial(MessageCloud, R=tuple(sensed.R.ravel().tolist()), corrected=corrected)
+    sensed = sensed._replace(maker=FrameMaker(CloudFrame, ("cloud",), (source,)))
+    if sensed.sensor is not None:
         return sensed
     if settings.points_per_sr is not None:
         return sensed._replace(sensor=Lidar(settings.points_per_sr))

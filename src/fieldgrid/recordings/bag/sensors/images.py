@@ -52,11 +52,8 @@ class MessageSource:
 
     def sha256(self) -> str:
         """The hash of the image's or cloud's own bytes, without header and layout."""
-        return hashlib.sha256(self.payload().data.tobytes()).hexdigest()
-
-    def payload(self) -> Any:
-        """What of the message has the `data`."""
-        return self.decoded()
+        message = self.decoded()
+        return hashlib.sha256(getattr(message, "image", message).data.tobytes()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,10 +133,6 @@ class DepthImage(MessageSource):
 class DisparityImage(MessageSource):
     """A stereo_msgs/DisparityImage: depth is f·T / disparity."""
 
-    def payload(self) -> Any:
-        """The image inside."""
-        return self.decoded().image
-
     def read(self) -> Float32:
         """Depth along the optical axis, metres; NaN where there is no disparity."""
         message = self.decoded()
@@ -188,12 +181,10 @@ def pixels_of(message: Any, dtype: np.dtype[Any], channels: int, name: str) -> A
             f"{name} has {len(message.data)} bytes in rows of {step}, too few for {width} x "
             f"{height} px of {channels * dtype.itemsize} bytes; it is damaged, record it again."
         )
-    data = np.ascontiguousarray(message.data, dtype=np.uint8)
-    rows = np.lib.stride_tricks.as_strided(data, (height, row), (step, 1), writeable=False)
     stored = dtype.newbyteorder(">" if message.is_bigendian else "<")
-    shape = (height, width) if channels == 1 else (height, width, channels)
-    pixels = np.ascontiguousarray(rows).view(stored).reshape(shape)
-    return pixels.astype(dtype, copy=False)
+    strides = (step, channels * dtype.itemsize, dtype.itemsize)
+    pixels = np.ndarray((height, width, channels), stored, message.data, 0, strides)
+    return np.ascontiguousarray(pixels[..., 0] if channels == 1 else pixels, dtype=dtype)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,17 +196,17 @@ class PackedDepthImage(MessageSource):
         """Depth along the optical axis, metres; NaN where there is none."""
         message = self.decoded()
         said, data = str(message.format), message.data.tobytes()
-        encoding = said.partition(";")[0].strip()
         if "compressedDepth" not in said:
             return depths_of_units(self._png(data, said))
-        if encoding not in ("16UC1", "mono16", "32FC1"):
+        encoding = said.partition(";")[0].strip()
+        if encoding not in (*MILLIMETRES, METRES):
             raise self._unknown(said)
-        if len(data) < _CONFIG.size:
+        if len(data) < _CONFIG.size + _SIDES.size:
             raise RecordingError(f"{self.name} is truncated; record it again.")
         _, a, b = _CONFIG.unpack_from(data)
         packed = data[_CONFIG.size :]
         whole = self._rvl(packed) if said.endswith("rvl") else self._png(packed, said)
-        if encoding != "32FC1":
+        if encoding in MILLIMETRES:
             return depths_of_units(whole)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             depth_m = np.float32(a) / (whole.astype(np.float32) - np.float32(b))
@@ -235,8 +226,6 @@ class PackedDepthImage(MessageSource):
         )
 
     def _rvl(self, data: bytes) -> UInt16:
-        if len(data) < _SIDES.size:
-            raise RecordingError(f"{self.name} is truncated; record it again.")
         width, height = _SIDES.unpack_from(data)
         # A word of 32 bits tells of eight numbers, and two numbers of a run of any length, so
         # only the bound on the size of an image says what a few bytes may unfold to.
