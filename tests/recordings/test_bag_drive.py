@@ -82,6 +82,7 @@ def opened(tmp_path: Path) -> Callable[..., Recording]:
         container: Container = "mcap",
         *,
         mounting: bool = True,
+        settings: str = "",
         in_order: bool = True,
         **options: Any,
     ) -> Recording:
@@ -90,8 +91,9 @@ def opened(tmp_path: Path) -> Callable[..., Recording]:
         path = tmp_path / "b" / "bag"
         shutil.rmtree(path.parent, ignore_errors=True)
         path = bags.write_bag(path, container, maker, messages, in_order=in_order)
+        folder = path if path.is_dir() else path.parent
+        (folder / "recording.toml").write_text(settings)
         if mounting:
-            folder = path if path.is_dir() else path.parent
             shutil.copy(TWO_LANES / "calibration" / "mounting.json", folder)
             text = (folder / "mounting.json").read_text()
             (folder / "mounting.json").write_text(text.replace('"stereo_baseline_m": 0.18,', ""))
@@ -164,17 +166,18 @@ def test_the_covariance_is_east_north_up_by_row() -> None:
         assert quality_of(message)[1] is None
 
 
-def test_fixes_without_position_or_height(opened: Opened) -> None:
+def test_fixes_are_those_said_without_those_that_have_no_position(opened: Opened) -> None:
     def said(maker: Maker) -> Iterator[Said]:
         yield from stereo_said(maker)
         for k, (lat, altitude) in enumerate([(LAT, HEIGHT), (math.nan, 1.0), (LAT, math.nan)]):
             time_ns = UTC + k * STEP
-            yield Said(time_ns, "/fix", maker.fix(time_ns, lat, LON, altitude))
+            yield Said(time_ns, "/fix", maker.fix(time_ns, lat, LON, altitude, sigma_m=0.02))
 
     with opened(said) as recording:
-        assert [fix.height_m for fix in recording.fixes()] == [HEIGHT, 0.0]
-        assert recording.fixes()[1].time_ns == UTC + 2 * STEP
-        notes = " ".join(recording.notes)
+        fixes, notes = list(recording.fixes()), " ".join(recording.notes)
+    assert [(fix.time_ns, fix.height_m) for fix in fixes] == [(UTC, HEIGHT), (UTC + 2 * STEP, 0.0)]
+    assert [(fix.lat_deg, fix.lon_deg, fix.quality) for fix in fixes] == [(LAT, LON, 4)] * 2
+    assert [fix.sigma_m for fix in fixes] == pytest.approx([0.02] * 2, abs=1e-12)
     assert "1 message without a position" in notes
     assert "1 message without a height" in notes
 
@@ -197,48 +200,48 @@ def imu_said(
         yield Said(time_ns, "/imu/data", message)
 
 
-def test_the_gyro_turns_clockwise_about_the_vehicles_vertical(opened: Opened) -> None:
-    with opened(lambda m: [*stereo_said(m), *imu_said(m)]) as recording:
-        gyro = recording.motion().gyro
-        assert gyro is not None
-        assert gyro.rate_rad_s.tolist() == [-0.3, -1.3, -2.3, -3.3, -4.3]
-        assert gyro.time_ns.tolist() == [UTC + k * 10_000_000 for k in range(5)]
-
-
-@pytest.mark.parametrize("gravity", [9.81, 1.0])
-def test_an_imu_upside_down_is_told_by_gravity(gravity: float, opened: Opened) -> None:
-    upside_down = (0.01, 0.02, -gravity)
-    with opened(lambda m: [*stereo_said(m), *imu_said(m, forces=upside_down)]) as recording:
-        gyro = recording.motion().gyro
-        assert gyro is not None
-        assert gyro.rate_rad_s.tolist() == [0.3, 1.3, 2.3, 3.3, 4.3]
-        assert any("gravity is felt upward, along [0, 0, -1]" in n for n in recording.notes)
+CLOCKWISE = [-0.3, -1.3, -2.3, -3.3, -4.3]
+UPWARD = "gravity is felt upward"
+USED, DENIED = True, False
 
 
 @pytest.mark.parametrize(
-    "forces",
-    [(0.0, 0.0, -0.3), (0.0, 0.4, 0.0), (0.0, 0.0, -5.0), (0.0, 0.0, -12.0), (0.0, 0.0, 0.0)],
+    ("imu", "rates", "note", "forces"),
+    [
+        ({}, CLOCKWISE, "axes taken as flu", USED),
+        # Upside down, in m/s² and in g: of the other axes nothing is known.
+        *(
+            (
+                {"forces": (0.01, 0.02, -gravity)},
+                [-rate for rate in CLOCKWISE],
+                f"{UPWARD}, along [0, 0, -1]",
+                None,
+            )
+            for gravity in (9.81, 1.0)
+        ),
+        # A driver that removes gravity leaves a bias, which points anywhere.
+        *(
+            ({"forces": bias}, CLOCKWISE, "axes taken as flu", DENIED)
+            for bias in ((0, 0, -0.3), (0, 0.4, 0), (0, 0, -5.0), (0, 0, -12.0), (0, 0, 0))
+        ),
+        ({"across": (math.nan, math.nan)}, CLOCKWISE, "axes taken as flu", None),
+        # Its y axis points down.
+        ({"frame": "camera_imu_optical_frame"}, [0.2] * 5, "axes taken as rdf", DENIED),
+    ],
 )
-def test_forces_without_gravity_tell_no_axis(
-    forces: tuple[float, float, float], opened: Opened
+def test_the_gyro_turns_clockwise_about_the_vertical(
+    imu: dict[str, Any], rates: list[float], note: str, forces: bool | None, opened: Opened
 ) -> None:
-    """A driver that removes gravity leaves a bias, which points anywhere."""
-    with opened(lambda m: [*stereo_said(m), *imu_said(m, forces=forces)]) as recording:
+    with opened(lambda m: [*stereo_said(m), *imu_said(m, **imu)]) as recording:
         gyro, inertial = recording.motion().gyro, recording.motion().inertial
-        assert gyro is not None
-        assert gyro.rate_rad_s.tolist() == [-0.3, -1.3, -2.3, -3.3, -4.3]
-        assert not any("gravity is felt upward" in note for note in recording.notes)
-        assert inertial is not None
-        assert np.isnan(inertial.force_mps2).all()
-
-
-def test_an_imu_whose_other_axes_are_not_known_is_a_gyro(opened: Opened) -> None:
-    unknown = (math.nan, math.nan)
-    with opened(lambda m: [*stereo_said(m), *imu_said(m, across=unknown)]) as recording:
-        assert recording.motion().inertial is None
-        gyro = recording.motion().gyro
-        assert gyro is not None
-        assert gyro.rate_rad_s.tolist() == [-0.3, -1.3, -2.3, -3.3, -4.3]
+        notes = recording.notes
+    assert gyro is not None
+    assert gyro.rate_rad_s.tolist() == rates
+    assert gyro.time_ns.tolist() == [UTC + k * 10_000_000 for k in range(5)]
+    assert f"/imu/data: {note}." in [one.replace("axes taken so that ", "") for one in notes]
+    assert (inertial is None) == (forces is None)
+    if inertial is not None:
+        assert np.isfinite(inertial.force_mps2).all() == forces
 
 
 def test_transforms_tell_how_an_imu_sits_unless_the_mounting_does(opened: Opened) -> None:
@@ -261,17 +264,6 @@ def test_transforms_tell_how_an_imu_sits_unless_the_mounting_does(opened: Opened
         gyro = recording.motion().gyro
         assert gyro is not None
         assert gyro.rate_rad_s.tolist() == [-0.1] * 5
-
-
-def test_an_imu_in_an_optical_frame_turns_about_its_second_axis(opened: Opened) -> None:
-    def said(maker: Maker) -> list[Said]:
-        return [*stereo_said(maker), *imu_said(maker, "camera_imu_optical_frame")]
-
-    with opened(said) as recording:
-        gyro = recording.motion().gyro
-        assert gyro is not None
-        assert gyro.rate_rad_s.tolist() == [0.2] * 5  # y points down
-        assert "/imu/data: axes taken as rdf." in recording.notes
 
 
 def test_an_imu_without_gyro_and_times_that_repeat(opened: Opened) -> None:
@@ -366,6 +358,39 @@ def test_the_mount_is_that_of_the_rectified_camera(opened: Opened) -> None:
     np.testing.assert_allclose(found, raw @ R_rect_raw.T, atol=1e-9)
 
 
+def without_ground(said: list[Said]) -> None:
+    del said[-1].message.transforms[0]
+
+
+def lost_antenna(said: list[Said]) -> None:
+    for one in said:
+        if one.topic == "/fix":
+            one.message.header.frame_id = "mars"
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (lost_antenna, r"not the antenna \('mars'\)"),
+        (without_ground, "from base_footprint to base_link, or write"),
+        (
+            lambda said: said.pop(),
+            r"fieldgrid mount \S+ --write --antenna .* or write \S+bag\.mounting",
+        ),
+    ],
+)
+def test_a_tree_without_the_antenna_or_the_ground_is_told(
+    change: Callable[[list[Said]], None], match: str, opened: Opened
+) -> None:
+    def said(maker: Maker) -> list[Said]:
+        messages = [*stereo_said(maker), *fixes_said(maker), *tree_said(maker, OPTICAL)]
+        change(messages)
+        return messages
+
+    with pytest.raises(CalibrationError, match=match):
+        opened(said, mounting=False)
+
+
 def test_a_camera_frame_that_looks_along_x_is_no_optical_one(opened: Opened) -> None:
     def said(maker: Maker) -> list[Said]:
         tree = tree_said(maker, (0.0, 0.0, 0.0, 1.0), "cam_link")
@@ -373,31 +398,6 @@ def test_a_camera_frame_that_looks_along_x_is_no_optical_one(opened: Opened) -> 
 
     with opened(said, mounting=False) as recording:
         assert recording.rig.mount.tilt_deg == pytest.approx(0.0, abs=1e-9)
-
-
-def test_a_tree_without_the_antenna_or_the_ground_is_told(opened: Opened) -> None:
-    def lost_antenna(maker: Maker) -> list[Said]:
-        said = [*stereo_said(maker), *fixes_said(maker), *tree_said(maker, OPTICAL)]
-        for one in said:
-            if one.topic == "/fix":
-                one.message.header.frame_id = "mars"
-        return said
-
-    with pytest.raises(CalibrationError, match=r"not the antenna \('mars'\)"):
-        opened(lost_antenna, mounting=False)
-    with pytest.raises(
-        CalibrationError,
-        match=r"fieldgrid mount \S+ --write --antenna .* or write \S+bag\.mounting",
-    ):
-        opened(lambda m: [*stereo_said(m), *fixes_said(m)], mounting=False)
-
-    def lost_ground(maker: Maker) -> list[Said]:
-        said = [*stereo_said(maker), *fixes_said(maker), *tree_said(maker, OPTICAL)]
-        del said[-1].message.transforms[0]
-        return said
-
-    with pytest.raises(CalibrationError, match="from base_footprint to base_link, or write"):
-        opened(lost_ground, mounting=False)
 
 
 def test_transforms_in_a_circle_are_told(opened: Opened) -> None:
@@ -448,38 +448,23 @@ def test_cameras_whose_names_say_nothing_are_told_by_their_calibration(opened: O
         opened(lambda maker: said(maker, more=True))
 
 
-def test_disparity_images_are_depth_frames(opened: Opened) -> None:
-    def said(maker: Maker) -> Iterator[Said]:
-        yield from fixes_said(maker)
-        for k in range(3):
-            time_ns = UTC + k * STEP
-            values = np.full((24, 32), 10.0, dtype=np.float32)
-            image = maker.image(time_ns, values, "32FC1", "cam_optical")
-            disparity = maker.disparity(time_ns, image, 100.0, 0.2, 64.0, 1.0)
-            yield Said(time_ns, "/s/disparity", disparity)
-            info = maker.info(time_ns, (32, 24), P, "cam_optical")
-            yield Said(time_ns, "/s/left/camera_info", info)
-
-    with opened(said) as recording:
-        baseline_m = float(np.float32(0.2))  # as the message has it
-        assert recording.rig.sensor == DepthCamera(32, 24, 100.0, 100.0, 15.5, 11.5, baseline_m)
-        (frame, *_) = recording.frames()
-        assert isinstance(frame, DepthFrame)
-        assert frame.source.read()[5, 5] == np.float32(2.0)
-        assert len(frame.source.sha256()) == 64
-
-
 def test_disparities_are_of_the_left_camera_and_the_mounting_of_the_middle(
     opened: Opened,
 ) -> None:
     def said(maker: Maker) -> Iterator[Said]:
         values = np.full((24, 32), 10.0, dtype=np.float32)
-        image = maker.image(UTC, values, "32FC1")
+        image = maker.image(UTC, values, "32FC1", "cam_optical")
         yield Said(UTC, "/s/disparity", maker.disparity(UTC, image, 100.0, 0.2, 64.0, 1.0))
-        yield Said(UTC, "/s/left/camera_info", maker.info(UTC, (32, 24), P))
+        yield Said(UTC, "/s/left/camera_info", maker.info(UTC, (32, 24), P, "cam_optical"))
 
     with opened(said) as recording:
+        baseline_m = float(np.float32(0.2))  # as the message has it
         rig = recording.rig
+        assert rig.sensor == DepthCamera(32, 24, 100.0, 100.0, 15.5, 11.5, baseline_m)
+        (frame,) = recording.frames()
+        assert isinstance(frame, DepthFrame)
+        assert frame.source.read()[5, 5] == np.float32(2.0)
+        assert len(frame.source.sha256()) == 64
     with opened(stereo_said) as recording:
         middle = recording.rig
     assert rig.antenna.right_m == pytest.approx(middle.antenna.right_m + 0.1)
@@ -491,24 +476,22 @@ def test_disparities_are_of_the_left_camera_and_the_mounting_of_the_middle(
 @pytest.mark.parametrize("transport", ["", "/compressed", "/compressedDepth"])
 def test_depth_images_are_depth_frames(transport: str, opened: Opened) -> None:
     def said(maker: Maker) -> Iterator[Said]:
-        for k in range(3):
-            time_ns = UTC + k * STEP
-            depth = np.full((24, 32), 1500 + k, dtype=np.uint16)
-            image = maker.image(time_ns, depth, "16UC1")
-            if transport == "/compressed":
-                image = maker.compressed(time_ns, png(depth), "16UC1; png compressed ")
-            elif transport:
-                image = maker.compressed(
-                    time_ns, config() + rvl(depth), "16UC1; compressedDepth rvl"
-                )
-            yield Said(time_ns, f"/camera/depth/image_rect_raw{transport}", image)
-            info = maker.info(time_ns, (32, 24), P)
-            yield Said(time_ns, "/camera/depth/camera_info", info)
+        depth = np.full((24, 32), 1500, dtype=np.uint16)
+        image = {
+            "": maker.image(UTC, depth, "16UC1"),
+            "/compressed": maker.compressed(UTC, png(depth), "16UC1; png compressed "),
+            "/compressedDepth": maker.compressed(
+                UTC, config() + rvl(depth), "16UC1; compressedDepth rvl"
+            ),
+        }[transport]
+        yield Said(UTC, f"/camera/depth/image_rect_raw{transport}", image)
+        yield Said(UTC, "/camera/depth/camera_info", maker.info(UTC, (32, 24), P))
 
     with opened(said) as recording:
         assert recording.rig.sensor == DepthCamera(32, 24, 100.0, 100.0, 15.5, 11.5)
-        depths = [f.source.read()[0, 0] for f in recording.frames() if isinstance(f, DepthFrame)]
-        np.testing.assert_allclose(depths, [1.5, 1.501, 1.502], rtol=1e-6)
+        (frame,) = recording.frames()
+        assert isinstance(frame, DepthFrame)
+        assert frame.source.read() == pytest.approx(np.full((24, 32), 1.5), rel=1e-6)
 
 
 def clouds_said(maker: Maker, frame: str = "lidar") -> Iterator[Said]:
@@ -550,10 +533,7 @@ def test_clouds_that_were_corrected_have_no_times_any_more(
     def said(maker: Maker) -> list[Said]:
         return [one._replace(topic=topic) for one in clouds_said(maker)]
 
-    with opened(said) as recording:
-        folder = recording.path.parent  # type: ignore[attr-defined]
-    (folder / "recording.toml").write_text(settings)
-    with open_recording(folder / "bag.mcap") as recording:
+    with opened(said, settings=settings) as recording:
         (frame, *_) = recording.frames()
         assert isinstance(frame, CloudFrame)
         assert isinstance(frame.source, MessageCloud)
@@ -561,21 +541,13 @@ def test_clouds_that_were_corrected_have_no_times_any_more(
 
 
 def test_the_settings_tell_of_a_bag_what_it_does_not(opened: Opened) -> None:
-    settings = """
-        sensor = "cloud"
-        [cloud]
-        axes = "rdf"
-        points_per_sr = 1234.0
-    """
-
     def said(maker: Maker) -> list[Said]:
         return [*clouds_said(maker), *stereo_said(maker)]
 
     with opened(said) as recording:
         assert isinstance(recording.rig.sensor, StereoCamera)
-        folder = recording.path.parent  # type: ignore[attr-defined]
-    (folder / "recording.toml").write_text(settings)
-    with open_recording(folder / "bag.mcap") as recording:
+    settings = 'sensor = "cloud"\n[cloud]\naxes = "rdf"\npoints_per_sr = 1234.0\n'
+    with opened(said, settings=settings) as recording:
         assert recording.rig.sensor == Lidar(1234.0)
         (frame, *_) = recording.frames()
         assert isinstance(frame, CloudFrame)
@@ -662,23 +634,15 @@ def test_calibrations_that_are_not_of_whole_images_are_told(change: str, opened:
 @pytest.mark.parametrize("container", CONTAINERS)
 def test_frames_come_in_order_though_messages_do_not(container: Container, opened: Opened) -> None:
     def said(maker: Maker) -> list[Said]:
-        messages = list(stereo_said(maker, 12))
+        messages = list(stereo_said(maker, 60))
         lefts = [one for one in messages if one.topic == "/s/left/image_rect"]
         rest = [one for one in messages if one.topic != "/s/left/image_rect"]
         lefts[2:5] = lefts[4:1:-1]
         return lefts + rest  # and one topic after the other
 
     with opened(said, container, in_order=False) as recording:
-        assert recording.frame_times_ns().tolist() == [UTC + k * STEP for k in range(12)]
-        assert numbers(recording) == [(k, k) for k in range(12)]
-
-
-def test_topics_that_were_written_one_after_the_other(opened: Opened) -> None:
-    def said(maker: Maker) -> list[Said]:
-        return sorted(stereo_said(maker, 90), key=lambda one: one.topic)
-
-    with opened(said, in_order=False) as recording:
-        assert numbers(recording) == [(k, k) for k in range(90)]
+        assert recording.frame_times_ns().tolist() == [UTC + k * STEP for k in range(60)]
+        assert numbers(recording) == [(k, k) for k in range(60)]
 
 
 def test_pairs_miss_a_side_and_the_rest_stays_together(opened: Opened) -> None:
@@ -710,30 +674,33 @@ def peak_bytes(recording: Recording) -> int:
     return peak
 
 
-def test_memory_does_not_grow_with_the_recording(opened: Opened) -> None:
-    size = (240, 320)
-
-    def only_left_first(maker: Maker, count: int) -> list[Said]:
-        return sorted(stereo_said(maker, count, size), key=lambda one: one.topic)
-
-    for said, in_order in ((lambda m, n: stereo_said(m, n, size), True), (only_left_first, False)):
-        peaks = []
-        for count in (40, 160):
-            with opened(lambda m, n=count, s=said: s(m, n), "bag", in_order=in_order) as recording:
-                peaks.append(peak_bytes(recording))
-        assert peaks[1] < 1.25 * peaks[0]
+def after_another(maker: Maker, count: int) -> list[Said]:
+    return sorted(stereo_said(maker, count, LARGE), key=lambda one: one.topic)
 
 
-def test_memory_does_not_grow_when_a_side_stops(opened: Opened) -> None:
-    def stopped(maker: Maker, count: int) -> list[Said]:
-        messages = stereo_said(maker, count, (240, 320))
-        ends = UTC + 5 * STEP
-        return [m for m in messages if m.topic != "/s/left/image_rect" or m.receive_ns < ends]
+def with_a_side_that_stops(maker: Maker, count: int) -> list[Said]:
+    messages, ends = stereo_said(maker, count, LARGE), UTC + 5 * STEP
+    return [m for m in messages if m.topic != "/s/left/image_rect" or m.receive_ns < ends]
 
+
+LARGE = (240, 320)
+
+
+@pytest.mark.parametrize(
+    ("said", "frames"),
+    [
+        (lambda maker, count: stereo_said(maker, count, LARGE), (40, 160)),
+        (after_another, (40, 160)),
+        (with_a_side_that_stops, (5, 5)),
+    ],
+)
+def test_memory_does_not_grow_with_the_recording(
+    said: Callable[[Maker, int], Any], frames: tuple[int, int], opened: Opened
+) -> None:
     peaks = []
-    for count in (40, 160):
-        with opened(lambda m, n=count: stopped(m, n), "bag") as recording:
-            assert recording.frame_count == 5
+    for count, wanted in zip((40, 160), frames, strict=True):
+        with opened(lambda m, n=count: said(m, n), "bag", in_order=False) as recording:
+            assert recording.frame_count == wanted
             peaks.append(peak_bytes(recording))
     assert peaks[1] < 1.25 * peaks[0]
 
