@@ -140,12 +140,12 @@ class Readings:
                 return heard.name, *told
         return None
 
-    def series(self, topic: str | None) -> tuple[Int64, Float64] | None:
-        """Times, 0 where there is none, and numbers that were heard of a topic, in the order of the
-        record; None where there is no message."""
+    def series(self, topic: str | None) -> tuple[Int64, Float64]:
+        """Times [n], 0 where there is none, and numbers [n, k] that were heard of a topic, in the
+        order of the record."""
         heard = self.of(topic, Numbers)
-        if heard is None or not len(heard.places):
-            return None
+        if heard is None:
+            return np.zeros(0, dtype=np.int64), np.zeros((0, 10))
         return self.times_ns(heard.name)[heard.places], heard.rows()
 
     def times_ns(self, topic: str) -> Int64:

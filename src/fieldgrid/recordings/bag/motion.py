@@ -68,10 +68,7 @@ def find_motion(content: BagIndex, imu_axes: str = AXES) -> tuple[Motion, tuple[
 def _turning(content: BagIndex, imu_axes: str, notes: list[str]) -> Motion:
     """Gyro and, where it is known how all its axes sit, the whole IMU."""
     topic = content.roles.get("imu", "")
-    heard = content.readings.series(topic)
-    if heard is None:
-        return Motion()
-    times_ns, sensed = heard
+    times_ns, sensed = content.readings.series(topic)
     turns = ~np.isnan(sensed[:, :3]).all(axis=1)
     if not turns.all():
         notes.append(f"{topic}: {counted(int((~turns).sum()), 'message')} without a gyro.")
@@ -79,9 +76,9 @@ def _turning(content: BagIndex, imu_axes: str, notes: list[str]) -> Motion:
     if not len(times_ns):
         return Motion()
     R_flu_imu, told = axes_of(content.transforms, imu_axes, content.frame_id("imu"))
-    forces = content.readings.series(content.roles.get("acceleration"))
-    if forces is not None:
-        sensed[:, 3:] = between(times_ns, in_order(forces[0], forces[1][:, 3:6], 3)[0])
+    felt_ns, rows = content.readings.series(content.roles.get("acceleration"))
+    if len(felt_ns):
+        sensed[:, 3:] = between(times_ns, in_order(felt_ns, rows[:, 3:6], 3)[0])
     upward, is_whole = R_flu_imu[2], True
     if told == TAKEN and (felt := felt_upward(sensed[:, 3:])) is not None:
         upward, is_whole = felt, False
@@ -107,10 +104,10 @@ def _wheels(content: BagIndex, notes: list[str]) -> WheelSpeed | None:
         _, whose, wheels = content.moving
         notes.append(f"{topic}: no topic has odometry, so the speed is that of {whose}.")
         return wheels if len(wheels.time_ns) else None
-    heard = content.readings.series(topic)
-    if heard is None:
+    times_ns, rows = content.readings.series(topic)
+    if not len(times_ns):
         return None
-    series, lost = in_order(heard[0], heard[1][:, 0])
+    series, lost = in_order(times_ns, rows[:, 0])
     notes += skipped(topic, lost, "message")
     return WheelSpeed(*series) if len(series.time_ns) else None
 
@@ -130,11 +127,9 @@ def _leaning(
         if feels or motion.tilt is not None:
             return None
     for topic in [given] if given else map(content.roles.get, ("imu", "odometry")):
+        times_ns, rows = readings.series(topic)
         heard = readings.of(topic, Numbers)
-        if heard is None or (told := readings.series(topic)) is None:
-            continue
-        times_ns, rows = told
-        if not np.isfinite(rows[:, -4]).any():
+        if heard is None or not np.isfinite(rows[:, -4]).any():
             continue
         is_imu = readings.bag.topics[heard.name].type == IMU
         axes = imu_axes if is_imu else AXES

@@ -40,19 +40,22 @@ _STREAM = re.compile(r"((?:/device_\d+)/sensor_\d+)(/[A-Z][A-Za-z]*_\d+)/")
 _RECTIFIED = re.compile(r"(?<![a-z])rect")
 MADE = re.compile(r"filter|ground|obstacle|cluster|map|accumul|global|segment|debug")
 
+_DRIVEN = (
+    re.compile(r"gps|gnss|navsat|global|map"),
+    re.compile(r"ekf|visual|vio|vo\b"),
+    re.compile(r"wheel|controller|drive|encoder"),
+)
+
 
 def is_made(name: str) -> bool:
     """Whether a topic is made of others."""
     return MADE.search(name.lower()) is not None
 
 
-def driven_rank(name: str) -> int:
+def driven_rank(name: str) -> tuple[bool, bool, bool]:
     """Wheels before whatever else estimates a speed; estimates that contain the fixes last."""
-    if re.search(r"gps|gnss|navsat|global|map", name.lower()):
-        return 3
-    if is_made(name) or re.search(r"ekf|visual|vio|vo\b", name.lower()):
-        return 2
-    return 0 if re.search(r"wheel|controller|drive|encoder", name.lower()) else 1
+    of_fixes, made, wheels = (pattern.search(name.lower()) is not None for pattern in _DRIVEN)
+    return of_fixes, made or is_made(name), not wheels
 
 
 def imu_rank(name: str) -> tuple[bool, bool, bool, bool]:

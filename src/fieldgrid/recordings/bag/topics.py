@@ -225,19 +225,20 @@ def static_transforms(topics: Mapping[str, Topic], roles: Mapping[str, str]) -> 
 def _check_given(topics: Mapping[str, Topic], given: Mapping[str, str], path: Path) -> None:
     """Raise RecordingError for a given topic that cannot be what it is said to be."""
     for role, name in given.items():
-        topic, types = topics.get(name), TYPES_OF_ROLES[role]
-        if topic is None:
-            what = "is not there"
-        elif topic.type not in types:
-            what = f"is of the type {short(topic.type)}, not {' or '.join(map(short, types))}"
-        elif topic.count == 0:
-            what = "has no message"
-        else:
-            continue
-        raise RecordingError(
-            f"{path}: --topic {role}={name} {what}; give another topic of "
-            f"{listing(topics.values())}."
-        )
+        topic, types = topics.get(name, Topic(name, "", 0)), TYPES_OF_ROLES[role]
+        problems = {
+            "is not there": name not in topics,
+            f"is of the type {short(topic.type)}, not {' or '.join(map(short, types))}": (
+                topic.type not in types
+            ),
+            "has no message": topic.count == 0,
+        }
+        for what, is_so in problems.items():
+            if is_so:
+                raise RecordingError(
+                    f"{path}: --topic {role}={name} {what}; give another topic of "
+                    f"{listing(topics.values())}."
+                )
     if "left" in given and given["left"] == given.get("right"):
         raise RecordingError(f"{path}: left and right are both {given['left']}; give two topics.")
 

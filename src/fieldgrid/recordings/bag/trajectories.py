@@ -83,20 +83,15 @@ def read_pose_topic(
 
 
 def _chosen(bag: Bag, candidates: list[str], topic: str | None) -> str:
-    types = ", ".join(short(type_) for type_ in _TYPES)
-    if topic is not None and topic not in candidates:
+    """The only topic with poses, or the one that was asked for."""
+    if len(candidates) == 1:
+        return candidates[0]
+    what = " has several topics of poses" if candidates else " has no topic of poses"
+    if topic is not None:
         there = f"is of the type {short(bag.topics[topic].type)}" if topic in bag.topics else ""
-        raise RecordingError(
-            f"{bag.path}: {topic} {there or 'is not there'}; a topic of poses is one of {types}, "
-            f"and the bag has {listing(bag.topics.values())}."
-        )
-    if not candidates:
-        raise RecordingError(
-            f"{bag.path} has no topic of poses ({types}); it has {listing(bag.topics.values())}."
-        )
-    if len(candidates) > 1:
-        raise RecordingError(
-            f"{bag.path} has several topics of poses: {', '.join(sorted(candidates))}; choose one "
-            "with --poses-topic."
-        )
-    return candidates[0]
+        what = f": {topic} {there or 'is not there'}"
+    raise RecordingError(
+        f"{bag.path}{what}; a topic of poses is one of {', '.join(map(short, _TYPES))}, and the "
+        f"bag has {listing(bag.topics[name] for name in candidates or bag.topics)}; choose one "
+        "with --poses-topic."
+    )

@@ -106,6 +106,11 @@ class Transforms:
         R_base = of_base.R.T
         return FrameTransform(R_base @ of_frame.R, R_base @ (of_frame.at_m - of_base.at_m))
 
+    def on_vehicle(self, frame: str) -> FrameTransform | None:
+        """A frame seen from that of the vehicle; None where nothing joins them."""
+        placed = self.place(frame, BASE)
+        return self.place(frame, GROUND) if placed is None else placed
+
     def _ancestors(self, frame: str) -> dict[str, FrameTransform]:
         """The frame itself and those above it, nearest first, with its place in each."""
         here = FrameTransform(np.eye(3), np.zeros(3))
@@ -160,24 +165,19 @@ def optical(frame: str, transforms: Transforms, axes: str | None = None) -> Floa
     """
     if axes is not None:
         return R_OPTICAL_FLU @ np.array(directions(axes), dtype=np.float64).T
-    if is_optical(frame):
-        return np.eye(3)
-    for base in (GROUND, BASE):
-        placed = transforms.place(frame, base)
-        if placed is not None and placed.R[1, 0] < -0.5 and placed.R[2, 2] < 0.5:
-            return np.eye(3)
-    return R_OPTICAL_FLU
+    placed = None if is_optical(frame) else transforms.on_vehicle(frame)
+    is_camera = placed is not None and placed.R[1, 0] < -0.5 and placed.R[2, 2] < 0.5
+    return np.eye(3) if is_camera or is_optical(frame) else R_OPTICAL_FLU
 
 
 def imu_rotation(imu_frame: str, transforms: Transforms) -> Float64 | None:
     """From an IMU's axes to those of the vehicle, forward, left, up [3, 3]; None where no static
     transform tells it."""
-    for base in (BASE, GROUND):
-        placed = transforms.place(imu_frame, base)
-        if placed is not None:
-            whole = np.round(placed.R)
-            return np.asarray(whole if np.abs(whole - placed.R).max() < _WHOLE else placed.R)
-    return None
+    placed = transforms.on_vehicle(imu_frame)
+    if placed is None:
+        return None
+    whole = np.round(placed.R)
+    return np.asarray(whole if np.abs(whole - placed.R).max() < _WHOLE else placed.R)
 
 
 class Trees(TopicListener):

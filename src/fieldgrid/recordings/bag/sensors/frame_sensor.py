@@ -18,11 +18,11 @@ from fieldgrid.recordings.bag.content import BagIndex, folder_of
 from fieldgrid.recordings.bag.sensors.clouds import MessageCloud
 from fieldgrid.recordings.bag.sensors.frames import FrameMaker, Plan, plan_frames, read_frames
 from fieldgrid.recordings.bag.sensors.images import (
-    CompressedImage,
     DepthImage,
     DisparityImage,
     MessageSource,
     PackedDepthImage,
+    RawImage,
     image_source,
 )
 from fieldgrid.recordings.bag.topic_names import COMPRESSED, INFO, is_rectified, unit_topic
@@ -183,15 +183,10 @@ def _bits(content: BagIndex, plan: Plan) -> tuple[int, tuple[str, ...]]:
     """How many of 16 bits the cameras fill, by what is said, else by some of the images."""
     if content.settings.bits is not None:
         return content.settings.bits, ()
-    samples = []
-    for taken in islice(read_frames(content.readings.bag, plan), _SAMPLES):
-        for one in taken:
-            image = image_source(*one)
-            pixels = None if isinstance(image, CompressedImage) else image.deep_pixels()
-            if pixels is None:
-                return BITS[-1], ()
-            samples.append(pixels)
-    bits = significant_bits(samples)
+    pairs = islice(read_frames(content.readings.bag, plan), _SAMPLES)
+    images = [image_source(*one) for taken in pairs for one in taken]
+    samples = [image.deep_pixels() for image in images if isinstance(image, RawImage)]
+    bits = significant_bits(pixels for pixels in samples if pixels is not None)
     if bits == BITS[-1]:
         return bits, ()
     note = (

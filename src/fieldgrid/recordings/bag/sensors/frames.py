@@ -84,12 +84,10 @@ class BagFrames:
 def plan_frames(bag: Bag, *topics: str) -> Plan:
     """A frame for each message of a topic that has a time of its own, or for each pair of messages
     of two topics that are of one moment. Raises RecordingError without any."""
-    stamps = [bag.stamps(topic) for topic in topics]
-    clocks = [clock(topic, *times) for topic, times in zip(topics, stamps, strict=True)]
-    if any(one.received for one in clocks):  # two clocks would not pair
-        clocks = [
-            clock(topic, *times, received=True) for topic, times in zip(topics, stamps, strict=True)
-        ]
+    stamps = {topic: bag.stamps(topic) for topic in topics}
+    received = any(clock(topic, *times).received for topic, times in stamps.items())
+    # Two clocks would not pair.
+    clocks = [clock(topic, *times, received=received) for topic, times in stamps.items()]
     found = [ordered(one.time_ns) for one in clocks]
     notes = []
     for topic, one, messages in zip(topics, clocks, found, strict=True):
