@@ -325,9 +325,8 @@ class McapStream:
             else:
                 pair_ns, bits = left[0][1], kind.image_format.bits or 16
                 first, second = (image_source(*side.popleft(), bits) for side in self._waiting)
-                of_all = kind.size_px, kind.rectifier
-                frame = StereoFrame(self._frame_id(), pair_ns, first, second, *of_all)
-                intake.push_frame(frame)
+                pair = first, second, kind.size_px, kind.rectifier
+                intake.push_frame(StereoFrame(self._frame_id(), pair_ns, *pair))
         for waiting in self._waiting:
             while len(waiting) > MOST_WAITING:
                 waiting.popleft()
