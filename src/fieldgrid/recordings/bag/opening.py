@@ -14,7 +14,6 @@ from fieldgrid.geometry import LeverArm, Lidar, Mount
 from fieldgrid.recordings.bag.content import BagIndex, Readings, as_drive, read_content
 from fieldgrid.recordings.bag.motion import find_motion
 from fieldgrid.recordings.bag.sensors.frame_sensor import FrameSensor, lidar, sense
-from fieldgrid.recordings.bag.sensors.frames import BagFrames
 from fieldgrid.recordings.bag.topics import short
 from fieldgrid.recordings.bag.transforms import BASE, GROUND
 from fieldgrid.recordings.calibration.kitti import mount_angles_deg
@@ -46,15 +45,14 @@ def open_bag_drive(path: Path, options: DriveOptions) -> Drive:
         drive, imu_axes = as_drive(content), AXES
         try:
             sensed, mounting = find_mounting(content, options, _sensed(content, options))
-            sensed = lidar(content, sensed) if sensed.maker is None else sensed
-            assert sensed.maker is not None
+            if content.choice.kind == "cloud":
+                sensed = lidar(content, sensed)
             assert sensed.sensor is not None
             rig = mounting.rig(
                 sensed.sensor, options.offset_or(content.settings.image_time_offset_ns)
             )
-            frames = BagFrames(bag, sensed.plan, sensed.maker)
             is_mounted = mounting is not NO_MOUNTING
-            drive = as_recording(drive, rig, frames, sensed.notes, is_mounted=is_mounted)
+            drive = as_recording(drive, rig, sensed.frames, sensed.notes, is_mounted=is_mounted)
             imu_axes = mounting.imu_axes
         except RecordingError as problem:
             drive = replace(drive, refusal=problem)

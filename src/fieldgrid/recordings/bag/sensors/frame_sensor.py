@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -16,7 +17,7 @@ from fieldgrid.geometry import DepthCamera, Lidar, Sensor
 from fieldgrid.perception import points_per_sr
 from fieldgrid.recordings.bag.content import BagIndex, folder_of
 from fieldgrid.recordings.bag.sensors.clouds import MessageCloud
-from fieldgrid.recordings.bag.sensors.frames import FrameMaker, Plan, plan_frames, read_frames
+from fieldgrid.recordings.bag.sensors.frames import BagFrames, Plan, plan_frames, read_frames
 from fieldgrid.recordings.bag.sensors.images import (
     DepthImage,
     DisparityImage,
@@ -50,14 +51,13 @@ class FrameSensor(NamedTuple):
     Their data are in the frame `name`, whose directions `R` turns into the sensor frame's (right,
     down, forward). In the latter, `origin_m` is the point above the grid origin: of a pair the
     middle of the baseline; and `measured_m` the point that a mounting.json counts from, which is
-    the middle of a pair even where its left camera alone gives the depths. Of a lidar neither
-    `sensor` nor `maker` is known before its mount.
+    the middle of a pair even where its left camera alone gives the depths. Of a lidar the `sensor`
+    is not known before its mount.
     """
 
     name: str
     R: Float64
-    plan: Plan
-    maker: FrameMaker | None = None
+    frames: BagFrames
     sensor: Sensor | None = None
     origin_m: Float64 = np.zeros(3)
     measured_m: Float64 = np.zeros(3)
@@ -82,7 +82,8 @@ def sense(content: BagIndex) -> FrameSensor:
 
 def _stereo(content: BagIndex) -> FrameSensor:
     roles, settings, transforms = content.roles, content.settings, content.transforms
-    plan = plan_frames(content.readings.bag, roles["left"], roles["right"])
+    bag = content.readings.bag
+    plan = plan_frames(bag, roles["left"], roles["right"])
     bits, notes = _bits(content, plan)
     folder = folder_of(content.path) / _CALIBRATION
     has_info = {"left_info", "right_info"} & roles.keys()
@@ -98,9 +99,9 @@ def _stereo(content: BagIndex) -> FrameSensor:
     middle_m = np.array([camera.baseline_m / 2.0, 0.0, 0.0])
     common = (camera.width_px, camera.height_px), found.rectifier
     sources = (partial(image_source, bits=bits),) * 2
-    maker = FrameMaker(StereoFrame, ("left", "right"), sources, common)
+    frames = BagFrames(bag, plan, StereoFrame, ("left", "right"), sources, common)
     notes = (*plan.notes, *found.notes, *notes)
-    return FrameSensor(name, R, plan, maker, camera, middle_m, middle_m, notes)
+    return FrameSensor(name, R, frames, camera, middle_m, middle_m, notes)
 
 
 def _disparity(content: BagIndex) -> FrameSensor:
@@ -140,33 +141,35 @@ def _depth_sensor(
     camera: DepthCamera,
     source: Callable[[Message, int], MessageSource],
 ) -> FrameSensor:
-    maker = FrameMaker(DepthFrame, ("depth",), (source,), ((camera.width_px, camera.height_px),))
+    size_px = camera.width_px, camera.height_px
+    frames = BagFrames(content.readings.bag, plan, DepthFrame, ("depth",), (source,), (size_px,))
     R = optical(name, content.transforms)
-    return FrameSensor(name, R, plan, maker, camera, notes=plan.notes)
+    return FrameSensor(name, R, frames, camera, notes=plan.notes)
 
 
 def _cloud(content: BagIndex) -> FrameSensor:
     plan = plan_frames(content.readings.bag, content.roles["cloud"])
     name = str(_first(content, plan).header.frame_id)
     R = optical(name, content.transforms, content.settings.axes)
-    return FrameSensor(name, R, plan, notes=plan.notes)
+    frames = BagFrames(content.readings.bag, plan, CloudFrame, ("cloud",), (MessageCloud,))
+    return FrameSensor(name, R, frames, notes=plan.notes)
 
 
 def lidar(content: BagIndex, sensed: FrameSensor) -> FrameSensor:
     """The sensor of clouds, once it is known how they are turned: the one that the bag says, else
     as the settings say it, else by the first clouds that have enough points."""
-    topic, settings = sensed.plan.topics[0], content.settings
+    topic, settings = sensed.frames.plan.topics[0], content.settings
     corrected = settings.corrected  # whether points were carried to one instant already
     if corrected is None:
         corrected = _CORRECTED.search(topic.lower()) is not None
     source = partial(MessageCloud, R=tuple(sensed.R.ravel().tolist()), corrected=corrected)
-    sensed = sensed._replace(maker=FrameMaker(CloudFrame, ("cloud",), (source,)))
+    sensed = sensed._replace(frames=replace(sensed.frames, sources=(source,)))
     if sensed.sensor is not None:
         return sensed
     if settings.points_per_sr is not None:
         return sensed._replace(sensor=Lidar(settings.points_per_sr))
     problem: CalibrationError | None = None
-    for (taken,) in islice(read_frames(content.readings.bag, sensed.plan), _SAMPLES):
+    for (taken,) in islice(read_frames(content.readings.bag, sensed.frames.plan), _SAMPLES):
         try:
             return sensed._replace(sensor=Lidar(points_per_sr(source(*taken).read())))
         except CalibrationError as error:
@@ -185,8 +188,9 @@ def _bits(content: BagIndex, plan: Plan) -> tuple[int, tuple[str, ...]]:
         return content.settings.bits, ()
     pairs = islice(read_frames(content.readings.bag, plan), _SAMPLES)
     images = [image_source(*one) for taken in pairs for one in taken]
-    samples = [image.deep_pixels() for image in images if isinstance(image, RawImage)]
-    bits = significant_bits(pixels for pixels in samples if pixels is not None)
+    pixels = [image.pixels()[0] for image in images if isinstance(image, RawImage)]
+    samples = [one for one in pixels if one.dtype == np.uint16]
+    bits = significant_bits(samples)
     if bits == BITS[-1]:
         return bits, ()
     note = (

@@ -38,47 +38,31 @@ class Plan(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class FrameMaker:
-    """Makes frames of a `kind` of their messages, which are of these `roles` and read by these
-    `sources`; `common` is what all frames have. It can be pickled."""
+class BagFrames:
+    """The frames of a bag (a `FrameSource`), of a `kind`: their messages are of these `roles` and
+    read by these `sources`; `common` is what all frames have. Images stay in the bag; a frame holds
+    the bytes of its own messages."""
 
+    bag: Bag
+    plan: Plan
     kind: Callable[..., Frame]
     roles: tuple[str, ...]
     sources: tuple[Callable[[Message, int], MessageSource], ...]
     common: tuple[Any, ...] = ()
-
-    def frame(self, number: int, taken: Sequence[Taken]) -> Frame:
-        """The frame, whose messages are undecoded; its time is that of the first."""
-        sources = [read(*one) for read, one in zip(self.sources, taken, strict=True)]
-        return self.kind(f"{number:06d}", taken[0][1], *sources, *self.common)
-
-
-@dataclass(frozen=True, slots=True)
-class BagFrames:
-    """The frames of a bag (a `FrameSource`). Images stay in the
-    bag; a frame holds the bytes of its own messages."""
-
-    bag: Bag
-    plan: Plan
-    maker: FrameMaker
 
     @property
     def times_ns(self) -> Int64:
         """Times of the frames, increasing."""
         return self.plan.message_ns[:, 0]
 
-    @property
-    def roles(self) -> tuple[str, ...]:
-        """What the messages of a frame are."""
-        return self.maker.roles
-
     def frames(self, start: int, stop: int) -> Iterator[Frame]:
         """Some of the frames, images undecoded; the bag is read from where they are."""
         plan = self.plan._replace(
             message_ns=self.plan.message_ns[start:stop], places=self.plan.places[start:stop]
         )
-        for k, taken in enumerate(read_frames(self.bag, plan)):
-            yield self.maker.frame(start + k, taken)
+        for number, taken in enumerate(read_frames(self.bag, plan), start):
+            sources = [read(*one) for read, one in zip(self.sources, taken, strict=True)]
+            yield self.kind(f"{number:06d}", taken[0][1], *sources, *self.common)
 
 
 def plan_frames(bag: Bag, *topics: str) -> Plan:

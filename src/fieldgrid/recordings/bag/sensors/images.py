@@ -64,7 +64,7 @@ class RawImage(MessageSource):
 
     def read(self) -> Image:
         """Grey, 8 bit."""
-        pixels, encoding = self._pixels()
+        pixels, encoding = self.pixels()
         try:
             return to_grey(pixels, encoding, self.bits)
         except RecordingError as problem:
@@ -74,12 +74,8 @@ class RawImage(MessageSource):
         """Nothing: the message holds pixels."""
         return b""
 
-    def deep_pixels(self) -> Pixels | None:
-        """The pixels as recorded if their values have 16 bits, else None."""
-        pixels, _ = self._pixels()
-        return pixels if pixels.dtype == np.uint16 else None
-
-    def _pixels(self) -> tuple[Pixels, str]:
+    def pixels(self) -> tuple[Pixels, str]:
+        """The pixels as recorded, and their encoding."""
         message = self.decoded()
         encoding = str(message.encoding)
         try:
