@@ -7,6 +7,7 @@ import shutil
 import sys
 import tracemalloc
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -77,16 +78,15 @@ def opened(tmp_path: Path) -> Callable[..., Recording]:
     """Writes messages and opens them as a recording, with the mounting of the example."""
 
     def do(
-        said: Callable[[Maker], Any],
+        *said: Callable[[Maker], Any],
         container: Container = "mcap",
-        *,
         mounting: bool = True,
         settings: str = "",
         in_order: bool = True,
         **options: Any,
     ) -> Recording:
         maker = Maker(container)
-        messages = list(said(maker))
+        messages = [one for part in said for one in part(maker)]
         path = tmp_path / "b" / "bag"
         shutil.rmtree(path.parent, ignore_errors=True)
         path = bags.write_bag(path, container, maker, messages, in_order=in_order)
@@ -121,7 +121,7 @@ def test_all_that_a_bag_lacks_is_told_at_once(opened: Opened) -> None:
     assert "fieldgrid mount" in mounting
     assert "--gnss" in fixes
     with pytest.raises(CalibrationError) as one:
-        opened(lambda maker: [*images(maker), *fixes_said(maker)])
+        opened(images, fixes_said)
     assert not isinstance(one.value, LackingError)
 
 
@@ -167,12 +167,11 @@ def test_the_covariance_is_east_north_up_by_row() -> None:
 
 def test_fixes_are_those_said_without_those_that_have_no_position(opened: Opened) -> None:
     def said(maker: Maker) -> Iterator[Said]:
-        yield from stereo_said(maker)
         for k, (lat, altitude) in enumerate([(LAT, HEIGHT), (math.nan, 1.0), (LAT, math.nan)]):
             time_ns = UTC + k * STEP
             yield Said(time_ns, "/fix", maker.fix(time_ns, lat, LON, altitude, sigma_m=0.02))
 
-    with opened(said) as recording:
+    with opened(stereo_said, said) as recording:
         fixes, notes = list(recording.fixes()), " ".join(recording.notes)
     assert [(fix.time_ns, fix.height_m) for fix in fixes] == [(UTC, HEIGHT), (UTC + 2 * STEP, 0.0)]
     assert [(fix.lat_deg, fix.lon_deg, fix.quality) for fix in fixes] == [(LAT, LON, 4)] * 2
@@ -231,7 +230,7 @@ USED, DENIED = True, False
 def test_the_gyro_turns_clockwise_about_the_vertical(
     imu: dict[str, Any], rates: list[float], note: str, forces: bool | None, opened: Opened
 ) -> None:
-    with opened(lambda m: [*stereo_said(m), *imu_said(m, **imu)]) as recording:
+    with opened(stereo_said, lambda m: imu_said(m, **imu)) as recording:
         gyro, inertial = recording.motion().gyro, recording.motion().inertial
         notes = recording.notes
     assert gyro is not None
@@ -244,15 +243,12 @@ def test_the_gyro_turns_clockwise_about_the_vertical(
 
 
 def test_transforms_tell_how_an_imu_sits_unless_the_mounting_does(opened: Opened) -> None:
-    down = (1.0, 0.0, 0.0, 0.0)  # half a turn about x
-
-    def said(maker: Maker) -> Iterator[Said]:
-        yield from stereo_said(maker)
-        yield from imu_said(maker)
+    def upside_down(maker: Maker) -> Iterator[Said]:
+        down = (1.0, 0.0, 0.0, 0.0)  # half a turn about x
         tree = maker.transforms(maker.transform("base_link", "imu_link", (0, 0, 0), down))
         yield Said(UTC, "/tf_static", tree)
 
-    with opened(said) as recording:
+    with opened(stereo_said, imu_said, upside_down) as recording:
         gyro = recording.motion().gyro
         assert gyro is not None
         assert gyro.rate_rad_s.tolist() == [0.3, 1.3, 2.3, 3.3, 4.3]
@@ -267,12 +263,11 @@ def test_transforms_tell_how_an_imu_sits_unless_the_mounting_does(opened: Opened
 
 def test_an_imu_without_gyro_and_times_that_repeat(opened: Opened) -> None:
     def said(maker: Maker) -> Iterator[Said]:
-        yield from stereo_said(maker)
         yield from imu_said(maker, angular_velocity_covariance=-1.0)
         for time_ns, speed in ((UTC, 1.0), (UTC + 2, 2.0), (UTC + 1, -1.5), (UTC + 2, 9.0)):
             yield Said(time_ns, "/wheels/odom", maker.odometry(time_ns, speed))
 
-    with opened(said) as recording:
+    with opened(stereo_said, said) as recording:
         gyro, wheels = recording.motion().gyro, recording.motion().wheels
         assert gyro is None
         assert wheels is not None
@@ -311,11 +306,8 @@ def test_static_transforms_stand_for_a_mounting(container: Container, opened: Op
     tilt = Mount(1.0, 20.0).rotation()
     flu_of_vehicle = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     camera = xyzw(flu_of_vehicle @ tilt)
-
-    def said(maker: Maker) -> list[Said]:
-        return [*stereo_said(maker), *fixes_said(maker), *tree_said(maker, camera)]
-
-    with opened(said, container, mounting=False) as recording:
+    said = stereo_said, fixes_said, lambda maker: tree_said(maker, camera)
+    with opened(*said, container=container, mounting=False) as recording:
         mount, arm = recording.rig.mount, recording.rig.antenna
     assert mount.height_m == pytest.approx(1.5)
     assert mount.tilt_deg == pytest.approx(20.0, abs=1e-6)
@@ -327,16 +319,16 @@ def test_static_transforms_stand_for_a_mounting(container: Container, opened: Op
 
 
 def test_a_frame_tells_where_the_axle_is_that_does_not_steer(opened: Opened) -> None:
-    def said(maker: Maker) -> list[Said]:
-        tree = tree_said(maker, OPTICAL, axle_m=(-0.35, 0.2, 0.1))
-        return [*stereo_said(maker), *fixes_said(maker), *tree]
+    def tree(maker: Maker) -> Iterator[Said]:
+        return tree_said(maker, OPTICAL, axle_m=(-0.35, 0.2, 0.1))
 
-    with opened(said, mounting=False) as recording:
+    with opened(stereo_said, fixes_said, tree, mounting=False) as recording:
         assert recording.rig.rear_axle_forward_m == -1.55  # of the camera, 1.2 m ahead
         # What rounding errors of quaternions add is taken off.
         assert recording.rig.mount == Mount(1.5, 0.0)
         assert recording.rig.antenna == LeverArm(0.0, -1.5, 2.0)
-    with opened(lambda m: [*said(m)[:-1], *tree_said(m, OPTICAL)], mounting=False) as recording:
+    without = stereo_said, fixes_said, lambda maker: tree_said(maker, OPTICAL)
+    with opened(*without, mounting=False) as recording:
         assert recording.rig.rear_axle_forward_m is None
 
 
@@ -345,14 +337,14 @@ def test_the_mount_is_that_of_the_rectified_camera(opened: Opened) -> None:
     raw = Mount(1.0, 20.0).rotation()
     R_rect_raw = cv2.Rodrigues(np.array([0.03, -0.02, 0.01]))[0]
 
-    def said(maker: Maker) -> list[Said]:
-        messages = [*stereo_said(maker), *fixes_said(maker)]
-        for one in messages:
+    def said(maker: Maker) -> Iterator[Said]:
+        for one in stereo_said(maker):
             if "info" in one.topic:
                 one.message.r[:] = R_rect_raw.ravel()
-        return [*messages, *tree_said(maker, xyzw(flu_of_vehicle @ raw))]
+            yield one
+        yield from tree_said(maker, xyzw(flu_of_vehicle @ raw))
 
-    with opened(said, mounting=False) as recording:
+    with opened(said, fixes_said, mounting=False) as recording:
         found = recording.rig.mount.rotation()
     np.testing.assert_allclose(found, raw @ R_rect_raw.T, atol=1e-9)
 
@@ -391,11 +383,11 @@ def test_a_tree_without_the_antenna_or_the_ground_is_told(
 
 
 def test_a_camera_frame_that_looks_along_x_is_no_optical_one(opened: Opened) -> None:
-    def said(maker: Maker) -> list[Said]:
-        tree = tree_said(maker, (0.0, 0.0, 0.0, 1.0), "cam_link")
-        return [*stereo_said(maker, frame="cam_link"), *fixes_said(maker), *tree]
+    def said(maker: Maker) -> Iterator[Said]:
+        yield from stereo_said(maker, frame="cam_link")
+        yield from tree_said(maker, (0.0, 0.0, 0.0, 1.0), "cam_link")
 
-    with opened(said, mounting=False) as recording:
+    with opened(said, fixes_said, mounting=False) as recording:
         assert recording.rig.mount.tilt_deg == pytest.approx(0.0, abs=1e-9)
 
 
@@ -521,13 +513,10 @@ def test_clouds_that_were_corrected_have_no_times_any_more(
 
 
 def test_the_settings_tell_of_a_bag_what_it_does_not(opened: Opened) -> None:
-    def said(maker: Maker) -> list[Said]:
-        return [*clouds_said(maker), *stereo_said(maker)]
-
-    with opened(said) as recording:
+    with opened(clouds_said, stereo_said) as recording:
         assert isinstance(recording.rig.sensor, StereoCamera)
     settings = 'sensor = "cloud"\n[cloud]\naxes = "rdf"\npoints_per_sr = 1234.0\n'
-    with opened(said, settings=settings) as recording:
+    with opened(clouds_said, stereo_said, settings=settings) as recording:
         assert recording.rig.sensor == Lidar(1234.0)
         (frame, *_) = recording.frames()
         assert isinstance(frame, CloudFrame)
@@ -535,11 +524,10 @@ def test_the_settings_tell_of_a_bag_what_it_does_not(opened: Opened) -> None:
 
 
 def test_a_cloud_of_a_lidar_that_looks_back_is_turned_to_look_ahead(opened: Opened) -> None:
-    def said(maker: Maker) -> list[Said]:
-        back = (0.0, 0.0, 1.0, 0.0)  # half a turn about z
-        return [*clouds_said(maker), *fixes_said(maker), *tree_said(maker, back, "lidar")]
+    def tree(maker: Maker) -> Iterator[Said]:
+        return tree_said(maker, (0.0, 0.0, 1.0, 0.0), "lidar")  # half a turn about z
 
-    with opened(said, mounting=False) as recording:
+    with opened(clouds_said, fixes_said, tree, mounting=False) as recording:
         mount = recording.rig.mount
         assert (mount.tilt_deg, mount.roll_deg, mount.yaw_deg) == (0.0, 0.0, 0.0)
         (frame, *_) = recording.frames()
@@ -620,7 +608,7 @@ def test_frames_come_in_order_though_messages_do_not(container: Container, opene
         lefts[2:5] = lefts[4:1:-1]
         return lefts + rest  # and one topic after the other
 
-    with opened(said, container, in_order=False) as recording:
+    with opened(said, container=container, in_order=False) as recording:
         assert recording.frame_times_ns().tolist() == [UTC + k * STEP for k in range(60)]
         assert numbers(recording) == [(k, k) for k in range(60)]
 
@@ -654,6 +642,9 @@ def peak_bytes(recording: Recording) -> int:
     return peak
 
 
+LARGE = (240, 320)
+
+
 def after_another(maker: Maker, count: int) -> list[Said]:
     return sorted(stereo_said(maker, count, LARGE), key=lambda one: one.topic)
 
@@ -663,42 +654,34 @@ def with_a_side_that_stops(maker: Maker, count: int) -> list[Said]:
     return [m for m in messages if m.topic != "/s/left/image_rect" or m.receive_ns < ends]
 
 
-LARGE = (240, 320)
-
-
 @pytest.mark.parametrize(
     ("said", "frames"),
     [
-        (lambda maker, count: stereo_said(maker, count, LARGE), (40, 160)),
+        (partial(stereo_said, size=LARGE), (40, 160)),
         (after_another, (40, 160)),
         (with_a_side_that_stops, (5, 5)),
     ],
 )
 def test_memory_does_not_grow_with_the_recording(
-    said: Callable[[Maker, int], Any], frames: tuple[int, int], opened: Opened
+    said: Callable[..., Any], frames: tuple[int, int], opened: Opened
 ) -> None:
     peaks = []
     for count, wanted in zip((40, 160), frames, strict=True):
-        with opened(lambda m, n=count: said(m, n), "bag", in_order=False) as recording:
+        with opened(partial(said, count=count), container="bag", in_order=False) as recording:
             assert recording.frame_count == wanted
             peaks.append(peak_bytes(recording))
     assert peaks[1] < 1.25 * peaks[0]
 
 
 def test_how_many_bits_a_camera_fills_is_found_out_once(opened: Opened) -> None:
-    def said(maker: Maker) -> list[Said]:
-        messages = list(stereo_said(maker))
-        for k, one in enumerate(messages):
-            if "image" in one.topic:
-                deep = np.full((24, 32), 16 * k + 1000 * (k == 4), dtype=np.uint16)
-                image = maker.image(one.receive_ns, deep, "mono16")
-                messages[k] = one._replace(message=image)
-        return messages
+    def said(maker: Maker) -> Iterator[Said]:
+        for k, one in enumerate(stereo_said(maker)):
+            deep = np.full((24, 32), 16 * k + 1000 * (k == 4), dtype=np.uint16)
+            image = maker.image(one.receive_ns, deep, "mono16")
+            yield one._replace(message=image) if "image" in one.topic else one
 
     with opened(said) as recording:  # the brightest has 1064, of 11 bits
         assert any("lower 12 are taken as filled" in note for note in recording.notes)
-        left, _ = next(iter(recording.frames())).images()
-        assert left[0, 0] == 0
         brightest = [frame.images()[0][0, 0] for frame in recording.frames()]
         assert brightest == [0, 1064 >> 4, 128 >> 4, 192 >> 4]
 
