@@ -60,7 +60,6 @@ from fieldgrid.recordings.ros.model import Topic
 Sensing = Literal["stereo", "disparity", "depth", "cloud", ""]
 """What the frames are made of; "" for a bag that has none."""
 
-
 FIXES = frozenset({"fix", "nmea"})
 """The roles that give fixes, of which one is taken."""
 
