@@ -16,7 +16,6 @@ from tests.recordings.test_folder import CSV_LOG, MOUNTING, OPENCV, START_S, ope
 from tests.scenes import Ground, sweep
 
 SIZE = (64, 48)
-INFO_FILE, PAIR = "depth_camera_info.yaml", {"stereo_opencv.yaml": opencv_yaml(OPENCV)}
 INFO = """image_width: 64
 image_height: 48
 camera_matrix: {{rows: 3, cols: 3, data: [{k}, 0, 31, 0, 110, 23, 0, 0, 1]}}
@@ -51,7 +50,7 @@ def folder(
     (drive / "gnss" / "log.csv").write_text(CSV_LOG)
     mounting = {key: MOUNTING[key] for key in MOUNTING if key != "stereo_baseline_m"}
     (drive / "calibration" / "mounting.json").write_text(json.dumps(mounting))
-    for name, text in (calibration or {INFO_FILE: info()}).items():
+    for name, text in (calibration or {"depth_camera_info.yaml": info()}).items():
         (drive / "calibration" / name).write_text(text)
     if settings:
         (drive / "recording.toml").write_text(settings)
@@ -89,44 +88,22 @@ def test_depth_images_with_their_camera_info(tmp_path: Path) -> None:
         assert (streams["depth"].kind, streams["depth"].role) == ("image", "depth")
 
 
-@pytest.mark.parametrize(
-    ("kind", "calibration", "settings", "camera", "depth_m"),
-    [
-        ("depth", {INFO_FILE: info(p=0)}, "", (90, 110, 31, 23), 5.0),
-        (
-            "depth",
-            {INFO_FILE: info()},
-            "[depth]\nscale_m = 0.01\nbaseline_m = 0.095\n",
-            (100, 120, 31.5, 23.5, 0.095),
-            50.0,
-        ),
-        (
-            "disparity",
-            {INFO_FILE: info()},
-            "[disparity]\nscale_px = 0.0625\nbaseline_m = 0.1\n",
-            (100, 120, 31.5, 23.5, 0.1),
-            100.0 * 0.1 / (5000 / 16.0),
-        ),
-        ("disparity", PAIR, "", (100, 100, 31.5, 23.5, 0.2), 100.0 * 0.2 / (5000 / 256.0)),
-    ],
-)
-def test_depths_and_disparities_by_what_is_said_of_their_camera(
-    kind: str,
-    calibration: dict[str, str],
-    settings: str,
-    camera: tuple[float, ...],
-    depth_m: float,
-    tmp_path: Path,
-) -> None:
-    recording = open_recording(folder(tmp_path, (kind,), calibration, settings))
-    assert recording.rig.sensor == DepthCamera(64, 48, *camera)
+def test_without_a_projection_the_matrix_of_the_camera_is_taken(tmp_path: Path) -> None:
+    drive = folder(tmp_path, calibration={"depth_camera_info.yaml": info(p=0)})
+    assert open_recording(drive).rig.sensor == DepthCamera(64, 48, 90.0, 110.0, 31.0, 23.0)
+
+
+def test_the_baseline_of_depths_can_be_told(tmp_path: Path) -> None:
+    drive = folder(tmp_path, settings="[depth]\nscale_m = 0.01\nbaseline_m = 0.095\n")
+    recording = open_recording(drive)
+    assert recording.rig.sensor == DepthCamera(64, 48, 100.0, 120.0, 31.5, 23.5, 0.095)
     frame = next(recording.frames())
     assert isinstance(frame, DepthFrame)
-    assert frame.source.read()[0, 0] == pytest.approx(depth_m)
+    assert frame.source.read()[0, 0] == pytest.approx(50.0)
 
 
 def test_depths_of_the_left_camera_of_a_pair(tmp_path: Path) -> None:
-    drive = folder(tmp_path, calibration=PAIR)
+    drive = folder(tmp_path, calibration={"stereo_opencv.yaml": opencv_yaml(OPENCV)})
     recording = open_recording(drive)
     rig = recording.rig
     assert rig.sensor == DepthCamera(64, 48, 100.0, 100.0, 31.5, 23.5, 0.2)
@@ -141,33 +118,41 @@ def test_depths_of_the_left_camera_of_a_pair(tmp_path: Path) -> None:
     assert any("left camera of the calibrated pair" in note for note in recording.notes)
 
 
-RAW = {
-    f"stereo_{side}_camera_info.yaml": ros_yaml([100, 0, 31.5, x, 0, 100, 23.5, 0, 0, 0, 1, 0])
-    for side, x in (("left", 0), ("right", -20))
-}
+def test_disparities_are_depths_by_the_pair_s_calibration(tmp_path: Path) -> None:
+    drive = folder(tmp_path, ("disparity",), {"stereo_opencv.yaml": opencv_yaml(OPENCV)})
+    frame = next(open_recording(drive).frames())
+    assert isinstance(frame, DepthFrame)
+    assert frame.source.read()[0, 0] == pytest.approx(100.0 * 0.2 / (5000 / 256.0))
+
+
+def test_disparities_with_a_baseline_that_is_told(tmp_path: Path) -> None:
+    settings = "[disparity]\nscale_px = 0.0625\nbaseline_m = 0.1\n"
+    frame = next(open_recording(folder(tmp_path, ("disparity",), settings=settings)).frames())
+    assert isinstance(frame, DepthFrame)
+    assert frame.source.read()[0, 0] == pytest.approx(100.0 * 0.1 / (5000 / 16.0))
+
+
+def test_disparities_need_a_baseline(tmp_path: Path) -> None:
+    fails(folder(tmp_path, ("disparity",)), "nothing says the baseline", CalibrationError)
+
+
+def test_depths_need_a_calibration(tmp_path: Path) -> None:
+    drive = folder(tmp_path)
+    (drive / "calibration" / "depth_camera_info.yaml").unlink()
+    fails(drive, "put the calibration", CalibrationError)
 
 
 @pytest.mark.parametrize(
-    ("kind", "calibration", "settings", "match"),
+    ("text", "match"),
     [
-        *(
-            ("depth", {INFO_FILE: text}, "", match)
-            for text, match in (
-                (info(k=0, p=100), "was never calibrated"),
-                (info(k=100, p=1), "depth_camera_info.yaml: A focal length of 1"),
-                ("image_width: 64\n", "image_height is None"),
-                ("]", "is not YAML"),
-            )
-        ),
-        ("depth", {"remark.txt": ""}, "", "put the calibration"),
-        ("disparity", {INFO_FILE: info()}, "", "nothing says the baseline"),
-        ("depth", RAW, "[images]\nrectified = false\n", "of raw images|rectification_matrix"),
+        (info(k=0, p=100), "was never calibrated"),
+        (info(k=100, p=1), "depth_camera_info.yaml: A focal length of 1"),
+        ("image_width: 64\n", "image_height is None"),
+        ("]", "is not YAML"),
     ],
 )
-def test_a_calibration_that_cannot_be(
-    kind: str, calibration: dict[str, str], settings: str, match: str, tmp_path: Path
-) -> None:
-    fails(folder(tmp_path, (kind,), calibration, settings), match, CalibrationError)
+def test_a_camera_info_that_cannot_be(text: str, match: str, tmp_path: Path) -> None:
+    fails(folder(tmp_path, calibration={"depth_camera_info.yaml": text}), match, CalibrationError)
 
 
 # --- clouds
@@ -231,39 +216,44 @@ def test_a_table_names_the_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "row", "match"),
+    ("row", "match"),
     [
-        ("depth", "f0,1308133815,../a.png", "leads out of the recording"),
-        ("depth", "f0,1308133815,depth/none.png", "1 of 1 images are missing"),
-        ("depth", "f0,1308133815,", "depth is empty"),
-        ("depth", "", "june-03 has no depth image; a recording needs at least one"),
-        ("cloud", "f0,1308133815,clouds/none.ply", "1 of 1 clouds are missing"),
+        ("f0,1308133815,../a.png", "leads out of the recording"),
+        ("f0,1308133815,depth/none.png", "1 of 1 images are missing"),
+        ("f0,1308133815,", "depth is empty"),
+        ("", "june-03 has no depth image; a recording needs at least one"),
     ],
 )
-def test_a_table_that_is_wrong(kind: str, row: str, match: str, tmp_path: Path) -> None:
-    fails(folder(tmp_path, table=f"frame_id,timestamp_utc_s,{kind}\n{row}\n"), match)
+def test_a_table_that_is_wrong(row: str, match: str, tmp_path: Path) -> None:
+    fails(folder(tmp_path, table=f"frame_id,timestamp_utc_s,depth\n{row}\n"), match)
 
 
-EVERYTHING = {**PAIR, INFO_FILE: info()}
+def test_missing_clouds_are_called_so(tmp_path: Path) -> None:
+    table = "frame_id,timestamp_utc_s,cloud\nf0,1308133815,clouds/none.ply\n"
+    fails(folder(tmp_path, ("clouds",), table=table), "1 of 1 clouds are missing")
+
+
+EVERYTHING = {"stereo_opencv.yaml": opencv_yaml(OPENCV), "depth_camera_info.yaml": info()}
+
+
+def test_of_several_kinds_pairs_are_taken_and_the_others_named(tmp_path: Path) -> None:
+    drive = folder(tmp_path, ("left", "right", "depth", "clouds"), EVERYTHING)
+    recording = open_recording(drive)
+    assert isinstance(next(recording.frames()), StereoFrame)
+    (note,) = (note for note in recording.notes if "are there, too" in note)
+    assert "depth and cloud are there, too" in note
+    assert 'sensor = "depth"' in note
 
 
 @pytest.mark.parametrize(
-    ("sensor", "kind"),
-    [("", StereoFrame), ("stereo", StereoFrame), ("depth", DepthFrame), ("cloud", CloudFrame)],
+    ("sensor", "kind"), [("stereo", StereoFrame), ("depth", DepthFrame), ("cloud", CloudFrame)]
 )
-def test_of_several_kinds_pairs_are_taken_or_what_is_said(
-    sensor: str, kind: type, tmp_path: Path
-) -> None:
-    settings = f'sensor = "{sensor}"\n' if sensor else ""
-    drive = folder(tmp_path, ("left", "right", "depth", "clouds"), EVERYTHING, settings)
+def test_the_settings_choose_the_sensor(sensor: str, kind: type, tmp_path: Path) -> None:
+    kinds = ("left", "right", "depth", "clouds")
+    drive = folder(tmp_path, kinds, EVERYTHING, f'sensor = "{sensor}"\n')
     recording = open_recording(drive)
     assert isinstance(next(recording.frames()), kind)
-    others = [note for note in recording.notes if "are there, too" in note]
-    assert len(others) == (not sensor)
-    assert all(
-        'depth and cloud are there, too: say which in recording.toml, like sensor = "depth"' in note
-        for note in others
-    )
+    assert not any("are there, too" in note for note in recording.notes)
 
 
 @pytest.mark.parametrize(
@@ -285,3 +275,11 @@ def test_of_several_kinds_pairs_are_taken_or_what_is_said(
 )
 def test_settings_that_cannot_be(settings: str, match: str, tmp_path: Path) -> None:
     fails(folder(tmp_path, settings=settings), match)
+
+
+def test_a_raw_pair_does_not_calibrate_depths(tmp_path: Path) -> None:
+    raw = {"stereo_left_camera_info.yaml": ros_yaml([100, 0, 31.5, 0, 0, 100, 23.5, 0, 0, 0, 1, 0]),
+           "stereo_right_camera_info.yaml":
+               ros_yaml([100, 0, 31.5, -20, 0, 100, 23.5, 0, 0, 0, 1, 0])}  # fmt: skip
+    drive = folder(tmp_path, calibration=raw, settings="[images]\nrectified = false\n")
+    fails(drive, "of raw images|rectification_matrix", CalibrationError)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.core import CalibrationError, LackingError, RecordingError
+from fieldgrid.core import CalibrationError, LackingError, RecordingError, quoted
 from fieldgrid.geometry import LeverArm, Lidar, Mount
 from fieldgrid.recordings.bag.content import BagIndex, Readings, as_drive, read_content
 from fieldgrid.recordings.bag.motion import find_motion
@@ -148,16 +148,16 @@ def _by_transforms(
         raise missing_mounting(usual, path)
     if placed is None:
         raise CalibrationError(
-            f"{path}: its static transforms place the sensor ({sensed.name!r}) on {BASE}, but do "
-            f"not say how high that is above the ground; record the transform from {GROUND} to "
-            f"{BASE}, or write {usual} ({estimating(path)} estimates it)."
+            f"{path}: its static transforms place the sensor ({quoted(sensed.name)}) on {BASE}, "
+            f"but do not say how high that is above the ground; record the transform from {GROUND} "
+            f"to {BASE}, or write {usual} ({estimating(path)} estimates it)."
         )
     if at_antenna is None:
         raise CalibrationError(
-            f"{path}: its static transforms place the sensor ({sensed.name!r}) above {GROUND}, but "
-            f"not the antenna ({antenna or 'no frame_id'!r}), and a forgotten lever arm misplaces "
-            f"the whole map; record the antenna's transform, or write {usual} ({estimating(path)} "
-            "does)."
+            f"{path}: its static transforms place the sensor ({quoted(sensed.name)}) above "
+            f"{GROUND}, but not the antenna ({quoted(antenna or 'no frame_id')}), and a forgotten "
+            f"lever arm misplaces the whole map; record the antenna's transform, or write {usual} "
+            f"({estimating(path)} does)."
         )
     R = R_VEHICLE_FLU @ placed.R @ sensed.R.T
     origin = R_VEHICLE_FLU @ (placed.at_m + placed.R @ sensed.R.T @ sensed.origin_m)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import CalibrationError, Float64, Int64
+from fieldgrid.core import CalibrationError, Float64, Int64, quoted
 from fieldgrid.geometry import WheelSpeed
 from fieldgrid.recordings.bag.listeners import TopicListener
 from fieldgrid.recordings.bag.order import clock
@@ -119,7 +119,7 @@ class Transforms:
             frame, place = self._parents[frame]
             if frame in found or len(found) > _DEEPEST:
                 raise CalibrationError(
-                    f"The static transforms of frame {frame!r} lead in a circle; record a "
+                    f"The static transforms of frame {quoted(frame)} lead in a circle; record a "
                     "/tf_static in which each frame has one parent, or write mounting.json."
                 )
             here = FrameTransform(place.R @ here.R, place.R @ here.at_m + place.at_m)

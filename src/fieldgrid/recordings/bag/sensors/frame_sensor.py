@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import CalibrationError, Float64, NoFramesError, RecordingError
+from fieldgrid.core import CalibrationError, Float64, NoFramesError, RecordingError, quoted
 from fieldgrid.geometry import DepthCamera, Lidar, Sensor
 from fieldgrid.perception import points_per_sr
 from fieldgrid.recordings.bag.content import BagIndex, folder_of
@@ -29,7 +29,7 @@ from fieldgrid.recordings.bag.sensors.images import (
 from fieldgrid.recordings.bag.topic_names import COMPRESSED, INFO, is_rectified, unit_topic
 from fieldgrid.recordings.bag.topics import listing
 from fieldgrid.recordings.bag.transforms import optical
-from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Calibration, Entries, data
+from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Calibration, Entries
 from fieldgrid.recordings.calibration.loading import read_calibration
 from fieldgrid.recordings.calibration.ros import check_calibrated, depth_camera
 from fieldgrid.recordings.frames.frames import CloudFrame, DepthFrame, StereoFrame
@@ -221,9 +221,9 @@ def _calibrated_pair(content: BagIndex, said: bool | None) -> Calibration:
         if placed is None:
             raise CalibrationError(
                 f"{left.path} and {right.path} have no P, and no static transform joins their "
-                f"frames {frames[0]!r} and {frames[1]!r}; calibrate the pair."
+                f"frames {quoted(frames[0])} and {quoted(frames[1])}; calibrate the pair."
             )
-        between = Entries({"R": data(placed.R), "T": data(placed.at_m)}, left.path)
+        between = Entries({"R": _matrix(placed.R), "T": _matrix(placed.at_m)}, left.path)
     pair = CalibratedPair(left.path, left, right, between)
     found = pair.calibration(named.pop() if said is None else said)
     return found._replace(R_rect_left=left.get("R")) if left.has("R") else found
@@ -234,7 +234,7 @@ def _disparity_camera(content: BagIndex, image: Any) -> DepthCamera:
     info = _info(content, "left_info")
     P = info.get("P")
     P[0, 0] = P[1, 1] = float(image.f)
-    return depth_camera(info._replace(document={"P": data(P)}), float(image.t))
+    return depth_camera(info._replace(document={"P": _matrix(P)}), float(image.t))
 
 
 def _info(content: BagIndex, role: str) -> Entries:
@@ -258,7 +258,12 @@ def _info(content: BagIndex, role: str) -> Entries:
     used = "KDRP" if numbers["P"].any() else "KD"
     if not numbers["R"].any():
         numbers["R"] = np.eye(3)
-    document = {key: data(numbers[key]) for key in used}
+    document = {key: _matrix(numbers[key]) for key in used}
     size_px = int(message.width), int(message.height)
     info = Entries(document, source, size_px, model=str(message.distortion_model))
     return check_calibrated(info)
+
+
+def _matrix(values: Any) -> dict[str, list[float]]:
+    """Numbers as files of calibrations have them."""
+    return {"data": np.asarray(values, dtype=np.float64).ravel().tolist()}

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import AnyArray, Float32, RecordingError, UInt16, UInt32, kernel
+from fieldgrid.core import AnyArray, Float32, RecordingError, UInt16, UInt32, kernel, quoted
 from fieldgrid.recordings.bag.topic_names import COMPRESSED
 from fieldgrid.recordings.frames.depth_files import MOST_PACKED, decode_depth_image
 from fieldgrid.recordings.frames.frames import Image
@@ -120,7 +120,7 @@ class DepthImage(MessageSource):
         if message.encoding == METRES:
             return known_depths(pixels_of(message, np.dtype(np.float32), 1, self.name).copy())
         raise RecordingError(
-            f"{self.name}: depths are encoded as {str(message.encoding)[:40]!r}, which is not "
+            f"{self.name}: depths are encoded as {quoted(message.encoding)}, which is not "
             "read; record them as 16UC1 (millimetres) or 32FC1 (metres)."
         )
 
@@ -134,7 +134,7 @@ class DisparityImage(MessageSource):
         message = self.decoded()
         if message.image.encoding != METRES:
             raise RecordingError(
-                f"{self.name}: disparities are encoded as {str(message.image.encoding)[:40]!r}, "
+                f"{self.name}: disparities are encoded as {quoted(message.image.encoding)}, "
                 f"not {METRES}; record them as stereo_image_proc gives them."
             )
         product = float(message.f) * float(message.t)
@@ -217,7 +217,7 @@ class PackedDepthImage(MessageSource):
 
     def _unknown(self, said: str) -> RecordingError:
         return RecordingError(
-            f"{self.name}: depths are packed as {said[:60]!r}, which is not read; record them as "
+            f"{self.name}: depths are packed as {quoted(said)}, which is not read; record them as "
             "compressedDepth, or as PNG of 16 bits in millimetres."
         )
 
