@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 from mcap.writer import CompressionType, Writer as McapWriter
+from rosbags.interfaces import Nodetype
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -50,41 +51,56 @@ class Maker:
             self.store.register(get_types_from_msg(tf, "tf2_msgs/msg/TFMessage"))
 
     def of(self, type_: str, **fields: Any) -> Any:
-        """A message by the ROS 2 spelling of its type."""
-        return self.store.types[type_](**fields)
+        """A message by the ROS 2 spelling of its type; what is not given is zero or empty. ROS 1
+        spells some names of fields with capitals."""
+        said = {}
+        for name, kind in self.store.fielddefs[type_][1]:
+            given = fields.pop(name.lower(), None)
+            said[name] = self._zero(*kind) if given is None else given
+        assert not fields, fields
+        return self.store.types[type_](**said)
+
+    def _zero(self, kind: Nodetype, of: Any) -> Any:
+        if kind == Nodetype.NAME:
+            return self.of(of)
+        if kind == Nodetype.BASE:
+            return "" if of[0] == "string" else 0
+        (inner, of_inner), length = of
+        if inner == Nodetype.NAME or of_inner[0] == "string":
+            return []
+        return np.zeros(length, dtype=of_inner[0])
 
     def time(self, time_ns: int) -> Any:
         return self.of("builtin_interfaces/msg/Time", sec=time_ns // NANO, nanosec=time_ns % NANO)
 
     def header(self, time_ns: int, frame: str = "") -> Any:
-        more = {"seq": 0} if self.ros1 else {}
-        return self.of("std_msgs/msg/Header", stamp=self.time(time_ns), frame_id=frame, **more)
+        return self.of("std_msgs/msg/Header", stamp=self.time(time_ns), frame_id=frame)
 
     def vector(self, x: float, y: float, z: float) -> Any:
         return self.of("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+    def quaternion(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, w: float = 1.0) -> Any:
+        return self.of("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
 
     def image(
         self, time_ns: int, pixels: npt.NDArray[Any], encoding: str, frame: str = "", **fields: Any
     ) -> Any:
         """A sensor_msgs/Image; `fields` replace what follows from the pixels."""
-        row = pixels.dtype.itemsize * int(np.prod(pixels.shape[1:]))
         values = {
             "height": pixels.shape[0],
             "width": pixels.shape[1],
             "encoding": encoding,
             "is_bigendian": int(pixels.dtype.byteorder == ">"),
-            "step": row,
-            "data": np.frombuffer(np.ascontiguousarray(pixels).tobytes(), dtype=np.uint8),
+            "step": pixels.dtype.itemsize * int(np.prod(pixels.shape[1:])),
+            "data": np.frombuffer(pixels.tobytes(), dtype=np.uint8),
         }
         header = self.header(time_ns, frame)
         return self.of("sensor_msgs/msg/Image", header=header, **(values | fields))
 
     def compressed(self, time_ns: int, data: bytes, format_: str, frame: str = "") -> Any:
+        header, packed = self.header(time_ns, frame), np.frombuffer(data, dtype=np.uint8)
         return self.of(
-            "sensor_msgs/msg/CompressedImage",
-            header=self.header(time_ns, frame),
-            format=format_,
-            data=np.frombuffer(data, dtype=np.uint8),
+            "sensor_msgs/msg/CompressedImage", header=header, format=format_, data=packed
         )
 
     def info(
@@ -101,55 +117,30 @@ class Maker:
     ) -> Any:
         """A sensor_msgs/CameraInfo; K is that of P, and R none, unless they are given."""
         projection = np.array(P, dtype=np.float64).reshape(3, 4)
-        matrices = {
-            "d": np.array(D, dtype=np.float64),
-            "k": np.array(projection[:, :3] if K is None else K, dtype=np.float64).ravel(),
-            "r": np.array(np.eye(3) if R is None else R, dtype=np.float64).ravel(),
-            "p": projection.ravel(),
-        }
-        if self.ros1:
-            matrices = {name.upper(): value for name, value in matrices.items()}
-        roi = self.of(
-            "sensor_msgs/msg/RegionOfInterest",
-            x_offset=0,
-            y_offset=0,
-            height=0,
-            width=0,
-            do_rectify=False,
-        )
         return self.of(
             "sensor_msgs/msg/CameraInfo",
             header=self.header(time_ns, frame),
             width=size_px[0],
             height=size_px[1],
             distortion_model=model,
-            binning_x=0,
-            binning_y=0,
-            roi=roi,
-            **matrices,
+            d=np.array(D, dtype=np.float64),
+            k=np.array(projection[:, :3] if K is None else K, dtype=np.float64).ravel(),
+            r=np.array(np.eye(3) if R is None else R, dtype=np.float64).ravel(),
+            p=projection.ravel(),
         )
 
     def disparity(
         self, time_ns: int, image: Any, f: float, T: float, nearest: float, farthest: float
     ) -> Any:
-        window = self.of(
-            "sensor_msgs/msg/RegionOfInterest",
-            x_offset=0,
-            y_offset=0,
-            height=0,
-            width=0,
-            do_rectify=False,
-        )
         return self.of(
             "stereo_msgs/msg/DisparityImage",
             header=image.header,
             image=image,
             f=f,
-            valid_window=window,
+            t=T,
             min_disparity=farthest,
             max_disparity=nearest,
             delta_d=1.0 / 16.0,
-            **{"T" if self.ros1 else "t": T},
         )
 
     def sentence(self, time_ns: int, text: str, frame: str = "gps") -> Any:
@@ -168,7 +159,6 @@ class Maker:
         covariance_type: int = 2,
         frame: str = "gps",
     ) -> Any:
-        covariance = np.diag([sigma_m**2, sigma_m**2, 4.0 * sigma_m**2]).ravel()
         return self.of(
             "sensor_msgs/msg/NavSatFix",
             header=self.header(time_ns, frame),
@@ -176,7 +166,7 @@ class Maker:
             latitude=lat_deg,
             longitude=lon_deg,
             altitude=altitude_m,
-            position_covariance=covariance,
+            position_covariance=np.diag(sigma_m**2 * np.array([1.0, 1.0, 4.0])).ravel(),
             position_covariance_type=covariance_type,
         )
 
@@ -187,39 +177,23 @@ class Maker:
         frame: str = "imu_link",
         forces: tuple[float, float, float] = (0.0, 0.0, 9.81),
     ) -> Any:
-        nine = np.zeros(9)
         return self.of(
             "sensor_msgs/msg/Imu",
             header=self.header(time_ns, frame),
             orientation=self.quaternion(),
-            orientation_covariance=nine,
             angular_velocity=self.vector(*rates),
-            angular_velocity_covariance=nine,
             linear_acceleration=self.vector(*forces),
-            linear_acceleration_covariance=nine,
         )
-
-    def quaternion(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, w: float = 1.0) -> Any:
-        return self.of("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
 
     def odometry(self, time_ns: int, speed_mps: float) -> Any:
-        pose = self.of(
-            "geometry_msgs/msg/Pose",
-            position=self.of("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),
-            orientation=self.quaternion(),
-        )
-        twist = self.of(
-            "geometry_msgs/msg/Twist",
-            linear=self.vector(speed_mps, 0.0, 0.0),
-            angular=self.vector(0.0, 0.0, 0.0),
-        )
-        none = np.zeros(36)
+        twist = self.of("geometry_msgs/msg/Twist", linear=self.vector(speed_mps, 0.0, 0.0))
+        pose = self.of("geometry_msgs/msg/Pose", orientation=self.quaternion())
         return self.of(
             "nav_msgs/msg/Odometry",
             header=self.header(time_ns, "odom"),
             child_frame_id="base_link",
-            pose=self.of("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=none),
-            twist=self.of("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=none),
+            pose=self.of("geometry_msgs/msg/PoseWithCovariance", pose=pose),
+            twist=self.of("geometry_msgs/msg/TwistWithCovariance", twist=twist),
         )
 
     def transform(
@@ -229,15 +203,16 @@ class Maker:
         at_m: tuple[float, float, float],
         xyzw: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0),
     ) -> Any:
+        turn = self.quaternion(*xyzw)
+        place = self.of(
+            "geometry_msgs/msg/Transform", translation=self.vector(*at_m), rotation=turn
+        )
+        header = self.header(0, parent)
         return self.of(
             "geometry_msgs/msg/TransformStamped",
-            header=self.header(0, parent),
+            header=header,
             child_frame_id=child,
-            transform=self.of(
-                "geometry_msgs/msg/Transform",
-                translation=self.vector(*at_m),
-                rotation=self.quaternion(*xyzw),
-            ),
+            transform=place,
         )
 
     def transforms(self, *transforms: Any) -> Any:
@@ -254,31 +229,29 @@ class Maker:
         **fields: Any,
     ) -> Any:
         """A sensor_msgs/PointCloud2 of points [n, 3] of 32 or 64 bit, of either byte order."""
-        dtype = points.dtype
-        at = offsets or (0, dtype.itemsize, 2 * dtype.itemsize)
-        step = step or 3 * dtype.itemsize
-        cells = np.zeros((len(points), step), dtype=np.uint8)
-        for k, offset in enumerate(at):
-            column = (
-                np.ascontiguousarray(points[:, k])
-                .view(np.uint8)
-                .reshape(len(points), dtype.itemsize)
-            )
-            cells[:, offset : offset + dtype.itemsize] = column
-        kind = {4: 7, 8: 8}[dtype.itemsize]
+        size = points.dtype.itemsize
+        at, step = offsets or (0, size, 2 * size), step or 3 * size
+        layout = {
+            "names": ["x", "y", "z"],
+            "formats": [points.dtype] * 3,
+            "offsets": at,
+            "itemsize": step,
+        }
+        cells = np.zeros(len(points), dtype=np.dtype(layout))
+        for axis, column in zip("xyz", points.T, strict=True):
+            cells[axis] = column
         named = [
-            self.of("sensor_msgs/msg/PointField", name=name, offset=o, datatype=kind, count=1)
-            for name, o in zip("xyz", at, strict=True)
+            self.of("sensor_msgs/msg/PointField", name=k, offset=o, datatype=6 + size // 4, count=1)
+            for k, o in zip("xyz", at, strict=True)
         ]
         values = {
             "height": 1,
             "width": len(points),
             "fields": named,
-            "is_bigendian": dtype.byteorder == ">",
+            "is_bigendian": points.dtype.byteorder == ">",
             "point_step": step,
             "row_step": step * len(points),
-            "data": cells.ravel(),
-            "is_dense": False,
+            "data": np.frombuffer(cells.tobytes(), dtype=np.uint8),
         }
         header = self.header(time_ns, frame)
         return self.of("sensor_msgs/msg/PointCloud2", header=header, **(values | fields))
@@ -297,36 +270,26 @@ def write_bag(
     the bag, which gets the suffix of its container. An MCAP's chunks are `packed` by zstd."""
     messages = sorted(said, key=lambda one: one.receive_ns) if in_order else list(said)
     path.parent.mkdir(parents=True, exist_ok=True)
-    if container == "bag":
-        return _write_ros1(path.with_suffix(".bag"), maker.store, messages)
+    store = maker.store
     if container == "mcap":
-        return _write_mcap(path.with_suffix(".mcap"), maker.store, messages, packed=packed)
+        return _write_mcap(path.with_suffix(".mcap"), store, messages, packed=packed)
     folder = path if container == "db3 folder" else path.with_name(path.name + "_folder")
-    with Ros2Writer(folder, version=8) as writer:
-        connections: dict[str, Any] = {}
-        for receive_ns, topic, message in messages:
-            name = message.__msgtype__
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, name, typestore=maker.store)
-            data = maker.store.serialize_cdr(message, name)
-            writer.write(connections[topic], receive_ns, data)
-    if container == "db3 folder":
-        return folder
-    (database,) = folder.glob("*.db3")
-    shutil.move(database, path.with_suffix(".db3"))
-    shutil.rmtree(folder)
-    return path.with_suffix(".db3")
-
-
-def _write_ros1(path: Path, store: Typestore, messages: Sequence[Said]) -> Path:
-    with Ros1Writer(path) as writer:
+    serialize = store.serialize_ros1 if container == "bag" else store.serialize_cdr
+    made = Ros1Writer(path.with_suffix(".bag")) if maker.ros1 else Ros2Writer(folder, version=8)
+    with made as writer:
         connections: dict[str, Any] = {}
         for receive_ns, topic, message in messages:
             name = message.__msgtype__
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, name, typestore=store)
-            writer.write(connections[topic], receive_ns, store.serialize_ros1(message, name))
-    return path
+            writer.write(connections[topic], receive_ns, serialize(message, name))
+    if container == "bag":
+        return path.with_suffix(".bag")
+    if container == "db3":
+        (database,) = folder.glob("*.db3")
+        shutil.move(database, path.with_suffix(".db3"))
+        shutil.rmtree(folder)
+    return folder if container == "db3 folder" else path.with_suffix(".db3")
 
 
 def _write_mcap(path: Path, store: Typestore, messages: Sequence[Said], *, packed: bool) -> Path:

@@ -19,13 +19,12 @@ from fieldgrid.poses.attitude.measurements import AntennaTrack
 from fieldgrid.recordings import (
     ORIENTATION,
     DriveOptions,
-    Leans,
-    Message,
     decode,
+    lean_of,
     open_drive,
     orientation_of,
 )
-from fieldgrid.recordings.ros.bag import Take, open_bag
+from fieldgrid.recordings.ros.bag import open_bag
 from fieldgrid.recordings.ros.gnss_messages import tilt_messages
 from tests.hilly import hike, hills
 from tests.poses.attitude.test_attitude import ANTENNA_M, FIELD, FRAMES, score, track_of
@@ -33,6 +32,9 @@ from tests.recordings import bags
 from tests.recordings.bags import CONTAINERS, Container, Maker, Said
 
 R_FLU_VEHICLE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+UP, FRD, NED = np.eye(3), np.diag([1.0, -1.0, -1.0]), np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1.0]])
+LEFTWARD = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+SIDEWAYS = R_level_vehicle(90.0, 0.0)
 START_NS = 1_700_000_000_000_000_000
 STAMPS = range(0, 8_000_000_000, 100_000_000)
 ROLL_DEG, PITCH_DEG = 3.0, 8.0
@@ -66,80 +68,71 @@ class Told:
     def turn(self, k_ns: int, **lean: float) -> Any:
         return self.maker.quaternion(*quaternion(leans(k_ns, **lean) @ self.R_body))
 
-    def imu(
-        self, k_ns: int, variance: float = 0.0, *, frame: str = "imu_link", **lean: float
-    ) -> Any:
-        message = self.maker.imu(START_NS + k_ns, (0.0, 0.0, 0.0), frame)
+    def imu(self, k_ns: int, variance: float = 0.0) -> Any:
         # Without an accelerometer, by the message's definition.
-        none = np.array([-1.0, *[0.0] * 8])
         return replace(
-            message,
-            orientation=self.turn(k_ns, **lean),
+            self.maker.imu(START_NS + k_ns, (0.0, 0.0, 0.0)),
+            orientation=self.turn(k_ns),
             orientation_covariance=np.array([variance, *[0.0] * 8]),
-            linear_acceleration_covariance=none,
+            linear_acceleration_covariance=np.array([-1.0, *[0.0] * 8]),
         )
 
-    def pose(self, k_ns: int, variance: float, **lean: float) -> Any:
-        pose = self.maker.of(
-            "geometry_msgs/msg/Pose",
-            position=self.maker.of("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),
-            orientation=self.turn(k_ns, **lean),
-        )
+    def pose(self, k_ns: int, variance: float = 0.0, **lean: float) -> Any:
+        pose = self.maker.of("geometry_msgs/msg/Pose", orientation=self.turn(k_ns, **lean))
         covariance = np.zeros(36)
         covariance[21], covariance[28] = variance / 2.0, variance
-        return self.maker.of(
-            "geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance
-        )
+        name = "geometry_msgs/msg/PoseWithCovariance"
+        return self.maker.of(name, pose=pose, covariance=covariance)
 
     def odometry(self, k_ns: int, variance: float = 0.0, **lean: float) -> Any:
         message = self.maker.odometry(START_NS + k_ns, 1.0)
-        return replace(message, pose=self.pose(k_ns, variance, **lean))
+        return replace(message, pose=self.pose(k_ns, variance, **lean), child_frame_id="imu_link")
 
-    def stamped(self, k_ns: int, *, sure: bool) -> Any:
-        header, pose = self.maker.header(START_NS + k_ns, "map"), self.pose(k_ns, 0.0)
-        name = "PoseWithCovarianceStamped" if sure else "PoseStamped"
-        held = pose if sure else pose.pose
-        return self.maker.of(f"geometry_msgs/msg/{name}", header=header, pose=held)
+    def stamped(self, k_ns: int) -> Any:
+        header, pose = self.maker.header(START_NS + k_ns, "map"), self.pose(k_ns).pose
+        return self.maker.of("geometry_msgs/msg/PoseStamped", header=header, pose=pose)
+
+    def sure(self, k_ns: int) -> Any:
+        header, pose = self.maker.header(START_NS + k_ns, "map"), self.pose(k_ns)
+        name = "geometry_msgs/msg/PoseWithCovarianceStamped"
+        return self.maker.of(name, header=header, pose=pose)
+
+    def felt(self, k_ns: int, R_up: np.ndarray = UP) -> Any:
+        """An IMU that feels gravity, whose orientation is in a frame that `R_up` turns."""
+        R = leans(k_ns)
+        forces = tuple((self.R_body.T @ R.T @ np.array([0.0, 0.0, 9.81])).tolist())
+        message = self.maker.imu(START_NS + k_ns, (0.1, 0.05, 0.2), forces=forces)
+        turn = self.maker.quaternion(*quaternion(R_up @ R @ self.R_body))
+        return replace(message, orientation=turn)
 
 
-def said(topic: str, make: Callable[[int], Any]) -> Iterator[Said]:
+def said(make: Callable[[int], Any], topic: str = "/leans") -> Iterator[Said]:
     for k_ns in STAMPS:
         yield Said(START_NS + k_ns, topic, make(k_ns))
 
 
+Messages = Callable[[Maker], Iterator[Said]]
+
+
 def motion_of(
-    folder: Path,
-    messages: Callable[[Maker], Iterator[Said]],
-    container: Container = "mcap",
-    **topics: str,
+    folder: Path, messages: Messages, container: Container = "mcap", **topics: str
 ) -> tuple[Motion, tuple[str, ...]]:
     maker = Maker(container)
-    fixes = [
-        Said(START_NS + k, "/fix", maker.fix(START_NS + k, 39.5, -1.1 + k * 1e-15, 700.0))
-        for k in STAMPS
-    ]
+    fixes = said(lambda k: maker.fix(START_NS + k, 39.5, -1.1 + k * 1e-15, 700.0), "/fix")
     path = bags.write_bag(folder / "bag", container, maker, [*fixes, *messages(maker)])
     with open_drive(path, DriveOptions(topics=topics)) as drive:
         return drive.motion(), drive.notes
 
 
 @pytest.mark.parametrize("container", CONTAINERS)
-@pytest.mark.parametrize("kind", ["imu", "odometry", "pose", "sure pose"])
+@pytest.mark.parametrize("kind", ["imu", "odometry", "stamped", "sure"])
 def test_roll_and_pitch_come_out_of_every_container(
     kind: str, container: Container, tmp_path: Path
 ) -> None:
-    def messages(maker: Maker) -> Iterator[Said]:
-        told = Told(maker)
-        makes: dict[str, Callable[[int], Any]] = {
-            "imu": told.imu,
-            "odometry": told.odometry,
-            "pose": lambda k: told.stamped(k, sure=False),
-            "sure pose": lambda k: told.stamped(k, sure=True),
-        }
-        yield from said("/leans", makes[kind])
-
-    given = {"attitude": "/leans"} if "pose" in kind else {}
-    motion, notes = motion_of(tmp_path, messages, container, **given)
+    given = {"attitude": "/leans"} if kind in ("stamped", "sure") else {}
+    motion, notes = motion_of(
+        tmp_path, lambda maker: said(getattr(Told(maker), kind)), container, **given
+    )
     found = motion.orientation
     assert found is not None
     assert "/leans: roll and pitch by its orientation." in notes
@@ -153,53 +146,28 @@ def test_roll_and_pitch_come_out_of_every_container(
 
 @pytest.mark.parametrize(
     ("variance", "sigma_deg"),
-    [(math.radians(1.5) ** 2, 1.5), (math.radians(0.01) ** 2, 0.5), (0.0, 1.0)],
+    [
+        (math.radians(1.5) ** 2, 1.5),
+        (math.radians(0.01) ** 2, 0.5),
+        (0.0, 1.0),
+        (math.inf, 1.0),  # nonsense is no statement
+        (1e6, None),
+    ],
 )
 def test_a_stated_error_counts_with_a_floor(
-    variance: float, sigma_deg: float, tmp_path: Path
+    variance: float, sigma_deg: float | None, tmp_path: Path
 ) -> None:
+    motion, _ = motion_of(tmp_path, lambda maker: said(lambda k: Told(maker).odometry(k, variance)))
+    assert (motion.orientation is None) == (sigma_deg is None)
+    if motion.orientation is not None:
+        assert motion.orientation.sigma_deg == pytest.approx(sigma_deg, rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["imu", "odometry"])
+def test_a_static_transform_tells_how_a_body_sits(kind: str, tmp_path: Path) -> None:
     def messages(maker: Maker) -> Iterator[Said]:
-        yield from said("/odom", lambda k: Told(maker).odometry(k, variance))
-
-    found = motion_of(tmp_path, messages)[0].orientation
-    assert found is not None
-    assert found.sigma_deg == pytest.approx(sigma_deg, rel=1e-4)
-
-
-@pytest.mark.parametrize("variance", [-1.0, 1e6, math.inf])
-def test_what_says_that_it_does_not_know_is_believed(variance: float, tmp_path: Path) -> None:
-    def messages(maker: Maker) -> Iterator[Said]:
-        if variance == -1.0:
-            yield from said("/imu", lambda k: Told(maker).imu(k, -1.0))
-        else:
-            yield from said("/odom", lambda k: Told(maker).odometry(k, variance))
-
-    motion, _ = motion_of(tmp_path, messages)
-    if variance == math.inf:  # nonsense is no statement
-        assert motion.orientation is not None
-    else:
-        assert motion.orientation is None
-
-
-def test_odometry_in_the_plane_is_not_taken_for_level_ground(tmp_path: Path) -> None:
-    def messages(maker: Maker) -> Iterator[Said]:
-        yield from said("/odom", lambda k: Told(maker).odometry(k, roll=0.0, pitch=0.0))
-
-    motion, notes = motion_of(tmp_path, messages)
-    assert motion.orientation is None
-    assert motion.wheels is not None
-    given, notes = motion_of(tmp_path / "given", messages, attitude="/odom")
-    assert given.orientation is None
-    assert any(note.startswith("/odom: tells no roll and pitch: its orientation") for note in notes)
-
-
-def test_a_static_transform_tells_how_the_imu_sits(tmp_path: Path) -> None:
-    # x to the left, y backward, z up
-    R = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-
-    def messages(maker: Maker) -> Iterator[Said]:
-        yield from said("/imu", Told(maker, R).imu)
-        tree = maker.transform("base_link", "imu_link", (0, 0, 0), quaternion(R))
+        yield from said(getattr(Told(maker, LEFTWARD), kind))
+        tree = maker.transform("base_link", "imu_link", (0, 0, 0), quaternion(LEFTWARD))
         yield Said(START_NS, "/tf_static", maker.transforms(tree))
 
     found = motion_of(tmp_path, messages)[0].orientation
@@ -209,186 +177,114 @@ def test_a_static_transform_tells_how_the_imu_sits(tmp_path: Path) -> None:
     )
 
 
-def test_a_static_transform_tells_how_the_body_of_odometry_sits(tmp_path: Path) -> None:
-    R = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-
-    def messages(maker: Maker) -> Iterator[Said]:
-        told = Told(maker, R)
-        yield from said("/odom", lambda k: replace(told.odometry(k), child_frame_id="sensor"))
-        tree = maker.transform("base_link", "sensor", (0, 0, 0), quaternion(R))
-        yield Said(START_NS, "/tf_static", maker.transforms(tree))
-
-    found = motion_of(tmp_path, messages)[0].orientation
-    assert found is not None
-    assert found.pitch_deg == pytest.approx(expected(found.time_ns)[1], abs=1e-4)
+LEVEL, BY_IMU = {"roll": 0.0, "pitch": 0.0}, "say how it sits by imu_axes in mounting.json"
 
 
-def test_an_accelerometer_tells_it_better_unless_the_topic_is_given(tmp_path: Path) -> None:
-    def messages(maker: Maker) -> Iterator[Said]:
-        told = Told(maker)
-        for k_ns in STAMPS:
-            up = leans(k_ns)[2] * 9.81
-            message = maker.imu(START_NS + k_ns, (0.1, 0.0, 0.2), forces=tuple(up.tolist()))
-            yield Said(START_NS + k_ns, "/imu", replace(message, orientation=told.turn(k_ns)))
+@pytest.mark.parametrize(
+    ("make", "given", "note"),
+    [
+        # An IMU that has no orientation, by its definition.
+        (lambda m: said(lambda k: Told(m).imu(k, -1.0)), False, ""),
+        # Odometry in the plane does not say that the ground is level.
+        (lambda m: said(lambda k: Told(m).odometry(k, **LEVEL)), False, ""),
+        (lambda m: said(lambda k: Told(m).odometry(k, **LEVEL)), True, ": its orientation never"),
+        # An accelerometer tells it better.
+        (lambda m: said(Told(m).felt), False, ""),
+        # Of a body forward, right, down the vertical looks upright in a frame north, east, down,
+        # and its pitch is inverted; without an accelerometer a vertical downward says nothing.
+        *(
+            (lambda m, up=up: said(lambda k: Told(m, FRD).felt(k, up)), given, BY_IMU)
+            for up in (NED, UP)
+            for given in (False, True)
+        ),
+        (lambda m: said(Told(m, FRD).imu), False, BY_IMU),
+        (lambda m: said(Told(m, FRD).odometry), False, "say how it sits by a static transform."),
+        # Lying on its side.
+        (lambda m: said(Told(m, SIDEWAYS).imu), False, "lies on its side; " + BY_IMU),
+    ],
+)
+def test_what_tells_no_roll_and_pitch(
+    make: Messages, given: bool, note: str, tmp_path: Path
+) -> None:
+    motion, notes = motion_of(tmp_path, make, **({"attitude": "/leans"} if given else {}))
+    assert motion.orientation is None
+    assert motion.wheels is not None or motion.gyro is not None
+    told = [one for one in notes if one.startswith("/leans: tells no roll and pitch")]
+    assert len(told) == bool(note)
+    assert note in "".join(told)
 
-    assert motion_of(tmp_path, messages)[0].orientation is None
-    motion, _ = motion_of(tmp_path / "given", messages, attitude="/imu")
+
+def test_an_orientation_that_is_asked_for_counts_beside_an_accelerometer(tmp_path: Path) -> None:
+    motion, _ = motion_of(tmp_path, lambda m: said(Told(m).felt), attitude="/leans")
     assert motion.orientation is not None
     assert motion.inertial is not None
 
 
-NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-FRD = np.diag([1.0, -1.0, -1.0])
-
-
-@pytest.mark.parametrize("given", [False, True], ids=["found", "given"])
-@pytest.mark.parametrize("frame", ["ned", "enu"])
-def test_an_imu_forward_right_down_needs_its_axes(frame: str, given: bool, tmp_path: Path) -> None:
-    """In a frame north, east, down its vertical looks upright, and its pitch is inverted."""
-
-    def messages(maker: Maker) -> Iterator[Said]:
-        for k_ns in STAMPS:
-            R = leans(k_ns)
-            felt = FRD @ R.T @ np.array([0.0, 0.0, 9.81])
-            message = maker.imu(START_NS + k_ns, (0.1, 0.05, 0.2), forces=tuple(felt.tolist()))
-            turn = quaternion((NED if frame == "ned" else np.eye(3)) @ R @ FRD)
-            yield Said(
-                START_NS + k_ns, "/imu", replace(message, orientation=maker.quaternion(*turn))
-            )
-
-    motion, notes = motion_of(tmp_path, messages, **({"attitude": "/imu"} if given else {}))
-    assert motion.orientation is None
-    (note,) = (note for note in notes if "tells no roll and pitch" in note)
-    assert "say how it sits by imu_axes in mounting.json" in note
-
-
-def test_without_an_accelerometer_a_vertical_downward_needs_its_axes(tmp_path: Path) -> None:
-    def imu(maker: Maker) -> Iterator[Said]:
-        yield from said("/imu", Told(maker, FRD).imu)
-
-    def odometry(maker: Maker) -> Iterator[Said]:
-        yield from said("/odom", Told(maker, FRD).odometry)
-
-    motion, notes = motion_of(tmp_path, imu)
-    assert motion.orientation is None
-    assert any("say how it sits by imu_axes" in note for note in notes)
-    motion, notes = motion_of(tmp_path / "odometry", odometry)
-    assert motion.orientation is None
-    assert any("say how it sits by a static transform." in note for note in notes)
-
-
 def test_a_topic_that_is_given_counts_before_what_a_conversion_kept(tmp_path: Path) -> None:
     def messages(maker: Maker) -> Iterator[Said]:
-        yield from said("/leans", lambda k: Told(maker).stamped(k, sure=False))
-        times = START_NS + np.array([0, 1]) * 1_000_000_000
-        kept = Orientation(times, *np.ones((4, 2)))
+        yield from said(Told(maker).stamped)
+        kept = Orientation(START_NS + np.array([0, 1]) * 1_000_000_000, *np.ones((4, 2)))
         for time_ns, message in tilt_messages(kept):
             yield Said(time_ns, ORIENTATION, maker.of("std_msgs/msg/String", data=message.data))
 
-    motion, _ = motion_of(tmp_path, messages)
-    assert motion.orientation is not None
-    assert len(motion.orientation.time_ns) == 2
-    motion, _ = motion_of(tmp_path / "given", messages, attitude="/leans")
-    assert motion.orientation is not None
-    assert len(motion.orientation.time_ns) == len(STAMPS)
+    for given, count in (({}, 2), ({"attitude": "/leans"}, len(STAMPS))):
+        motion, _ = motion_of(tmp_path, messages, **given)
+        assert motion.orientation is not None
+        assert len(motion.orientation.time_ns) == count
 
 
 # --- the orientation alone
 
 
-def of_quaternions(turns: list[tuple[float, ...]], R_flu_body: np.ndarray | None = None) -> Any:
-    heard = Leans()
+def of_turns(turns: list[Any], step_ns: int, R_flu_body: np.ndarray | None = None) -> Any:
+    """The orientation by rotations or quaternions, whose axes are known where they are said."""
     maker = Maker("mcap")
-    for k, turn in enumerate(turns):
-        message = replace(maker.imu(1, (0, 0, 0)), orientation=maker.quaternion(*turn))
-        heard.add(message, k)
-    times = (np.array(heard.places, dtype=np.int64) + 1) * 100_000_000
+    imu = maker.imu(1, (0, 0, 0))
+    xyzw = [turn if isinstance(turn, tuple) else quaternion(turn) for turn in turns]
+    told = [lean_of(replace(imu, orientation=maker.quaternion(*one))) for one in xyzw]
+    times = np.arange(1, len(turns) + 1) * step_ns
     R = np.eye(3) if R_flu_body is None else R_flu_body
-    return orientation_of(times, heard.values(), R, 0.0, axes_known=R_flu_body is not None)
+    return orientation_of(times, np.array(told), R, 0.0, axes_known=R_flu_body is not None)
 
 
-def test_a_frame_that_points_down_with_a_body_that_does_is_upright() -> None:
-    down = np.diag([1.0, -1.0, -1.0])  # north, east, down of a body forward, right, down
-    turns = [quaternion(down @ leans(k) @ down) for k in STAMPS]
-    found = of_quaternions(turns, down)
+@pytest.mark.parametrize("R_frame", [UP, FRD])  # the latter with north, east, down as its frame
+def test_a_body_whose_axes_are_known_may_point_down(R_frame: np.ndarray) -> None:
+    found = of_turns([R_frame @ leans(k) @ FRD for k in STAMPS], 100_000_000, FRD)
     assert found.pitch_deg[0] == pytest.approx(PITCH_DEG, abs=1e-4)
     assert found.roll_deg[0] == pytest.approx(ROLL_DEG, abs=1e-4)
 
 
-def test_a_body_on_its_side_is_named() -> None:
-    side = R_level_vehicle(90.0, 0.0)
-    found = of_quaternions([quaternion(leans(k) @ side) for k in STAMPS])
-    assert found.by_axes
-    assert "lies on its side" in found.why
-
-
-def test_a_vertical_downward_needs_known_axes() -> None:
-    down = np.diag([1.0, -1.0, -1.0])
-    turns = [quaternion(leans(k) @ down) for k in STAMPS]  # an IMU upside down
-    assert of_quaternions(turns).by_axes
-    found = of_quaternions(turns, down)
-    assert found.pitch_deg[0] == pytest.approx(PITCH_DEG, abs=1e-4)
-
-
 def test_quaternions_of_nothing_are_skipped_and_near_ones_thinned() -> None:
-    turns = [(0.0, 0.0, 0.0, 0.0), *(quaternion(leans(k)) for k in STAMPS)]
-    found = of_quaternions(turns)
-    assert len(found.time_ns) == len(STAMPS)
-    assert "fewer than two" in of_quaternions(turns[:2]).why
-    heard = Leans()
-    maker = Maker("mcap")
-    for k in range(200):
-        turn = maker.quaternion(*quaternion(leans(k * 5_000_000)))
-        heard.add(replace(maker.imu(1, (0, 0, 0)), orientation=turn), k)
-    times = np.arange(1, 201) * 5_000_000
-    thin = orientation_of(times, heard.values(), np.eye(3), 0.0, axes_known=False)
-    assert isinstance(thin, Orientation)
+    turns = [(0.0, 0.0, 0.0, 0.0), *(leans(k) for k in STAMPS)]
+    assert len(of_turns(turns, 100_000_000).time_ns) == len(STAMPS)
+    assert "fewer than two" in of_turns(turns[:2], 100_000_000).why
+    thin = of_turns([leans(k * 5_000_000) for k in range(200)], 5_000_000)
     assert np.diff(thin.time_ns).min() == 40_000_000
-
-
-# --- what it is good for
 
 
 def test_an_orientation_makes_the_attitude_of_a_drive_without_accelerometer() -> None:
     way = hike(hills(10.0, 45.0), FIELD)
     seen = way.at(np.arange(0.0, way.drive.time_s[-1], 0.05))
-    turns = [quaternion(R @ R_FLU_VEHICLE.T) for R in seen.R]
-    heard, maker = Leans(), Maker("mcap")
-    for k, turn in enumerate(turns):
-        heard.add(replace(maker.imu(1, (0, 0, 0)), orientation=maker.quaternion(*turn)), k)
     track: AntennaTrack = track_of(way)
-    times = track.time_ns[0] + np.arange(len(turns)) * 50_000_000
-    found = orientation_of(times, heard.values(), np.eye(3), 0.0, axes_known=False)
-    assert isinstance(found, Orientation)
-    without = estimate_attitude(track, np.array(ANTENNA_M), wanted_ns=FRAMES)
-    with_it = estimate_attitude(
-        track, np.array(ANTENNA_M), wanted_ns=FRAMES, axes=axes_of_orientation(found)
-    )
+    found = of_turns([R @ R_FLU_VEHICLE.T for R in seen.R], 50_000_000)
+    found = found._replace(time_ns=found.time_ns - 50_000_000 + track.time_ns[0])
+    arm = np.array(ANTENNA_M)
+    without = estimate_attitude(track, arm, wanted_ns=FRAMES)
+    with_it = estimate_attitude(track, arm, wanted_ns=FRAMES, axes=axes_of_orientation(found))
     assert score(way, without, FRAMES).percentile(95) > 3.0
-    seen_score = score(way, with_it, FRAMES)
-    assert seen_score.percentile(95) < 1.5
-    assert seen_score.within_3_sigma() == 1.0
+    assert score(way, with_it, FRAMES).percentile(95) < 1.5
+    assert score(way, with_it, FRAMES).within_3_sigma() == 1.0
 
 
 def test_a_real_imu_s_orientation_is_where_it_feels_gravity(
     shared_data: Callable[[str], Path],
 ) -> None:
     """The Husky's IMU stands on its edge: y is up, and it sees no vehicle axes."""
-    heard, forces = Leans(), []
-
-    def listen(name: str, _: str) -> Take | None:
-        return take if name == "/imu/data" else None
-
-    def take(message: Message, place: int) -> None:
-        found = decode(message)
-        heard.add(found, place)
-        force = found.linear_acceleration
-        forces.append((force.x, force.y, force.z))
-
-    with open_bag(shared_data("husky_gps_rosbag") / "test1.bag", listen):
-        pass
-    up, sigma = np.split(heard.values(), [3], axis=1)
-    usual, felt = up.mean(axis=0), np.mean(forces, axis=0)
+    with open_bag(shared_data("husky_gps_rosbag") / "test1.bag") as bag:
+        imus = [decode(message) for message in bag.messages({"/imu/data"})]
+    up, sigma = np.split(np.array([lean_of(imu) for imu in imus]), [3], axis=1)
+    forces = [imu.linear_acceleration for imu in imus]
+    usual, felt = up.mean(axis=0), np.mean([(f.x, f.y, f.z) for f in forces], axis=0)
     apart = np.cross(usual, felt) / (np.linalg.norm(usual) * np.linalg.norm(felt))
     assert np.degrees(np.linalg.norm(apart)) < 0.3
     assert usual @ felt > 0.0

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.core import RecordingError
-from fieldgrid.recordings.bag.sensors.clouds import R_OPTICAL_FLU, MessageCloud
+from fieldgrid.recordings.bag.sensors.clouds import MessageCloud
 from fieldgrid.recordings.bag.sensors.images import (
     CompressedImage,
     DepthImage,
@@ -19,6 +19,7 @@ from fieldgrid.recordings.bag.sensors.images import (
     MessageSource,
     RawImage,
 )
+from fieldgrid.recordings.bag.transforms import R_OPTICAL_FLU
 from fieldgrid.recordings.ros.bag import open_bag
 from tests.recordings import bags
 from tests.recordings.bags import Container, Maker, Said

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from fieldgrid.core import RecordingError
-from fieldgrid.recordings.bag.topic_names import is_rectified
 from fieldgrid.recordings.bag.topics import Choice, choose, static_transforms
 from fieldgrid.recordings.ros.model import Topic
 
-BAG = Path("drive.mcap")
 TYPES = {
     "image": "sensor_msgs/msg/Image",
     "packed": "sensor_msgs/msg/CompressedImage",
@@ -28,27 +27,36 @@ TYPES = {
 
 
 def chosen(
-    text: str,
-    given: Mapping[str, str] | None = None,
-    count: int = 9,
-    sensor: str | None = None,
-    partners: Mapping[str, str] | None = None,
+    text: str, given: Mapping[str, str] | None = None, count: int = 9, **more: Any
 ) -> Choice:
-    """The choice among topics written like `image /left/image_raw`, one a line."""
-    topics = {}
-    for line in text.split("\n"):
-        if line.strip():
-            kind, name = line.split()
-            topics[name] = Topic(name, TYPES[kind], count)
-    return choose(topics, given or {}, BAG, sensor=sensor, partners=partners)
+    """The choice among topics written like `image /left/image_raw`, comma after comma."""
+    pairs = [one.split() for one in text.split(",") if one.strip()]
+    topics = {name: Topic(name, TYPES[kind], count) for kind, name in pairs}
+    return choose(topics, given or {}, Path("drive.mcap"), **more)
 
 
-def stereo(place: str, image: str = "image_rect", kind: str = "image") -> str:
+def stereo(left: str, right: str, *infos: str, kind: str = "image") -> str:
+    """A pair, and calibrations beside it."""
+    found = [f"{kind} {left}", f"{kind} {right}", *(f"info {info}" for info in infos)]
+    return ",".join([*found, ""])
+
+
+def pair(place: str, image: str = "image_rect", kind: str = "image") -> str:
     """A stereo pair with its calibration."""
-    return "".join(
-        f"{kind} {place}/{side}/{image}\ninfo {place}/{side}/camera_info\n"
-        for side in ("left", "right")
-    )
+    sides = [f"{place}/{side}" for side in ("left", "right")]
+    return stereo(*(f"{s}/{image}" for s in sides), *(f"{s}/camera_info" for s in sides), kind=kind)
+
+
+S, DEPTH = pair("/s"), "image /d/depth/image_rect_raw,info /d/depth/camera_info,"
+DISPARITY, CLOUD = "disparity /s/disparity,info /s/left/camera_info,", "cloud /lidar/points,"
+ALL = S + DEPTH + DISPARITY + CLOUD
+OAK = "image /oak/stereo/image_raw,info /oak/stereo/camera_info,image /oak/rgb/image_raw,"
+RECT = "/d/depth/image_rect"
+WHOLE, LOSSY = f"packed {RECT}/compressedDepth,", f"packed {RECT}/compressed,"
+NEUTRAL = "".join(f"packed /f/{n}/compressed,info /f/{n}/camera_info," for n in ("one", "two"))
+PARTNERS = {"partners": {"/f/one/camera_info": "/f/two/camera_info"}}
+OF_NEUTRAL = {"left": "/f/one/compressed", "right": "/f/two/compressed"}
+INFOS_OF_NEUTRAL = {"left_info": "/f/one/camera_info", "right_info": "/f/two/camera_info"}
 
 
 @pytest.mark.parametrize(
@@ -57,29 +65,21 @@ def stereo(place: str, image: str = "image_rect", kind: str = "image") -> str:
         ("/left/image_raw", "/right/image_raw", "/left/camera_info", "/right/camera_info"),
         ("/cam0/image_raw", "/cam1/image_raw", "/cam0/camera_info", "/cam1/camera_info"),
         (
-            "/camera/infra1/image_rect_raw",
-            "/camera/infra2/image_rect_raw",
-            "/camera/infra1/camera_info",
-            "/camera/infra2/camera_info",
+            *("/camera/infra1/image_rect_raw", "/camera/infra2/image_rect_raw"),
+            *("/camera/infra1/camera_info", "/camera/infra2/camera_info"),
         ),
         (
-            "/kitti/camera_gray_left/image_raw",
-            "/kitti/camera_gray_right/image_raw",
-            "/kitti/camera_gray_left/camera_info",
-            "/kitti/camera_gray_right/camera_info",
+            *("/kitti/camera_gray_left/image_raw", "/kitti/camera_gray_right/image_raw"),
+            *("/kitti/camera_gray_left/camera_info", "/kitti/camera_gray_right/camera_info"),
         ),
         (
-            "/zed/zed_node/left/color/rect/image",
-            "/zed/zed_node/right/color/rect/image",
-            "/zed/zed_node/left/color/rect/camera_info",
-            "/zed/zed_node/right/color/rect/camera_info",
+            *("/zed/node/left/color/rect/image", "/zed/node/right/color/rect/image"),
+            *("/zed/node/left/color/rect/camera_info", "/zed/node/right/color/rect/camera_info"),
         ),
         ("/left_image", "/right_image", "/left_camera_info", "/right_camera_info"),
         (
-            "/oak/left/image_rect/compressed",
-            "/oak/right/image_rect/compressed",
-            "/oak/left/camera_info",
-            "/oak/right/camera_info",
+            *("/oak/left/image_rect/compressed", "/oak/right/image_rect/compressed"),
+            *("/oak/left/camera_info", "/oak/right/camera_info"),
         ),
     ],
 )
@@ -87,183 +87,134 @@ def test_a_pair_is_told_by_its_names(
     left: str, right: str, left_info: str, right_info: str
 ) -> None:
     kind = "packed" if left.endswith("compressed") else "image"
-    found = chosen(
-        f"{kind} {left}\n{kind} {right}\ninfo {left_info}\ninfo {right_info}\n"
-        "image /rear/image_raw\ninfo /rear/camera_info\n"
-    )
-    assert found.problem is None
-    assert found.kind == "stereo"
-    assert found.roles == {
-        "left": left, "right": right, "left_info": left_info, "right_info": right_info,
-    }  # fmt: skip
+    text = stereo(left, right, left_info, right_info, kind=kind)
+    found = chosen(f"{text}image /rear/image_raw,info /rear/camera_info")
+    assert (found.kind, found.problem) == ("stereo", None)
+    roles = {"left": left, "right": right, "left_info": left_info, "right_info": right_info}
+    assert found.roles == roles
 
 
 @pytest.mark.parametrize(
-    ("better", "worse"),
+    ("text", "more", "kind", "roles"),
     [
-        (("image", "image_rect"), ("image", "image_raw")),
-        (("image", "image_rect"), ("image", "image_rect_color")),
-        (("image", "image_rect"), ("packed", "image_rect/compressed")),
-        (("packed", "image_rect/compressed"), ("image", "image_raw")),
-        (("image", "image_mono"), ("image", "image_color")),
-        (("image", "image_rect_color"), ("image", "image_color")),
+        # Rectified before raw, grey before colour, plain before compressed.
+        *(
+            (pair("/s", *worse) + pair("/s", *better), {}, "stereo",
+             {"left": f"/s/left/{better[0]}"})
+            for better, worse in (
+                (("image_rect",), ("image_raw",)),
+                (("image_rect",), ("image_rect_color",)),
+                (("image_rect",), ("image_rect/compressed", "packed")),
+                (("image_rect/compressed", "packed"), ("image_raw",)),
+                (("image_mono",), ("image_color",)),
+                (("image_rect_color",), ("image_color",)),
+                (("color/rect/image",), ("color/raw/image",)),
+                (("image_rect_color/compressed", "packed"), ("direct/image",)),
+            )
+        ),
+        (pair("/f") + pair("/r"), {"given": {"left": "/r/left/image_rect"}}, "stereo",
+         {"right": "/r/right/image_rect", "right_info": "/r/right/camera_info"}),
+        # Stereo, disparity, depth, cloud, or what is asked for.
+        (ALL, {}, "stereo", {"left": "/s/left/image_rect"}),
+        (DEPTH + DISPARITY + CLOUD, {}, "disparity", {"left_info": "/s/left/camera_info"}),
+        (DEPTH + CLOUD, {}, "depth", {"depth_info": "/d/depth/camera_info"}),
+        (CLOUD, {}, "cloud", {"cloud": "/lidar/points"}),
+        (ALL, {"given": {"cloud": "/lidar/points"}}, "cloud", {"cloud": "/lidar/points"}),
+        (ALL, {"sensor": "depth"}, "depth", {"depth": "/d/depth/image_rect_raw"}),
+        (CLOUD, {"sensor": "depth"}, "", {}),
+        # Of depths plain ones, then those packed without loss; a camera may call them stereo.
+        (f"image {RECT},{WHOLE}{LOSSY}info /d/camera_info", {}, "depth", {"depth": RECT}),
+        (f"{WHOLE}{LOSSY}info /d/depth/camera_info", {}, "depth",
+         {"depth": f"{RECT}/compressedDepth", "depth_info": "/d/depth/camera_info"}),
+        (OAK, {}, "depth",
+         {"depth": "/oak/stereo/image_raw", "depth_info": "/oak/stereo/camera_info"}),
+        (OAK + pair("/oak"), {}, "stereo", {}),
+        ("image /stereo/label/image_raw,image /mystereo/image_raw", {}, "", {}),
+        ("image /left/mask,image /right/mask,image /left/theora,image /right/theora", {}, "", {}),
+        # Of several sensors the vehicle's own, that is no result of others.
+        ("imu /zed/imu/data,imu /imu/data,imu /imu/data_raw", {}, "", {"imu": "/imu/data"}),
+        ("imu /c/accel/sample,imu /c/gyro/sample", {}, "",
+         {"imu": "/c/gyro/sample", "acceleration": "/c/accel/sample"}),
+        ("imu /c/accel/sample,imu /imu/data", {}, "", {"imu": "/imu/data"}),
+        ("odometry /odom/gps,odometry /odom/filtered", {}, "", {"odometry": "/odom/filtered"}),
+        ("odometry /f/global,odometry /f/local", {}, "", {"odometry": "/f/local"}),
+        ("odometry /odom/filtered,odometry /wheel/odom", {}, "", {"odometry": "/wheel/odom"}),
+        ("fix /gps/filtered,fix /gps/fix", {}, "", {"fix": "/gps/fix"}),
+        ("fix /fix,other /chatter,image /front/image_raw", {}, "", {"fix": "/fix"}),
+        # A calibration may lie below its image; the names of a pair may say nothing.
+        (NEUTRAL, PARTNERS, "stereo", {**OF_NEUTRAL, **INFOS_OF_NEUTRAL}),
+        (NEUTRAL, {"given": OF_NEUTRAL}, "stereo", {**OF_NEUTRAL, **INFOS_OF_NEUTRAL}),
+        (S, {"count": 0}, "", {}),
     ],
-)
-def test_rectified_before_raw_grey_before_colour_plain_before_compressed(
-    better: tuple[str, str], worse: tuple[str, str]
+)  # fmt: skip
+def test_topics_have_roles(
+    text: str, more: dict[str, Any], kind: str, roles: dict[str, str]
 ) -> None:
-    text = "".join(stereo("/s", image, kind) for kind, image in (worse, better))
-    assert chosen(text).roles["left"] == f"/s/left/{better[1]}"
-
-
-def test_several_pairs_are_an_error_that_names_them_and_the_flag() -> None:
-    text = stereo("/front") + stereo("/rear")
-    problem = chosen(text).problem
-    assert problem is not None
-    for part in ("/front/left/image_rect", "/rear/right/image_rect", "--topic left="):
-        assert part in str(problem)
-    found = chosen(text, {"left": "/rear/left/image_rect"})
-    assert found.problem is None
-    assert found.roles["right"] == "/rear/right/image_rect"
-    assert found.roles["right_info"] == "/rear/right/camera_info"
+    found = chosen(text, **more)
+    assert (found.kind, found.problem) == (kind, None)
+    assert roles.items() <= found.roles.items()
+    if not kind:
+        assert found.roles == roles
+    if "chatter" in text:
+        (note,) = (note for note in found.notes if note.startswith("Not used"))
+        assert "/front/image_raw" in note
+        assert "/chatter" not in note
 
 
 def test_what_is_given_outranks_names() -> None:
-    text = stereo("/s") + "image /a\nimage /b\ninfo /c\ninfo /d\n"
     given = {"left": "/a", "right": "/b", "left_info": "/c", "right_info": "/d"}
-    assert chosen(text, given).roles == given
-    problem = chosen(text, {"left": "/a"}).problem
-    assert problem is not None
-    assert "add --topic right=" in str(problem)
-    problem = chosen(text, {"left": "/a", "right": "/a"}).problem
-    assert problem is not None
-    assert "give two topics" in str(problem)
-
-
-def test_the_sensor_is_stereo_then_disparity_then_depth_then_cloud_or_the_given_one() -> None:
-    depth = "image /d/depth/image_rect_raw\ninfo /d/depth/camera_info\n"
-    disparity = "disparity /s/disparity\ninfo /s/left/camera_info\n"
-    cloud = "cloud /lidar/points\n"
-    everything = stereo("/s") + depth + disparity + cloud
-    assert chosen(everything).kind == "stereo"
-    found = chosen(depth + disparity + cloud)
-    assert (found.kind, found.roles["left_info"]) == ("disparity", "/s/left/camera_info")
-    found = chosen(depth + cloud)
-    assert found.kind == "depth"
-    assert found.roles["depth_info"] == "/d/depth/camera_info"
-    assert chosen(cloud).kind == "cloud"
-    assert chosen(everything, {"cloud": "/lidar/points"}).kind == "cloud"
-    assert chosen(everything, sensor="depth").kind == "depth"
-    assert chosen(cloud, sensor="depth").kind == ""
-    problem = chosen(everything, {"cloud": "/lidar/points", "left": "/s/left/image_rect"}).problem
-    assert problem is not None
-    assert "give those of one" in str(problem)
-
-
-def test_plain_depths_before_packed_ones_and_those_without_loss_first() -> None:
-    info = "info /d/depth/camera_info"
-    plain, whole, lossy = (
-        f"/d/depth/image_rect{end}" for end in ("", "/compressedDepth", "/compressed")
-    )
-    found = chosen(f"image {plain}\npacked {whole}\npacked {lossy}\n{info}")
-    assert found.roles["depth"] == plain
-    found = chosen(f"packed {whole}\npacked {lossy}\n{info}")
-    assert (found.roles["depth"], found.roles["depth_info"]) == (whole, "/d/depth/camera_info")
-
-
-def test_the_depth_of_a_camera_may_be_called_stereo() -> None:
-    text = "image /oak/stereo/image_raw\ninfo /oak/stereo/camera_info\nimage /oak/rgb/image_raw\n"
-    found = chosen(text)
-    assert (found.kind, found.roles["depth"]) == ("depth", "/oak/stereo/image_raw")
-    assert found.roles["depth_info"] == "/oak/stereo/camera_info"
-    assert chosen(text + stereo("/oak")).kind == "stereo"
-    assert chosen("image /stereo/label/image_raw\nimage /mystereo/image_raw\n").kind == ""
+    assert chosen(S + stereo("/a", "/b", "/c", "/d"), given).roles == given
 
 
 @pytest.mark.parametrize(
-    ("topic", "rectified"),
+    ("text", "given", "match"),
     [
-        ("/left/image_rect", True),
-        ("/left/image_rect_color/compressed", True),
-        ("/camera/infra1/image_rect_raw", True),
-        ("/left/color/rect/image", True),
-        ("/left/color/raw/image", False),
-        ("/left/image_raw", False),
-        ("/direct/image", False),
-        ("/rect_cam/left/image_raw", False),
+        (pair("/f") + pair("/r"), {}, "/f/left/image_rect .*/r/right/image_rect.*--topic left="),
+        (S + stereo("/a", "/b"), {"left": "/a"}, "add --topic right="),
+        (ALL, {"cloud": "/lidar/points", "left": "/s/left/image_rect"}, "give those of one"),
     ],
 )
-def test_names_tell_whether_images_are_rectified(topic: str, rectified: bool) -> None:
-    assert is_rectified(topic) is rectified
-
-
-def test_a_bag_without_frames_has_no_problem_yet() -> None:
-    found = chosen("fix /fix\nother /chatter\nimage /front/image_raw\n")
-    assert (found.kind, found.problem) == ("", None)
-    assert found.roles == {"fix": "/fix"}
-    assert any("/front/image_raw" in note and "/chatter" not in note for note in found.notes)
-
-
-@pytest.mark.parametrize(
-    ("role", "text", "expected"),
-    [
-        ("imu", "imu /zed/imu/data\nimu /imu/data\nimu /imu/data_raw", "/imu/data"),
-        ("imu", "imu /camera/accel/sample\nimu /camera/gyro/sample", "/camera/gyro/sample"),
-        ("odometry", "odometry /odometry/gps\nodometry /odometry/filtered", "/odometry/filtered"),
-        ("odometry", "odometry /filtered/global\nodometry /filtered/local", "/filtered/local"),
-        ("odometry", "odometry /odometry/filtered\nodometry /wheel/odom", "/wheel/odom"),
-        ("fix", "fix /gps/filtered\nfix /gps/fix", "/gps/fix"),
-    ],
-)
-def test_of_several_sensors_the_vehicles_own_is_taken(role: str, text: str, expected: str) -> None:
-    assert chosen(text).roles[role] == expected
-
-
-def test_a_gyro_goes_with_the_accelerometer_beside_it() -> None:
-    found = chosen("imu /camera/accel/sample\nimu /camera/gyro/sample").roles
-    assert found == {"imu": "/camera/gyro/sample", "acceleration": "/camera/accel/sample"}
-    assert "acceleration" not in chosen("imu /camera/accel/sample\nimu /imu/data").roles
+def test_what_is_open_about_the_frames_is_kept(
+    text: str, given: dict[str, str], match: str
+) -> None:
+    problem = chosen(text, given).problem
+    assert problem is not None
+    with pytest.raises(RecordingError, match=match):
+        raise problem
 
 
 @pytest.mark.parametrize("role", ["fix", "nmea", "imu", "odometry"])
 def test_several_alike_are_an_error_that_names_them_and_the_flag(role: str) -> None:
     with pytest.raises(RecordingError, match=rf"for {role}: /a, /b; .*--topic {role}=/a"):
-        chosen(f"{role} /b\n{role} /a")
-    assert chosen(f"{role} /b\n{role} /a", {role: "/b"}).roles[role] == "/b"
-
-
-def test_static_transforms_are_those_of_the_namespaces_in_use() -> None:
-    tf = "tf2_msgs/msg/TFMessage"
-    names = ("/tf_static", "/a/tf_static", "/b/tf_static", "/a/tf")
-    topics = {name: Topic(name, tf, 1) for name in names}
-    topics["/b/x/tf_static"] = Topic("/b/x/tf_static", "std_msgs/msg/String", 1)
-    assert static_transforms(topics, {"fix": "/fix"}) == ["/tf_static"]
-    assert static_transforms(topics, {"fix": "fix"}) == ["/tf_static"]
-    assert static_transforms(topics, {"fix": "/a/fix"}) == ["/a/tf_static", "/tf_static"]
-    assert static_transforms(topics, {"fix": "/ab/fix"}) == ["/tf_static"]
-
-
-def test_topics_without_messages_are_not_taken() -> None:
-    assert chosen(stereo("/s"), count=0).kind == ""
-    with pytest.raises(RecordingError, match="has no message"):
-        chosen(stereo("/s"), {"left": "/s/left/image_rect"}, count=0)
-
-
-def test_a_depth_image_is_no_side_of_a_pair() -> None:
-    found = chosen("image /left/depth\nimage /right/depth\ninfo /left/camera_info")
-    assert found.kind in ("", "depth")
+        chosen(f"{role} /b,{role} /a")
+    assert chosen(f"{role} /b,{role} /a", {role: "/b"}).roles[role] == "/b"
 
 
 @pytest.mark.parametrize(
-    "given", [{}, {"left": "/front/one/compressed", "right": "/front/two/compressed"}]
+    ("given", "count", "match"),
+    [
+        ({"left": "/s/left/image_rect"}, 0, "has no message"),
+        ({"left": "/s/left/image_rect", "right": "/s/left/image_rect"}, 9, "give two topics"),
+    ],
 )
-def test_a_calibration_below_its_image(given: dict[str, str]) -> None:
-    text = "".join(
-        f"packed /front/{name}/compressed\ninfo /front/{name}/camera_info\n"
-        for name in ("one", "two")
-    )
-    partners = {"/front/one/camera_info": "/front/two/camera_info"}
-    roles = chosen(text, given, partners=partners).roles
-    assert roles["left"] == "/front/one/compressed"
-    assert roles["left_info"] == "/front/one/camera_info"
-    assert roles["right_info"] == "/front/two/camera_info"
+def test_what_is_given_has_to_be_there(given: dict[str, str], count: int, match: str) -> None:
+    with pytest.raises(RecordingError, match=match):
+        chosen(S, given, count)
+
+
+@pytest.mark.parametrize(
+    ("fix", "expected"),
+    [
+        ("/fix", ["/tf_static"]),
+        ("fix", ["/tf_static"]),
+        ("/a/fix", ["/a/tf_static", "/tf_static"]),
+        ("/ab/fix", ["/tf_static"]),
+    ],
+)
+def test_static_transforms_are_those_of_the_namespaces_in_use(
+    fix: str, expected: list[str]
+) -> None:
+    names = ("/tf_static", "/a/tf_static", "/b/tf_static", "/a/tf")
+    topics = {name: Topic(name, "tf2_msgs/msg/TFMessage", 1) for name in names}
+    topics["/b/x/tf_static"] = Topic("/b/x/tf_static", "std_msgs/msg/String", 1)
+    assert static_transforms(topics, {"fix": fix}) == expected

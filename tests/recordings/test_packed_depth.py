@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
+from itertools import groupby
 
 import cv2
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from fieldgrid.core import RecordingError, UInt16
-from fieldgrid.recordings.bag.sensors.packed_depth import PackedDepthImage, unpack_rvl
+from fieldgrid.recordings.bag.sensors.images import PackedDepthImage, unpack_rvl
 from tests.recordings.test_bag_messages import UTC, Make, read
 
 __all__ = ["read"]
@@ -31,22 +32,19 @@ def config(a: float = 0.0, b: float = 0.0) -> bytes:
 
 def rvl(pixels: UInt16) -> bytes:
     """Pixels as RVL, by its paper: runs without depth, runs with one, zigzag differences."""
-    flat = pixels.ravel().astype(int).tolist()
     numbers: list[int] = []
-    place, before = 0, 0
-    while place < len(flat):
-        run = place
-        while run < len(flat) and flat[run] == 0:
-            run += 1
-        end = run
-        while end < len(flat) and flat[end] != 0:
-            end += 1
-        numbers += [run - place, end - run]
-        for value in flat[run:end]:
+    runs = [(has, [*run]) for has, run in groupby(pixels.ravel().astype(int).tolist(), bool)]
+    before = 0
+    if runs[0][0]:
+        numbers.append(0)
+    for has_depth, run in runs:
+        numbers.append(len(run))
+        for value in run if has_depth else ():
             step = value - before
             numbers.append(2 * step if step >= 0 else -2 * step - 1)
             before = value
-        place = end
+    if not runs[-1][0]:
+        numbers.append(0)
     return struct.pack("<II", *pixels.shape[::-1]) + packed(numbers)
 
 
@@ -64,6 +62,9 @@ def packed(numbers: Iterable[int]) -> bytes:
         for start in range(0, len(groups), 8)
     ]
     return struct.pack(f"<{len(words)}I", *words)
+
+
+PACKERS = {"png": png, "rvl": rvl}
 
 
 @pytest.mark.parametrize(
@@ -89,13 +90,10 @@ def test_metres_come_back_to_the_transport_s_resolution(kind: str, read: Make) -
     a = 100.0 * 101.0  # as the transport has it: a quantization of 100, depths to 10 m
     b = 1.0 - a / 10.0
     whole = np.nan_to_num(np.round(a / depth_m + b)).astype(np.uint16)
-    data = config(a, b) + (png(whole) if kind == "png" else rvl(whole))
-    found = read(
-        PackedDepthImage, lambda m: m.compressed(UTC, data, f"32FC1; compressedDepth {kind}")
-    )
+    data, said = config(a, b) + PACKERS[kind](whole), f"32FC1; compressedDepth {kind}"
+    found = read(PackedDepthImage, lambda m: m.compressed(UTC, data, said))
     assert np.array_equal(np.isnan(found), np.isnan(depth_m))
-    step_m = depth_m**2 / a
-    assert np.nanmax(np.abs(found - depth_m) / step_m) <= 0.51
+    assert np.nanmax(np.abs(found - depth_m) / (depth_m**2 / a)) <= 0.51
 
 
 @pytest.mark.parametrize(

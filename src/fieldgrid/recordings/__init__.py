@@ -18,43 +18,39 @@ from typing import TYPE_CHECKING
 from fieldgrid.core.doors import door
 
 if TYPE_CHECKING:
-    from fieldgrid.recordings.bag.content import (
-        OPTICAL_AXES as OPTICAL_AXES,
-        TAKEN as TAKEN,
-        axes_of as axes_of,
-        felt_upward as felt_upward,
-        rate_about as rate_about,
-        turns_across as turns_across,
-    )
-    from fieldgrid.recordings.bag.leaning import (
+    from fieldgrid.recordings.bag.listeners import Numbers as Numbers, lean_of as lean_of
+    from fieldgrid.recordings.bag.motion import (
         LEAST_STEP_NS as LEAST_STEP_NS,
         ODOMETRY_FRAME_SIGMA_DEG as ODOMETRY_FRAME_SIGMA_DEG,
-        Leans as Leans,
+        OPTICAL_AXES as OPTICAL_AXES,
+        TAKEN as TAKEN,
         Untold as Untold,
+        axes_of as axes_of,
+        felt_upward as felt_upward,
         orientation_of as orientation_of,
+        rate_about as rate_about,
         stated_orientation as stated_orientation,
+        turns_across as turns_across,
     )
-    from fieldgrid.recordings.bag.listeners import Numbers as Numbers
     from fieldgrid.recordings.bag.order import MAX_APART_NS as MAX_APART_NS, is_utc as is_utc
-    from fieldgrid.recordings.bag.sensors.frames import (
-        CloudMaker as CloudMaker,
-        PairMaker as PairMaker,
-        Taken as Taken,
-    )
-    from fieldgrid.recordings.bag.sensors.mounts import (
-        imu_rotation as imu_rotation,
-        is_optical as is_optical,
-        optical as optical,
-    )
-    from fieldgrid.recordings.bag.topics import (
+    from fieldgrid.recordings.bag.sensors.clouds import MessageCloud as MessageCloud
+    from fieldgrid.recordings.bag.sensors.images import image_source as image_source
+    from fieldgrid.recordings.bag.topic_names import (
         IMU as IMU,
         ODOMETRY as ODOMETRY,
         TF as TF,
         TF_STATIC as TF_STATIC,
+    )
+    from fieldgrid.recordings.bag.topics import (
         TYPES_OF_ROLES as TYPES_OF_ROLES,
         short as short,
     )
-    from fieldgrid.recordings.bag.transforms import Transforms as Transforms
+    from fieldgrid.recordings.bag.transforms import (
+        Transforms as Transforms,
+        imu_rotation as imu_rotation,
+        is_optical as is_optical,
+        optical as optical,
+    )
     from fieldgrid.recordings.calibration.mounting import (
         Mounting as Mounting,
         read_mounting as read_mounting,

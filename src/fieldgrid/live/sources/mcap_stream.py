@@ -31,19 +31,20 @@ from fieldgrid.recordings import (
     TF_STATIC,
     TYPES_OF_ROLES,
     UNNAMED,
+    CloudFrame,
     CloudKind,
-    CloudMaker,
     Connection,
     FrameKind,
     Message,
+    MessageCloud,
     Numbers,
     PairKind,
-    PairMaker,
-    Taken,
+    StereoFrame,
     Transforms,
     as_utc,
     connection_of,
     decode,
+    image_source,
     is_optical,
     is_utc,
     named,
@@ -64,6 +65,7 @@ _BY_TYPE = {
     "sensor_msgs/msg/Imu": "imu",
     ODOMETRY: "odometry",
 }
+_Waiting = deque[tuple[Message, int]]
 _POSES = (ODOMETRY, "geometry_msgs/msg/PoseStamped")
 ROLES = ("left", "right", "cloud", ATTITUDE, *_BY_TYPE.values())
 FIXES = ("fix", "nmea")
@@ -130,9 +132,9 @@ class McapStream:
         self._roles: dict[str, str] = {}
         self._told: set[str] = set()
         self._nmea = ReceiverStream()
-        self._waiting: tuple[deque[Taken], deque[Taken]] = deque(), deque()
+        self._waiting: tuple[_Waiting, _Waiting] = deque(), deque()
         self._frames = 0
-        self._makers: dict[str, tuple[str, CloudMaker]] = {}
+        self._turns: dict[str, tuple[str, tuple[float, ...]]] = {}
         self._fixes_of = ""
 
     @property
@@ -261,7 +263,7 @@ class McapStream:
             )
         try:
             if role in ("left", "right"):
-                self._image(self._kind, role, Taken(message, time_ns), intake)
+                self._image(role, message, time_ns, intake)
             else:
                 takers[role](message, time_ns, intake)
         except (ConfigError, RecordingError) as problem:
@@ -276,8 +278,8 @@ class McapStream:
             return
         self._imu.check_transforms()
         self._push_motion([], intake)
-        for topic, (frame, maker) in self._makers.items():
-            if self._maker(frame) != maker:
+        for topic, (frame, turn) in self._turns.items():
+            if self._turn_of(frame) != turn:
                 self._say(
                     intake,
                     f"has a static transform of {frame} that came after the first cloud of "
@@ -287,47 +289,50 @@ class McapStream:
 
     def _cloud(self, message: Message, time_ns: int, intake: Intake) -> None:
         """Give a cloud, whose frame tells by its name or place when its axes are a camera's."""
-        if message.topic not in self._makers:
-            frame = str(decode(message).header.frame_id)
-            self._makers[message.topic] = frame, self._maker(frame)
-        _, maker = self._makers[message.topic]
-        intake.push_frame(maker.frame(self._frames, time_ns, (Taken(message, time_ns),)))
-        self._frames += 1
-
-    def _maker(self, frame: str) -> CloudMaker:
-        """What makes frames of clouds in a frame, by what is known of it now."""
-        kind = self._kind
-        if not isinstance(kind, CloudKind):
+        if not isinstance(self._kind, CloudKind):
             raise ConfigError("the rig is of a stereo camera; give that of the lidar with --rig.")
-        is_said = kind.axes != CloudKind().axes and not is_optical(frame)
-        R = optical(frame, self._transforms, kind.axes if is_said else None)
-        return CloudMaker(tuple(R.ravel().tolist()), kind.corrected)
+        if message.topic not in self._turns:
+            frame = str(decode(message).header.frame_id)
+            self._turns[message.topic] = frame, self._turn_of(frame)
+        _, turn = self._turns[message.topic]
+        cloud = MessageCloud(message, time_ns, turn, self._kind.corrected)
+        intake.push_frame(CloudFrame(self._frame_id(), time_ns, cloud))
 
-    def _image(self, kind: PairKind | CloudKind, role: str, taken: Taken, intake: Intake) -> None:
+    def _turn_of(self, frame: str) -> tuple[float, ...]:
+        """What turns points of a frame into right, down, forward, by what is known of it now."""
+        axes = self._kind.axes if isinstance(self._kind, CloudKind) else AXES
+        is_said = axes != CloudKind().axes and not is_optical(frame)
+        R = optical(frame, self._transforms, axes if is_said else None)
+        return tuple(R.ravel().tolist())
+
+    def _frame_id(self) -> str:
+        self._frames += 1
+        return f"{self._frames - 1:06d}"
+
+    def _image(self, role: str, message: Message, time_ns: int, intake: Intake) -> None:
         """Hold an image until its partner comes, and give the pair."""
-        if isinstance(kind, CloudKind):
+        kind = self._kind
+        if not isinstance(kind, PairKind):
             raise ConfigError("the rig is of a lidar; give that of the camera with --rig.")
         left, right = self._waiting
-        (left if role == "left" else right).append(taken)
+        (left if role == "left" else right).append((message, time_ns))
         while left and right:
-            apart_ns = left[0].time_ns - right[0].time_ns
+            apart_ns = left[0][1] - right[0][1]
             if apart_ns > MAX_APART_NS:
                 right.popleft()
             elif apart_ns < -MAX_APART_NS:
                 left.popleft()
             else:
-                pair = left.popleft(), right.popleft()
-                packed = tuple(one.message.connection.type == _IMAGES[1] for one in pair)
-                bits = kind.image_format.bits or 16
-                maker = PairMaker(kind.size_px, kind.rectifier, packed, bits)
-                intake.push_frame(maker.frame(self._frames, pair[0].time_ns, pair))
-                self._frames += 1
+                pair_ns, bits = left[0][1], kind.image_format.bits or 16
+                first, second = (image_source(*side.popleft(), bits) for side in self._waiting)
+                pair = first, second, kind.size_px, kind.rectifier
+                intake.push_frame(StereoFrame(self._frame_id(), pair_ns, *pair))
         for waiting in self._waiting:
             while len(waiting) > MOST_WAITING:
                 waiting.popleft()
 
     def _fix(self, message: Message, time_ns: int, intake: Intake) -> None:
-        one = Numbers(message.connection.type)
+        one = Numbers(message.topic, message.connection.type)
         one.take(message, 0)
         self._push(list(one.fixes(np.array([time_ns]))), "fix", intake)
 

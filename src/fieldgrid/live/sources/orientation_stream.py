@@ -20,11 +20,11 @@ from fieldgrid.recordings import (
     R_VEHICLE_FLU,
     TAKEN,
     TILT,
-    Leans,
     Tilts,
     Transforms,
     Untold,
     axes_of,
+    lean_of,
     orientation_of,
     stated_orientation,
 )
@@ -46,6 +46,10 @@ RECORDED: dict[str, tuple[str, type[RecordedTilt | Orientation]]] = {
     ORIENTATION: ("orientation", Orientation),
 }
 """Topics of converted drives: the part of the motion that they hold, and its rows."""
+
+
+_Leans = list[tuple[int, tuple[float, ...]]]
+"""Times, and what `lean_of` says of messages that tell something."""
 
 
 class _AttitudeSource(NamedTuple):
@@ -71,7 +75,7 @@ class OrientationStream:
         self._imu_axes = imu_axes
         # The roles whose messages are those of an Imu, and of the IMU that the stream is read for.
         self._imus, self._is_of_imu = {"imu"}, {"imu"}
-        self._held: dict[str, Leans] = {}
+        self._held: dict[str, _Leans] = {}
         self._bodies: dict[str, str] = {}
         self._chosen: _AttitudeSource | None = None
         self._since_ns: int | None = None
@@ -114,12 +118,12 @@ class OrientationStream:
         if self._chosen is not None:
             return self._next(message, time_ns) if role == self._chosen.role else []
         self._bodies[role] = self._bodies.get(role) or body
-        held = self._held.setdefault(role, Leans())
-        if len(held.places) < MOST_HELD:
-            held.add(message, time_ns)
+        held = self._held.setdefault(role, [])
+        if len(held) < MOST_HELD and np.isfinite((lean := lean_of(message))[0]):
+            held.append((time_ns, lean))
         self._since_ns = time_ns if self._since_ns is None else self._since_ns
         waited_ns = time_ns - self._since_ns
-        count = sum(len(leans.places) for leans in self._held.values())
+        count = sum(map(len, self._held.values()))
         # Twice as many each time: what does not lean is not looked at with each message.
         if waited_ns < SETTLED_NS or count < self._next_try:
             return []
@@ -141,7 +145,7 @@ class OrientationStream:
             return []
         for role in self._roles:
             held = self._held.get(role)
-            if held is None or not held.places:
+            if not held:
                 continue
             found = self._found(role, held)
             if isinstance(found, Orientation):
@@ -160,7 +164,7 @@ class OrientationStream:
                 break
         return []
 
-    def _found(self, role: str, held: Leans) -> Orientation | Untold:
+    def _found(self, role: str, held: _Leans) -> Orientation | Untold:
         axes = self._imu_axes if role in self._imus else AXES
         try:
             R_flu_body, how = axes_of(self._transforms, axes, self._bodies[role])
@@ -168,7 +172,8 @@ class OrientationStream:
             return Untold(str(problem).removesuffix("."), by_axes=True)
         if role in self._is_of_imu and how == TAKEN and not self._imu.is_whole:
             return Untold("it does not feel gravity along its z axis", by_axes=True)
-        values, times_ns = held.values(), np.array(held.places, dtype=np.int64)
+        times_ns = np.array([at_ns for at_ns, _ in held], dtype=np.int64)
+        values = np.array([lean for _, lean in held])
         found = orientation_of(
             *(times_ns, values, R_flu_body, self._frame_sigma_deg(role)), axes_known=how != TAKEN
         )
@@ -183,11 +188,10 @@ class OrientationStream:
         assert self._chosen is not None
         if time_ns < self._last_ns + LEAST_STEP_NS:
             return []
-        leans = Leans()
-        leans.add(message, time_ns)
-        if not leans.places:
+        values = np.array([lean_of(message)])
+        if np.isnan(values[0, 0]):
             return []
-        self._last_ns, values = time_ns, leans.values()
+        self._last_ns = time_ns
         found = stated_orientation(
             np.array([time_ns], dtype=np.int64),
             values[:, :3] @ self._chosen.R_vehicle_body.T,

@@ -1,118 +1,205 @@
-"""What is small in a bag, once it was opened: which topics are used, fixes, motion, transforms."""
+"""What is small in a bag: all that was heard in the run that counts its messages, which of its
+topics are used, and the fixes.
+
+Which topics are used is known only when the run has ended. Of the topics of one role those are
+heard that may still be the one, by what their names are worth.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, TypeVar
 
 import numpy as np
 
-from fieldgrid.core import Float64, GnssError, Int64, RecordingError
-from fieldgrid.geometry import FixColumns, Gyro, Motion, Orientation, RecordedTilt, WheelSpeed
-from fieldgrid.recordings.bag.leaning import ODOMETRY_FRAME_SIGMA_DEG, Untold, orientation_of
-from fieldgrid.recordings.bag.listeners import Numbers, Sentences, Texts
-from fieldgrid.recordings.bag.readings import Readings
-from fieldgrid.recordings.bag.sensors.mounts import imu_rotation, is_optical
+from fieldgrid.core import Float64, GnssError, Int64, RecordingError, quoted
+from fieldgrid.geometry import Datum, FixColumns, Orientation, RecordedTilt, WheelSpeed
+from fieldgrid.recordings.bag.listeners import Numbers, Sentences, Texts, TopicListener
+from fieldgrid.recordings.bag.order import clock
+from fieldgrid.recordings.bag.topic_names import FIX, NMEA
 from fieldgrid.recordings.bag.topics import (
-    FIX,
     FIXES,
-    IMU,
-    NMEA,
+    KINDS,
     Choice,
+    TopicKind,
     choose,
     listing,
     short,
     static_transforms,
 )
-from fieldgrid.recordings.bag.transforms import Transforms
-from fieldgrid.recordings.bag.trees import forward_speeds
+from fieldgrid.recordings.bag.transforms import MovingTrees, Transforms, Trees
 from fieldgrid.recordings.drive import Drive
 from fieldgrid.recordings.options import DriveOptions
 from fieldgrid.recordings.readers.settings_file import SETTINGS, RecordingSettings, read_settings
-from fieldgrid.recordings.ros.bag import Bag
-from fieldgrid.recordings.ros.gnss_messages import DETAILS, ORIENTATION, TILT, Details
+from fieldgrid.recordings.ros.bag import Take, open_bag
+from fieldgrid.recordings.ros.gnss_messages import DATUM, DETAILS, Details, Tilts, datum_of
 from fieldgrid.recordings.tables.fix_log import FixLog
 from fieldgrid.recordings.tables.logs import chosen_log
-from fieldgrid.recordings.tables.motion_files import (
-    AXES,
-    R_VEHICLE_FLU,
-    MotionSeries,
-    directions,
-    gravity_unit_mps2,
-    in_order,
-    inertial_of,
-    skipped,
-)
 from fieldgrid.recordings.tables.stream_log import nmea_notes
 
-OPTICAL_AXES = "rdf"
-TAKEN = f"axes taken as {AXES}"
-_GRAVITY_SHARE = 0.95
-"""Of what an accelerometer feels, an axis that is upright feels this much."""
-
-_UPRIGHT = 0.5
-"""Of an axis along the vertical, more than this is along it."""
+_Heard = TypeVar("_Heard", bound=TopicListener)
 _FIX_ROLES = {NMEA: "nmea", FIX: "fix"}
 
 
-class BagFixes(NamedTuple):
-    """The fixes of a drive with remarks and the motion of a log; the log, or the topic with the
-    hash of its messages, that they are from."""
+class Readings:
+    """A bag that was opened, and what was heard meanwhile; the `bag` is to be closed."""
 
-    log: FixLog
-    path: Path | None = None
-    topic: str = ""
-    sha256: str = ""
+    def __init__(self, path: Path, options: DriveOptions) -> None:
+        self._given, self._gnss = options.topics, options.gnss
+        self._heard: dict[str, TopicListener] = {}
+        self._best: dict[str, str] = {}
+        self._notes: dict[str, str] = {}
+        self.bag = open_bag(path, self._listen, options.epoch_ns)
 
-    @property
-    def source(self) -> str:
-        """The name of what they are from."""
-        return self.topic if self.path is None else self.path.name
+    def _listen(self, name: str, type_: str) -> Take | None:
+        """What takes the messages of a topic; see :data:`fieldgrid.recordings.ros.bag.Listen`."""
+        for kind in KINDS:
+            if kind.listener and kind.fits(name, type_) and self._may_be(kind, name, type_):
+                heard = self._heard[name] = kind.listener(name, type_)
+                is_told = "odometry" in {*self._best, *self._given}
+                for moving in self._all(MovingTrees):
+                    moving.is_whole = moving.is_whole and not is_told
+                return heard.take
+        return None
+
+    def _may_be(self, kind: TopicKind, name: str, type_: str) -> bool:
+        """Whether a topic may be the one of its role, since no better one is known."""
+        if kind.role in FIXES and self._gnss is not None:
+            return name == str(self._gnss)
+        if kind.role in self._given:
+            return name == self._given[kind.role]
+        if kind.rank is None:
+            return not kind.role
+        best = self._best.get(kind.role)
+        if best is not None and kind.rank(name, type_) >= kind.rank(best, type_):
+            return False
+        if best is not None and best != self._given.get("attitude"):
+            self._heard.pop(best).is_dropped = True
+        self._best[kind.role] = name
+        return True
+
+    def of(self, topic: str | None, kind: type[_Heard]) -> _Heard | None:
+        """What was heard of a topic, if it is of a kind."""
+        heard = self._heard.get(topic or "")
+        return heard if isinstance(heard, kind) else None
+
+    def _all(self, kind: type[_Heard]) -> Iterator[_Heard]:
+        return (heard for _, heard in sorted(self._heard.items()) if isinstance(heard, kind))
+
+    def first(self, topic: str | None) -> Any:
+        """The first message of a topic; None where there is none."""
+        heard = self._heard.get(topic or "")
+        return None if heard is None else heard.first
+
+    def tilt(self, topic: str) -> RecordedTilt | Orientation | None:
+        """What a converted drive keeps of roll and pitch on a topic."""
+        heard = self.of(topic, Texts)
+        return heard.said.found() if heard is not None and isinstance(heard.said, Tilts) else None
+
+    def stereo_infos(self) -> dict[str, str]:
+        """The calibration of a left camera with that of its right one: of one size and one
+        projection, but for T, which only the right one has. Empty where that leaves a choice."""
+        alike: dict[Any, list[tuple[float, str]]] = {}
+        for name, heard in self._heard.items():
+            projection = np.asarray(getattr(heard.first, "p", ()), dtype=np.float64)
+            if projection.shape == (12,) and projection[0] > 0.0 and projection[3] <= 0.0:
+                size = int(heard.first.width), int(heard.first.height)
+                camera = (*size, np.delete(projection, 3).tobytes())
+                alike.setdefault(camera, []).append((float(projection[3]), name))  # f·T
+        pairs = [sorted(infos) for infos in alike.values() if min(infos)[0] < 0.0 == max(infos)[0]]
+        if any(len(infos) > 2 for infos in pairs):
+            return {}
+        return {left: right for (_, right), (_, left) in pairs}
+
+    def datum(self) -> Datum | None:
+        """The datum that the bag declares."""
+        message = self.first(DATUM)
+        return None if message is None else datum_of(message)
+
+    def transforms(self, static: Collection[str]) -> Transforms:
+        """The tree of the static transforms of these topics, and below them of what is published
+        on others and never moves."""
+        trees = [moving.transforms.unmoved() for moving in self._all(MovingTrees)]
+        trees += [found.transforms for name in static if (found := self.of(name, Trees))]
+        tree = Transforms()
+        for one in trees:
+            tree.update(one)
+        return tree
+
+    def moving(self) -> tuple[str, str, WheelSpeed] | None:
+        """The topic of transforms that tells the way of the vehicle, whose way, and its speed."""
+        for heard in self._all(MovingTrees):
+            try:
+                told = heard.speed(self.bag, is_mapped=self.datum() is not None)
+            except RecordingError as problem:
+                self.leave_out(heard.name, str(problem))
+                continue
+            if told is not None:
+                return heard.name, *told
+        return None
+
+    def series(self, topic: str | None) -> tuple[Int64, Float64]:
+        """Times [n], 0 where there is none, and numbers [n, k] that were heard of a topic, in the
+        order of the record."""
+        heard = self.of(topic, Numbers)
+        if heard is None:
+            return np.zeros(0, dtype=np.int64), np.zeros((0, 10))
+        return self.times_ns(heard.name)[heard.places], heard.rows()
+
+    def times_ns(self, topic: str) -> Int64:
+        """The times of all messages of a topic, 0 for none."""
+        times = clock(topic, *self.bag.stamps(topic))
+        if times.received:
+            self._notes[topic] = "the header stamps are no UTC; the recorder's times are taken"
+        return times.time_ns
+
+    def leave_out(self, topic: str, why: str) -> None:
+        """Note why a topic is not used."""
+        self._notes[topic] = f"not used: {why.removesuffix('.')}"
+
+    def notes(self, topics: Iterable[str]) -> list[str]:
+        """Remarks on topics, a sentence each."""
+        found = [f"{topic}: {note}." for topic, note in self._notes.items()]
+        for topic in dict.fromkeys(topics):
+            found += self._heard[topic].notes() if topic in self._heard else ()
+        return found
 
 
 @dataclass(frozen=True, slots=True)
 class BagIndex:
-    """A bag after the one run over it, before anything is made of its frames."""
+    """A bag after the one run over it, before anything is made of its frames. The fixes of `log`
+    are those of `gnss`: a file, or a topic; empty where there are none. Without odometry, `moving`
+    is the speed by transforms, with their topic and whose it is."""
 
-    bag: Bag
     path: Path
     settings: RecordingSettings
     settings_path: Path
     choice: Choice
     readings: Readings
     transforms: Transforms
-    fixes: BagFixes
+    log: FixLog
+    gnss: Path | str
+    moving: tuple[str, str, WheelSpeed] | None
 
     @property
     def roles(self) -> Mapping[str, str]:
         """The topics that are used, by their roles."""
         return self.choice.roles
 
-    @property
-    def folder(self) -> Path:
-        """Where files that belong to the bag lie."""
-        return self.path if self.path.is_dir() else self.path.parent
-
     def frame_id(self, role: str) -> str:
         """The frame of the messages of a role, empty where there are none."""
-        return self.readings.frame_id(self.roles.get(role))
-
-    def notes(self) -> tuple[str, ...]:
-        """Remarks on what was read so far."""
-        files = self.bag.files
-        read = f"{len(files)} files are read as one drive: {files[0]} to {files[-1]}."
-        several = (read,) if len(files) > 1 else ()
-        of_topics = self.readings.notes(self.roles.values())
-        return (*several, *self.choice.notes, *self.fixes.log.notes, *of_topics)
+        heard = self.readings.of(self.roles.get(role), TopicListener)
+        return "" if heard is None else heard.frame_id
 
 
-def read_content(bag: Bag, path: Path, options: DriveOptions, readings: Readings) -> BagIndex:
+def read_content(path: Path, options: DriveOptions, readings: Readings) -> BagIndex:
     """What is small in a bag, and which of its topics are used. Raises RecordingError where that
     is left open, but not for what concerns the frames alone."""
-    settings_path = _settings_path(path)
+    settings_path = path / SETTINGS if path.is_dir() else path.with_suffix(".toml")
+    if not settings_path.exists():  # beside a file, one that has its name goes first
+        settings_path = folder_of(path) / SETTINGS
     settings = read_settings(settings_path)
     for key in ("frames", "bayer", "start", "scale"):
         if getattr(settings, key) is not None:
@@ -120,255 +207,111 @@ def read_content(bag: Bag, path: Path, options: DriveOptions, readings: Readings
                 f"{settings_path}: {key} is for folders of files, and the messages of a bag say it "
                 "themselves; leave it out."
             )
-    log_path, gnss_topic = _choose_gnss(bag, options.gnss)
-    given = {**options.topics, **gnss_topic}
-    unwanted = FIXES - given.keys() if options.gnss is not None else frozenset[str]()
+    topics, given = readings.bag.topics, dict(options.topics)
+    gnss = None if options.gnss is None else _find_gnss(path, str(options.gnss), readings)
+    if isinstance(gnss, str):
+        given[_FIX_ROLES[topics[gnss].type]] = gnss
+    unwanted = () if gnss is None else FIXES - given.keys()
     partners = readings.stereo_infos()
-    choice = choose(bag.topics, given, path, unwanted, settings.sensor, partners)
-    if log_path is None:
-        options.refuse("The fixes of a bag are no table", "columns")
-        fixes = _fixes_of_topics(bag, readings, choice.roles)
+    choice = choose(topics, given, path, unwanted, settings.sensor, partners)
+    if isinstance(gnss, Path):
+        log = chosen_log(gnss, settings, options)
     else:
-        log = chosen_log(log_path, settings, options)
-        fixes = BagFixes(log, log_path)
-    fixes = fixes._replace(log=options.in_time(fixes.log, settings.gnss_offset_ns))
-    used = {r: topic for r, topic in choice.roles.items() if r not in FIXES or topic == fixes.topic}
+        options.refuse("The fixes of a bag are no table", "columns")
+        log, gnss = _fixes_of_topics(path, readings, choice.roles)
+    used = {r: topic for r, topic in choice.roles.items() if r not in FIXES or topic == gnss}
     for role in {"imu", "acceleration", "odometry", "attitude"} & used.keys():
         try:
-            readings.times_ns(bag, used[role])
+            readings.times_ns(used[role])
         except RecordingError as problem:
             readings.leave_out(used.pop(role), str(problem))
-    if "odometry" not in used and (moving := readings.moving(bag)) is not None:
+    moving = None if "odometry" in used else readings.moving()
+    if moving is not None:
         used["odometry"] = moving[0]
     return BagIndex(
-        bag,
         path,
         settings,
         settings_path,
         choice._replace(roles=used),
         readings,
-        readings.transforms(static_transforms(bag.topics, choice.roles)),
-        fixes,
+        readings.transforms(static_transforms(topics, choice.roles)),
+        options.in_time(log, settings.gnss_offset_ns),
+        gnss,
+        moving,
     )
 
 
-def _settings_path(path: Path) -> Path:
-    """The settings in the folder of a bag; beside a file first those that have its name."""
-    if path.is_dir():
-        return path / SETTINGS
-    own = path.with_suffix(".toml")
-    return own if own.exists() else path.with_name(SETTINGS)
+def folder_of(path: Path) -> Path:
+    """Where files that belong to a bag lie."""
+    return path if path.is_dir() else path.parent
 
 
-def _choose_gnss(bag: Bag, gnss: str | Path | None) -> tuple[Path | None, dict[str, str]]:
-    """What `--gnss` means for a bag: a log beside it or anywhere, or one of its topics by the role
-    that it gets; neither when nothing is asked for."""
-    if gnss is None:
-        return None, {}
-    name = str(gnss)
-    topic = bag.topics.get(name)
-    if topic is not None:
-        if topic.type not in _FIX_ROLES:
+def _find_gnss(path: Path, name: str, readings: Readings) -> Path | str:
+    """What `--gnss` means for a bag: one of its topics, or a log beside it or anywhere."""
+    topics, folder = readings.bag.topics, folder_of(path)
+    if name in topics:
+        if topics[name].type not in _FIX_ROLES:
             raise RecordingError(
-                f"{bag.path}: {name} is of the type {short(topic.type)} and holds no fixes; give a "
-                f"topic of {short(FIX)} or {short(NMEA)}."
+                f"{path}: {name} is of the type {short(topics[name].type)} and holds no fixes; "
+                f"give a topic of {short(FIX)} or {short(NMEA)}."
             )
-        return None, {_FIX_ROLES[topic.type]: name}
-    folder = bag.path if bag.path.is_dir() else bag.path.parent
-    for path in (folder / "gnss" / name, folder / name, Path(name)):
-        if path.is_file():
-            return path, {}
+        return name
+    for log in (folder / "gnss" / name, folder / name, Path(name)):
+        if log.is_file():
+            return log
     raise RecordingError(
-        f"{name!r} is neither a topic of {bag.path} nor a log in {folder} or of its own; it has "
-        f"{listing(bag.topics.values())}."
+        f"{quoted(name)} is neither a topic of {path} nor a log in {folder} or of its own; it has "
+        f"{listing(topics.values())}."
     )
 
 
-def _fixes_of_topics(bag: Bag, readings: Readings, roles: Mapping[str, str]) -> BagFixes:
-    """The fixes of NMEA sentences, else of NavSatFix."""
+def _fixes_of_topics(
+    path: Path, readings: Readings, roles: Mapping[str, str]
+) -> tuple[FixLog, str]:
+    """The fixes of NMEA sentences, else of NavSatFix, and their topic, empty for none."""
     topic = roles.get("nmea", "")
     sentences = readings.of(topic, Sentences)
-    notes: list[str] = []
+    notes: tuple[str, ...] = ()
     if sentences is not None:
-        nmea = sentences.finish()
-        if sentences.fixes:
-            log = FixLog(
-                FixColumns.of_rows(sentences.fixes),
-                tuple(f"{topic}: {n}." for n in nmea_notes(nmea)),
-            )
-            return BagFixes(log, None, topic, sentences.sha256())
-        if nmea.undated and "fix" not in roles:
+        fixes = sentences.fixes + sentences.stream.finish()
+        counts = sentences.stream.counts
+        if fixes:
+            told = tuple(f"{topic}: {note}." for note in nmea_notes(counts))
+            return FixLog(FixColumns.of_rows(fixes), told), topic
+        if counts.undated and "fix" not in roles:
             raise GnssError(
-                f"{bag.path}: {topic} has {nmea.undated} positions but no valid RMC or ZDA "
+                f"{path}: {topic} has {counts.undated} positions but no valid RMC or ZDA "
                 "sentence, which alone give their date; let the receiver write RMC besides GGA."
             )
-        notes.append(f"{topic}: no sentence gives a dated position.")
+        notes = (f"{topic}: no sentence gives a dated position.",)
     topic = roles.get("fix", "")
     found = readings.of(topic, Numbers)
     if found is None:
-        notes.append("No topic with fixes; give a log with --gnss FILE.")
-        return BagFixes(FixLog(FixColumns.of([]), tuple(notes)))
-    fixes = found.fixes(readings.times_ns(bag, topic))
+        without = "No topic with fixes; give a log with --gnss FILE."
+        return FixLog(FixColumns.of([]), (*notes, without)), ""
+    columns = found.fixes(readings.times_ns(topic))
     beside = readings.of(f"{topic}{DETAILS}", Texts)
     if beside is not None and isinstance(beside.said, Details):
-        fixes = beside.said.added_to(fixes)
-    return BagFixes(FixLog(fixes, tuple(notes)), None, topic, found.sha256())
-
-
-def find_motion(content: BagIndex, imu_axes: str = AXES) -> tuple[Motion, tuple[str, ...]]:
-    """Gyro and wheels, and remarks. The axes of the IMU are `imu_axes` if these are others than
-    the usual, else those of the static transforms, else of the name of its frame."""
-    bag, readings = content.bag, content.readings
-    notes: list[str] = []
-    gyro = wheels = inertial = None
-    topic = content.roles.get("imu", "")
-    turns = readings.of(topic, Numbers)
-    if turns is not None and turns.places:
-        R_flu_imu, told = axes_of(content.transforms, imu_axes, content.frame_id("imu"))
-        times_ns, sensed = readings.series(bag, topic, turns.places, turns.rows())
-        accelerometer = content.roles.get("acceleration", "")
-        forces = readings.of(accelerometer, Numbers)
-        if forces is not None and forces.places:
-            felt_at = readings.series(bag, accelerometer, forces.places, forces.rows()[:, 3:])
-            sensed[:, 3:] = between(times_ns, in_order(*felt_at, 3)[0])
-        upward, is_whole = R_flu_imu[2], True
-        if told == TAKEN and (felt := felt_upward(sensed[:, 3:])) is not None:
-            upward, is_whole = felt, False
-            told = f"axes taken so that gravity is felt upward, along {upward.astype(int).tolist()}"
-        rates = -rate_about(sensed[:, :3], upward)
-        series, lost = in_order(times_ns, rates)
-        gyro = Gyro(*series) if len(series.time_ns) else None
-        notes += [*skipped(topic, lost, "message"), f"{topic}: {told}."]
-        # With one axis, an IMU says 0 or NaN of the others.
-        if gyro is not None and is_whole and turns_across(sensed, upward):
-            R_vehicle_imu = R_VEHICLE_FLU @ R_flu_imu
-            with np.errstate(over="ignore", invalid="ignore"):
-                turned = [sensed[:, part] @ R_vehicle_imu.T for part in (slice(3), slice(3, 6))]
-            inertial = inertial_of(in_order(times_ns, np.hstack(turned), 3)[0], notes)
-    topic = content.roles.get("odometry", "")
-    speeds = readings.of(topic, Numbers)
-    if speeds is not None and speeds.places:
-        told_mps = readings.series(bag, topic, speeds.places, np.array(speeds.values))
-        series, lost = in_order(*told_mps)
-        wheels = WheelSpeed(*series) if len(series.time_ns) else None
-        notes += skipped(topic, lost, "message")
-    elif speeds is None and topic and (moving := readings.moving(bag)) is not None:
-        way = moving[1]
-        told_ns, told_speeds = forward_speeds(way)
-        wheels = WheelSpeed(told_ns, told_speeds) if len(told_ns) else None
-        notes.append(
-            f"{topic}: no topic has odometry, so the speed is that of {way.child} in {way.parent}."
-        )
-    motion = _leaning(content, imu_axes, Motion(gyro=gyro, wheels=wheels, inertial=inertial), notes)
-    return motion, tuple(notes)
-
-
-def _leaning(content: BagIndex, imu_axes: str, motion: Motion, notes: list[str]) -> Motion:
-    """The motion with roll and pitch that messages state: those of the topic that was given for
-    them, else, where no accelerometer tells them, those of the IMU or of the odometry. An
-    accelerometer is what an IMU has its orientation from: it does not count twice."""
-    readings, sensed = content.readings, motion.inertial
-    if isinstance(tilt := readings.tilt(TILT), RecordedTilt):
-        motion = motion._replace(tilt=tilt)
-    given = content.roles.get("attitude", "")
-    if not given and isinstance(kept := readings.tilt(ORIENTATION), Orientation):
-        return motion._replace(orientation=kept)
-    feels = sensed is not None and bool(np.isfinite(sensed.force_mps2).any())
-    if not given and (feels or motion.tilt is not None):
-        return motion
-    roles = ("attitude",) if given else ("imu", "odometry")
-    for topic in filter(None, map(content.roles.get, roles)):
-        heard = readings.attitude if given else readings.of(topic, Numbers)
-        if heard is None or not heard.leans.places:
-            continue
-        is_imu = content.bag.topics[topic].type == IMU
-        R_flu_body, how = axes_of(content.transforms, imu_axes if is_imu else AXES, heard.body)
-        frame_sigma_deg = 0.0 if is_imu else ODOMETRY_FRAME_SIGMA_DEG
-        told = readings.series(content.bag, topic, heard.leans.places, heard.leans.values())
-        found: Orientation | Untold
-        if how == TAKEN and is_imu and felt_upward(heard.rows()[:, 3:]) is not None:
-            found = Untold("it does not feel gravity along its z axis", by_axes=True)
-        else:
-            found = orientation_of(*told, R_flu_body, frame_sigma_deg, axes_known=how != TAKEN)
-        if isinstance(found, Orientation):
-            notes.append(f"{topic}: roll and pitch by its orientation.")
-            return motion._replace(orientation=found)
-        if given or found.by_axes:
-            by = (
-                "imu_axes in mounting.json or a static transform"
-                if is_imu
-                else "a static transform"
-            )
-            remedy = f"; say how it sits by {by}" if found.by_axes else ""
-            notes.append(f"{topic}: tells no roll and pitch: {found.why}{remedy}.")
-    return motion
-
-
-def axes_of(transforms: Transforms, axes: str, frame: str) -> tuple[Float64, str]:
-    """From the axes of a frame to forward, left, up [3, 3], and how that is known: `TAKEN` where
-    nothing tells it."""
-    if axes == AXES:
-        R_flu_imu = imu_rotation(frame, transforms)
-        if R_flu_imu is not None:
-            return R_flu_imu, "axes by the static transforms"
-        if is_optical(frame):
-            axes = OPTICAL_AXES
-    told = TAKEN if axes == AXES else f"axes taken as {axes}"
-    return np.array(directions(axes), dtype=np.float64).T, told
-
-
-def felt_upward(forces_mps2: Float64) -> Float64 | None:
-    """The axis of an IMU along which gravity is felt, [3], where that is another than the third.
-    None where what is felt has not the size of gravity: then no axis is told by it."""
-    known = np.isfinite(forces_mps2).all(axis=1)
-    if not known.any():
-        return None
-    usual = np.median(forces_mps2[known], axis=0)
-    own = int(np.abs(usual).argmax())
-    upright = abs(usual[own]) >= _GRAVITY_SHARE * float(np.linalg.norm(usual))
-    if gravity_unit_mps2(usual) is None or not upright:
-        return None
-    upward = np.zeros(3)
-    upward[own] = np.sign(usual[own])
-    return None if upward[2] == 1.0 else upward
-
-
-def between(times_ns: Int64, series: MotionSeries) -> Float64:
-    """Values [n, k] of a series at other times, straight between its own; NaN outside of it."""
-    if not len(series.time_ns):
-        return np.full((len(times_ns), series.values.shape[1]), math.nan)
-    first_ns = times_ns[0]
-    at, known = (times_ns - first_ns) / 1e9, (series.time_ns - first_ns) / 1e9
-    columns = [np.interp(at, known, one, math.nan, math.nan) for one in series.values.T]
-    return np.column_stack(columns)
-
-
-def turns_across(sensed: Float64, upward: Float64) -> bool:
-    """Whether the rates [n, 3 or more] of an IMU say anything of its axes across the vertical."""
-    across = sensed[:, [k for k in range(3) if abs(upward[k]) < _UPRIGHT]]
-    return bool(np.nan_to_num(across).any())
-
-
-def rate_about(rates: Float64, row: Float64) -> Float64:
-    """The rate about an axis; an axis that is one of the IMU's own gives its very numbers."""
-    own = int(np.abs(row).argmax())
-    if np.count_nonzero(row) == 1 and abs(row[own]) == 1.0:
-        return np.asarray(rates[:, own] * row[own], dtype=np.float64)
-    with np.errstate(over="ignore", invalid="ignore"):  # such a rate is none, and left out
-        return np.asarray(rates @ row, dtype=np.float64)
+        columns = beside.said.added_to(columns)
+    return FixLog(columns, notes), topic
 
 
 def as_drive(content: BagIndex) -> Drive:
     """The drive without its frames and its own motion."""
-    path, settings, fixes = content.path, content.settings, content.fixes
+    path, settings, gnss = content.path, content.settings, content.gnss
+    readings, files = content.readings, content.readings.bag.files
+    read = f"{len(files)} files are read as one drive: {files[0]} to {files[-1]}."
+    several = (read,) if len(files) > 1 else ()
+    of_topics = readings.notes(content.roles.values())
+    source = readings.of(str(gnss), TopicListener)
     return Drive(
         path=path,
         name=settings.name or (path.resolve().name if path.is_dir() else path.stem),
-        log=fixes.log,
-        gnss_source=fixes.source,
-        gnss_path=fixes.path,
-        gnss_hash=fixes.sha256,
-        datum_hint=settings.datum or content.readings.datum(),
+        log=content.log,
+        gnss_source=gnss if isinstance(gnss, str) else gnss.name,
+        gnss_path=None if isinstance(gnss, str) else gnss,
+        gnss_hash="" if source is None else source.sha256(),
+        datum_hint=settings.datum or readings.datum(),
         pose_source=settings.poses,
-        notes=content.notes(),
+        notes=(*several, *content.choice.notes, *content.log.notes, *of_topics),
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -74,22 +73,14 @@ def ordered(time_ns: Int64) -> OrderedMessages:
     times_ns = time_ns[place]
     if np.all(np.diff(times_ns) > 0):
         return OrderedMessages(times_ns, place.astype(np.int64), 0, timeless)
-    kept: list[tuple[int, int]] = []
-    for first in _released(zip(times_ns.tolist(), place.tolist(), strict=True)):
-        if not kept or first[0] > kept[-1][0]:
-            kept.append(first)
-    columns = np.array(kept, dtype=np.int64).reshape(-1, 2)
-    return OrderedMessages(columns[:, 0], columns[:, 1], len(times_ns) - len(kept), timeless)
-
-
-def _released(items: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-    """Items in the order in which they leave a heap that holds a few."""
-    waiting: list[tuple[int, int]] = []
-    for item in items:
-        heapq.heappush(waiting, item)
-        if len(waiting) > WINDOW:
-            yield heapq.heappop(waiting)
-    yield from sorted(waiting)
+    items = list(zip(times_ns.tolist(), place.tolist(), strict=True))
+    waiting = items[:WINDOW]
+    heapq.heapify(waiting)
+    released = [heapq.heappushpop(waiting, item) for item in items[WINDOW:]]
+    columns = np.array(released + sorted(waiting), dtype=np.int64)
+    is_later = columns[1:, 0] > np.maximum.accumulate(columns[:-1, 0])
+    kept = columns[np.append(True, is_later)]
+    return OrderedMessages(kept[:, 0], kept[:, 1], len(items) - len(kept), timeless)
 
 
 def pair(left_ns: Int64, right_ns: Int64) -> tuple[Index, Index]:

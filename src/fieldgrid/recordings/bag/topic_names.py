@@ -1,4 +1,5 @@
-"""What the name of a topic says of it: which side of a pair, how good a source for a role.
+"""The types of topics, and what the name of one says of it: which side of a pair, how good a source
+for a role.
 
 The recorder of RealSense's tools names topics `/device_0/sensor_0/Infrared_1/image/data`, with
 `info/camera_info` and `tf/0` beside `image`, and options such as `option/Depth_Units/value` beside
@@ -10,6 +11,19 @@ right, y down and z forward in all streams, gyro and accelerometer too.
 from __future__ import annotations
 
 import re
+
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+INFO, DISPARITY = "sensor_msgs/msg/CameraInfo", "stereo_msgs/msg/DisparityImage"
+CLOUD, FIX, NMEA = (
+    "sensor_msgs/msg/PointCloud2",
+    "sensor_msgs/msg/NavSatFix",
+    "nmea_msgs/msg/Sentence",
+)
+IMU, ODOMETRY = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry"
+POSE, SURE_POSE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
+TF_STATIC, TF = "/tf_static", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+PLACE = "geometry_msgs/msg/Transform"
+TEXT, NUMBER = "std_msgs/msg/String", "std_msgs/msg/Float32"
 
 # How names tell the two sides apart: what stands in a left topic, and in its right partner.
 _SIDES = (
@@ -26,19 +40,22 @@ _STREAM = re.compile(r"((?:/device_\d+)/sensor_\d+)(/[A-Z][A-Za-z]*_\d+)/")
 _RECTIFIED = re.compile(r"(?<![a-z])rect")
 MADE = re.compile(r"filter|ground|obstacle|cluster|map|accumul|global|segment|debug")
 
+_DRIVEN = (
+    re.compile(r"gps|gnss|navsat|global|map"),
+    re.compile(r"ekf|visual|vio|vo\b"),
+    re.compile(r"wheel|controller|drive|encoder"),
+)
+
 
 def is_made(name: str) -> bool:
     """Whether a topic is made of others."""
     return MADE.search(name.lower()) is not None
 
 
-def driven_rank(name: str) -> int:
+def driven_rank(name: str) -> tuple[bool, bool, bool]:
     """Wheels before whatever else estimates a speed; estimates that contain the fixes last."""
-    if re.search(r"gps|gnss|navsat|global|map", name.lower()):
-        return 3
-    if is_made(name) or re.search(r"ekf|visual|vio|vo\b", name.lower()):
-        return 2
-    return 0 if re.search(r"wheel|controller|drive|encoder", name.lower()) else 1
+    of_fixes, made, wheels = (pattern.search(name.lower()) is not None for pattern in _DRIVEN)
+    return of_fixes, made or is_made(name), not wheels
 
 
 def imu_rank(name: str) -> tuple[bool, bool, bool, bool]:
@@ -47,6 +64,12 @@ def imu_rank(name: str) -> tuple[bool, bool, bool, bool]:
     inside = re.search(r"camera|zed|oak|realsense|d4\d\d|ouster|livox|velodyne", name.lower())
     is_raw = "raw" in name.lower()
     return "accel" in name.lower(), inside is not None, is_raw, not name.endswith("data")
+
+
+def pair_rank(left: str, type_: str) -> tuple[bool, bool, bool]:
+    """Rectified before raw, grey before colour, plain before compressed."""
+    is_coloured = re.search(r"colou?r|rgb", left.lower()) is not None
+    return not is_rectified(left), is_coloured, type_ == COMPRESSED
 
 
 def accelerometer(gyro: str) -> str:

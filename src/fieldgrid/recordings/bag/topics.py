@@ -1,14 +1,39 @@
-"""Which topic of a bag is what: by its type, then by its name, and first of all by what is said."""
+"""What each topic of a bag is to a recording: by its type, then by its name, and first of all by
+what is said."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from fieldgrid.core import NoFramesError, RecordingError
+from fieldgrid.core import RecordingError
+from fieldgrid.geometry import Orientation, RecordedTilt
+from fieldgrid.recordings.bag.listeners import (
+    Numbers,
+    Sentences,
+    Texts,
+    TopicListener,
+)
 from fieldgrid.recordings.bag.topic_names import (
+    CLOUD,
+    COMPRESSED,
+    DISPARITY,
+    FIX,
+    IMAGE,
+    IMU,
+    INFO,
+    NMEA,
+    NUMBER,
+    ODOMETRY,
+    PLACE,
+    POSE,
+    SURE_POSE,
+    TEXT,
+    TF,
+    TF_STATIC,
     accelerometer,
     base_name,
     driven_rank,
@@ -16,42 +41,48 @@ from fieldgrid.recordings.bag.topic_names import (
     is_made,
     is_rectified,
     namespace,
+    pair_rank,
     right_partners,
     side_of,
 )
-from fieldgrid.recordings.ros.gnss_messages import DATUM
+from fieldgrid.recordings.bag.transforms import MovingTrees, StreamPlace, Trees
+from fieldgrid.recordings.ros.gnss_messages import (
+    DATUM,
+    DETAILS,
+    ORIENTATION,
+    RIG,
+    TILT,
+    Details,
+    Tilts,
+)
 from fieldgrid.recordings.ros.model import Topic
 
 Sensing = Literal["stereo", "disparity", "depth", "cloud", ""]
 """What the frames are made of; "" for a bag that has none."""
 
-IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-INFO, DISPARITY = "sensor_msgs/msg/CameraInfo", "stereo_msgs/msg/DisparityImage"
-CLOUD, FIX, NMEA = (
-    "sensor_msgs/msg/PointCloud2",
-    "sensor_msgs/msg/NavSatFix",
-    "nmea_msgs/msg/Sentence",
-)
-IMU, ODOMETRY = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry"
-POSE, SURE_POSE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
 FIXES = frozenset({"fix", "nmea"})
 """The roles that give fixes, of which one is taken."""
-TF_STATIC, TF = "/tf_static", ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-PLACE = "geometry_msgs/msg/Transform"
-TEXT, NUMBER = "std_msgs/msg/String", "std_msgs/msg/Float32"
 
 _PICTURES = (IMAGE, COMPRESSED)
 _NO_PICTURE = re.compile(r"depth|disparity|confidence|mask|label|segment|debug|theora")
+Listener = Callable[[str, str], TopicListener]
 
 
-class TopicRole(NamedTuple):
-    """What a topic is to a recording: of which types it is, the role of its calibration, how its
-    name has to be, and of several the rank, by name and type; the lowest is the best."""
+class TopicKind(NamedTuple):
+    """Topics of some types whose names fit a pattern: what they are to a recording (empty for what
+    is told beside its sensors), the role of their calibration, which of several goes first (the
+    lowest rank, by name and type), and what hears their messages while a bag opens."""
 
     types: tuple[str, ...]
-    info: str = ""
+    role: str = ""
     named: re.Pattern[str] = re.compile("")
-    rank: Callable[[str, str], Any] = lambda _name, _type: 0
+    listener: Listener | None = None
+    rank: Callable[[str, str], Any] | None = None
+    info: str = ""
+
+    def fits(self, name: str, type_: str) -> bool:
+        """Whether a topic is of the kind."""
+        return type_ in self.types and self.named.search(base_name(name)) is not None
 
 
 def _depth_rank(name: str, type_: str) -> tuple[bool, bool, bool, bool]:
@@ -60,28 +91,48 @@ def _depth_rank(name: str, type_: str) -> tuple[bool, bool, bool, bool]:
     return "aligned" in name, not is_rectified(name), is_packed, not name.endswith("Depth")
 
 
-ROLES: dict[str, TopicRole] = {
-    "left": TopicRole(_PICTURES, "left_info"),
-    "right": TopicRole(_PICTURES, "right_info"),
-    "left_info": TopicRole((INFO,)),
-    "right_info": TopicRole((INFO,)),
-    "depth_info": TopicRole((INFO,)),
-    "disparity": TopicRole((DISPARITY,), "left_info"),
-    # The cameras of Luxonis call depths just `stereo`.
-    "depth": TopicRole(
-        _PICTURES,
-        "depth_info",
-        re.compile(r"^(?!.*confidence).*(depth|(?<![a-z])stereo/image_(raw|rect)$)"),
-        _depth_rank,
-    ),
-    "cloud": TopicRole((CLOUD,), rank=lambda name, _: is_made(name)),
-    "fix": TopicRole((FIX,), rank=lambda name, _: is_made(name)),
-    "nmea": TopicRole((NMEA,)),
-    "imu": TopicRole((IMU,), rank=lambda name, _: imu_rank(name)),
-    "odometry": TopicRole((ODOMETRY,), rank=lambda name, _: driven_rank(name)),
-    "attitude": TopicRole((IMU, ODOMETRY, POSE, SURE_POSE)),
-}
-TYPES_OF_ROLES = {name: role.types for name, role in ROLES.items()}
+def _made_rank(name: str, _: str) -> bool:
+    return is_made(name)
+
+
+# The cameras of Luxonis call depths just `stereo`.
+_DEPTHS = re.compile(r"(?i)^(?!.*confidence).*(depth|(?<![a-z])stereo/image_(raw|rect)$)")
+_TILTS, _ORIENTATIONS = partial(Tilts, RecordedTilt), partial(Tilts, Orientation)
+
+KINDS = (
+    TopicKind(_PICTURES, "left", info="left_info"),
+    TopicKind(_PICTURES, "right", info="right_info"),
+    TopicKind((DISPARITY,), "disparity", info="left_info"),
+    TopicKind(_PICTURES, "depth", _DEPTHS, rank=_depth_rank, info="depth_info"),
+    TopicKind((CLOUD,), "cloud", rank=_made_rank),
+    TopicKind((INFO,), listener=TopicListener),
+    TopicKind((INFO,), "left_info"),
+    TopicKind((INFO,), "right_info"),
+    TopicKind((INFO,), "depth_info"),
+    TopicKind((NUMBER,), named=re.compile("/option/Depth_Units/value$"), listener=TopicListener),
+    TopicKind((TEXT,), named=re.compile(f"^{RIG}$"), listener=TopicListener),
+    TopicKind((TEXT, FIX), named=re.compile(f"^{DATUM}$"), listener=TopicListener),
+    TopicKind((TEXT,), "", re.compile(f"{DETAILS}$"), partial(Texts, Details)),
+    TopicKind((TEXT,), "", re.compile(f"^{TILT}$"), partial(Texts, _TILTS)),
+    TopicKind((TEXT,), "", re.compile(f"^{ORIENTATION}$"), partial(Texts, _ORIENTATIONS)),
+    TopicKind((FIX,), "fix", listener=Numbers, rank=_made_rank),
+    TopicKind((NMEA,), "nmea", listener=Sentences, rank=lambda _name, _: 0),
+    TopicKind((IMU,), named=re.compile("(?i)accel"), listener=Numbers),
+    TopicKind((IMU,), "imu", listener=Numbers, rank=lambda name, _: imu_rank(name)),
+    TopicKind((ODOMETRY,), "odometry", listener=Numbers, rank=lambda name, _: driven_rank(name)),
+    TopicKind((IMU, ODOMETRY, POSE, SURE_POSE), "attitude", listener=Numbers),
+    TopicKind(TF, named=re.compile(f"{TF_STATIC}$"), listener=Trees),
+    TopicKind(TF, listener=MovingTrees),
+    TopicKind((PLACE,), listener=StreamPlace),
+)
+"""All that is taken of a bag; the first kind that fits holds. Of a role with a rank one topic is
+found by itself; others are given, or found beside it."""
+
+_BY_ROLE = {kind.role: kind for kind in KINDS if kind.role}
+TYPES_OF_ROLES = {role: kind.types for role, kind in _BY_ROLE.items()}
+_TAKEN = {type_ for kind in KINDS for type_ in kind.types if kind.role not in ("", "attitude")}
+"""Of these a recording takes some by itself."""
+
 _SENSORS: dict[Sensing, tuple[str, ...]] = {
     "stereo": ("left", "right", "right_info"),
     "disparity": ("disparity",),
@@ -121,9 +172,9 @@ def choose(
     there or of another type, and where the names leave a choice open; what is open about the
     frames is told in the choice, since not everybody wants them.
     """
+    _check_given(topics, given, path)
     filled = {name: topic for name, topic in topics.items() if topic.count and name != DATUM}
-    finder = _Finder(filled, {**given}, path, partners or {})
-    finder.check_given(topics)
+    finder = _Finder(filled, given, path, partners or {})
     kind: Sensing = ""
     problem = None
     try:
@@ -139,16 +190,10 @@ def choose(
         roles["acceleration"] = forces.name
     if "attitude" in given:
         roles["attitude"] = given["attitude"]
-    return Choice(kind, roles, _told(roles, filled), problem)
-
-
-def no_frames(topics: Mapping[str, Topic], path: Path) -> NoFramesError:
-    """The error of a bag in which there is nothing that frames could be made of."""
-    return NoFramesError(
-        f"{path} has no pair of a left and a right image, and neither disparity, depth image with "
-        f"its camera_info, nor point cloud; it has {listing(topics.values())}; name the images "
-        "with --topic left=NAME --topic right=NAME, or --topic depth=NAME."
-    )
+    used = ", ".join(f"{role} {topic}" for role, topic in roles.items())
+    others = [t for t in filled.values() if t.type in _TAKEN and t.name not in roles.values()]
+    told = {f"Topics: {used}.": used, f"Not used: {listing(others)}.": others}
+    return Choice(kind, roles, tuple(note for note, is_so in told.items() if is_so), problem)
 
 
 def listing(topics: Iterable[Topic]) -> str:
@@ -176,20 +221,25 @@ def static_transforms(topics: Mapping[str, Topic], roles: Mapping[str, str]) -> 
     return found + _of_types(topics, (PLACE,))
 
 
-def _told(roles: Mapping[str, str], topics: Mapping[str, Topic]) -> tuple[str, ...]:
-    used = ", ".join(f"{role} {topic}" for role, topic in roles.items())
-    notes = [f"Topics: {used}."] if used else []
-    left = [topic for name, topic in topics.items() if name not in roles.values()]
-    left = [topic for topic in left if topic.type in _KNOWN_TYPES]
-    if left:
-        notes.append(f"Not used: {listing(left)}.")
-    return tuple(notes)
-
-
-_KNOWN_TYPES = frozenset(
-    kind for role, kinds in TYPES_OF_ROLES.items() for kind in kinds if role != "attitude"
-)
-"""Of these a recording takes some by itself."""
+def _check_given(topics: Mapping[str, Topic], given: Mapping[str, str], path: Path) -> None:
+    """Raise RecordingError for a given topic that cannot be what it is said to be."""
+    for role, name in given.items():
+        topic, types = topics.get(name, Topic(name, "", 0)), TYPES_OF_ROLES[role]
+        problems = {
+            "is not there": name not in topics,
+            f"is of the type {short(topic.type)}, not {' or '.join(map(short, types))}": (
+                topic.type not in types
+            ),
+            "has no message": topic.count == 0,
+        }
+        for what, is_so in problems.items():
+            if is_so:
+                raise RecordingError(
+                    f"{path}: --topic {role}={name} {what}; give another topic of "
+                    f"{listing(topics.values())}."
+                )
+    if "left" in given and given["left"] == given.get("right"):
+        raise RecordingError(f"{path}: left and right are both {given['left']}; give two topics.")
 
 
 class _Finder:
@@ -198,7 +248,7 @@ class _Finder:
     def __init__(
         self,
         topics: Mapping[str, Topic],
-        given: dict[str, str],
+        given: Mapping[str, str],
         path: Path,
         partners: Mapping[str, str],
     ) -> None:
@@ -206,30 +256,9 @@ class _Finder:
         self._partners = partners
         self.roles: dict[str, str] = {}
 
-    def check_given(self, everything: Mapping[str, Topic]) -> None:
-        """Raise for a given topic that cannot be what it is said to be."""
-        for role, name in self._given.items():
-            topic, types = everything.get(name), ROLES[role].types
-            if topic is None:
-                what = "is not there"
-            elif topic.type not in types:
-                what = f"is of the type {short(topic.type)}, not {' or '.join(map(short, types))}"
-            elif topic.count == 0:
-                what = "has no message"
-            else:
-                continue
-            raise RecordingError(
-                f"{self._path}: --topic {role}={name} {what}; give another topic of "
-                f"{listing(everything.values())}."
-            )
-
     def sensor(self, wanted: str | None) -> Sensing:
         """Find the topics of the given sensor, else of the wanted one, else of the best."""
-        if "left" in self._given and self._given["left"] == self._given.get("right"):
-            raise RecordingError(
-                f"{self._path}: left and right are both {self._given['left']}; give two topics."
-            )
-        asked = [kind for kind, roles in _SENSORS.items() if set(roles) & self._given.keys()]
+        asked = [kind for kind, roles in _SENSORS.items() if self._given.keys() & roles]
         if len(asked) > 1:
             raise RecordingError(
                 f"{self._path}: the given topics are of {' and '.join(asked)}; give those of one."
@@ -242,16 +271,13 @@ class _Finder:
     def single(self, role: str) -> bool:
         """Find the one topic of a role, and of its calibration: the given one, else the one of the
         lowest rank. Whether there is any."""
-        row = ROLES[role]
-        names = [
-            name
-            for name in _of_types(self._topics, row.types)
-            if row.named.search(base_name(name).lower())
-        ]
-        if role in self._given:
-            names = [self._given[role]]
-        ranks = [row.rank(name, self._topics[name].type) for name in names]
-        names = [name for name, rank in zip(names, ranks, strict=True) if rank == min(ranks)]
+        kind, ranked = _BY_ROLE[role], dict[Any, list[str]]()
+        for name in [self._given[role]] if role in self._given else sorted(self._topics):
+            type_ = self._topics[name].type
+            if role in self._given or kind.fits(name, type_):
+                rank = kind.rank(name, type_) if kind.rank else 0
+                ranked.setdefault(rank, []).append(name)
+        names = ranked[min(ranked)] if ranked else []
         if len(names) > 1:
             raise RecordingError(
                 f"{self._path} has several topics for {role}: {', '.join(names)}; choose one with "
@@ -259,29 +285,34 @@ class _Finder:
             )
         for name in names:
             self.roles[role] = name
-            if row.info:
-                self._info(row.info, name, lone=True)
+            if kind.info:
+                self._info(kind.info, name, lone=True)
         return bool(names)
 
     def _stereo(self) -> bool:
-        pairs = self._pairs()
-        best = min((_image_rank(pair[0], self._topics) for pair in pairs), default=None)
-        pairs = [pair for pair in pairs if _image_rank(pair[0], self._topics) == best]
-        places = {namespace(left) for left, _ in pairs}
-        if len(places) > 1:
+        """Find a pair, the best of several, and its calibrations. Whether there is any."""
+        ranked: dict[Any, list[tuple[str, str]]] = {}
+        for pair in self._pairs():
+            ranked.setdefault(pair_rank(pair[0], self._topics[pair[0]].type), []).append(pair)
+        pairs = ranked[min(ranked)] if ranked else []
+        if len({namespace(left) for left, _ in pairs}) > 1:
             named = ", ".join(f"{left} with {right}" for left, right in pairs)
             raise RecordingError(
                 f"{self._path} has several stereo pairs: {named}; choose one with --topic "
                 f"left={pairs[0][0]}."
             )
-        if not pairs:
-            if self._given.keys() & {"left", "right"}:
-                raise self._lacks_partner()
-            return False
-        self.roles["left"], self.roles["right"] = min(pairs, key=lambda p: (len(p[0]), p[0]))
-        for side in ("left", "right"):
-            self._info(ROLES[side].info, self.roles[side], lone=False)
-        return True
+        for role, other in (("left", "right"), ("right", "left")):
+            if role in self._given and not pairs:
+                raise RecordingError(
+                    f"{self._path}: no name of a topic tells the partner of {role}="
+                    f"{self._given[role]}; add --topic {other}=NAME, of "
+                    f"{listing(t for t in self._topics.values() if t.type in _PICTURES)}."
+                )
+        if pairs:
+            self.roles["left"], self.roles["right"] = min(pairs, key=lambda p: (len(p[0]), p[0]))
+            self._info("left_info", self.roles["left"], lone=False)
+            self._info("right_info", self.roles["right"], lone=False)
+        return bool(pairs)
 
     def _pairs(self) -> list[tuple[str, str]]:
         """Left and right topics whose names differ in nothing but the side, else those beside
@@ -289,34 +320,28 @@ class _Finder:
         left, right = self._given.get("left"), self._given.get("right")
         if left and right:
             return [(left, right)]
-        images = _of_types(self._topics, (IMAGE, COMPRESSED))
+        types = {name: t.type for name, t in self._topics.items() if t.type in _PICTURES}
+        lefts = [name for name in sorted(types) if not _NO_PICTURE.search(name.lower())]
         pairs = [
             (name, partner)
-            for name in images
+            for name in lefts
             for partner in right_partners(name)
-            if partner in images
-            and not _NO_PICTURE.search(name.lower())
-            and self._topics[name].type == self._topics[partner].type
+            if types.get(partner) == types[name]
         ]
         pairs = pairs or [
             (name, partner)
-            for name in images
-            for partner in images
-            if (other := self._partners.get(_beside(name, self._topics)))
-            and other == _beside(partner, self._topics)
+            for name in lefts
+            if (info := self._partners.get(self._beside(name)))
+            for partner in sorted(types)
+            if info == self._beside(partner)
             and name.rpartition("/")[2] == partner.rpartition("/")[2]
-            and not _NO_PICTURE.search(name.lower())
         ]
         return [p for p in pairs if left in (None, p[0]) and right in (None, p[1])]
 
-    def _lacks_partner(self) -> RecordingError:
-        role = "left" if "left" in self._given else "right"
-        other = "right" if role == "left" else "left"
-        images = [t for t in self._topics.values() if t.type in (IMAGE, COMPRESSED)]
-        return RecordingError(
-            f"{self._path}: no name of a topic tells the partner of {role}={self._given[role]}; "
-            f"add --topic {other}=NAME, of {listing(images)}."
-        )
+    def _beside(self, image: str) -> str:
+        """The calibration below an image, else beside it."""
+        below = f"{base_name(image)}/camera_info"
+        return below if below in self._topics else f"{namespace(image)}/camera_info"
 
     def _info(self, role: str, image: str, *, lone: bool) -> None:
         """The calibration beside an image, or the only one of its side, or if it may be `lone`
@@ -341,15 +366,3 @@ class _Finder:
 
 def _of_types(topics: Mapping[str, Topic], types: tuple[str, ...]) -> list[str]:
     return sorted(name for name, topic in topics.items() if topic.type in types)
-
-
-def _image_rank(name: str, topics: Mapping[str, Topic]) -> tuple[bool, bool, bool]:
-    """Rectified before raw, grey before colour, plain before compressed."""
-    coloured = re.search(r"colou?r|rgb", name.lower()) is not None
-    return not is_rectified(name), coloured, topics[name].type == COMPRESSED
-
-
-def _beside(image: str, topics: Mapping[str, Topic]) -> str:
-    """The calibration below an image, else beside it."""
-    below = f"{base_name(image)}/camera_info"
-    return below if below in topics else f"{namespace(image)}/camera_info"

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.core import RecordingError
-from fieldgrid.recordings.bag.listeners import Numbers, NumberTable, TopicListener
+from fieldgrid.recordings.bag.listeners import Numbers, NumberTable
 from fieldgrid.recordings.bag.order import clock
-from fieldgrid.recordings.bag.topics import ODOMETRY, POSE, SURE_POSE, listing, short
+from fieldgrid.recordings.bag.topic_names import ODOMETRY, POSE, SURE_POSE
+from fieldgrid.recordings.bag.topics import listing, short
 from fieldgrid.recordings.poses.pose_files import MOST_M, OFF_UNIT, BodyPoses, rotations
 from fieldgrid.recordings.ros.bag import Bag, Take, open_bag
+from fieldgrid.recordings.ros.definitions import decode
 from fieldgrid.recordings.ros.model import Message
 
 _PATH = "nav_msgs/msg/Path"
@@ -30,29 +32,8 @@ _ROWS: NumberTable = {
     ODOMETRY: (7, lambda message: _numbers(message.pose.pose)),
     SURE_POSE: (7, lambda message: _numbers(message.pose.pose)),
     POSE: (7, lambda message: _numbers(message.pose)),
+    _PATH: (7, lambda _: ()),
 }
-
-
-class _Path(TopicListener):
-    """A path, which grows, so that the last message counts; `places` are its stamps."""
-
-    width = 7
-    last: Message | None = None
-
-    def take(self, message: Message, place: int) -> None:
-        """Keep the latest message."""
-        self.last = message
-
-    def finish(self) -> None:
-        """Read the path, once it is known which is the last."""
-        if self.last is not None:
-            super().take(self.last, 0)
-
-    def _add(self, message: Any, place: int) -> None:
-        for one in message.poses:
-            stamp = one.header.stamp
-            self.places.append(stamp.sec * _SECOND_NS + stamp.nanosec)
-            self.values.extend(_numbers(one.pose))
 
 
 def read_pose_topic(
@@ -63,25 +44,28 @@ def read_pose_topic(
 
     Raises RecordingError where there is none, several, or one whose poses are none.
     """
-    heard: dict[str, TopicListener] = {}
+    heard: dict[str, Numbers] = {}
+    paths: dict[str, Message] = {}
 
     def listen(name: str, type_: str) -> Take | None:
         if type_ not in _TYPES or (topic is not None and name != topic):
             return None
-        heard[name] = _Path() if type_ == _PATH else Numbers(type_, _ROWS)
-        return heard[name].take
+        heard[name] = Numbers(name, type_, _ROWS)
+        # A path grows, so that the last message counts.
+        return heard[name].take if type_ != _PATH else lambda one, _: paths.update({name: one})
 
     with open_bag(path, listen, epoch_ns) as bag:
         name = _chosen(bag, list(heard), topic)
-        found = heard[name]
-        if isinstance(found, _Path):
-            found.finish()
-            stamps_ns = bag.dated(np.array(found.places))
-            time_ns = clock(name, stamps_ns, stamps_ns).time_ns
+        if name in paths:
+            poses = decode(paths[name]).poses
+            values = np.array([_numbers(one.pose) for one in poses]).reshape(-1, 7)
+            stamps = [one.header.stamp for one in poses]
+            stamp_ns = np.array([one.sec * _SECOND_NS + one.nanosec for one in stamps], np.int64)
+            dated_ns = bag.dated(stamp_ns)
+            time_ns = clock(name, dated_ns, dated_ns).time_ns
         else:
-            times_ns = clock(name, *bag.stamps(name)).time_ns
-            time_ns = times_ns[np.array(found.places)]
-    values = found.rows()
+            values = heard[name].rows()
+            time_ns = clock(name, *bag.stamps(name)).time_ns[heard[name].places]
     length = np.linalg.norm(values[:, 3:], axis=1)
     good = np.isfinite(values).all(axis=1) & (np.abs(values[:, :3]) < MOST_M).all(axis=1)
     wrong = ~(good & (np.abs(length - 1.0) < OFF_UNIT))
@@ -99,20 +83,15 @@ def read_pose_topic(
 
 
 def _chosen(bag: Bag, candidates: list[str], topic: str | None) -> str:
-    types = ", ".join(short(type_) for type_ in _TYPES)
-    if topic is not None and topic not in candidates:
+    """The only topic with poses, or the one that was asked for."""
+    if len(candidates) == 1:
+        return candidates[0]
+    what = " has several topics of poses" if candidates else " has no topic of poses"
+    if topic is not None:
         there = f"is of the type {short(bag.topics[topic].type)}" if topic in bag.topics else ""
-        raise RecordingError(
-            f"{bag.path}: {topic} {there or 'is not there'}; a topic of poses is one of {types}, "
-            f"and the bag has {listing(bag.topics.values())}."
-        )
-    if not candidates:
-        raise RecordingError(
-            f"{bag.path} has no topic of poses ({types}); it has {listing(bag.topics.values())}."
-        )
-    if len(candidates) > 1:
-        raise RecordingError(
-            f"{bag.path} has several topics of poses: {', '.join(sorted(candidates))}; choose one "
-            "with --poses-topic."
-        )
-    return candidates[0]
+        what = f": {topic} {there or 'is not there'}"
+    raise RecordingError(
+        f"{bag.path}{what}; a topic of poses is one of {', '.join(map(short, _TYPES))}, and the "
+        f"bag has {listing(bag.topics[name] for name in candidates or bag.topics)}; choose one "
+        "with --poses-topic."
+    )

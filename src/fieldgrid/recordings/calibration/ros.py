@@ -43,22 +43,33 @@ def read_ros(left: Path, right: Path, rectified: bool | None) -> CalibratedPair:
 def read_ros_camera(path: Path) -> DepthCamera:
     """The camera of one file, of which the images are rectified."""
     info = _read(path)
-    P = info.get("P")
-    used = P if P[0, 0] else info.get("K")
+    info.get("P")
+    return depth_camera(info)
+
+
+def depth_camera(info: Entries, baseline_m: float | None = None) -> DepthCamera:
+    """The camera of rectified depths by its projection, if it has one, else by K; `baseline_m` is
+    that of the pair they come from, metres."""
+    used = info.get("P") if info.has("P") else np.zeros((3, 4))
+    used = used if used[0, 0] else info.get("K")
     fx, fy, cx, cy = (float(used[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
     try:
-        return DepthCamera(*info.size_px, fx, fy, cx, cy)
+        return DepthCamera(*info.size_px, fx, fy, cx, cy, baseline_m)
     except CalibrationError as problem:
-        raise CalibrationError(f"{path}: {problem}") from problem
+        raise CalibrationError(f"{info.path}: {problem}") from problem
+
+
+def check_calibrated(info: Entries) -> Entries:
+    """The entries of a camera, once it is sure that it has been calibrated."""
+    if info.get("K")[0, 0] == 0.0:
+        raise CalibrationError(
+            f"{info.path}: K[0] = 0 means that the camera was never calibrated; calibrate it."
+        )
+    return info
 
 
 def _read(path: Path) -> Entries:
     """The entries of one file, whose camera has been calibrated."""
     document = load_yaml(path)
     model = str(document.get("distortion_model", ""))
-    info = Entries(document, path, image_size(document, path), _NAMES, model)
-    if info.get("K")[0, 0] == 0.0:
-        raise CalibrationError(
-            f"{path}: K[0] = 0 means that the camera was never calibrated; calibrate it."
-        )
-    return info
+    return check_calibrated(Entries(document, path, image_size(document, path), _NAMES, model))

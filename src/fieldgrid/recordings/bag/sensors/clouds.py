@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fieldgrid.core import AnyArray, Float32, Float64, RecordingError
+from fieldgrid.core import AnyArray, Float32, RecordingError
 from fieldgrid.perception import TIME_FIELDS, Sweep, seconds_after
 from fieldgrid.recordings.bag.sensors.images import MessageSource
 
@@ -23,9 +23,6 @@ _NUMBERS: dict[int, np.dtype[Any]] = {
 }
 """Types of fields by PointField's own numbers."""
 _SECOND_NS = 1_000_000_000
-
-R_OPTICAL_FLU: Float64 = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-"""Directions forward, left, up as right, down, forward."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,19 +67,19 @@ def _sweep_of(message: Any, name: str) -> Sweep:
             f"{height} points of {point} bytes; it is damaged, record it again."
         )
     order: Literal["<", ">"] = ">" if message.is_bigendian else "<"
-    fields: dict[str, tuple[int, np.dtype[Any]]] = {}
+    fields: dict[str, tuple[np.dtype[Any], int]] = {}
     for field in message.fields:
         kind = _NUMBERS.get(int(field.datatype))
         if kind is not None and int(field.offset) + kind.itemsize <= point:
-            fields.setdefault(field.name, (int(field.offset), kind.newbyteorder(order)))
-    data = np.ascontiguousarray(message.data, dtype=np.uint8)
+            fields.setdefault(field.name, (kind.newbyteorder(order), int(field.offset)))
 
     def column(name: str) -> AnyArray:
-        offset, kind = fields[name]
-        return np.ndarray((height, width), kind, data, offset, (row, point)).reshape(-1)
+        kind, offset = fields[name]
+        cells: AnyArray = np.ndarray((height, width), kind, message.data, offset, (row, point))
+        return cells.reshape(-1)
 
     for axis in "xyz":
-        if axis not in fields or fields[axis][1].kind != "f":
+        if axis not in fields or fields[axis][0].kind != "f":
             raise RecordingError(
                 f"{name} has no field {axis} of 32 or 64 bit floats within its {point} bytes a "
                 "point; record the points as x, y, z."

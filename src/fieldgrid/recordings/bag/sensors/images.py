@@ -1,14 +1,23 @@
-"""Images in messages: stereo, depth and disparity, decoded when they are asked for."""
+"""Images in messages: stereo, depth and disparity, decoded when they are asked for.
+
+ROS's transport `compressedDepth` writes twelve bytes first: a format and the two numbers by which
+metres were made whole ones, z = A / (n - B). Depths in millimetres are packed as they are. RVL
+(Wilson 2017, Fast Lossless Depth Image Compression) writes runs of pixels with and without a
+depth, and of the latter the differences, in groups of three bits.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import struct
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import AnyArray, Float32, RecordingError, UInt16
+from fieldgrid.core import AnyArray, Float32, RecordingError, UInt16, UInt32, kernel, quoted
+from fieldgrid.recordings.bag.topic_names import COMPRESSED
+from fieldgrid.recordings.frames.depth_files import MOST_PACKED, decode_depth_image
 from fieldgrid.recordings.frames.frames import Image
 from fieldgrid.recordings.frames.images import MAX_PIXELS, decode_image, self_contained
 from fieldgrid.recordings.frames.pixels import Pixels, layout, to_grey
@@ -17,6 +26,9 @@ from fieldgrid.recordings.ros.model import Message
 
 MILLIMETRES, METRES = ("16UC1", "mono16"), "32FC1"
 """Encodings of depths."""
+
+_CONFIG = struct.Struct("<iff")
+_SIDES = struct.Struct("<II")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +52,8 @@ class MessageSource:
 
     def sha256(self) -> str:
         """The hash of the image's or cloud's own bytes, without header and layout."""
-        return hashlib.sha256(self.payload().data.tobytes()).hexdigest()
-
-    def payload(self) -> Any:
-        """What of the message has the `data`."""
-        return self.decoded()
+        message = self.decoded()
+        return hashlib.sha256(getattr(message, "image", message).data.tobytes()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +64,7 @@ class RawImage(MessageSource):
 
     def read(self) -> Image:
         """Grey, 8 bit."""
-        pixels, encoding = self._pixels()
+        pixels, encoding = self.pixels()
         try:
             return to_grey(pixels, encoding, self.bits)
         except RecordingError as problem:
@@ -65,12 +74,8 @@ class RawImage(MessageSource):
         """Nothing: the message holds pixels."""
         return b""
 
-    def deep_pixels(self) -> Pixels | None:
-        """The pixels as recorded if their values have 16 bits, else None."""
-        pixels, _ = self._pixels()
-        return pixels if pixels.dtype == np.uint16 else None
-
-    def _pixels(self) -> tuple[Pixels, str]:
+    def pixels(self) -> tuple[Pixels, str]:
+        """The pixels as recorded, and their encoding."""
         message = self.decoded()
         encoding = str(message.encoding)
         try:
@@ -93,6 +98,13 @@ class CompressedImage(MessageSource):
         return self_contained(self.decoded().data.tobytes())
 
 
+def image_source(message: Message, time_ns: int, bits: int = 16) -> RawImage | CompressedImage:
+    """One side of a pair, by the type of its message."""
+    if message.connection.type == COMPRESSED:
+        return CompressedImage(message, time_ns)
+    return RawImage(message, time_ns, bits)
+
+
 @dataclass(frozen=True, slots=True)
 class DepthImage(MessageSource):
     """A sensor_msgs/Image of depths: 16UC1 in units, usually millimetres, or 32FC1 in metres."""
@@ -108,7 +120,7 @@ class DepthImage(MessageSource):
         if message.encoding == METRES:
             return known_depths(pixels_of(message, np.dtype(np.float32), 1, self.name).copy())
         raise RecordingError(
-            f"{self.name}: depths are encoded as {str(message.encoding)[:40]!r}, which is not "
+            f"{self.name}: depths are encoded as {quoted(message.encoding)}, which is not "
             "read; record them as 16UC1 (millimetres) or 32FC1 (metres)."
         )
 
@@ -117,16 +129,12 @@ class DepthImage(MessageSource):
 class DisparityImage(MessageSource):
     """A stereo_msgs/DisparityImage: depth is f·T / disparity."""
 
-    def payload(self) -> Any:
-        """The image inside."""
-        return self.decoded().image
-
     def read(self) -> Float32:
         """Depth along the optical axis, metres; NaN where there is no disparity."""
         message = self.decoded()
         if message.image.encoding != METRES:
             raise RecordingError(
-                f"{self.name}: disparities are encoded as {str(message.image.encoding)[:40]!r}, "
+                f"{self.name}: disparities are encoded as {quoted(message.image.encoding)}, "
                 f"not {METRES}; record them as stereo_image_proc gives them."
             )
         product = float(message.f) * float(message.t)
@@ -169,9 +177,97 @@ def pixels_of(message: Any, dtype: np.dtype[Any], channels: int, name: str) -> A
             f"{name} has {len(message.data)} bytes in rows of {step}, too few for {width} x "
             f"{height} px of {channels * dtype.itemsize} bytes; it is damaged, record it again."
         )
-    data = np.ascontiguousarray(message.data, dtype=np.uint8)
-    rows = np.lib.stride_tricks.as_strided(data, (height, row), (step, 1), writeable=False)
     stored = dtype.newbyteorder(">" if message.is_bigendian else "<")
-    shape = (height, width) if channels == 1 else (height, width, channels)
-    pixels = np.ascontiguousarray(rows).view(stored).reshape(shape)
-    return pixels.astype(dtype, copy=False)
+    strides = (step, channels * dtype.itemsize, dtype.itemsize)
+    pixels = np.ndarray((height, width, channels), stored, message.data, 0, strides)
+    return np.ascontiguousarray(pixels[..., 0] if channels == 1 else pixels, dtype=dtype)
+
+
+@dataclass(frozen=True, slots=True)
+class PackedDepthImage(MessageSource):
+    """A sensor_msgs/CompressedImage of depths: of the transport `compressedDepth`, or a plain
+    PNG of millimetres."""
+
+    def read(self) -> Float32:
+        """Depth along the optical axis, metres; NaN where there is none."""
+        message = self.decoded()
+        said, data = str(message.format), message.data.tobytes()
+        if "compressedDepth" not in said:
+            return depths_of_units(self._png(data, said))
+        encoding = said.partition(";")[0].strip()
+        if encoding not in (*MILLIMETRES, METRES):
+            raise self._unknown(said)
+        if len(data) < _CONFIG.size + _SIDES.size:
+            raise RecordingError(f"{self.name} is truncated; record it again.")
+        _, a, b = _CONFIG.unpack_from(data)
+        packed = data[_CONFIG.size :]
+        whole = self._rvl(packed) if said.endswith("rvl") else self._png(packed, said)
+        if encoding in MILLIMETRES:
+            return depths_of_units(whole)
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            depth_m = np.float32(a) / (whole.astype(np.float32) - np.float32(b))
+        depth_m[whole == 0] = np.nan
+        return known_depths(depth_m)
+
+    def _png(self, data: bytes, said: str) -> UInt16:
+        whole = decode_depth_image(data, self.name)
+        if whole.dtype != np.uint16 or whole.ndim != 2:
+            raise self._unknown(said)
+        return np.asarray(whole, dtype=np.uint16)
+
+    def _unknown(self, said: str) -> RecordingError:
+        return RecordingError(
+            f"{self.name}: depths are packed as {quoted(said)}, which is not read; record them as "
+            "compressedDepth, or as PNG of 16 bits in millimetres."
+        )
+
+    def _rvl(self, data: bytes) -> UInt16:
+        width, height = _SIDES.unpack_from(data)
+        # A word of 32 bits tells of eight numbers, and two numbers of a run of any length, so
+        # only the bound on the size of an image says what a few bytes may unfold to.
+        if not 0 < width * height <= min(MAX_PIXELS, MOST_PACKED * len(data)):
+            raise RecordingError(
+                f"{self.name} claims {width} x {height} px in {len(data)} bytes; it is damaged, "
+                "record it again."
+            )
+        words = np.frombuffer(data, "<u4", (len(data) - _SIDES.size) // 4, _SIDES.size)
+        pixels = np.zeros(width * height, dtype=np.uint16)
+        if unpack_rvl(words.astype(np.uint32), pixels) != pixels.size:
+            raise RecordingError(f"{self.name} is truncated or damaged; record it again.")
+        return pixels.reshape(height, width)
+
+
+@kernel
+def unpack_rvl(words: UInt32, pixels: UInt16) -> int:
+    """Fill `pixels` (all 0 before), shape (N,), from RVL; returns how many it tells of.
+
+    That is fewer than N where `words` end too early, and more where a run goes on past N.
+    """
+    place, groups, word = 0, 0, np.uint32(0)
+    empty_is_next, with_depth = True, 0
+    done, before = 0, 0
+    while done < pixels.size:
+        number, bits, group = 0, 0, 8
+        while group >= 8 and bits < 30:  # three bits a group, the lowest first; the 4th: go on
+            if groups == 0:
+                if place == words.size:
+                    return done
+                word, groups = words[place], 8
+                place += 1
+            group = int(word >> np.uint32(28))
+            word = np.uint32(word << np.uint32(4))
+            groups -= 1
+            number |= (group & 7) << bits
+            bits += 3
+        if with_depth:
+            before += (number >> 1) ^ -(number & 1)
+            pixels[done] = before & 0xFFFF
+            done += 1
+            with_depth -= 1
+        elif empty_is_next:
+            done += number
+            empty_is_next = False
+        else:
+            with_depth = number
+            empty_is_next = True
+    return done + with_depth
