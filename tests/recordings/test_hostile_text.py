@@ -24,13 +24,14 @@ BOMB = "a: &a [x, x]\n" + "".join(
     [
         (BOMB + "image_width: *i\n", "line 1 has an anchor or alias"),
         ("image_width: 64\nimage_height: *h\n", "line 2 has an anchor or alias"),
+        ("a:\n  <<: {image_width: 64}\n", "line 2 has a merge key"),
         ("a: " + "[" * 60, "line 1 is nested too deeply"),
         ("a:\n" + "".join(f"{' ' * k}-\n" for k in range(1, 60)), "nested too deeply"),
         ("image_width: " + "1:" * 5000 + "1", "a value in line 1 has more than 1000"),
         ("image_width: " + "9" * 30_000, "a value in line 1 has more than 1000"),
         ("a: [" + "1, " * 30_000 + "]", "more than the 65536 that such a file can need"),
     ],
-    ids=["bomb", "alias", "flow", "block", "base60", "digits", "long"],
+    ids=["bomb", "alias", "merge", "flow", "block", "base60", "digits", "long"],
 )
 def test_a_calibration_that_unfolds(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "stereo_opencv.yaml"

@@ -17,6 +17,7 @@ _MAX_BYTES = 1 << 16
 _MAX_DEPTH = 50
 _MAX_SCALAR = 1000
 _MAX_NUMBER = 1e9
+_MERGE = "tag:yaml.org,2002:merge"
 
 
 class _Loader(yaml.SafeLoader):
@@ -40,6 +41,8 @@ class _Loader(yaml.SafeLoader):
         self.depth += 1
         node = super().compose_node(parent, index)
         self.depth -= 1
+        if node is not None and node.tag == _MERGE:
+            raise ValueError(f"line {line} has a merge key where the values themselves must stand")
         return node
 
 
