@@ -117,5 +117,5 @@ class ChunkedReader(FileReader):
         except TORN:
             pass
         rest = size_text(source.size - start)
-        self.end = f"ends in the middle of a record: its last {rest} can be read only in part"
+        self.end = f"ends in the middle of a record: its last {rest} cannot be read or only in part"
         return False

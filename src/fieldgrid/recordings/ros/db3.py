@@ -56,9 +56,8 @@ class Db3Reader(FileReader):
 
     def _check_tables(self, database: sqlite3.Connection) -> None:
         if not _tables(database) >= _TABLES:
-            cut = ", or is cut off so early that it holds no message" * bool(
-                _missing_bytes(self.file)
-            )
+            is_cut = _missing_bytes(self.file) > 0
+            cut = ", or is cut off so early that it holds no message" if is_cut else ""
             raise RecordingError(
                 f"{self.path} is a database but no ROS 2 bag: it has no tables of topics and "
                 f"messages{cut}; copy it again."
