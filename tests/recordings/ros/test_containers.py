@@ -216,11 +216,8 @@ def test_encrypted_ros1_bag_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("topics", [[FIX], [TEXT, IMAGE], [], ["/none"]])
 def test_topics_are_chosen(topics: list[str], tmp_path: Path) -> None:
-    write_rosbag1(tmp_path / "drive.bag", samples(ROS1))
-    write_mcap(tmp_path / "drive.mcap", samples(ROS2))
-    write_old_db3(tmp_path / "drive.db3", samples(ROS2)).close()
-    for suffix, store in (("bag", ROS1), ("mcap", ROS2), ("db3", ROS2)):
-        with open_bag(tmp_path / f"drive.{suffix}") as bag:
+    for path, store in written_bags(tmp_path):
+        with open_bag(path) as bag:
             assert [plain(message) for message in bag.messages(topics)] == [
                 message for message in expected(samples(store), store) if message.topic in topics
             ]
