@@ -72,21 +72,15 @@ def _rosbag1(compression: Rosbag1Writer.CompressionFormat | None) -> bytes:
 
 def mcap_seeds() -> list[bytes]:
     return [
-        _mcap(CompressionType.NONE, "ros2msg", _DEFINITION),
-        _mcap(CompressionType.ZSTD, "ros2msg", _DEFINITION),
-        _mcap(CompressionType.LZ4, "ros2msg", _OWN, name="a/msg/B"),
-        _mcap(
-            CompressionType.NONE,
-            "ros2idl",
-            "module std_msgs { module msg { struct Header { unsigned long a, b; string c; }; }; };",
-        ),
-        _mcap(CompressionType.NONE, "ros2msg", _DEFINITION, use_chunking=False),
+        _mcap(CompressionType.NONE, _DEFINITION),
+        _mcap(CompressionType.ZSTD, _DEFINITION),
+        _mcap(CompressionType.LZ4, _OWN, name="a/msg/B"),
+        _mcap(CompressionType.NONE, _DEFINITION, use_chunking=False),
     ]
 
 
 def _mcap(
     compression: CompressionType,
-    encoding: str,
     text: str,
     *,
     name: str = _TYPE,
@@ -99,7 +93,7 @@ def _mcap(
                 file, chunk_size=100, compression=compression, use_chunking=use_chunking
             )
             writer.start(profile="ros2")
-            schema = writer.register_schema(name, encoding, text.encode())
+            schema = writer.register_schema(name, "ros2msg", text.encode())
             channel = writer.register_channel("/a", "cdr", schema)
             for k in range(6):
                 writer.add_message(channel, 10**18 + k, _DATA, k)
@@ -166,10 +160,9 @@ def check_message(data: bytes) -> None:
         with path.open("wb") as file:
             writer = Writer(file, compression=CompressionType.NONE)
             writer.start(profile="ros2")
-            for encoding in ("ros2msg", "ros2idl"):
-                schema = writer.register_schema("a/msg/B", encoding, text)
-                channel = writer.register_channel("/" + encoding, "cdr", schema)
-                writer.add_message(channel, 1, record, 1)
+            schema = writer.register_schema("a/msg/B", "ros2msg", text)
+            channel = writer.register_channel("/a", "cdr", schema)
+            writer.add_message(channel, 1, record, 1)
             writer.finish()
         check_bag(path.read_bytes())
 
@@ -180,7 +173,6 @@ def message_seeds() -> list[bytes]:
     return [
         _OWN.encode() + b"\0" + _DATA[4:] + b"\x02\0\0\0ab" + bytes(40),
         header.encode() + b"\0" + _DATA[4:] + bytes(720),
-        b"module a { module msg { struct B { sequence<long, 4> c; }; }; };\0\x01\0\0\0" + bytes(8),
     ]
 
 

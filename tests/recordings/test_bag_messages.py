@@ -155,7 +155,7 @@ def test_an_image_that_is_defined_as_something_else_is_told(
         writer.finish()
     with open_bag(tmp_path / "m.mcap") as bag:
         (message,) = bag.messages()
-        with pytest.raises(RecordingError, match=r"do not have the fields|does not fit"):
+        with pytest.raises(RecordingError, match=r"no definition that can be used|does not fit"):
             RawImage(message, UTC).read()
 
 

@@ -135,7 +135,7 @@ if TYPE_CHECKING:
         ros_messages as ros_messages,
     )
     from fieldgrid.recordings.ros.bag import as_utc as as_utc
-    from fieldgrid.recordings.ros.definitions import decode as decode
+    from fieldgrid.recordings.ros.definitions import decode as decode, stamp_ns as stamp_ns
     from fieldgrid.recordings.ros.gnss_messages import (
         DATUM as DATUM,
         ORIENTATION as ORIENTATION,
@@ -163,7 +163,6 @@ if TYPE_CHECKING:
         camera_info as camera_info,
         cloud_message as cloud_message,
         compressed_image as compressed_image,
-        depth_info as depth_info,
         header_of as header_of,
         image_message as image_message,
         new as new,
@@ -176,7 +175,6 @@ if TYPE_CHECKING:
         turn_left as turn_left,
         vector as vector,
     )
-    from fieldgrid.recordings.ros.stamps import stamp_ns as stamp_ns
     from fieldgrid.recordings.ros.writers import (
         BagFolderWriter as BagFolderWriter,
         McapWriter as McapWriter,

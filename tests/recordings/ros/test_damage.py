@@ -129,7 +129,7 @@ def test_cut_compressed_mcap(compression: str, tmp_path: Path) -> None:
         messages, damage = read_or_refuse(cut)
         assert messages == wanted[: len(messages)]
         assert len(messages) >= before
-        assert re.search(r"cut\.mcap ends in the middle of a chunk: its last \d+", damage)
+        assert re.search(r"cut\.mcap ends in the middle of a record: its last \d+", damage)
         partial += len(messages) > before
     assert partial >= len(starts) - 1
     assert before > 0
@@ -145,7 +145,7 @@ def test_a_ros1_bag_that_was_never_closed(tmp_path: Path) -> None:
     messages, damage = read(path)
     assert messages == wanted
     assert damage == (
-        "drive.bag was not closed by its recorder, so its last messages may be missing; "
+        "drive.bag was cut off, or not closed by its recorder: its end may be missing; "
         "60 messages up to 2024-06-01T12:00:02Z are used."
     )
 
@@ -181,7 +181,7 @@ def test_an_mcap_without_its_summary_is_whole(tmp_path: Path) -> None:
     path.write_bytes(blob[:data_end])
     messages, damage = read(path)
     assert messages == wanted
-    assert "drive.mcap was not closed by its recorder" in damage
+    assert "drive.mcap was cut off, or not closed by its recorder" in damage
 
 
 CHUNK_MARKS = {"bag": rb"\x04\x00\x00\x00op=\x05", "mcap": rb"\x04\x00\x00\x00zstd"}
@@ -229,8 +229,6 @@ def test_a_chunk_that_calls_itself_something_else_is_missed(
         messages, damage = read(path)
         assert 40 < len(messages) < 60
         assert f"holds {60 - len(messages)} unreadable messages" in damage
-        if kind == "bag":
-            assert "chunks that it had" in damage or "damaged place" in damage
 
 
 @pytest.mark.parametrize(

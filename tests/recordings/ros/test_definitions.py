@@ -12,19 +12,11 @@ from fieldgrid.core import RecordingError
 from fieldgrid.recordings import Connection, Message, decode
 from fieldgrid.recordings.ros.bag import open_bag
 from fieldgrid.recordings.ros.definitions import has_header, types
-from fieldgrid.recordings.ros.model import Definition
 from tests.recordings.bags import Maker
 from tests.recordings.ros.samples import FIX, ROS1, ROS2, TYPES, samples, write_old_db3
 
 SEPARATOR = "=" * 80 + "\n"
 NAV_SAT_FIX = types().generate_msgdef(TYPES[FIX], ros_version=2)[0]
-IDL = f"""{SEPARATOR}IDL: my_msgs/msg/Depth
-module my_msgs {{ module msg {{
-  struct Depth {{ std_msgs::msg::Header header; my_msgs::msg::Part part; }};
-}}; }};
-{SEPARATOR}IDL: my_msgs/msg/Part
-module my_msgs {{ module msg {{ struct Part {{ double metres; }}; }}; }};
-"""
 DEPTH = "std_msgs/Header header\nmy_msgs/Part part\n" + SEPARATOR + "MSG: my_msgs/Part\nfloat64 m\n"
 
 
@@ -50,16 +42,19 @@ def cdr_of_depth(metres: float) -> bytes:
     return bytes(store.serialize_cdr(message, "geometry_msgs/msg/PointStamped"))[:-16]
 
 
-@pytest.mark.parametrize(("encoding", "text"), [("ros2idl", IDL), ("ros2msg", DEPTH)])
-def test_own_types(encoding: str, text: str, tmp_path: Path) -> None:
-    """The definitions leave out std_msgs/msg/Header, which everybody knows."""
-    path = bag_of(tmp_path / "a.mcap", ("my_msgs/msg/Depth", encoding, text, cdr_of_depth(2.5)))
+def test_own_types(tmp_path: Path) -> None:
+    """The definition leaves out std_msgs/msg/Header, which everybody knows."""
+    data = cdr_of_depth(2.5)
+    path = bag_of(tmp_path / "a.mcap", ("my_msgs/msg/Depth", "ros2msg", DEPTH, data))
     with open_bag(path) as bag:
         (message,) = bag.messages()
         decoded = decode(message)
-        assert decoded.header.frame_id == "abc"
-        assert (decoded.part.metres if encoding == "ros2idl" else decoded.part.m) == 2.5
+        assert (decoded.header.frame_id, decoded.part.m) == ("abc", 2.5)
         assert bag.stamps("/a")[0].tolist() == [3_000_000_004]
+    with open_bag(bag_of(path, ("my_msgs/msg/Depth", "ros2idl", "module a {};", data))) as bag:
+        (message,) = bag.messages()
+        with pytest.raises(RecordingError, match="has no definition that can be used"):
+            decode(message)
 
 
 def test_each_of_two_definitions_of_a_type_is_used(tmp_path: Path) -> None:
@@ -99,7 +94,7 @@ def test_matrices_of_ros_1_are_named_as_in_ros_2(tmp_path: Path) -> None:
     maker = Maker("bag")
     info = maker.info(5, (16, 16), [[20.0, 0, 8, -4], [0, 20, 8, 0], [0, 0, 1, 0]])
     data = bytes(maker.store.serialize_ros1(info, name))
-    for definition in (Definition("msg", text), None):
+    for definition in (text, None):
         connection = Connection("/a", name, "ros1", definition)
         decoded = decode(Message(connection, 5, data))
         assert decoded.k.tolist() == [20.0, 0, 8, 0, 20, 8, 0, 0, 1]
@@ -137,7 +132,7 @@ def test_every_standard_type_with_a_header_is_known(encoding: str) -> None:
         if "/msg/" not in name or not name.startswith(("sensor_msgs", "nav_msgs", "nmea_msgs")):
             continue
         text, _ = store.generate_msgdef(name, ros_version=version)
-        connection = Connection("/a", name, encoding, Definition("msg", text))
+        connection = Connection("/a", name, encoding, text)
         wanted = fields[0][1][1] == "std_msgs/msg/Header"
         assert has_header(connection) == wanted, name
         assert has_header(connection._replace(encoding="json")) is False

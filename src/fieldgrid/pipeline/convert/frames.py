@@ -20,7 +20,6 @@ from fieldgrid.recordings import (
     camera_info,
     cloud_message,
     compressed_image,
-    depth_info,
     header_of,
     image_message,
 )
@@ -75,7 +74,8 @@ class _FrameMessages:
     def depth(self, depth_m: Float32) -> Iterator[tuple[str, Any]]:
         """An image of depths."""
         header = header_of(self._time_ns, DEPTH)
-        yield "/depth/camera_info", depth_info(self._rig.depth_camera, header)
+        camera = self._rig.depth_camera
+        yield "/depth/camera_info", camera_info(camera, camera.cx_px, 0.0, header)
         metres = np.ascontiguousarray(depth_m, dtype="<f4")
         yield "/depth/image_rect", image_message(metres, "32FC1", header)
 

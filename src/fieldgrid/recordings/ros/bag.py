@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from array import array
-from collections import Counter
 from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -22,10 +23,10 @@ from fieldgrid.core import (
     limits,
     utc_text,
 )
-from fieldgrid.recordings.ros.db3 import Db3Reader, is_db3
-from fieldgrid.recordings.ros.definitions import has_header
-from fieldgrid.recordings.ros.folder import BagFiles, find_files, is_bag_folder, unpacked
-from fieldgrid.recordings.ros.mcap_file import MAGIC as MCAP_MAGIC, McapReader
+from fieldgrid.recordings.ros.db3 import Db3Reader, mended
+from fieldgrid.recordings.ros.definitions import has_header, stamp_ns
+from fieldgrid.recordings.ros.folder import PACKED, BagFiles, find_files, is_bag_folder
+from fieldgrid.recordings.ros.mcap_file import McapReader
 from fieldgrid.recordings.ros.model import (
     Connection,
     Connections,
@@ -34,18 +35,12 @@ from fieldgrid.recordings.ros.model import (
     Record,
     Topic,
 )
-from fieldgrid.recordings.ros.rosbag1 import MAGIC as ROSBAG1_MAGIC, Rosbag1Reader
-from fieldgrid.recordings.ros.source import ZSTD_MAGIC, inflate
-from fieldgrid.recordings.ros.sqlite_file import MAGIC as SQLITE_MAGIC, mended
-from fieldgrid.recordings.ros.stamps import stamp_ns
+from fieldgrid.recordings.ros.rosbag1 import Rosbag1Reader
+from fieldgrid.recordings.ros.source import ZSTD_MAGIC, inflate, unpacked_pieces
 
-_KINDS: dict[bytes, type[FileReader]] = {
-    ROSBAG1_MAGIC: Rosbag1Reader,
-    MCAP_MAGIC: McapReader,
-    SQLITE_MAGIC: Db3Reader,
-}
-_SUFFIXES = (".bag", ".mcap", ".db3")
-_PACKED = (".mcap.zstd", ".db3.zstd")
+_KINDS = (Rosbag1Reader, McapReader, Db3Reader)
+_SUFFIXES = (".bag", ".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+_MAGIC_BYTES = 16
 _SHOWN_CLAUSES = 3
 _MOST_MESSAGES = 1_000_000  # and one more for each 8 bytes of the files
 _SPAN = 1 << 44  # places in a bag: those of one file after those of the one before
@@ -75,11 +70,9 @@ def is_bag(path: Path) -> bool:
         start = _start(path)
     except OSError:
         return False
-    if path.name.endswith((*_SUFFIXES, *_PACKED)):
-        return True
-    if start.startswith(SQLITE_MAGIC):
-        return is_db3(path)  # A map is an SQLite database too.
-    return start.startswith(tuple(_KINDS))
+    return path.name.endswith(_SUFFIXES) or start.startswith(
+        (Rosbag1Reader.magic, McapReader.magic)
+    )
 
 
 def open_bag(
@@ -106,24 +99,21 @@ class Bag(Closing):
         self.path = path
         self._epoch_ns = epoch_ns
         self._topics: dict[str, _Topic] = {}
-        self._others: Counter[str] = Counter()
-        self._parts: list[_Part] = []
+        self._runs: list[Callable[[Collection[str] | None], FileReader]] = []  # one for each file
         self._stack = ExitStack()
         try:
-            self._read(listen)
-        except BaseException as error:
+            with _told(path):
+                self._read(listen)
+        except BaseException:
             self._stack.close()
-            if isinstance(error, OSError):
-                raise RecordingError(
-                    f"{path} cannot be read ({error.strerror}); check its permissions, and the "
-                    "space for temporary files."
-                ) from error
             raise
         received = [topic.received for topic in self._topics.values() if topic.received]
         self.start_ns, self.end_ns = min(map(min, received)), max(map(max, received))
         self.damage = self._damage()
-        self.files = tuple(part.path.name for part in self._parts)
-        self.topics = {name: topic.summary() for name, topic in sorted(self._topics.items())}
+        self.topics = {
+            name: Topic(name, topic.connection.type, len(topic.received))
+            for name, topic in sorted(self._topics.items())
+        }
 
     def __getstate__(self) -> dict[str, Any]:
         # What was unpacked for this bag is removed when it is closed, and not when a copy is.
@@ -153,8 +143,8 @@ class Bag(Closing):
         """The messages of these topics, or of all, in the order of recording, from a place on."""
         wanted = None if topics is None else frozenset(topics)
         first, at = divmod(start, _SPAN)
-        for part in self._parts[first:]:
-            for connection, receive_ns, data, _ in self._whole(part.run(wanted).records(at)):
+        for run in self._runs[first:]:
+            for connection, receive_ns, data, _ in self._whole(run(wanted).records(at)):
                 topic = self._topics.get(connection.topic)
                 if topic is not None and topic.takes(connection):
                     yield Message(connection, receive_ns, bytes(data))
@@ -163,6 +153,7 @@ class Bag(Closing):
     def _read(self, listen: Listen) -> None:
         """Read everything once: topics, counts, times, places, and what is listened to."""
         files = find_files(self.path) if self.path.is_dir() else BagFiles([self.path], [])
+        self.files: tuple[str, ...] = ()
         self._clauses = [*files.notes]
         self._bytes = sum(path.stat().st_size for path in files.paths if path.is_file())
         self._room = _MOST_MESSAGES + self._bytes // 8
@@ -175,45 +166,62 @@ class Bag(Closing):
                 if len(files.paths) == 1:
                     raise
                 self._clauses.append(f"{path.name} cannot be read")
-        for name, number in self._others.items():
-            self._clauses.append(
-                f"{counted(number, 'message')} of {name} that are not of type "
-                f"{self._topics[name].connection.type} are left out"
-            )
+        for name, topic in self._topics.items():
+            topic.take = None
+            if topic.others:
+                self._clauses.append(
+                    f"{counted(topic.others, 'message')} of {name} that are not of type "
+                    f"{topic.connection.type} are left out"
+                )
         if not any(topic.received for topic in self._topics.values()):
             raise RecordingError(
                 f"{self.path} holds no message that can be read"
                 + (f" ({self._clauses[0]})" if self._clauses else "")
                 + "; record again."
             )
-        for topic in self._topics.values():
-            topic.take = None
 
     def _read_file(self, path: Path, listen: Listen) -> None:
         if not path.is_file():
             raise RecordingError(f"{path} is not there, or is no file; check its name.")
-        file, is_all = unpacked(path, self._stack)
+        file = self._unpacked(path)
         start = _start(file)
-        kind = next((kind for magic, kind in _KINDS.items() if start.startswith(magic)), None)
+        kind = next((kind for kind in _KINDS if start.startswith(kind.magic)), None)
         if kind is None:
             what = "does not begin like any bag" if start else "is empty"
             raise RecordingError(
-                f"{path} {what}: it is not a .bag, .mcap or .db3 file that can be used; record "
-                "again, or copy it again."
+                f"{path} {what}: it is not a .bag (of format 2.0), .mcap or .db3 file that can be "
+                "used; record again, copy it again, or convert an older .bag with `rosbag fix`."
             )
         if kind is Db3Reader:
             file = mended(file, self._stack)
-        part = _Part(kind, path, file, Connections())
-        run = part.run()
-        place = len(self._parts) * _SPAN
+        known = Connections()
+        run = kind(path, file, known)
+        place = len(self._runs) * _SPAN
         for record in self._whole(run.records()):
             self._count(record, place, listen)
-        self._parts.append(part)
-        if not is_all:
-            self._clauses.append(f"{path.name} cannot be decompressed to its end")
-        self._clauses += run.damage.clauses(path.name)
-        for known in part.connections.values():
-            self._topics.setdefault(known.connection.topic, _Topic(known.connection))
+        self._runs.append(partial(kind, path, file, known))
+        self.files += (path.name,)
+        self._clauses += run.damage()
+        for one in known.values():
+            self._topics.setdefault(one.connection.topic, _Topic(one.connection))
+
+    def _unpacked(self, path: Path) -> Path:
+        """The file itself, or what it holds if it is compressed, as far as it is whole."""
+        with path.open("rb") as packed:
+            if packed.read(len(ZSTD_MAGIC)) != ZSTD_MAGIC:
+                return path
+            packed.seek(0)
+            folder = self._stack.enter_context(TemporaryDirectory())
+            inner = Path(folder, path.name.removesuffix(PACKED))
+            budget = UnfoldBudget(path, path.stat().st_size)
+            with inner.open("wb") as whole:
+                try:
+                    for piece in unpacked_pieces(packed, "zstd"):
+                        budget.spend(len(piece))
+                        whole.write(piece)
+                except EOFError:
+                    self._clauses.append(f"{path.name} cannot be decompressed to its end")
+        return inner
 
     def _count(self, record: Record, place: int, listen: Listen) -> None:
         connection, receive_ns, data, at = record
@@ -222,7 +230,7 @@ class Bag(Closing):
         if topic is None:
             topic = self._topics[name] = _Topic(connection)
         if not topic.takes(connection):
-            self._others[name] += 1
+            topic.others += 1
             return
         self._room -= 1
         if self._room < 0:
@@ -242,51 +250,36 @@ class Bag(Closing):
     def _whole(self, records: Iterator[Record]) -> Iterator[Record]:
         """The records, those that are compressed one by one decompressed."""
         budget = UnfoldBudget(self.path, self._bytes)
-        for record in records:
-            if record.connection.encoding == "cdr" and record.data[:4] == ZSTD_MAGIC:
-                # No CDR begins like this.
-                data = inflate(bytes(record.data), "zstd", limits().piece_bytes)
-                budget.spend(len(data))
-                yield record._replace(data=data)
-            else:
-                yield record
+        with _told(self.path):
+            for record in records:
+                if record.connection.encoding == "cdr" and record.data[:4] == ZSTD_MAGIC:
+                    # No CDR begins like this.
+                    data = inflate(bytes(record.data), "zstd", limits().piece_bytes)
+                    budget.spend(len(data))
+                    yield record._replace(data=bytes(data))
+                else:
+                    yield record
 
     def _damage(self) -> str:
-        clauses = self._clauses
-        if not clauses:
+        shown, rest = self._clauses[:_SHOWN_CLAUSES], self._clauses[_SHOWN_CLAUSES:]
+        if not shown:
             return ""
-        if len(clauses) > _SHOWN_CLAUSES:
-            rest = counted(len(clauses) - _SHOWN_CLAUSES, "further fault")
-            clauses = [*clauses[:_SHOWN_CLAUSES], rest]
+        more = [counted(len(rest), "further fault")] if rest else []
         number = sum(len(topic.received) for topic in self._topics.values())
         used = f"{counted(number, 'message')} up to {utc_text(self.end_ns)[:19]}Z are used"
-        return f"{'; '.join([*clauses, used])}."
-
-
-class _Part(NamedTuple):
-    """One file of a bag that was read once, so that its connections are known."""
-
-    kind: type[FileReader]
-    path: Path
-    file: Path
-    connections: Connections
-
-    def run(self, topics: Collection[str] | None = None) -> FileReader:
-        """A run through it, for the messages of these topics."""
-        return self.kind(self.path, self.file, self.connections, topics)
+        return f"{'; '.join([*shown, *more, used])}."
 
 
 class _Topic:
-    """What is known of a topic. Its first connection says what its messages are."""
+    """What is known of a topic. Its first connection says what its messages are; `others` are of
+    another type."""
 
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
         self.has_header = has_header(connection)
         self.stamped, self.received, self.places = array("q"), array("q"), array("q")
+        self.others = 0
         self.take: Take | None = None
-
-    def summary(self) -> Topic:
-        return Topic(self.connection.topic, self.connection.type, len(self.received))
 
     def takes(self, connection: Connection) -> bool:
         """Whether messages of this connection are what those of the topic are, though the
@@ -297,6 +290,18 @@ class _Topic:
         )
 
 
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Makes an error of the disk one that says what to do."""
+    try:
+        yield
+    except OSError as error:
+        raise RecordingError(
+            f"{path} cannot be read ({error.strerror}); check its permissions, and the space for "
+            "temporary files."
+        ) from error
+
+
 def _start(path: Path) -> bytes:
     with path.open("rb") as file:
-        return file.read(max(len(magic) for magic in _KINDS))
+        return file.read(_MAGIC_BYTES)

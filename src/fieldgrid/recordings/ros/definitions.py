@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import re
+import struct
 from functools import cache, lru_cache
 from typing import Any
 
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys import (
-    Stores,
-    TypesysError,
-    get_types_from_idl,
-    get_types_from_msg,
-    get_typestore,
-)
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from fieldgrid.core import RecordingError, quoted
-from fieldgrid.recordings.ros.model import Connection, Definition, Message
+from fieldgrid.core import RecordingError, quoted, shortened
+from fieldgrid.recordings.ros.model import Connection, Message
 
 _HEADER = "std_msgs/msg/Header"
 _HEADER_FIRST = re.compile(
@@ -26,6 +21,7 @@ _HEADER_FIRST = re.compile(
     r"[ \t]*+(?:std_msgs/(?:msg/)?)?Header[ \t]"
 )
 _ENCODINGS = ("cdr", "ros1")
+_STAMP_AT = 4  # after the CDR encapsulation or the sequence number
 
 _NMEA = "std_msgs/Header header\nstring sentence\n"
 _GRID_MAP = """std_msgs/Header header
@@ -64,7 +60,6 @@ _MAX_UNROLLED = 10_000
 _MAX_ARRAY = 1 << 26
 _MAX_DEPTH = 50
 _MAX_TYPES = 1000
-_IDL_LINE = "=" * 80 + "\n"
 
 # What rosbags raises for definitions that are none, on purpose and not.
 _BAD_DEFINITION = (
@@ -82,10 +77,6 @@ _BAD_DEFINITION = (
 _BAD_MESSAGE = (*_BAD_DEFINITION, SerdeError, MemoryError)
 
 _Fields = dict[str, Any]  # as rosbags parses them: type -> (constants, [(name, description)])
-
-
-class _NotStandardError(Exception):
-    """A type of a ROS distribution with other fields than it has there."""
 
 
 def _with(release: Stores, more: dict[str, str]) -> Typestore:
@@ -119,16 +110,21 @@ def ros1_types() -> Typestore:
 
 def has_header(connection: Connection) -> bool:
     """Whether the messages begin with a standard header; False where that is unknown."""
-    name, definition, encoding = connection.type, connection.definition, connection.encoding
-    if encoding not in _ENCODINGS:
+    if connection.encoding not in _ENCODINGS:
         return False
-    if definition is not None and definition.syntax == "msg":  # parsing takes long
-        return _HEADER_FIRST.match(definition.text) is not None
-    try:
-        fields = _parsed(name, definition, encoding)
-        return bool(fields[name][1][0][1] == (Nodetype.NAME, _HEADER))
-    except _BAD_DEFINITION:
-        return False
+    if connection.definition is not None:  # parsing takes long
+        return _HEADER_FIRST.match(connection.definition) is not None
+    _, fields = _standard(connection.encoding).fielddefs.get(connection.type, ([], []))
+    return bool(fields) and fields[0][1] == (Nodetype.NAME, _HEADER)
+
+
+def stamp_ns(encoding: str, data: bytes | memoryview) -> int:
+    """The stamp of the standard header that a message begins with; 0 where it is too short."""
+    if len(data) < _STAMP_AT + 8:
+        return 0
+    order = "<II" if encoding == "ros1" else "<iI" if data[1] & 1 else ">iI"
+    seconds, nanoseconds = struct.unpack_from(order, data, _STAMP_AT)
+    return int(seconds) * 10**9 + int(nanoseconds)
 
 
 def decode(message: Message) -> Any:
@@ -149,15 +145,10 @@ def decode(message: Message) -> Any:
         )
     try:
         store = _store(name, connection.definition, connection.encoding)
-    except _NotStandardError as error:
-        raise RecordingError(
-            f"The messages of {connection.topic} do not have the fields of {name} ({error}); "
-            "record them with the definition of a ROS distribution."
-        ) from error
     except _BAD_DEFINITION as error:
         raise RecordingError(
-            f"The type {quoted(name)} of {connection.topic} has no definition that can be read; "
-            "convert the bag with a ROS that knows the type."
+            f"The type {quoted(name)} of {connection.topic} has no definition that can be used "
+            f"({shortened(error)}); convert the bag with a ROS distribution that knows the type."
         ) from error
     try:
         if connection.encoding == "ros1":
@@ -170,65 +161,33 @@ def decode(message: Message) -> Any:
         ) from error
 
 
-@cache
 def _standard(encoding: str) -> Typestore:
-    return get_typestore(Stores.ROS1_NOETIC) if encoding == "ros1" else types()
+    return ros1_types() if encoding == "ros1" else types()
 
 
 @lru_cache(maxsize=256)
-def _store(name: str, definition: Definition | None, encoding: str) -> Typestore:
-    """A store of one definition alone, so that none is in conflict with another."""
-    store = get_typestore(Stores.EMPTY)
-    parsed = _parsed(name, definition, encoding)
-    store.register(parsed)
-    store.get_msgdef(name)
-    usual = types()
-    for own in parsed:
-        standard = _FIRST_NAMES.get(own, own)
-        if standard in usual.types:
-            _check_fields(own, store.types[own], usual.types[standard])
-    return store
+def _store(name: str, definition: str | None, encoding: str) -> Typestore:
+    """A store of one definition alone, so that none is in conflict with another: of the types that
+    it needs, those that it leaves out taken from the standard ones. The constants are left out.
 
-
-def _check_fields(name: str, kind: Any, usual: Any) -> None:
-    """Raise for a message class that lacks a field of another, or has another kind of it."""
-    fields, wanted = (
-        {
-            one.name: one.type
-            for one in cls.__dataclass_fields__.values()
-            if not one.type.startswith("ClassVar")
-        }
-        for cls in (kind, usual)
-    )
-    for key, annotation in wanted.items():
-        if fields.get(key) != annotation:
-            raise _NotStandardError(f"{name.rpartition('/')[2]} without a {key}")
-
-
-@lru_cache(maxsize=256)
-def _parsed(name: str, definition: Definition | None, encoding: str) -> _Fields:
-    """The types that a definition needs, those that it leaves out taken from the standard ones.
-
-    The constants are left out. rosbags makes code of these types and runs it, so the names, the
-    sizes and the nesting are checked to be what they should.
+    rosbags makes code of these types and runs it, so the names, the sizes and the nesting are
+    checked to be what they should; a type that ROS 2 has must have the fields that it has there.
     """
     known: _Fields = dict(_standard(encoding).fielddefs)
     if definition is not None:
-        for part in _parse(name, definition):
-            known.update(part)
+        known.update(get_types_from_msg(definition.replace("\r\n", "\n"), name))
     needed: _Fields = {}
     _collect(name, known, needed, set(), _MAX_DEPTH)
-    return needed
-
-
-def _parse(name: str, definition: Definition) -> list[Any]:
-    if definition.syntax == "msg":
-        return [get_types_from_msg(definition.text.replace("\r\n", "\n"), name)]
-    if "<<" in definition.text:
-        raise TypesysError("a shift in a definition")  # of as many bits as it likes
-    pieces = definition.text.split(_IDL_LINE)
-    idls = [piece.partition("\n")[2] if piece.startswith("IDL: ") else piece for piece in pieces]
-    return [get_types_from_idl(idl) for idl in idls if idl.strip()]
+    usual = types().fielddefs
+    for own, (_, fields) in needed.items():
+        _, wanted = usual.get(_FIRST_NAMES.get(own, own), ([], []))
+        lacking = [field for field, kind in wanted if (field, kind) not in fields]
+        if lacking:
+            raise TypesysError(f"{own.rpartition('/')[2]} without a {lacking[0]}")
+    store = get_typestore(Stores.EMPTY)
+    store.register(needed)
+    store.get_msgdef(name)
+    return store
 
 
 def _collect(

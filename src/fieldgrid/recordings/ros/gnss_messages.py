@@ -202,13 +202,10 @@ def datum_message(datum: Datum, time_ns: int) -> Any:
 
 
 def datum_of(message: Any) -> Datum | None:
-    """The datum of such a message, or of the JSON text of version 0.1; None for what is none."""
+    """The datum of such a message; None for what is none."""
     try:
-        if hasattr(message, "latitude"):
-            return Datum(message.latitude, message.longitude, message.altitude)
-        values = _object(message.data)
-        return Datum(*(float(values[key]) for key in ("lat_deg", "lon_deg", "height_m")))
-    except (DatumError, ValueError, LookupError, TypeError, OverflowError):
+        return Datum(message.latitude, message.longitude, message.altitude)
+    except (DatumError, AttributeError):
         return None
 
 

@@ -14,14 +14,12 @@ from mcap.records import Channel, Schema
 from fieldgrid.recordings.ros.chunked import ChunkedReader
 from fieldgrid.recordings.ros.model import (
     Connection,
-    Definition,
     Record,
     definition_of,
     ros2_name,
 )
 from fieldgrid.recordings.ros.source import COMPRESSIONS, Torn
 
-MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
 _STATISTICS = 0x0B
 _READ = {_SCHEMA, _CHANNEL, _MESSAGE, _STATISTICS}
@@ -32,39 +30,34 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _U16 = struct.Struct("<H")
 _U64 = struct.Struct("<Q")
-_MAX_TIME_NS = (1 << 63) - 1
 _MAX_NAME_BYTES = 16  # of a compression
 
 
 class McapReader(ChunkedReader):
     """One run through an `.mcap` file."""
 
+    magic = b"\x89MCAP0\r\n"
     chunk_mark = re.compile(
         rb"\x06.{5}\x00{3}.{28}(?:\x04\x00{3}zstd|\x03\x00{3}lz4|\x00{4})", re.DOTALL
     )
 
-    def begin(self) -> None:
-        """See `ChunkedReader`."""
-        self.source.skip(len(MAGIC))
-
     def next_records(self) -> Iterator[Record]:
         """See `ChunkedReader`."""
         source = self.source
-        op, length = _HEAD.unpack(source.take(_HEAD.size))
+        head = source.take(_HEAD.size)
+        op, length = _HEAD.unpack(head)
         if op == _CHUNK:
-            compression, full_bytes, crc, stored_bytes = self._chunk_head(length)
-            yield from self.chunk_records(stored_bytes, compression, full_bytes, crc)
+            yield from self.chunk_records(*self._chunk_head(length))
         elif op in _READ:
-            record = self._read(op, memoryview(source.take(length)), 0)
-            if record is not None:
-                yield record
+            yield from self.inner_records(head + source.take(length))
         elif (op, length) in _ENDS or 0 < op < _DATA_END or op >= _FIRST_PRIVATE_OP:
-            self.is_closed = self.has_all = self.has_all or (op, length) in _ENDS
+            if (op, length) in _ENDS:
+                self.data_end = self.at
             source.skip(length)
         else:
             raise Torn
 
-    def inner_records(self, data: bytes) -> Iterator[Record]:
+    def inner_records(self, data: bytes | bytearray) -> Iterator[Record]:
         """See `ChunkedReader`."""
         view, at = memoryview(data), 0
         while at < len(data):
@@ -72,9 +65,17 @@ class McapReader(ChunkedReader):
             begin, at = at + _HEAD.size, at + _HEAD.size + length
             if at > len(data):
                 raise Torn
-            record = self._read(op, view[begin:at], begin)
-            if record is not None:
-                yield record
+            if op == _MESSAGE:
+                channel, _, time_ns, _ = _MESSAGE_HEAD.unpack_from(view, begin)
+                record = self.message(channel, time_ns, view[begin + _MESSAGE_HEAD.size : at])
+                if record is not None:
+                    yield record
+            elif op == _STATISTICS:
+                self.told = _U64.unpack_from(view, begin)[0]
+            elif op in _READ and _U16.unpack_from(view, begin)[0] not in (
+                self.known.schemas if op == _SCHEMA else self.met
+            ):
+                self._read_about(op, view[begin:at])
 
     def is_chunk(self) -> bool:
         """See `ChunkedReader`."""
@@ -98,35 +99,22 @@ class McapReader(ChunkedReader):
             raise Torn
         return compression, full_bytes, crc, stored_bytes
 
-    def _read(self, op: int, view: memoryview, offset: int) -> Record | None:
-        """The message of a record, if it is one; what others say is kept."""
-        if op == _MESSAGE:
-            if len(view) >= _MESSAGE_HEAD.size:
-                channel, _, log_time_ns, _ = _MESSAGE_HEAD.unpack_from(view)
-                if log_time_ns <= _MAX_TIME_NS:
-                    return self.record(channel, log_time_ns, view[_MESSAGE_HEAD.size :], offset)
-            self.damage.messages += 1
-        elif op == _STATISTICS:
-            self.told = _U64.unpack_from(view)[0]
-        elif op in _READ and _U16.unpack_from(view)[0] not in (
-            self.connections.schemas if op == _SCHEMA else self.connections
-        ):
-            stream = ReadDataStream(BytesIO(view))
-            try:
-                if op == _SCHEMA:
-                    schema = Schema.read(stream)
-                    self.connections.add_schema(schema.id, *named(schema))
-                else:
-                    channel = Channel.read(stream)
-                    about = self.connections.schemas.get(channel.schema_id, UNNAMED)
-                    connection = connection_of(channel, about)
-                    self.connections.add(channel.id, connection, (self.at, offset))
-            except (struct.error, EndOfFile, UnicodeDecodeError):
-                pass  # The messages that need it are counted as lost.
-        return None
+    def _read_about(self, op: int, view: memoryview) -> None:
+        """Keep what a schema or a channel says."""
+        stream = ReadDataStream(BytesIO(view))
+        try:
+            if op == _SCHEMA:
+                schema = Schema.read(stream)
+                self.known.add_schema(schema.id, *named(schema))
+            else:
+                channel = Channel.read(stream)
+                about = self.known.schemas.get(channel.schema_id, UNNAMED)
+                self.meet(channel.id, connection_of(channel, about))
+        except (struct.error, EndOfFile, UnicodeDecodeError):
+            pass  # The messages that need it are counted as lost.
 
 
-Named = tuple[str, Definition | None]
+Named = tuple[str, str | None]
 """The name of a type and its definition, if there is any."""
 
 UNNAMED: Named = ("", None)

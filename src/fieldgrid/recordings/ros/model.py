@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator, Sized
+from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from fieldgrid.core import counted
 
@@ -18,28 +18,26 @@ class Topic(NamedTuple):
     count: int  # type: ignore[assignment]  # in the place of tuple.count, which nobody needs
 
 
-class Definition(NamedTuple):
-    """The text that defines a type and the types within it: `syntax` is "msg" or "idl"."""
-
-    syntax: str
-    text: str
+MAX_DEFINITION_CHARS = 1 << 16
+"""Ten times what the largest types have. A definition takes 10 microseconds a character to parse,
+and one that is beyond this is taken to be missing."""
 
 
-_SYNTAX = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl"}
-
-
-def definition_of(encoding: str, text: str) -> Definition | None:
-    """The definition that a bag has in an encoding of schemas of MCAP; None for none of ROS."""
-    return Definition(_SYNTAX[encoding], text) if encoding in _SYNTAX and text.strip() else None
+def definition_of(encoding: str, text: str) -> str | None:
+    """The definition that a bag has in an encoding of schemas of MCAP; None for one of another
+    encoding, for none and for one beyond all measure."""
+    is_one = encoding in ("ros1msg", "ros2msg") and len(text) <= MAX_DEFINITION_CHARS
+    return text if is_one and text.strip() else None
 
 
 class Connection(NamedTuple):
-    """What the messages of a topic are: `encoding` is "cdr", "ros1" or a foreign one."""
+    """What the messages of a topic are: `encoding` is "cdr", "ros1" or a foreign one. The
+    `definition` of the type and of those within it is as in `.msg` files."""
 
     topic: str
     type: str
     encoding: str
-    definition: Definition | None
+    definition: str | None
 
 
 class Message(NamedTuple):
@@ -71,31 +69,7 @@ MAX_GAPS = 1000
 """A file with more damaged places than this is given up at the last of them."""
 
 
-class Damage:
-    """What could not be read of one file.
-
-    `end` is a clause that follows the name of the file: how it ends before its time. Of chunks and
-    places that are `lost` it has the bytes; single `messages` could not be read.
-    """
-
-    def __init__(self) -> None:
-        self.end = ""
-        self.messages = 0
-        self.lost: dict[str, list[int]] = {"chunk": [], "place": []}
-
-    def clauses(self, name: str) -> list[str]:
-        """What is lost of the file `name`; nothing for a whole file."""
-        found = [self.end] if self.end else []
-        for what, counts in self.lost.items():
-            if counts:
-                number = counted(len(counts), f"damaged {what}")
-                found.append(f"holds {number} ({size(sum(counts))})")
-        if self.messages:
-            found.append(f"holds {counted(self.messages, 'unreadable message')}")
-        return [f"{name} {clause}" for clause in found]
-
-
-def size(count: int) -> str:
+def size_text(count: int) -> str:
     """A number of bytes as people read it."""
     for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if count >= scale:
@@ -103,20 +77,17 @@ def size(count: int) -> str:
     return counted(count, "byte")
 
 
-MAX_CONNECTIONS = 10_000
-MAX_DEFINITION_CHARS = 1 << 16
-"""Ten times what the largest types have. A definition takes 10 microseconds a character to parse,
-and one that is beyond this is taken to be missing."""
+_MAX_CHARS = 1 << 24
+"""Of the names and the definitions of a file, each connection counting some hundred by itself."""
 
-_MAX_CHARS = 1 << 20  # of all definitions that differ
-_MAX_NAME_CHARS = 1 << 22
+_CONNECTION_CHARS = 400
 
 
 class Known(NamedTuple):
-    """A connection, and where in its file it is told: place and offset, as of a record."""
+    """A connection, and the place in its file where it was met first."""
 
     connection: Connection
-    since: tuple[int, int]
+    at: int
 
 
 class Connections(dict[int, Known]):
@@ -125,58 +96,66 @@ class Connections(dict[int, Known]):
 
     def __init__(self) -> None:
         super().__init__()
-        self.schemas: dict[int, tuple[str, Definition | None]] = {}
-        self._definitions: dict[Definition, Definition] = {}
-        self._chars = self._name_chars = 0
+        self.schemas: dict[int, tuple[str, str | None]] = {}
+        self._room_chars = _MAX_CHARS
 
-    def add(self, number: int, connection: Connection, since: tuple[int, int] = (-1, 0)) -> None:
-        """Take a connection. One beyond all measure is left out, and its messages with it."""
-        if number not in self and self._has_room(self, connection.topic + connection.type):
-            definition = self.shared(connection.definition)
-            self[number] = Known(connection._replace(definition=definition), since)
+    def added(self, number: int, connection: Connection, at: int) -> Connection | None:
+        """The connection of that number, which is this one if there was none; None for one beyond
+        all measure, whose messages are left out."""
+        topic, name, _, definition = connection
+        if number not in self and self._has_room(topic, name, definition or ""):
+            self[number] = Known(connection, at)
+        return self[number].connection if number in self else None
 
-    def add_schema(self, number: int, name: str, definition: Definition | None) -> None:
+    def add_schema(self, number: int, name: str, definition: str | None) -> None:
         """Take a schema, as a connection is taken."""
-        if number not in self.schemas and self._has_room(self.schemas, name):
-            self.schemas[number] = name, self.shared(definition)
+        if number not in self.schemas and self._has_room(name, definition or ""):
+            self.schemas[number] = name, definition
 
-    def _has_room(self, among: Sized, names: str) -> bool:
-        self._name_chars += len(names)
-        return len(among) < MAX_CONNECTIONS and self._name_chars < _MAX_NAME_CHARS
-
-    def shared(self, definition: Definition | None) -> Definition | None:
-        """One object for all definitions that are equal; None for one beyond all measure."""
-        if definition is None or len(definition.text) > MAX_DEFINITION_CHARS:
-            return None
-        if definition not in self._definitions:
-            self._chars += len(definition.text)
-            if self._chars > _MAX_CHARS:
-                return None
-            self._definitions[definition] = definition
-        return self._definitions[definition]
+    def _has_room(self, *texts: str) -> bool:
+        self._room_chars -= _CONNECTION_CHARS + sum(map(len, texts))
+        return self._room_chars > 0
 
 
 class FileReader(ABC):
     """One run through one file of a bag, known to begin as its kind does: `path` names it, `file`
-    is read. `connections` are all that runs have met so far, and `damage` is whole when the run has
-    ended."""
+    is read. `known` are the connections that runs have met so far.
+
+    What cannot be read is known when the run has ended. `end` is a clause that follows the name of
+    the file: how it ends before its time. `lost` are the bytes of places that are damaged, and
+    `unread` is the number of messages that cannot be read one by one.
+    """
+
+    magic: ClassVar[bytes]
+    """What such a file begins with."""
 
     def __init__(
         self,
         path: Path,
         file: Path,
-        connections: Connections,
+        known: Connections,
         topics: Collection[str] | None = None,
     ) -> None:
         self.path, self.file = path, file
-        self.connections, self.topics = connections, topics
-        self.damage = Damage()
+        self.known, self.topics = known, topics
+        self.end, self.unread = "", 0
+        self.lost: list[int] = []
 
     @abstractmethod
     def records(self, start: int = 0) -> Iterator[Record]:
         """What can be read, in the order of the file; of these topics, or of all. `start` is
         where, an `at` of a record of an earlier run. Raises LimitError for a file that unfolds
         to more than it may."""
+
+    def damage(self) -> Iterator[str]:
+        """Clauses on what is lost of the file; none for a whole one."""
+        if self.end:
+            yield f"{self.path.name} {self.end}"
+        if self.lost:
+            places = counted(len(self.lost), "damaged place")
+            yield f"{self.path.name} holds {places} ({size_text(sum(self.lost))})"
+        if self.unread:
+            yield f"{self.path.name} holds {counted(self.unread, 'unreadable message')}"
 
 
 def ros2_name(name: str) -> str:

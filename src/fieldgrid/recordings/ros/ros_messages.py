@@ -168,32 +168,22 @@ def compressed_image(data: bytes, header: Any) -> Any:
     )
 
 
-def camera_info(camera: StereoCamera, cx_px: float, shift_px_m: float, header: Any) -> Any:
-    """A sensor_msgs/CameraInfo of one side of a rectified pair; `shift_px_m` is P[3]."""
-    size_px, f = (camera.width_px, camera.height_px), camera.focal_px
-    return _info(size_px, (f, f), (cx_px, camera.cy_px), shift_px_m, header)
-
-
-def depth_info(camera: DepthCamera, header: Any) -> Any:
-    """A sensor_msgs/CameraInfo of depth images."""
-    size_px, focal_px = (camera.width_px, camera.height_px), (camera.fx_px, camera.fy_px)
-    return _info(size_px, focal_px, (camera.cx_px, camera.cy_px), 0.0, header)
-
-
-def _info(
-    size_px: tuple[int, int],
-    focal_px: tuple[float, float],
-    centre_px: tuple[float, float],
-    shift_px_m: float,
-    header: Any,
+def camera_info(
+    camera: StereoCamera | DepthCamera, cx_px: float, shift_px_m: float, header: Any
 ) -> Any:
-    (fx, fy), (cx, cy) = focal_px, centre_px
+    """A sensor_msgs/CameraInfo of one side of a rectified pair, or of depth images; `shift_px_m` is
+    P[3]."""
+    if isinstance(camera, StereoCamera):
+        fx, fy = camera.focal_px, camera.focal_px
+    else:
+        fx, fy = camera.fx_px, camera.fy_px
+    cx, cy = cx_px, camera.cy_px
     whole = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
     return new(
         "sensor_msgs/CameraInfo",
         header=header,
-        height=size_px[1],
-        width=size_px[0],
+        height=camera.height_px,
+        width=camera.width_px,
         distortion_model="plumb_bob",
         d=np.zeros(5),
         k=np.array([fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]),

@@ -7,19 +7,19 @@ from __future__ import annotations
 
 import re
 import struct
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 
-from fieldgrid.core import RecordingError, limits, quoted
+from fieldgrid.core import RecordingError
 from fieldgrid.recordings.ros.chunked import TORN, ChunkedReader
-from fieldgrid.recordings.ros.model import Connection, Definition, Record, ros2_name
+from fieldgrid.recordings.ros.model import Connection, Record, definition_of, ros2_name
 from fieldgrid.recordings.ros.source import COMPRESSIONS, Torn
 
-MAGIC = b"#ROSBAG V"
-_VERSION = b"2.0\n"
-_MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
-_OPS = {_MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION}
+_MESSAGE, _BAG, _INDEX = b"\x02", b"\x03", b"\x04"
+_CHUNK, _CHUNK_INFO, _CONNECTION = b"\x05", b"\x06", b"\x07"
 _MAX_HEADER_BYTES = 1 << 20
 _U32 = struct.Struct("<I")
+_U64 = struct.Struct("<Q")
 _PAIR = struct.Struct("<II")
 _USUAL_MESSAGE = re.compile(
     rb"(?:\x09\0{3}conn=(.{4})|\x04\0{3}op=\x02|\x0d\0{3}time=(.{8})){3}", re.DOTALL
@@ -30,54 +30,34 @@ _USUAL_MESSAGE = re.compile(
 class Rosbag1Reader(ChunkedReader):
     """One run through a `.bag` file."""
 
+    magic = b"#ROSBAG V2.0\n"
     chunk_mark = re.compile(
         rb".\0{3}(?:\x04\0{3}op=\x05|\x09\0{3}size=.{4}"
         rb"|[\x0f\x10]\0{3}compression=(?:none|bz2|lz4)){3}",
         re.DOTALL,
     )
-    _chunks, _chunks_of_header = 0, -1
-
-    def begin(self) -> None:
-        """See `ChunkedReader`."""
-        magic = self.source.rest(len(MAGIC) + len(_VERSION))
-        if not magic.endswith(_VERSION):
-            version = magic[len(MAGIC) :].decode("ascii", "replace").strip()
-            raise RecordingError(
-                f"{self.path} is a ROS 1 bag of format {quoted(version)}; convert it to format 2.0 "
-                "with `rosbag fix`."
-            )
 
     def next_records(self) -> Iterator[Record]:
         """See `ChunkedReader`."""
         source = self.source
-        length: int = _U32.unpack(source.take(4))[0]
-        if length > _MAX_HEADER_BYTES:
+        head_bytes: int = _U32.unpack(source.take(4))[0]
+        if head_bytes > _MAX_HEADER_BYTES:
             raise Torn
-        header = _fields(source.take(length))
-        op = _op(header)
-        length = _U32.unpack(source.take(4))[0]
-        if op == _CHUNK:
-            compression = header.get(b"compression", b"").decode("ascii", "replace")
+        header = _fields(source.take(head_bytes))
+        data_bytes: int = _U32.unpack(source.take(4))[0]
+        if header[b"op"] == _CHUNK:
+            compression = header[b"compression"].decode("ascii", "replace")
             if compression not in COMPRESSIONS:
                 raise Torn
-            full_bytes = _number(header, b"size", limits().piece_bytes + 1)
-            self._chunks += 1
-            self.has_all = self.is_closed and 0 < self._chunks_of_header <= self._chunks
-            yield from self.chunk_records(length, compression, full_bytes)
-        elif op == _INDEX:
-            source.skip(length)
+            full_bytes = _U32.unpack(header[b"size"])[0]
+            yield from self.chunk_records(compression, full_bytes, 0, data_bytes)
+        elif header[b"op"] == _INDEX:
+            source.skip(data_bytes)
         else:
-            record = self._read(op, header, memoryview(source.take(length)), 0)
-            if record is not None:
-                yield record
+            source.go(self.at)
+            yield from self.inner_records(source.take(4 + head_bytes + 4 + data_bytes))
 
-    def lacking(self) -> str:
-        """See `ChunkedReader`."""
-        if self._chunks < self._chunks_of_header:
-            return f"holds {self._chunks} of the {self._chunks_of_header} chunks that it had"
-        return ""
-
-    def inner_records(self, data: bytes) -> Iterator[Record]:
+    def inner_records(self, data: bytes | bytearray) -> Iterator[Record]:
         """See `ChunkedReader`."""
         view, at = memoryview(data), 0
         while at < len(data):
@@ -86,57 +66,57 @@ class Rosbag1Reader(ChunkedReader):
             if at > len(data):
                 raise Torn
             usual = _USUAL_MESSAGE.fullmatch(view, begin, body)
-            number, time = usual.groups() if usual else (None, None)
-            if number is None or time is None:
-                header = _fields(bytes(view[begin:body]))
-                record = self._read(_op(header), header, view[body + 4 : at], begin)
+            if usual:
+                number, time = usual.groups(b"")
+                record = self._message(number, time, view[body + 4 : at])
             else:
-                record = self._message(number, time, view[body + 4 : at], begin)
+                record = self._read(_fields(bytes(view[begin:body])), view[body + 4 : at])
             if record is not None:
                 yield record
 
-    def _message(self, number: bytes, time: bytes, data: memoryview, offset: int) -> Record | None:
+    def _message(self, number: bytes, time: bytes, data: memoryview) -> Record | None:
         secs, nsecs = _PAIR.unpack(time)
-        return self.record(_U32.unpack(number)[0], secs * 10**9 + nsecs, data, offset)
+        return self.message(_U32.unpack(number)[0], secs * 10**9 + nsecs, data)
 
-    def _read(
-        self, op: int, header: Mapping[bytes, bytes], data: memoryview, offset: int
-    ) -> Record | None:
+    def _read(self, header: Mapping[bytes, bytes], data: memoryview) -> Record | None:
         """The message of a record, if it is one; what others say is kept."""
+        op = header[b"op"]
         if op == _MESSAGE:
-            return self._message(header.get(b"conn", b""), header.get(b"time", b""), data, offset)
+            return self._message(header[b"conn"], header[b"time"], data)
         if op == _CONNECTION:
-            self._connect(header, bytes(data), offset)
+            self._connect(header, bytes(data))
         elif op == _CHUNK_INFO:  # pairs of a connection and its number of messages in a chunk
             pairs = data[: len(data) // 8 * 8]
             self.told += sum(count for _, count in _PAIR.iter_unpack(pairs))
         elif op == _BAG:
-            if header.get(b"encryptor"):
+            if header[b"encryptor"]:
                 raise RecordingError(
                     f"{self.path} is encrypted; decrypt it with `rosbag decrypt` first."
                 )
-            self.is_closed = any(header.get(b"index_pos", b""))
-            self._chunks_of_header = _number(header, b"chunk_count", -1)
+            self.data_end = _U64.unpack(header[b"index_pos"])[0] or self.data_end
+        elif op not in (_CHUNK, _INDEX):
+            raise Torn
         return None
 
-    def _connect(self, header: Mapping[bytes, bytes], data: bytes, offset: int) -> None:
+    def _connect(self, header: Mapping[bytes, bytes], data: bytes) -> None:
         try:
-            fields = _fields(data)
             number: int = _U32.unpack(header[b"conn"])[0]
-            name = fields[b"type"].decode()
-            topic = header[b"topic"].decode()
-        except (*TORN, KeyError, UnicodeDecodeError):
+            if number in self.met:
+                return
+            fields = _fields(data)
+            name, topic = fields[b"type"].decode(), header[b"topic"].decode()
+        except (*TORN, UnicodeDecodeError):
             return  # Its messages are counted as lost.
-        text = fields.get(b"message_definition", b"").decode("utf-8", "replace")
+        text = fields[b"message_definition"].decode("utf-8", "replace")
+        definition = definition_of("ros1msg", text)
         # ROS 1 does not care about slashes that double or trail.
         topic = "/" * topic.startswith("/") + "/".join(filter(None, topic.split("/")))
-        connection = Connection(topic, ros2_name(name), "ros1", Definition("msg", text))
-        self.connections.add(number, connection, (self.at, offset))
+        self.meet(number, Connection(topic, ros2_name(name), "ros1", definition))
 
 
-def _fields(data: bytes) -> dict[bytes, bytes]:
-    """The `name=value` fields of a header."""
-    found: dict[bytes, bytes] = {}
+def _fields(data: bytes) -> Mapping[bytes, bytes]:
+    """The `name=value` fields of a header; those that it lacks are empty."""
+    found = defaultdict[bytes, bytes](bytes)
     at = 0
     while at < len(data):
         end = at + 4 + _U32.unpack_from(data, at)[0]
@@ -146,15 +126,3 @@ def _fields(data: bytes) -> dict[bytes, bytes]:
         found[name] = value
         at = end
     return found
-
-
-def _number(header: Mapping[bytes, bytes], name: bytes, otherwise: int) -> int:
-    value = header.get(name, b"")
-    return int.from_bytes(value, "little") if len(value) == 4 else otherwise
-
-
-def _op(header: Mapping[bytes, bytes]) -> int:
-    op = header.get(b"op", b"")
-    if len(op) != 1 or op[0] not in _OPS:
-        raise Torn
-    return op[0]

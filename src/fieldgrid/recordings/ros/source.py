@@ -6,17 +6,17 @@ import bz2
 import os
 import re
 from collections.abc import Callable, Iterator
-from functools import partial
+from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import lz4.frame
 
-from fieldgrid.core import Closing, RecordingError, UnfoldBudget, limits
+from fieldgrid.core import Closing, limits
 
-_STEP_BYTES = 1 << 22
+_STEP_BYTES = 1 << 20
 _SEARCH_BYTES = 1 << 20
-_MAX_SEARCHED_BYTES = 1 << 30
 _MAX_WRONG = 10_000
 _WIDEST_MATCH = 64
 _MAX_WINDOW_BYTES = 1 << 27
@@ -30,12 +30,7 @@ class BoundedFile(Closing):
     """A file open for reading, which gives no byte beyond its end and none unasked."""
 
     def __init__(self, path: Path) -> None:
-        try:
-            self._file = path.open("rb")
-        except OSError as error:
-            raise RecordingError(
-                f"{path} cannot be opened ({error.strerror}); check its permissions."
-            ) from error
+        self._file = path.open("rb")
         self.size = os.fstat(self._file.fileno()).st_size
         self.offset = 0
 
@@ -56,7 +51,7 @@ class BoundedFile(Closing):
 
     def rest(self, count: int) -> bytes:
         """The next `count` bytes, or fewer where the file ends."""
-        wanted = min(count, self.left, limits().piece_bytes)
+        wanted = min(count, self.left)
         try:
             data = self._file.read(wanted)
         except OSError as error:  # a bad block of the disk
@@ -80,10 +75,10 @@ class BoundedFile(Closing):
     def find(self, pattern: re.Pattern[bytes], start: int, is_right: Callable[[], bool]) -> bool:
         """Go to the next match of `pattern` that is right, as is asked there.
 
-        Gives up after many that are not, and after a gigabyte: they are there to cost time.
+        Gives up after many that are not: they are there to cost time.
         """
-        wrong, stop = 0, min(self.size, start + _MAX_SEARCHED_BYTES)
-        while start < stop and wrong < _MAX_WRONG:
+        wrong = 0
+        while start < self.size and wrong < _MAX_WRONG:
             self.go(start)
             block = self.rest(_SEARCH_BYTES + _WIDEST_MATCH)
             for match in pattern.finditer(block):
@@ -98,61 +93,48 @@ class BoundedFile(Closing):
 
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_UNPACKERS = {"bz2": bz2.BZ2Decompressor, "lz4": lz4.frame.LZ4FrameDecompressor}
-COMPRESSIONS = {"", "none", "zstd", *_UNPACKERS}
 
 
-def inflate(data: bytes, compression: str, most: int) -> bytes:
+def _unzstd(packed: BinaryIO) -> Any:
+    import zstandard
+
+    return zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES).stream_reader(packed)
+
+
+_UNPACKERS: dict[str, Callable[[BinaryIO], Any]] = {
+    "bz2": bz2.open,
+    "lz4": lz4.frame.open,
+    "zstd": _unzstd,
+}
+COMPRESSIONS = {"", "none", *_UNPACKERS}
+
+
+def unpacked_pieces(packed: BinaryIO, compression: str) -> Iterator[bytes]:
+    """What compressed data hold, piece by piece. Raises EOFError where they are damaged."""
+    import zstandard
+
+    try:
+        stream = _UNPACKERS[compression](packed)
+        while piece := stream.read1(_STEP_BYTES):
+            yield piece
+    # The first errors are of bz2 and of lz4.
+    except (OSError, EOFError, RuntimeError, ValueError, MemoryError, zstandard.ZstdError) as error:
+        raise EOFError(str(error)) from error
+
+
+def inflate(data: bytes, compression: str, most: int) -> bytes | bytearray:
     """What compressed data hold, up to `most` bytes and as far as they are whole.
 
     Memory grows with what really comes out, whatever the data claim. `compression` is one of
     `COMPRESSIONS`.
     """
-    if compression in ("", "none"):
+    if compression not in _UNPACKERS:
         return data[:most]
-    import zstandard
-
-    step = min(most, _STEP_BYTES)
-    pieces = _zstd_pieces(data, step) if compression == "zstd" else _pieces(data, compression, step)
     found = bytearray()
-    try:
-        for piece in pieces:
-            if len(piece) == most:
-                return piece
+    with suppress(EOFError):
+        for piece in unpacked_pieces(BytesIO(data), compression):
             found += piece
             if len(found) >= most:
                 break
-    # The first errors are of bz2 and of lz4.
-    except (OSError, EOFError, RuntimeError, ValueError, MemoryError, zstandard.ZstdError):
-        pass
     del found[most:]
-    return bytes(found)
-
-
-def _pieces(data: bytes, compression: str, step: int) -> Iterator[bytes]:
-    unpacker = _UNPACKERS[compression]()
-    piece = data
-    while piece and not unpacker.eof:
-        piece = unpacker.decompress(data, step)
-        data = b""
-        yield piece
-
-
-def _zstd_pieces(packed: bytes | BinaryIO, step: int = _STEP_BYTES) -> Iterator[bytes]:
-    import zstandard
-
-    unpacker = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
-    yield from iter(partial(unpacker.stream_reader(packed).read, step), b"")
-
-
-def unpacked_pieces(packed: BinaryIO, budget: UnfoldBudget) -> Iterator[bytes]:
-    """What a file compressed by zstd holds, piece by piece. Raises EOFError where it is damaged,
-    and LimitError beyond the budget."""
-    import zstandard
-
-    try:
-        for piece in _zstd_pieces(packed):
-            budget.spend(len(piece))
-            yield piece
-    except zstandard.ZstdError as error:
-        raise EOFError(str(error)) from error
+    return found

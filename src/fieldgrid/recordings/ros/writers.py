@@ -44,7 +44,6 @@ _LATCHED = Qos(
     False,
 )
 _CALLER = "/fieldgrid"
-_PLUGINS = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}
 
 
 class _BagWriter(ABC):
@@ -68,12 +67,17 @@ class _BagWriter(ABC):
     def _begin(self) -> None:
         """Open the draft."""
 
-    @abstractmethod
     def write(self, topic: str, message: Any, time_ns: int, *, latched: bool = False) -> None:
         """Write a message that is an instance of one of the classes of `types()`.
 
         What is `latched` is played to those too who subscribe later, as a map is.
         """
+        with _refused(self._path):
+            self._write(topic, message.__msgtype__, message, time_ns, latched)
+
+    @abstractmethod
+    def _write(self, topic: str, name: str, message: Any, time_ns: int, latched: bool) -> None:
+        """Write a message of the type of this name."""
 
     @abstractmethod
     def _end(self, *, is_good: bool) -> None:
@@ -116,9 +120,7 @@ class McapWriter(_BagWriter):
         self._writer = Writer(self._file, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library="fieldgrid")
 
-    def write(self, topic: str, message: Any, time_ns: int, *, latched: bool = False) -> None:
-        """Write a message of a class of `types()`."""
-        name = message.__msgtype__
+    def _write(self, topic: str, name: str, message: Any, time_ns: int, latched: bool) -> None:
         text = ""
         if (name, "ros2msg") not in self._schemas:
             text, _ = types().generate_msgdef(name, ros_version=2)
@@ -162,7 +164,19 @@ class McapWriter(_BagWriter):
         self._file.close()
 
 
-class BagFolderWriter(_BagWriter):
+class _RosbagsWriter(_BagWriter):
+    """A bag that rosbags writes."""
+
+    _writer: Any
+
+    def _put(self, topic: str, name: str, data: Any, time_ns: int, **about: Any) -> None:
+        """Write a serialised message of a connection of which `about` is told."""
+        if (topic, name) not in self._connections:
+            self._connections[topic, name] = self._writer.add_connection(topic, name, **about)
+        self._writer.write(self._connections[topic, name], time_ns, data)
+
+
+class BagFolderWriter(_RosbagsWriter):
     """A ROS 2 bag that is a folder in the making.
 
     `storage` is "sqlite3" or "mcap". One that is overwritten must hold a bag.
@@ -183,7 +197,7 @@ class BagFolderWriter(_BagWriter):
         draft = DraftFolder(path, overwrite=overwrite, ours=is_ours, what=what)
         # The files within are named after this folder.
         self._inner = draft.folder / path.resolve().name
-        self._storage = _PLUGINS[storage]
+        self._storage = StoragePlugin[storage.upper()]
         super().__init__(path, draft)
 
     def _begin(self) -> None:
@@ -191,17 +205,9 @@ class BagFolderWriter(_BagWriter):
         self._writer.open()
         self._writer.set_custom_data("written_by", "fieldgrid")
 
-    def write(self, topic: str, message: Any, time_ns: int, *, latched: bool = False) -> None:
-        """Write a message of a class of `types()`."""
-        name = message.__msgtype__
-        with _refused(self._path):
-            connection = self._connections.get((topic, name))
-            if connection is None:
-                qos = [_LATCHED] if latched else []
-                connection = self._connections[topic, name] = self._writer.add_connection(
-                    topic, name, typestore=types(), offered_qos_profiles=qos
-                )
-            self._writer.write(connection, time_ns, types().serialize_cdr(message, name))
+    def _write(self, topic: str, name: str, message: Any, time_ns: int, latched: bool) -> None:
+        data, qos = types().serialize_cdr(message, name), [_LATCHED] if latched else []
+        self._put(topic, name, data, time_ns, typestore=types(), offered_qos_profiles=qos)
 
     def _end(self, *, is_good: bool) -> None:
         if not is_good:
@@ -213,7 +219,7 @@ class BagFolderWriter(_BagWriter):
         self._inner.rmdir()
 
 
-class Ros1BagWriter(_BagWriter):
+class Ros1BagWriter(_RosbagsWriter):
     """A `.bag` of ROS 1 in the making.
 
     Messages are those of ROS 2, of which ROS 1 gets what it has of them.
@@ -242,24 +248,18 @@ class Ros1BagWriter(_BagWriter):
         )
         self._writer.open()
 
-    def write(self, topic: str, message: Any, time_ns: int, *, latched: bool = False) -> None:
-        """Write a message of a class of `types()`."""
-        name, store = message.__msgtype__, ros1_types()
-
-        def migrated(one: Any) -> Any:
-            kind = one.__msgtype__
-            return migrate_message(types(), store, kind, kind, self._migrations, one)
-
-        made = migrated(message)
+    def _write(self, topic: str, name: str, message: Any, time_ns: int, latched: bool) -> None:
+        made = self._migrated(message)
         if name == "grid_map_msgs/msg/GridMap":
-            made.info.header = migrated(message.header)
-        with _refused(self._path):
-            connection = self._connections.get((topic, name))
-            if connection is None:
-                connection = self._connections[topic, name] = self._writer.add_connection(
-                    topic, name, typestore=store, callerid=_CALLER, latching=int(latched)
-                )
-            self._writer.write(connection, time_ns, store.serialize_ros1(made, name))
+            made.info.header = self._migrated(message.header)
+        data = ros1_types().serialize_ros1(made, name)
+        about = {"typestore": ros1_types(), "callerid": _CALLER, "latching": int(latched)}
+        self._put(topic, name, data, time_ns, **about)
+
+    def _migrated(self, message: Any) -> Any:
+        """The message as ROS 1 has it."""
+        kind = message.__msgtype__
+        return migrate_message(types(), ros1_types(), kind, kind, self._migrations, message)
 
     def _end(self, *, is_good: bool) -> None:
         self._writer.close()
