@@ -176,13 +176,6 @@ def test_a_second_header_must_agree_with_the_first(second: str, tmp_path: Path) 
         read(tmp_path, GPST + second)
 
 
-def test_weeks_of_utc_among_dates_are_refused(tmp_path: Path) -> None:
-    content = text("UTC", "2024/06/01 12:00:00.0")
-    week = text("UTC", "2316 561618.250").splitlines()[-1]
-    with pytest.raises(RecordingError, match="weeks of UTC"):
-        read(tmp_path, f"{content}{week}\n")
-
-
 @pytest.mark.parametrize(
     ("content", "message"),
     [

@@ -12,7 +12,7 @@ import numpy as np
 from fieldgrid.core import Float64, Int64, RecordingError, counted
 from fieldgrid.geometry import Gyro, Inertial, Motion, WheelSpeed
 from fieldgrid.recordings.tables.columns import Columns
-from fieldgrid.recordings.tables.roles import FORCES, RATES, WHEELS, Role, guess
+from fieldgrid.recordings.tables.roles import FORCES, RATES, WHEELS, ColumnRole, guess
 from fieldgrid.recordings.tables.table_time import find_time
 from fieldgrid.recordings.tables.tables import OpenTable, open_table
 from fieldgrid.recordings.tables.units import GRAVITY_MPS2, take_apart
@@ -196,7 +196,7 @@ def _read_wheels(path: Path, notes: list[str]) -> MotionSeries | None:
 
 def _read(
     table: OpenTable,
-    roles: Sequence[Role],
+    roles: Sequence[ColumnRole],
     notes: list[str],
     guessed: list[str],
     needed: int = 1,

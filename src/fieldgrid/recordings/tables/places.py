@@ -28,7 +28,7 @@ _LEAST_E7, _MOST_E7 = 1e8, 1.8e9
 projections are no larger."""
 
 
-class Axis(NamedTuple):
+class CoordinateColumn(NamedTuple):
     """The column of one coordinate, with the letters of its sides and the worth of its unit."""
 
     name: str
@@ -61,8 +61,8 @@ class Places(NamedTuple):
     `crs`, of northing and easting; degrees and minutes are in one number where it says so."""
 
     table: OpenTable
-    lat: Axis
-    lon: Axis
+    lat: CoordinateColumn
+    lon: CoordinateColumn
     crs: str = ""
     in_minutes: bool = False
     notes: tuple[str, ...] = ()
@@ -88,7 +88,7 @@ class Places(NamedTuple):
             worth = take_apart(name).worth("angle")
             if columns.lat_lon_units or columns.crs:
                 worth = UNITS["angle"].get(columns.lat_lon_units, 1.0)
-            axes.append(Axis(name, table.header.index(name), sides, worth))
+            axes.append(CoordinateColumn(name, table.header.index(name), sides, worth))
         found = cls(table, axes[0], axes[1], columns.crs, columns.lat_lon_units == "ddmm")
         if columns.lat_lon_units or columns.crs:
             what = f"coordinates of {columns.crs}" if columns.crs else f"in {columns.lat_lon_units}"

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from fieldgrid.recordings.tables.units import take_apart
 
 
-class Role(NamedTuple):
+class ColumnRole(NamedTuple):
     """What columns hold: the project's own name for one ('' where it has none), which is the field
     of `FixColumns` that it fills; its quantity in `UNITS`; and what others call it, without unit
     and without words like "gps" before it, in the order of preference. A user says its unit by
@@ -20,19 +20,19 @@ class Role(NamedTuple):
     option: str = ""
 
 
-ROLES: Mapping[str, Role] = {
-    "time": Role("", "", ()),
-    "lat": Role(
+ROLES: Mapping[str, ColumnRole] = {
+    "time": ColumnRole("", "", ()),
+    "lat": ColumnRole(
         "lat_deg", "angle",
         ("lat", "latitude", "lat_dd", "latitude_dd", "lat_wgs84", "latitude_wgs84"),
         "lat_lon_units",
     ),
-    "lon": Role(
+    "lon": ColumnRole(
         "lon_deg", "angle",
         ("lon", "lng", "long", "longitude", "lon_dd", "longitude_dd", "lon_wgs84"),
         "lat_lon_units",
     ),
-    "height": Role(
+    "height": ColumnRole(
         "height_m", "length",
         (
             *("ellipsoidal_height", "ellipsoid_height", "height_ellipsoid", "height_ellipsoidal"),
@@ -42,7 +42,7 @@ ROLES: Mapping[str, Role] = {
         ),
         "height_units",
     ),
-    "quality": Role(
+    "quality": ColumnRole(
         "quality", "",
         (
             *("quality", "fix_quality", "fixquality", "qual", "qualityindicator", "gga_quality"),
@@ -50,7 +50,7 @@ ROLES: Mapping[str, Role] = {
             *("fix_status", "fix_type", "fixtype", "fix", "carrier", "carrsoln", "solution"),
         ),
     ),
-    "satellites": Role(
+    "satellites": ColumnRole(
         "satellites", "",
         (
             *("satellites", "num_sats", "numsv", "num_sv", "num_satellites", "numsats", "nsats"),
@@ -58,16 +58,16 @@ ROLES: Mapping[str, Role] = {
             *("sat_count", "satellite_count", "num_sat", "n_satellites", "siv"),
         ),
     ),
-    "hdop": Role("hdop", "", ("hdop", "h_dop", "horizontal_dop", "horizontal_dilution")),
-    "age": Role(
+    "hdop": ColumnRole("hdop", "", ("hdop", "h_dop", "horizontal_dop", "horizontal_dilution")),
+    "age": ColumnRole(
         "age_s", "",
         (
             *("age", "diff_age", "differential_age", "correction_age", "age_of_corrections"),
             *("age_of_differential", "dgps_age", "age_diff", "diffage", "age_of_diff"),
         ),
     ),
-    "sigma": Role("sigma_m", "length", ("sigma", "sigma_h", "horizontal_sigma")),
-    "speed": Role(
+    "sigma": ColumnRole("sigma_m", "length", ("sigma", "sigma_h", "horizontal_sigma")),
+    "speed": ColumnRole(
         "speed_mps", "speed",
         (
             *("speed", "ground_speed", "groundspeed", "gspeed", "g_speed", "speed_over_ground"),
@@ -75,7 +75,7 @@ ROLES: Mapping[str, Role] = {
         ),
         "speed_units",
     ),
-    "heading": Role(
+    "heading": ColumnRole(
         "heading_deg", "angle",
         (
             *("heading", "true_heading", "heading_true", "hdg", "att_heading", "attitude_heading"),
@@ -84,14 +84,14 @@ ROLES: Mapping[str, Role] = {
         ),
         "heading_units",
     ),
-    "heading_sigma": Role(
+    "heading_sigma": ColumnRole(
         "heading_sigma_deg", "angle",
         (
             *("heading_sigma", "heading_accuracy", "heading_acc", "heading_std", "head_acc"),
             *("headacc", "acc_heading", "accheading", "heading_stddev"),
         ),
     ),
-    "course": Role(
+    "course": ColumnRole(
         "course_deg", "angle",
         (
             *("course", "cog", "course_over_ground", "track", "track_made_good", "headmot"),
@@ -99,23 +99,23 @@ ROLES: Mapping[str, Role] = {
         ),
     ),
     # Of both axes together, and so √2 times the sigma.
-    "accuracy": Role(
+    "accuracy": ColumnRole(
         "", "length",
         (
             *("hacc", "h_acc", "horizontal_accuracy", "accuracy", "hrms", "h_rms", "lateral_rms"),
             *("accuracy_horizontal", "eph", "hpe", "horizontal_rms"),
         ),
     ),
-    "heading_valid": Role(
+    "heading_valid": ColumnRole(
         "", "",
         (
             *("heading_valid", "head_valid", "headvalid", "headingvalid", "heading_ok"),
             *("rel_pos_heading_valid", "relposheadingvalid"),
         ),
     ),
-    "date": Role("", "", ("date", "utc_date", "day")),
-    "week": Role("", "", ("week", "weekno", "week_number", "wn", "wnc", "gwk", "gpsweek")),
-    "tow": Role(
+    "date": ColumnRole("", "", ("date", "utc_date", "day")),
+    "week": ColumnRole("", "", ("week", "weekno", "week_number", "wn", "wnc", "gwk", "gpsweek")),
+    "tow": ColumnRole(
         "", "",
         (
             *("tow", "itow", "time_of_week", "seconds_of_week", "i_tow", "tow_s", "itow_s"),
@@ -126,25 +126,25 @@ ROLES: Mapping[str, Role] = {
 }  # fmt: skip
 """Of the fixes of a table: what a column may be mapped to."""
 
-NORTHING = Role(
+NORTHING = ColumnRole(
     "", "", ("northing", "utm_northing", "northings", "north", "utm_north", "utm_y", "y", "n")
 )
-EASTING = Role(
+EASTING = ColumnRole(
     "", "", ("easting", "utm_easting", "eastings", "east", "utm_east", "utm_x", "x", "e")
 )
 """Of a projection, in the place of latitude and longitude."""
 
 RATES = tuple(
-    Role(f"gyro_{axis}_rad_s", "rate", tuple(f"{name}_{axis}" for name in names))
+    ColumnRole(f"gyro_{axis}_rad_s", "rate", tuple(f"{name}_{axis}" for name in names))
     for names in [("gyro", "gyr", "angular_velocity", "w", "g", "rate", "angvel", "w_rs_s")]
     for axis in "xyz"
 )
 FORCES = tuple(
-    Role(f"acc_{axis}_m_s2", "force", tuple(f"{name}_{axis}" for name in names))
+    ColumnRole(f"acc_{axis}_m_s2", "force", tuple(f"{name}_{axis}" for name in names))
     for names in [("acc", "accel", "linear_acceleration", "a", "acceleration", "a_rs_s")]
     for axis in "xyz"
 )
-WHEELS = Role(
+WHEELS = ColumnRole(
     "speed_mps", "speed",
     (
         *("speed", "wheel_speed", "velocity", "vel", "v", "vx", "twist_linear_x", "linear_x"),
@@ -159,7 +159,7 @@ _BEFORE = frozenset(
 )
 
 
-def guess(role: Role, header: Sequence[str]) -> str | None:
+def guess(role: ColumnRole, header: Sequence[str]) -> str | None:
     """The column that holds a role by its name, as it stands in the header."""
     if role.own and role.own in header:
         return role.own

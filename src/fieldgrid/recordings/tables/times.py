@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import MAX_TIME_NS, MIN_TIME_NS, Int64, quoted
+from fieldgrid.core import MAX_TIME_NS, MIN_TIME_NS, Int64, UInt64, quoted
 from fieldgrid.poses import GPS_EPOCH_UNIX_S, unix_ns
 from fieldgrid.recordings.tables.tables import NOTHING
 
@@ -165,7 +165,7 @@ def _aligned_ns(cells: Sequence[str], places: int) -> Int64 | None:
     if (digits > 9).any():
         return None
     weights = 10 ** np.arange(point + places - 1, -1, -1, dtype=np.uint64)
-    values = digits[:, : len(weights)] @ weights[: digits.shape[1]]
+    values: UInt64 = digits[:, : len(weights)] @ weights[: digits.shape[1]]
     return np.minimum(values, np.uint64(MAX_TIME_NS + 1)).astype(np.int64)
 
 
@@ -198,14 +198,14 @@ def _civil_ns(cells: Sequence[str], zone_s: int) -> Int64:
     width = 19
     for k, cell in enumerate(cells):
         # Rows of one second share their start, and those of all seconds their ends.
-        start_ns, rest_ns = _second_ns(cell[:width]), _rest_ns(cell[width:], zone_s)
+        start_ns, rest_ns = second_ns(cell[:width]), _rest_ns(cell[width:], zone_s)
         if start_ns is None or rest_ns is None:
             text = cell.strip()
             match = _date(text)
             if match is None and text.lower() in NOTHING:
                 continue
             width = 0 if match is None else match.end()
-            start_ns, rest_ns = _second_ns(text[:width]), _rest_ns(text[width:], zone_s)
+            start_ns, rest_ns = second_ns(text[:width]), _rest_ns(text[width:], zone_s)
             if start_ns is None or rest_ns is None:
                 raise UnreadableTimeError(k)
         times_ns[k] = start_ns + rest_ns
@@ -213,7 +213,7 @@ def _civil_ns(cells: Sequence[str], zone_s: int) -> Int64:
 
 
 @lru_cache(1 << 12)
-def _second_ns(text: str) -> int | None:
+def second_ns(text: str) -> int | None:
     """Nanoseconds of a date and time to the second, None for what is none."""
     match = _date(text)
     if match is None or match.end() < len(text):
