@@ -149,10 +149,6 @@ class OpenTable:
             f"{self.path}, line {line}: {name} {quoted(cell)} {what}; correct it."
         )
 
-    def column(self, name: str) -> int | None:
-        """The place of a column by its name as it stands in the header."""
-        return self.header.index(name) if name in self.header else None
-
 
 def _even_rows(line: int, count: int, text: str, delimiter: str) -> TableRows | None:
     """The rows of lines without quotes, in a third of the time that the csv module takes; None
