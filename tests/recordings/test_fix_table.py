@@ -458,7 +458,8 @@ def test_a_date_with_its_day_first(tmp_path: Path, stamp: str) -> None:
 def test_a_time_of_day_alone(tmp_path: Path) -> None:
     text = "time,lat,lon\n10:30:11.25,41.65,-4.72\n"
     fails(tmp_path, text, r"time '10:30:11.25' can not be read .* time_epoch=")
-    fix = only(tmp_path, text, "time_epoch=2011-06-15T00:00:00Z")
+    empty = text + ",41.65,-4.72\n"
+    fix = only(tmp_path, empty, "time_epoch=2011-06-15T00:00:00Z")  # no time is not the time 0
     assert fix.time_ns == 1_308_133_811_250_000_000
 
 
@@ -512,13 +513,13 @@ def test_a_zone_is_not_of_weeks(tmp_path: Path) -> None:
     assert only(tmp_path, text, "time_zone=GPST").time_ns == START_NS
 
 
-def test_weeks_that_begin_anew_are_refused(tmp_path: Path) -> None:
-    fails(tmp_path, "week,tow,lat,lon\n268,561618,41,-4\n", "week 268 is before 1999.*add 2048")
-
-
 def test_a_column_beside_weeks_that_begin_anew_is_named(tmp_path: Path) -> None:
     text = f"timestamp,week,tow,lat,lon\n{START_S},268,561618,41,-4\n"
-    fails(tmp_path, text, "week 268 .*, or name a column with another time: .*--columns time=COL")
+    fails(
+        tmp_path,
+        text,
+        "week 268 is before 1999.*add 2048.*, or name a column .*--columns time=COL",
+    )
     assert only(tmp_path, text, "time=timestamp").time_ns == START_NS
 
 
@@ -562,6 +563,11 @@ def test_a_time_of_week_is_no_time_by_itself(tmp_path: Path) -> None:
 def test_units_of_heights(name: str, cell: str, height_m: float, tmp_path: Path) -> None:
     fix = only(tmp_path, f"time,lat,lon,{name}\n{START_S},41,-4,{cell}\n")
     assert fix.height_m == pytest.approx(height_m, rel=1e-12)
+
+
+def test_units_of_positions_in_names(tmp_path: Path) -> None:
+    fix = only(tmp_path, f"time,lat_e7,lon_e7\n{START_S},416500000,-47200000\n")
+    assert (fix.lat_deg, fix.lon_deg) == pytest.approx((41.65, -4.72), abs=1e-12)
 
 
 def test_a_height_in_an_unknown_unit_is_an_error(tmp_path: Path) -> None:
