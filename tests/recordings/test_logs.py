@@ -135,7 +135,6 @@ def test_a_log_is_the_same_however_many_fixes_are_held_at_once(
     path.write_bytes(rmc("115959") + b"".join(gga(f"1200{k:02}") for k in range(40)))
     at_once = read_fix_log(path).fixes
     assert len(at_once) == 40
-    for held in (1, 7, 40):
-        monkeypatch.setattr("fieldgrid.recordings.tables.stream_log._PACKED_AT_ONCE", held)
-        monkeypatch.setattr("fieldgrid.recordings.tables.stream_log._CHUNK", 100)
+    for held in (1, 100, 1000):
+        monkeypatch.setattr("fieldgrid.recordings.tables.stream_log._CHUNK", held)
         assert read_fix_log(path).fixes == at_once

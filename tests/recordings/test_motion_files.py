@@ -50,6 +50,7 @@ def test_axes_that_cannot_be(axes: str) -> None:
 @pytest.mark.parametrize(
     ("column", "factor"),
     [("wz", 1.0), ("angular_velocity.z", 1.0), ("gyro_z_dps", math.radians(1)),
+     ("angular_velocity_z [deg/s]", math.radians(1)),
      ("w_RS_S_z [rad s^-1]", 1.0), ("GyroZ", 1.0)],
 )  # fmt: skip
 def test_other_names_of_a_gyro_are_said(column: str, factor: float, tmp_path: Path) -> None:

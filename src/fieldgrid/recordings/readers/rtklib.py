@@ -6,35 +6,24 @@ first by the scale of time.
 
 from __future__ import annotations
 
-import io
 import re
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
 from itertools import chain, islice
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import (
-    Float64,
-    Int64,
-    Quality,
-    RecordingError,
-    bounded_lines,
-    check_rows,
-    quoted,
-)
-from fieldgrid.geometry import FixColumns, ecef_to_geodetic
-from fieldgrid.recordings.files import open_log_bytes
+from fieldgrid.core import Bool, Float64, Quality, RecordingError, check_rows, quoted
+from fieldgrid.geometry import NOT_SAID, FixColumns, ecef_to_geodetic
 from fieldgrid.recordings.tables.columns import Columns, how_to_say
 from fieldgrid.recordings.tables.fix_log import FixLog
+from fieldgrid.recordings.tables.tables import open_lines
 from fieldgrid.recordings.tables.times import (
-    NO_TIME,
+    UNITS,
     TimeScale,
-    UnreadableTimeError,
     gps_week_ns,
+    second_ns,
     to_utc_ns,
     zone_scale,
 )
@@ -42,34 +31,19 @@ from fieldgrid.recordings.tables.times import (
 SUFFIXES = frozenset({".pos", ".llh"})
 """File name endings of solutions, in lower case."""
 
-_QUALITIES = (
-    Quality.NONE,
-    Quality.RTK_FIXED,
-    Quality.RTK_FLOAT,
-    Quality.SBAS,
-    Quality.DIFFERENTIAL,
-    Quality.GPS,
-    Quality.DIFFERENTIAL,  # PPP, which has no code in GGA
-    Quality.ESTIMATED,
+_QUALITIES = np.full(100, Quality.UNKNOWN)
+_QUALITIES[:8] = (
+    *(Quality.NONE, Quality.RTK_FIXED, Quality.RTK_FLOAT, Quality.SBAS, Quality.DIFFERENTIAL),
+    *(Quality.GPS, Quality.DIFFERENTIAL, Quality.ESTIMATED),  # that before the last is PPP
 )
 """By RTKLIB's Q."""
-
-_SCALES = {"GPST": "GPST", "UTC": "UTC", "JST": "+09:00"}
-_Place = tuple[str, str, str]
-_LLH = ("latitude(deg)", "longitude(deg)", "height(m)")
-_DMS = ("latitude(d'\")", "longitude(d'\")", "height(m)")
-_XYZ = ("x-ecef(m)", "y-ecef(m)", "z-ecef(m)")
-_ENU = ("e-baseline(m)", "n-baseline(m)", "u-baseline(m)")
-_WIDTHS = {_LLH: 3, _DMS: 7, _XYZ: 3, _ENU: 3}
-"""Of a place, the count of its words."""
-
-_SIGMAS = {
-    _LLH: ("sdn(m)", "sde(m)"),
-    _DMS: ("sdn(m)", "sde(m)"),
-    _XYZ: ("sdx(m)", "sdy(m)", "sdz(m)"),
-}
-_REST = ("q", "ns", "sdn(m)", "sde(m)", "sdu(m)", "sdne(m)", "sdeu(m)", "sdun(m)", "age(s)")
-_MARKS = ",;\t"
+_ZONES = {"GPST": "GPST", "UTC": "UTC", "JST": "+09:00"}
+"""Of the words for the scale of time."""
+_PLACES = ("latitude(deg)", "latitude(d'\")", "x-ecef(m)", "e-baseline(m)")
+_, _IN_PARTS, _GEOCENTRIC, _BASELINE = _PLACES
+_SIGMAS = ("sdn(m)", "sde(m)", "sdx(m)", "sdy(m)", "sdz(m)")
+_MOST_SATELLITES = 10_000
+_BLOCK_ROWS = 1 << 13
 
 _TIME = re.compile(r"\d{4}/\d\d/\d\d \d\d:\d\d:\d\d(?:\.\d*)?|\d{3,4} \d{1,6}(?:\.\d*)?")
 # Without a header, as Emlid's receivers write: degrees, a height, Q, a number of satellites, and
@@ -77,21 +51,35 @@ _TIME = re.compile(r"\d{4}/\d\d/\d\d \d\d:\d\d:\d\d(?:\.\d*)?|\d{3,4} \d{1,6}(?:
 _BARE = re.compile(
     rf"(?:{_TIME.pattern})(?: -?\d+\.\d{{6,}}){{2}} -?\d+\.\d+ [0-7] \d+(?: -?\d+\.\d+){{8}}(?: |$)"
 )
+_FRAME = re.compile(r"lat/lon/height=(\w+)/(\w+)")
 _MOST_REMARKS = 200
-_MOST_SATELLITES = 10_000
-_BLOCK_ROWS = 1 << 13
 
 
-class _Columns(NamedTuple):
-    """What the remarks say: the word for the scale of time, the columns of the place, the names of
-    those after them in lower case, what parts them ('' for blanks), datum and kind of heights."""
+class _Header(NamedTuple):
+    """What the remarks say: the word for the scale of time, the names of the columns after it in
+    lower case (a name a word), datum and kind of heights."""
 
     scale: str = ""
-    place: _Place = _LLH
-    rest: tuple[str, ...] = _REST
-    mark: str = ""
+    names: tuple[str, ...] = (
+        *(_PLACES[0], "longitude(deg)", "height(m)", "q", "ns", "sdn(m)", "sde(m)", "sdu(m)"),
+        *("sdne(m)", "sdeu(m)", "sdun(m)", "age(s)"),
+    )
     datum: str = ""
     heights: str = ""
+
+    def with_remark(self, line: str) -> _Header:
+        """The header, completed by what a further line of remarks says."""
+        header, frame = self, _FRAME.search(line)
+        if frame is not None:
+            header = header._replace(datum=frame[1], heights=frame[2])
+        if _names_columns(line):
+            scale, *names = _words(line.lstrip("% "))
+            names = [name.lower() for name in names]
+            if names[0] == _IN_PARTS:
+                lat, lon, *rest = names
+                names = [lat, "minute", "second", lon, "minute of lon", "second of lon", *rest]
+            header = header._replace(scale=scale, names=tuple(names))
+        return header
 
 
 def is_solution(head: bytes) -> bool:
@@ -100,7 +88,7 @@ def is_solution(head: bytes) -> bool:
     if any(_names_columns(line) for line in lines[:_MOST_REMARKS]):
         return True
     first = next((line for line in lines if line.strip() and not line.startswith("%")), "")
-    return _BARE.match(" ".join(next(_words([first], _mark(first)), []))) is not None
+    return _BARE.match(" ".join(_words(first))) is not None
 
 
 def read_solution(path: Path, columns: Columns | None = None) -> FixLog:
@@ -111,194 +99,137 @@ def read_solution(path: Path, columns: Columns | None = None) -> FixLog:
     coordinates that count from a base, for another datum than WGS 84, for unknown times, and for
     a second header that differs from the first.
     """
-    with _open_lines(path) as lines:
-        found, first = _read_header(lines)
-        said = "" if columns is None else columns.time_zone
-        if not said and found.scale not in _SCALES:
-            header = f"calls its time {quoted(found.scale)}" if found.scale else "has no header"
-            raise RecordingError(
-                f"{path} is a solution like RTKLIB's, and {header}: its times may be those of GPS "
-                "or UTC, 18 s apart; say which they are: "
-                f"{how_to_say(time_zone='GPST')}, or UTC in its place."
-            )
-        scale = zone_scale(said or _SCALES[found.scale])
-        if found.place == _ENU:
-            raise RecordingError(
-                f"{path} counts metres from a base station; let RTKLIB write latitude, longitude "
-                "and height: out-solformat = llh."
-            )
-        if found.datum.lower() in ("tokyo", "pulkovo"):
-            raise RecordingError(
-                f"{path} has positions in the datum {found.datum}; let RTKLIB write them in WGS84."
-            )
-        if "q" not in found.rest or "ns" not in found.rest:
-            raise RecordingError(f"{path} lacks the columns Q and ns; let RTKLIB write it again.")
-        words = _words(_of_one_header(path, chain([first], lines), found), found.mark)
-        width = 0
-        parts: list[FixColumns] = []
-        read = 0
+    with open_lines(path) as lines:
+        header, first = _Header(), ""
+        for first in lines:
+            if first.strip() and not first.startswith("%"):
+                break
+            header = header.with_remark(first)
+        zone = ("" if columns is None else columns.time_zone) or _ZONES.get(header.scale, "")
+        is_gps = zone_scale(zone or "UTC").gps
+        dated = not first.strip() or "/" in _words(first)[0]
+        _refuse(path, header, zone, weeks_of_utc=not (is_gps or dated))
+        scale = zone_scale(zone)
+        parts, read = [FixColumns.of([])], 0
+        words = _words_of_rows(path, chain([first], lines), header)
         while block := list(islice(words, _BLOCK_ROWS)):
             read += len(block)
             check_rows(read, path)
-            width = width or _count_words(found, block)
-            times, numbers = _whole_rows(block, width)
-            if not scale.gps and any("/" not in day for day, _ in times):
-                raise RecordingError(
-                    f"{path} has weeks of UTC; let RTKLIB write times as GPST, or as date and time."
-                )
-            parts.append(_fixes(times, numbers, found, scale))
+            parts.append(_fixes(block, header, scale, dated))
     fixes = FixColumns.joined(parts)
-    return FixLog(fixes, _notes(path.name, found, scale, read - len(fixes)))
+    ahead = f"{scale.zone_s / 3600:+g} h" if scale.zone_s else ""
+    codes = "" if header.scale else ", and without a header: its quality is taken for RTKLIB's Q"
+    damaged = read - len(fixes)
+    told = (
+        (True, f"a solution of RTKLIB, times in {'GPST' if is_gps else 'UTC'}{ahead}{codes}."),
+        (header.heights == "geodetic", "its heights are above mean sea level."),
+        (damaged, f"{damaged} damaged lines skipped."),
+    )
+    return FixLog(fixes, tuple(f"{path.name}: {what}" for holds, what in told if holds))
 
 
-def _notes(name: str, found: _Columns, scale: TimeScale, damaged: int) -> tuple[str, ...]:
-    clock = "GPST" if scale.gps else f"UTC{scale.zone_s / 3600:+g} h" if scale.zone_s else "UTC"
-    codes = "" if found.scale else ", and without a header: its quality is taken for RTKLIB's Q"
-    notes = [f"{name}: a solution of RTKLIB, times in {clock}{codes}."]
-    if found.heights == "geodetic":
-        notes.append(f"{name}: its heights are above mean sea level.")
-    if damaged:
-        notes.append(f"{name}: {damaged} damaged lines skipped.")
-    return tuple(notes)
-
-
-@contextmanager
-def _open_lines(path: Path) -> Iterator[Iterator[str]]:
-    with open_log_bytes(path) as stream:
-        text = io.TextIOWrapper(stream, encoding="latin-1")
-        try:
-            yield bounded_lines(text, path, without="\0")
-        finally:
-            text.detach()
+def _refuse(path: Path, header: _Header, zone: str, *, weeks_of_utc: bool) -> None:
+    named = f"calls its time {quoted(header.scale)}" if header.scale else "has no header"
+    refused = (
+        (
+            not zone,
+            f"is a solution like RTKLIB's, and {named}: its times may be those of GPS or UTC, 18 s "
+            f"apart; say which they are: {how_to_say(time_zone='GPST')}, or UTC in its place",
+        ),
+        (
+            header.names[0] == _BASELINE,
+            "counts metres from a base station; let RTKLIB write latitude, longitude and height: "
+            "out-solformat = llh",
+        ),
+        (
+            header.datum.lower() in ("tokyo", "pulkovo"),
+            f"has positions in the datum {header.datum}; let RTKLIB write them in WGS84",
+        ),
+        (
+            not {"q", "ns"} <= set(header.names),
+            "lacks the columns Q and ns; let RTKLIB write it again",
+        ),
+        (weeks_of_utc, "has weeks of UTC; let RTKLIB write times as GPST, or as date and time"),
+    )
+    for holds, why in refused:
+        if holds:
+            raise RecordingError(f"{path} {why}.")
 
 
 def _names_columns(line: str) -> bool:
-    return line.startswith("%") and any(place[0] in line for place in _WIDTHS)
+    return line.startswith("%") and any(place in line for place in _PLACES)
 
 
-def _read_header(lines: Iterator[str]) -> tuple[_Columns, str]:
-    """What the remarks say, and the first line after them."""
-    found = _Columns()
+def _words(line: str) -> list[str]:
+    mark = next((mark for mark in ",;\t" if mark in line), " ")
+    return line.replace(mark, " ").split()
+
+
+def _words_of_rows(path: Path, lines: Iterable[str], header: _Header) -> Iterator[list[str]]:
+    """The words of each line of data. Files that were joined may have a header each, which must
+    agree."""
     for line in lines:
-        if line.strip() and not line.startswith("%"):
-            return (found if found.scale else found._replace(mark=_mark(line))), line
-        found = _with_remark(found, line)
-    return found, ""
-
-
-def _with_remark(found: _Columns, line: str) -> _Columns:
-    """The columns `found`, completed by what a further line of remarks says."""
-    frame = re.search(r"lat/lon/height=(\w+)/(\w+)", line)
-    if frame is not None:
-        found = found._replace(datum=frame[1], heights=frame[2])
-    if not _names_columns(line):
-        return found
-    mark = _mark(line)
-    scale, *names = line.lstrip("% ").replace(mark or " ", " ").split()
-    place = next(place for place in _WIDTHS if place[0] in line)
-    rest = tuple(name.lower() for name in names[3:])
-    return found._replace(scale=scale, place=place, rest=rest, mark=mark)
-
-
-def _of_one_header(path: Path, lines: Iterable[str], found: _Columns) -> Iterator[str]:
-    """The lines as they are; files that were joined may have a header each, which must agree."""
-    for line in lines:
-        if line.startswith("%") and _with_remark(found, line) != found:
+        if not line.startswith("%"):
+            if words := _words(line):
+                yield words
+        elif header.with_remark(line) != header:
             raise RecordingError(
                 f"{path} has another header among its rows, {quoted(line.strip())}, which differs "
                 "from what came before; give what follows it as a file of its own."
             )
-        yield line
 
 
-def _mark(line: str) -> str:
-    return next((mark for mark in _MARKS if mark in line), "")
+def _numbers(words: list[str], width: int, dated: bool) -> list[float]:
+    """The numbers of a row after its time; none of one that is not whole, or has a date where the
+    first row has a week."""
+    stamp = " ".join(words[:2])
+    if len(words) < width or _TIME.fullmatch(stamp) is None or ("/" in stamp) != dated:
+        return []
+    if dated and second_ns(stamp[:19]) is None:
+        return []
+    try:
+        return list(map(float, words[2:width]))
+    except ValueError:
+        return []
 
 
-def _words(lines: Iterable[str], mark: str) -> Iterator[list[str]]:
-    """The words of each line of data."""
-    for line in lines:
-        if line.strip() and not line.startswith("%"):
-            yield (line.replace(mark, " ") if mark else line).split()
-
-
-def _count_words(found: _Columns, block: Sequence[list[str]]) -> int:
-    """Of a whole row, by the header; else by most rows, which have Q and ns at least."""
-    place = 2 + _WIDTHS[found.place]
-    if found.scale:
-        return place + len(found.rest)
-    ((most, _),) = Counter(map(len, block)).most_common(1)
-    return max(most, place + 2)
-
-
-def _whole_rows(block: Sequence[list[str]], width: int) -> tuple[list[list[str]], Float64]:
-    """The two words of time of the rows that are whole (`width` words, a time and numbers), and the
-    numbers after them [row, column]."""
-    times: list[list[str]] = []
-    numbers: list[list[float]] = []
-    for words in block:
-        if len(words) < width or _TIME.fullmatch(f"{words[0]} {words[1]}") is None:
-            continue
-        try:
-            numbers.append([float(word) for word in words[2:width]])
-        except ValueError:
-            continue
-        times.append(words[:2])
-    return times, np.array(numbers, dtype=np.float64).reshape(len(times), width - 2)
-
-
-def _fixes(
-    times: list[list[str]], numbers: Float64, found: _Columns, scale: TimeScale
-) -> FixColumns:
+def _fixes(block: list[list[str]], header: _Header, scale: TimeScale, dated: bool) -> FixColumns:
     """The fixes of rows; those that can be none are left out."""
-    width = _WIDTHS[found.place]
-    place, rest = numbers[:, :width], numbers[:, width:]
-    of = {name: rest[:, k] for k, name in enumerate(found.rest[: rest.shape[1]])}
-    lat, lon, height = _positions(place, found.place)
-    unsaid = np.full(len(place), np.nan)
-    sigmas = [of[name] for name in _SIGMAS[found.place] if name in of]
+    width = 2 + len(header.names)
+    found = [(words, n) for words in block if (n := _numbers(words, width, dated))]
+    rows = [words for words, _ in found]
+    numbers = np.array([n for _, n in found], dtype=np.float64).reshape(-1, width - 2)
+    of = dict(zip(header.names, numbers.T, strict=True))
+    lat, lon, height = numbers.T[:3]
+    if header.names[0] == _GEOCENTRIC:
+        lat, lon, height = ecef_to_geodetic(lat, lon, height)
+    elif header.names[0] == _IN_PARTS:
+        lat, lon, height = _degrees(numbers[:, :3]), _degrees(numbers[:, 3:6]), numbers[:, 6]
+    if dated:
+        times_ns = to_utc_ns([" ".join(row[:2]) for row in rows], scale, decimal_comma=False)
+    else:
+        times_ns = gps_week_ns([row[0] for row in rows], [row[1] for row in rows], UNITS["s"])
+    keep: Bool = (np.abs(lat) <= 90.0) & (np.abs(lon) <= 360.0) & np.isfinite(height)
+    keep &= (times_ns > 0) & (of["ns"] >= 0.0) & (of["ns"] < _MOST_SATELLITES)
+    errors = [of[name] for name in _SIGMAS if name in of] or [np.zeros(len(rows))]
     with np.errstate(over="ignore"):  # of a damaged word like 1e300; then it is not said
-        sigma = np.sqrt(np.mean(np.square(sigmas), axis=0)) if sigmas else unsaid
-    times_ns = _times_ns(times, scale)
-    keep = (np.abs(lat) <= 90.0) & (np.abs(lon) <= 360.0) & np.isfinite(height) & (times_ns > 0)
-    keep &= (of["ns"] >= 0.0) & (of["ns"] < _MOST_SATELLITES)
-    return FixColumns.of(
-        times_ns[keep],
-        lat_deg=lat[keep],
-        lon_deg=lon[keep],
-        height_m=height[keep],
-        quality=[
-            _QUALITIES[int(code)] if 0 <= code < len(_QUALITIES) else Quality.UNKNOWN
-            for code in of["q"][keep].tolist()
-        ],
-        satellites=of["ns"][keep].astype(np.int64),
-        sigma_m=np.where((sigma > 0.0) & np.isfinite(sigma), sigma, np.nan)[keep],
+        sigma = np.sqrt(np.mean(np.square(errors), axis=0))
+    unsaid = np.full(len(rows), np.nan)
+    fixes = FixColumns.of(
+        times_ns,
+        lat_deg=lat,
+        lon_deg=lon,
+        height_m=height,
+        quality=_QUALITIES[np.clip(of["q"], 0, len(_QUALITIES) - 1).astype(np.int64)],
+        satellites=np.where(keep, of["ns"], NOT_SAID),
+        sigma_m=np.where((sigma > 0.0) & np.isfinite(sigma), sigma, np.nan),
         # What is computed afterwards also takes corrections that came later.
-        age_s=np.abs(of.get("age(s)", unsaid))[keep],
+        age_s=np.abs(of.get("age(s)", unsaid)),
     )
-
-
-def _positions(place: Float64, names: _Place) -> tuple[Float64, Float64, Float64]:
-    if names == _XYZ:
-        return ecef_to_geodetic(*place.T)
-    if names == _LLH:
-        return place[:, 0], place[:, 1], place[:, 2]
-    return _degrees(place[:, :3]), _degrees(place[:, 3:6]), place[:, 6]
+    return fixes[keep]
 
 
 def _degrees(parts: Float64) -> Float64:
     """Of degrees, minutes and seconds [n, 3]; the sign stands before the degrees, also before 0."""
     size = np.abs(parts[:, 0]) + parts[:, 1] / 60.0 + parts[:, 2] / 3600.0
     return np.copysign(size, parts[:, 0])
-
-
-def _times_ns(times: list[list[str]], scale: TimeScale) -> Int64:
-    """UTC nanoseconds, :data:`NO_TIME` of what is no time."""
-    try:
-        if not times or "/" in times[0][0]:
-            return to_utc_ns([" ".join(words) for words in times], scale, decimal_comma=False)
-        return gps_week_ns([week for week, _ in times], [of_week for _, of_week in times], 9)
-    except UnreadableTimeError:
-        if len(times) == 1:
-            return np.array([NO_TIME], dtype=np.int64)
-        return np.concatenate([_times_ns([words], scale) for words in times])

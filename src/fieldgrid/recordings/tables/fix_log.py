@@ -20,16 +20,14 @@ class FixLog(NamedTuple):
 
     def moved(self, offset_ns: int) -> FixLog:
         """The log with all its stamps moved by `offset_ns`, which `moved_ns` keeps."""
-        said = self.motion
-        gyro, wheels, inertial, tilt = said.gyro, said.wheels, said.inertial, said.tilt
+        parts = {
+            name: part._replace(time_ns=part.time_ns + offset_ns)
+            for name, part in self.motion._asdict().items()
+            if part is not None
+        }
         return FixLog(
             replace(self.fixes, time_ns=self.fixes.time_ns + offset_ns),
             self.notes,
-            said._replace(
-                gyro=gyro and gyro._replace(time_ns=gyro.time_ns + offset_ns),
-                wheels=wheels and wheels._replace(time_ns=wheels.time_ns + offset_ns),
-                inertial=inertial and inertial._replace(time_ns=inertial.time_ns + offset_ns),
-                tilt=tilt and tilt._replace(time_ns=tilt.time_ns + offset_ns),
-            ),
+            Motion(**parts),
             self.moved_ns + offset_ns,
         )

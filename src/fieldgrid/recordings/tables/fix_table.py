@@ -10,40 +10,20 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.core import Float64, Index, Quality, RecordingError, counted, quoted
-from fieldgrid.geometry import (
-    NOT_SAID,
-    FixColumns,
-    heading_from_yaw_rad,
-    quality_by_sigma,
-    wrap_deg,
-)
+from fieldgrid.core import Float64, Index, Quality, RecordingError, counted
+from fieldgrid.geometry import NOT_SAID, FixColumns, quality_by_sigma, wrap_deg
 from fieldgrid.recordings.readers.oxts import FIELDS, oxts_fixes, oxts_motion
-from fieldgrid.recordings.tables.columns import (
-    LENGTHS,
-    SPEEDS,
-    Columns,
-    guess,
-    how_to_say,
-    is_radians,
-    metres,
-    take_apart,
-)
+from fieldgrid.recordings.tables.columns import CCW_EAST, Columns, how_to_say
 from fieldgrid.recordings.tables.fix_log import FixLog
 from fieldgrid.recordings.tables.places import Places
 from fieldgrid.recordings.tables.qualities import read_quality
+from fieldgrid.recordings.tables.roles import ROLES, words_of
 from fieldgrid.recordings.tables.table_time import find_time
 from fieldgrid.recordings.tables.tables import NOTHING, OpenTable, TableRows, open_table
-
-_OWN = {
-    "lat": "lat_deg", "lon": "lon_deg", "height": "height_m", "quality": "quality",
-    "satellites": "satellites", "hdop": "hdop", "age": "age_s", "sigma": "sigma_m",
-    "speed": "speed_mps", "heading": "heading_deg", "heading_sigma": "heading_sigma_deg",
-    "course": "course_deg",
-}  # fmt: skip
-"""The project's own column names; who writes them knows what they mean."""
+from fieldgrid.recordings.tables.units import UNITS, metres, take_apart
 
 _T = TypeVar("_T")
+_READ = [role for role in ROLES if role not in ("time", "date", "week", "tow")]
 _NUMBERS = ("hdop", "age", "sigma", "accuracy", "speed", "heading", "heading_sigma", "course")
 # Numbers in these columns are codes of their own in every second program.
 _WORDS_ONLY = frozenset(
@@ -54,75 +34,54 @@ _FALSE = frozenset({"false", "no", "f", "n", "invalid", "0", "0.0"}) | NOTHING
 
 
 def read_fix_table(path: Path, columns: Columns | None = None) -> FixLog:
-    """The fixes of a table; `columns` says what its names do not."""
+    """The fixes of a table in a file; `columns` says what its names do not."""
     with open_table(path) as table:
         if set(FIELDS) <= set(table.header):
-            time = find_time(table, Columns())
-            places = [table.header.index(name) for name in FIELDS]
-            blocks = [
-                (time.utc_ns(block), np.column_stack([table.numbers(block, k) for k in places]))
-                for block in table.blocks()
-            ]
-            times_ns = np.concatenate([times for times, _ in blocks])
-            rows = np.concatenate([values for _, values in blocks])
-            usable = (times_ns > 0) & np.isfinite(rows).all(axis=1)
-            notes: tuple[str, ...] = (
-                f"{table.path.name}: rows of an OXTS INS; their heights are above mean sea level.",
-            )
-            if not usable.all():
-                notes += (f"{table.path.name}: {(~usable).sum()} incomplete rows skipped.",)
-            times_ns, rows = times_ns[usable], rows[usable]
-            return FixLog(oxts_fixes(times_ns, rows), notes, oxts_motion(times_ns, rows))
-        plan = _Plan(table, columns or Columns())
-        fixes = FixColumns.joined(plan.fixes(block) for block in table.blocks())
-        plan.check_heights()
-        return FixLog(fixes, plan.notes())
+            return _read_oxts(table)
+        return read_fixes(table, columns or Columns())
 
 
-class _Plan:
+def read_fixes(table: OpenTable, columns: Columns) -> FixLog:
+    """The fixes of a table."""
+    reader = _Reader(table, columns)
+    fixes = FixColumns.joined(reader.fixes(block) for block in table.blocks())
+    reader.check_heights()
+    return FixLog(fixes, reader.notes())
+
+
+def _read_oxts(table: OpenTable) -> FixLog:
+    time, name = find_time(table, Columns()), table.path.name
+    columns = [table.header.index(field) for field in FIELDS]
+    times, values = [], []
+    for block in table.blocks():
+        times.append(time.utc_ns(block))
+        values.append(np.column_stack([table.numbers(block, column) for column in columns]))
+    times_ns, rows = np.concatenate(times), np.concatenate(values)
+    usable = (times_ns > 0) & np.isfinite(rows).all(axis=1)
+    lost = int((~usable).sum())
+    notes = (
+        f"{name}: rows of an OXTS INS; their heights are above mean sea level.",
+        *([f"{name}: {lost} incomplete rows skipped."] if lost else []),
+    )
+    times_ns, rows = times_ns[usable], rows[usable]
+    return FixLog(oxts_fixes(times_ns, rows), notes, oxts_motion(times_ns, rows))
+
+
+class _Reader:
     """Which columns are read, and what came up while reading."""
 
     def __init__(self, table: OpenTable, columns: Columns) -> None:
-        self.table, self.columns, header = table, columns, table.header
+        self.table, self.columns = table, columns
         self.counts: Counter[str] = Counter()
         self.heights_m: list[Float64] = []
         self.unknown: set[str] = set()
-        self.places: dict[str, int] = {}
-        for role in _OWN | {"accuracy": "", "heading_valid": ""}:
-            name = self.columns.names.get(role)
-            if name is None:
-                own = _OWN.get(role, "")
-                projected = role in ("lat", "lon") and bool(self.columns.crs)
-                name = own if own in header else guess(role, header, projected=projected)
-            elif name and name not in header:
-                raise RecordingError(
-                    f"{self.table.path} has no column {quoted(name)} for {role}; "
-                    f"it has: {', '.join(header)[:200]}."
-                )
-            if name:
-                self.places[role] = header.index(name)
-        for role in ("lat", "lon"):
-            if role not in self.places:
-                raise RecordingError(self._no_place(role))
-        self.where, self.told = Places(
-            self.table,
-            *(self.places["lat"], self.places["lon"]),
-            *(self.columns.lat_lon_units, self.columns.crs),
-        ).settled()
-        self.time = find_time(self.table, self.columns)
-
-    def _no_place(self, role: str) -> str:
-        header = self.table.header
-        told = f"{self.table.path} has no column {_OWN[role]}, and none whose name is known for it"
-        has = f"It has: {', '.join(header)[:500]}."
-        metres = [guess(axis, header, projected=True) for axis in ("lat", "lon")]
-        if None not in metres and not self.columns.crs:
-            return (
-                f"{told}; if {metres[0]} and {metres[1]} are metres north and east in a "
-                "projection, as of UTM zone 30 north, name it: "
-                f"{how_to_say(crs='EPSG:32630')}. {has}"
-            )
-        return f"{told}; name it: {how_to_say(**{role: 'COLUMN'})}. {has}"
+        self.where = Places.find(table, columns)
+        self.names: dict[str, str] = {}
+        for role in _READ:
+            if name := columns.find(role, table.header, table.path):
+                self.names[role] = name
+        self.names.update(lat=self.where.lat.name, lon=self.where.lon.name)
+        self.time = find_time(table, columns)
 
     def fixes(self, block: TableRows) -> FixColumns:
         """The fixes of some rows; rows without a position or without a time are counted."""
@@ -137,31 +96,22 @@ class _Plan:
         keep = np.flatnonzero(placed & timed)
         heights_m = self._heights(block)[keep]
         missing = np.isnan(heights_m)
-        value = {
-            r: self.table.numbers(block, self.places[r])[keep] for r in _NUMBERS if r in self.places
-        }
-        sigma = value.get("sigma")
-        if sigma is None and "accuracy" in value:
-            sigma = value["accuracy"] * (self._length("accuracy") / np.sqrt(2.0))
-        elif sigma is not None:
-            sigma = sigma * self._length("sigma")
-        course = self._degrees("course", value)
-        fields: dict[str, Float64 | None] = {
-            "sigma_m": sigma,
-            "hdop": value.get("hdop"),
-            "age_s": value.get("age"),
-            "heading_sigma_deg": self._degrees("heading_sigma", value),
-            "course_deg": None if course is None else wrap_deg(course),
-            "heading_deg": self._heading(value, block, keep),
-        }
+        value = {r: self._numbers(r, block, keep) for r in _NUMBERS if r in self.names}
+        accuracy = value.pop("accuracy", None)
+        if accuracy is not None:
+            value.setdefault("sigma", accuracy * (1.0 / np.sqrt(2.0)))
+        if "heading" in value:
+            value["heading"] = self._heading(value["heading"], block, keep)
+        if "course" in value:
+            value["course"] = wrap_deg(value["course"])
         if "speed" in value:
-            unit, factor = self._unit("speed")
-            if self.columns.speed_units:
-                unit, factor = self.columns.speed_units, 1.0
-            fields["speed_mps"] = np.abs(value["speed"]) * (factor * SPEEDS.get(unit, 1.0))
-        said: dict[str, npt.ArrayLike] = {k: v for k, v in fields.items() if v is not None}
-        said["quality"] = self._qualities(block, keep, sigma)
-        if "satellites" in self.places:
+            value["speed"] = np.abs(value["speed"])
+        said: dict[str, npt.ArrayLike] = {ROLES[role].own: value[role] for role in value}
+        if "quality" in self.names:
+            said["quality"] = self._each("quality", block, keep, self._quality)
+        elif "sigma" in value:
+            said["quality"] = quality_by_sigma(value["sigma"])
+        if "satellites" in self.names:
             said["satellites"] = self._each("satellites", block, keep, _fewest)
         fixes = FixColumns.of(
             times_ns[keep],
@@ -178,110 +128,88 @@ class _Plan:
         heights_m = np.concatenate([*self.heights_m, np.empty(0)])
         if heights_m.size and np.median(np.abs(heights_m)) > _HIGHEST_M:
             raise RecordingError(
-                f"{self.table.path}: {self.table.header[self.places['height']]} is "
-                f"{np.median(heights_m):.12g} m, higher than any field; say its unit: "
-                f"{how_to_say(height_units='mm')}, or cm or ft."
+                f"{self.table.path}: {self.names['height']} is {np.median(heights_m):.12g} m, "
+                f"higher than any field; say its unit: {how_to_say(height_units='mm')}, or cm or "
+                "ft."
             )
 
-    def _unit(self, role: str) -> tuple[str, float]:
-        named = take_apart(self.table.header[self.places[role]])
-        return named.unit, named.factor
+    def _worth(self, role: str) -> float:
+        """What 1 is worth in the column of a role, by what is said of it, else by its name."""
+        found = ROLES[role]
+        said = getattr(self.columns, found.option).removesuffix(CCW_EAST) if found.option else ""
+        named = take_apart(self.names[role]).worth(found.quantity)
+        return UNITS[found.quantity][said] if said else named
 
-    def _length(self, role: str) -> float:
-        unit, factor = self._unit(role)
-        return factor * LENGTHS.get(unit, 1.0)
+    def _numbers(self, role: str, block: TableRows, keep: Index) -> Float64:
+        numbers = self.table.numbers(block, self.table.header.index(self.names[role]))
+        return numbers[keep] * self._worth(role)
 
     def _heights(self, block: TableRows) -> Float64:
         """Metres, NaN where a row has none."""
-        if "height" not in self.places:
+        if "height" not in self.names:
             return np.zeros(block.row_count)
-        said = self.columns.height_units
-        unit_m = LENGTHS.get(said, 1.0) if said else self._length("height")
+        unit_m = self._worth("height")
 
         def in_units(cell: str) -> float | None:
             length_m = metres(cell)
             return None if length_m is None else length_m / unit_m
 
-        heights = self.table.numbers(block, self.places["height"], in_units) * unit_m
+        place = self.table.header.index(self.names["height"])
+        heights = self.table.numbers(block, place, in_units) * unit_m
         self.counts["without a height: taken as 0 m"] += int(np.isnan(heights).sum())
         return heights
 
-    def _degrees(self, role: str, value: dict[str, Float64]) -> Float64 | None:
-        if role not in value:
-            return None
-        return np.degrees(value[role]) if is_radians(self._unit(role)[0]) else value[role]
-
-    def _heading(self, value: dict[str, Float64], block: TableRows, keep: Index) -> Float64 | None:
+    def _heading(self, angle_deg: Float64, block: TableRows, keep: Index) -> Float64:
         """Headings clockwise from north; NaN where they are marked as not valid."""
-        if "heading" not in value:
-            return None
-        units, angle = self.columns.heading_units, value["heading"]
-        radians = is_radians(units or self._unit("heading")[0])
-        if units.endswith("ccw_east"):
-            angle = heading_from_yaw_rad(angle if radians else np.radians(angle))
-        else:
-            angle = wrap_deg(np.degrees(angle) if radians else angle)
-        if "heading_valid" in self.places:
+        if self.columns.heading_units.endswith(CCW_EAST):
+            angle_deg = 90.0 - angle_deg
+        valid: npt.ArrayLike = True
+        if "heading_valid" in self.names:
             valid = self._each(
                 "heading_valid", block, keep, lambda cell: cell.strip().lower() not in _FALSE
             )
-            angle = np.where(np.array(valid, dtype=bool), angle, np.nan)
-        return angle
+        return np.where(np.asarray(valid, dtype=bool), wrap_deg(angle_deg), np.nan)
 
-    def _qualities(self, block: TableRows, keep: Index, sigma: Float64 | None) -> npt.ArrayLike:
-        if "quality" not in self.places:
-            return Quality.UNKNOWN if sigma is None else quality_by_sigma(sigma)
-        name = self.table.header[self.places["quality"]]
-        said = "quality" in self.columns.names or take_apart(name).base not in _WORDS_ONLY
-
-        def read(cell: str) -> Quality:
-            quality = read_quality(cell, numbers_are_gga=said)
-            if quality is None:
-                self.unknown.add(cell)
-                return Quality.UNKNOWN
-            return quality
-
-        return self._each("quality", block, keep, read)
+    def _quality(self, cell: str) -> Quality:
+        said = "quality" in self.columns.names or words_of(self.names["quality"]) not in _WORDS_ONLY
+        quality = read_quality(cell, numbers_are_gga=said)
+        if quality is None:
+            self.unknown.add(cell)
+        return Quality.UNKNOWN if quality is None else quality
 
     def _each(
         self, role: str, block: TableRows, keep: Index, read: Callable[[str], _T]
     ) -> list[_T]:
         """What the cells of the rows say that become fixes; equal ones are read once."""
-        cells = block.cells(self.places[role])
+        cells = block.cells(self.table.header.index(self.names[role]))
         kept = [cells[k] for k in keep.tolist()]
         known = {cell: read(cell) for cell in set(kept)}
         return [known[cell] for cell in kept]
 
     def notes(self) -> tuple[str, ...]:
         """What was guessed, assumed and skipped, a sentence each."""
-        name, header = self.table.path.name, self.table.header
         guessed = [
-            f"{role} from '{header[place]}'"
-            for role, place in self.places.items()
-            if role not in self.columns.names and header[place] != _OWN.get(role)
+            f"{role} from '{name}'"
+            for role, name in self.names.items()
+            if role not in self.columns.names and name != ROLES[role].own
         ]
-        notes = (
-            [*self.time.notes, f"{name}: {', '.join(guessed)}."]
-            if guessed
-            else list(self.time.notes)
+        stated = bool({"sigma", "accuracy"} & self.names.keys())
+        unknown = ", ".join(repr(word[:30]) for word in sorted(self.unknown)[:5])
+        told = (
+            (guessed, f"{', '.join(guessed)}."),
+            ("height" not in self.names, "no column height_m; heights are taken as 0 m."),
+            (
+                "quality" not in self.names and stated,
+                "no column quality; stated errors up to 5 cm are taken for RTK fixed, the quality "
+                "of others is unknown.",
+            ),
+            ("quality" not in self.names and not stated, "no column quality; it is unknown."),
+            (unknown, f"quality {unknown} is not known; taken as unknown."),
+            *((note, note) for note in self.where.notes),
+            *((count, f"{counted(count, 'row')} {what}.") for what, count in self.counts.items()),
         )
-        if "height" not in self.places:
-            notes.append(f"{name}: no column height_m; heights are taken as 0 m.")
-        if "quality" not in self.places:
-            sigma = {"sigma", "accuracy"} & self.places.keys()
-            notes.append(
-                f"{name}: no column quality; stated errors up to 5 cm are taken for RTK fixed, the "
-                "quality of others is unknown."
-                if sigma
-                else f"{name}: no column quality; it is unknown."
-            )
-        if self.unknown:
-            words = ", ".join(repr(word[:30]) for word in sorted(self.unknown)[:5])
-            notes.append(f"{name}: quality {words} is not known; taken as unknown.")
-        notes += self.told
-        return tuple(
-            notes + [f"{name}: {counted(n, 'row')} {what}." for what, n in self.counts.items() if n]
-        )
+        path = self.table.path
+        return (*self.time.notes, *(f"{path.name}: {what}" for holds, what in told if holds))
 
 
 def _fewest(cell: str) -> int:

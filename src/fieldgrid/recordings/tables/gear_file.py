@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from fieldgrid.core import GearName, GearSpan, RecordingError
+from fieldgrid.recordings.tables.table_time import TimeColumn
 from fieldgrid.recordings.tables.tables import OpenTable, TableRows, open_table
-from fieldgrid.recordings.tables.times import UnreadableTimeError, guess_scale, to_utc_ns
+from fieldgrid.recordings.tables.times import NO_TIME, guess_scale
 
 HEADER = ("from", "to", "gear")
 
@@ -22,30 +23,27 @@ def read_gear_spans(path: Path) -> tuple[GearSpan, ...]:
     """
     spans: list[GearSpan] = []
     with open_table(path) as table:
-        places = [table.column(name) for name in HEADER]
-        if None in places:
+        if not {*HEADER} <= {*table.header}:
             raise RecordingError(
                 f"{path} has the columns {', '.join(table.header)[:80]}; a table of gears has "
                 f"{', '.join(HEADER)}."
             )
-        start, stop, gear = (place for place in places if place is not None)
+        start, stop, gear = (table.header.index(name) for name in HEADER)
         for block in table.blocks():
             starts, stops = _times_ns(table, block, start), _times_ns(table, block, stop)
             for k, name in enumerate(block.cells(gear)):
-                try:
-                    known = GearName(name.strip().lower())
-                except ValueError:
-                    words = "is neither forward nor reverse"
-                    raise table.error(block.line + k, gear, name, words) from None
+                line, known = block.line + k, name.strip().lower()
+                if known not in [*GearName]:
+                    raise table.error(line, gear, name, "is neither forward nor reverse")
                 if stops[k] <= starts[k]:
-                    words = "does not come after the start of its span"
-                    raise table.error(block.line + k, stop, block.cells(stop)[k], words)
-                if len(spans) == MOST_SPANS:
-                    raise RecordingError(
-                        f"{path} has more than {MOST_SPANS} spans of gears; no drive changes them "
-                        "so often, check the file."
-                    )
-                spans.append(GearSpan(start_ns=starts[k], stop_ns=stops[k], gear=known))
+                    cell = block.cells(stop)[k]
+                    raise table.error(line, stop, cell, "does not come after the start of its span")
+                spans.append(GearSpan(start_ns=starts[k], stop_ns=stops[k], gear=GearName(known)))
+            if len(spans) > MOST_SPANS:
+                raise RecordingError(
+                    f"{path} has more than {MOST_SPANS} spans of gears; no drive changes them so "
+                    "often, check the file."
+                )
     return tuple(spans)
 
 
@@ -54,12 +52,8 @@ def _times_ns(table: OpenTable, block: TableRows, place: int) -> list[int]:
     scale = guess_scale(table.header[place], cells, table.decimal_comma)
     if scale is None:
         raise table.error(block.line, place, cells[0], "is no UTC time")
-    try:
-        times = to_utc_ns(cells, scale, table.decimal_comma).tolist()
-    except UnreadableTimeError as problem:
-        line = block.line + problem.place
-        raise table.error(line, place, cells[problem.place], "is no UTC time") from None
-    for k, time_ns in enumerate(times):
-        if time_ns == 0:
-            raise table.error(block.line + k, place, cells[k], "is no UTC time after 1980")
-    return [int(time_ns) for time_ns in times]
+    times_ns = TimeColumn(table, (place,), scale).utc_ns(block).tolist()
+    if NO_TIME in times_ns:
+        k = times_ns.index(NO_TIME)
+        raise table.error(block.line + k, place, cells[k], "is no UTC time after 1980")
+    return [int(time_ns) for time_ns in times_ns]

@@ -84,8 +84,7 @@ def read_fix_log(path: Path, columns: Columns | None = None) -> FixLog:
     """
     if is_time_log(path):
         return read_time_log(path)
-    with open_log_bytes(path) as stream:
-        head = stream.read(_HEAD_BYTES)
+    head = _head(path)
     if not head.strip(b"\0\r\n\t "):
         return FixLog(FixColumns.of([]), (f"{path.name}: the file is empty.",))
     if is_solution(head):
@@ -105,13 +104,9 @@ def read_fix_log(path: Path, columns: Columns | None = None) -> FixLog:
     return read_stream(path)  # the receiver may have begun with something else
 
 
-def _has_columns(path: Path) -> bool:
-    """Whether a log is a table, for which it can be said what its columns are."""
-    if is_time_log(path):
-        return False
+def _head(path: Path) -> bytes:
     with open_log_bytes(path) as stream:
-        head = stream.read(_HEAD_BYTES)
-    return is_solution(head) or _looks_like_table(head)
+        return stream.read(_HEAD_BYTES)
 
 
 def _looks_like_table(head: bytes) -> bool:
@@ -153,7 +148,11 @@ def chosen_log(path: Path, settings: RecordingSettings, options: DriveOptions) -
 
 
 def _refuse_columns(path: Path, options: DriveOptions) -> None:
-    if options.columns is not None and not _has_columns(path):
+    """ConfigError for what is said of the columns of a log that is no table."""
+    if options.columns is None:
+        return
+    head = b"" if is_time_log(path) else _head(path)
+    if not (is_solution(head) or _looks_like_table(head)):
         options.refuse(f"{path} is no table", "columns")
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -12,9 +11,11 @@ import numpy as np
 
 from fieldgrid.core import Float64, Int64, RecordingError, counted
 from fieldgrid.geometry import Gyro, Inertial, Motion, WheelSpeed
-from fieldgrid.recordings.tables.columns import SPEEDS, Columns, take_apart
+from fieldgrid.recordings.tables.columns import Columns
+from fieldgrid.recordings.tables.roles import FORCES, RATES, WHEELS, ColumnRole, guess
 from fieldgrid.recordings.tables.table_time import find_time
 from fieldgrid.recordings.tables.tables import OpenTable, open_table
+from fieldgrid.recordings.tables.units import GRAVITY_MPS2, take_apart
 
 AXES = "flu"
 """How an IMU is mounted when nothing is said: x forward, y left, z up."""
@@ -23,32 +24,12 @@ _DIRECTIONS = {
     **{"f": (1, 0, 0), "b": (-1, 0, 0), "l": (0, 1, 0)},
     **{"r": (0, -1, 0), "u": (0, 0, 1), "d": (0, 0, -1)},
 }
-# Names of the three axes' rates, then whether they are in degrees.
-_RATES = (
-    ("gyro_{}_rad_s", False), ("gyro_{}_radps", False), ("gyro_{}", False), ("gyr_{}", False),
-    ("gyr{}", False), ("gyro{}", False), ("angular_velocity_{}", False), ("w{}", False),
-    ("w_{}", False), ("g{}", False), ("rate_{}", False), ("angvel_{}", False),
-    ("gyro_{}_deg_s", True), ("gyro_{}_dps", True), ("gyro_{}_degps", True),
-)  # fmt: skip
-# The same of the accelerometer, then whether they are in g.
-_FORCES = (
-    ("acc_{}_m_s2", False), ("acc_{}_mps2", False), ("acc_{}", False), ("accel_{}", False),
-    ("acc{}", False), ("accel{}", False), ("linear_acceleration_{}", False), ("a{}", False),
-    ("a_{}", False), ("acceleration_{}", False), ("accel_{}_m_s2", False),
-    ("acc_{}_g", True), ("accel_{}_g", True),
-)  # fmt: skip
-_STANDARD_GRAVITY_MPS2 = 9.80665
-
 _MOST_SENSED = 1e9
 """Beyond any rate or force: a sample with more is none."""
 _UPRIGHT = 0.999
 """Of an axis that is taken for the vertical where there is no other, least part along it."""
 _MOSTLY = 0.5
 """An accelerometer that says something in fewer of its rows than this says nothing."""
-_SPEEDS = (
-    *("speed", "wheel_speed", "velocity", "vel", "v", "vx", "twist_linear_x", "linear_x"),
-    *("linear_velocity", "linear_velocity_x", "forward_speed", "odometry_speed"),
-)
 
 
 class MotionFiles(NamedTuple):
@@ -87,9 +68,9 @@ def read_motion(folder: Path, imu_axes: str = AXES) -> MotionFiles:
     notes: list[str] = []
     R_vehicle_imu = R_VEHICLE_FLU @ np.array(directions(imu_axes), dtype=np.float64).T
     motion = read_imu(_tables(folder / "imu"), R_vehicle_imu, notes, notes)
-    wheels = _joined([s for p in _tables(folder / "odometry") if (s := _read_speed(p, notes))])
+    wheels = _joined({path: _read_wheels(path, notes) for path in _tables(folder / "odometry")})
     if wheels is not None:
-        motion = motion._replace(wheels=WheelSpeed(*wheels))
+        motion = motion._replace(wheels=WheelSpeed(wheels.time_ns, wheels.values[:, 0]))
     return MotionFiles(motion, tuple(notes))
 
 
@@ -98,9 +79,11 @@ def read_imu(
 ) -> Motion:
     """What the files of one IMU hold, whose axes `R_vehicle_imu` turns into those of the vehicle.
     Remarks are added to `notes`, those on names of columns to `guessed`."""
-    found = [s for path in paths if (s := _read_imu(path, R_vehicle_imu, notes, guessed))]
+    found = {path: _read_imu(path, R_vehicle_imu, notes, guessed) for path in paths}
     turning = _joined(found)
-    whole = _joined([(path, s) for path, s in found if np.isfinite(s.values[:1, 0]).all()])
+    whole = _joined(
+        {path: s for path, s in found.items() if s and np.isfinite(s.values[:1, 0]).all()}
+    )
     return Motion(
         gyro=None if turning is None else Gyro(turning.time_ns, -turning.values[:, 2]),
         inertial=None if whole is None else inertial_of(whole, notes),
@@ -112,7 +95,7 @@ def gravity_unit_mps2(usual: Float64) -> float | None:
     not that of gravity, as in a message from which gravity was removed."""
     size = float(np.linalg.norm(usual))
     if 0.9 < size < 1.1:
-        return _STANDARD_GRAVITY_MPS2
+        return GRAVITY_MPS2
     return 1.0 if 9.0 < size < 10.6 else None
 
 
@@ -165,89 +148,70 @@ def _tables(folder: Path) -> list[Path]:
 
 def _read_imu(
     path: Path, R_vehicle_imu: Float64, notes: list[str], guessed: list[str]
-) -> tuple[Path, MotionSeries] | None:
+) -> MotionSeries | None:
     """Rates (rad/s) and forces (m/s²) along the vehicle's axes right, forward, up, [n, 6]; NaN
     where a file has fewer axes. None without a gyro about the vertical."""
     vertical = int(np.abs(R_vehicle_imu[2]).argmax())
+    upward = RATES[vertical]
     with open_table(path) as table:
-        rates = [_find(table, _RATES, axis, "w_RS_S_{} [rad s^-1]") for axis in "xyz"]
-        forces = [_find(table, _FORCES, axis, "a_RS_S_{} [m s^-2]") for axis in "xyz"]
-        upward = rates[vertical]
-        aslant = abs(R_vehicle_imu[2, vertical]) < _UPRIGHT and None in rates
-        if upward is None or aslant:
-            notes.append(f"{path.name}: no column gyro_{'xyz'[vertical]}_rad_s; it is not used.")
+        has = {role: guess(role, table.header) is not None for role in (*RATES, *FORCES)}
+        turns_whole = all(has[role] for role in RATES)
+        aslant = abs(R_vehicle_imu[2, vertical]) < _UPRIGHT and not turns_whole
+        if not has[upward] or aslant:
+            notes.append(f"{path.name}: no column {upward.own}; it is not used.")
             return None
-        name, in_degrees = upward
-        if not name.startswith("gyro_") or not name.endswith("_rad_s"):
-            unit = "deg/s" if in_degrees else "rad/s"
-            guessed.append(f"{path.name}: gyro from '{name}', taken as {unit}.")
-        turning = [found for found in rates if found is not None]
-        pushing = [found for found in forces if found is not None]
-        turning = turning if len(turning) == 3 else [upward]
-        pushing = pushing if len(pushing) == len(turning) == 3 else []
-        factors = [math.radians(1.0) if found[1] else 1.0 for found in turning]
-        factors += [_STANDARD_GRAVITY_MPS2 if found[1] else 1.0 for found in pushing]
-        named = [found[0] for found in turning + pushing]
-        read = _read(table, named, factors, notes, guessed, len(turning))
+        turning = RATES if turns_whole else (upward,)
+        pushing = FORCES if turns_whole and all(has[role] for role in FORCES) else ()
+        name = guess(upward, table.header) or ""
+        if name != upward.own:
+            unit = take_apart(name).unit
+            guessed.append(f"{path.name}: gyro from '{name}', taken as {unit or 'rad_s'}.")
+        read = _read(table, (*turning, *pushing), notes, guessed, len(turning))
     sensed = np.full((len(read.time_ns), 6), np.nan)
-    if len(turning) == 1:
+    if not turns_whole:
         sensed[:, 2] = read.values[:, 0] * R_vehicle_imu[2, vertical]
-    for part in range(len(turning + pushing) // 3):
-        three = slice(3 * part, 3 * part + 3)
-        sensed[:, three] = read.values[:, three] @ R_vehicle_imu.T
-    return path, MotionSeries(read.time_ns, sensed)
+        return MotionSeries(read.time_ns, sensed)
+    for three in (slice(0, 3), slice(3, len(turning) + len(pushing))):
+        if read.values[:, three].size:
+            sensed[:, three] = read.values[:, three] @ R_vehicle_imu.T
+    return MotionSeries(read.time_ns, sensed)
 
 
 R_VEHICLE_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """From forward, left, up to the vehicle's axes right, forward, up."""
 
 
-def _find(
-    table: OpenTable, known: tuple[tuple[str, bool], ...], axis: str, euroc: str
-) -> tuple[str, bool] | None:
-    """The column of an axis, and whether its unit is the second one of its kind."""
-    for pattern, other_unit in known:
-        for name in table.header:
-            plain = "_".join("".join(c if c.isalnum() else " " for c in name.lower()).split())
-            if plain in (pattern.format(axis), pattern.format(axis) + "_rad_s"):
-                return name, other_unit
-    return (euroc.format(axis), False) if euroc.format(axis) in table.header else None
-
-
-def _read_speed(path: Path, notes: list[str]) -> tuple[Path, MotionSeries] | None:
+def _read_wheels(path: Path, notes: list[str]) -> MotionSeries | None:
     with open_table(path) as table:
-        named = {take_apart(name): name for name in reversed(table.header)}
-        bases = {apart.base: apart for apart in named}
-        apart = next((bases[base] for base in _SPEEDS if base in bases), None)
-        if apart is None:
-            notes.append(f"{path.name}: no column speed_mps; it is not used.")
+        name = guess(WHEELS, table.header)
+        if name is None:
+            notes.append(f"{path.name}: no column {WHEELS.own}; it is not used.")
             return None
-        series = _read(
-            table, [named[apart]], [apart.factor * SPEEDS.get(apart.unit, 1.0)], notes, notes
-        )
-        if named[apart] != "speed_mps":
-            notes.append(
-                f"{path.name}: speed from '{named[apart]}' in {apart.unit or 'm/s (assumed)'}."
-            )
-    return path, MotionSeries(series.time_ns, series.values[:, 0])
+        series = _read(table, (WHEELS,), notes, notes)
+        if name != WHEELS.own:
+            unit = take_apart(name).unit or "m/s (assumed)"
+            notes.append(f"{path.name}: speed from '{name}' in {unit}.")
+    return series
 
 
 def _read(
     table: OpenTable,
-    names: list[str],
-    factors: list[float],
+    roles: Sequence[ColumnRole],
     notes: list[str],
     guessed: list[str],
     needed: int = 1,
 ) -> MotionSeries:
-    """Columns [n, k] with their times, increasing; rows without one of the first `needed` of them
-    are dropped and counted."""
-    time, places = find_time(table, Columns()), [table.header.index(name) for name in names]
+    """The columns [n, k] of roles with their times, increasing; rows without one of the first
+    `needed` of them are dropped and counted."""
+    time = find_time(table, Columns())
+    names = [guess(role, table.header) or "" for role in roles]
+    places = [table.header.index(name) for name in names]
     times, rows = [np.zeros(0, dtype=np.int64)], [np.zeros((0, len(names)))]
     for block in table.blocks():
         times.append(time.utc_ns(block))
         rows.append(np.stack([table.numbers(block, place) for place in places], axis=1))
-    series, lost = in_order(np.concatenate(times), np.concatenate(rows) * factors, needed)
+    worth = [take_apart(n).worth(role.quantity) for n, role in zip(names, roles, strict=True)]
+    series, lost = in_order(np.concatenate(times), np.concatenate(rows) * worth, needed)
     notes += skipped(table.path.name, lost, "row")
     guessed += time.notes
     return series
@@ -270,17 +234,18 @@ def skipped(source: str, lost: int, noun: str) -> list[str]:
     return [said] if lost else []
 
 
-def _joined(parts: Sequence[tuple[Path, MotionSeries]]) -> MotionSeries | None:
+def _joined(parts: Mapping[Path, MotionSeries | None]) -> MotionSeries | None:
     """The files of one sensor in order of time; two that overlap are two sensors."""
-    filled = sorted((p for p in parts if len(p[1].time_ns)), key=lambda p: int(p[1].time_ns[0]))
-    for (path, earlier), (other, later) in pairwise(filled):
+    filled = sorted(
+        ((s, path) for path, s in parts.items() if s and len(s.time_ns)),
+        key=lambda part: int(part[0].time_ns[0]),
+    )
+    for (earlier, path), (later, other) in pairwise(filled):
         if earlier.time_ns[-1] >= later.time_ns[0]:
             raise RecordingError(
                 f"{path} and {other} overlap in time, so they are two sensors; keep one of them."
             )
-    if len(filled) < 2:
-        return filled[0][1] if filled else None
-    return MotionSeries(
-        np.concatenate([series.time_ns for _, series in filled]),
-        np.concatenate([series.values for _, series in filled]),
-    )
+    if not filled:
+        return None
+    columns = zip(*(series for series, _ in filled), strict=True)
+    return MotionSeries(*(np.concatenate(column) for column in columns))

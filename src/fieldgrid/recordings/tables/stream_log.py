@@ -6,14 +6,13 @@ import re
 from pathlib import Path
 
 from fieldgrid.core import GnssError, counted
-from fieldgrid.geometry import Fix, FixColumns
+from fieldgrid.geometry import FixColumns
 from fieldgrid.poses import NmeaCounts, NmeaStream, UbxCounts, UbxParser
 from fieldgrid.recordings.files import open_log_bytes
 from fieldgrid.recordings.tables.fix_log import FixLog
 
-_CHUNK = 1 << 16
+_CHUNK = 1 << 20
 _UNLIMITED = 1 << 60
-_PACKED_AT_ONCE = 8192
 _SENTENCE = re.compile(rb"\$[A-Z][A-Z0-9]{3,9},[ -)+-~]*\*[0-9A-Fa-f]{2}")
 _UBX_CLASSES = rb"\x01\x02\x04\x05\x06\x0a\x0b\x0c\x0d\x10\x13\x21\x27\x28"
 _UBX = re.compile(rb"\xb5\x62[" + _UBX_CLASSES + rb"][\x00-\xff]{2}[\x00-\x10]")
@@ -35,13 +34,15 @@ def read_stream(path: Path) -> FixLog:
     """
     # Both parsers read the same bytes; what belongs to the one is noise to the other.
     sentences, messages = NmeaStream(max_undated=_UNLIMITED), UbxParser()
-    from_nmea, from_ubx = _Fixes(), _Fixes()
+    # Records take six times the memory of columns, so that only those of a chunk are held.
+    nmea_parts, ubx_parts = [], []
     with open_log_bytes(path) as stream:
         while chunk := stream.read(_CHUNK):
-            from_nmea.add(sentences.feed(chunk))
-            from_ubx.add(messages.feed(chunk))
-    from_nmea.add(sentences.finish())
-    from_ubx.add(messages.close())
+            nmea_parts.append(FixColumns.of_rows(sentences.feed(chunk)))
+            ubx_parts.append(FixColumns.of_rows(messages.feed(chunk)))
+    nmea_parts.append(FixColumns.of_rows(sentences.finish()))
+    ubx_parts.append(FixColumns.of_rows(messages.close()))
+    from_nmea, from_ubx = FixColumns.joined(nmea_parts), FixColumns.joined(ubx_parts)
     nmea, ubx = sentences.counts, messages.counts
     if not (nmea.sentences or nmea.bad_checksum or nmea.broken or ubx.messages):
         raise NoStreamError(
@@ -59,34 +60,7 @@ def read_stream(path: Path) -> FixLog:
         both = f"{counted(len(from_ubx), 'position')} in UBX and {len(from_nmea)} in NMEA"
         notes = [f"{both}; {'UBX' if by_ubx else 'NMEA'} is taken", *notes]
     fixes = from_ubx if by_ubx else from_nmea
-    return FixLog(fixes.joined(), tuple(f"{path.name}: {note}." for note in notes))
-
-
-class _Fixes:
-    """The fixes of a log as they are read. Records take six times the memory of columns, so
-    that no more than some thousand are held."""
-
-    def __init__(self) -> None:
-        self._rows: list[Fix] = []
-        self._parts: list[FixColumns] = []
-        self._packed = 0
-
-    def add(self, rows: list[Fix]) -> None:
-        self._rows += rows
-        if len(self._rows) >= _PACKED_AT_ONCE:
-            self._pack()
-
-    def __len__(self) -> int:
-        return self._packed + len(self._rows)
-
-    def joined(self) -> FixColumns:
-        self._pack()
-        return FixColumns.joined(self._parts)
-
-    def _pack(self) -> None:
-        self._parts.append(FixColumns.of_rows(self._rows))
-        self._packed += len(self._rows)
-        self._rows = []
+    return FixLog(fixes, tuple(f"{path.name}: {note}." for note in notes))
 
 
 def nmea_notes(log: NmeaCounts) -> list[str]:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import chain, islice
 from pathlib import Path
-from typing import NamedTuple, TextIO
+from typing import NamedTuple
 
 import numpy as np
 
@@ -61,10 +61,8 @@ class TableRows(NamedTuple):
 class OpenTable:
     """An open table: its header, and its rows block by block."""
 
-    def __init__(self, path: Path, text: TextIO) -> None:
-        self.path = path
-        # What a power cut leaves in a file are blocks of NUL.
-        self._lines = bounded_lines(text, path, without="\0")
+    def __init__(self, path: Path, lines: Iterator[str]) -> None:
+        self.path, self._lines = path, lines
         self._line = 0
         first, taken = split_header(self._counted())
         if not first:
@@ -151,10 +149,6 @@ class OpenTable:
             f"{self.path}, line {line}: {name} {quoted(cell)} {what}; correct it."
         )
 
-    def column(self, name: str) -> int | None:
-        """The place of a column by its name as it stands in the header."""
-        return self.header.index(name) if name in self.header else None
-
 
 def _even_rows(line: int, count: int, text: str, delimiter: str) -> TableRows | None:
     """The rows of lines without quotes, in a third of the time that the csv module takes; None
@@ -175,11 +169,19 @@ def _even_rows(line: int, count: int, text: str, delimiter: str) -> TableRows | 
 @contextmanager
 def open_table(path: Path) -> Iterator[OpenTable]:
     """The table in a file, packed by gzip or not. What breaks while reading names the file."""
+    with open_lines(path) as lines:
+        yield OpenTable(path, lines)
+
+
+@contextmanager
+def open_lines(path: Path) -> Iterator[Iterator[str]]:
+    """The lines of a table with their ends, of any encoding."""
     with open_log_bytes(path) as stream:
         start = stream.peek(4) if isinstance(stream, io.BufferedReader) else b""
         text = io.TextIOWrapper(stream, encoding=_encoding(start), errors="replace", newline="")
         try:
-            yield OpenTable(path, text)
+            # What a power cut leaves in a file are blocks of NUL.
+            yield bounded_lines(text, path, without="\0")
         except (csv.Error, UnicodeError) as problem:
             raise RecordingError(
                 f"{path} is not a CSV file: {problem}; correct or export it again."
