@@ -43,7 +43,7 @@ def _opened(path: Path) -> str:
             return _told(drive)
     except FieldgridError as problem:
         sentence = str(problem).replace(str(path), "IT")
-        return f"{type(problem).__name__}, {' '.join(sentence.split()[:12])}"
+        return f"0 fixes, {type(problem).__name__}, {' '.join(sentence.split()[:12])}"
 
 
 def _told(drive: Drive) -> str:

@@ -130,14 +130,14 @@ class Memory:
 
         return recall
 
-    def remembered_of_file(self, read: Callable[[Path], Any]) -> Callable[[Path], Any]:
+    def remembered_of_file(self, read: Callable[..., Any]) -> Callable[..., Any]:
         """The same reader of files with this memory."""
 
-        def recall(path: Path) -> Any:
+        def recall(path: Path, *given: Any) -> Any:
             if not path.is_file() or path.stat().st_size > LARGEST_FILE_BYTES:
-                return read(path)
-            about = read.__qualname__, path.name, path.read_bytes()
-            return self.of(lambda: read(path), about)
+                return read(path, *given)
+            about = read.__qualname__, path.name, path.read_bytes(), *given
+            return self.of(lambda: read(path, *given), about)
 
         return recall
 

@@ -21,6 +21,9 @@ NOISE = bytes(range(90)) * 5
         ("a.gpx", b'<?xml version="1.0"?>\n<gpx version="1.1"><trk>', "GPX track.*gpsbabel -i gpx"),
         ("a.kml", b"<?xml?><kml><Document>", "is KML.*give the log of the receiver"),
         ("a.json", b'{"type": "FeatureCollection", "features": []}', "is GeoJSON.*ogr2ogr"),
+        ("b.json", b'{\n "width": 3, "rows": [1, 2]}', "is JSON.*give the log of the receiver"),
+        ("b.xml", b'<?xml version="1.0"?>\n<tasks/>', "is XML.*give the log of the receiver"),
+        ("Field.txt", b"2024-April-07 06:50:41 PM\n$FieldDir\nNew\n", "AgOpenGPS.*let AgIO log"),
         (
             "a.24o",
             b"     3.03           OBSERVATION DATA    M                   RINEX VERSION / TYPE\n",
@@ -70,6 +73,9 @@ def test_sentences_long_after_the_start_are_read(start: bytes, tmp_path: Path) -
     (tmp_path / "a.log").write_bytes(content.replace(b"RMC", b"RMX"))
     with pytest.raises(GnssError, match="no valid RMC or ZDA"):
         read_fix_log(tmp_path / "a.log")
+    (fix,) = read_fix_log(tmp_path / "a.log", epoch_ns=START_NS).fixes
+    assert fix.time_ns // 10**9 % 86_400 == 43_200
+    assert 0 <= START_NS - fix.time_ns + 43_200 * 10**9 < 86_400 * 10**9
     (tmp_path / "a.log").write_bytes(start + NOISE * 200 + b"\r\n" + sentence("GPGSA,A,1"))
     with pytest.raises(RecordingError, match="and not read; "):
         read_fix_log(tmp_path / "a.log")

@@ -89,7 +89,7 @@ class ListedFrames:
 
 
 def open_listed(path: Path, options: DriveOptions) -> Drive:
-    options.refuse_of_bags(path)
+    options.refuse_topics(path)
     document = json.loads(path.read_text())
     columns = dict(document["fixes"])
     drive = Drive(
@@ -340,8 +340,6 @@ def test_what_a_format_cannot_use_is_refused(made: tuple[str, Path], tmp_path: P
     if kind != "ROS bag":
         with pytest.raises(ConfigError, match="leave --topic left out"):
             open_drive(path, DriveOptions(topics={"left": "/a"}))
-        with pytest.raises(ConfigError, match="leave --epoch out"):
-            open_drive(path, DriveOptions(epoch_ns=10**18))
     with pytest.raises(ConfigError, match=r"none\.json cannot be read"):
         open_drive(path, DriveOptions(mounting=tmp_path / "none.json")).recording()
     with pytest.raises(fg.FieldgridError, match=r"none\.nmea"):

@@ -78,8 +78,8 @@ class DriveFlags(NamedTuple):
         typer.Option(
             "--epoch",
             metavar="TIME",
-            help="When the clock of a simulation began, in UTC: for a bag or --mcap whose stamps "
-            "count from 0, like 2026-05-14T07:30:00Z.",
+            help="From when a clock without a date counts, in UTC, like 2026-05-14T07:30:00Z: that "
+            "of a simulation, of a table, or of an NMEA log without RMC, for which the day does.",
             rich_help_panel=_PANEL,
         ),
     ] = None

@@ -56,8 +56,9 @@ class DriveOptions:
     `mounting` is another `mounting.json`, or what stands for it; `image_time_offset_ns` is added
     to image times to give GNSS time and outranks the recording's own, `gnss_offset_ns` to the
     times of the GNSS log to give the time of images, gyro and wheels; `poses` are those that
-    another program estimated, and outrank what the recording says of them; `epoch_ns` is the UTC at
-    which the clock of a bag began that counts from its own start. With `unmounted`, a
+    another program estimated, and outrank what the recording says of them; `epoch_ns` is the UTC
+    from which a clock without a date counts: of a bag, of a table of fixes, or of NMEA sentences,
+    for which the day is enough. With `unmounted`, a
     sensor of which nothing tells how it sits gets `NO_MOUNTING`. With `incomplete`, files of frames
     may be missing: it is the frame that then cannot be read. `from_ns` and `until_ns` cut the drive
     (`cutting.cut`).
@@ -100,14 +101,9 @@ class DriveOptions:
                 what = f"{_FLAGS[name]} {next(iter(value))}" if name == "topics" else _FLAGS[name]
                 raise ConfigError(f"{why}; leave {what} out.")
 
-    def refuse_of_bags(self, path: Path) -> None:
-        """Raise ConfigError for what is said of the topics and the clock of a bag, of a drive that
-        is none."""
+    def refuse_topics(self, path: Path) -> None:
+        """Raise ConfigError for topics of a drive that is no bag."""
         self.refuse(f"{path} is no bag and has no topics", "topics")
-        self.refuse(
-            f"{path} is no bag; of a table of fixes, --columns time_epoch=MOMENT says it",
-            "epoch_ns",
-        )
 
     def find_mounting(self, usual: Path, recording: Path) -> Mounting:
         """The mounting that was given, else the one at its usual place.

@@ -8,7 +8,7 @@ heard that may still be the one, by what their names are worth.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -215,7 +215,7 @@ def read_content(path: Path, options: DriveOptions, readings: Readings) -> BagIn
     partners = readings.stereo_infos()
     choice = choose(topics, given, path, unwanted, settings.sensor, partners)
     if isinstance(gnss, Path):
-        log = chosen_log(gnss, settings, options)
+        log = chosen_log(gnss, settings, replace(options, epoch_ns=None))  # it is of the bag
     else:
         options.refuse("The fixes of a bag are no table", "columns")
         log, gnss = _fixes_of_topics(path, readings, choice.roles)

@@ -39,7 +39,7 @@ def mounting_path(path: Path) -> Path:
 def open_euroc(path: Path, options: DriveOptions) -> Drive:
     """The recording at a path; what EuRoC's format has no place for lies beside or in mav0:
     `mounting.json`, `gnss/`, `recording.toml`."""
-    options.refuse_of_bags(path)
+    options.refuse_topics(path)
     folder, mav = _folders(path)
     settings = read_settings(_beside(folder, mav, SETTINGS))
     log_path: Path | None = mav / "gps0" / _DATA

@@ -36,7 +36,7 @@ def recognises(path: Path) -> bool:
 def open_folder(path: Path, options: DriveOptions) -> Drive:
     """The drive in a plain folder, with frames or without. What the options say outranks the
     settings file."""
-    options.refuse_of_bags(path)
+    options.refuse_topics(path)
     settings = read_settings(path / SETTINGS)
     bare = Drive(
         path=path,

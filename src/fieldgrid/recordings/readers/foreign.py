@@ -44,6 +44,7 @@ def _is_rtcm(head: bytes, _: str) -> bool:
     return len(head) > 1 and head[0] == _RTCM and not head[1] & _RTCM_RESERVED
 
 
+_GIVE_LOG = "give the log of the receiver, as NMEA, UBX, .pos or a table"
 _SOLVE = "compute positions of it, as by RTKLIB's rnx2rtkp, and give its .pos file"
 _KINDS = (
     _Kind(
@@ -57,16 +58,18 @@ _KINDS = (
         "convert it: gpsbabel -i gpx -f IN.gpx -x transform,wpt=trk -o unicsv,utc=0 -F OUT.csv",
         _holds(b"<gpx"),
     ),
-    _Kind(
-        "KML",
-        "give the log of the receiver, as NMEA, UBX, .pos or a table",
-        _holds(b"<kml"),
-    ),
+    _Kind("KML", _GIVE_LOG, _holds(b"<kml")),
     _Kind(
         "GeoJSON",
         "give the log of the receiver, or write it as a table: ogr2ogr -lco GEOMETRY=AS_XY "
         "OUT.csv IN.geojson",
         lambda head, _: head.lstrip()[:1] == b"{" and b"Feature" in head,
+    ),
+    _Kind("JSON", _GIVE_LOG, lambda head, _: head.lstrip()[:2] in (b'{"', b"{\n", b"{\r", b"[{")),
+    _Kind(
+        "a file of a field of AgOpenGPS, which keeps no times",
+        "let AgIO log the NMEA of the drive, and give that",
+        _holds(b"$FieldDir", b"$Boundary", b"$Contour", b"$CurveLines", b"$TrackLines"),
     ),
     _Kind(
         "RINEX (measurements, no positions)",
@@ -103,6 +106,7 @@ _KINDS = (
         _begins(b"\xa3\x95\x80\x80"),
     ),
     _Kind("a ZIP archive", "unpack it; save a spreadsheet as CSV", _begins(b"PK\x03\x04")),
+    _Kind("XML", _GIVE_LOG, _begins(b"<?xml", b"\xef\xbb\xbf<?xml")),
     _Kind("an SQLite database, no bag", "give the recording itself", _begins(b"SQLite format 3")),
 )
 

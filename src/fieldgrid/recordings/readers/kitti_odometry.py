@@ -36,7 +36,7 @@ def recognises(path: Path) -> bool:
 
 def open_sequence(path: Path, options: DriveOptions) -> Drive:
     """The sequence at a path: fixes of a log that is given, else of its own poses."""
-    options.refuse_of_bags(path)
+    options.refuse_topics(path)
     settings = read_settings(path / SETTINGS)
     log_path, usual = find_log(path, options.gnss), path / MOUNTING
     is_mounted = options.mounting is not None or usual.exists()

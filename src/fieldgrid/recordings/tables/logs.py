@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from fieldgrid.core import RecordingError, quoted
+from fieldgrid.core import RecordingError, quoted, utc_text
 from fieldgrid.geometry import FixColumns
 from fieldgrid.recordings.drive import Drive
 from fieldgrid.recordings.files import DELIMITERS, open_log_bytes
@@ -76,11 +76,13 @@ def _is_log(path: Path) -> bool:
     )
 
 
-def read_fix_log(path: Path, columns: Columns | None = None) -> FixLog:
+def read_fix_log(path: Path, columns: Columns | None = None, epoch_ns: int | None = None) -> FixLog:
     """The fixes of a log, whose kind is told by its content.
 
     NMEA, UBX or both; a table (`columns` says what its names do not); a solution of RTKLIB; an
     ISO 11783-10 time log (or the folder of a single one). Any but the last may be packed by gzip.
+    `epoch_ns` is the UTC from which the times of a table count, or the day on which sentences
+    without a date begin.
     """
     if is_time_log(path):
         return read_time_log(path)
@@ -92,16 +94,18 @@ def read_fix_log(path: Path, columns: Columns | None = None) -> FixLog:
     is_table = _looks_like_table(head)
     # Sentences in a column are a stream, unless it is said what the columns are.
     if looks_like_stream(head) and (columns is None or not is_table):
-        return read_stream(path)
+        return read_stream(path, epoch_ns)
     if may_hold_nmea(path, head):
         with suppress(NoStreamError):
-            log = read_stream(path)
+            log = read_stream(path, epoch_ns)
             if len(log.fixes):
                 return log
     refuse_foreign(path, head)
     if is_table:
+        if epoch_ns is not None:
+            columns = replace(columns or Columns(), time_epoch=utc_text(epoch_ns))
         return read_fix_table(path, columns)
-    return read_stream(path)  # the receiver may have begun with something else
+    return read_stream(path, epoch_ns)  # the receiver may have begun with something else
 
 
 def _head(path: Path) -> bytes:
@@ -144,7 +148,7 @@ def chosen_log(path: Path, settings: RecordingSettings, options: DriveOptions) -
     """The fixes of a log of a recording, whose columns are as the user says, else the recording;
     ConfigError where the user says it of no table."""
     _refuse_columns(path, options)
-    return read_fix_log(path, options.columns or settings.columns)
+    return read_fix_log(path, options.columns or settings.columns, options.epoch_ns)
 
 
 def _refuse_columns(path: Path, options: DriveOptions) -> None:
@@ -159,10 +163,10 @@ def _refuse_columns(path: Path, options: DriveOptions) -> None:
 def open_log(path: Path, options: DriveOptions) -> Drive:
     """A log as a drive without frames, of whose vehicle nothing is known."""
     options.refuse(f"{path} is a log already, in which none can be picked", "gnss")
-    options.refuse_of_bags(path)
+    options.refuse_topics(path)
     options.refuse(f"{path} is no recording with images", "mounting", "image_time_offset_ns")
     _refuse_columns(path, options)
-    log = options.in_time(read_fix_log(path, options.columns))
+    log = options.in_time(read_fix_log(path, options.columns, options.epoch_ns))
     return Drive(
         path=path,
         name=path.stem,

@@ -13,6 +13,7 @@ from fieldgrid.recordings.tables.fix_log import FixLog
 
 _CHUNK = 1 << 20
 _UNLIMITED = 1 << 60
+_DAY_NS = 86_400 * 10**9
 _SENTENCE = re.compile(rb"\$[A-Z][A-Z0-9]{3,9},[ -)+-~]*\*[0-9A-Fa-f]{2}")
 _UBX_CLASSES = rb"\x01\x02\x04\x05\x06\x0a\x0b\x0c\x0d\x10\x13\x21\x27\x28"
 _UBX = re.compile(rb"\xb5\x62[" + _UBX_CLASSES + rb"][\x00-\xff]{2}[\x00-\x10]")
@@ -27,13 +28,15 @@ def looks_like_stream(head: bytes) -> bool:
     return _SENTENCE.search(head) is not None or _UBX.search(head) is not None
 
 
-def read_stream(path: Path) -> FixLog:
-    """The fixes of a log; of those of two protocols the more numerous, which is noted.
+def read_stream(path: Path, epoch_ns: int | None = None) -> FixLog:
+    """The fixes of a log; of those of two protocols the more numerous, which is noted. Sentences
+    without a date begin on the day of `epoch_ns`.
 
     :class:`NoStreamError` where there is neither, :class:`GnssError` for positions without a date.
     """
     # Both parsers read the same bytes; what belongs to the one is noise to the other.
-    sentences, messages = NmeaStream(max_undated=_UNLIMITED), UbxParser()
+    day = None if epoch_ns is None else epoch_ns // _DAY_NS
+    sentences, messages = NmeaStream(max_undated=_UNLIMITED, first_day=day), UbxParser()
     # Records take six times the memory of columns, so that only those of a chunk are held.
     nmea_parts, ubx_parts = [], []
     with open_log_bytes(path) as stream:
@@ -52,7 +55,8 @@ def read_stream(path: Path) -> FixLog:
     if nmea.undated and not (len(from_nmea) or len(from_ubx)):
         raise GnssError(
             f"{path}: The log has {nmea.undated} positions but no valid RMC or ZDA sentence, which "
-            "alone give their date; let the receiver write RMC besides GGA."
+            "alone give their date; say on which day it begins, as by --epoch 2026-05-14, and let "
+            "the receiver write RMC besides GGA."
         )
     by_ubx = bool(ubx.messages) and len(from_ubx) >= len(from_nmea)
     notes = _ubx_notes(ubx, len(from_ubx)) if by_ubx else nmea_notes(nmea)
