@@ -17,8 +17,7 @@ from hypothesis import given, settings, strategies as st
 from pypcd4 import Encoding, PointCloud as Pcd
 
 from fieldgrid.core import ConfigError, RecordingError
-from fieldgrid.recordings import CloudFile
-from fieldgrid.recordings.files import MAX_FRAME_BYTES
+from fieldgrid.recordings import CloudFile, CloudKind
 from fieldgrid.recordings.frames.cloud_files import to_optical
 from fieldgrid.recordings.frames.las import las_time_ns
 
@@ -63,7 +62,7 @@ def las(points: Points, layered: bool = True, standard: bool = True) -> laspy.La
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_every_format_gives_its_points(name: str, tmp_path: Path) -> None:
-    found = CloudFile(write(tmp_path / name), "rdf").read()
+    found = CloudFile(write(tmp_path / name), CloudKind("rdf")).read()
     assert found.dtype == np.float32
     assert found == pytest.approx(POINTS, abs=1e-4)
 
@@ -100,7 +99,7 @@ def test_clouds_are_flu_when_nothing_is_said(tmp_path: Path) -> None:
 
 def test_more_columns_and_other_numbers(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.column_stack([POINTS, POINTS]).astype(np.float64))
-    assert np.array_equal(CloudFile(tmp_path / "a.npy", "rdf").read(), POINTS)
+    assert np.array_equal(CloudFile(tmp_path / "a.npy", CloudKind("rdf")).read(), POINTS)
 
 
 def test_a_ply_with_other_properties_and_faces(tmp_path: Path) -> None:
@@ -111,7 +110,7 @@ def test_a_ply_with_other_properties_and_faces(tmp_path: Path) -> None:
     )
     body = struct.pack(">Bdfh", 9, 3.5, 1.5, 2) + struct.pack(">Bdfh", 9, 6.5, 4.5, 5)
     (tmp_path / "a.ply").write_bytes(header + body + b"\x03" + b"\0" * 12)
-    found = CloudFile(tmp_path / "a.ply", "rdf").read()
+    found = CloudFile(tmp_path / "a.ply", CloudKind("rdf")).read()
     assert found.tolist() == [[1.5, 2.0, 3.5], [4.5, 5.0, 6.5]]
 
 
@@ -135,10 +134,10 @@ def timed_ply(path: Path, kind: str) -> Path:
 @pytest.mark.parametrize("kind", ["ascii", "binary_little_endian"])
 def test_a_ply_may_say_when_points_were_taken(kind: str, tmp_path: Path) -> None:
     path = timed_ply(tmp_path / "a.ply", kind)
-    points, after_s = CloudFile(path, "rdf", STAMP_NS).sweep()
+    points, after_s = CloudFile(path, CloudKind("rdf"), STAMP_NS).sweep()
     assert points == pytest.approx(POINTS, abs=1e-4)
     assert after_s == pytest.approx(AFTER_S, abs=1e-6)
-    assert CloudFile(path, "rdf", STAMP_NS, corrected=True).sweep().after_s is None
+    assert CloudFile(path, CloudKind("rdf", corrected=True), STAMP_NS).sweep().after_s is None
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
@@ -151,7 +150,7 @@ def test_a_pcd_may_say_when_points_were_taken(encoding: str, tmp_path: Path) -> 
         [*places.T, absolute], ("x", "y", "z", "timestamp"), (*[np.float32] * 3, np.float64)
     )
     cloud.save(tmp_path / "a.pcd", encoding=Encoding(encoding))
-    points, after_s = CloudFile(tmp_path / "a.pcd", "rdf", STAMP_NS).sweep()
+    points, after_s = CloudFile(tmp_path / "a.pcd", CloudKind("rdf"), STAMP_NS).sweep()
     assert points == pytest.approx(np.delete(POINTS, 7, axis=0), abs=1e-4)
     assert after_s == pytest.approx(np.delete(AFTER_S, 7) - 0.04, abs=1e-6)
 
@@ -160,18 +159,18 @@ def test_the_times_of_a_las_are_utc(tmp_path: Path) -> None:
     data = las(POINTS)
     data.gps_time = GPS_S + AFTER_S
     data.write(tmp_path / "a.las")
-    stamp_ns = las_time_ns(tmp_path / "a.las", MAX_FRAME_BYTES)
-    after_s = CloudFile(tmp_path / "a.las", "rdf", stamp_ns + 50_000_000).sweep().after_s
+    stamp_ns = las_time_ns(tmp_path / "a.las")
+    after_s = CloudFile(tmp_path / "a.las", CloudKind("rdf"), stamp_ns + 50_000_000).sweep().after_s
     assert after_s == pytest.approx(AFTER_S - 0.05, abs=1e-6)
     data = las(POINTS, standard=False)
     data.write(tmp_path / "b.las")
-    assert CloudFile(tmp_path / "b.las", "rdf", stamp_ns).sweep().after_s is None
+    assert CloudFile(tmp_path / "b.las", CloudKind("rdf"), stamp_ns).sweep().after_s is None
 
 
 def test_what_is_not_finite_is_left_out(tmp_path: Path) -> None:
     bad = np.array([[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 1e30]], np.float32)
     np.save(tmp_path / "a.npy", np.vstack([bad, POINTS]))
-    assert np.array_equal(CloudFile(tmp_path / "a.npy", "rdf").read(), POINTS)
+    assert np.array_equal(CloudFile(tmp_path / "a.npy", CloudKind("rdf")).read(), POINTS)
 
 
 def test_points_of_a_map_are_no_sensor_s(tmp_path: Path) -> None:
@@ -196,7 +195,7 @@ def test_the_hash_is_that_of_the_file(tmp_path: Path) -> None:
 def test_the_time_of_a_las_is_utc(name: str, tmp_path: Path) -> None:
     # 1.25e9 s after 1980-01-06 is 2019-08-16 14:13:20 GPS time, 18 leap seconds ahead of UTC.
     expected = 1_565_964_800_250_000_000 - 18_000_000_000
-    assert las_time_ns(write(tmp_path / name), MAX_FRAME_BYTES) == expected
+    assert las_time_ns(write(tmp_path / name)) == expected
 
 
 def test_a_las_that_does_not_say_its_time(tmp_path: Path) -> None:
@@ -205,13 +204,13 @@ def test_a_las_that_does_not_say_its_time(tmp_path: Path) -> None:
     laspy.LasData(laspy.LasHeader(point_format=0, version="1.2")).write(tmp_path / "none.las")
     for name in ("week", "empty", "none"):
         with pytest.raises(RecordingError, match=r"has no points with GPS time .* add frames\.csv"):
-            las_time_ns(tmp_path / f"{name}.las", MAX_FRAME_BYTES)
+            las_time_ns(tmp_path / f"{name}.las")
     wrong = las(POINTS)
     for seconds in (-2e9, 1e300, np.nan):
         wrong.gps_time = np.full(len(POINTS), seconds)
         wrong.write(tmp_path / "wrong.las")
         with pytest.raises(RecordingError, match="which no receiver can have seen"):
-            las_time_ns(tmp_path / "wrong.las", MAX_FRAME_BYTES)
+            las_time_ns(tmp_path / "wrong.las")
 
 
 # --- what may not be
@@ -264,7 +263,7 @@ def test_a_header_is_read_once(tmp_path: Path) -> None:
     start, _, end = PCD.format("4 4 4", "1 1 1", "binary", n=1).partition("POINTS 1\n")
     text = f"{start}POINTS {10**9}\nHEIGHT 1\nPOINTS 1\n{end}"
     (tmp_path / "a.pcd").write_bytes(text.encode() + POINTS[:1].tobytes())
-    assert np.array_equal(CloudFile(tmp_path / "a.pcd", "rdf").read(), POINTS[:1])
+    assert np.array_equal(CloudFile(tmp_path / "a.pcd", CloudKind("rdf")).read(), POINTS[:1])
 
 
 @pytest.mark.parametrize("shape", [(9,), (9, 2), (9, 3, 1)])
@@ -374,7 +373,7 @@ def test_a_number_that_signals_is_no_place(tmp_path: Path) -> None:
 def test_an_array_that_python_2_wrote_is_read(tmp_path: Path) -> None:
     path = write(tmp_path / "a.npy", POINTS[:3])
     path.write_bytes(path.read_bytes().replace(b"(3, 3), ", b"(3L, 3),"))
-    assert CloudFile(path, "rdf").read() == pytest.approx(POINTS[:3])
+    assert CloudFile(path, CloudKind("rdf")).read() == pytest.approx(POINTS[:3])
 
 
 def test_a_small_file_takes_little_memory(tmp_path: Path) -> None:
