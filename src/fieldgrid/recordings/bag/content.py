@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64, GnssError, Int64, RecordingError
+from fieldgrid.core import Float64, GnssError, Int64, RecordingError, quoted
 from fieldgrid.geometry import FixColumns, Gyro, Motion, Orientation, RecordedTilt, WheelSpeed
 from fieldgrid.recordings.bag.leaning import ODOMETRY_FRAME_SIGMA_DEG, Untold, orientation_of
 from fieldgrid.recordings.bag.listeners import Numbers, Sentences, Texts
@@ -179,8 +179,8 @@ def _choose_gnss(bag: Bag, gnss: str | Path | None) -> tuple[Path | None, dict[s
         if path.is_file():
             return path, {}
     raise RecordingError(
-        f"{name!r} is neither a topic of {bag.path} nor a log in {folder} or of its own; it has "
-        f"{listing(bag.topics.values())}."
+        f"{quoted(name)} is neither a topic of {bag.path} nor a log in {folder} or of its own; it "
+        f"has {listing(bag.topics.values())}."
     )
 
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import CalibrationError, Float64
+from fieldgrid.core import CalibrationError, Float64, quoted
 from fieldgrid.recordings.poses.pose_files import rotations
 
 _DEEPEST = 64
@@ -82,7 +82,7 @@ class Transforms:
             parent, place = self._parents[frame]
             if parent in found or len(found) > _DEEPEST:
                 raise CalibrationError(
-                    f"The static transforms of frame {frame!r} lead in a circle; record a "
+                    f"The static transforms of frame {quoted(frame)} lead in a circle; record a "
                     "/tf_static in which each frame has one parent, or write mounting.json."
                 )
             here = FrameTransform(place.R @ here.R, place.R @ here.at_m + place.at_m)

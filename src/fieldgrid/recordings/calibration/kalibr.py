@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from fieldgrid.core import CalibrationError
+from fieldgrid.core import CalibrationError, quoted
 from fieldgrid.recordings.calibration.calibrated import CalibratedPair, Entries, data, raw_pair
 from fieldgrid.recordings.calibration.yaml_text import listed, load_yaml, resolution, rows
 
@@ -28,7 +28,7 @@ def pinhole(
     kind = entry.get("camera_model")
     if kind != "pinhole":
         raise CalibrationError(
-            f"{path}: the camera_model of {name} is {str(kind)[:40]!r}, and only pinhole is read; "
+            f"{path}: the camera_model of {name} is {quoted(kind)}, and only pinhole is read; "
             "calibrate with pinhole-radtan or pinhole-equi."
         )
     fx, fy, cx, cy = listed(entry, "intrinsics", 4, path).tolist()

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import CalibrationError, Float64
+from fieldgrid.core import CalibrationError, Float64, quoted
 from fieldgrid.geometry import DepthCamera, lens_model, raw_camera
 from fieldgrid.perception import (
     Rectification,
@@ -68,7 +68,7 @@ def stereo_pair(content: BagIndex, said: bool | None) -> Rectification:
     if placed is None:
         raise CalibrationError(
             f"{left.source} and {right.source} have no P, and no static transform joins their "
-            f"frames {frames[0]!r} and {frames[1]!r}; calibrate the pair."
+            f"frames {quoted(frames[0])} and {quoted(frames[1])}; calibrate the pair."
         )
     return rectify_by_pose(first, second, placed.R, placed.at_m, path.name)
 

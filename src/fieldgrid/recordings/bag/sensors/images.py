@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import AnyArray, Float32, RecordingError, UInt16
+from fieldgrid.core import AnyArray, Float32, RecordingError, UInt16, quoted
 from fieldgrid.recordings.frames.frames import Image
 from fieldgrid.recordings.frames.images import MAX_PIXELS, decode_image, self_contained
 from fieldgrid.recordings.frames.pixels import Pixels, layout, to_grey
@@ -108,7 +108,7 @@ class DepthImage(MessageSource):
         if message.encoding == METRES:
             return known_depths(pixels_of(message, np.dtype(np.float32), 1, self.name).copy())
         raise RecordingError(
-            f"{self.name}: depths are encoded as {str(message.encoding)[:40]!r}, which is not "
+            f"{self.name}: depths are encoded as {quoted(message.encoding)}, which is not "
             "read; record them as 16UC1 (millimetres) or 32FC1 (metres)."
         )
 
@@ -126,7 +126,7 @@ class DisparityImage(MessageSource):
         message = self.decoded()
         if message.image.encoding != METRES:
             raise RecordingError(
-                f"{self.name}: disparities are encoded as {str(message.image.encoding)[:40]!r}, "
+                f"{self.name}: disparities are encoded as {quoted(message.image.encoding)}, "
                 f"not {METRES}; record them as stereo_image_proc gives them."
             )
         product = float(message.f) * float(message.t)

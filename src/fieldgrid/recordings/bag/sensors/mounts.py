@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import CalibrationError, Float64
+from fieldgrid.core import CalibrationError, Float64, quoted
 from fieldgrid.geometry import LeverArm, Mount, Rig, Sensor
 from fieldgrid.recordings.bag.sensors.clouds import R_OPTICAL_FLU
 from fieldgrid.recordings.bag.transforms import FrameTransform, Transforms
@@ -103,19 +103,19 @@ def _by_transforms(
     placed = transforms.place(sensor.name, GROUND)
     if placed is None and transforms.place(sensor.name, BASE) is not None:
         raise CalibrationError(
-            f"{path}: its static transforms place the sensor ({sensor.name!r}) on {BASE}, but do "
-            f"not say how high that is above the ground; record the transform from {GROUND} to "
-            f"{BASE}, or write {usual} ({estimating(path)} estimates it)."
+            f"{path}: its static transforms place the sensor ({quoted(sensor.name)}) on {BASE}, "
+            f"but do not say how high that is above the ground; record the transform from {GROUND} "
+            f"to {BASE}, or write {usual} ({estimating(path)} estimates it)."
         )
     if placed is None:
         raise missing_mounting(usual, path)
     at_antenna = transforms.place(antenna, GROUND)
     if at_antenna is None:
         raise CalibrationError(
-            f"{path}: its static transforms place the sensor ({sensor.name!r}) above {GROUND}, but "
-            f"not the antenna ({antenna or 'no frame_id'!r}), and a forgotten lever arm misplaces "
-            f"the whole map; record the antenna's transform, or write {usual} ({estimating(path)} "
-            "does)."
+            f"{path}: its static transforms place the sensor ({quoted(sensor.name)}) above "
+            f"{GROUND}, but not the antenna ({quoted(antenna or 'no frame_id')}), and a forgotten "
+            f"lever arm misplaces the whole map; record the antenna's transform, or write {usual} "
+            f"({estimating(path)} does)."
         )
     axle = transforms.place(AXLE, GROUND)
     return _mounted(path, placed, at_antenna, axle, sensor)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fieldgrid.core import Float32, RecordingError, UInt16, UInt32, kernel
+from fieldgrid.core import Float32, RecordingError, UInt16, UInt32, kernel, quoted
 from fieldgrid.recordings.bag.sensors.images import (
     MessageSource,
     depths_of_units,
@@ -60,7 +60,7 @@ class PackedDepthImage(MessageSource):
 
     def _unknown(self, said: str) -> RecordingError:
         return RecordingError(
-            f"{self.name}: depths are packed as {said[:60]!r}, which is not read; record them as "
+            f"{self.name}: depths are packed as {quoted(said)}, which is not read; record them as "
             "compressedDepth, or as PNG of 16 bits in millimetres."
         )
 
