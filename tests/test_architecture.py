@@ -272,6 +272,25 @@ def test_json_of_others_is_parsed_within_bounds() -> None:
     assert elsewhere == []
 
 
+NUMBERS_BY_REPR = {
+    *("png.py", "points.py", "formats.py", "geodesy.py", "track.py", "declare.py"),
+    "doors.py",  # names of Python
+}
+"""Modules that write numbers to their last digit, or values of settings."""
+
+
+def test_what_messages_quote_is_bounded() -> None:
+    """By `quoted` or `shortened`: `!r` shows all of a text that may come from anybody."""
+    unbounded = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for _, path in modules(ROOT / "src")
+        if path.name not in NUMBERS_BY_REPR
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FormattedValue) and node.conversion == ord("r")
+    ]
+    assert unbounded == []
+
+
 def test_no_two_public_classes_share_a_name() -> None:
     homes: dict[str, list[str]] = {}
     for path in sorted((ROOT / "src").rglob("*.py")):

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from fieldgrid.core import RecordingError
-from fieldgrid.recordings import ImageFile, Shot
+from fieldgrid.recordings import Shot
 from fieldgrid.recordings.frames.image_format import image_format
 from fieldgrid.recordings.frames.image_header import read_header
 from fieldgrid.recordings.frames.images import ImageFormat, decode_image
@@ -62,52 +62,42 @@ def test_8_bits_are_read_as_by_opencv(ending: str, colour: bool) -> None:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_a_mosaic_in_a_grey_file(dtype: type) -> None:
-    mosaic = np.zeros((20, 24), dtype=dtype)
+    mosaic = np.full((20, 24), 100, dtype=dtype)
     mosaic[::2, ::2], mosaic[1::2, 1::2] = 200, 40
-    mosaic[::2, 1::2] = mosaic[1::2, ::2] = 100
-    grey = decode_image(encoded(".png", mosaic), "a", image_format=ImageFormat("rggb", 8))
-    assert np.abs(grey - (0.299 * 200 + 0.587 * 100 + 0.114 * 40)).max() <= 1.0
-    other = decode_image(encoded(".png", mosaic), "a", image_format=ImageFormat("bggr", 8))
-    assert np.abs(other - (0.299 * 40 + 0.587 * 100 + 0.114 * 200)).max() <= 1.0
-
-
-def test_a_colour_file_is_no_mosaic() -> None:
+    for pattern, red, blue in (("rggb", 200, 40), ("bggr", 40, 200)):
+        grey = decode_image(encoded(".png", mosaic), "a", image_format=ImageFormat(pattern, 8))
+        assert np.abs(grey - (0.299 * red + 0.587 * 100 + 0.114 * blue)).max() <= 1.0
     data = encoded(".png", np.dstack([GREY] * 3))
     with pytest.raises(RecordingError, match=r"^a is a colour image, and .* leave bayer out"):
         decode_image(data, "a", image_format=ImageFormat("rggb"))
 
 
-def shots(folder: Path, images: list[npt.NDArray[np.uint8 | np.uint16]]) -> list[Shot]:
+@pytest.mark.parametrize(
+    ("images", "said", "found", "told"),
+    [
+        ([DEEP >> 4, DEEP, DEEP >> 4], RecordingSettings(), ImageFormat(None, 12), "the lower 12"),
+        ([None, DEEP], RecordingSettings(), ImageFormat(None, 12), "the lower 12"),
+        ([DEEP], RecordingSettings(bits=14, bayer="gbrg"), ImageFormat("gbrg", 14), ""),
+        ([GREY] * 7, RecordingSettings(), ImageFormat(), ""),
+    ],
+)
+def test_the_bits_are_found_once_for_all_images(
+    images: list[npt.NDArray[np.uint8 | np.uint16] | None],
+    said: RecordingSettings,
+    found: ImageFormat,
+    told: str,
+    tmp_path: Path,
+) -> None:
+    """A broken image does not hide the others, what is said is believed, and of 8 bits there is
+    nothing to find out."""
     for number, image in enumerate(images):
-        (folder / f"{number}.png").write_bytes(encoded(".png", image))
-    return [Shot(k, str(k), (f"{k}.png", f"{k}.png")) for k in range(len(images))]
-
-
-def test_the_bits_are_found_once_for_all_images(tmp_path: Path) -> None:
-    dark = (DEEP >> 4).astype(np.uint16)
-    found, notes = image_format(tmp_path, shots(tmp_path, [dark, DEEP, dark]), RecordingSettings())
-    assert found == ImageFormat(None, 12)
-    assert notes[0].startswith("Of the 16 bits of the images the lower 12 are taken as filled")
-    assert ImageFile(tmp_path / "0.png", format=found).read().max() == 255 >> 4
-
-
-def test_bits_that_are_said_are_believed(tmp_path: Path) -> None:
-    said = RecordingSettings(bits=14, bayer="gbrg")
-    assert image_format(tmp_path, shots(tmp_path, [DEEP]), said) == (ImageFormat("gbrg", 14), ())
-
-
-def test_of_8_bits_nothing_is_found_out(tmp_path: Path) -> None:
-    assert image_format(tmp_path, shots(tmp_path, [GREY] * 7), RecordingSettings()) == (
-        ImageFormat(),
-        (),
-    )
-
-
-def test_a_broken_image_does_not_hide_the_others(tmp_path: Path) -> None:
-    made = shots(tmp_path, [DEEP, DEEP])
-    (tmp_path / "0.png").write_bytes(b"nothing")
-    found, _ = image_format(tmp_path, made, RecordingSettings())
-    assert found.bits == 12
+        data = b"nothing" if image is None else encoded(".png", image)
+        (tmp_path / f"{number}.png").write_bytes(data)
+    shots = [Shot(k, str(k), (f"{k}.png", f"{k}.png")) for k in range(len(images))]
+    stated, notes = image_format(tmp_path, shots, said)
+    assert stated == found
+    assert bool(notes) == bool(told)
+    assert told in "".join(notes)
 
 
 def tiff(**changes: int) -> bytes:

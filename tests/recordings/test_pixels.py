@@ -97,7 +97,7 @@ def test_layouts_are_those_of_ros() -> None:
 
 @pytest.mark.parametrize("encoding", ["", "32FC1", "mono12", "bayer_rgbg8", "x" * 1000])
 def test_an_unknown_encoding_is_named(encoding: str) -> None:
-    with pytest.raises(RecordingError, match=r"^Images are encoded as '.{0,40}', which is not"):
+    with pytest.raises(RecordingError, match=r"^Images are encoded as '.{0,63}', which is not"):
         to_grey(COLOUR, encoding)
 
 

@@ -12,7 +12,7 @@ import typer
 
 from fieldgrid.cli.groups import FieldsOf
 from fieldgrid.cli.options import refuse
-from fieldgrid.core import ConfigError
+from fieldgrid.core import ConfigError, quoted
 
 if TYPE_CHECKING:
     from fieldgrid.recordings import DriveOptions
@@ -94,7 +94,7 @@ class DriveFlags(NamedTuple):
             match = _TOPIC.fullmatch(text)
             if not match:
                 raise typer.BadParameter(
-                    f"{text!r} is not ROLE=TOPIC, as in left=/camera/left/image_raw",
+                    f"{quoted(text)} is not ROLE=TOPIC, as in left=/camera/left/image_raw",
                     param_hint="--topic",
                 )
             refuse(match[1] in topics, "--topic", f"{match[1]} is given twice")

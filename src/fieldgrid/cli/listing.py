@@ -14,6 +14,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from fieldgrid.cli.groups import expanded, option
 from fieldgrid.cli.output import VERBOSITY
+from fieldgrid.core import quoted
 
 WIDTH = 100
 """Help is no wider, however wide the terminal."""
@@ -201,7 +202,7 @@ class Commands(TyperGroup):
         if args[0] not in COMMANDS and not args[0].startswith("-"):
             near = difflib.get_close_matches(args[0], COMMANDS)
             hint = f" Did you mean {', '.join(map(repr, near))}?" if near else ""
-            ctx.fail(f"No such command {args[0]!r}.{hint}")
+            ctx.fail(f"No such command {quoted(args[0])}.{hint}")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

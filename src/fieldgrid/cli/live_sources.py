@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from fieldgrid.cli.drive_options import DriveFlags
+from fieldgrid.core import quoted
 
 if TYPE_CHECKING:
     import threading
@@ -265,5 +266,7 @@ def speed(text: str) -> float | None:
     except ValueError:
         rate = math.nan
     if not 0.01 <= rate <= 1000.0:
-        raise typer.BadParameter(f"{text!r} is neither 0.01 to 1000 nor max", param_hint="--rate")
+        raise typer.BadParameter(
+            f"{quoted(text)} is neither 0.01 to 1000 nor max", param_hint="--rate"
+        )
     return rate

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fieldgrid.core import quoted
+
 if TYPE_CHECKING:
     from fieldgrid.geometry import Bounds, Datum
 
@@ -148,7 +150,7 @@ def numbers(flag: str, text: str, separator: str, form: str, example: str) -> Se
     parts = [f"({_NUMBER})"] * (form.count(separator) + 1)
     match = re.fullmatch(separator.join(parts), text.replace(" ", ""))
     if not match:
-        raise typer.BadParameter(f"{text!r} is not {form}, as in {example}", param_hint=flag)
+        raise typer.BadParameter(f"{quoted(text)} is not {form}, as in {example}", param_hint=flag)
     return [float(value) for value in match.groups()]
 
 

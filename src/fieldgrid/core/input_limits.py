@@ -18,7 +18,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TextIO, TypeVar
 
-from fieldgrid.core.errors import ConfigError, FieldgridError, LimitError
+from fieldgrid.core.errors import ConfigError, FieldgridError, LimitError, quoted
 
 PREFIX = "FIELDGRID_LIMIT_"
 
@@ -58,7 +58,7 @@ def _from_environment() -> Limits:
         text = os.environ.get(name)
         if text is not None:
             if not (text.isdecimal() and len(text) < 12 and int(text) > 0):
-                raise ConfigError(f"{name} is {text[:40]!r}; give a whole number above 0.")
+                raise ConfigError(f"{name} is {quoted(text)}; give a whole number above 0.")
             found[field.name] = int(text)
     return Limits(**found)
 

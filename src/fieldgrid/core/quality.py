@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from enum import IntEnum
 
-from fieldgrid.core.errors import ConfigError
+from fieldgrid.core.errors import ConfigError, quoted
 
 
 class Quality(IntEnum):
@@ -41,7 +41,7 @@ class Quality(IntEnum):
             if wanted in (label.lower(), str(int(quality))):
                 return quality
         names = ", ".join(map(str, cls))
-        raise ConfigError(f"There is no quality {text[:40]!r} of a fix; give one of {names}.")
+        raise ConfigError(f"There is no quality {quoted(text)} of a fix; give one of {names}.")
 
     def __str__(self) -> str:
         return self.label.lower().replace(" ", "-")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fieldgrid.core import ConfigError, Flag, Settings, setting
+from fieldgrid.core import ConfigError, Flag, Settings, quoted, setting
 from fieldgrid.geometry import FREE_UP_TO, OBSTACLE_ABOVE
 from fieldgrid.maps import LEAST_DROP_M, LEAST_SEEN, LOSS, CostCurve
 
@@ -125,5 +125,6 @@ class QuadtreeOptions(Settings):
             return tuple(float(side) for side in self.quadtree_sides.split(","))
         except ValueError as error:
             raise ConfigError(
-                f"{self.quadtree_sides!r} are no sides of squares; give metres, such as 0.05,0.4."
+                f"{quoted(self.quadtree_sides)} are no sides of squares; give metres, such as "
+                "0.05,0.4."
             ) from error

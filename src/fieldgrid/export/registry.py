@@ -38,6 +38,7 @@ from fieldgrid.core import (
     declared,
     first_problem,
     load,
+    quoted,
 )
 from fieldgrid.geometry import check_inside
 from fieldgrid.maps import DENSITIES, LAYERS, MapFile, Readable, Selection, read_datum
@@ -164,7 +165,7 @@ def format_of(path: Path, name: str | None = None) -> ExportFormat:
             )
         return by_ending[0]
     if name not in formats():
-        raise ConfigError(f"{name!r} is no format; known are {', '.join(formats())}.")
+        raise ConfigError(f"{quoted(name)} is no format; known are {', '.join(formats())}.")
     chosen = formats()[name]
     if chosen not in by_ending:
         if by_ending:
@@ -228,7 +229,7 @@ def _checked(chosen: ExportFormat, options: Mapping[str, Any]) -> Settings:
     if problem.unknown:
         takes = ", ".join(chosen.options.model_fields) or "none"
         raise ConfigError(
-            f"The format {chosen.name} has no option {problem.name!r}; it takes {takes}."
+            f"The format {chosen.name} has no option {quoted(problem.name)}; it takes {takes}."
         )
     raise ConfigError(
         f"The option {problem.setting} of the format {chosen.name} is not possible: {problem.why}."
@@ -260,7 +261,7 @@ def _check_layer(chosen: ExportFormat, layer: str) -> None:
     if not fits[chosen.holds]:
         others = ", ".join(one.name for one in formats().values() if one.holds is Holds.ANY)
         raise ConfigError(
-            f"The format {chosen.name} cannot hold the layer {layer!r}, only "
+            f"The format {chosen.name} cannot hold the layer {quoted(layer)}, only "
             f"{chosen.holds.value}; leave --layer out, or choose one of the formats {others}."
         )
 

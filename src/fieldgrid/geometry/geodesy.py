@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.core import ConfigError, DatumError, Float64
+from fieldgrid.core import ConfigError, DatumError, Float64, quoted
 
 SEMI_MAJOR_M = 6378137.0
 FLATTENING = 1.0 / 298.257223563
@@ -230,7 +230,7 @@ def unprojected(crs: str, northing_m: Float64, easting_m: Float64) -> tuple[Floa
         transformer = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
     except ProjError:
         raise ConfigError(
-            f"Columns: crs is {crs!r}, which PROJ does not know; give a code like EPSG:32630."
+            f"Columns: crs is {quoted(crs)}, which PROJ does not know; give a code like EPSG:32630."
         ) from None
     lon, lat = transformer.transform(easting_m, northing_m)
     placed = np.isfinite(lat) & np.isfinite(lon)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.core import CalibrationError, Float64
+from fieldgrid.core import CalibrationError, Float64, quoted
 
 SAME = 1e-3
 """Relative: two focal lengths, or two products f·b, that differ by less are one."""
@@ -54,7 +54,7 @@ def lens_model(name: str, source: str) -> LensModel:
     found = _NAMES.get(name.strip().lower().replace("-", "_").replace(" ", "_"))
     if found is None:
         raise CalibrationError(
-            f"{source}: the distortion model {name[:40]!r} is not known; calibrate with plumb_bob "
+            f"{source}: the distortion model {quoted(name)} is not known; calibrate with plumb_bob "
             "(radtan), rational_polynomial or equidistant."
         )
     return found

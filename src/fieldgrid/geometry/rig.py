@@ -16,7 +16,7 @@ from typing import Any, Literal, Protocol, get_args
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.core import CalibrationError, Float64
+from fieldgrid.core import CalibrationError, Float64, quoted
 from fieldgrid.geometry.angles import wrap_deg
 
 HeadingConvention = Literal["cw_north", "ccw_east"]
@@ -331,8 +331,8 @@ class Rig:
             )
         if self.heading_convention not in get_args(HeadingConvention):
             raise CalibrationError(
-                f"The heading convention {self.heading_convention!r} is not known; give one of "
-                f"{', '.join(get_args(HeadingConvention))}."
+                f"The heading convention {quoted(self.heading_convention)} is not known; give one "
+                f"of {', '.join(get_args(HeadingConvention))}."
             )
 
     def as_dict(self) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from fieldgrid.core import (
     MapWriteError,
     Overrides,
     first_problem,
+    quoted,
 )
 from fieldgrid.live.gridding_again import gridded_again
 from fieldgrid.live.kept.kept_drive import JOURNAL, PushedDrive, SessionStart, live_folder
@@ -117,15 +118,16 @@ def finish_from(
             found = drive.recording()
             if about.poses is not None and not found.pose_name:
                 raise ConfigError(
-                    f"The session {about.name!r} was driven by poses of {about.poses.name}; say "
-                    "with --poses or --poses-topic where they are recorded."
+                    f"The session {quoted(about.name)} was driven by poses of {about.poses.name}; "
+                    "say with --poses or --poses-topic where they are recorded."
                 )
             times_ns = found.frame_times_ns() + found.rig.image_time_offset_ns
             for entry in kept.staged().entries:
                 if entry.time_ns not in times_ns:
                     raise ConfigError(
                         f"{recording} has no frame of the time {entry.time_ns} ns, as the session "
-                        f"{about.name!r} in {kept.folder} has; give the recording of that drive."
+                        f"{quoted(about.name)} in {kept.folder} has; give the recording of that "
+                        "drive."
                     )
         with _telling_where(kept, f"--finish-from {recording}"):
             (report,) = build_map(
@@ -182,7 +184,7 @@ def finish(
                     "from a recording, and --discard gives it up"
                 )
                 raise ConfigError(
-                    f"The session {about.name!r} has no frame, so there is no map of it."
+                    f"The session {quoted(about.name)} has no frame, so there is no map of it."
                 )
             recording = kept.recording(drive)
             drive.let_go()

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.core import BuildSettings, Closing, ConfigError, Overrides, RecordingError
+from fieldgrid.core import BuildSettings, Closing, ConfigError, Overrides, RecordingError, quoted
 from fieldgrid.geometry import Datum, Fix, GridSpec, Rig
 from fieldgrid.live.finish import check_begin, finish
 from fieldgrid.live.given import GIVEN_ROWS, check_body, check_order, pose_rows
@@ -124,7 +124,7 @@ class Live(Closing):
     def _go_on(self) -> None:
         """Let poses begin with the end of what was pushed before a restart."""
         drive = self._kept.drive
-        text = f"The session {self.name!r} goes on: {len(drive.frames)} frames are kept."
+        text = f"The session {quoted(self.name)} goes on: {len(drive.frames)} frames are kept."
         newest_ns = max((fix.time_ns for fix in drive.fixes), default=0)
         self._tell(LiveEvent(What.SESSION, text, newest_ns))
         since_ns = newest_ns - round(GIVEN_KEPT_S * 1e9)
@@ -387,4 +387,4 @@ class Live(Closing):
 
     def _check_open(self) -> None:
         if not self._is_open:
-            raise RecordingError(f"The session {self.name!r} has ended; begin another.")
+            raise RecordingError(f"The session {quoted(self.name)} has ended; begin another.")

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.core import Bool, ConfigError, Float32, Float64, Index, UInt8
+from fieldgrid.core import Bool, ConfigError, Float32, Float64, Index, UInt8, quoted
 from fieldgrid.geometry import Bounds, Datum, Lattice, Window
 from fieldgrid.maps.cost import DENSITIES, INSCRIBED, LETHAL, UNKNOWN_COST, CostCurve
 from fieldgrid.maps.views.blocks import MapBlocks
@@ -128,7 +128,7 @@ class Costmap:
         settings = Inflation(robot_radius_m, inflation_m, decay_per_m)
         if layer not in DENSITIES:
             raise ConfigError(
-                f"The layer {layer!r} holds no density, so it has no cost; choose one of "
+                f"The layer {quoted(layer)} holds no density, so it has no cost; choose one of "
                 f"{', '.join(DENSITIES)}."
             )
         wanted = dict.fromkeys((layer, *universal.deciding(cell_m)))

@@ -24,6 +24,7 @@ from fieldgrid.core import (
     MapError,
     MapExistsError,
     RecordingError,
+    quoted,
     refuse_input,
 )
 from fieldgrid.geometry import Datum
@@ -111,12 +112,11 @@ def build_map(
 ) -> list[SessionReport]:
     """Make the map `out` from recordings, a session each, or append them to it.
 
-    Each is opened with `options` as by `open_drive`. What can be checked is checked before the
-    first image is read. `jobs` is the number of processes or, for few frames, of threads (all
-    cores if None); the map's bits do not depend on it. With a `scheduler`, the address of a Dask
-    scheduler or a client of it, its workers stage the frames instead. Of frames that cannot be read
-    at most `skip_bad` are left out: a number, or below 1 a share of the frames of each
-    drive. `patience` is how long another writer of the map is waited for.
+    Each is opened with `options` as by `open_drive`, and checked before the first image is read.
+    `jobs` is the number of processes or, for few frames, of threads (all cores if None); the map's
+    bits do not depend on it. With a `scheduler`, the address of a Dask scheduler or its client, its
+    workers stage the frames instead. Of frames that cannot be read at most `skip_bad` are left out:
+    a number, or below 1 a share of each drive. `patience` is how long to wait for another writer.
 
     Of several drives those that fail are left out: when the others are in the map, PartlyBuiltError
     names them. With `fail_fast`, and for a single drive, its error is raised at once. On an error a
@@ -316,8 +316,8 @@ class _Build:
         start = time.perf_counter()
         if drive.name in taken and not parts.is_complete:
             raise ConfigError(
-                f"{self.out} has a session {drive.name!r} already, and no staged part of it to go "
-                "on with: that build had finished. Leave the recording out, or give --name."
+                f"{self.out} has a session {quoted(drive.name)} already, and no staged part of it "
+                "to go on with: that build had finished. Leave the recording out, or give --name."
             )
         if self.executor is None:
             self._stage(drive)

@@ -155,8 +155,8 @@ def _settings(session: SessionInfo, pose_settings: Mapping[str, Any]) -> BuildSe
     except ValidationError as error:
         first = error.errors()[0]
         raise ConfigError(
-            f"Session {session.name!r} was built with settings that this version does not take: "
-            f"{'.'.join(str(part) for part in first['loc'])} = "
+            f"Session {quoted(session.name)} was built with settings that this version does not "
+            f"take: {'.'.join(str(part) for part in first['loc'])} = "
             f"{shortened(repr(first['input']), 60)}."
         ) from error
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import BuildSettings, CalibrationError, ConfigError, RecordingError
+from fieldgrid.core import BuildSettings, CalibrationError, ConfigError, RecordingError, quoted
 from fieldgrid.geometry import Datum, GridSpec, Rig, Status, Steps, StereoCamera, Trajectory
 from fieldgrid.maps import MapFile, Session, StageFile, check_cell_sizes, check_name
 from fieldgrid.perception import LocalGridder, OriginTrack
@@ -363,11 +363,13 @@ def check_names(names: Sequence[str], taken: Sequence[str]) -> None:
     for k, name in enumerate(names):
         check_name(name)
         if name in taken:
-            raise ConfigError(f"The map has a session {name!r} already; give another with --name.")
+            raise ConfigError(
+                f"The map has a session {quoted(name)} already; give another with --name."
+            )
         if name in names[:k]:
             raise ConfigError(
-                f"Two of the recordings are called {name!r}; build them one after the other, the "
-                "second with --append and a --name."
+                f"Two of the recordings are called {quoted(name)}; build them one after the other, "
+                "the second with --append and a --name."
             )
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from fieldgrid.core import ConfigError, Group, load
+from fieldgrid.core import ConfigError, Group, load, quoted
 from fieldgrid.recordings.calibration.mounting import MOUNTING
 from fieldgrid.recordings.drive import Drive
 from fieldgrid.recordings.options import DriveOptions
@@ -44,7 +44,7 @@ def register_format(added: Format) -> None:
     """Add a format; it is asked before those that are there already. ConfigError for a name that
     is taken."""
     if added.name in _FORMATS:
-        raise ConfigError(f"There is a format {added.name!r} already; give another name.")
+        raise ConfigError(f"There is a format {quoted(added.name)} already; give another name.")
     others = dict(_FORMATS)
     _FORMATS.clear()
     _FORMATS.update({added.name: added}, **others)

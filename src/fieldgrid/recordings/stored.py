@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from fieldgrid.core import Int64, RecordingError
+from fieldgrid.core import Int64, RecordingError, quoted
 from fieldgrid.recordings.files import check_regular
 from fieldgrid.recordings.frames.frames import Frame, PairRectifier, StereoFrame
 from fieldgrid.recordings.frames.images import AS_STORED, SUFFIXES, ImageFile, ImageFormat
@@ -100,7 +100,7 @@ def checked_shots(
     ((frame_id, count),) = Counter(shot.frame_id for shot in ordered).most_common(1)
     if count > 1:
         raise RecordingError(
-            f"The frame_id {frame_id!r} occurs twice in {folder}; give each frame its own."
+            f"The frame_id {quoted(frame_id)} occurs twice in {folder}; give each frame its own."
         )
     if not incomplete:
         names = [name for shot in ordered for name in shot.files]

@@ -20,7 +20,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from fieldgrid.core import ConfigError, FieldgridError, MapError, MapWriteError
+from fieldgrid.core import ConfigError, FieldgridError, MapError, MapWriteError, quoted
 from fieldgrid.geometry import Bounds, TileIndex
 from fieldgrid.maps import LAYERS, DrivenMap, MapFile
 from fieldgrid.view import actions, drives, exports, layers, page
@@ -298,7 +298,7 @@ def _images(
 
 def _layer(name: str) -> str:
     if name not in LAYERS:
-        raise ConfigError(f"There is no layer {name[:40]!r}; there are {', '.join(LAYERS)}.")
+        raise ConfigError(f"There is no layer {quoted(name)}; there are {', '.join(LAYERS)}.")
     return name
 
 
@@ -316,7 +316,7 @@ def _session_names(universal: DrivenMap, numbers: str) -> list[str]:
 def _session_name(universal: DrivenMap, number: str) -> str:
     names = _session_names(universal, number)
     if len(names) != 1:
-        raise ConfigError(f"{number[:40]!r} is no session; give the number of one.")
+        raise ConfigError(f"{quoted(number)} is no session; give the number of one.")
     return names[0]
 
 
@@ -327,7 +327,7 @@ def _session_numbers(text: str) -> list[int]:
 def _whole(text: str, least: int, most: int) -> int:
     digits = text.removeprefix("-")
     if not (digits.isascii() and digits.isdigit() and len(digits) < 10):
-        raise ConfigError(f"{text[:40]!r} is no whole number.")
+        raise ConfigError(f"{quoted(text)} is no whole number.")
     value = int(text)
     if not least <= value <= most:
         raise ConfigError(f"{value} is outside {least}..{most}.")
@@ -340,7 +340,7 @@ def _metres(text: str) -> float:
     except ValueError:
         value = math.nan
     if not abs(value) < 1e6:
-        raise ConfigError(f"{text[:40]!r} are no metres of the map.")
+        raise ConfigError(f"{quoted(text)} are no metres of the map.")
     return value
 
 

@@ -7,7 +7,7 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from fieldgrid.core import ConfigError
+from fieldgrid.core import ConfigError, quoted
 from fieldgrid.export import Selection, export_map, formats as export_formats
 from fieldgrid.maps import Readable
 
@@ -31,7 +31,7 @@ def write_export(
     """
     known = export_formats()
     if format_ not in known:
-        raise ConfigError(f"{format_[:40]!r} is no format; known are {', '.join(known)}.")
+        raise ConfigError(f"{quoted(format_)} is no format; known are {', '.join(known)}.")
     bounds = selection.bounds or universal.bounds
     cell_m = selection.cell_m or universal.cell_m
     cells = (bounds.east_m - bounds.west_m) * (bounds.north_m - bounds.south_m) / cell_m**2

@@ -15,7 +15,7 @@ from fieldgrid.cli.drive_options import Drive, Span
 from fieldgrid.cli.new_drives import compare, report_offsets
 from fieldgrid.cli.pose_flags import Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
-from fieldgrid.core import FieldgridError, Overrides, printable
+from fieldgrid.core import FieldgridError, Overrides, printable, quoted
 
 if TYPE_CHECKING:
     from fieldgrid.pipeline import PartlyBuiltError
@@ -276,7 +276,7 @@ def _bad(text: str | None) -> int | float:
     share = float(match[2]) / 100.0 if match and match[2] else None
     if match is None or (share is not None and share > 1.0):
         raise typer.BadParameter(
-            f"{text!r} is neither a number of frames, as in 3, nor a share, as in 2%",
+            f"{quoted(text)} is neither a number of frames, as in 3, nor a share, as in 2%",
             param_hint="--skip-bad",
         )
     return int(match[1]) if match[1] else float(match[3]) if share is None else share

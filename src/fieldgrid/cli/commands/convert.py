@@ -9,6 +9,7 @@ import typer
 
 from fieldgrid.cli import options, output, progress
 from fieldgrid.cli.drive_options import Drive
+from fieldgrid.core import quoted
 
 
 def command(
@@ -39,7 +40,7 @@ def command(
     from fieldgrid.pipeline import Images, convert_recording
 
     options.refuse(
-        images not in list(Images), "--images", f"{images!r} is none of {', '.join(Images)}"
+        images not in list(Images), "--images", f"{quoted(images)} is none of {', '.join(Images)}"
     )
     options.refuse(out.suffix.lower() != ".mcap", "OUT.mcap", f"{out.name} does not end in .mcap")
     path = progress.fetched(recording)

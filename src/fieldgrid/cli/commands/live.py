@@ -18,7 +18,7 @@ from fieldgrid.cli.live_watch import Watch, open_feed_at, open_foxglove, open_pa
 from fieldgrid.cli.new_drives import compare, report_offsets
 from fieldgrid.cli.pose_flags import PoseFlags, Poses
 from fieldgrid.cli.settings_flags import SettingsFlags
-from fieldgrid.core import ConfigError, FieldgridError, Overrides
+from fieldgrid.core import ConfigError, FieldgridError, Overrides, quoted
 
 if TYPE_CHECKING:
     from fieldgrid.live import Counts, Live
@@ -297,8 +297,8 @@ def _refuse_frameless(live: Live) -> None:
     if not live.is_resumed and not came:
         live.close()
         raise ConfigError(
-            f"No frame came, so there is no map of the session {live.name!r}, and nothing of it is "
-            "kept; check where the images come from."
+            f"No frame came, so there is no map of the session {quoted(live.name)}, and nothing of "
+            "it is kept; check where the images come from."
         )
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fieldgrid.cli import options, output, progress
+from fieldgrid.core import quoted
 
 if TYPE_CHECKING:
     from fieldgrid.maps import Mark
@@ -102,7 +103,9 @@ def command(
     from fieldgrid.maps import Mark, MarkKind, features, marks_of_geojson, open_map
 
     options.refuse(
-        kind is not None and kind not in set(MarkKind), "--kind", f"{kind!r} is none of {_KINDS}"
+        kind is not None and kind not in set(MarkKind),
+        "--kind",
+        f"{quoted(kind)} is none of {_KINDS}",
     )
     options.refuse(
         kind is None and bool(polygon or point), "--kind", f"it is needed: one of {_KINDS}"

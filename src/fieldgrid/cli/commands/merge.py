@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from fieldgrid.cli import options, output, progress
+from fieldgrid.core import quoted
 
 
 def command(
@@ -66,7 +67,7 @@ def command(
     options.refuse(
         transfer is not None and transfer not in {rule.value for rule in Transfer},
         "--transfer",
-        f"{transfer!r} is neither centre nor area",
+        f"{quoted(transfer)} is neither centre nor area",
     )
     options.check_new_map(out)
     done = merge_maps(

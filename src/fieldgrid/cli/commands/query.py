@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fieldgrid.cli import options, output
+from fieldgrid.core import quoted
 
 if TYPE_CHECKING:
     from fieldgrid.maps import MapFile, Provenance
@@ -93,8 +94,8 @@ def _numbers(text: str) -> tuple[float, float, bool]:
     match = re.fullmatch(rf"({_NUMBER})(\s*,\s*|\s+)({_NUMBER})", text.strip())
     if not match:
         raise typer.BadParameter(
-            f"{text!r} is neither EAST NORTH in metres, as in 12.5 -3, nor LAT,LON in degrees, as "
-            "in 41.6505,-4.7201"
+            f"{quoted(text)} is neither EAST NORTH in metres, as in 12.5 -3, nor LAT,LON in "
+            "degrees, as in 41.6505,-4.7201"
         )
     return float(match[1]), float(match[3]), "," in match[2]
 

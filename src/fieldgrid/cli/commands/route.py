@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fieldgrid.cli import options, output, progress
+from fieldgrid.core import quoted
 
 if TYPE_CHECKING:
     from fieldgrid.field import Coverage, Route
@@ -315,7 +316,7 @@ def _place(flag: str, text: str | None) -> tuple[float, ...] | None:
         return tuple(options.numbers(flag, text, ",", form, "12.5,-40"))
     except typer.BadParameter:
         raise typer.BadParameter(
-            f"{text!r} is not {_FORM}, as in {_EXAMPLE}", param_hint=flag
+            f"{quoted(text)} is not {_FORM}, as in {_EXAMPLE}", param_hint=flag
         ) from None
 
 

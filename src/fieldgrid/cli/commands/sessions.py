@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fieldgrid.cli import options, output, progress
+from fieldgrid.core import quoted
 
 if TYPE_CHECKING:
     from fieldgrid.maps import MapFile, SessionInfo, Transform
@@ -87,7 +88,7 @@ def _parsed(text: str) -> tuple[float, ...]:
     options.refuse(
         len(values) not in (2, 3),
         "--shift",
-        f"{text!r} is not EAST,NORTH in metres or EAST,NORTH,TURN with degrees clockwise, as "
+        f"{quoted(text)} is not EAST,NORTH in metres or EAST,NORTH,TURN with degrees clockwise, as "
         "in 0.12,-0.31,0.2",
     )
     return values

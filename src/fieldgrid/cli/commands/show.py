@@ -11,6 +11,7 @@ import typer
 
 from fieldgrid.cli import options, output
 from fieldgrid.cli.farms import MapOrFarm, opened
+from fieldgrid.core import quoted
 
 if TYPE_CHECKING:
     from fieldgrid.geometry import Bounds, Feature
@@ -136,7 +137,7 @@ def _sessions(universal: MapFile | Farm, at: str | None, session: str | None) ->
         return found
     if session not in found:
         names = ", ".join(repr(name) for name in found) or "none"
-        raise ConfigError(f"{universal.path} has no session {session!r}; it has {names}.")
+        raise ConfigError(f"{universal.path} has no session {quoted(session)}; it has {names}.")
     return [session]
 
 
@@ -187,7 +188,7 @@ def _view(
     options.refuse(
         averaging not in {rule.value for rule in Averaging},
         "--averaging",
-        f"{averaging!r} is neither mean nor paper",
+        f"{quoted(averaging)} is neither mean nor paper",
     )
     extent = bounds or universal.bounds
     check_inside(extent, universal.bounds)

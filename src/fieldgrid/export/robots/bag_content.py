@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from fieldgrid.core import Bool, CalibrationError, ConfigError, Float64, Int64, MapError
+from fieldgrid.core import Bool, CalibrationError, ConfigError, Float64, Int64, MapError, quoted
 from fieldgrid.export.cells.tiles import Tile, Whole, cut
 from fieldgrid.export.georeference import extent, georeference
 from fieldgrid.export.robots import ros_messages
@@ -65,8 +65,8 @@ class BagContent(NamedTuple):
         for name, track in tracks.items():
             if len(track) and not 0 <= int(track.time_ns[0]) <= int(track.time_ns[-1]) < _END_NS:
                 raise ConfigError(
-                    f"Session {name!r} has times before 1970 or after 2038, which a ROS message "
-                    "cannot hold; take another format."
+                    f"Session {quoted(name)} has times before 1970 or after 2038, which a ROS "
+                    "message cannot hold; take another format."
                 )
         poses = [int(one.time_ns[one.accepted][0]) for one in tracks.values() if any(one.accepted)]
         infos = universal.sessions()
@@ -118,7 +118,7 @@ def _vehicle(
             at = Rig.from_dict(info.config["rig"]).antenna
         except CalibrationError as error:
             raise MapError(
-                f"Session {session!r} does not say where its antenna was ({error}); build it "
+                f"Session {quoted(session)} does not say where its antenna was ({error}); build it "
                 "again from its recording."
             ) from error
         antenna = ros_messages.Antenna(f"{above}{ANTENNA}", at)

@@ -23,6 +23,7 @@ from fieldgrid.core import (
     MapExistsError,
     UInt8,
     mentions,
+    quoted,
     replacing_folder,
     setting,
 )
@@ -74,7 +75,7 @@ class Nav2Options(SpeedOptions):
         kind = MODES[self.mode][0] if self.image is None else self.image
         if kind not in MODES[self.mode]:
             raise ConfigError(
-                f"A Nav2 map in mode {self.mode} cannot be a picture of kind {kind!r}; "
+                f"A Nav2 map in mode {self.mode} cannot be a picture of kind {quoted(kind)}; "
                 f"give {' or '.join(MODES[self.mode])}."
             )
         return kind

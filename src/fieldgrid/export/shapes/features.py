@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.core import AnyArray, Bool, ConfigError
+from fieldgrid.core import AnyArray, Bool, ConfigError, quoted
 from fieldgrid.export.options import QuadtreeOptions, ShapeOptions
 from fieldgrid.export.shapes.clipping import at, stretches_inside
 from fieldgrid.export.shapes.obstacles import trace_obstacles
@@ -113,7 +113,9 @@ def feature_layers(
     """
     for name in names:
         if name not in LAYERS:
-            raise ConfigError(f"{name!r} is no layer of features; known are {', '.join(LAYERS)}.")
+            raise ConfigError(
+                f"{quoted(name)} is no layer of features; known are {', '.join(LAYERS)}."
+            )
     sessions, area = selection.names(universal), selection.area(universal)
     drives = trajectories(universal, selection)
     quadtree, above = squares or QuadtreeOptions(), options.obstacle_above

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from fieldgrid.core import ConfigError, Float64, Runner, Threads, runner
+from fieldgrid.core import ConfigError, Float64, Runner, Threads, quoted, runner
 from fieldgrid.field.align.agreement import Agreement, agree
 from fieldgrid.field.align.beside import with_beside
 from fieldgrid.field.align.comparing import SubmapGroup, fine_matches, whole_scores
@@ -194,12 +194,13 @@ def _roles(
     for name in (*holding, *moving):
         if name not in active:
             raise ConfigError(
-                f"{universal.path} has no session {name!r} with accepted frames in the map; it has "
-                f"{', '.join(map(repr, active)) or 'none'}."
+                f"{universal.path} has no session {quoted(name)} with accepted frames in the map; "
+                f"it has {', '.join(map(repr, active)) or 'none'}."
             )
     if moving & holding:
         raise ConfigError(
-            f"Session {sorted(moving & holding)[0]!r} is to move and to hold; say one of them."
+            f"Session {quoted(sorted(moving & holding)[0])} is to move and to hold; say one of "
+            "them."
         )
     if not moving:
         held = ", ".join(map(repr, sorted(holding))) or "none"
@@ -225,7 +226,8 @@ def undo_alignment(universal: MapFile, sessions: Collection[str] | None = None) 
     for name in sessions or ():
         if name not in aligned:
             raise ConfigError(
-                f"Session {name!r} of {universal.path} is not aligned; there is nothing to undo."
+                f"Session {quoted(name)} of {universal.path} is not aligned; there is nothing to "
+                "undo."
             )
     chosen = list(aligned) if sessions is None else [name for name in aligned if name in sessions]
     if not chosen:

@@ -17,7 +17,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import AnyArray, Bool, ConfigError, FieldgridError, Float32, Float64, Index
+from fieldgrid.core import (
+    AnyArray,
+    Bool,
+    ConfigError,
+    FieldgridError,
+    Float32,
+    Float64,
+    Index,
+    quoted,
+)
 from fieldgrid.field.changes.relative_sigmas import RelativeSigma
 from fieldgrid.geometry import (
     FREE_UP_TO,
@@ -133,9 +142,10 @@ def observers(
             sigmas = position_sigma_m, known_deg
         if not all(map(math.isfinite, sigmas)):
             raise ConfigError(
-                f"Frame {frame.frame_id!r} of session {info.name!r} does not say how sure its pose "
-                "is, so an edge that was seen elsewhere cannot be told from a change; estimate its "
-                "poses again with `fieldgrid build --repose`, or give --position-sigma."
+                f"Frame {quoted(frame.frame_id)} of session {quoted(info.name)} does not say how "
+                "sure its pose is, so an edge that was seen elsewhere cannot be told from a "
+                "change; estimate its poses again with `fieldgrid build --repose`, or give "
+                "--position-sigma."
             )
         if beside is not None:
             sigmas = beside.of(sigmas[0]), sigmas[1]

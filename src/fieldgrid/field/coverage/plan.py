@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import shapely
 
-from fieldgrid.core import ConfigError, Float64, NoRouteError
+from fieldgrid.core import ConfigError, Float64, NoRouteError, quoted
 from fieldgrid.field.coverage.area import Tracks
 from fieldgrid.field.coverage.network import Network
 from fieldgrid.field.coverage.passes import Pass, drive_lane
@@ -278,7 +278,7 @@ def _asked(planting: Planting, lanes: Sequence[str] | None) -> list[Lane]:
     names = [lane.id for lane in planting.lanes]
     for name in lanes:
         if name not in names:
-            raise ConfigError(f"There is no lane {name!r}; there are {', '.join(names)}.")
+            raise ConfigError(f"There is no lane {quoted(name)}; there are {', '.join(names)}.")
     if not lanes:
         raise ConfigError("No lane is named; name some, or none to cover all of them.")
     return [lane for lane in planting.lanes if lane.id in lanes]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fieldgrid.core import Bool, Float64, TruthError
+from fieldgrid.core import Bool, Float64, TruthError, shortened
 from fieldgrid.field.evaluation.attitude import score_attitude
 from fieldgrid.field.evaluation.results import (
     Evaluation,
@@ -231,8 +231,8 @@ def _view_points(
             nearest_m = rig["mount"]["height_m"] / math.tan(math.radians(max(lowest_deg, 0.1)))
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise TruthError(
-            f"The map's session does not say what its camera saw ({error!r} in its settings), so "
-            "recall cannot be judged; build the map again."
+            f"The map's session does not say what its camera saw ({shortened(repr(error))} in its "
+            "settings), so recall cannot be judged; build the map again."
         ) from error
     x, y = np.meshgrid(
         np.arange(-spec.width_m / 2.0, spec.width_m / 2.0, step_m),

@@ -27,6 +27,8 @@ from fieldgrid.core import (
     check_document,
     file_bytes,
     parse_json,
+    quoted,
+    shortened,
 )
 from fieldgrid.geometry import MAX_DISTANCE_M, Datum
 
@@ -84,13 +86,13 @@ def read_survey(path: str | Path, datum: Datum) -> Survey:
         raise TruthError(f"{path}: {error}") from error
     for thing in found:
         if thing.shape.is_empty or not np.isfinite(shapely.get_coordinates(thing.shape)).all():
-            raise TruthError(f"{path}: {thing.kind} {thing.id!r} has no place.")
+            raise TruthError(f"{path}: {thing.kind} {quoted(thing.id)} has no place.")
         far_m = float(np.abs(shapely.bounds(thing.shape)).max())
         if far_m > MAX_DISTANCE_M:
             raise TruthError(
-                f"{path}: {thing.kind} {thing.id!r} lies {far_m / 1000:.0f} km from the map's "
-                f"datum {datum.described()}; is it the survey of this field, in longitude and "
-                "latitude?"
+                f"{path}: {thing.kind} {quoted(thing.id)} lies {far_m / 1000:.0f} km from the "
+                f"map's datum {datum.described()}; is it the survey of this field, in longitude "
+                "and latitude?"
             )
     areas = [thing.shape for thing in found if thing.kind == AREA]
     if any(shape.geom_type not in ("Polygon", "MultiPolygon") for shape in areas):
@@ -101,8 +103,8 @@ def read_survey(path: str | Path, datum: Datum) -> Survey:
     for thing in things:
         if thing.kind == ROW and thing.shape.geom_type not in ("LineString", "MultiLineString"):
             raise TruthError(
-                f"{path}: row {thing.id!r} is a {thing.shape.geom_type}; a row is a line, or two "
-                "points or more with one id."
+                f"{path}: row {quoted(thing.id)} is a {thing.shape.geom_type}; a row is a line, or "
+                "two points or more with one id."
             )
     return Survey(things, shapely.union_all(areas) if areas else None)
 
@@ -130,14 +132,16 @@ def _geojson(text: str, datum: Datum) -> Iterable[SurveyFeature]:
             degrees = shapely.get_coordinates(shape)
             if (np.abs(degrees) > [180.0, 90.0]).any():
                 raise _SurveyError(
-                    f"{kind} {name!r} has the position {degrees[0].tolist()}, which is no "
+                    f"{kind} {quoted(name)} has the position {degrees[0].tolist()}, which is no "
                     "longitude and latitude; export it in WGS84, as GeoJSON asks."
                 )
             yield SurveyFeature(
                 kind, name, _in_plane(shape, datum), _radius_m(properties.get(_RADIUS))
             )
     except (TypeError, KeyError, ValueError, AttributeError) as error:
-        raise _SurveyError(f"it is no GeoJSON FeatureCollection ({error!r}).") from error
+        raise _SurveyError(
+            f"it is no GeoJSON FeatureCollection ({shortened(repr(error))})."
+        ) from error
     except shapely.errors.ShapelyError as error:
         raise _SurveyError(f"it has a broken geometry ({error}).") from error
 
@@ -252,7 +256,8 @@ def _joined(points: Sequence[SurveyFeature]) -> Iterable[SurveyFeature]:
         least = 2 if kind == ROW else 3
         if len(corners) < least:
             raise _SurveyError(
-                f"the {kind} {name!r} has {len(corners)} points; it needs {least}, with one id."
+                f"the {kind} {quoted(name)} has {len(corners)} points; it needs {least}, with one "
+                "id."
             )
         places = [thing.shape for thing in corners]
         shape = shapely.LineString(places) if kind == ROW else shapely.Polygon(places)

@@ -23,6 +23,7 @@ from fieldgrid.core import (
     counted_rows,
     file_bytes,
     parse_json,
+    shortened,
 )
 from fieldgrid.field.evaluation.terrain import TrueGround
 from fieldgrid.geometry import Datum, Lattice, Window
@@ -147,7 +148,9 @@ def _read_poses(path: Path) -> tuple[TruthPose, ...]:
     except LimitError:
         raise
     except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
-        raise TruthError(f"{path} cannot be read as poses by frame: {error!r}.") from error
+        raise TruthError(
+            f"{path} cannot be read as poses by frame: {shortened(repr(error))}."
+        ) from error
 
 
 def _truth_pose(row: dict[str, str]) -> TruthPose:
@@ -180,5 +183,7 @@ def _read_datum(folder: Path) -> Datum | None:
                     float(origin["ellipsoid_height_m"]),
                 )
             except (OSError, KeyError, TypeError, ValueError) as error:
-                raise TruthError(f"{path} does not state the truth's origin: {error!r}.") from error
+                raise TruthError(
+                    f"{path} does not state the truth's origin: {shortened(repr(error))}."
+                ) from error
     return None

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.core import Closing
+from fieldgrid.core import Closing, shortened
 from fieldgrid.live.given import GIVEN_ROWS
 from fieldgrid.live.kept.kept_drive import POINTS, KeptFrame
 from fieldgrid.live.kept.points_file import GridInput, PointsFile, RecordSpan, packed, points_end
@@ -115,7 +115,7 @@ class KeptPoints(Closing):
             return packed(seen, self._reach_m)
         except Exception as error:  # noqa: BLE001 - it costs the points, and no frame
             with self._lock:
-                self._warning = f"Points of a frame cannot be kept: {error!r}"
+                self._warning = f"Points of a frame cannot be kept: {shortened(repr(error))}"
             return None
 
     def add(self, record: bytes | None, time_ns: int) -> RecordSpan | None:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import AnyArray, Closing, MapError, UnfoldBudget, parse_json
+from fieldgrid.core import AnyArray, Closing, MapError, UnfoldBudget, parse_json, quoted
 from fieldgrid.perception import CodedDepth, LocalGridder, Sweep
 
 GridInput = CodedDepth | Sweep
@@ -187,7 +187,7 @@ def _dtype(name: str) -> np.dtype[Any]:
     """A type by its name, that of another byte order too. ValueError for another text, which NumPy
     would parse as Python."""
     if not name.removeprefix(">").removeprefix("<").isalnum():
-        raise ValueError(f"{name!r} is no type of numbers")
+        raise ValueError(f"{quoted(name)} is no type of numbers")
     return np.dtype(name)
 
 

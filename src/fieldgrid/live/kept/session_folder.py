@@ -24,6 +24,7 @@ from fieldgrid.core import (
     MapWriteError,
     counted,
     holding,
+    quoted,
     replacing,
 )
 from fieldgrid.geometry import Fix, FixColumns, GridSpec, StereoCamera
@@ -122,8 +123,8 @@ class SessionFolder(Closing):
             drive = read_drive(self.folder, self.stage.entries, waiting) or PushedDrive(about)
         if about is not None and (other := about.differs_in(drive.about)):
             raise ConfigError(
-                f"{self.folder} holds the session {drive.about.name!r}, which was ended before it "
-                f"was in the map and cannot go on with this one, which differs in its "
+                f"{self.folder} holds the session {quoted(drive.about.name)}, which was ended "
+                "before it was in the map and cannot go on with this one, which differs in its "
                 f"{' and '.join(other)}. Finish it with fieldgrid live -o {self.out} --finish, or "
                 "remove it with --discard."
             )

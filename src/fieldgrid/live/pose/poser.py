@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fieldgrid.core import BuildSettings, FieldgridError
+from fieldgrid.core import BuildSettings, FieldgridError, shortened
 from fieldgrid.geometry import Datum, Fix, FixColumns, GridSpec, Pose, Rig, Status, Trajectory
 from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiver import PerceivedFrame
@@ -161,7 +161,7 @@ class Poser:
                     self._take(one)
                 self._go_on(said, closed=closed)
             except Exception as error:  # noqa: BLE001 - what fails here does not end the mapping
-                self._say(What.POSE, f"Poses could not be told: {error!r}")
+                self._say(What.POSE, f"Poses could not be told: {shortened(repr(error))}")
             if closed:
                 return
 

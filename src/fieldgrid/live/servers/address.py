@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from urllib.parse import urlsplit
 
-from fieldgrid.core import ConfigError
+from fieldgrid.core import ConfigError, quoted
 from fieldgrid.view import LOOPBACK
 
 
@@ -18,5 +18,7 @@ def parse_server_address(text: str, option: str) -> tuple[str, int]:
         host = port = None
         parts = urlsplit("")
     if not host or port is None or "@" in text or parts.path or parts.query or parts.fragment:
-        raise ConfigError(f"{text!r} is no address; give {option} PORT or {option} HOST:PORT.")
+        raise ConfigError(
+            f"{quoted(text)} is no address; give {option} PORT or {option} HOST:PORT."
+        )
     return host, port

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from urllib.parse import urlsplit
 
-from fieldgrid.core import ConfigError
+from fieldgrid.core import ConfigError, quoted
 from fieldgrid.live.servers.feed import Feed
 
 
@@ -17,7 +17,9 @@ def parse_feed(text: str) -> tuple[str, int]:
     except ValueError:
         host, port, parts = None, None, urlsplit("")
     if parts.scheme != "tcp" or not host or port is None or parts.path.strip("/") or parts.query:
-        raise ConfigError(f"{text!r} is no feed; give a TCP address, such as tcp://127.0.0.1:PORT.")
+        raise ConfigError(
+            f"{quoted(text)} is no feed; give a TCP address, such as tcp://127.0.0.1:PORT."
+        )
     return host, port
 
 

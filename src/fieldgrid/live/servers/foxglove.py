@@ -22,7 +22,7 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from fieldgrid.core import Closing, ConfigError, parse_json
+from fieldgrid.core import Closing, ConfigError, parse_json, shortened
 from fieldgrid.export import foxglove_messages as messages
 from fieldgrid.geometry import Pose, Status
 from fieldgrid.live.results import LiveEvent, LiveGrid, LivePose, LiveResult, LiveWindow, What
@@ -279,7 +279,7 @@ class FoxgloveServer(Closing):
         except ConnectionClosed:
             pass
         except Exception as error:  # noqa: BLE001 - a mistake with one client ends none of the others
-            self._tell(f"A connection of Foxglove failed: {error!r}")
+            self._tell(f"A connection of Foxglove failed: {shortened(repr(error))}")
         finally:
             sending.cancel()
             self._clients.remove(client)

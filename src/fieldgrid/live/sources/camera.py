@@ -15,7 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from fieldgrid.core import ConfigError
+from fieldgrid.core import ConfigError, quoted
 from fieldgrid.geometry import Rig
 from fieldgrid.live.intake import Intake
 from fieldgrid.live.pushed import PushedSource
@@ -39,10 +39,12 @@ def parse_devices(text: str) -> tuple[int, ...]:
     """The numbers of one device or of two, like 0 or 0,2; ConfigError for others."""
     parts = text.split(",")
     if not (len(parts) <= 2 and all(part.strip().isdecimal() for part in parts)):
-        raise ConfigError(f"{text!r} is no camera; give a device number, or two as in 0,1.")
+        raise ConfigError(f"{quoted(text)} is no camera; give a device number, or two as in 0,1.")
     devices = tuple(int(part) for part in parts)
     if len(set(devices)) < len(devices) or max(devices) > 999:
-        raise ConfigError(f"{text!r} is no camera; give the numbers of two devices, left first.")
+        raise ConfigError(
+            f"{quoted(text)} is no camera; give the numbers of two devices, left first."
+        )
     return devices
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 from urllib.parse import parse_qs, urlsplit
 
-from fieldgrid.core import Closing, ConfigError, parse_json
+from fieldgrid.core import Closing, ConfigError, parse_json, quoted
 
 CONNECT_S = 5.0
 GPSD_PORT = 2947
@@ -65,7 +65,7 @@ class Link(Protocol):
 
 def parse_address(text: str) -> Address:
     """The address of a receiver; ConfigError for what is none."""
-    wrong = ConfigError(f"{text!r} is no source of a receiver; give {_FORMS}.")
+    wrong = ConfigError(f"{quoted(text)} is no source of a receiver; give {_FORMS}.")
     if text == "-":
         return Address(text, "stdin")
     if text.startswith("serial:"):
@@ -73,7 +73,9 @@ def parse_address(text: str) -> Address:
         given = parse_qs(options, keep_blank_values=True)
         baud = given.pop("baud", ["9600"])[0]
         if not device or given or not (baud.isdecimal() and 50 <= int(baud) <= 4_000_000):
-            raise ConfigError(f"{text!r} is no serial port; give serial:/dev/ttyUSB0?baud=115200.")
+            raise ConfigError(
+                f"{quoted(text)} is no serial port; give serial:/dev/ttyUSB0?baud=115200."
+            )
         return Address(text, "serial", path=device, baud=int(baud))
     if "://" not in text:
         return _fifo(text)
@@ -231,7 +233,7 @@ def _open_gpsd(address: Address) -> _Socket:
             said = parse_json(line)
         if not isinstance(said, dict) or said.get("class") != "VERSION":
             raise ConnectionError(
-                f"no gpsd answers there, which would give its version; it says {line[:60]!r}"
+                f"no gpsd answers there, which would give its version; it says {quoted(line)}"
             )
         connected.sendall(_WATCH)
     except BaseException:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import ConfigError, RecordingError
+from fieldgrid.core import ConfigError, RecordingError, quoted, shortened
 from fieldgrid.geometry import Fix
 from fieldgrid.live.intake import Intake, SourceEndedError
 from fieldgrid.live.pose.sensor_rows import Rows, rows_of
@@ -110,9 +110,8 @@ class McapStream:
     ) -> None:
         self._address = parse_address(address)
         if self._address.kind not in ("stdin", "fifo", "tcp"):
-            raise ConfigError(
-                f"No MCAP is read from {address!r}; give -, the path of a FIFO or tcp://HOST:PORT."
-            )
+            given = quoted(address)
+            raise ConfigError(f"{given} is no MCAP; give -, a FIFO's path or tcp://HOST:PORT.")
         if not isinstance(kind, PairKind | CloudKind):
             raise ConfigError(
                 "Of an MCAP pairs and clouds are read while driving; give the rig of a stereo "
@@ -122,7 +121,7 @@ class McapStream:
         for role in self._given:
             if role not in ROLES:
                 raise ConfigError(
-                    f"No topic of a stream is {role!r}; give one of {', '.join(ROLES)}."
+                    f"No topic of a stream is {quoted(role)}; give one of {', '.join(ROLES)}."
                 )
         self._transforms = Transforms()
         self._kind, self._imu = kind, ImuStream(imu_axes, self._transforms)
@@ -160,7 +159,7 @@ class McapStream:
                 if stream.has_ended:
                     raise SourceEndedError("has ended.") from None
             except (McapError, ValueError, RuntimeError) as error:
-                raise RecordingError(f"what comes is no MCAP: {error!r}") from error
+                raise RecordingError(f"what comes is no MCAP: {shortened(repr(error))}") from error
 
     def finish(self, intake: Intake) -> None:
         """Give the fixes that are still open, and what was held of an IMU."""

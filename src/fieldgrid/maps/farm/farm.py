@@ -10,7 +10,7 @@ from functools import cached_property, reduce
 from pathlib import Path
 from typing import NamedTuple
 
-from fieldgrid.core import Closing, ConfigError, DatumError, MapError
+from fieldgrid.core import Closing, ConfigError, DatumError, MapError, quoted
 from fieldgrid.geometry import MAX_DISTANCE_M, Bounds, Datum, Trajectory
 from fieldgrid.maps.farm.catalogue import FarmBlock, find_blocks
 from fieldgrid.maps.farm.content import FarmContent, FarmPart, moved_bounds
@@ -152,8 +152,8 @@ class Farm(DrivenMap, Closing):
         found = next((part for part in self._parts if session in part.names), None)
         if found is None:
             raise ConfigError(
-                f"{self.path} has no session {session!r}; `fieldgrid farm` lists the drives of "
-                "its maps."
+                f"{self.path} has no session {quoted(session)}; `fieldgrid farm` lists the drives "
+                "of its maps."
             )
         return found
 
@@ -262,8 +262,8 @@ class Farm(DrivenMap, Closing):
                 continue
             if (why := two.contradiction(one)) is not None:
                 raise ConfigError(
-                    f"Session {info.name!r} of {block.path} is the same drive as {own.name!r} of "
-                    f"{part.block.path}, but it {why}; {REMEDY}."
+                    f"Session {quoted(info.name)} of {block.path} is the same drive as "
+                    f"{quoted(own.name)} of {part.block.path}, but it {why}; {REMEDY}."
                 )
             return True
         return False

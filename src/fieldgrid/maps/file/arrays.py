@@ -16,7 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import AnyArray, ConfigError, FieldgridError, MapError, parse_json, shortened
+from fieldgrid.core import (
+    AnyArray,
+    ConfigError,
+    FieldgridError,
+    MapError,
+    parse_json,
+    quoted,
+    shortened,
+)
 from fieldgrid.geometry import Datum, Status, Trajectory
 from fieldgrid.maps.file.codec import deflate, inflate, stored_dtype
 
@@ -41,7 +49,7 @@ def array_rows(kind: ArrayKind, arrays: Mapping[str, Array]) -> Iterator[tuple[A
         values = np.asarray(array)
         if values.dtype.kind not in _KINDS or values.dtype.names:
             raise ConfigError(
-                f"Array {name!r} holds {values.dtype}, which a map does not store; "
+                f"Array {quoted(name)} holds {values.dtype}, which a map does not store; "
                 "give numbers, texts or times, an array a field."
             )
         dtype, shape = values.dtype.newbyteorder("<"), json.dumps(values.shape)
@@ -77,7 +85,7 @@ def _array(
     shapes: Sequence[Any],
     blobs: Sequence[object],
 ) -> Array:
-    what = f"array {name!r}"
+    what = f"array {quoted(name)}"
     try:
         dtype, shape = stored_dtype(dtypes[0]), tuple(map(int, parse_json(shapes[0])))
         if dtype.kind not in _KINDS or min(shape, default=0) < 0:

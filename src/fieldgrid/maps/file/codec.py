@@ -91,16 +91,16 @@ def encode_channels(
     for name, array in extra.items():
         if name in own or not isinstance(name, str):
             raise ConfigError(
-                f"A further channel of a frame cannot be named {name!r}; give it another name, a "
-                "text that is neither 'density' nor 'observed'."
+                f"A further channel of a frame cannot be named {quoted(name)}; give it another "
+                "name, a text that is neither 'density' nor 'observed'."
             )
         own[name] = array
     for name, array in own.items():
         if array.shape != grid.spec.shape or not _is_stored(array.dtype):
             raise ConfigError(
-                f"The channel {name!r} of a frame has {array.dtype} in shape {array.shape}; give "
-                f"numbers of at most 64 bits in shape {grid.spec.shape}, one a cell of the local "
-                "grid."
+                f"The channel {quoted(name)} of a frame has {array.dtype} in shape {array.shape}; "
+                f"give numbers of at most 64 bits in shape {grid.spec.shape}, one a cell of the "
+                "local grid."
             )
     encoded, hashed = [], hashlib.sha256()
     for name, dtype, raw in _channels(FrameCells(grid, extra)):

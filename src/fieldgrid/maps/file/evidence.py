@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
-from fieldgrid.core import ConfigError, FieldgridError, MapError
+from fieldgrid.core import ConfigError, FieldgridError, MapError, quoted
 from fieldgrid.geometry import Bounds, Datum, TileIndex, Trajectory, Window
 from fieldgrid.maps.file import schema
 from fieldgrid.maps.file.arrays import Array, ArrayKind, read_arrays, trajectory_of
@@ -70,8 +70,8 @@ class EvidenceTables:
                 raise no_session(self.connection, self.path, name)
             if active and known[name] is not None:
                 raise ConfigError(
-                    f"Session {name!r} of {self.path} is removed; put it back with --restore, "
-                    "or leave it out."
+                    f"Session {quoted(name)} of {self.path} is removed; put it back with "
+                    "--restore, or leave it out."
                 )
 
     def has_channel(self, name: str) -> bool:
@@ -159,7 +159,9 @@ class EvidenceTables:
         session_id, heading_source, _ = self._row_of(session)
         columns = read_arrays(self.connection, session_id, ArrayKind.TRAJECTORY)
         if not columns:
-            raise MapError(f"Session {session!r} of {self.path} has no trajectory stored with it.")
+            raise MapError(
+                f"Session {quoted(session)} of {self.path} has no trajectory stored with it."
+            )
         return trajectory_of(columns, datum, heading_source)
 
     def transform(self, session: str) -> Transform:

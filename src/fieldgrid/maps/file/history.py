@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
-from fieldgrid.core import ConfigError
+from fieldgrid.core import ConfigError, quoted
 from fieldgrid.maps.file.records import SessionInfo
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -35,10 +35,13 @@ def until(at: str | int, sessions: Sequence[SessionInfo], path: Path) -> list[Se
         ]
     if not named.active:
         raise ConfigError(
-            f"Session {at!r} of {path} is removed; put it back with --restore, or give a date."
+            f"Session {quoted(at)} of {path} is removed; put it back with --restore, or give a "
+            "date."
         )
     if named.last_time_ns is None:
-        raise ConfigError(f"Session {at!r} of {path} has no frames, so it has no date; give one.")
+        raise ConfigError(
+            f"Session {quoted(at)} of {path} has no frames, so it has no date; give one."
+        )
     return ordered[: ordered.index(named) + 1]
 
 
@@ -72,7 +75,7 @@ def _parsed_ns(text: str, sessions: Sequence[SessionInfo], path: Path) -> tuple[
     except (ValueError, OverflowError) as error:
         names = ", ".join(repr(info.name) for info in sessions) or "none"
         raise ConfigError(
-            f"{text!r} is neither a session of {path} ({names}) nor a date as in 2026-06-03."
+            f"{quoted(text)} is neither a session of {path} ({names}) nor a date as in 2026-06-03."
         ) from error
 
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from fieldgrid.core import ConfigError, Draft, MapError, notebook, runner
+from fieldgrid.core import ConfigError, Draft, MapError, notebook, quoted, runner
 from fieldgrid.geometry import Feature, Pose, Trajectory
 from fieldgrid.maps.file.arrays import Array
 from fieldgrid.maps.file.database import (
@@ -376,7 +376,7 @@ class MapFile(MapReader):
             )
         if self._session is not None:
             raise ConfigError(
-                f"Session {self._session.name!r} has not ended; make one change at a time."
+                f"Session {quoted(self._session.name)} has not ended; make one change at a time."
             )
 
     def _session_ended(self, committed: bool) -> None:

@@ -124,7 +124,7 @@ def find(connection: sqlite3.Connection, path: Path, datum: Datum, name: str) ->
             transform=transform_of(transform),
         )
     except MapError as error:
-        raise MapError(f"Session {name!r} of {path} is damaged: {error}") from error
+        raise MapError(f"Session {quoted(name)} of {path} is damaged: {error}") from error
     return FoundSession(int(session_id), removed, metadata)
 
 
@@ -228,8 +228,8 @@ def check_session(
     kept = info.frames, info.accepted, info.first_time_ns, info.last_time_ns
     if (digest, counts) != (info.digest, kept):
         raise MapError(
-            f"Session {info.name!r} is not as it was stored: its settings, trajectory, inputs or "
-            "list of frames have changed."
+            f"Session {quoted(info.name)} is not as it was stored: its settings, trajectory, "
+            "inputs or list of frames have changed."
         )
 
 
@@ -267,10 +267,12 @@ def name_is_taken(name: str, path: Path, *, removed: bool = False) -> ConfigErro
     """The error for a second session of one name."""
     if removed:
         return ConfigError(
-            f"{path} has a session {name!r} that was removed; put it back with --restore, or give "
-            "another name with --name."
+            f"{path} has a session {quoted(name)} that was removed; put it back with --restore, or "
+            "give another name with --name."
         )
-    return ConfigError(f"{path} has a session {name!r} already; give another name with --name.")
+    return ConfigError(
+        f"{path} has a session {quoted(name)} already; give another name with --name."
+    )
 
 
 def as_json(config: Mapping[str, Any]) -> str:

@@ -154,7 +154,7 @@ class FrameRecord:
     def cells(self, stored: Sequence[EncodedChannel] | None = None) -> FrameCells:
         """The local grid and all further channels, decompressed at each call; or some that are
         `stored`."""
-        what = f"grid of frame {self.frame_id!r} of session {self.session!r}"
+        what = f"grid of frame {quoted(self.frame_id)} of session {quoted(self.session)}"
         return decode_cells(self.spec, self.load() if stored is None else stored, what)
 
     def staged(self) -> StagedFrame:

@@ -21,6 +21,7 @@ from fieldgrid.core import (
     MapError,
     Runner,
     Threads,
+    quoted,
     shortened,
 )
 from fieldgrid.maps.file.codec import cells_sha256
@@ -206,8 +207,8 @@ class _FrameCheck(PickledByArguments):
                 cells_sha256(record.cells()) != record.cells_sha256
             ):
                 return (
-                    f"Frame {record.frame_id!r} of session {record.session!r} is not as it was "
-                    "stored."
+                    f"Frame {quoted(record.frame_id)} of session {quoted(record.session)} is not "
+                    "as it was stored."
                 )
         except MapError as error:
             return str(error)

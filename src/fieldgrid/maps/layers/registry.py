@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from itertools import chain
 
-from fieldgrid.core import ConfigError, Group, PluginRegistry
+from fieldgrid.core import ConfigError, Group, PluginRegistry, quoted
 from fieldgrid.maps.layers.built_in import (
     count,
     density,
@@ -62,24 +62,24 @@ def register_group(group: ChannelGroup) -> None:
     taken = {name for other in _GROUPS.values() for name in channel_names(other)}
     twice = taken.intersection(channel_names(group))
     if group.name in _GROUPS or twice:
-        what = f"channel {min(twice)!r}" if twice else f"channel group {group.name!r}"
+        what = f"channel {quoted(min(twice))}" if twice else f"channel group {quoted(group.name)}"
         raise ConfigError(f"There is a {what} already; give it another name.")
     sources = (group.fold is not None) + (group.of_session is not None)
     if not group.name.isidentifier() or sources != (0 if group.derived else 1):
         raise ConfigError(
-            f"The channel group {group.name!r} needs a plain name, and either a fold over frames "
-            "or a function of a session's cells; neither, if it has no channels."
+            f"The channel group {quoted(group.name)} needs a plain name, and either a fold over "
+            "frames or a function of a session's cells; neither, if it has no channels."
         )
     if group.blocks and group.expected is not None:
         raise ConfigError(
-            f"The channel group {group.name!r} has values for blocks of cells, so that they cannot "
-            "be expected from the weight and the sum of a cell; leave `expected` out."
+            f"The channel group {quoted(group.name)} has values for blocks of cells, so that they "
+            "cannot be expected from the weight and the sum of a cell; leave `expected` out."
         )
     missing = [name for name in group.follows_from if name not in _GROUPS]
     if missing or bool(group.follows_from) != group.derived:
         raise ConfigError(
-            f"The channel group {group.name!r} must say, if and only if it has no channels, from "
-            f"which groups it follows, and these must be there{': ' * bool(missing)}"
+            f"The channel group {quoted(group.name)} must say, if and only if it has no channels, "
+            f"from which groups it follows, and these must be there{': ' * bool(missing)}"
             f"{', '.join(missing)}."
         )
     _GROUPS[group.name] = group
@@ -88,12 +88,12 @@ def register_group(group: ChannelGroup) -> None:
 def register_layer(layer: Layer) -> None:
     """Make a layer known; ConfigError for a name that is taken, or a group that is not there."""
     if layer.name in _LAYERS or layer.name == "observed":
-        raise ConfigError(f"There is a layer {layer.name!r} already; give it another name.")
+        raise ConfigError(f"There is a layer {quoted(layer.name)} already; give it another name.")
     for name in layer.groups:
         if name not in _GROUPS:
             raise ConfigError(
-                f"The layer {layer.name!r} reads the channel group {name!r}, which is not there; "
-                "register the group first."
+                f"The layer {quoted(layer.name)} reads the channel group {quoted(name)}, which is "
+                "not there; register the group first."
             )
     _LAYERS[layer.name] = layer
 
@@ -109,7 +109,7 @@ def check_layers(names: Iterable[str]) -> tuple[str, ...]:
     wanted = tuple(names)
     for name in wanted:
         if name not in LAYERS:
-            raise ConfigError(f"There is no layer {name!r}; there are {', '.join(LAYERS)}.")
+            raise ConfigError(f"There is no layer {quoted(name)}; there are {', '.join(LAYERS)}.")
     return wanted
 
 
@@ -131,7 +131,7 @@ def kept_groups(layers: Iterable[str] = ()) -> tuple[str, ...]:
     for layer in chain.from_iterable(subjects.get(name, [name]) for name in layers):
         if layer not in LAYERS:
             raise ConfigError(
-                f"There is no layer {layer!r} to keep; give {', '.join(subjects)}, or one of "
+                f"There is no layer {quoted(layer)} to keep; give {', '.join(subjects)}, or one of "
                 f"{', '.join(LAYERS)}."
             )
         wanted.update(LAYERS[layer].groups)

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.core import AnyArray, ConfigError, Float64, Index, Int64
+from fieldgrid.core import AnyArray, ConfigError, Float64, Index, Int64, quoted
 from fieldgrid.geometry import Bounds, Datum, Lattice, Window
 from fieldgrid.maps.cost import DENSITIES, CostCurve
 from fieldgrid.maps.quadtree.rule import LOSS, MAX_LEVEL, Near, Rule, checked_rule, whole_squares
@@ -71,8 +71,8 @@ class Quadtree:
         rule = checked_rule(lattice, loss, sides_m, least_seen, near, curve)
         if layer not in DENSITIES:
             raise ConfigError(
-                f"The layer {layer!r} holds no density, so it makes no squares; choose one of "
-                f"{', '.join(DENSITIES)}."
+                f"The layer {quoted(layer)} holds no density, so it makes no squares; choose one "
+                f"of {', '.join(DENSITIES)}."
             )
         window = whole_squares(lattice.window(bounds or universal.bounds), rule.levels[-1])
         layers = tuple(dict.fromkeys((layer, *universal.deciding(cell_m))))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import MapError, UInt64
+from fieldgrid.core import MapError, UInt64, shortened
 from fieldgrid.geometry import TILE_CELLS, TileIndex
 from fieldgrid.maps.file import schema
 from fieldgrid.maps.layers.blocks import block_side
@@ -193,5 +193,8 @@ class TileTables:
 def _index(ty: object, tx: object) -> TileIndex:
     """Where a tile lies, as it was stored."""
     if not (isinstance(ty, int) and isinstance(tx, int) and max(abs(ty), abs(tx)) < _FARTHEST):
-        raise MapError(f"A tile lies at {ty!r}, {tx!r}, which is no place; try `fieldgrid repair`.")
+        raise MapError(
+            f"A tile lies at {shortened(ty)}, {shortened(tx)}, which is no place; try "
+            "`fieldgrid repair`."
+        )
     return TileIndex(ty, tx)

@@ -16,7 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fieldgrid.core import ConfigError, MapError, shortened
+from fieldgrid.core import ConfigError, MapError, quoted, shortened
 from fieldgrid.geometry import MAX_DISTANCE_M, Bounds, Datum, Feature
 from fieldgrid.maps.file import schema
 from fieldgrid.maps.file.geometry import Ring, decode_rings, encode_point, encode_polygon
@@ -128,7 +128,7 @@ def checked(mark: Mark) -> Mark:
     for text in (mark.name, mark.note, mark.author):
         if len(text) > MAX_TEXT or not text.isprintable():
             raise ConfigError(
-                f"A mark's text {text[:40]!r} is too long or not printable; give up to {MAX_TEXT} "
+                f"A mark's text {quoted(text)} is too long or not printable; give up to {MAX_TEXT} "
                 "printable characters."
             )
     if mark.kind is MarkKind.PLACE and not mark.name:
@@ -330,7 +330,7 @@ def marks_of_geojson(document: Any, datum: Datum, usual: Mapping[str, str]) -> l
             kind = said.get("kind") or usual.get("kind")
             if kind not in set(MarkKind):
                 raise ConfigError(
-                    f"A feature of the GeoJSON has {kind!r:.40} as its kind; give one of "
+                    f"A feature of the GeoJSON has {quoted(kind)} as its kind; give one of "
                     f"{', '.join(MarkKind)}, as its property or with --kind."
                 )
             shape, places = str(of["type"]), of["coordinates"]

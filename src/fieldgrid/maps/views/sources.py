@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from fieldgrid.core import UInt64
+from fieldgrid.core import UInt64, quoted
 from fieldgrid.geometry import Lattice, Window, tile_window
 from fieldgrid.maps.file.codec import decode_cells
 from fieldgrid.maps.file.records import FrameRecord
@@ -100,7 +100,7 @@ class FoldedFrames:
         fold = WindowFold(self._lattice, window, self._transfer, self._groups)
         for frame in inside:
             needed = [one for one in frame.load() if one.name in self._channels]
-            cells = decode_cells(frame.spec, needed, f"grid of frame {frame.frame_id!r}")
+            cells = decode_cells(frame.spec, needed, f"grid of frame {quoted(frame.frame_id)}")
             fold.add(cells, frame.pose)
         return fold.cells()
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import AnyArray, Bool, ConfigError, Float32, UInt8, notebook
+from fieldgrid.core import AnyArray, Bool, ConfigError, Float32, UInt8, notebook, quoted
 from fieldgrid.geometry import Bounds, Datum, Lattice, Window, squares
 from fieldgrid.maps.cost import LEAST_DROP_M
 from fieldgrid.maps.file.records import FrameRecord
@@ -182,8 +182,8 @@ class MapView:
         arrays = {"density": self.density, "observed": self.observed, **self.layers}
         if name not in arrays:
             raise ConfigError(
-                f"The view has no layer {name!r} but {', '.join(arrays)}; "
-                f"read the map with layers=[{name!r}]."
+                f"The view has no layer {quoted(name)} but {', '.join(arrays)}; "
+                f"read the map with layers=[{quoted(name)}]."
             )
         return arrays[name]
 

@@ -13,7 +13,7 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 
-from fieldgrid.core import ConfigError, MapError
+from fieldgrid.core import ConfigError, MapError, quoted
 from fieldgrid.geometry import Bounds, Datum, Lattice, TileIndex
 from fieldgrid.maps.file import schema
 from fieldgrid.maps.file.codec import cells_sha256
@@ -129,7 +129,7 @@ def _check_as_stored(
     check_session(connection, path, datum, session_info(row), records)
     for record in records:
         if not is_row_as_written(record):
-            raise MapError(f"Frame {record.frame_id!r} is not as it was stored.")
+            raise MapError(f"Frame {quoted(record.frame_id)} is not as it was stored.")
 
 
 def _tiles_under(
@@ -187,7 +187,8 @@ def _as_written(record: FrameRecord) -> FrameCells:
     cells = record.cells()
     if cells_sha256(cells) != record.cells_sha256:
         raise MapError(
-            f"Frame {record.frame_id!r} of session {record.session!r} is not as it was stored."
+            f"Frame {quoted(record.frame_id)} of session {quoted(record.session)} is not as it was "
+            "stored."
         )
     return cells
 

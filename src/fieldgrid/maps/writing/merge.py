@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.core import ConfigError, DatumError, refuse_input
+from fieldgrid.core import ConfigError, DatumError, quoted, refuse_input
 from fieldgrid.geometry import Datum, Pose
 from fieldgrid.maps.file.database import USUAL_PATIENCE, Patience
 from fieldgrid.maps.file.geometry import Ring
@@ -146,8 +146,9 @@ def _take_all(universal: MapFile, target: MapFile, taken: dict[str, Twin]) -> li
         same = next((name for name, other in taken.items() if other.is_drive(twin)), None)
         if same is not None and (why := twin.contradiction(taken[same])) is not None:
             raise ConfigError(
-                f"Session {info.name!r} of {universal.path} is the same drive as {same!r}, which "
-                f"comes from a map before it, but it {why}; {REMEDY}, and merge again."
+                f"Session {quoted(info.name)} of {universal.path} is the same drive as "
+                f"{quoted(same)}, which comes from a map before it, but it {why}; {REMEDY}, and "
+                "merge again."
             )
         name = same or free_name(info.name, universal.path.stem, taken)
         taken.setdefault(name, twin)

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fieldgrid.core import ConfigError
+from fieldgrid.core import ConfigError, quoted
 from fieldgrid.geometry import Pose, Trajectory
 from fieldgrid.maps.file.arrays import ArrayKind
 from fieldgrid.maps.file.digest import frame_digest
@@ -38,7 +38,9 @@ def remove(connection: sqlite3.Connection, path: Path, header: MapHeader, name: 
     # Its evidence is not looked at: a session may be taken out because that is damaged.
     session_id, removed, *_ = row_of(connection, path, name)
     if removed is not None:
-        raise ConfigError(f"Session {name!r} of {path} is removed already; --restore puts it back.")
+        raise ConfigError(
+            f"Session {quoted(name)} of {path} is removed already; --restore puts it back."
+        )
     with derived.moving(connection, header, session_id, name, path) as place:
         connection.execute(
             f"UPDATE fieldgrid_session SET removed = {NOW_SQL} WHERE id = ?", (session_id,)
@@ -50,7 +52,9 @@ def restore(connection: sqlite3.Connection, path: Path, header: MapHeader, name:
     """Put a session back that was taken out, within the caller's transaction."""
     found = find(connection, path, header.datum, name)
     if found.removed is None:
-        raise ConfigError(f"Session {name!r} of {path} is not removed; there is nothing to do.")
+        raise ConfigError(
+            f"Session {quoted(name)} of {path} is not removed; there is nothing to do."
+        )
     with derived.moving(connection, header, found.session_id, name, path) as place:
         connection.execute(
             "UPDATE fieldgrid_session SET removed = NULL WHERE id = ?", (found.session_id,)
@@ -66,7 +70,9 @@ def rename(connection: sqlite3.Connection, path: Path, name: str, to: str) -> No
         to != name
         and connection.execute("SELECT 1 FROM fieldgrid_session WHERE name = ?", (to,)).fetchone()
     ):
-        raise ConfigError(f"{path} has a session {to!r} already, removed or not; give another.")
+        raise ConfigError(
+            f"{path} has a session {quoted(to)} already, removed or not; give another."
+        )
     connection.execute("UPDATE fieldgrid_session SET name = ? WHERE id = ?", (to, session_id))
     for layer in FEATURE_LAYERS:
         connection.execute(f"UPDATE {layer} SET session = ? WHERE session = ?", (to, name))
@@ -160,14 +166,14 @@ def repose(
         if missing:
             raise ConfigError(
                 f"Poses are missing for {len(missing)} of the {len(frames)} frames of session "
-                f"{metadata.name!r}, the first {missing[0]!r}; give each frame one, marked "
-                "rejected if need be."
+                f"{quoted(metadata.name)}, the first {quoted(missing[0])}; give each frame one, "
+                "marked rejected if need be."
             )
         strange = sorted(poses.keys() - set(frames))
         if strange:
             raise ConfigError(
-                f"Session {metadata.name!r} of {path} has no frame {strange[0]!r}; give poses of "
-                "its own frames."
+                f"Session {quoted(metadata.name)} of {path} has no frame {quoted(strange[0])}; "
+                "give poses of its own frames."
             )
         for record in records:
             pose = poses[record.frame_id]

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
 
-from fieldgrid.core import AnyArray, ConfigError
+from fieldgrid.core import AnyArray, ConfigError, quoted
 from fieldgrid.geometry import GridSpec, LocalGrid, Pose
 from fieldgrid.maps.file.codec import as_decoded
 from fieldgrid.maps.file.database import explained
@@ -159,16 +159,18 @@ class Session:
         """Keep a frame, which `load` reads where it is staged; without it, it is staged here."""
         spec = frame.spec
         if not self._open:
-            raise ConfigError(f"Session {self.name!r} has ended; add frames inside its block.")
+            raise ConfigError(
+                f"Session {quoted(self.name)} has ended; add frames inside its block."
+            )
         if frame.frame_id in self._frames:
             raise ConfigError(
-                f"Frame {frame.frame_id!r} is in this session already; give each frame its own "
-                "frame_id."
+                f"Frame {quoted(frame.frame_id)} is in this session already; give each frame its "
+                "own frame_id."
             )
         if self._spec is not None and spec != self._spec:
             raise ConfigError(
-                f"Session {self.name!r} has local grids of {_described(self._spec)}, and cannot "
-                f"take one of {_described(spec)}; make them alike, or use two sessions."
+                f"Session {quoted(self.name)} has local grids of {_described(self._spec)}, and "
+                f"cannot take one of {_described(spec)}; make them alike, or use two sessions."
             )
         check_cell_sizes(self._header.lattice.cell_m, spec.cell_m)
         check_pose(self._metadata.transform.pose(pose))

@@ -13,7 +13,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
 
-from fieldgrid.core import ClusterError, check_is_here
+from fieldgrid.core import ClusterError, check_is_here, quoted
 from fieldgrid.maps.file.database import connect, explained
 from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.layers.registry import GROUPS, LAYERS
@@ -34,7 +34,7 @@ def shared(connection: sqlite3.Connection) -> SharedMap:
     if not file or mode != "delete":
         raise ClusterError(
             f"{file or 'A map in memory'} cannot be read by the workers of a cluster: its journal "
-            f"is of the kind {mode!r}. Close other programs that have it open, or leave out "
+            f"is of the kind {quoted(mode)}. Close other programs that have it open, or leave out "
             "--scheduler."
         )
     path = Path(file)
@@ -55,8 +55,8 @@ def check_known(groups: Collection[str], layers: Collection[str] = ()) -> None:
         for name in names:
             if name not in known:
                 raise ClusterError(
-                    f"The worker on {platform.node()} does not know the {what} {name!r}; start it "
-                    "with --preload and the module that registers it."
+                    f"The worker on {platform.node()} does not know the {what} {quoted(name)}; "
+                    "start it with --preload and the module that registers it."
                 )
 
 

@@ -26,6 +26,7 @@ from fieldgrid.core import (
     MapError,
     MapWriteError,
     parse_json,
+    quoted,
 )
 from fieldgrid.geometry import GridSpec, LocalGrid
 from fieldgrid.maps.file.codec import EncodedChannel, decode_cells, encode_channels
@@ -58,12 +59,12 @@ class StagedFrame:
 
     def cells(self) -> FrameCells:
         """The local grid and all further channels, decoded at each call."""
-        return decode_cells(self.spec, self.channels, f"grid of frame {self.frame_id!r}")
+        return decode_cells(self.spec, self.channels, f"grid of frame {quoted(self.frame_id)}")
 
     def grid(self) -> LocalGrid:
         """The local grid, decoded at each call."""
         of_grid = [one for one in self.channels if one[0] in ("density", "observed")]
-        return decode_cells(self.spec, of_grid, f"grid of frame {self.frame_id!r}").grid
+        return decode_cells(self.spec, of_grid, f"grid of frame {quoted(self.frame_id)}").grid
 
 
 def stage(
@@ -276,15 +277,17 @@ def read_staged(path: Path, entry: StageEntry) -> StagedFrame:
             return _whole(file.read(entry.size), entry)
     except OSError as error:
         raise MapError(
-            f"The staged frame {entry.frame_id!r} in {path} cannot be read ({error.strerror}); "
-            "build the drive again."
+            f"The staged frame {quoted(entry.frame_id)} in {path} cannot be read "
+            f"({error.strerror}); build the drive again."
         ) from error
 
 
 def _whole(record: bytes, entry: StageEntry) -> StagedFrame:
     frame = _unpacked(record)
     if frame is None:
-        raise MapError(f"The staged frame {entry.frame_id!r} is damaged; build the drive again.")
+        raise MapError(
+            f"The staged frame {quoted(entry.frame_id)} is damaged; build the drive again."
+        )
     return frame
 
 

@@ -101,10 +101,13 @@ def _hints(frame: Frame) -> Iterator[tuple[str, Frame]]:
         cloud = frame.source
         for scale_m in CLOUD_SCALES_M:
             says = f"[cloud] scale_m = {scale_m:g}"
-            yield says, replace(frame, source=replace(cloud, scale_m=scale_m))
+            yield (
+                says,
+                replace(frame, source=replace(cloud, kind=replace(cloud.kind, scale_m=scale_m))),
+            )
         for axes in _AXES:
             says = f'[cloud] axes = "{axes}"'
-            yield says, replace(frame, source=replace(cloud, axes=axes))
+            yield says, replace(frame, source=replace(cloud, kind=replace(cloud.kind, axes=axes)))
 
 
 def _right_handed() -> Iterator[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from fieldgrid.core import CalibrationError, MapError
+from fieldgrid.core import CalibrationError, MapError, quoted
 from fieldgrid.geometry import Rig
 
 
@@ -15,6 +15,6 @@ def rig_from_config(config: Mapping[str, Any], session: str) -> Rig:
         return Rig.from_dict(config)
     except CalibrationError as error:
         raise MapError(
-            f"Session {session!r} does not say what rig it was driven with ({error}); build "
+            f"Session {quoted(session)} does not say what rig it was driven with ({error}); build "
             "it again from its recording."
         ) from error

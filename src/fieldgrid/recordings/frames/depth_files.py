@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,8 @@ from fieldgrid.recordings.frames.images import checked_header, stored_pixels
 from fieldgrid.recordings.frames.npy import parse_npy
 from fieldgrid.recordings.stored import Shot
 
-_Any = npt.NDArray[np.generic]
+Numbers = npt.NDArray[np.generic]
+"""Depths or disparities as they are stored [row, column]."""
 
 SUFFIXES = frozenset({".png", ".tif", ".tiff", ".npy", ".pfm"})
 """File name endings of depths and disparities, in lower case."""
@@ -26,8 +27,9 @@ SUFFIXES = frozenset({".png", ".tif", ".tiff", ".npy", ".pfm"})
 DEPTHS = FrameLayout(("depth",), ("depth",), SUFFIXES, "depth image")
 DISPARITIES = FrameLayout(("disparity",), ("disparity",), SUFFIXES, "disparity image")
 
-MILLIMETRES, KITTI_DISPARITY = 0.001, 1.0 / 256.0
-"""What one unit of whole numbers is when nothing is said: of depths, metres; of disparities, px."""
+_USUAL = {"depth": ("scale_m", 0.001), "disparity": ("scale_px", 1.0 / 256.0)}
+"""The setting that says what one unit is worth, and what it is for whole numbers without: metres
+of depths, px of disparities."""
 
 _NEAREST_M, _FARTHEST_M = 0.001, 1e6
 MOST_PACKED = 2000
@@ -58,20 +60,19 @@ class DepthFile(RecordedFile):
 
     def read(self) -> Float32:
         """Depth along the optical axis [row, column], metres; NaN where there is none."""
-        values = _decode(self.data(), self.path)
-        stated = self.format
-        whole = values.dtype.kind in "iu"
-        unit = stated.unit
-        if unit is None:
-            if whole and values.dtype.itemsize == 1:
-                raise RecordingError(
-                    f"{self.path} has 8 bit, which is not usual; say in recording.toml what one "
-                    f"is worth: [{stated.role}] scale_{'m' if stated.role == 'depth' else 'px'}."
-                )
-            usual = MILLIMETRES if stated.role == "depth" else KITTI_DISPARITY
-            unit = usual if whole else 1.0
+        stored, stated = self._stored(), self.format
+        setting, unit = _USUAL[stated.role]
+        if stated.unit is not None:
+            unit = stated.unit
+        elif stored.dtype.kind == "f":
+            unit = 1.0
+        elif stored.dtype.itemsize == 1:
+            raise RecordingError(
+                f"{self.path} has 8 bit, which is not usual; say in recording.toml what one is "
+                f"worth: [{stated.role}] {setting}."
+            )
         with np.errstate(all="ignore"):  # what overflows is no depth
-            measured = values.astype(np.float32)
+            measured = stored.astype(np.float32)
             known = measured > 0.0
             measured *= np.float32(unit)
             if stated.role == "disparity":
@@ -79,8 +80,23 @@ class DepthFile(RecordedFile):
                     measured - np.float32(stated.offset_px)
                 )
             known &= (measured > _NEAREST_M) & (measured < _FARTHEST_M)
-        depth_m: Float32 = np.where(known, measured, np.float32(np.nan))
-        return depth_m
+        measured[~known] = np.nan
+        return measured
+
+    def _stored(self) -> Numbers:
+        data = self.data()
+        if data.startswith(b"\x93NUMPY"):
+            stored = parse_npy(data, self.name)
+        elif data.startswith(b"Pf"):
+            stored = _parse_pfm(data, self.name)
+        else:
+            stored = decode_depth_image(data, self.name)
+        if stored.ndim != 2 or not stored.size:
+            raise RecordingError(
+                f"{self.path} has numbers of shape {stored.shape}; depths have one channel, "
+                "[row, column]."
+            )
+        return stored
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,38 +118,25 @@ class DepthKind:
         return DepthFrame(shot.frame_id, shot.time_ns, source, self.size_px)
 
 
-def _decode(data: bytes, path: Path) -> _Any:
-    """The numbers as stored, [row, column]."""
-    if data.startswith(b"\x93NUMPY"):
-        values = parse_npy(data, str(path))
-    elif data.startswith(b"Pf"):
-        match = _PFM.match(data[:1024])
-        if match is None:
-            raise RecordingError(f"{path} has no header of a grey PFM; write it again.")
-        width, height = int(match[1]), int(match[2])
-        order = "<" if match[3].startswith(b"-") else ">"
-        if width * height * 4 != len(data) - match.end():
-            raise RecordingError(
-                f"{path} claims {width} x {height} px and has {len(data) - match.end()} bytes of "
-                "them; it is truncated or damaged, copy it again."
-            )
-        upwards = np.frombuffer(data, dtype=f"{order}f4", offset=match.end()).reshape(height, width)
-        values = upwards[::-1]
-    else:
-        values = decode_depth_image(data, str(path))
-    if values.ndim != 2 or 0 in values.shape:
+def _parse_pfm(data: bytes, name: str) -> Numbers:
+    match = _PFM.match(data[:1024])
+    if match is None:
+        raise RecordingError(f"{name} has no header of a grey PFM; write it again.")
+    width, height, left = int(match[1]), int(match[2]), len(data) - match.end()
+    if width * height * 4 != left:
         raise RecordingError(
-            f"{path} has numbers of shape {values.shape}; depths have one channel, [row, column]."
+            f"{name} claims {width} x {height} px and has {left} bytes of them; it is truncated or "
+            "damaged, copy it again."
         )
-    return values
+    order = "<" if match[3].startswith(b"-") else ">"
+    upwards = np.frombuffer(data, dtype=f"{order}f4", offset=match.end()).reshape(height, width)
+    return upwards[::-1]
 
 
-def decode_depth_image(data: bytes, name: str) -> _Any:
-    """The numbers in a PNG or plain TIFF of one channel, [row, column]; RecordingError for what is
-    none."""
+def decode_depth_image(data: bytes, name: str) -> Numbers:
+    """The numbers in a PNG or plain TIFF, [row, column] if it has one channel; RecordingError for
+    what is neither."""
     header = checked_header(data, name, tiff_bits=(8, 16, 32))
-    if data.startswith(b"\x89PNG") and data[25:26] not in (b"", b"\0"):
-        raise RecordingError(f"{name} is a colour image; depths have one channel.")
-    can_be = header.width_px * header.height_px <= MOST_PACKED * len(data)
-    whole = header._replace(is_whole=header.is_whole and can_be)
-    return cast(_Any, stored_pixels(data, whole, name))
+    if header.width_px * header.height_px > MOST_PACKED * len(data):
+        header = header._replace(is_whole=False)
+    return stored_pixels(data, header, name)

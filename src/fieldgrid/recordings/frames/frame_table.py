@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
-from fieldgrid.core import RecordingError, counted
+from fieldgrid.core import RecordingError, counted, quoted
 from fieldgrid.recordings.files import is_inside, parse_time_ns, read_table
 from fieldgrid.recordings.frames.images import SUFFIXES
 from fieldgrid.recordings.frames.in_folder import InFolder
@@ -138,8 +138,8 @@ def shot_of_row(
     for name in files:
         if not is_inside(name):
             raise RecordingError(
-                f"{where}: {name!r} leads out of the recording; give a path inside its folder, "
-                "where a link may stand for files that lie elsewhere (ln -s THEIR_FOLDER "
+                f"{where}: {quoted(name)} leads out of the recording; give a path inside its "
+                "folder, where a link may stand for files that lie elsewhere (ln -s THEIR_FOLDER "
                 f"{layout.folders[0]})."
             )
     try:

@@ -66,21 +66,13 @@ def _tiff(data: bytes, bits: Collection[int]) -> ImageHeader | None:
     (at,) = struct.unpack(f"{order}I", data[4:8])
     (count,) = struct.unpack(f"{order}H", data[at : at + 2])
     tags: dict[int, tuple[int, ...]] = {}
-    for k in range(count):
-        entry = data[at + 2 + 12 * k : at + 14 + 12 * k]
-        tag, kind, length = struct.unpack(f"{order}HHI", entry[:8])
-        code = _TIFF_KINDS.get(kind)
-        if (
-            tag not in _TIFF_TAGS - tags.keys()
-            or code is None
-            or not 1 <= length <= _TIFF_MAX_STRIPS
-        ):
-            continue
-        size = length * struct.calcsize(code)
-        start = 8 if size <= 4 else struct.unpack(f"{order}I", entry[8:])[0]
-        source = entry if size <= 4 else data
-        tags[tag] = struct.unpack(f"{order}{length}{code}", source[start : start + size])
-    if any(tag not in tags for tag in (_WIDTH, _HEIGHT, _OFFSETS, _LENGTHS)):
+    for entry in range(at + 2, at + 2 + 12 * count, 12):
+        tag, kind, length, start = struct.unpack_from(f"{order}HHII", data, entry)
+        code = _TIFF_KINDS.get(kind, "")
+        if tag in _TIFF_TAGS - tags.keys() and code and 1 <= length <= _TIFF_MAX_STRIPS:
+            numbers = struct.Struct(f"{order}{length}{code}")
+            tags[tag] = numbers.unpack_from(data, entry + 8 if numbers.size <= 4 else start)
+    if not tags.keys() >= {_WIDTH, _HEIGHT, _OFFSETS, _LENGTHS}:
         return None
     (compression, *_), depths = tags.get(_COMPRESSION, (1,)), set(tags.get(_BITS, (1,)))
     if compression not in _TIFF_COMPRESSIONS or len(depths) != 1 or not depths <= set(bits):

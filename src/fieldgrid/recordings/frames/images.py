@@ -9,20 +9,19 @@ from typing import NamedTuple, cast
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from fieldgrid.core import RecordingError
 from fieldgrid.recordings.files import RecordedFile
 from fieldgrid.recordings.frames.frames import Image
 from fieldgrid.recordings.frames.image_header import ImageHeader, read_header
-from fieldgrid.recordings.frames.pixels import BITS, to_grey
+from fieldgrid.recordings.frames.pixels import BITS, Pixels, to_grey
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff"})
 """File name endings of images that can be read, in lower case."""
 
 MAX_PIXELS = 100_000_000
-_Pixels = npt.NDArray[np.uint8 | np.uint16]
-_NAMES = {1: "mono", 3: "bgr", 4: "bgra"}
+_KINDS = {1: "mono", 3: "bgr", 4: "bgra"}
+"""What ROS calls pixels of so many channels."""
 
 
 class ImageFormat(NamedTuple):
@@ -62,7 +61,7 @@ class ImageFile(RecordedFile):
         header = read_header(self.data())
         return header is not None and header.is_whole
 
-    def deep_pixels(self) -> _Pixels | None:
+    def deep_pixels(self) -> Pixels | None:
         """The pixels as stored if their values have 16 bits, else None."""
         data = self.data()
         header = checked_header(data, self.name, self.max_pixels)
@@ -87,7 +86,14 @@ def decode_image(
         grey = stored_pixels(data, header, name, cv2.IMREAD_GRAYSCALE)
         return np.ascontiguousarray(grey, dtype=np.uint8)
     pixels = stored_pixels(data, header, name)
-    return to_grey(pixels, _encoding(pixels, image_format, name), image_format.bits)
+    channels = 1 if pixels.ndim == 2 else pixels.shape[2]
+    if image_format.bayer is not None and channels != 1:
+        raise RecordingError(
+            f"{name} is a colour image, and recording.toml says that images are a Bayer mosaic; "
+            "leave bayer out."
+        )
+    kind = f"bayer_{image_format.bayer}" if image_format.bayer else _KINDS[channels]
+    return to_grey(pixels, f"{kind}{8 * pixels.itemsize}", image_format.bits)
 
 
 def checked_header(
@@ -111,28 +117,14 @@ def checked_header(
 
 def stored_pixels(
     data: bytes, header: ImageHeader, name: str, flags: int = cv2.IMREAD_UNCHANGED
-) -> _Pixels:
+) -> Pixels:
     """The pixels of an image that the header is of; RecordingError where they are not all there."""
-    pixels: _Pixels | None = None
+    pixels: Pixels | None = None
     if header.is_whole:
         # A calibration is for the pixels as stored, so no orientation tag may turn them.
         flags |= cv2.IMREAD_IGNORE_ORIENTATION
         with suppress(cv2.error):
-            pixels = cast(_Pixels, cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags))
+            pixels = cast(Pixels, cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags))
     if pixels is None or pixels.shape[:2] != (header.height_px, header.width_px):
         raise RecordingError(f"{name} is truncated or damaged; copy it again.")
     return pixels
-
-
-def _encoding(pixels: _Pixels, image_format: ImageFormat, name: str) -> str:
-    """What ROS calls such pixels."""
-    depth = 8 * pixels.itemsize
-    channels = 1 if pixels.ndim == 2 else pixels.shape[2]
-    if image_format.bayer is None:
-        return f"{_NAMES[channels]}{depth}"
-    if channels != 1:
-        raise RecordingError(
-            f"{name} is a colour image, and recording.toml says that images are a Bayer mosaic; "
-            "leave bayer out."
-        )
-    return f"bayer_{image_format.bayer}{depth}"

@@ -10,15 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import ConfigError, Float64, Int64, RecordingError
-from fieldgrid.perception import LONGEST_S, RawSweep
+from fieldgrid.core import ConfigError, RecordingError, shortened
+from fieldgrid.perception import RawSweep
 from fieldgrid.poses import unix_ns
-from fieldgrid.recordings.files import check_regular
+from fieldgrid.recordings.files import MAX_FRAME_BYTES, check_regular
 
-MAX_POINTS = 20_000_000
-"""More points than any sweep has; a survey is none."""
-
-_CHUNK = 1_000_000
 _MAX_HEADER = 1 << 22
 """No sweep says as much before its points; the library reads all of that, record by record."""
 _WEEK_S, _ADJUSTED_S = 7 * 86_400, 1_000_000_000
@@ -26,37 +22,38 @@ _LAYERED, _EXTRA_BYTES = 3, 14
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # of points, colours, with infrared, of wave packets
 
 
-def read_las(path: Path, max_bytes: int) -> RawSweep:
-    """x, y, z of the points, float64, of a file of at most `max_bytes`; with their UTC in
-    nanoseconds where they have GPS time (adjusted standard)."""
-    parts, gps_s = [np.zeros((0, 3))], [np.zeros(0)]
-    with _opened(path, max_bytes) as reader:
-        for chunk in reader.chunk_iterator(_CHUNK):
-            parts.append(np.stack([chunk.x, chunk.y, chunk.z], axis=1))
-            if _is_timed(reader.header):
-                gps_s.append(np.asarray(chunk.gps_time))
-    points, count = np.concatenate(parts), reader.header.point_count
+def read_las(path: Path) -> RawSweep:
+    """x, y, z of the points, float64, with their UTC in seconds where they have GPS time (adjusted
+    standard)."""
+    with _opened(path) as reader:
+        count = reader.header.point_count
+        read = reader.read_points(count)
+        points = np.stack([read.x, read.y, read.z], axis=1)
+        gps_s = np.array(read.gps_time) if count and _is_timed(reader.header) else None
     if len(points) != count:
         raise _damaged(path, f"{len(points)} of {count} points are there")
-    return RawSweep(points, _utc_ns(np.concatenate(gps_s)))
+    first_ns = None if gps_s is None else _utc_ns(gps_s[0])
+    if gps_s is None or first_ns is None:
+        return RawSweep(points)
+    return RawSweep(points, first_ns / 1e9 + (gps_s - gps_s[0]))
 
 
-def las_time_ns(path: Path, max_bytes: int) -> int:
+def las_time_ns(path: Path) -> int:
     """UTC of the first point, nanoseconds; RecordingError where the file does not say it."""
-    with _opened(path, max_bytes) as reader:
+    with _opened(path) as reader:
         if not (reader.header.point_count and _is_timed(reader.header)):
             raise RecordingError(
                 f"{path} has no points with GPS time (adjusted standard), and its name is no UTC "
                 "time in nanoseconds; add frames.csv with frame_id, timestamp_utc_s, cloud."
             )
-        gps_s = float(reader.read_points(1).gps_time[0])
-    try:
-        return _unix_ns(gps_s)
-    except (ValueError, OverflowError) as problem:
+        gps_s = reader.read_points(1).gps_time[0]
+    time_ns = _utc_ns(gps_s)
+    if time_ns is None:
         raise RecordingError(
             f"{path} starts at a GPS time of {gps_s} s (adjusted standard), which no receiver can "
             "have seen; correct its times, or add frames.csv."
-        ) from problem
+        )
+    return time_ns
 
 
 def _is_timed(header: Any) -> bool:
@@ -65,29 +62,20 @@ def _is_timed(header: Any) -> bool:
     return has_time and int(header.global_encoding.gps_time_type) == 1
 
 
-def _utc_ns(gps_s: Float64) -> Int64 | None:
-    """UTC of GPS times (adjusted standard) of one sweep; None where they are none."""
-    if not len(gps_s) or not np.isfinite(gps_s).all() or np.ptp(gps_s) > LONGEST_S:
-        return None
-    first_s = float(gps_s[0])
+def _utc_ns(gps_s: float) -> int | None:
+    """UTC of a GPS time (adjusted standard); None for one that cannot be."""
     try:
-        return _unix_ns(first_s) + np.rint((gps_s - first_s) * 1e9).astype(np.int64)
+        week, of_week_s = divmod(float(gps_s) + _ADJUSTED_S, _WEEK_S)
+        return unix_ns(int(week), round(of_week_s * 1e9))
     except (ValueError, OverflowError):
         return None
 
 
-def _unix_ns(gps_s: float) -> int:
-    week, of_week_s = divmod(gps_s + _ADJUSTED_S, _WEEK_S)
-    return unix_ns(int(week), round(of_week_s * 1e9))
-
-
 @contextmanager
-def _opened(path: Path, max_bytes: int) -> Iterator[Any]:
+def _opened(path: Path) -> Iterator[Any]:
     """laspy's reader, once it is sure that the file can hold what it claims; what it raises on a
     damaged file names the file."""
     size = check_regular(path)
-    if size > max_bytes:
-        raise RecordingError(f"{path} has {size} bytes, more than any sweep; cut it into sweeps.")
     with path.open("rb") as file:
         kind, offset, records = struct.unpack("<4s92xII", file.read(104).ljust(104, b"\0"))
     if kind != b"LASF" or offset > min(size, _MAX_HEADER) or 54 * records > offset:
@@ -98,8 +86,8 @@ def _opened(path: Path, max_bytes: int) -> Iterator[Any]:
         raise ConfigError(
             f"Reading {path} takes laspy; install it with: pip install 'fieldgrid[clouds]'."
         ) from error
+    backend = laspy.LazBackend.Lazrs
     try:
-        backend = laspy.LazBackend.Lazrs  # the one that takes chunk by chunk
         with laspy.open(path, read_evlrs=False, laz_backend=backend) as reader:
             _check_points(path, size, reader.header)  # before any is read
             yield reader
@@ -114,66 +102,60 @@ def _opened(path: Path, max_bytes: int) -> Iterator[Any]:
 
 def _check_points(path: Path, size: int, header: Any) -> None:
     """Raise RecordingError where a header claims more points than the file can hold."""
-    points, offset = header.point_count, header.offset_to_point_data
-    if header.are_points_compressed:
-        with path.open("rb") as file:
-            fits = _chunks(file, offset, size) <= min(points + 1, size // 64)
-    else:
-        fits = offset + points * header.point_format.size <= size
-    if not fits:
-        raise _damaged(path, f"it claims {points} points and has {size} bytes")
-    if points > MAX_POINTS:
+    points_bytes = header.point_count * header.point_format.size
+    if points_bytes > MAX_FRAME_BYTES:
         raise RecordingError(
-            f"{path} claims {points} points, more than {MAX_POINTS}; cut it into sweeps."
+            f"{path} claims {header.point_count} points, more than any sweep has; cut it into "
+            "sweeps, or copy it again if it is damaged."
         )
-    for packing in header.vlrs.get("LasZipVlr"):
-        _check_packing(path, header, packing.record_data)
+    if header.are_points_compressed:
+        _check_packing(path, size, header)
+    elif header.offset_to_point_data + points_bytes > size:
+        raise _damaged(path, f"it claims {header.point_count} points and has {size} bytes")
 
 
-def _chunks(file: Any, offset: int, size: int) -> int:
-    """How many chunks packed points claim to be in; the library would make room for them."""
-    file.seek(offset)
-    (table,) = struct.unpack("<q", file.read(8).ljust(8, b"\xff"))
-    if table == -1:  # written without going back: the place stands at the end
-        file.seek(size - 8)
-        (table,) = struct.unpack("<q", file.read(8))
-    if not offset <= table <= size - 8:
-        return 1 << 32
-    file.seek(table)
-    _, chunks = struct.unpack("<II", file.read(8))
-    return int(chunks)
+def _check_packing(path: Path, size: int, header: Any) -> None:
+    """Raise RecordingError when packed points are not made of what makes a point, are in more or
+    smaller chunks than can be, or a chunk claims layers that it cannot hold.
 
-
-def _check_packing(path: Path, header: Any, packing: bytes) -> None:
-    """Raise RecordingError when packed points are not made of what makes a point, or a chunk of
-    them claims layers that it cannot hold.
-
-    The library makes room for the layers before it reads them, and ends the process when there is
-    none. A chunk is its first point, a number of points, the sizes of its layers, and these.
+    The library makes room for chunks and layers before it reads them, and ends the process when
+    there is none. A chunk is its first point, a number of points, the sizes of its layers, and
+    these.
     """
     import lazrs
 
-    compressor, count = struct.unpack("<H30xH", packing[:34])
-    items = [struct.unpack("<HHH", packing[34 + 6 * k : 40 + 6 * k]) for k in range(count)]
-    if not items or sum(size for _, size, _ in items) != header.point_format.size:
-        raise _damaged(path, f"its points are packed in {count} parts, not of their size")
-    if compressor != _LAYERED:
-        return
-    layers = sum(size if kind == _EXTRA_BYTES else _LAYERS[kind] for kind, size, _ in items)
+    packing, point_bytes = header.vlrs.get("LasZipVlr")[0].record_data, header.point_format.size
+    compressor, parts = struct.unpack_from("<H30xH", packing)
+    items = [struct.unpack_from("<HH", packing, 34 + 6 * k) for k in range(parts)]
+    if not items or sum(part_bytes for _, part_bytes in items) != point_bytes:
+        raise _damaged(path, f"its points are packed in {parts} parts, not of their size")
     with path.open("rb") as file:
-        file.seek(header.offset_to_point_data)
+        at = file.seek(header.offset_to_point_data)
+        (table,) = struct.unpack("<q", file.read(8))
+        if table == -1:  # written without going back: the place stands at the end
+            file.seek(size - 8)
+            (table,) = struct.unpack("<q", file.read(8))
+        file.seek(max(table, 0))
+        _, claimed = struct.unpack("<II", file.read(8))
+        if claimed > min(header.point_count + 1, size // 64):
+            raise _damaged(path, f"it claims {header.point_count} points in {claimed} chunks")
+        file.seek(at)
         chunks = lazrs.read_chunk_table(file, lazrs.LazVlr(packing))
-        at = header.offset_to_point_data + 8
         if sum(points for points, _ in chunks) < header.point_count:
             raise _damaged(path, f"its {len(chunks)} chunks hold fewer than its points")
+        if compressor != _LAYERED:
+            return
+        layers = sum(n if kind == _EXTRA_BYTES else _LAYERS[kind] for kind, n in items)
+        at += 8 + point_bytes + 4
         for _, chunk_bytes in chunks:
-            before = header.point_format.size + 4
-            file.seek(at + before)
+            file.seek(at)
             sizes = struct.unpack(f"<{layers}I", file.read(4 * layers))
-            if before + 4 * layers + sum(sizes) > chunk_bytes:
+            if point_bytes + 4 + 4 * layers + sum(sizes) > chunk_bytes:
                 raise _damaged(path, f"layers of {sum(sizes)} bytes in {chunk_bytes}")
             at += chunk_bytes
 
 
 def _damaged(path: Path, why: object) -> RecordingError:
-    return RecordingError(f"{path} is a truncated or damaged LAS or LAZ: {why}; copy it again.")
+    return RecordingError(
+        f"{path} is a truncated or damaged LAS or LAZ: {shortened(why)}; copy it again."
+    )

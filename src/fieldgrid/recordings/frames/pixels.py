@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.core import RecordingError
+from fieldgrid.core import RecordingError, quoted
 from fieldgrid.recordings.frames.frames import Image
 
 Pixels = npt.NDArray[np.uint8 | np.uint16]
@@ -68,7 +68,7 @@ def layout(encoding: str) -> PixelLayout:
     found = _LAYOUTS.get(encoding)
     if found is None:
         raise RecordingError(
-            f"Images are encoded as {encoding[:40]!r}, which is not read; record them as mono8, "
+            f"Images are encoded as {quoted(encoding)}, which is not read; record them as mono8, "
             "bgr8, rgb8, mono16, a bayer_ or a yuv422 encoding."
         )
     return found

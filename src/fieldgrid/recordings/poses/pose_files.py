@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import MIN_TIME_NS, Bool, Float64, Int64, RecordingError
+from fieldgrid.core import MIN_TIME_NS, Bool, Float64, Int64, RecordingError, quoted
 from fieldgrid.recordings.files import read_lines
 from fieldgrid.recordings.tables.times import UNITS, TimeScale, guess_scale, to_utc_ns
 
@@ -76,8 +76,8 @@ def read_times(cells: list[str], path: Path, lines: list[int], offset_ns: int) -
         scale = TimeScale(UNITS["s"], origin_s=seconds, declared=True)
     if scale is None or scale.places is None:
         raise RecordingError(
-            f"{path}, line {lines[0]}: {cells[0]!r} is no UTC time since 1970; if the times count "
-            "from 0, say when that was with --poses-offset (seconds since 1970)."
+            f"{path}, line {lines[0]}: {quoted(cells[0])} is no UTC time since 1970; if the times "
+            "count from 0, say when that was with --poses-offset (seconds since 1970)."
         )
     times_ns = to_utc_ns(cells, scale, decimal_comma=False)
     _refuse(path, lines, times_ns <= 0, "its time is no UTC time after 1980")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.core import Float64, Int64, RecordingError
+from fieldgrid.core import Float64, Int64, RecordingError, quoted
 from fieldgrid.recordings.calibration.kitti import HEIGHT_NOTE, read_kitti_rig
 from fieldgrid.recordings.calibration.mounting import MOUNTING
 from fieldgrid.recordings.drive import Drive, Recording, as_recording, with_frames
@@ -97,8 +97,8 @@ def _read_stamps(folder: Path) -> Int64:
         return to_utc_ns(lines, TimeScale(), decimal_comma=False)
     except UnreadableTimeError as problem:
         raise RecordingError(
-            f"{path}: {lines[problem.place][:40]!r} is no time like 2011-09-30 12:08:26.399641520; "
-            "copy it again."
+            f"{path}: {quoted(lines[problem.place])} is no time like 2011-09-30 "
+            "12:08:26.399641520; copy it again."
         ) from None
 
 

@@ -226,7 +226,7 @@ def _measured_density(path: Path, shots: tuple[Shot, ...], kind: CloudKind) -> t
     refusal: CalibrationError | None = None
     for part in _MEASURED_AT:
         (name,) = shots[int(part * len(shots))].files
-        source = CloudFile(path / name, kind.axes, scale_m=kind.scale_m)
+        source = CloudFile(path / name, kind)
         try:
             return points_per_sr(source.read()), name
         except CalibrationError as problem:

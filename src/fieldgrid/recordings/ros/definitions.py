@@ -199,12 +199,12 @@ def _collect(
     if depth == 0 or len(needed) > _MAX_TYPES:
         raise TypesysError(f"{name} is nested too deep")
     if not _TYPE_NAME.fullmatch(name):
-        raise TypesysError(f"{name!r} is no type")
+        raise TypesysError(f"{quoted(name)} is no type")
     fields = known[name][1]
     has_bytes = False
     for field, (kind, inner) in fields:
         if not _FIELD_NAME.fullmatch(field):
-            raise TypesysError(f"{field!r} is no field")
+            raise TypesysError(f"{quoted(field)} is no field")
         element, named = (kind, inner)
         if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
             (element, named), count = inner

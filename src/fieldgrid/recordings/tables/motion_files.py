@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64, Int64, RecordingError, counted
+from fieldgrid.core import Float64, Int64, RecordingError, counted, quoted
 from fieldgrid.geometry import Gyro, Inertial, Motion, WheelSpeed
 from fieldgrid.recordings.tables.columns import Columns
 from fieldgrid.recordings.tables.roles import FORCES, RATES, WHEELS, ColumnRole, guess
@@ -58,7 +58,7 @@ def check_axes(axes: str) -> str:
         if round(float(np.linalg.det(columns))) == 1:
             return axes
     raise ValueError(
-        f"{axes!r} is not where the three axes of an IMU point; give a right-handed set of "
+        f"{quoted(axes)} is not where the three axes of an IMU point; give a right-handed set of "
         "f or b, l or r, u or d, like flu, frd or rfu"
     )
 
