@@ -1,7 +1,8 @@
-"""Frames whose stamps do not fit to their place in the table are told."""
+"""Frames of a plain folder: by a table, or by the names of the files."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,18 @@ from fieldgrid.recordings.frames.frame_table import PAIRS, read_frames
 from fieldgrid.recordings.frames.in_folder import InFolder
 
 START_S = 1_700_000_000
+HEADER = "frame_id,timestamp_utc_s,left,right"
+
+
+def folder_with(folder: Path, rows: Sequence[str] = (), stems: Sequence[object] = (0,)) -> Path:
+    """A folder of pairs with these names, and with a table of these rows if there are any."""
+    for side in ("left", "right"):
+        (folder / side).mkdir(parents=True)
+        for stem in stems:
+            (folder / side / f"{stem}.png").touch()
+    if rows:
+        (folder / "frames.csv").write_bytes("\n".join([*rows, ""]).encode())
+    return folder
 
 
 @pytest.mark.parametrize(
@@ -29,107 +42,67 @@ START_S = 1_700_000_000
 def test_a_frame_between_such_of_another_time_is_told(
     stamps_s: list[float], told: str | None, tmp_path: Path
 ) -> None:
-    rows = ["frame_id,timestamp_utc_s,left,right"]
-    rows += [f"f{k},{START_S + s},l/{k}.png,r/{k}.png" for k, s in enumerate(stamps_s)]
-    (tmp_path / "frames.csv").write_text("\n".join(rows) + "\n")
-    for side in ("l", "r"):
-        (tmp_path / side).mkdir()
-        for k in range(len(stamps_s)):
-            (tmp_path / side / f"{k}.png").touch()
-    shots, notes = read_frames(tmp_path)
-    # It is used where its stamp says.
+    """It is used where its stamp says."""
+    rows = [f"f{k},{START_S + s},left/{k}.png,right/{k}.png" for k, s in enumerate(stamps_s)]
+    shots, notes = read_frames(folder_with(tmp_path, [HEADER, *rows], range(len(rows))))
     assert [shot.time_ns for shot in shots] == sorted(shot.time_ns for shot in shots)
-    assert bool(notes) is (told is not None)
-    if told is not None:
-        (note,) = notes
-        assert f"1, the first of them {told}." in note
-
-
-def folder_with(tmp_path: Path, table: str) -> Path:
-    (tmp_path / "frames.csv").write_bytes(table.encode())
-    for side in ("left", "right"):
-        (tmp_path / side).mkdir()
-        (tmp_path / side / "0.png").touch()
-    return tmp_path
+    assert [f"1, the first of them {told}." in note for note in notes] == ([True] if told else [])
 
 
 @pytest.mark.parametrize("mark", [";", "\t", "|"])
 def test_a_table_of_a_spreadsheet(mark: str, tmp_path: Path) -> None:
     """Semicolons, a decimal comma, a byte order mark, Windows's line ends and paths."""
-    rows = ("frame_id,timestamp_utc_s,left,right", f"0,{START_S}#25,left\\0.png,right\\0.png")
-    text = "\r\n".join(row.replace(",", mark).replace("#", ",") for row in rows)
-    shots, notes = read_frames(folder_with(tmp_path, f"\ufeff{text}\r\n"))
-    assert [shot.time_ns for shot in shots] == [START_S * 10**9 + 250_000_000]
-    assert shots[0].files == ("left/0.png", "right/0.png")
+    row = f"0,{START_S}#25,left\\0.png,right\\0.png".replace(",", mark).replace("#", ",")
+    rows = [f"\ufeff{HEADER.replace(',', mark)}\r", f"{row}\r"]
+    (shot,), notes = read_frames(folder_with(tmp_path, rows))
+    assert shot.time_ns == START_S * 10**9 + 250_000_000
+    assert shot.files == ("left/0.png", "right/0.png")
     assert not notes
 
 
 @pytest.mark.parametrize(
-    ("header", "match"),
+    ("header", "left", "match"),
     [
-        ("frame_id,timestamp,left,right", "line 2: no column is time_ns or .*, but frame_id, time"),
-        ("name,timestamp_utc_s,left,right", "no column frame_id; .* It has: name, timestamp"),
+        ("frame_id,timestamp,left,right", "left/0.png", "no column is time_ns or .*, but frame_id"),
+        ("name,timestamp_utc_s,left,right", "left/0.png", "no column frame_id; .* It has: name, t"),
+        (HEADER, "", "line 2: left is empty"),
+        (HEADER, "../x/0.png", "leads out of the recording"),
+        (HEADER, "..\\x\\0.png", "leads out of the recording"),
+        (HEADER, "/robot/drive/left/../0.png", "leads out of the recording"),
+        # Although a file of the same name is in the recording: which is meant is not known.
+        (HEADER, "OTHER/left/0.png", r"leads out .* \(ln -s THEIR_FOLDER left\)"),
     ],
 )
-def test_columns_that_are_called_otherwise(header: str, match: str, tmp_path: Path) -> None:
+def test_a_table_that_is_refused(header: str, left: str, match: str, tmp_path: Path) -> None:
+    other = folder_with(tmp_path / "other")
+    row = f"0,{START_S},{left.replace('OTHER', str(other))},right/0.png"
     with pytest.raises(RecordingError, match=match):
-        read_frames(folder_with(tmp_path, f"{header}\n0,{START_S},left/0.png,right/0.png\n"))
+        read_frames(folder_with(tmp_path / "drive", [header, row]))
 
 
-def test_a_windows_path_does_not_lead_out(tmp_path: Path) -> None:
-    table = f"frame_id,timestamp_utc_s,left,right\n0,{START_S},..\\x\\0.png,right/0.png\n"
-    with pytest.raises(RecordingError, match="leads out of the recording"):
-        read_frames(folder_with(tmp_path, table))
-
-
-def pair_in(folder: Path, stem: str = "0") -> Path:
-    for side in ("left", "right"):
-        (folder / side).mkdir(parents=True)
-        (folder / side / f"{stem}.png").touch()
-    return folder
-
-
-def table_of(left: str, right: str) -> str:
-    return f"frame_id,timestamp_utc_s,left,right\n0,{START_S},{left},{right}\n"
-
-
-def test_paths_from_the_root_into_the_folder(tmp_path: Path) -> None:
-    folder = pair_in(tmp_path / "drive")
-    (tmp_path / "link").symlink_to(folder)
-    for root in (folder, tmp_path / "link"):
-        table = table_of(f"{root}/left/0.png", f"{root}/right/0.png")
-        (folder / "frames.csv").write_text(table)
-        shots, notes = read_frames(root)
-        assert shots[0].files == ("left/0.png", "right/0.png")
-        assert notes == ()
-
-
-@pytest.mark.parametrize("root", ["/robot/june/drive", "C:\\june", "/robot/june/drive/left/.."])
-def test_a_recording_that_was_moved(root: str, tmp_path: Path) -> None:
-    """Its table names the files where they were recorded."""
-    folder = pair_in(tmp_path / "drive")
-    mark = "\\" if "\\" in root else "/"
-    table = table_of(*(mark.join((root, side, "0.png")) for side in ("left", "right")))
-    (folder / "frames.csv").write_text(table)
-    if ".." in root:
-        with pytest.raises(RecordingError, match="leads out of the recording"):
-            read_frames(folder)
-        return
-    shots, (note,) = read_frames(folder)
-    assert shots[0].files == ("left/0.png", "right/0.png")
-    assert "/left, which is not here; those of the same names in the recording are" in note
+@pytest.mark.parametrize("root", ["FOLDER", "LINK", "/robot/june/drive", "C:\\june"])
+def test_paths_from_the_root(root: str, tmp_path: Path) -> None:
+    """Into the folder, or to where it was recorded."""
+    folder, link = tmp_path / "drive", tmp_path / "link"
+    link.symlink_to(folder)
+    top = root.replace("FOLDER", str(folder)).replace("LINK", str(link))
+    mark = "\\" if "\\" in top else "/"
+    left, right = (mark.join((top, side, "0.png")) for side in ("left", "right"))
+    folder_with(folder, [HEADER, f"0,{START_S},{left},{right}"])
+    (shot,), notes = read_frames(link if root == "LINK" else folder)
+    assert shot.files == ("left/0.png", "right/0.png")
+    told = "/left, which is not here; those of the same names in the recording are"
+    assert [told in note for note in notes] == ([] if root in ("FOLDER", "LINK") else [True])
 
 
 @pytest.mark.parametrize("missing", [0, 1])
 def test_a_missing_image_of_a_recording_that_was_moved(missing: int, tmp_path: Path) -> None:
-    folder = pair_in(tmp_path / "drive", str(1 - missing))
     rows = [f"{k},{START_S + k},/robot/left/{k}.png,/robot/right/{k}.png" for k in range(2)]
-    table = "\n".join(["frame_id,timestamp_utc_s,left,right", *rows, ""])
-    (folder / "frames.csv").write_text(table)
-    layout = PAIRS._replace(incomplete=True)
-    shots, (note,) = read_frames(folder, layout=layout)
-    assert f"left/{1 - missing}.png" in [file for shot in shots for file in shot.files]
-    assert not any(file.startswith("/") for shot in shots for file in shot.files)
+    folder = folder_with(tmp_path, [HEADER, *rows], [1 - missing])
+    shots, (note,) = read_frames(folder, layout=PAIRS._replace(incomplete=True))
+    files = [file for shot in shots for file in shot.files]
+    assert f"left/{1 - missing}.png" in files
+    assert not any(file.startswith("/") for file in files)
     assert "/robot/left, which is not here" in note
     with pytest.raises(RecordingError, match=rf"left/{missing}\.png"):
         read_frames(folder)
@@ -144,29 +117,19 @@ def test_a_folder_is_found_again_when_its_first_file_is_there(tmp_path: Path) ->
     assert in_folder("/robot/june/1.png") == "june/1.png"
 
 
-def test_files_that_lie_elsewhere_are_refused(tmp_path: Path) -> None:
-    """Although files of the same names are in the recording: which are meant is not known."""
-    folder, other = pair_in(tmp_path / "drive"), pair_in(tmp_path / "other")
-    table = table_of(f"{other}/left/0.png", f"{other}/right/0.png")
-    (folder / "frames.csv").write_text(table)
-    with pytest.raises(RecordingError, match=r"leads out .* \(ln -s THEIR_FOLDER left\)"):
-        read_frames(folder)
-
-
 @pytest.mark.parametrize(
-    ("stem", "time_ns", "told"),
+    ("stem", "after_ns", "told"),
     [
-        (f"{START_S}000000000", START_S * 10**9, ""),
-        (f"{START_S}.250000", START_S * 10**9 + 250_000_000, "s since 1970"),
-        (f"{START_S}250", START_S * 10**9 + 250_000_000, "ms since 1970"),
-        (f"{START_S}250000", START_S * 10**9 + 250_000_000, "us since 1970"),
+        (f"{START_S}000000000", 0, ""),
+        (f"{START_S}.250000", 250_000_000, "s since 1970"),
+        (f"{START_S}250", 250_000_000, "ms since 1970"),
+        (f"{START_S}250000", 250_000_000, "us since 1970"),
     ],
 )
-def test_times_as_names(stem: str, time_ns: int, told: str, tmp_path: Path) -> None:
-    shots, notes = read_frames(pair_in(tmp_path / "drive", stem))
-    assert shots[0].time_ns == time_ns
-    assert bool(notes) == bool(told)
-    assert told in "".join(notes)
+def test_times_as_names(stem: str, after_ns: int, told: str, tmp_path: Path) -> None:
+    (shot,), notes = read_frames(folder_with(tmp_path, stems=[stem]))
+    assert shot.time_ns == START_S * 10**9 + after_ns
+    assert [told in note for note in notes] == ([True] if told else [])
 
 
 DATES = (
@@ -181,7 +144,7 @@ DATES = (
 )
 def test_names_that_are_no_times(stem: str, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="is no UTC time in s, ms, us or ns; add frames"):
-        read_frames(pair_in(tmp_path / "drive", stem))
+        read_frames(folder_with(tmp_path, stems=[stem]))
 
 
 def test_a_time_in_the_file_goes_before_a_guess_from_its_name(tmp_path: Path) -> None:
@@ -191,8 +154,8 @@ def test_a_time_in_the_file_goes_before_a_guess_from_its_name(tmp_path: Path) ->
         return START_S * 10**9
 
     layout = PAIRS._replace(time_of=in_file)
-    shots, notes = read_frames(pair_in(tmp_path / "file", f"{START_S}500"), layout=layout)
-    assert (shots[0].time_ns, notes) == (START_S * 10**9, ())
-    shots, notes = read_frames(pair_in(tmp_path / "name", f"{START_S}250"), layout=layout)
-    assert shots[0].time_ns == START_S * 10**9 + 250_000_000
-    assert "ms since 1970" in notes[0]
+    for stem, after_ns, told in (("500", 0, ""), ("250", 250_000_000, "ms since 1970")):
+        folder = folder_with(tmp_path / stem, stems=[f"{START_S}{stem}"])
+        (shot,), notes = read_frames(folder, layout=layout)
+        assert shot.time_ns == START_S * 10**9 + after_ns
+        assert [told in note for note in notes] == ([True] if told else [])

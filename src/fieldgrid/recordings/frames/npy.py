@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import io
-import math
-import warnings
-from tokenize import TokenError
+import re
 
 import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.core import RecordingError
+
+_HEADER = re.compile(
+    rb"\{'descr': '([<>=|](?:f[248]|[iu][1248]))', 'fortran_order': (True|False), "
+    rb"'shape': \(((?: ?[0-9]{1,18}L?,){0,31}(?: ?[0-9]{1,18}L?)?)\),? ?\} *\n"
+)
+"""With its keys in the order in which NumPy, and what writes for it, puts them."""
 
 
 def parse_npy(data: bytes, name: str) -> npt.NDArray[np.generic]:
@@ -18,27 +21,21 @@ def parse_npy(data: bytes, name: str) -> npt.NDArray[np.generic]:
 
     Numbers only; an array that claims more bytes than the file has is refused unread.
     """
-    stream = io.BytesIO(data)
-    try:
-        version = np.lib.format.read_magic(stream)
-        header = (
-            np.lib.format.read_array_header_1_0
-            if version == (1, 0)
-            else np.lib.format.read_array_header_2_0
-        )
-        with warnings.catch_warnings():  # of Python 2, whose headers are read all the same
-            warnings.simplefilter("ignore", UserWarning)
-            shape, by_column, dtype = header(stream)
-    except (ValueError, SyntaxError, TypeError, EOFError, TokenError) as problem:
-        raise RecordingError(f"{name} is no array of NumPy: {problem}; save it again.") from problem
-    if dtype.kind not in "fiu" or dtype.itemsize > 8:
-        raise RecordingError(f"{name} holds {dtype}, not numbers; save it as float32 or uint16.")
-    left = len(data) - stream.tell()
-    if any(size < 0 for size in shape) or math.prod(shape) * dtype.itemsize != left:
+    start = 10 if data[6:7] == b"\x01" else 12
+    stop = start + int.from_bytes(data[8:start], "little")
+    found = _HEADER.fullmatch(data[start : min(stop, 1 << 16)])
+    if not data.startswith(b"\x93NUMPY") or found is None:
         raise RecordingError(
-            f"{name} has {left} bytes for an array of shape {shape}; it is truncated or damaged, "
-            "copy it again."
+            f"{name} is no array of NumPy that holds numbers; save it as float32 or uint16."
         )
-    return np.frombuffer(data, dtype=dtype, offset=stream.tell()).reshape(
-        shape, order="F" if by_column else "C"
-    )
+    dtype = np.dtype(found[1].decode())
+    # Python 2 wrote (3L, 3L).
+    shape = tuple(int(size) for size in found[3].replace(b"L", b"").split(b",") if size.strip())
+    try:
+        numbers = np.frombuffer(data, dtype, offset=stop)
+        return numbers.reshape(shape, order="F" if found[2] == b"True" else "C")
+    except ValueError as problem:
+        raise RecordingError(
+            f"{name} has {len(data) - stop} bytes for an array of shape {shape}; it is truncated "
+            "or damaged, copy it again."
+        ) from problem
