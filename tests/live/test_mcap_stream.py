@@ -577,5 +577,5 @@ def test_topics_of_other_names(short_drive: Path, recorded: Path, pipe: Path) ->
     assert not notes.fixes
     with pytest.raises(ConfigError, match="give one of left, right"):
         stream(short_drive, pipe, middle="/camera")
-    with pytest.raises(ConfigError, match="No MCAP is read from"):
+    with pytest.raises(ConfigError, match="is no MCAP; give"):
         McapStream("udp://:9000", stream(short_drive, pipe)._kind)

@@ -186,7 +186,7 @@ def test_gpsd_is_asked_for_what_the_receiver_writes() -> None:
         other, _ = server.accept()
         with other:
             other.sendall(b"HTTP/1.0 400 Bad Request\n")
-        notes.wait_told("no gpsd answers there, which would give its version; it says b'HTTP")
+        notes.wait_told("no gpsd answers there, which would give its version; it says 'HTTP")
     assert notes.fixes == FIXES
 
 

@@ -122,6 +122,12 @@ def test_an_error_that_is_none_says_nothing(words: str, tmp_path: Path) -> None:
     assert fix.sigma_m is None
 
 
+def test_an_age_beyond_numbers_says_nothing(tmp_path: Path) -> None:
+    age = GPST.splitlines()[-1].split()[-2]
+    (fix,) = read(tmp_path, GPST.replace(f" {age} ", " 1e999 ")).fixes
+    assert fix.age_s is None
+
+
 def test_heights_above_the_geoid_are_told(tmp_path: Path) -> None:
     content = GPST.replace("WGS84/ellipsoidal", "WGS84/geodetic")
     assert "above mean sea level" in read(tmp_path, content).notes[1]

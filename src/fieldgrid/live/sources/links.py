@@ -233,7 +233,8 @@ def _open_gpsd(address: Address) -> _Socket:
             said = parse_json(line)
         if not isinstance(said, dict) or said.get("class") != "VERSION":
             raise ConnectionError(
-                f"no gpsd answers there, which would give its version; it says {quoted(line)}"
+                "no gpsd answers there, which would give its version; it says "
+                f"{quoted(line.decode('latin-1').strip())}"
             )
         connected.sendall(_WATCH)
     except BaseException:

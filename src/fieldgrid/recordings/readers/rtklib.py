@@ -214,7 +214,8 @@ def _fixes(block: list[list[str]], header: _Header, scale: TimeScale, dated: boo
     errors = [of[name] for name in _SIGMAS if name in of] or [np.zeros(len(rows))]
     with np.errstate(over="ignore"):  # of a damaged word like 1e300; then it is not said
         sigma = np.sqrt(np.mean(np.square(errors), axis=0))
-    unsaid = np.full(len(rows), np.nan)
+    # What is computed afterwards also takes corrections that came later.
+    age_s = np.abs(of.get("age(s)", np.full(len(rows), np.nan)))
     fixes = FixColumns.of(
         times_ns,
         lat_deg=lat,
@@ -223,8 +224,7 @@ def _fixes(block: list[list[str]], header: _Header, scale: TimeScale, dated: boo
         quality=_QUALITIES[np.clip(of["q"], 0, len(_QUALITIES) - 1).astype(np.int64)],
         satellites=np.where(keep, of["ns"], NOT_SAID),
         sigma_m=np.where((sigma > 0.0) & np.isfinite(sigma), sigma, np.nan),
-        # What is computed afterwards also takes corrections that came later.
-        age_s=np.abs(of.get("age(s)", unsaid)),
+        age_s=np.where(np.isfinite(age_s), age_s, np.nan),
     )
     return fixes[keep]
 
