@@ -11,14 +11,17 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from fieldgrid.core import TaskResult
-from fieldgrid.core.workers.remote import OnCluster
+from fieldgrid.core.workers import cluster
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 
 class Cluster:
@@ -49,18 +52,18 @@ class Cluster:
         self._killed.append(self.pids[0])
         return self.pids[0]
 
-    def kill_one(self, monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, TaskResult]]:
-        """Kills a worker when the first task has ended; the tasks that end, with their groups."""
-        told, ended = OnCluster._told, list[tuple[int, TaskResult]]()
+    def kill_one(self, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+        """Kills a worker when the first task has ended; the results of the tasks that end."""
+        usual, ended = cluster.result_of, list[Any]()
 
-        def kill_one(found: OnCluster, group: int, what: Any) -> None:
-            if isinstance(what, TaskResult):
-                if not ended:
-                    self.kill()
-                ended.append((group, what))
-            told(found, group, what)
+        def kill_one(future: Future[Any], client: Client) -> Any:
+            result = usual(future, client)
+            if not ended:
+                self.kill()
+            ended.append(result)
+            return result
 
-        monkeypatch.setattr(OnCluster, "_told", kill_one)
+        monkeypatch.setattr(cluster, "result_of", kill_one)
         return ended
 
 

@@ -158,10 +158,11 @@ if TYPE_CHECKING:
         utc_text as utc_text,
     )
     from fieldgrid.core.workers.cluster import (
-        Cluster as Cluster,
-        Task as Task,
-        TaskResult as TaskResult,
-        WorkersDied as WorkersDied,
+        await_workers as await_workers,
+        check_versions as check_versions,
+        is_death as is_death,
+        result_of as result_of,
+        versions as versions,
     )
     from fieldgrid.core.workers.connecting import connected as connected
     from fieldgrid.core.workers.order import (

@@ -13,7 +13,6 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from queue import Empty
 from typing import TYPE_CHECKING
 
 from fieldgrid.core import (
@@ -45,17 +44,11 @@ from fieldgrid.pipeline.session import (
     check_output,
     is_in_map,
 )
-from fieldgrid.pipeline.staging.executor import (
-    DriveFailure,
-    DriveOrder,
-    Event,
-    Executor,
-    ShareResult,
-)
 from fieldgrid.pipeline.staging.part_key import part_key
 from fieldgrid.pipeline.staging.parts import (
     SHARE_FRAMES,
     DriveParts,
+    keep_part,
     left_behind,
     parts_folder,
     remove_parts,
@@ -64,8 +57,9 @@ from fieldgrid.pipeline.staging.parts import (
     write_part,
 )
 from fieldgrid.pipeline.staging.perception import follows_camera
-from fieldgrid.pipeline.staging.pool import Pool
+from fieldgrid.pipeline.staging.remote import packed, place_of
 from fieldgrid.pipeline.staging.shares import stage_frames
+from fieldgrid.pipeline.staging.staging import Processes, ShareResult, Staging, Workers
 from fieldgrid.recordings import DriveOptions, Recording, open_drive
 
 if TYPE_CHECKING:
@@ -196,7 +190,7 @@ class _Build:
     progress: Callable[[Progress], None] | None
     drives: list[_DriveBuild] = field(default_factory=list)
     client: Client | None = None
-    executor: Executor | None = None
+    staging: Staging | None = None
 
     def open(self, opened: ExitStack, options: DriveOptions | None, name: str | None) -> None:
         """Open the recordings, once the layers that the map keeps are known."""
@@ -215,7 +209,7 @@ class _Build:
             counts = [-(-drive.recording.frame_count // self.every) for drive in self._good()]
             shares = sum(len(shares_of(count)) for count in counts)
         if self.jobs > 1 and shares * SHARE_FRAMES >= WORTH_FRAMES:
-            self.executor = opened.enter_context(Pool(min(self.jobs, shares), self.out))
+            self.staging = opened.enter_context(Staging(Processes(min(self.jobs, shares))))
 
     def estimate(self, datum: Datum | None) -> Datum:
         """The datum of the map, after a look at what no image has to be read for."""
@@ -266,13 +260,9 @@ class _Build:
         missing = sum(len(drive.parts.missing()) for drive in self.drives if not drive.error)
         with ExitStack() as running:
             if self.client is not None and missing:
-                from fieldgrid.pipeline.staging.cluster import Stagers
-
-                self.executor = running.enter_context(Stagers(self.client))
-            elif self.executor is None:
+                self.staging = running.enter_context(Staging(Workers(self.client)))
+            elif self.staging is None:
                 self.start_processes(running, missing)
-            else:  # before the folders that it writes to are let go
-                running.callback(self.executor.close)
             for drive in self._good():
                 self._begin(drive, universal, taken)
             for drive in self._good():
@@ -303,10 +293,10 @@ class _Build:
         drive.tell = ProgressReporter(drive.session, self.progress)
         if parts.frames_done:
             drive.tell(parts.moved_m, parts.frames_done)
-        if self.executor is not None:
-            work = drive.session.work(drive.recording.source)
-            what = drive.number, drive.name, drive.recording.path, work
-            self.executor.add(DriveOrder(*what, parts.folder, parts.missing()))
+        if self.staging is not None:
+            place = None if self.client is None else place_of(drive.recording.path)
+            work = packed(drive.session.work(drive.recording.source), place)
+            self.staging.add(drive.number, work, place, parts.missing())
 
     def _finish(
         self, drive: _DriveBuild, universal: MapFile, taken: list[str], *, is_there: bool
@@ -319,10 +309,13 @@ class _Build:
                 f"{self.out} has a session {quoted(drive.name)} already, and no staged part of it "
                 "to go on with: that build had finished. Leave the recording out, or give --name."
             )
-        if self.executor is None:
+        if self.staging is None:
             self._stage(drive)
         while drive.error is None and not parts.is_complete:
-            self._next_event()
+            assert self.staging is not None
+            result = self.staging.next()
+            if result is not None:
+                self._take(self.drives[result.task.drive], result)
         if drive.error is not None:
             raise drive.error
         parts.check_bad(self.skip_bad)
@@ -354,32 +347,29 @@ class _Build:
                     parts.take(share)
                     parts.check_bad(self.skip_bad)
 
-    def _next_event(self) -> None:
-        """Take what the processes or workers tell."""
-        assert self.executor is not None
-        try:
-            event: Event = self.executor.events.get(timeout=0.5)  # so that Ctrl-C is heard
-        except Empty:
-            return
-        drive = self.drives[event.drive]
+    def _take(self, drive: _DriveBuild, result: ShareResult) -> None:
+        """Keep a share that another process has staged, or leave its drive out."""
+        share, staged = result.task.share, result.staged
         if drive.error is not None:
             return
-        if isinstance(event, DriveFailure):
-            if not isinstance(event.error, DRIVE_ERRORS):
-                raise event.error
-            self._fail(drive, event.error)
-        elif isinstance(event, ShareResult):
-            if drive.parts.take(event.share) is None:
+        try:
+            if staged is None:
+                raise result.error or RecordingError(
+                    f"Frames {share.first} to {share.last - 1} of {drive.name} have ended every "
+                    "process that staged them; leave the recording out, or give the processes "
+                    "more memory, as by fewer --jobs (with --jobs 1 there is only this process)."
+                )
+            keep_part(drive.parts.folder, share, staged.part)
+            if drive.parts.take(share) is None:
                 where = drive.parts.folder
                 raise MapError(f"The staged frames in {where} cannot be read back; check the disk.")
-            try:
-                drive.parts.check_bad(self.skip_bad)
-            except RecordingError as error:
-                self._fail(drive, error)
-        else:
-            if drive.began_s is None:
-                drive.began_s = event.at_s
-            drive.tell(event.moved_m, event.frames)
+            drive.parts.check_bad(self.skip_bad)
+        except DRIVE_ERRORS as error:
+            self._fail(drive, error)
+            return
+        if drive.began_s is None:
+            drive.began_s = time.perf_counter() - staged.took_s
+        drive.tell(staged.moved_m, share.last - share.first)
 
     def _good(self) -> Iterator[_DriveBuild]:
         """The drives that have not failed; raises when there is none."""
@@ -392,8 +382,8 @@ class _Build:
     def _fail(self, drive: _DriveBuild, error: FieldgridError) -> None:
         """Leave a drive out, or end the build."""
         drive.error = error
-        if self.executor is not None:
-            self.executor.drop(drive.number)
+        if self.staging is not None:
+            self.staging.drop(drive.number)
         if drive.key:
             drive.parts.remove()
         if self.fail_fast or len(self.drives) == 1:

@@ -1,4 +1,4 @@
-"""Frames that kill the process of a build that stages them, or raise what cannot be sent."""
+"""Frames that kill the process of a build that stages them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from fieldgrid.core import Int64, RecordingError
+from fieldgrid.core import Int64
 from fieldgrid.recordings import Drive, DriveOptions, Frame, FrameSource, open_drive
 
 
@@ -41,24 +41,8 @@ class Killing:
             yield frame
 
 
-class OddError(RecordingError):
-    """Can be pickled, and not be made again from that."""
-
-    def __init__(self, number: int, what: str) -> None:
-        super().__init__(f"Frame {number} {what}.")
-
-
-class Raising(Killing):
-    """The same, but it raises."""
-
-    def frames(self, start: int, stop: int) -> Iterator[Frame]:
-        if os.getpid() != self.survivor:
-            raise OddError(start, "is odd")
-        yield from self.source.frames(start, stop)
-
-
 def opening(  # type: ignore[no-untyped-def]
-    name: str, at: int, times: int, marks: Path, kind: type[Killing] = Killing
+    name: str, at: int, times: int, marks: Path
 ):
     """`open_drive`, but the drive of this name kills."""
 
@@ -66,6 +50,6 @@ def opening(  # type: ignore[no-untyped-def]
         found = open_drive(path, options).recording()
         if found.name != name:
             return found
-        return replace(found, source=kind(found.source, at, times, marks, os.getpid()))
+        return replace(found, source=Killing(found.source, at, times, marks, os.getpid()))
 
     return opened

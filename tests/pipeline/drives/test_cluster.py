@@ -141,7 +141,7 @@ def test_a_recording_that_kills_workers_is_named_and_left_out(
     (failed,) = told.value.failed
     assert failed[0] == "second"
     assert (tmp_path / "marks").read_text() == "xx"  # beside others, and alone
-    assert "Frames 2 to 3 of second have ended every Dask worker that staged them" in failed[1]
+    assert "Frames 2 to 3 of second have ended every process that staged them" in failed[1]
     with open_map(tmp_path / "m.gpkg") as universal:
         assert [info.name for info in universal.sessions()] == ["first"]
     assert {path.name for path in tmp_path.iterdir()} == {"m.gpkg", "marks"}
@@ -165,9 +165,8 @@ def test_a_worker_of_another_version_ends_the_build(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    usual = cluster.versions
-    asked = iter([{**usual(), "OpenCV": "9.9"}])  # here; then the worker, in this process, too
-    monkeypatch.setattr(cluster, "versions", lambda: next(asked, usual()))
+    usual = remote.versions
+    monkeypatch.setattr(remote, "versions", lambda: {**usual(), "OpenCV": "9.9"})
     said = rf"The worker on .* has OpenCV {cv2.__version__}, not 9\.9; install there .* fieldgrid "
     with pytest.raises(ClusterError, match=said):
         build(there[0], tmp_path / "m.gpkg", scheduler=inside.scheduler_address, skip_bad=1)
@@ -201,7 +200,7 @@ def test_a_worker_with_another_file_of_that_name_is_told(tmp_path: Path) -> None
     place = remote.place_of(bag)
     bag.write_bytes(b"12")
     with pytest.raises(ClusterError, match=r"has 2 bytes on the worker .*, and 4 here; mount or"):
-        remote.stage_share(b"", (0, 2), place)
+        remote.stage_share(b"", parts.Share(0, 2), place)
 
 
 def test_frames_that_cannot_be_sent_are_refused(
@@ -218,7 +217,7 @@ def test_frames_that_cannot_be_sent_are_refused(
         return replace(found, source=Here(found.source, 0, 0, tmp_path / "marks", os.getpid()))
 
     monkeypatch.setattr(drives, "open_drive", opened)
-    with pytest.raises(ConfigError, match=r"cannot be given .*, or leave out --scheduler\."):
+    with pytest.raises(ConfigError, match=r"cannot be given .* and no --scheduler\."):
         build([make_drive()], tmp_path / "m.gpkg", scheduler=inside.scheduler_address)
     assert [path.name for path in tmp_path.iterdir()] == ["drive"]
 
@@ -230,9 +229,9 @@ def test_a_defect_on_a_worker_ends_the_build_with_its_traceback(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(remote, "part_bytes", lambda *_: 1 // 0)
-    with pytest.raises(RuntimeError, match=r"(?s)Traceback.*ZeroDivisionError") as told:
+    with pytest.raises(ZeroDivisionError) as told:
         build([make_drive()], tmp_path / "m.gpkg", scheduler=inside.scheduler_address)
-    assert not isinstance(told.value, ClusterError)
+    assert "stage_share" in {entry.name for entry in told.traceback}
 
 
 def test_a_scheduler_that_goes_away_ends_the_build(make_drive: MakeDrive, tmp_path: Path) -> None:
@@ -254,10 +253,10 @@ def test_a_scheduler_that_goes_away_ends_the_build(make_drive: MakeDrive, tmp_pa
 def test_a_scheduler_without_workers_is_not_waited_for_without_end(
     make_drive: MakeDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster, "NO_WORKERS_S", 0.0)
+    monkeypatch.setattr(cluster, "NO_WORKERS_S", 0.1)
     with (
         distributed.LocalCluster(n_workers=0, dashboard_address=":0") as empty,
-        pytest.raises(ClusterError, match=r"has had no worker for 0 s; start some with: dask work"),
+        pytest.raises(ClusterError, match=r"has had no worker for 0.1 s; start some with: dask work"),
     ):
         build([make_drive()], tmp_path / "m.gpkg", scheduler=empty.scheduler_address)
 

@@ -63,16 +63,31 @@ def by_threads(
     """The results of work on items, in their order; at most `ahead` of them are under way or wait
     while another is taken. Close it when it is not taken to its end: its threads end then."""
     pool = ThreadPoolExecutor(threads, thread_name_prefix="fieldgrid")
+    try:
+        yield from in_turn(lambda item: pool.submit(work, item), items, ahead)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def in_turn(
+    submit: Callable[[_Item], Future[_Result]],
+    items: Iterable[_Item],
+    ahead: int,
+    take: Callable[[Future[_Result]], _Result] = Future.result,
+) -> Generator[_Result, None, None]:
+    """The results of what is submitted of items, in their order; at most `ahead` of them are under
+    way or wait while another is taken. Closed, it takes back the rest."""
     waiting: deque[Future[_Result]] = deque()
     try:
         for item in items:
-            waiting.append(pool.submit(work, item))
+            waiting.append(submit(item))
             if len(waiting) > ahead:
-                yield waiting.popleft().result()
+                yield take(waiting.popleft())
         while waiting:
-            yield waiting.popleft().result()
+            yield take(waiting.popleft())
     finally:
-        pool.shutdown(cancel_futures=True)
+        for future in waiting:
+            future.cancel()
 
 
 def cores() -> int:

@@ -19,8 +19,8 @@ def runner(jobs: int | None, scheduler: str | Client | None = None) -> Iterator[
     if scheduler is None:
         yield Threads(jobs)
         return
+    from fieldgrid.core.workers.cluster import OnCluster
     from fieldgrid.core.workers.connecting import connected
-    from fieldgrid.core.workers.remote import OnCluster
 
-    with connected(scheduler) as client, OnCluster(client) as found:
-        yield found
+    with connected(scheduler) as client:
+        yield OnCluster(client)

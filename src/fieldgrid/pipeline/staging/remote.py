@@ -1,4 +1,4 @@
-"""A share of a drive, staged on another machine: what a worker of `cluster` runs."""
+"""A share of a drive, staged in another process: one of this machine, or of another."""
 
 from __future__ import annotations
 
@@ -12,14 +12,21 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fieldgrid.core import ClusterError, FieldgridError, MapWriteError, check_is_here
+from fieldgrid.core import (
+    ClusterError,
+    ConfigError,
+    FieldgridError,
+    MapWriteError,
+    check_is_here,
+    check_versions,
+    versions,
+)
 from fieldgrid.pipeline.staging.parts import Share, part_bytes, write_part
 from fieldgrid.pipeline.staging.shares import DriveWork, FrameOutcome, stage_frames
-from fieldgrid.pipeline.staging.worker import not_importable, unpacked
 from fieldgrid.recordings import (
     cache_folder,
     copy_of,
@@ -29,19 +36,19 @@ from fieldgrid.recordings import (
     url_of,
 )
 
-_AT_HOME = "leave out --scheduler"
-
 
 class RecordingPlace(NamedTuple):
-    """Where a recording lies, for all workers: its absolute path, the size of a file, None of a
-    folder, and the folder that a relative path was given from, else empty. Of the copy of a
-    recording at a URL, that and the version of the copy, else empty: each worker makes its own."""
+    """Where a recording lies, for workers of other machines: its absolute path, the size of a file,
+    None of a folder, and the folder that a relative path was given from, else empty. Of the copy of
+    a recording at a URL, that and the version of the copy, else empty: each worker makes its own.
+    `wanted` are the versions that a worker has to have."""
 
-    path: str
+    path: Path
     size: int | None
     given_from: str
     url: str
     version: str
+    wanted: dict[str, str]
 
 
 class StagedShare(NamedTuple):
@@ -58,9 +65,8 @@ def place_of(recording: Path) -> RecordingPlace:
     size = path.stat().st_size if path.is_file() else None
     given_from = "" if recording.is_absolute() else str(Path.cwd())
     url = url_of(path)
-    if url is None:
-        return RecordingPlace(str(path), size, given_from, "", "")
-    return RecordingPlace(str(path), size, given_from, url, read_manifest(path).version)
+    version = "" if url is None else read_manifest(path).version
+    return RecordingPlace(path, size, given_from, url or "", version, versions())
 
 
 class _PathPickler(pickle.Pickler):
@@ -74,41 +80,47 @@ class _PathPickler(pickle.Pickler):
         return NotImplemented if value.is_absolute() else (Path, (str(value.absolute()),))
 
 
-def packed(work: DriveWork) -> bytes:
-    """The work on a drive, for a worker. ConfigError when it cannot be sent."""
+def packed(work: DriveWork, place: RecordingPlace | None) -> bytes:
+    """The work on a drive, for another process, of another machine where its recording has a
+    `place`. ConfigError when it cannot be sent."""
     data = io.BytesIO()
     try:
-        _PathPickler(data).dump(work)
+        (pickle.Pickler if place is None else _PathPickler)(data).dump(work)
     except (pickle.PicklingError, TypeError, AttributeError) as error:
-        raise not_importable(error, _AT_HOME) from error
+        raise ConfigError(
+            f"The frames of this drive cannot be given to other processes ({error}); define their "
+            "classes in a module that can be imported, or give --jobs 1 and no --scheduler."
+        ) from error
     return data.getvalue()
 
 
-def stage_share(
-    work: bytes, share: tuple[int, int], place: tuple[str, int | None, str, str, str]
-) -> StagedShare:
-    """Stage the frames number `share[0]` to before `share[1]` of a drive, `packed`.
+_unpacked = lru_cache(maxsize=2)(pickle.loads)
 
-    Raises ClusterError when this machine does not have the recording and cannot fetch it, or has no
+
+def stage_share(work: bytes, share: Share, place: RecordingPlace | None) -> StagedShare:
+    """Stage a share of a drive, `packed`; on another machine the recording is at a `place`.
+
+    Raises ClusterError when that machine does not have the recording and cannot fetch it, or has no
     room for the part.
     """
     start = time.perf_counter()
-    where, frames = RecordingPlace(*place), Share(*share)
-    if where.url:
-        _fetch(where, _unpacked(work), frames)
-    else:
-        check_is_here(Path(where.path), where.size, "recordings")
+    if place is not None:
+        check_versions(place.wanted)
+        if not place.url:
+            check_is_here(place.path, place.size, "recordings")
+    unpacked: DriveWork = _unpacked(work)
+    if place is not None and place.url:
+        _fetch(place, unpacked, share)
     moved_m: list[float] = []
     with tempfile.TemporaryDirectory(prefix="fieldgrid-") as name:
         folder = Path(name)
-        with closing(stage_frames(_unpacked(work), *frames, jobs=1)) as looks:
+        with closing(stage_frames(unpacked, *share, jobs=1)) as looks:
+            given = looks if place is None else _as_given(looks, place)
             try:
-                write_part(folder, folder, frames, _as_given(looks, where), moved_m.append)
+                write_part(folder, folder, share, given, moved_m.append)
             except MapWriteError as error:
-                raise ClusterError(
-                    f"The worker on {platform.node()} has no room: {error}"
-                ) from error
-        part = part_bytes(folder, frames)
+                raise ClusterError(f"{platform.node()} has no room: {error}") from error
+        part = part_bytes(folder, share)
     return StagedShare(part, sum(moved_m), time.perf_counter() - start)
 
 
@@ -136,14 +148,11 @@ def _fetch(place: RecordingPlace, work: DriveWork, share: Share) -> None:
         )
 
 
-_unpacked = lru_cache(maxsize=2)(partial(unpacked, remedy=_AT_HOME))
-
-
 def _as_given(looks: Iterable[FrameOutcome], place: RecordingPlace) -> Iterator[FrameOutcome]:
     """The frames with their paths as they were given: a map names images by them."""
     here, given = place.given_from, ""
     if place.url:
-        here, given = str(copy_of(place.url).parent), str(Path(place.path).parent)
+        here, given = str(copy_of(place.url).parent), str(place.path.parent)
     if here == given:
         yield from looks
         return
