@@ -3,7 +3,7 @@
 * `errors`: each error that users see, `FieldgridError` first; `documents`, `input_limits` and
   `publish`: untrusted TOML and JSON, bounds of inputs, files that appear whole or not at all.
 * `settings`: `BuildSettings` from defaults, a file and flags, each declared once.
-* `workers`: work in order on threads (`in_order`) or on a Dask cluster (`Runner`).
+* `workers`: work in order on threads (`Threads`) or on a Dask cluster (`Runner`).
 * `kernels` compiles inner loops; `entry_points` loads what other packages add.
 * `quality` of fixes, `palette` of all pictures, `reasons` of refusals, `utc`, `notebook`.
 
@@ -169,7 +169,6 @@ if TYPE_CHECKING:
         Runner as Runner,
         Threads as Threads,
         by_threads as by_threads,
-        in_order as in_order,
     )
     from fieldgrid.core.workers.place import check_is_here as check_is_here
     from fieldgrid.core.workers.runner import runner as runner

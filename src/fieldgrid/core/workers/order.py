@@ -93,10 +93,3 @@ def in_turn(
 def cores() -> int:
     """How many threads are worth having."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def in_order(
-    work: Callable[[_Item], _Result], items: Iterable[_Item], jobs: int | None = None
-) -> Iterator[_Result]:
-    """The results of work on items by threads, in their order."""
-    return Threads(jobs).in_order(work, items)

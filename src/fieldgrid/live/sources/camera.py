@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from typing import Any
 
 import cv2
 import numpy as np
@@ -19,7 +18,7 @@ from fieldgrid.core import ConfigError, quoted
 from fieldgrid.geometry import Rig
 from fieldgrid.live.intake import Intake
 from fieldgrid.live.pushed import PushedSource
-from fieldgrid.recordings import Image, PairRectifier, StereoFrame
+from fieldgrid.recordings import PairRectifier, StereoFrame
 
 
 def open_device(number: int, size_px: tuple[int, int]) -> cv2.VideoCapture:
@@ -103,7 +102,8 @@ class StereoDevices:
             is_there, picture = device.retrieve()
             if not is_there:
                 raise OSError("a picture of it cannot be read")
-            pictures.append(_grey(picture))
+            grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+            pictures.append(np.ascontiguousarray(grey, dtype=np.uint8))
         if len(pictures) == 1:
             half = pictures[0].shape[1] // 2
             pictures = [pictures[0][:, :half], pictures[0][:, half:]]
@@ -114,8 +114,3 @@ class StereoDevices:
 
     def finish(self, intake: Intake) -> None:
         """Nothing is left open."""
-
-
-def _grey(picture: Any) -> Image:
-    grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-    return np.ascontiguousarray(grey, dtype=np.uint8)

@@ -110,8 +110,9 @@ class McapStream:
     ) -> None:
         self._address = parse_address(address)
         if self._address.kind not in ("stdin", "fifo", "tcp"):
-            given = quoted(address)
-            raise ConfigError(f"{given} is no MCAP; give -, a FIFO's path or tcp://HOST:PORT.")
+            raise ConfigError(
+                f"{quoted(address)} is no MCAP; give -, a FIFO's path or tcp://HOST:PORT."
+            )
         if not isinstance(kind, PairKind | CloudKind):
             raise ConfigError(
                 "Of an MCAP pairs and clouds are read while driving; give the rig of a stereo "
@@ -197,7 +198,10 @@ class McapStream:
                 if channel.is_attitude:
                     self._take(ATTITUDE, message, intake)
                 if channel.connection.type == _TEXT and message.topic in RECORDED:
-                    self._recorded(message, intake)
+                    # Roll and pitch of a converted drive; the texts have their own times.
+                    with suppress(RecordingError):
+                        told = self._leans.recorded(message.topic, decode(message).data)
+                        self._push_motion(told, intake)
 
     def _role(self, connection: Connection, intake: Intake) -> str:
         """What the messages of a topic are for; empty for nothing."""
@@ -295,7 +299,8 @@ class McapStream:
             self._turns[message.topic] = frame, self._turn_of(frame)
         _, turn = self._turns[message.topic]
         cloud = MessageCloud(message, time_ns, turn, self._kind.corrected)
-        intake.push_frame(CloudFrame(self._frame_id(), time_ns, cloud))
+        intake.push_frame(CloudFrame(f"{self._frames:06d}", time_ns, cloud))
+        self._frames += 1
 
     def _turn_of(self, frame: str) -> tuple[float, ...]:
         """What turns points of a frame into right, down, forward, by what is known of it now."""
@@ -303,10 +308,6 @@ class McapStream:
         is_said = axes != CloudKind().axes and not is_optical(frame)
         R = optical(frame, self._transforms, axes if is_said else None)
         return tuple(R.ravel().tolist())
-
-    def _frame_id(self) -> str:
-        self._frames += 1
-        return f"{self._frames - 1:06d}"
 
     def _image(self, role: str, message: Message, time_ns: int, intake: Intake) -> None:
         """Hold an image until its partner comes, and give the pair."""
@@ -325,7 +326,8 @@ class McapStream:
                 pair_ns, bits = left[0][1], kind.image_format.bits or 16
                 first, second = (image_source(*side.popleft(), bits) for side in self._waiting)
                 pair = first, second, kind.size_px, kind.rectifier
-                intake.push_frame(StereoFrame(self._frame_id(), pair_ns, *pair))
+                intake.push_frame(StereoFrame(f"{self._frames:06d}", pair_ns, *pair))
+                self._frames += 1
         for waiting in self._waiting:
             while len(waiting) > MOST_WAITING:
                 waiting.popleft()
@@ -367,11 +369,6 @@ class McapStream:
         imu, kind = self._given.get("imu", self._roles.get("imu")), message.connection.type
         said, is_of_imu = decode(message), imu == message.topic
         self._push_motion(self._leans.take_given(said, time_ns, kind, is_of_imu=is_of_imu), intake)
-
-    def _recorded(self, message: Message, intake: Intake) -> None:
-        """Take roll and pitch as a converted drive keeps them, whose texts have their own times."""
-        with suppress(RecordingError):
-            self._push_motion(self._leans.recorded(message.topic, decode(message).data), intake)
 
     def _is_pose(self, connection: Connection, intake: Intake) -> bool:
         """Whether a topic is that of the poses."""

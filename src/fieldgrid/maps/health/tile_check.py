@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from fieldgrid.core import MapError, in_order
+from fieldgrid.core import MapError, Threads
 from fieldgrid.geometry import TileIndex
 from fieldgrid.maps.health.feature_check import differences, empty_map
 from fieldgrid.maps.tiles.png import decode_png
@@ -36,7 +36,7 @@ def check_tiles(subject: Subject) -> Iterator[str]:
         yield from differences(subject.connection, scratch, {"tile": query})
         yield from check_pictures(subject.connection, anew, zooms)
         places = anew.rows(f"SELECT DISTINCT zoom, ty, tx FROM fieldgrid_tile WHERE {zooms}")
-        yield from filter(None, in_order(partial(_difference, tables, anew), places))
+        yield from filter(None, Threads().in_order(partial(_difference, tables, anew), places))
 
 
 def _difference(tables: TileTables, anew: TileTables, place: tuple[int, int, int]) -> str:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import MapError, in_order
+from fieldgrid.core import MapError, Threads
 from fieldgrid.geometry import TILE_CELLS, TileIndex, Window, tile_window
 from fieldgrid.maps.file import schema
 from fieldgrid.maps.layers.declaration import Cells, ChannelGroup, Combine, is_nothing
@@ -88,7 +88,7 @@ class Pyramid:
             same = joining.blobs(tile) if joining is not None and cells is come else {}
             return encoded_tile(tile, cells, self._groups, same)
 
-        changed = in_order(work, sorted(tiles), self._jobs)
+        changed = Threads(self._jobs).in_order(work, sorted(tiles))
         self._put_base(changed, shrinks=leaving is not None or bool(cleared))
 
     def fill(self, tiles: Iterable[EncodedTile]) -> None:
@@ -115,7 +115,7 @@ class Pyramid:
                 return encoded_tile(tile, cells, kept), cells
 
             below = {}
-            for encoded, cells in in_order(made, sorted(lacking), self._jobs):
+            for encoded, cells in Threads(self._jobs).in_order(made, sorted(lacking)):
                 self._tables.put(zoom, encoded.tile, encoded.blobs, encoded.picture)
                 if len(below) < _SETTLED_TILES:
                     below[encoded.tile] = cells

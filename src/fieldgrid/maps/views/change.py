@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fieldgrid.core import ConfigError, UInt8, in_order
+from fieldgrid.core import ConfigError, Threads, UInt8
 from fieldgrid.geometry import OBSTACLE_ABOVE, Bounds, Datum, Lattice, Window
 from fieldgrid.maps.file.history import until
 from fieldgrid.maps.layers.registry import GROUPS
@@ -128,7 +128,7 @@ def read_change(
         after[(lost > 0) & (after == 1)] = 0
         change[request.window.slices_of(chunk)] = _OUTCOME[before, after]
 
-    for _ in in_order(fill, chunks(request.window, by.factor)):
+    for _ in Threads().in_order(fill, chunks(request.window, by.factor)):
         pass
     names = tuple(early), tuple(late)
     return ChangeView(request.lattice, request.window, change, header.datum, *names)

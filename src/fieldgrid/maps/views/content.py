@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import ConfigError, in_order
+from fieldgrid.core import ConfigError, Threads
 from fieldgrid.geometry import Bounds, TileIndex, tile_window
 from fieldgrid.maps.file.evidence import EvidenceTables
 from fieldgrid.maps.file.header import MapHeader
@@ -108,7 +108,9 @@ class MapContent:
                 np.not_equal(grey_alpha[..., 1], 0, out=view.observed[place])
 
         matrices = TileMatrixSet(self.header.lattice)
-        for _ in in_order(draw, self.evidence.pictures(view.window, matrices, level), request.jobs):
+        for _ in Threads(request.jobs).in_order(
+            draw, self.evidence.pictures(view.window, matrices, level)
+        ):
             pass
         return True
 

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from fieldgrid.core import Bool, UInt8, in_order
+from fieldgrid.core import Bool, Threads, UInt8
 from fieldgrid.geometry import MAX_CELL_M, TILE_CELLS, Lattice, Window, aligned_parts
 from fieldgrid.maps.cost import DENSITIES
 from fieldgrid.maps.file.header import MapHeader
@@ -205,7 +205,7 @@ def _fold(content: Content, request: Request, views: Sequence[MapView]) -> None:
                     values = layer.around.of(values, reach_cells)
                 array[place] = values[inside]
 
-    for _ in in_order(fill, chunks(request.window, factor), request.jobs):
+    for _ in Threads(request.jobs).in_order(fill, chunks(request.window, factor)):
         pass
 
 

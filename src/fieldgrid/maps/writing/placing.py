@@ -14,7 +14,7 @@ from functools import lru_cache, reduce
 from itertools import count
 from typing import NamedTuple, TypeVar
 
-from fieldgrid.core import Closing, UInt64, in_order
+from fieldgrid.core import Closing, Threads, UInt64
 from fieldgrid.geometry import TILE_CELLS, GridSpec, Lattice, Pose, TileIndex, Window, tile_window
 from fieldgrid.maps.layers.blocks import block_side
 from fieldgrid.maps.layers.declaration import Cells, ChannelGroup
@@ -183,7 +183,7 @@ class FoldedTiles(Closing):
                 return tile, cells, {}
             return tile, None, encode_groups(self._groups, cells, base=True)
 
-        for results in in_order(lambda at: squares.fold(at, kept), squares.places()):
+        for results in Threads().in_order(lambda at: squares.fold(at, kept), squares.places()):
             for tile, cells, blobs in results:
                 if only is not None and tile not in only:
                     continue
