@@ -54,7 +54,7 @@ def _complete(local: LocalCluster, killed: set[int]) -> set[int]:
         known = local.scheduler_info["workers"]
         nannies = local.workers.values()
         pids = {nanny.pid for nanny in nannies if nanny.worker_address in known} - killed
-        if len(pids) == WORKERS:
+        if len(pids) == WORKERS and None not in pids:
             return pids
         time.sleep(0.05)
 

@@ -630,8 +630,9 @@ def test_a_worker_fetches_the_files_of_its_frames_only(
             memory.pipe(f"/vines/june-10/{file.relative_to(drive)}", file.read_bytes())
     here = fetch("memory://vines/june-10")
     work = work_on(here)
-    place, packed = remote.place_of(here), remote.packed(work)
-    passing_over = remote.packed(work._replace(skips_bad=True))
+    place = remote.place_of(here)
+    packed = remote.packed(work, place)
+    passing_over = remote.packed(work._replace(skips_bad=True), place)
     parts = [remote.stage_share(packed, Share(k, k + 2), place) for k in (0, 2)]
     monkeypatch.setenv("FIELDGRID_CACHE", str(tmp_path / "of the worker"))
     remote._unpacked.cache_clear()
@@ -816,8 +817,8 @@ def test_a_worker_makes_its_own_copy_and_names_images_as_here(
     zipped: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     here = fetch(zipped)
-    work = remote.packed(work_on(here))
     place = remote.place_of(here)
+    work = remote.packed(work_on(here), place)
     assert place.url == zipped
     at_home = remote.stage_share(work, Share(0, 2), place)
     monkeypatch.setenv("FIELDGRID_CACHE", str(tmp_path / "of the worker"))

@@ -34,7 +34,7 @@ BAG = Format(
     "a ROS 1 .bag, an .mcap or .db3, or the folder of one that is several files",
     _late("ros.bag", "is_bag"),
     _late("bag.opening", "open_bag_drive"),
-    _late("bag.sensors.mounts", "mounting_path"),
+    _late("bag.opening", "mounting_path"),
 )
 
 for _format in (

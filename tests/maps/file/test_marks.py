@@ -276,7 +276,7 @@ def test_geojson_that_cannot_be_marks_is_refused(document: object, message: str)
 
 
 def test_a_kind_is_needed() -> None:
-    with pytest.raises(ConfigError, match=r"has None as its kind; give one of keepout, free"):
+    with pytest.raises(ConfigError, match=r"has 'no kind' as its kind; give one of keepout, free"):
         marks_of_geojson({"type": "Point", "coordinates": [-1.2, 39.4]}, DATUM, {})
 
 

@@ -32,7 +32,8 @@ class Runner(Protocol):
         most: int | None = None,
     ) -> Iterator[_Result]:
         """The results of work on items, in their order. `batch` of them travel together; at most
-        `most` such batches are under way or wait here, where results are large."""
+        `most` such batches are under way or wait here, where results are large. Nothing works on
+        once nobody holds the iterator."""
 
 
 class Threads:
@@ -47,14 +48,12 @@ class Threads:
         items: Iterable[_Item],
         batch: int = 1,
         most: int | None = None,
-    ) -> Iterator[_Result]:
+    ) -> Generator[_Result, None, None]:
         """The results of work on items, in their order, few more than the threads at a time. One
         thread works while the caller does only where results are large, and so `most` is given."""
-        return (
-            map(work, items)
-            if self.here < 2 and most is None
-            else by_threads(work, items, self.here, self.here)
-        )
+        if self.here < 2 and most is None:
+            return (work(item) for item in items)
+        return by_threads(work, items, self.here, self.here)
 
 
 def by_threads(

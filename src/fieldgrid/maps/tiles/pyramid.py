@@ -12,7 +12,8 @@ when the map is closed; until then readers make larger cells from the map's own.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Generator, Mapping, Sequence
+from contextlib import closing
 from typing import NamedTuple
 
 import numpy as np
@@ -88,10 +89,12 @@ class Pyramid:
             same = joining.blobs(tile) if joining is not None and cells is come else {}
             return encoded_tile(tile, cells, self._groups, same)
 
-        changed = Threads(self._jobs).in_order(work, sorted(tiles))
-        self._put_base(changed, shrinks=leaving is not None or bool(cleared))
+        self._put_base(
+            Threads(self._jobs).in_order(work, sorted(tiles)),
+            shrinks=leaving is not None or bool(cleared),
+        )
 
-    def fill(self, tiles: Iterable[EncodedTile]) -> None:
+    def fill(self, tiles: Generator[EncodedTile, None, None]) -> None:
         """Take all base tiles as they come, and make those above them; the tables of the map are
         empty before."""
         self._put_base(tiles, shrinks=False)
@@ -121,14 +124,15 @@ class Pyramid:
                     below[encoded.tile] = cells
         self._connection.execute("DELETE FROM fieldgrid_meta WHERE key = ?", (schema.UNSETTLED,))
 
-    def _put_base(self, changed: Iterable[EncodedTile], *, shrinks: bool) -> None:
+    def _put_base(self, changed: Generator[EncodedTile, None, None], *, shrinks: bool) -> None:
         """Store base tiles, and take out those above them."""
         tiles, seen = set[TileIndex](), None
-        for encoded in changed:
-            self._tables.put(self._base, encoded.tile, encoded.blobs, encoded.picture)
-            tiles.add(encoded.tile)
-            if encoded.seen is not None:
-                seen = union(seen, _placed(encoded.tile, encoded.seen))
+        with closing(changed):  # a full disk: its threads must not read a map that is closed
+            for encoded in changed:
+                self._tables.put(self._base, encoded.tile, encoded.blobs, encoded.picture)
+                tiles.add(encoded.tile)
+                if encoded.seen is not None:
+                    seen = union(seen, _placed(encoded.tile, encoded.seen))
         top = self._tables.top_zoom() or self._base + 1
         for zoom in range(self._base - 1, top - 1, -1):
             tiles = {parent(tile) for tile in tiles}

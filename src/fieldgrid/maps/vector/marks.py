@@ -330,8 +330,8 @@ def marks_of_geojson(document: Any, datum: Datum, usual: Mapping[str, str]) -> l
             kind = said.get("kind") or usual.get("kind")
             if kind not in set(MarkKind):
                 raise ConfigError(
-                    f"A feature of the GeoJSON has {quoted(kind)} as its kind; give one of "
-                    f"{', '.join(MarkKind)}, as its property or with --kind."
+                    f"A feature of the GeoJSON has {quoted(kind or 'no kind')} as its kind; give "
+                    f"one of {', '.join(MarkKind)}, as its property or with --kind."
                 )
             shape, places = str(of["type"]), of["coordinates"]
             parts = places if shape.startswith("Multi") else [places]

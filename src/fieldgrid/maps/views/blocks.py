@@ -68,8 +68,8 @@ def blocks_of(
         )
     read = partial(_block_views, content, request)
     northern_first = sorted(aligned_parts(window, _ROWS, _COLUMNS), key=lambda part: -part.j0)
-    blocks = run.in_order(read, northern_first, most=_MOST)
+    blocks = (view for block in run.in_order(read, northern_first, most=_MOST) for view in block)
     larger = map(request.at_level, range(1, request.levels + 1))
     levels = {one.lattice: one.window for one in larger}
-    with closing(view for block in blocks for view in block) as views:
+    with closing(blocks) as views:
         yield MapBlocks(request.lattice, window, views, levels)

@@ -163,8 +163,9 @@ def fold_tiles(subject: Subject, into: TileTables) -> None:
     """Fold the frames of all active sessions into the tables of tiles of a map, which are empty
     before."""
     fold, run = MapFold(subject), subject.runner
-    squares = run.in_order(fold, fold.squares.places())
-    Pyramid(into, run.here).fill(chain.from_iterable(squares))
+    Pyramid(into, run.here).fill(
+        tile for square in run.in_order(fold, fold.squares.places()) for tile in square
+    )
 
 
 def active_frames(connection: sqlite3.Connection) -> list[PlacedFrame]:
