@@ -9,7 +9,6 @@ from fieldgrid.core import Float64
 from fieldgrid.field.align.drives import Role, SubmapDrive
 from fieldgrid.field.align.matches import Match
 from fieldgrid.field.align.network import FACE_M, NetworkSolution, solve
-from fieldgrid.field.align.report import _with_contradictions
 from fieldgrid.field.align.submaps import Submap
 from fieldgrid.maps import Transform
 
@@ -206,7 +205,27 @@ def test_drives_that_follow_a_leap_of_a_better_one_are_as_unsure_as_that(poor: i
     pairs = [(n, poor) for n in range(poor)] + ([(0, 1)] if poor == 2 else [])
     some = matches(off, pairs)
     solution = solve(drives, [Transform()] * len(drives), some)
-    sigma_m = _with_contradictions(drives, some, solution, solution.sigma_m)
     for n in range(len(drives)):
         off_m = np.hypot(*(moved(solution, n) + off[n]).T)
-        assert (off_m < 3.0 * sigma_m[n, n]).all()
+        assert (off_m < 3.0 * solution.sigma_m[n, n]).all()
+
+
+@pytest.mark.parametrize("stated_m", [(0.02, 0.02), (0.02, 0.3)])
+def test_a_match_that_stands_alone_does_not_make_drives_less_sure(
+    stated_m: tuple[float, float],
+) -> None:
+    drives = [drive(name, sigma_m) for name, sigma_m in zip("ab", stated_m, strict=True)]
+    good = matches({0: constant(0.0, 0.0), 1: constant(0.0, 0.0)}, [(0, 1)] * 3)
+    wrong = [*good[:-1], good[-1]._replace(shift_m=np.array([2.0, -1.8]))]
+    without, with_it = (solve(drives, [Transform()] * 2, some) for some in (good, wrong))
+    assert (with_it.sigma_m < 1.5 * without.sigma_m).all()
+    assert np.abs(moved(with_it, 1)).max() < 0.02
+
+
+def test_of_two_camps_that_nobody_can_tell_apart_the_sigma_covers_both() -> None:
+    off = {0: constant(0.0, 0.0), 1: constant(0.0, 0.0)}
+    camps = matches(off, [(0, 1)]) + matches({**off, 1: constant(0.8, 0.0)}, [(0, 1)])
+    found = solve([drive("a", 0.02), drive("b", 0.3)], [Transform()] * 2, camps)
+    for camp in off[1], constant(0.8, 0.0):
+        assert np.hypot(*(moved(found, 1) + camp).mean(axis=0)) < 3.0 * found.sigma_m[0, 1]
+    assert (found.misfit > 4.0).any()

@@ -22,10 +22,11 @@ from fieldgrid.core import ConfigError, Float64, Runner, Threads, quoted, runner
 from fieldgrid.field.align.agreement import Agreement, agree
 from fieldgrid.field.align.beside import with_beside
 from fieldgrid.field.align.comparing import SubmapGroup, fine_matches, whole_scores
+from fieldgrid.field.align.disagreement import left_between, wrong_ones
 from fieldgrid.field.align.drives import WANDER_SHARE, Role, SubmapDrive, read_drives
 from fieldgrid.field.align.heights import HeightCorrections, level
 from fieldgrid.field.align.matches import Match
-from fieldgrid.field.align.network import left_between, solve, turn_sigma_deg, wrong_ones
+from fieldgrid.field.align.network import solve, turn_sigma_deg
 from fieldgrid.field.align.pairs import (
     Overlap,
     SubmapPair,
@@ -134,7 +135,7 @@ def _aligned(run: _SubmapComparison, drives: list[SubmapDrive], rounds: int) -> 
         matches = run.compare_finely(solution.transforms, believed, stage)
         now = solution.transforms
         solution = solve(drives, now, matches)
-        poorer = _as_poor_as_found(drives, left_between(matches, solution))
+        poorer = _as_poor_as_found(drives, left_between(matches, solution.left_m))
         if any(one is not other for one, other in zip(poorer, drives, strict=True)):
             drives = poorer
             solution = solve(drives, now, matches)

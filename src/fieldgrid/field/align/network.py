@@ -9,19 +9,26 @@ distribution (receivers may be wrong, but the better one is believed), and a sha
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy import sparse
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from fieldgrid.core import Float64, Int64
+from fieldgrid.field.align.disagreement import MEDIAN_OF_TWO, between_camps, undecided
 from fieldgrid.field.align.drives import Role, SubmapDrive
-from fieldgrid.field.align.matches import Match, information_of, shift_equations, turn_equations
+from fieldgrid.field.align.matches import (
+    Equations,
+    Match,
+    information_of,
+    shift_equations,
+    turn_equations,
+)
 from fieldgrid.maps import Transform, Wander
 
 WANDER_S = 300.0
@@ -39,17 +46,10 @@ VIEW_M, VIEW_SIGMA_M = 0.05, 0.04
 """A plant or a post is seen nearer to the vehicle than it is by this distance; with its standard
 deviation."""
 
-SCATTER_M = 0.09
-"""The shifts that matches tell of drives that lie where they should: canopies that grew, other
-faces, other views."""
-
 FREEDOM = 4.0
 """Degrees of freedom of Student's distribution, of priors and matches."""
 
 ROUNDS = 20
-
-MEDIAN_OF_TWO = 1.386
-"""The median of chi squared of two degrees of freedom."""
 
 HELD_M, LEAST_WANDER_M, LOOSE = 1e-4, 0.001, 10.0
 
@@ -99,25 +99,26 @@ def solve(
     counts = Counter((match.a, match.b) for match in matches)
     alike = [counts[match.a, match.b] for match in matches]
     shifts_m = shift_equations(drives, offsets, start, matches)
-    shifts = shifts_m.by_error(information_of(matches, alike))
+    information = information_of(matches, alike)
+    shifts = shifts_m.by_error(information)
     turns = turn_equations(offsets, start, matches, alike)
     for number in range(ROUNDS):
         # At first the matches are believed, so that a receiver that is far off is told as such.
-        normal, side = _priors(drives, offsets, start, x, LOOSE if number == 0 else 1.0)
+        prior = _priors(drives, offsets, start, x, LOOSE if number == 0 else 1.0)
         misfit = np.hypot(*shifts.left(x).reshape(-1, 2).T)
-        weights = np.repeat(_student(misfit**2, 2.0) if number else np.ones(len(misfit)), 2)
-        for told, weight in ((shifts, weights), (turns, _student(turns.left(x) ** 2, 1.0))):
-            weighted = told.jacobian.T.multiply(weight)
-            normal = normal + weighted @ told.jacobian
-            side = side + weighted @ told.target
-        factor = splu(normal.tocsc(), "MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        weights = _student(misfit**2, 2.0) if number else np.ones(len(misfit))
+        told = (shifts, np.repeat(weights, 2)), (turns, _student(turns.left(x) ** 2, 1.0))
+        factor, side = _factor(prior, told)
         before, x = x, factor.solve(side)
         if number and np.abs(x - before).max() < 1e-5:
             break
-    # Where matches scatter by more than they say, all is less sure.
-    factor_of_sigma = (
-        max(float(np.sqrt(np.median(misfit**2) / MEDIAN_OF_TWO)), 1.0) if matches else 1.0
-    )
+    left_m = shifts_m.left(x).reshape(-1, 2)
+    if matches:
+        # Matches that scatter by more than they say, or that fall into camps, say less.
+        scale = _scale(misfit**2)
+        variance = np.array(alike) * between_camps(matches, left_m, information)
+        less = np.linalg.inv(scale * np.eye(2) + variance[:, None, None] * information)
+        factor, _ = _factor(prior, ((shifts_m.by_error(information @ less), told[0][1]), told[1]))
     picked = np.zeros((face + 2, 3 * len(drives)))
     for n, (drive, at) in enumerate(zip(drives, offsets, strict=False)):
         count = len(drive.submaps)
@@ -125,25 +126,47 @@ def solve(
             picked[at + axis, 3 * n + axis] = 1.0
             picked[at + 3 + axis : at + 3 + 2 * count : 2, 3 * n + axis] = 1.0 / count
         picked[at + 2, 3 * n + 2] = 1.0
-    covariance = picked.T @ factor.solve(picked) * factor_of_sigma**2
+    covariance = picked.T @ factor.solve(picked)
+    transforms = tuple(
+        _transform(drive, transform, x[at : at + 3 + 2 * len(drive.submaps)])
+        for drive, transform, at in zip(drives, now, offsets, strict=False)
+    )
     return NetworkSolution(
-        tuple(
-            _transform(drive, transform, x[at : at + 3 + 2 * len(drive.submaps)])
-            for drive, transform, at in zip(drives, now, offsets, strict=False)
+        transforms,
+        np.maximum(
+            _shift_sigmas(covariance, len(drives)),
+            undecided(drives, transforms, matches, left_m, information),
         ),
-        _shift_sigmas(covariance, len(drives)),
         np.degrees(np.sqrt(covariance.diagonal()[2::3])),
         float(x[face]),
         float(x[face + 1]),
-        shifts_m.left(x).reshape(-1, 2),
+        left_m,
         misfit,
     )
+
+
+def _factor(
+    prior: tuple[sparse.csr_array, Float64], told: Sequence[tuple[Equations, Float64]]
+) -> tuple[SuperLU, Float64]:
+    """The normal equations, factored, and their other side, of what is known before and of
+    equations with their weights."""
+    normal, side = prior
+    for equations, weights in told:
+        weighted = equations.jacobian.T.multiply(weights)
+        normal = normal + weighted @ equations.jacobian
+        side = side + weighted @ equations.target
+    return splu(normal.tocsc(), "MMD_AT_PLUS_A", options={"SymmetricMode": True}), side
 
 
 def _student(misfit_squared: npt.ArrayLike, dimensions: float) -> Float64:
     """The weights by which least squares follow Student's distribution, at most 1."""
     weight = (FREEDOM + dimensions) / (FREEDOM + np.asarray(misfit_squared, np.float64))
     return np.minimum(weight, 1.0)
+
+
+def _scale(misfit_squared: Float64) -> float:
+    """By how much variances of two dimensions exceed what is stated, at least 1: the median."""
+    return max(float(np.median(misfit_squared)) / MEDIAN_OF_TWO, 1.0)
 
 
 def _priors(
@@ -179,14 +202,14 @@ def _prior(drive: SubmapDrive, off: Float64, loose: float) -> Float64:
     block[:2, :2] = shift * _student(off[:2] @ shift @ off[:2], 2.0)
     block[2, 2] = _student((off[2] / sigma) ** 2, 1.0) / sigma**2
     # The wander, whose first shift may be any that is usual.
-    chain = wander_chain(drive.time_ns, drive.wander_m**2)
+    chain = wander_chain(drive.time_ns, (loose * drive.wander_m) ** 2)
     knots = off[3:].reshape(-1, 2)
     steps = knots - np.vstack([np.zeros(2), chain.fading[:, None] * knots[:-1]])
     # One scale for all of them: a receiver that wanders more than it says does so throughout.
-    weight = _student(float((steps**2 * chain.information[:, None]).sum()), float(steps.size))
+    scale = _scale((steps**2).sum(axis=1) * chain.information)
     of_wander = np.diag(chain.diagonal) + np.diag(chain.beside, 1) + np.diag(chain.beside, -1)
     for axis in (0, 1):
-        block[3 + axis :: 2, 3 + axis :: 2] = weight * of_wander
+        block[3 + axis :: 2, 3 + axis :: 2] = of_wander / scale
     return block
 
 
@@ -214,41 +237,6 @@ def wander_chain(time_ns: Int64, variance: float) -> WanderChain:
     return WanderChain(
         fading, 1.0 / (variance * np.concatenate([[1.0], np.maximum(1.0 - fading**2, 1e-6)]))
     )
-
-
-def left_between(
-    matches: Sequence[Match], solution: NetworkSolution
-) -> dict[tuple[int, int], float]:
-    """What is left of the shifts of matches between each two drives, root mean square, as far as
-    each match tells it, beyond what matches scatter by."""
-    squared, told = (defaultdict[tuple[int, int], float](float) for _ in range(2))
-    every = information_of(matches, [1] * len(matches))
-    for match, information, left in zip(matches, every, solution.left_m, strict=True):
-        if match.a != match.b:
-            squared[match.a, match.b] += float(left @ information @ left)
-            told[match.a, match.b] += float(np.trace(information)) / 2.0
-    return {
-        pair: math.sqrt(max(squared[pair] / told[pair] - SCATTER_M**2, 0.0))
-        for pair in squared
-        if told[pair] > 0.0
-    }
-
-
-def wrong_ones(
-    stated_m: Sequence[float], apart_m: Mapping[tuple[int, int], float]
-) -> dict[int, float]:
-    """By how much drives are wrong, of those that contradict each other by `apart_m`: the one that
-    contradicts most others, of several the one whose receiver states most (`stated_m`, of each
-    drive); where that is the same, all of them."""
-    found = dict[int, float]()
-    while apart_m:
-        counts = Counter(n for pair in apart_m for n in pair)
-        worst = max((count, stated_m[n]) for n, count in counts.items())
-        wrong = {n for n, count in counts.items() if (count, stated_m[n]) == worst}
-        for n in wrong:
-            found[n] = max(size for pair, size in apart_m.items() if n in pair)
-        apart_m = {pair: size for pair, size in apart_m.items() if not wrong & set(pair)}
-    return found
 
 
 def _transform(drive: SubmapDrive, now: Transform, x: Float64) -> Transform:

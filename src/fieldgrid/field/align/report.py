@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -12,20 +11,15 @@ import numpy as np
 
 from fieldgrid.core import Float64
 from fieldgrid.field.align.agreement import Agreement
+from fieldgrid.field.align.disagreement import (
+    CONTRADICTS_SIGMAS,
+    bent_m,
+    contradict,
+)
 from fieldgrid.field.align.drives import Role, SubmapDrive
 from fieldgrid.field.align.matches import Match, information_of
-from fieldgrid.field.align.network import SCATTER_M, NetworkSolution, left_between, wrong_ones
+from fieldgrid.field.align.network import NetworkSolution
 from fieldgrid.maps import AlignmentRecord, Transform
-
-CONTRADICTS_SIGMAS = 4.0
-"""What is left of a match, in its sigmas, that its two axes have by chance in one of 3,000."""
-
-BENT_SIGMAS = 3.0
-"""A drive is bent by this number of its stated slow errors by chance in one place of 90."""
-
-WITHIN_SIGMAS = 2.0
-"""Two places contradict each other when they are more than this number of their stated errors
-apart."""
 
 
 class DriveAlignment(NamedTuple):
@@ -117,7 +111,7 @@ def summed_up(
     """The outcome of drives that were placed `before`, from the last matches and what fits them;
     `rough_m` is what the way in which they were compared adds to the errors of shifts,
     `heights_kept` why those of some drives were not aligned."""
-    sigma_m = _with_contradictions(drives, matches, solution, np.hypot(solution.sigma_m, rough_m))
+    sigma_m = np.hypot(solution.sigma_m, rough_m)
     with_ = defaultdict[int, set[int]](set)
     counts = defaultdict[tuple[int, int], int](int)
     for match in matches:
@@ -198,11 +192,15 @@ def _pair(
     )
     left = np.linalg.pinv(total, hermitian=True) @ pulled
     told, axes = np.linalg.eigh(total)
-    contradictions = [
-        Contradiction(matches[k].at_m, solution.left_m[k], float(solution.misfit[k]))
-        for k in own
-        if solution.misfit[k] > CONTRADICTS_SIGMAS
-    ]
+    # Against the drives as their receivers have them, which may be bent where one leaps.
+    bent = {n: bent_m(drives[n], solution.transforms[n]) for n in (a, b)}
+    contradictions = []
+    for k, information_of_one in zip(own, information, strict=True):
+        apart_m = bent[a][matches[k].k] - bent[b][matches[k].l]
+        if solution.misfit[k] > CONTRADICTS_SIGMAS or contradict(drives[a], drives[b], apart_m):
+            off_m = solution.left_m[k] + apart_m
+            sigmas = float(np.sqrt(off_m @ information_of_one @ off_m))
+            contradictions.append(Contradiction(matches[k].at_m, off_m, sigmas))
     return PairAlignment(
         drives[a].name, drives[b].name, one.at_m,
         moved + left if trusted else one.shift_m, left if trusted else one.shift_m,
@@ -212,56 +210,6 @@ def _pair(
         float(np.sqrt(max(left @ total @ left, 0.0))),
         tuple(sorted(contradictions, key=lambda one: -one.sigmas)),
     )  # fmt: skip
-
-
-def _with_contradictions(
-    drives: Sequence[SubmapDrive],
-    matches: Sequence[Match],
-    solution: NetworkSolution,
-    sigma_m: Float64,
-) -> Float64:
-    """The errors [n, n] of drives and of each two, such that places where single matches, or what
-    their receivers state, contradict each other are within `WITHIN_SIGMAS` of them: part of a
-    drive lies elsewhere, such as after a leap of its receiver, also where it is a small part."""
-    apart_m = defaultdict[tuple[int, int], float](float)
-    between_m = left_between(matches, solution)
-    for match, left_m, sigmas in zip(matches, solution.left_m, solution.misfit, strict=True):
-        pair = match.a, match.b
-        if sigmas > CONTRADICTS_SIGMAS and pair in between_m:
-            far_m = float(np.hypot(*left_m)) / WITHIN_SIGMAS
-            apart_m[pair] = max(apart_m[pair], between_m[pair], far_m)
-    # A drive that is bent by more than its receiver leaves open may have followed a leap.
-    bent_m = [_bent_m(*one) for one in zip(drives, solution.transforms, strict=True)]
-    for match in matches:
-        a, b = pair = match.a, match.b
-        far_m = float(np.hypot(*(bent_m[a][match.k] - bent_m[b][match.l])))
-        if a != b and far_m > _open_m(drives[a], drives[b]):
-            apart_m[pair] = max(apart_m[pair], far_m)
-    found = sigma_m.copy()
-    for (a, b), size_m in apart_m.items():
-        found[[a, b], [b, a]] = max(sigma_m[a, b], size_m)
-    # Which of two receivers is wrong what they state does not tell: a good one may leap, too.
-    for n, size_m in wrong_ones([0.0] * len(drives), apart_m).items():
-        found[n, n] = max(sigma_m[n, n], size_m)
-    for n, drive in enumerate(drives):
-        far_m = float(np.hypot(*bent_m[n].T).max())
-        if far_m > _open_m(drive):
-            found[n, n] = max(found[n, n], far_m)
-    return found
-
-
-def _bent_m(drive: SubmapDrive, transform: Transform) -> Float64:
-    """By how much alignment moves each submap of a drive [n, 2], less the mean of them."""
-    if drive.role is not Role.MOVES:
-        return np.zeros((len(drive.submaps), 2))
-    east_m, north_m = drive.middle_m.T
-    moved = np.column_stack(transform.points(east_m, north_m, drive.time_ns)) - drive.middle_m
-    return np.asarray(moved - moved.mean(axis=0))
-
-
-def _open_m(*drives: SubmapDrive) -> float:
-    """By how much drives may be bent against each other, as their receivers state."""
-    return max(BENT_SIGMAS * math.hypot(*(drive.wander_m for drive in drives)), SCATTER_M)
 
 
 def _moved(
