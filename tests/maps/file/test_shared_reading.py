@@ -132,12 +132,13 @@ def test_an_export_by_the_command_has_the_same_bytes(
 def test_as_many_threads_read_as_are_asked_for(farm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int | None] = []
 
-    def counted(work: Any, items: Any, jobs: int | None = None) -> Any:
-        asked.append(jobs)
-        return map(work, items)
+    class Counted(Threads):
+        def __init__(self, jobs: int | None = None) -> None:
+            asked.append(jobs)
+            super().__init__(jobs)
 
     for module in (content_module, reading_module):
-        monkeypatch.setattr(module, "in_order", counted)
+        monkeypatch.setattr(module, "Threads", Counted)
     with open_map(farm / "a.gpkg") as universal, Farm(farm) as both:
         for source in (universal, both):
             for layers in ((), ("count",)):
