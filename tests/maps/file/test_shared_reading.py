@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fieldgrid.cli import app
-from fieldgrid.core import ClusterError, ConfigError
+from fieldgrid.core import ClusterError, ConfigError, Threads
 from fieldgrid.export import Selection, export_map
 from fieldgrid.maps import Farm, Mark, Readable, open_map
 from fieldgrid.maps.views import (
