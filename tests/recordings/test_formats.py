@@ -340,6 +340,8 @@ def test_what_a_format_cannot_use_is_refused(made: tuple[str, Path], tmp_path: P
     if kind != "ROS bag":
         with pytest.raises(ConfigError, match="leave --topic left out"):
             open_drive(path, DriveOptions(topics={"left": "/a"}))
+        with pytest.raises(ConfigError, match="leave --epoch out"):
+            open_drive(path, DriveOptions(epoch_ns=10**18))
     with pytest.raises(ConfigError, match=r"none\.json cannot be read"):
         open_drive(path, DriveOptions(mounting=tmp_path / "none.json")).recording()
     with pytest.raises(fg.FieldgridError, match=r"none\.nmea"):

@@ -189,5 +189,5 @@ def test_what_is_broken(file: str, text: str | None, message: str, sequence: Pat
 
 
 def test_columns_of_poses_cannot_be_said(sequence: Path) -> None:
-    with pytest.raises(ConfigError, match="poses of a KITTI sequence are no table"):
+    with pytest.raises(ConfigError, match="poses of a KITTI sequence are no log"):
         open_recording(sequence, columns=Columns({"time": "t"}))

@@ -79,7 +79,7 @@ class DriveFlags(NamedTuple):
             "--epoch",
             metavar="TIME",
             help="From when a clock without a date counts, in UTC, like 2026-05-14T07:30:00Z: that "
-            "of a simulation, of a table, or of an NMEA log without RMC, for which the day does.",
+            "of a simulation, or of an NMEA log without RMC, for which the day is enough.",
             rich_help_panel=_PANEL,
         ),
     ] = None

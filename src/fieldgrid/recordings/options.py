@@ -57,8 +57,8 @@ class DriveOptions:
     to image times to give GNSS time and outranks the recording's own, `gnss_offset_ns` to the
     times of the GNSS log to give the time of images, gyro and wheels; `poses` are those that
     another program estimated, and outrank what the recording says of them; `epoch_ns` is the UTC
-    from which a clock without a date counts: of a bag, of a table of fixes, or of NMEA sentences,
-    for which the day is enough. With `unmounted`, a
+    from which a clock without a date counts: that of a bag, or of NMEA sentences, for which the day
+    is enough. With `unmounted`, a
     sensor of which nothing tells how it sits gets `NO_MOUNTING`. With `incomplete`, files of frames
     may be missing: it is the frame that then cannot be read. `from_ns` and `until_ns` cut the drive
     (`cutting.cut`).

@@ -30,6 +30,7 @@ def open_kitti(path: Path, options: DriveOptions) -> Drive:
         names = ", ".join(drive.name for drive in drives)
         raise RecordingError(f"{path} holds {len(drives)} KITTI drives: {names}; give one of them.")
     options.refuse_topics(path)
+    options.refuse(f"{path} has its fixes in oxts, with their dates", "epoch_ns")
     if str(options.gnss) != "oxts":
         options.refuse(f"A KITTI drive has its fixes in oxts, and not in {options.gnss}", "gnss")
     options.refuse("The fixes of a KITTI drive are no table", "columns")

@@ -58,7 +58,7 @@ def open_sequence(path: Path, options: DriveOptions) -> Drive:
     if log_path is not None:
         drive = with_log(drive, path, log_path, settings, options)
     else:
-        options.refuse("The poses of a KITTI sequence are no table", "columns")
+        options.refuse("The poses of a KITTI sequence are no log", "columns", "epoch_ns")
         drive = with_own_poses(drive, times_ns, settings, find_mounting().mount)
 
     def make(mounting: Mounting) -> Recording:

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from fieldgrid.core import RecordingError, quoted, utc_text
+from fieldgrid.core import ConfigError, RecordingError, quoted
 from fieldgrid.geometry import FixColumns
 from fieldgrid.recordings.drive import Drive
 from fieldgrid.recordings.files import DELIMITERS, open_log_bytes
@@ -20,7 +20,12 @@ from fieldgrid.recordings.readers.settings_file import RecordingSettings
 from fieldgrid.recordings.tables.columns import Columns
 from fieldgrid.recordings.tables.fix_log import FixLog
 from fieldgrid.recordings.tables.fix_table import read_fix_table
-from fieldgrid.recordings.tables.stream_log import NoStreamError, looks_like_stream, read_stream
+from fieldgrid.recordings.tables.stream_log import (
+    NoStreamError,
+    UndatedError,
+    looks_like_stream,
+    read_stream,
+)
 from fieldgrid.recordings.tables.tables import COMMENTS, split_header
 
 SUFFIXES = frozenset({".nmea", ".csv", ".tsv", ".ubx"}) | SOLUTIONS
@@ -81,9 +86,11 @@ def read_fix_log(path: Path, columns: Columns | None = None, epoch_ns: int | Non
 
     NMEA, UBX or both; a table (`columns` says what its names do not); a solution of RTKLIB; an
     ISO 11783-10 time log (or the folder of a single one). Any but the last may be packed by gzip.
-    `epoch_ns` is the UTC from which the times of a table count, or the day on which sentences
-    without a date begin.
+    `epoch_ns` is the day on which sentences begin where none has a date; ConfigError for a log that
+    tells its dates.
     """
+    if epoch_ns is not None:
+        return _read_undated(path, epoch_ns)
     if is_time_log(path):
         return read_time_log(path)
     head = _head(path)
@@ -94,18 +101,29 @@ def read_fix_log(path: Path, columns: Columns | None = None, epoch_ns: int | Non
     is_table = _looks_like_table(head)
     # Sentences in a column are a stream, unless it is said what the columns are.
     if looks_like_stream(head) and (columns is None or not is_table):
-        return read_stream(path, epoch_ns)
+        return read_stream(path)
     if may_hold_nmea(path, head):
         with suppress(NoStreamError):
-            log = read_stream(path, epoch_ns)
+            log = read_stream(path)
             if len(log.fixes):
                 return log
     refuse_foreign(path, head)
     if is_table:
-        if epoch_ns is not None:
-            columns = replace(columns or Columns(), time_epoch=utc_text(epoch_ns))
         return read_fix_table(path, columns)
-    return read_stream(path, epoch_ns)  # the receiver may have begun with something else
+    return read_stream(path)  # the receiver may have begun with something else
+
+
+def _read_undated(path: Path, epoch_ns: int) -> FixLog:
+    try:
+        read_stream(path)
+    except UndatedError:
+        return read_stream(path, epoch_ns)
+    except NoStreamError:
+        pass
+    raise ConfigError(
+        f"{path} is no NMEA log without dates (of a table, --columns time_epoch=MOMENT says from "
+        "when its times count); leave --epoch out."
+    )
 
 
 def _head(path: Path) -> bytes:
@@ -133,6 +151,7 @@ def with_log(
 ) -> Drive:
     """A drive in a folder with the fixes of a log, or a remark that there is none."""
     if log_path is None:
+        options.refuse(f"{folder} has no GNSS log", "epoch_ns")
         return replace(drive, notes=(*drive.notes, passed_over(folder)))
     log = options.in_time(chosen_log(log_path, settings, options), settings.gnss_offset_ns)
     return replace(

@@ -23,6 +23,10 @@ class NoStreamError(GnssError):
     """A file that holds neither a sentence nor a message."""
 
 
+class UndatedError(GnssError):
+    """Sentences with positions, of which none tells a date."""
+
+
 def looks_like_stream(head: bytes) -> bool:
     """Whether the start of a file holds a sentence or the start of a UBX message."""
     return _SENTENCE.search(head) is not None or _UBX.search(head) is not None
@@ -32,7 +36,8 @@ def read_stream(path: Path, epoch_ns: int | None = None) -> FixLog:
     """The fixes of a log; of those of two protocols the more numerous, which is noted. Sentences
     without a date begin on the day of `epoch_ns`.
 
-    :class:`NoStreamError` where there is neither, :class:`GnssError` for positions without a date.
+    :class:`NoStreamError` where there is neither, :class:`UndatedError` for positions without a
+    date.
     """
     # Both parsers read the same bytes; what belongs to the one is noise to the other.
     day = None if epoch_ns is None else epoch_ns // _DAY_NS
@@ -53,7 +58,7 @@ def read_stream(path: Path, epoch_ns: int | None = None) -> FixLog:
             "table; check the file, or let the receiver write GGA and RMC."
         )
     if nmea.undated and not (len(from_nmea) or len(from_ubx)):
-        raise GnssError(
+        raise UndatedError(
             f"{path}: The log has {nmea.undated} positions but no valid RMC or ZDA sentence, which "
             "alone give their date; say on which day it begins, as by --epoch 2026-05-14, and let "
             "the receiver write RMC besides GGA."
