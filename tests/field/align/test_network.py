@@ -229,3 +229,29 @@ def test_of_two_camps_that_nobody_can_tell_apart_the_sigma_covers_both() -> None
     for camp in off[1], constant(0.8, 0.0):
         assert np.hypot(*(moved(found, 1) + camp).mean(axis=0)) < 3.0 * found.sigma_m[0, 1]
     assert (found.misfit > 4.0).any()
+
+
+@pytest.mark.parametrize(
+    ("rounds", "wrong"), [(1, 0.0), (3, 0.1), (3, 0.45), (10, 0.1), (10, 0.45)]
+)
+def test_however_many_matches_are_wrong_the_error_is_within_three_sigma(
+    rounds: int, wrong: float
+) -> None:
+    """And only where nearly half are wrong may half of the drives be less sure than 5 cm."""
+    random, sigmas_m = np.random.default_rng(5), list[float]()
+    for _ in range(20):
+        stated_m = random.choice([0.02, 0.05, 0.3], 2)
+        off = {n: np.tile(random.normal(0.0, stated_m[n], 2), (N, 1)) for n in (0, 1)}
+        some = [
+            one._replace(
+                shift_m=one.shift_m
+                + random.normal(0.0, 2.0 if random.random() < wrong else 0.02, 2)
+            )
+            for one in matches(off, [(0, 1)] * rounds)
+        ]
+        drives = [drive(name, sigma_m) for name, sigma_m in zip("ab", stated_m, strict=True)]
+        found = solve(drives, [Transform()] * 2, some)
+        apart_m = np.hypot(*(moved(found, 1) + off[1] - moved(found, 0) - off[0]).mean(axis=0))
+        assert apart_m < 3.0 * found.sigma_m[0, 1]
+        sigmas_m.append(found.sigma_m[0, 1])
+    assert np.median(sigmas_m) < (0.05 if wrong < 0.4 else 0.2)
