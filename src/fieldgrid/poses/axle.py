@@ -6,11 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64
 from fieldgrid.geometry import Rig, Steps, VehicleGeometry, with_antenna_ahead
-from fieldgrid.poses.smoother.batch import SmoothedDrive
 from fieldgrid.poses.smoother.declared import Constant
-from fieldgrid.poses.travel_direction import LEAST_STEP_M, MOST_TURN_DEG, Ways, travel
+from fieldgrid.poses.travel_direction import LEAST_STEP_M, MOST_TURN_DEG, Ways
 
 UNNAMED_AXLE_M = 0.5
 """Sigma of how far ahead of the axle the antenna of a rig sits that nobody measured. Of a log
@@ -56,15 +54,11 @@ def axle_forward_m(vehicle: VehicleGeometry) -> float:
     return vehicle.antenna.forward_m if axle_m is None else axle_m
 
 
-def axle_of(vehicle: VehicleGeometry | None, steps: Steps | None) -> Axle:
-    """The axle as it is declared, or as the camera sees the vehicle turn about it."""
+def axle_of(vehicle: VehicleGeometry | None) -> Axle:
+    """The axle as it is declared, or as unsure as a guess."""
     if names_axle(vehicle) or not isinstance(vehicle, Rig):
         return Axle(vehicle)
-    ahead = None if steps is None else travel(ways_of(steps)).ahead_m
-    if ahead is None or ahead.sigma > SURE_AXLE_M:
-        return Axle(vehicle, UNNAMED_AXLE_M)
-    antenna_ahead_m = ahead.value + vehicle.antenna.forward_m
-    return Axle(with_antenna_ahead(vehicle, antenna_ahead_m), ahead.sigma, told=True)
+    return Axle(vehicle, UNNAMED_AXLE_M)
 
 
 def with_antenna_moved(axle: Axle, ahead_m: float) -> Axle:
@@ -73,12 +67,13 @@ def with_antenna_moved(axle: Axle, ahead_m: float) -> Axle:
     return axle._replace(vehicle=with_antenna_ahead(axle.vehicle, was_m + ahead_m))
 
 
-def axle_by_gyro(axle: Axle, ahead: Constant) -> Axle:
-    """The axle by what a drive with a gyro would add to the antenna's place ahead of it."""
+def axle_told(axle: Axle, ahead: Constant) -> Axle:
+    """The axle by what a drive whose turns were seen would add to the antenna's place ahead."""
     told = ahead.sigma < SURE_AXLE_M and abs(ahead.value) < FARTHEST_AXLE_M
     if names_axle(axle.vehicle) or not told:
         return axle
-    return Axle(with_antenna_ahead(axle.vehicle, ahead.value), ahead.sigma, told=True)
+    (_, was_m), _ = axle.frame()
+    return Axle(with_antenna_ahead(axle.vehicle, was_m + ahead.value), ahead.sigma, told=True)
 
 
 def ways_of(steps: Steps) -> Ways:
@@ -96,14 +91,3 @@ def ways_of(steps: Steps) -> Ways:
         steps.turn_deg[use],
         per_m[use],
     )
-
-
-def unsure_heading_rad(smoothed: SmoothedDrive, sigma_m: float) -> Float64:
-    """1-sigma error of the headings [n] by an axle whose place is unsure by `sigma_m`: in a turn
-    the antenna's path is not that of the axle."""
-    off_rad = np.abs(smoothed.response.per_ahead_m)
-    # Where a turn begins and ends is unsure by as much.
-    east, north = smoothed.state[:, 0], smoothed.state[:, 1]
-    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(east), np.diff(north)) + 1e-6)])
-    near = [np.interp(way_m + by * sigma_m, way_m, off_rad) for by in (-1.0, -0.5, 0.0, 0.5, 1.0)]
-    return np.asarray(sigma_m * np.max(near, axis=0))

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.core import Bool, Float64, Int64, Quality
-from fieldgrid.geometry import Motion, wrap_deg
+from fieldgrid.geometry import Motion, Rig, wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes
-from fieldgrid.poses.axle import Axle, names_axle, unsure_heading_rad
+from fieldgrid.poses.axle import Axle
 from fieldgrid.poses.faults.leaps.leaps import holes
 from fieldgrid.poses.gears.stations import (
     NO_HINTS,
@@ -22,7 +22,7 @@ from fieldgrid.poses.measured import RecordedHeadings, measurements, with_headin
 from fieldgrid.poses.nodes import Nodes, nodes, seconds
 from fieldgrid.poses.smoother.batch import SmoothedDrive, refine, smooth
 from fieldgrid.poses.smoother.measurements import Measurements
-from fieldgrid.poses.smoother.wander import unstated_wander
+from fieldgrid.poses.smoother.slow_error import CLEAR_NATS, SlowError, likeliest
 
 # When the vehicle stood still: by what the receiver's speed says, or by where it stayed.
 
@@ -97,6 +97,10 @@ BACK_M = 1.5
 SETTLED_DOUBT = 1e-30
 """So little doubt leaves only the user, whose word no estimate outweighs."""
 
+LEAST_SEEN_SHARE = 0.5
+"""A camera or a gyro that saw less of a drive denies nothing: of five frames, and of a log that
+ended early, the antenna was 3 m aside by six sigmas."""
+
 DRIVEN_M = 0.1
 """A camera that has moved by more was driven."""
 
@@ -106,7 +110,8 @@ class DriveEstimate(NamedTuple):
 
     `fix` [n] is the accepted fix at a node or -1; `gear` +1, -1, 0 at rest; `doubt` the
     probability that it is the other one. `offset_m` [accepted fixes, 2] is how far east and north
-    of each fix the antenna is estimated. `smoothed` are the states and constants behind it.
+    of each fix the antenna is estimated. `smoothed` are the states and constants behind it,
+    and `slow` is what the drive shows of the fixes' slow error.
     """
 
     at: Nodes
@@ -124,6 +129,7 @@ class DriveEstimate(NamedTuple):
     doubt: Float64
     resting: Bool
     offset_m: Float64
+    slow: SlowError
 
     @property
     def time_ns(self) -> Int64:
@@ -188,8 +194,28 @@ def smooth_drive(
     measured = with_headings(measured, fixes, at, recorded)
     lever_m, step_ahead_m = axle.frame()
     # Not a name here, nor `*axle.frame()`: either would keep the guess, which `smooth` lets go.
-    smoothed = smooth(measured, first_guess(fixes, at, found, measured), lever_m, step_ahead_m)
-    return _drive(fixes, at, measured, found, smoothed, axle, rest > 0.99)
+    smoothed = smooth(
+        *(measured, first_guess(fixes, at, found, measured), lever_m, step_ahead_m), axle.sigma_m
+    )
+    slow = SlowError()
+    if sees_turns(measured) and smoothed.wander_nats > CLEAR_NATS:
+        slow, smoothed = _wandering(smoothed, measured, axle)
+    return _drive(fixes, at, slow.of(measured), found, smoothed, axle, rest > 0.99, slow)
+
+
+def _wandering(
+    known: SmoothedDrive, measured: Measurements, axle: Axle
+) -> tuple[SlowError, SmoothedDrive]:
+    """The slow error of the fixes that makes a drive likeliest, and the drive by it."""
+    drives = {SlowError(): known}
+
+    def nats(slow: SlowError) -> float:
+        if slow not in drives:
+            drives[slow] = refine(known, slow.of(measured), *axle.frame(), axle.sigma_m)
+        return drives[slow].nats
+
+    slow = likeliest(nats)
+    return slow, drives[slow]
 
 
 def with_recorded(
@@ -209,8 +235,8 @@ def with_recorded(
     if not np.array_equal(found.gears.gear, drive.stations.gears.gear):
         return smooth_drive(fixes, drive.time_ns, motion, axle, recorded, hints)
     measured = with_headings(drive.measured, fixes, drive.at, recorded)
-    smoothed = refine(drive.smoothed, measured, *axle.frame())
-    return _drive(fixes, drive.at, measured, found, smoothed, axle, drive.resting)
+    smoothed = refine(drive.smoothed, measured, *axle.frame(), axle.sigma_m)
+    return _drive(fixes, drive.at, measured, found, smoothed, axle, drive.resting, drive.slow)
 
 
 def _standing(fixes: AcceptedFixes) -> Bool:
@@ -235,6 +261,7 @@ def _drive(
     smoothed: SmoothedDrive,
     axle: Axle,
     rested: Bool,
+    slow: SlowError,
 ) -> DriveEstimate:
     assigned, doubt = _assigned(at, found)
     east, north, heading, speed = smoothed.state[:, :4].T
@@ -246,23 +273,13 @@ def _drive(
     doubt = np.where(_near_recorded(measured), 0.0, doubt)
     against = (speed * assigned < -DRIVING_MPS) & ~resting
     doubt = np.where(lasting(against, measured.time_s), 1.0, doubt)
-    turns_seen = at.has_gyro() or len(measured.step) > 0
-    sigma_deg = np.degrees(smoothed.heading_sigma_rad)
-    if turns_seen:
-        # What the fixes say of headings is as unsure as they wander beside the turns.
-        sigma_deg = sigma_deg * np.sqrt(unstated_wander(smoothed.state, measured))
-    sigma_deg = np.hypot(sigma_deg, LEAST_HEADING_SIGMA_DEG)
+    sigma_deg = np.hypot(np.degrees(smoothed.heading_sigma_rad), LEAST_HEADING_SIGMA_DEG)
     if resting.all() and not np.isfinite(measured.heading_rad).any():
         sigma_deg = np.full(len(resting), 180.0)  # what wanders is no motion
-    if smoothed.declared.contradicts and (
-        turns_seen or (names_axle(axle.vehicle) and headings_recorded(measured))
-    ):
-        sigma_deg = np.hypot(sigma_deg, np.degrees(smoothed.response.at_most))
-    if at.has_gyro():
-        sigma_deg = np.hypot(sigma_deg, np.degrees(smoothed.response.unverified))
-    if axle.sigma_m:
-        unsure_rad = unsure_heading_rad(smoothed, axle.sigma_m)
-        sigma_deg = np.hypot(sigma_deg, np.degrees(unsure_rad))
+    unsure = smoothed.unsure
+    sigma_deg = np.hypot(sigma_deg, np.degrees(unsure.heading_rad))
+    # Of a log alone poses are those of the antenna, in its own clock.
+    unsure_m = unsure.axle_m if isinstance(axle.vehicle, Rig) else unsure.antenna_m
     # For how long the error of a float solution lasts is a guess; if it lasts, no mean over the
     # drive makes it smaller than stated.
     last = np.maximum(np.searchsorted(fixes.time_ns, at.time_ns, side="right") - 1, 0)
@@ -287,14 +304,29 @@ def _drive(
         north,
         np.asarray(wrap_deg(np.degrees(heading))),
         np.asarray(sigma_deg),
-        np.maximum(smoothed.position_sigma_m, least_m),
+        np.hypot(np.maximum(smoothed.position_sigma_m, least_m), unsure_m),
         smoothed.relative_sigma_m,
         np.where(resting, 0.0, speed),
         np.where(resting, 0, np.where(speed >= 0.0, 1, -1)).astype(np.int64),
         doubt,
         resting,
         offset_m,
+        slow,
     )
+
+
+def sees_turns(measured: Measurements) -> bool:
+    """Whether a gyro or a camera saw how the vehicle turned, over most of the drive."""
+    step_s = np.diff(measured.time_s)
+    by_gyro = float(step_s[np.isfinite(measured.turned_rad)].sum()) / max(float(step_s.sum()), 1e-9)
+    return max(by_gyro, camera_share(measured)) >= LEAST_SEEN_SHARE
+
+
+def camera_share(measured: Measurements) -> float:
+    """The share of the drive's time that the camera's steps cover."""
+    time_s, nodes = measured.time_s, measured.step_nodes
+    lasted_s = float(time_s[-1] - time_s[0])
+    return float(np.diff(time_s[nodes], axis=1).sum()) / max(lasted_s, 1e-9)
 
 
 def headings_recorded(measured: Measurements) -> bool:

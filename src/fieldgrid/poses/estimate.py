@@ -16,20 +16,14 @@ from fieldgrid.geometry import (
     VehicleGeometry,
     wrap_deg,
 )
-from fieldgrid.poses.axle import axle_forward_m, with_antenna_moved
+from fieldgrid.poses.axle import axle_forward_m
 from fieldgrid.poses.drive import DriveEstimate, with_recorded
 from fieldgrid.poses.external.poses import CLEAR_OFFSET_DEG, place_poses
 from fieldgrid.poses.faults.camera_yaw import CameraYaw, camera_yaw
 from fieldgrid.poses.faults.clock.jump import clock_jump
 from fieldgrid.poses.faults.clock.offset import ClockFindings, check_clock
 from fieldgrid.poses.faults.convention import FEW_TURNED_SHARE, Comparison
-from fieldgrid.poses.faults.denied import (
-    DriveContradiction,
-    denied_by,
-    unsure_declared,
-    with_whole_place,
-)
-from fieldgrid.poses.faults.drifting import Drifts, drift_notes, drifts, unsure_drift
+from fieldgrid.poses.faults.denied import DriveContradiction, denied_by, unsure_declared
 from fieldgrid.poses.faults.excused import GyroExcuse, excused
 from fieldgrid.poses.faults.explained import explained
 from fieldgrid.poses.faults.unseen import (
@@ -111,7 +105,6 @@ def estimate_poses(
         table = unsure_slope(table, slope, axle.vehicle, turns_seen=drive.turns_seen)
     # Carried to the grid origin, and judged.
     table = unsure_declared(_carried(table, axle.vehicle, source), drive, checks.denied)
-    table = unsure_drift(table, drive, checks.drifts)
     trajectory = judged(table, log.datum, settings, budget, str(source))
     if lean is not None:
         trajectory = leaning(trajectory, lean, level_grids=level_grids)
@@ -131,13 +124,12 @@ def estimate_poses(
         offset=fix_offset(log.accepted, drive.offset_m),
         camera_scale=drive.smoothed.camera_scale,
         wheel_scale=drive.smoothed.wheel_scale,
-        unseen=unseen_faults(drive, rig, drift_shown=checks.drifts.is_shown),
+        unseen=unseen_faults(drive, rig),
         notes=(
             *(() if silent else (found.gyro_note,)),
             *(*found.notes, *notes),
             *(unsure_notes(log.accepted) if settings.accuracy_m is None else ()),
             *slope_notes(slope, axle.vehicle),
-            *drift_notes(checks.drifts),
             *drive_notes(
                 *(drive, log.accepted, rig, axle, checks.denied),
                 *(source, settings, checks.clocks.offset, checks.yaw),
@@ -164,7 +156,6 @@ class _Checks(NamedTuple):
     clocks: ClockFindings
     yaw: CameraYaw | None
     denied: DriveContradiction
-    drifts: Drifts
     excused: GyroExcuse | None
 
 
@@ -183,29 +174,27 @@ def _checked(
     smooth = source.kind == "smooth"
     # Where a heading is recorded, a vehicle that slips sideways does not look where it goes.
     follows_path = not np.isfinite(recorded.heading_deg).any()
-    yaw = camera_yaw(found.motion.steps, found.axle) if smooth and follows_path else None
+    yaw = None
+    if smooth and follows_path:
+        yaw = camera_yaw(drive.smoothed.camera_yaw_rad, found.motion.steps, found.axle)
     denied = denied_by(drive, declared, clocks)
-    if smooth and not drive.turns_seen:
-        denied = with_whole_place(denied, partial(_with_recorded, found, recorded))
-    elif smooth:
+    if smooth and drive.turns_seen:
         denied = explained(denied, found, drive, declared)
     excuse = None
     if smooth and not drive.turns_seen and not drive.headings_recorded:
         excuse = excused(found, declared)
     if excuse is not None:
         denied = excuse.denied
-    seen = drifts(drive, found.axle, denied, clocks, found.imu_turn) if smooth else Drifts()
-    return _Checks(clocks, yaw, denied, seen, excuse)
+    return _Checks(clocks, yaw, denied, excuse)
 
 
-def _with_recorded(
-    found: Fusion, recorded: RecordedHeadings, ahead_m: float = 0.0
-) -> DriveEstimate:
-    """The drive by its recorded headings, too, with the antenna `ahead_m` farther ahead."""
+def _with_recorded(found: Fusion, recorded: RecordedHeadings) -> DriveEstimate:
+    """The drive by its recorded headings, too."""
     if not np.isfinite(recorded.heading_deg).any():
         return found.drive
-    axle = with_antenna_moved(found.axle, ahead_m) if ahead_m else found.axle
-    return with_recorded(found.drive, found.log.accepted, found.motion, axle, recorded, found.hints)
+    return with_recorded(
+        *(found.drive, found.log.accepted, found.motion, found.axle, recorded, found.hints)
+    )
 
 
 def _of_given(

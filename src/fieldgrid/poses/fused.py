@@ -24,7 +24,7 @@ from fieldgrid.geometry import (
 )
 from fieldgrid.poses.accepted import AcceptedFixes, accepted_fixes, datum_of
 from fieldgrid.poses.attitude.axes import AxisTilt, axes_of_fixes
-from fieldgrid.poses.axle import Axle, axle_by_gyro, axle_of
+from fieldgrid.poses.axle import Axle, axle_of, axle_told
 from fieldgrid.poses.drive import DriveEstimate, smooth_drive
 from fieldgrid.poses.faults.convention import Comparison, compare, turned_around
 from fieldgrid.poses.faults.gyro.check import GyroVerdict, with_trusted_gyro, without_wrong_gyro
@@ -47,6 +47,7 @@ from fieldgrid.poses.levelled import (
     measures_tilt,
 )
 from fieldgrid.poses.measured import turn_back, wheel_speed_at
+from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, LATE, SCALE
 from fieldgrid.poses.table import ConditionedLog
 
 # Wheels whose sign is turned round: they say that a vehicle backs up while it drives forward.
@@ -229,7 +230,7 @@ def fuse(
     motion, turned_wheels = with_right_wheels(motion)
     gyro = motion.gyro
     motion, wrong_gyro = without_wrong_gyro(log.accepted, motion)
-    axle, hints = axle_of(rig, motion.steps), gear_hints(settings)
+    axle, hints = axle_of(rig), gear_hints(settings)
     drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     # Fixes that leave the drive at once and come back.
     strays: dict[int, str] = {}
@@ -248,8 +249,8 @@ def fuse(
         gyro_note=wrong_gyro or trusted.note,
         notes=tuple(note for note in notes if note is not None),
     )
-    if found.drive.at.has_gyro():
-        told = axle_by_gyro(axle, found.drive.smoothed.declared.ahead_m)
+    if found.drive.turns_seen:
+        told = axle_told(axle, found.drive.smoothed.declared.off(AHEAD, ASIDE, LATE, SCALE))
         if told != axle:
             found = found.again(axle=told)
     # The same of a vehicle that stands level, once its headings have told how it leans.

@@ -195,6 +195,7 @@ def _smooth_table(log: ConditionedLog, drive: DriveEstimate) -> tuple[PoseTable,
     )
     east[outside], north[outside], up[outside] = _positions(log, fix[outside])
     offset_m, stated_m = fix_offsets(drive.time_ns, used, drive.offset_m)
+    stated_m = stated_m * drive.slow.factor
     return PoseTable(
         time_ns,
         east,

@@ -17,6 +17,7 @@ import numpy as np
 from fieldgrid.core import Float64, utc_text
 from fieldgrid.geometry import Steps
 from fieldgrid.poses.axle import Axle, ways_of
+from fieldgrid.poses.smoother.declared import Constant
 from fieldgrid.poses.travel_direction import Ways, travel
 
 CLEAR_SIGMAS, LEAST_DEG = 4.0, 0.5
@@ -54,14 +55,14 @@ class CameraYaw(NamedTuple):
         return self._asdict() | {"moved": moved}
 
 
-def camera_yaw(steps: Steps | None, axle: Axle) -> CameraYaw | None:
-    """By the camera's steps, whose axes are those that are declared; None where they do not tell.
-    The axle's place regards that in a curve a camera ahead of it moves sideways, too."""
-    if steps is None or not len(steps.start_ns):
+def camera_yaw(off: Constant | None, steps: Steps | None, axle: Axle) -> CameraYaw | None:
+    """What the drive's estimate says, radians, and whether the camera was moved by its own steps,
+    whose axes are those that are declared. The axle's place regards that in a curve a camera ahead
+    of it moves sideways, too."""
+    if off is None or steps is None:
         return None
-    ways, ahead_m = ways_of(steps), axle.frame()[1]
-    yaw = travel(ways, ahead_m).yaw_deg
-    return None if yaw is None else CameraYaw(yaw.value, yaw.sigma, _moved(ways, steps, ahead_m))
+    off_deg, sigma_deg = map(math.degrees, off)
+    return CameraYaw(off_deg, sigma_deg, _moved(ways_of(steps), steps, axle.frame()[1]))
 
 
 def yaw_notes(yaw: CameraYaw) -> Iterator[str]:

@@ -15,11 +15,12 @@ import numpy as np
 
 from fieldgrid.core import Float64, Int64
 from fieldgrid.geometry import Gyro, VehicleGeometry, wrap_deg
-from fieldgrid.poses.drive import DriveEstimate
-from fieldgrid.poses.faults.denied import CLEAR_SIGMAS, DriveContradiction, sees_turns
+from fieldgrid.poses.drive import DriveEstimate, sees_turns
+from fieldgrid.poses.faults.denied import CLEAR_SIGMAS, DriveContradiction
 from fieldgrid.poses.faults.explained import MOST_LEFT, UNTOLD, Correction, Explanation, explanation
 from fieldgrid.poses.faults.gyro.check import apart_deg, scaled, turn_ratio
 from fieldgrid.poses.fused import Fusion
+from fieldgrid.poses.smoother.declared import SCALE
 
 STARTS = (0.0, 1.5, -1.5)
 """Where putting right begins, metres or seconds: a mistake of 2 or 3 bends the first estimate so
@@ -96,7 +97,7 @@ def _is_of_other_size(without: Fusion, gyro: Gyro) -> bool:
     if ratio is None:
         return False
     motion = scaled(without.motion._replace(gyro=gyro), ratio.value)
-    return without.again(motion=motion).drive.smoothed.declared.misfit_but_scale < MOST_LEFT
+    return without.again(motion=motion).drive.smoothed.declared.misfit(SCALE) < MOST_LEFT
 
 
 def _fitting(
@@ -108,9 +109,9 @@ def _fitting(
     """What explains the gyro, of place and stamps that the fixes fit as well as the drive without
     it; each from its start on."""
     beside = without.again(motion=without.motion._replace(gyro=gyro))
-    if not sees_turns(beside.drive):
+    if not sees_turns(beside.drive.measured):
         return
-    most_left = max(MOST_LEFT, LEFT_SHARE * beside.drive.smoothed.declared.misfit)
+    most_left = max(MOST_LEFT, LEFT_SHARE * beside.drive.smoothed.declared.misfit())
     noise_m = without.log.accepted.noise.across_m
     most_far_off = _far_off(without.drive, noise_m) + MORE_FAR_OFF
 

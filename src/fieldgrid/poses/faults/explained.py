@@ -21,11 +21,16 @@ from fieldgrid.poses.faults.denied import (
     LEAST_DELAY_S,
     LEAST_LEVER_M,
     DriveContradiction,
-    moving_places,
-    off_if_alone_m,
 )
 from fieldgrid.poses.fused import Fusion
-from fieldgrid.poses.smoother.declared import AHEAD, LATE, MOST_MISFIT, Constant, DeclaredCorrection
+from fieldgrid.poses.smoother.declared import (
+    AHEAD,
+    LATE,
+    MOST_MISFIT,
+    SCALE,
+    Constant,
+    DeclaredCorrection,
+)
 
 MOST_STEPS = 8
 """Clocks that are up to 3 s off are settled in three to six."""
@@ -38,10 +43,6 @@ MOST_LEFT, RULED_OUT, CLEARLY_WORSE = 3.5, 5.0, 2.0
 that is wrong, too; the other of the two is ruled out where it leaves more than the second, or so
 many times as many with the scale as it is. Random drives (`benchmarks.late_fixes`) have 0.2 to 5
 left by the one, 3 to 80 by the other."""
-
-SLIGHT = 0.5
-"""A correction of at most this share of the least that is named is taken from one step: there a
-path hardly bends."""
 
 LEAST_MPS = 0.1
 """A slower vehicle tells no clock from a place."""
@@ -115,38 +116,15 @@ def explained(
     of a log alone are the antenna's, wherever on the `vehicle` that sits."""
     declared = drive.smoothed.declared
     by_gyro = drive.at.has_gyro() and not found.has_camera() and not drive.headings_recorded
-    if not by_gyro or declared.misfit_but_scale < MOST_MISFIT:
+    if not by_gyro or declared.misfit(SCALE) < MOST_MISFIT:
         return denied
-    tried = _slight(declared, vehicle) or explanation(found._replace(drive=drive), vehicle)
+    tried = explanation(found._replace(drive=drive), vehicle)
     if tried is None:
         return denied
     if tried.left > MOST_LEFT:
         # Nothing ahead or late is denied, since neither explains the drive.
-        off_m = denied.off_m
-        if not names_axle(vehicle):
-            # A delay and the place ahead of an axle that nobody names cancel in one step.
-            places = moving_places(drive, vehicle)
-            off_m = off_if_alone_m(declared, vehicle, np.abs(drive.speed_mps), places)
-            off_m = np.hypot(off_m, 0.0 if denied.right_m is None else denied.right_m.value)
-        return denied._replace(ahead_m=None, late_s=None, off_m=off_m)
+        return denied._replace(ahead_m=None, late_s=None, either=False)
     return tried.denies(drive, vehicle)
-
-
-def _slight(declared: DeclaredCorrection, vehicle: VehicleGeometry | None) -> Explanation | None:
-    """A small correction that explains a contradiction without another estimate; None where
-    nothing does, or what may be it is more than that."""
-    one_step = {LATE: (declared.late_s.sigma, LEAST_DELAY_S)}
-    if names_axle(vehicle):
-        one_step[AHEAD] = (declared.ahead_m.sigma, LEAST_LEVER_M)
-    found = {}
-    for k, (sigma, least) in one_step.items():
-        value, left = declared.alone[k], declared.left[k]
-        if left > MOST_LEFT:
-            continue
-        if abs(value) > SLIGHT * least:
-            return None
-        found[k] = Correction(Constant(value, sigma), left, left, None)
-    return Explanation(found.get(AHEAD, UNTOLD), found.get(LATE, UNTOLD)) if found else None
 
 
 def explanation(
@@ -177,7 +155,9 @@ def _place(found: Fusion, start_m: float) -> Correction:
         return found.again(axle=with_antenna_moved(found.axle, ahead_m)).drive
 
     first = moved(start_m) if start_m else found.drive
-    return _settled(first, start_m, moved, lambda one: one.ahead_m, (SETTLED_M, FARTHEST_M))
+    return _settled(
+        first, start_m, moved, lambda one: one.off(AHEAD, LATE, SCALE), (SETTLED_M, FARTHEST_M)
+    )
 
 
 def _delay(found: Fusion, usual_mps: float, start_s: float) -> Correction:
@@ -194,7 +174,8 @@ def _delay(found: Fusion, usual_mps: float, start_s: float) -> Correction:
 
     def left_s(one: DeclaredCorrection) -> Constant:
         # The step takes most of a delay for a place.
-        return Constant(one.late_s.value - one.ahead_m.value / usual_mps, one.late_s.sigma)
+        late_s, ahead_m = one.off(LATE, AHEAD, SCALE), one.off(AHEAD, LATE, SCALE)
+        return Constant(late_s.value - ahead_m.value / usual_mps, late_s.sigma)
 
     first = stamped(start_s) if start_s else found.drive
     return _settled(first, start_s, stamped, left_s, (SETTLED_S, LATEST_S))
@@ -219,4 +200,4 @@ def _settled(
             break
     declared = drive.smoothed.declared
     value = Constant(total, left(declared).sigma)
-    return Correction(value, declared.misfit, declared.misfit_but_scale, drive)
+    return Correction(value, declared.misfit(), declared.misfit(SCALE), drive)

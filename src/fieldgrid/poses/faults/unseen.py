@@ -17,10 +17,16 @@ from fieldgrid.core import Float64, Quality
 from fieldgrid.geometry import Rig, Trajectory, VehicleGeometry, least_sigma_m, position_sigma_m
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.axle import names_axle
-from fieldgrid.poses.drive import DRIVING_MPS, DriveEstimate
+from fieldgrid.poses.drive import (
+    DRIVING_MPS,
+    LEAST_SEEN_SHARE,
+    DriveEstimate,
+    camera_share,
+    sees_turns,
+)
 from fieldgrid.poses.external.georeference import Georeference
-from fieldgrid.poses.faults.denied import CLEAR_SIGMAS, FAR_M, sees_speed, sees_turns
-from fieldgrid.poses.smoother.declared import Constant
+from fieldgrid.poses.faults.denied import CLEAR_SIGMAS, FAR_M, sees_speed
+from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, LATE, SCALE, Constant
 from fieldgrid.poses.table import PoseTable
 
 FIXED_NEAR_S = 60.0
@@ -59,30 +65,31 @@ _WORDS = {
 }
 
 
-def unseen_faults(
-    drive: DriveEstimate, vehicle: VehicleGeometry | None, *, drift_shown: bool
-) -> tuple[UnseenFault, ...]:
+def unseen_faults(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tuple[UnseenFault, ...]:
     """The faults that this drive would not show, of a vehicle as it was declared.
 
     Of a log alone positions are those of its antenna in its own clock, so that neither can be
-    wrong; and where nobody says where the axle is, no place ahead of it is either. `drift_shown`
-    is whether it would show a drift.
+    wrong; and where nobody says where the axle is, no place ahead of it is either. Only a camera
+    shows a slow drift.
     """
-    told, placed = drive.smoothed.declared, isinstance(vehicle, Rig)
-    turns, speed = sees_turns(drive), sees_speed(drive)
+    declared, placed = drive.smoothed.declared, isinstance(vehicle, Rig)
+    aside_m = declared.off(ASIDE, AHEAD, LATE, SCALE)
+    ahead_m = declared.off(AHEAD, ASIDE, LATE, SCALE)
+    late_s = declared.off(LATE, ASIDE, AHEAD, SCALE)
+    turns, speed = sees_turns(drive.measured), sees_speed(drive)
     turned = turns or (names_axle(vehicle) and drive.headings_recorded)
     moving = np.abs(drive.speed_mps)[np.abs(drive.speed_mps) > DRIVING_MPS]
     usual_mps = float(np.median(moving)) if len(moving) else 0.0
     hidden = {
-        UnseenFault.ANTENNA_ASIDE: placed and not (turned and speed and _is_told(told.right_m)),
+        UnseenFault.ANTENNA_ASIDE: placed and not (turned and speed and _is_told(aside_m)),
         UnseenFault.ANTENNA_AHEAD: placed
         and names_axle(vehicle)
-        and not (turned and _is_told(told.ahead_m)),
+        and not (turned and _is_told(ahead_m)),
         # Only turns show stamps that are late beside a gyro's or a camera's: what moves the antenna
         # ahead shows there, too.
         UnseenFault.LATE_STAMPS: placed
-        and not (turns and _is_told(told.ahead_m) and _is_told(told.late_s, usual_mps)),
-        UnseenFault.SLOW_DRIFT: not drift_shown,
+        and not (turns and _is_told(ahead_m) and _is_told(late_s, usual_mps)),
+        UnseenFault.SLOW_DRIFT: camera_share(drive.measured) < LEAST_SEEN_SHARE,
     }
     return tuple(fault for fault, unseen in hidden.items() if unseen)
 

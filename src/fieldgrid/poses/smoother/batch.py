@@ -8,7 +8,7 @@ import numpy as np
 
 from fieldgrid.core import Float64
 from fieldgrid.poses.smoother import model
-from fieldgrid.poses.smoother.declared import Constant, DeclaredCorrection, HeadingResponse, tested
+from fieldgrid.poses.smoother.declared import Constant, DeclaredCorrection, Unsure, tested
 from fieldgrid.poses.smoother.equations import CONSTANTS
 from fieldgrid.poses.smoother.measurements import Measurements
 from fieldgrid.poses.smoother.rounds import (
@@ -21,10 +21,12 @@ from fieldgrid.poses.smoother.rounds import (
     linearized,
     stated_weights,
 )
+from fieldgrid.poses.smoother.slow_error import wander_nats
 from fieldgrid.poses.smoother.steering import (
     Steering,
     adapted,
     likeliest_steering,
+    likelihood_by,
     roughly,
     usual_steering,
 )
@@ -41,10 +43,11 @@ class SmoothedDrive(NamedTuple):
     `fix_off_m` [n, 2] are how far fixes lie ahead and to the right of where pose, lever and slow
     error have them, `step_off` [s, 3] the same of the steps.
 
-    `heading_offset` (radians), `wheel_scale` and `camera_scale` are the constants; None where
-    nothing measures them. `declared` is what the drive makes of what was declared, and `response`
-    what that does to headings. `steering` is the change of the curvature that was learnt, and
-    `steers` how the vehicle steers.
+    `heading_offset`, `camera_yaw_rad` (radians), `wheel_scale` and `camera_scale` are the
+    constants; None where nothing measures them. `declared` is what the drive makes of what was
+    declared, and `unsure` what that does to poses. `nats` is how likely the measurements are, and
+    `wander_nats` by how much likelier they would be with a slow error that changes more.
+    `steering` is the change of the curvature that was learnt, and `steers` how the vehicle steers.
     """
 
     state: Float64
@@ -56,8 +59,11 @@ class SmoothedDrive(NamedTuple):
     heading_offset: Constant | None
     wheel_scale: Constant | None
     camera_scale: Constant | None
+    camera_yaw_rad: Constant | None
     declared: DeclaredCorrection
-    response: HeadingResponse
+    unsure: Unsure
+    nats: float
+    wander_nats: float
     steering: CurvatureChange
     steers: Steering
     rounds: int
@@ -68,6 +74,7 @@ def smooth(
     start: Float64,
     lever_m: tuple[float, float] = (0.0, 0.0),
     step_ahead_m: float = 0.0,
+    ahead_sigma_m: float = 0.0,
 ) -> SmoothedDrive:
     """The likeliest drive from a first guess `start` [n, 8] that has its gears right.
 
@@ -75,7 +82,7 @@ def smooth(
     motion the steps tell, from the middle of the axle that does not steer. How much the vehicle
     steers is what makes its own fixes likeliest. The same input gives the same bits.
     """
-    problem = SmoothingProblem.of(measured, lever_m, step_ahead_m)
+    problem = SmoothingProblem.of(measured, lever_m, step_ahead_m, ahead_sigma_m)
     # A gyro sees the steering; without one the drive has to tell what to expect of it.
     gyro = np.isfinite(measured.turned_rad)
     learns = bool(gyro.size) and float(gyro.mean()) < GYRO_SHARE
@@ -96,10 +103,14 @@ def smooth(
 
 
 def refine(
-    known: SmoothedDrive, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
+    known: SmoothedDrive,
+    measured: Measurements,
+    lever_m: tuple[float, float],
+    step_ahead_m: float,
+    ahead_sigma_m: float = 0.0,
 ) -> SmoothedDrive:
     """The drive by other measurements at its nodes, with the steering that was learnt."""
-    problem = SmoothingProblem.of(measured, lever_m, step_ahead_m)
+    problem = SmoothingProblem.of(measured, lever_m, step_ahead_m, ahead_sigma_m)
     weights = stated_weights(measured, known.steering)
     found = converged(problem, known.state, np.zeros(CONSTANTS), weights)
     return _with_sigmas(problem, found, known.steers)
@@ -108,7 +119,8 @@ def refine(
 def _with_sigmas(problem: SmoothingProblem, found: Solution, steers: Steering) -> SmoothedDrive:
     """The estimate with its sigmas; where it has not settled, what still changes counts too."""
     linear, off = linearized(problem, found.x, found.constants, found.weights, held=False)
-    declared, response = tested(problem, found, linear)
+    declared, unsure = tested(problem, found, linear)
+    nats = likelihood_by(linear) + declared.nats()
     known = Covariances.of(linear)
     east, north, phi = model.E, model.N, model.PHI
     relative = sum(
@@ -135,8 +147,11 @@ def _with_sigmas(problem: SmoothingProblem, found: Solution, steers: Steering) -
         constants[model.HEADING_OFFSET],
         constants[model.WHEEL_SCALE],
         constants[model.CAMERA_SCALE],
+        constants[model.CAMERA_YAW],
         declared,
-        response,
+        unsure,
+        nats,
+        wander_nats(problem.measured, found.x, known),
         found.weights.steering,
         steers,
         found.rounds,

@@ -1,27 +1,57 @@
-"""What was declared of antenna, clock and gyro, tested by the drive; nothing of it is applied."""
+"""What was declared of antenna, clock and gyro: what the drive says of it, and how unsure it leaves
+poses.
+
+Five numbers may be off: each is usually off by little, and sometimes, where somebody measured or
+typed it wrong, by much. A drive says how likely each choice is of those that are wrong; what
+survives counts in its sigmas. Nothing of it is applied.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import chain, combinations
 from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.core import Float64
 from fieldgrid.poses.smoother.envelope import STATES, solve
-from fieldgrid.poses.smoother.model import BIAS_E, BIAS_N, GYRO, GYRO_NOISE, KAPPA, PHI, E, N, V
+from fieldgrid.poses.smoother.measurements import Measurements
+from fieldgrid.poses.smoother.model import (
+    ACROSS_NOISE,
+    BIAS_E,
+    BIAS_N,
+    GYRO,
+    GYRO_NOISE,
+    KAPPA,
+    PHI,
+    SLIP_ANGLE,
+    E,
+    N,
+    V,
+)
 from fieldgrid.poses.smoother.rounds import Linear, SmoothingProblem, Solution, inverse
 
-AHEAD, LATE, SCALE = 1, 2, 3
-"""Which of the constants that are tested are the antenna's place ahead, the delay of the fixes and
-the gyro's scale."""
+ASIDE, AHEAD, LATE, SCALE, SLIP = range(5)
+"""The antenna's place to the right and ahead, metres; the delay of the fixes, seconds; the gyro's
+scale, a share; the slip angle of the axle that does not steer, rad per m/s² across."""
 
-TESTED_SIGMAS = np.array([5.0, 5.0, 5.0, 2.0])
-"""What each could be off by, before the drive."""
+USUAL_SIGMAS = np.array([0.05, 0.05, 0.02, 0.04, SLIP_ANGLE])
+"""How far off they usually are: a place that was measured, the stamps of two clocks, a gyro's scale
+with its mounting, tyres."""
 
-UNVERIFIED_SIGMAS = np.array([0.1, 0.1, 0.2, 0.04])
-"""How far off they usually are where nobody verified them: a measured place of the antenna, the
-stamps of two clocks, and a gyro's scale with its mounting."""
+WRONG_SIGMAS = np.array([1.0, 1.0, 0.5, 0.3, SLIP_ANGLE])
+"""How far off they are where they are wrong."""
+
+WRONG_NATS = math.log(0.02)
+"""How likely each of them is wrong before the drive. No slip angle is wrong: no one declares it."""
+
+SURVIVING = 0.05
+"""What is less likely after the drive, as a share of the likeliest, counts no more."""
+
+LIKELY = 0.9
+"""What is said to be wrong is so by this probability at least."""
 
 TOLD_SHARE = 0.5
 """Of what a drive tells of them: the noise of its fixes is known to a third."""
@@ -30,11 +60,11 @@ FLEETING_S, FLEETING_SHARE = 30.0, 0.1
 """A slow error that lasts no longer is that of a solution that converges. It changes within a turn,
 and how fast it does is a guess: of the gyro's scale such fixes tell less."""
 
-TURN_EDGE_S = 0.5
-"""A gyro that is late is wrong for so long before and after a turn, too."""
+EDGE_S = 0.5
+"""What bends a turn is unsure for so long before it and after it, too."""
 
 MOST_MISFIT = 5.0
-"""Four numbers that are right are more sigmas away once in 20,000 drives."""
+"""Five numbers that are right are more sigmas away once in 10,000 drives."""
 
 
 class Constant(NamedTuple):
@@ -44,123 +74,144 @@ class Constant(NamedTuple):
     sigma: float
 
 
+class Hypothesis(NamedTuple):
+    """Which of the numbers are `wrong`, how much likelier the drive makes that than that none is,
+    nats, and what the numbers are then: their means [5] and covariance [5, 5]."""
+
+    wrong: tuple[int, ...]
+    nats: float
+    mean: Float64
+    covariance: Float64
+
+
 class DeclaredCorrection(NamedTuple):
-    """What the drive would have added to what was declared: to the antenna's place, to the right
-    and ahead (metres), to how late the fixes are stamped (seconds), and to the gyro's scale (a
-    share; of a gyro that is upside down it is near -2).
+    """What a drive says of the five numbers: its `information` [5, 5] and the `right` side [5] of
+    their normal equations, all states following; `usual` [5] is how far off they usually are."""
 
-    `misfit` is how many sigmas all of them together are from nothing. `alone` is what each of them
-    would be if the others were as declared, in this order, and `left` how many sigmas would be left
-    then.
-    """
+    information: Float64
+    right: Float64
+    usual: Float64
 
-    right_m: Constant
-    ahead_m: Constant
-    late_s: Constant
-    gyro_scale: Constant
-    misfit: float
-    alone: tuple[float, float, float, float]
-    left: tuple[float, float, float, float]
+    def hypothesis(self, wrong: Sequence[int]) -> Hypothesis:
+        """The numbers when some of them are wrong: Laplace's approximation."""
+        sigma = self.usual.copy()
+        sigma[list(wrong)] = WRONG_SIGMAS[list(wrong)]
+        precision = self.information + np.diag(1.0 / sigma**2)
+        covariance: Float64 = np.asarray(np.linalg.inv(precision), np.float64)
+        mean = covariance @ self.right
+        _, spread = np.linalg.slogdet(precision * np.outer(sigma, sigma))
+        nats = 0.5 * float(self.right @ mean) - 0.5 * float(spread) + len(wrong) * WRONG_NATS
+        return Hypothesis(tuple(wrong), nats, mean, covariance)
+
+    def hypotheses(self) -> list[tuple[Hypothesis, float]]:
+        """Each choice of what is wrong, of the numbers that the drive tells anything of, with its
+        probability."""
+        told = np.flatnonzero(np.diagonal(self.information)[:SLIP] > 0.0).tolist()
+        choices = chain.from_iterable(combinations(told, k) for k in range(len(told) + 1))
+        every = [self.hypothesis(wrong) for wrong in choices]
+        nats = np.array([one.nats for one in every])
+        shares = np.exp(nats - nats.max())
+        return list(zip(every, (shares / shares.sum()).tolist(), strict=True))
+
+    def nats(self) -> float:
+        """How much likelier the drive is with numbers that may be off than with exact ones."""
+        return float(np.logaddexp.reduce([one.nats for one, _ in self.hypotheses()]))
+
+    def probability(self, *some: int) -> float:
+        """How likely any of some numbers is wrong."""
+        return sum(share for one, share in self.hypotheses() if set(some) & set(one.wrong))
+
+    def second_moment(self) -> Float64:
+        """The mean square [5, 5] of what the numbers are off, over all that may be wrong."""
+        every = self.hypotheses()
+        least = SURVIVING * max(share for _, share in every)
+        kept = [(one, share) for one, share in every if share >= least]
+        return np.asarray(
+            sum(share * (one.covariance + np.outer(one.mean, one.mean)) for one, share in kept)
+            / sum(share for _, share in kept)
+        )
+
+    def off(self, k: int, *beside: int) -> Constant:
+        """What the k-th is off if it is wrong, with others `beside` it."""
+        found = self.hypothesis((k, *beside))
+        return Constant(float(found.mean[k]), math.sqrt(found.covariance[k, k]))
+
+    def misfit(self, *wrong: int) -> float:
+        """How many sigmas the numbers are from what is usual, but for those that are `wrong`."""
+        sigma = self.usual.copy()
+        sigma[list(wrong)] = WRONG_SIGMAS[list(wrong)]
+        spread = self.information + self.information @ np.diag(sigma**2) @ self.information
+        return math.sqrt(
+            max(float(self.right @ np.linalg.pinv(spread, hermitian=True) @ self.right), 0.0)
+        )
 
     @property
     def contradicts(self) -> bool:
         """Whether sensors and declarations do not fit together."""
-        return self.misfit > MOST_MISFIT
-
-    @property
-    def misfit_but_scale(self) -> float:
-        """How many sigmas are left with the gyro's scale as the drive has it, and as far as that is
-        from the usual: no scale is quite right."""
-        unusual = self.alone[SCALE] / float(UNVERIFIED_SIGMAS[SCALE])
-        return min(math.hypot(self.left[SCALE], unusual), self.misfit)
+        return self.misfit() > MOST_MISFIT
 
     @property
     def unsure_late_s(self) -> float:
-        """How late the stamps of fixes or gyro may be, 1-sigma: as usual clocks are, as far as the
-        drive leaves it open, and as it would explain a contradiction alone."""
-        told = 1.0 / self.late_s.sigma**2 - 1.0 / TESTED_SIGMAS[LATE] ** 2
-        usual = 1.0 / UNVERIFIED_SIGMAS[LATE] ** 2
-        unverified_s = 1.0 / math.sqrt(usual + TOLD_SHARE * max(told, 0.0))
-        return math.hypot(unverified_s, self.alone[LATE] if self.contradicts else 0.0)
+        """How late the stamps of fixes or gyro may be, 1-sigma."""
+        return math.sqrt(self.second_moment()[LATE, LATE])
 
     def explains(self, k: int) -> bool:
         """Whether most of what does not fit together would with the k-th of them alone."""
-        return self.left[k] < self.misfit / 2.0
+        return self.misfit(k) < self.misfit() / 2.0
 
     @property
     def blames_gyro(self) -> bool:
         """Whether they do not, and the gyro explains it better than anything else."""
-        *others, gyro = self.left
-        return self.contradicts and gyro < min(self.misfit / 2.0, *others)
+        *others, gyro = (self.misfit(k) for k in (ASIDE, AHEAD, LATE, SCALE))
+        return self.contradicts and gyro < min(self.misfit() / 2.0, *others)
 
 
-class HeadingResponse(NamedTuple):
-    """How headings [n] would change, radians: with an antenna a metre farther ahead than was
-    declared; and at most with what is tested as the drive has it, all of it or what explains the
-    misfit alone. `unverified` is their 1-sigma error by a gyro whose clock and scale are usual
-    ones (:data:`UNVERIFIED_SIGMAS`), as far as the drive leaves them open, in the clock of the
-    fixes."""
+class Unsure(NamedTuple):
+    """How unsure the five numbers leave the nodes [n], 1-sigma: headings in radians; places in
+    metres along one axis, of the axle and, of a log alone, of the antenna."""
 
-    per_ahead_m: Float64
-    at_most: Float64
-    unverified: Float64
+    heading_rad: Float64
+    axle_m: Float64
+    antenna_m: Float64
 
 
 def tested(
     problem: SmoothingProblem, found: Solution, linear: Linear
-) -> tuple[DeclaredCorrection, HeadingResponse]:
-    """What would have to be added to what was declared for the drive to fit best, and what the
-    headings would be then: one step of Gauss and Newton with all states following."""
+) -> tuple[DeclaredCorrection, Unsure]:
+    """What a drive says of what was declared, and how unsure that leaves it: one step of Gauss and
+    Newton with all states following."""
     measured = problem.measured
-    followed, information, right = _told(problem, found, linear)
-    schur = information + np.diag(1.0 / TESTED_SIGMAS**2)
-    values = np.linalg.solve(schur, right)
-    sigmas = np.sqrt(np.diagonal(np.linalg.inv(schur)))
-    together = float(values @ right)
-    left = np.sqrt(np.maximum(together - right**2 / np.diagonal(schur), 0.0))
-    right_m, ahead_m, late_s, gyro = map(Constant, values.tolist(), sigmas.tolist())
-    alone = right / np.diagonal(schur)
-    misfit = math.sqrt(max(together, 0.0))
-    declared = DeclaredCorrection(
-        *(right_m, ahead_m, late_s, gyro), misfit, tuple(alone.tolist()), tuple(left.tolist())
-    )
-    heading = -followed[PHI::STATES]
-    at_most = np.abs(heading @ values)
-    # A curvature and a speed do not say it: with a gyro they follow only loosely.
-    turned = np.gradient(found.x[:, PHI], measured.time_s) if len(measured.time_s) > 1 else 0.0
-    for k in range(len(alone)):
-        if declared.explains(k):
-            # Nobody knows whose stamps are late: those of the gyro are late by as much as those of
-            # the fixes seem early, and headings with them.
-            late = np.abs(turned) if k == LATE else 0.0
-            at_most = np.maximum(at_most, np.abs((late + np.abs(heading[:, k])) * alone[k]))
-    prior = np.diag(1.0 / UNVERIFIED_SIGMAS**2)
-    expected = np.linalg.solve(TOLD_SHARE * information + prior, TOLD_SHARE * right)
+    followed, information, right = told_by(linear, *couplings(measured, found, problem.lever_m))
+    # An antenna aside is the faster one in a turn, which only those see who see the speed.
+    seen = len(measured.step_nodes) or np.isfinite(measured.speed_mps).any()
     # The scale is confused with a wander that changes within a turn, the others hardly are.
     fleeting = float(np.median(measured.bias_s)) < FLEETING_S
-    told = np.sqrt([*3 * (TOLD_SHARE,), FLEETING_SHARE if fleeting else TOLD_SHARE])
-    usual = np.linalg.inv(np.outer(told, told) * information + prior)
-    second_moment = (usual + np.outer(expected, expected))[LATE:, LATE:]
-    by_gyro = heading[:, LATE:].copy()
-    by_gyro[:, 0] -= turned  # in the clock of the fixes
-    variance = np.einsum("na,ab,nb->n", by_gyro, second_moment, by_gyro)
-    # At each node the largest variance within :data:`TURN_EDGE_S` of it.
-    values = np.maximum(variance, 0.0)
-    near_s = np.linspace(-TURN_EDGE_S, TURN_EDGE_S, 9)
+    told = np.full(5, TOLD_SHARE)
+    told[ASIDE] = TOLD_SHARE if seen else 0.0
+    told[SCALE] = FLEETING_SHARE if fleeting else TOLD_SHARE
+    usual = USUAL_SIGMAS.copy()
+    usual[AHEAD] = max(usual[AHEAD], problem.ahead_sigma_m)
+    declared = DeclaredCorrection(np.sqrt(np.outer(told, told)) * information, told * right, usual)
+    moment = declared.second_moment()
+    response = -followed.reshape(-1, STATES, 5)
+    # Headings in the clock of the fixes.
+    if len(measured.time_s) > 1:
+        response[:, PHI, LATE] -= np.gradient(found.x[:, PHI], measured.time_s)
+
+    def sigma(axis: int, of: Float64) -> Float64:
+        return np.sqrt(
+            np.maximum(np.einsum("na,ab,nb->n", response[:, axis], of, response[:, axis]), 0.0)
+        )
+
+    near_s = np.linspace(-EDGE_S, EDGE_S, 9)
     at = np.searchsorted(measured.time_s, measured.time_s + near_s[:, None], side="right") - 1
-    unverified = np.sqrt(np.max(values[np.clip(at, 0, len(values) - 1)], axis=0))
-    return declared, HeadingResponse(heading[:, 1], at_most, unverified)
-
-
-def _told(
-    problem: SmoothingProblem, found: Solution, linear: Linear
-) -> tuple[Float64, Float64, Float64]:
-    """Response, information and right side of the tested declarations: see :func:`told_by`."""
-    measured = problem.measured
-    fixes = measured.fix_m, found.weights.fix, problem.lever_m
-    return told_by(
-        linear, *couplings(found.x, *fixes, measured.turned_rad, np.diff(measured.time_s))
+    heading_rad = np.max(sigma(PHI, moment)[np.clip(at, 0, None)], axis=0)
+    alone = moment.copy()
+    alone[:SCALE] = alone[:, :SCALE] = 0.0
+    axle_m, antenna_m = (
+        np.hypot(sigma(E, of), sigma(N, of)) / math.sqrt(2.0) for of in (moment, alone)
     )
+    return declared, Unsure(heading_rad, axle_m, antenna_m)
 
 
 def told_by(
@@ -178,24 +229,58 @@ def told_by(
     return followed, information, right - followed.T @ linear.system.right
 
 
-def unverified_nats(problem: SmoothingProblem, found: Solution, linear: Linear) -> float:
-    """How much likelier a drive is when what was declared may be off by
-    :data:`UNVERIFIED_SIGMAS`, than when it is exact: Laplace's approximation."""
-    _, information, right = _told(problem, found, linear)
-    known = information + np.diag(1.0 / UNVERIFIED_SIGMAS**2)
-    explained = 0.5 * float(right @ np.linalg.solve(known, right))
-    _, spread = np.linalg.slogdet(known * np.outer(UNVERIFIED_SIGMAS, UNVERIFIED_SIGMAS))
-    return explained - 0.5 * float(spread)
-
-
 def couplings(
-    x: Float64, fix_en: Float64, weight: Float64, lever: Float64, turned: Float64, step_s: Float64
+    measured: Measurements, found: Solution, lever: Float64
 ) -> tuple[Float64, Float64, Float64]:
-    """How the residuals of fixes and gyro depend on what is tested.
+    """How the residuals of fixes, gyro and motion depend on what is tested.
 
-    Returns the coupling with the states [states, 4], the corner [4, 4], the right side [4].
+    Returns the coupling with the states [states, 5], the corner [5, 5], the right side [5].
     """
-    border, corner, right = np.zeros((len(x), STATES, 4)), np.zeros((4, 4)), np.zeros(4)
+    x, step_s = found.x, np.diff(measured.time_s)
+    border, corner, right = np.zeros((len(x), STATES, 5)), np.zeros((5, 5)), np.zeros(5)
+    _add_fixes(border, corner, right, x, measured.fix_m, found.weights.fix, lever)
+    # The gyro's scale.
+    known = np.flatnonzero(~np.isnan(measured.turned_rad))
+    turned, known_s = measured.turned_rad[known], step_s[known]
+    missed = x[known + 1, PHI] - x[known, PHI] - (turned - x[known, GYRO] * known_s)
+    scaled = -turned / (GYRO_NOISE**2 * known_s)
+    right[SCALE], corner[SCALE, SCALE] = -_in_order(scaled * missed), -_in_order(scaled * turned)
+    border[known + 1, PHI, SCALE] += scaled
+    border[known, PHI, SCALE] -= scaled
+    border[known, GYRO, SCALE] += scaled * known_s
+    # The slip angle: motion across the heading, see `model.add_motion`.
+    at = np.flatnonzero(measured.seen)
+    here, there, h = x[at], x[at + 1], step_s[at]
+    middle, speed = (here[:, PHI] + there[:, PHI]) / 2.0, (here[:, V] + there[:, V]) / 2.0
+    sin, cos = np.sin(middle), np.cos(middle)
+    east, north = there[:, E] - here[:, E], there[:, N] - here[:, N]
+    slid = (here[:, KAPPA] + there[:, KAPPA]) / 2.0 * speed * np.abs(speed)
+    by_slip = h * speed * slid
+    off = east * cos - north * sin + SLIP_ANGLE * by_slip
+    scaled = by_slip / (ACROSS_NOISE**2 * h)
+    right[SLIP], corner[SLIP, SLIP] = -_in_order(scaled * off), _in_order(scaled * by_slip)
+    for state, slope in ((E, cos), (N, -sin)):
+        border[at, state, SLIP] -= scaled * slope
+        border[at + 1, state, SLIP] += scaled * slope
+    for state, slope in (
+        (PHI, -(east * sin + north * cos) / 2.0),
+        (V, h / 2.0 * SLIP_ANGLE * slid),
+    ):
+        border[at, state, SLIP] += scaled * slope
+        border[at + 1, state, SLIP] += scaled * slope
+    return border.reshape(-1, 5), corner, right
+
+
+def _add_fixes(
+    border: Float64,
+    corner: Float64,
+    right: Float64,
+    x: Float64,
+    fix_en: Float64,
+    weight: Float64,
+    lever: Float64,
+) -> None:
+    """What fixes say of the antenna's place and of their own stamps."""
     at = np.flatnonzero(weight[:, 0] > 0.0)
     here, weight = x[at], weight[at]
     sin, cos = np.sin(here[:, PHI]), np.cos(here[:, PHI])
@@ -216,15 +301,6 @@ def couplings(
             for state, slope in zip((E, N, PHI), states[axis], strict=True):
                 border[at, state, a] += scaled[:, axis] * slope
     border[:, BIAS_E, :3], border[:, BIAS_N, :3] = border[:, E, :3], border[:, N, :3]
-    known = np.flatnonzero(~np.isnan(turned))
-    turned, step_s = turned[known], step_s[known]
-    missed = x[known + 1, PHI] - x[known, PHI] - (turned - x[known, GYRO] * step_s)
-    scaled = -turned / (GYRO_NOISE**2 * step_s)
-    right[3], corner[3, 3] = -_in_order(scaled * missed), -_in_order(scaled * turned)
-    border[known + 1, PHI, 3] += scaled
-    border[known, PHI, 3] -= scaled
-    border[known, GYRO, 3] += scaled * step_s
-    return border.reshape(-1, 4), corner, right
 
 
 def _in_order(terms: Float64) -> float:

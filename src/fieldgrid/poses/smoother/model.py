@@ -4,8 +4,8 @@ The state of a node is [east, north, heading, speed, curvature, gyro bias, bias 
 north]: the middle of the axle that does not steer, in metres; the heading, radians clockwise from
 north; metres a second, negative in reverse; radians of turn a metre; radians a second; and the
 slow part of the receiver's error, metres. Beside the nodes stand a few constants of the drive:
-the offset of a recorded heading (radians), and the relative errors of the wheels' and of the
-camera's scale.
+the offset of a recorded heading (radians), the relative errors of the wheels' and of the camera's
+scale, and by how much the camera looks farther right than declared (radians).
 """
 
 from __future__ import annotations
@@ -18,11 +18,15 @@ from fieldgrid.poses.smoother.equations import CONSTANTS, NormalEquations
 
 E, N, PHI, V, KAPPA, GYRO, BIAS_E, BIAS_N = range(STATES)
 
-HEADING_OFFSET, WHEEL_SCALE, CAMERA_SCALE = range(CONSTANTS)
+HEADING_OFFSET, WHEEL_SCALE, CAMERA_SCALE, CAMERA_YAW = range(CONSTANTS)
 
 SCALE_SIGMAS = 0.1, 0.03
 """What is known of the scales before the drive: tyres are off by a tenth; a stereo baseline, and
 disparities that are off by a tenth of a pixel at a range of some metres, make some per cent."""
+
+CAMERA_YAW_SIGMA = np.radians(2.0)
+"""Where a camera looks is hardly ever measured better, rad; and a vehicle that crabs on a side
+slope moves as if its camera were turned."""
 
 TURN_NOISE = np.radians(0.3)
 """Turning that neither speed nor curvature explains, rad/√s: slip."""
@@ -328,36 +332,40 @@ def _added(
 def add_steps(
     system: NormalEquations,
     x: Float64,
-    scale: float,
+    constants: tuple[float, float],
     ends: Int64,
     moved: Float64,
     weight: Float64,
     ahead_m: float,
 ) -> Float64:
     """Relative motions `moved` [s, 3] = (forward, right, turn) of a point `ahead_m` of the axle
-    between the nodes `ends` [s, 2], `weight` [s, 2] of distance and turn; all distances are too
-    long by one share. Returns residuals [s, 3].
+    between the nodes `ends` [s, 2], `weight` [s, 2] of distance and turn; by the `constants` all
+    distances are too long by one share, and are seen from a heading farther right by one angle.
+    Returns residuals [s, 3].
     """
+    scale, yaw = constants
     start, stop, size = x[ends[:, 0]], x[ends[:, 1]], 1.0 + scale
-    sin, cos = np.sin(start[:, PHI]), np.cos(start[:, PHI])
     sin_b, cos_b = np.sin(stop[:, PHI]), np.cos(stop[:, PHI])
-    east = stop[:, E] - start[:, E] + ahead_m * (sin_b - sin)
-    north = stop[:, N] - start[:, N] + ahead_m * (cos_b - cos)
+    east = stop[:, E] - start[:, E] + ahead_m * (sin_b - np.sin(start[:, PHI]))
+    north = stop[:, N] - start[:, N] + ahead_m * (cos_b - np.cos(start[:, PHI]))
+    sin, cos = np.sin(start[:, PHI] + yaw), np.cos(start[:, PHI] + yaw)
     forward, right = east * sin + north * cos, east * cos - north * sin
     turn = stop[:, PHI] - start[:, PHI] - moved[:, 2]
     turn -= 2.0 * np.pi * np.rint(turn / (2.0 * np.pi))
     off = np.empty((len(ends), 3))
     off[:, 0], off[:, 1] = size * forward - moved[:, 0], size * right - moved[:, 1]
     off[:, 2] = turn
-    index, slope = np.empty((len(ends), 7), np.int64), np.zeros((len(ends), 3, 7))
+    index, slope = np.empty((len(ends), 8), np.int64), np.zeros((len(ends), 3, 8))
     index[:, :3] = STATES * ends[:, :1] + np.array([E, N, PHI])
     index[:, 3:6] = STATES * ends[:, 1:] + np.array([E, N, PHI])
-    index[:, 6] = STATES * len(x) + CAMERA_SCALE
+    index[:, 6:] = STATES * len(x) + np.array([CAMERA_SCALE, CAMERA_YAW])
     for row, (east_by, north_by) in enumerate(((sin, cos), (cos, -sin))):
         slope[:, row, 0], slope[:, row, 1] = -size * east_by, -size * north_by
         slope[:, row, 3], slope[:, row, 4] = size * east_by, size * north_by
+    slope[:, 0, 7], slope[:, 1, 7] = size * right, -size * forward
     # The start's own lever turns with it and cancels, but for its place in the frame.
-    slope[:, 0, 2], slope[:, 1, 2] = size * right, -size * (forward + ahead_m)
+    slope[:, 0, 2] = size * (right - ahead_m * np.sin(yaw))
+    slope[:, 1, 2] = -size * (forward + ahead_m * np.cos(yaw))
     slope[:, 0, 5] = size * ahead_m * (cos_b * sin - sin_b * cos)
     slope[:, 1, 5] = size * ahead_m * (cos_b * cos + sin_b * sin)
     slope[:, 0, 6], slope[:, 1, 6] = forward, right

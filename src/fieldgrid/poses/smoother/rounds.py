@@ -32,22 +32,29 @@ the less the farther they lie."""
 class SmoothingProblem(NamedTuple):
     """The measurements of a drive and where on the vehicle they are of: `lever_m` is the antenna's
     place (right, ahead) and `step_ahead_m` that of the point whose motion the steps tell, from the
-    middle of the axle that does not steer. `values` is the memory of the normal equations, the
+    middle of the axle that does not steer; the antenna's place ahead is unsure by `ahead_sigma_m`.
+    `values` is the memory of the normal equations, the
     same for each round: of a long drive, new memory costs as much as factoring."""
 
     measured: Measurements
     lever_m: Float64
     step_ahead_m: float
+    ahead_sigma_m: float
     shape: Envelope
     values: Float64
 
     @classmethod
     def of(
-        cls, measured: Measurements, lever_m: tuple[float, float], step_ahead_m: float
+        cls,
+        measured: Measurements,
+        lever_m: tuple[float, float],
+        step_ahead_m: float,
+        ahead_sigma_m: float = 0.0,
     ) -> SmoothingProblem:
         """The problem with the shape of its equations."""
         shape = envelope(len(measured.time_s), measured.step_nodes)
-        return cls(measured, np.array(lever_m), step_ahead_m, shape, np.empty(shape.size))
+        values = np.empty(shape.size)
+        return cls(measured, np.array(lever_m), step_ahead_m, ahead_sigma_m, shape, values)
 
 
 class CurvatureChange(NamedTuple):
@@ -179,7 +186,8 @@ def linearized(
     """The factored normal equations about a state, and how far each measurement is off. `held` for
     a round to come, not for sigmas. What an earlier call gave for this problem is overwritten."""
     measured = problem.measured
-    given = (weights.heading > 0.0).any(), (weights.speed > 0.0).any(), len(measured.step) > 0
+    seen = len(measured.step) > 0
+    given = (weights.heading > 0.0).any(), (weights.speed > 0.0).any(), seen, seen
     active = np.flatnonzero(np.array(given, dtype=np.bool_))
     system = empty_system(problem.shape, problem.values, coupled=active.size > 0)
     model.add_motion(
@@ -194,7 +202,7 @@ def linearized(
         measured.standing,
     )
     model.add_still(system, x, measured.standing, *(HELD if held else NOT_HELD))
-    offset, wheels, camera = constants
+    offset, wheels, scale, yaw = constants
     off = Residuals(
         model.add_fixes(system, x, measured.fix_m, weights.fix, problem.lever_m),
         model.add_headings(system, x, offset, measured.heading_rad, weights.heading),
@@ -202,14 +210,15 @@ def linearized(
         model.add_steps(
             system,
             x,
-            camera,
+            (scale, yaw),
             measured.step_nodes,
             measured.step,
             weights.step,
             problem.step_ahead_m,
         ),
     )
-    prior = 1.0 / np.array([measured.heading_offset_sigma_rad, *model.SCALE_SIGMAS]) ** 2
+    sigmas = *model.SCALE_SIGMAS, model.CAMERA_YAW_SIGMA
+    prior = 1.0 / np.array([measured.heading_offset_sigma_rad, *sigmas]) ** 2
     system.corner[np.diag_indices(CONSTANTS)] += prior
     system.right_constants[:] -= prior * constants
     log_determinant = float(factor(system.shape, system.values))

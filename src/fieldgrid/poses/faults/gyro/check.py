@@ -14,7 +14,7 @@ from fieldgrid.poses.drive import DriveEstimate, smooth_drive
 from fieldgrid.poses.faults.gyro.sense import gyro_sense
 from fieldgrid.poses.faults.leaps.leaps import usual_period_s
 from fieldgrid.poses.gears.stations import TELL_GEARS, GearHints
-from fieldgrid.poses.smoother.declared import DeclaredCorrection
+from fieldgrid.poses.smoother.declared import SCALE, DeclaredCorrection
 
 MOST_SCALE = 0.25
 """No gyro's scale is off by a larger share; what is has wrong axes or units."""
@@ -207,7 +207,7 @@ def with_trusted_gyro(
         return fits  # nothing else saw the turns, so the drive without it would tell nothing
     without = motion._replace(gyro=None, inertial=None)
     rest = smooth_drive(fixes, all_ns, without, axle, hints=hints)
-    scale = found.gyro_scale
+    scale = found.off(SCALE)
     if found.blames_gyro and abs(scale.value) < MOST_SCALE:
         corrected = scaled(motion, 1.0 + scale.value)
         again = smooth_drive(fixes, all_ns, corrected, axle, hints=hints)
@@ -228,7 +228,7 @@ def with_trusted_gyro(
     gyro, moves = motion.gyro, drive.gear != 0
     ratio = None if gyro is None else turn_ratio(fixes, gyro)
     either = wanders and ratio is not None and abs(ratio.value - 1.0) < PLAUSIBLE_RATIO
-    note = f"The gyro contradicts the drive by {found.misfit:.0f} sigmas and {CHECK}"
+    note = f"The gyro contradicts the drive by {found.misfit():.0f} sigmas and {CHECK}"
     if moves.any() and float(np.mean(drive.doubt[moves] > DOUBT)) > DOUBTFUL_SHARE:
         either = True
         note += f" {GEARS_UNSURE}"
@@ -239,8 +239,8 @@ def scale_explains(corrected: DeclaredCorrection, found: DeclaredCorrection) -> 
     """Whether a wrong scale explains what a gyro contradicts: with the corrected one nothing
     contradicts, or it was no unusual error of a scale and less than half of the contradiction is
     left. That then counts in the headings; a drive without the gyro would have it unseen."""
-    usual = abs(found.gyro_scale.value) < UNUSUAL_SCALE and not corrected.blames_gyro
-    return not corrected.contradicts or (usual and corrected.misfit < found.misfit / 2.0)
+    usual = abs(found.off(SCALE).value) < UNUSUAL_SCALE and not corrected.blames_gyro
+    return not corrected.contradicts or (usual and corrected.misfit() < found.misfit() / 2.0)
 
 
 def apart_deg(one: DriveEstimate, other: DriveEstimate) -> Float64:
