@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.core import Bool, Float64, Int64, Quality
-from fieldgrid.geometry import Motion, Rig, wrap_deg
+from fieldgrid.geometry import Motion, wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.axle import Axle
 from fieldgrid.poses.faults.leaps.leaps import holes
@@ -166,11 +166,14 @@ def smooth_drive(
     axle: Axle,
     recorded: RecordedHeadings | None = None,
     hints: GearHints = NO_HINTS,
+    *,
+    as_stated: bool = False,
 ) -> DriveEstimate:
     """The batch estimate from accepted fixes and the vehicle's own motion.
 
     `all_ns` are the times of all fixes, which get poses too; `recorded` headings have passed their
-    comparison with the course.
+    comparison with the course. The slow error of the fixes is learnt, unless it is to be
+    `as_stated`.
     """
     at = nodes(fixes.time_ns, all_ns, motion)
     standing = _standing(fixes)
@@ -198,7 +201,7 @@ def smooth_drive(
         *(measured, first_guess(fixes, at, found, measured), lever_m, step_ahead_m), axle.sigma_m
     )
     slow = SlowError()
-    if sees_turns(measured) and smoothed.wander_nats > CLEAR_NATS:
+    if not as_stated and sees_turns(measured) and smoothed.wander_nats > CLEAR_NATS:
         slow, smoothed = _wandering(smoothed, measured, axle)
     return _drive(fixes, at, slow.of(measured), found, smoothed, axle, rest > 0.99, slow)
 
@@ -276,10 +279,7 @@ def _drive(
     sigma_deg = np.hypot(np.degrees(smoothed.heading_sigma_rad), LEAST_HEADING_SIGMA_DEG)
     if resting.all() and not np.isfinite(measured.heading_rad).any():
         sigma_deg = np.full(len(resting), 180.0)  # what wanders is no motion
-    unsure = smoothed.unsure
-    sigma_deg = np.hypot(sigma_deg, np.degrees(unsure.heading_rad))
-    # Of a log alone poses are those of the antenna, in its own clock.
-    unsure_m = unsure.axle_m if isinstance(axle.vehicle, Rig) else unsure.antenna_m
+    sigma_deg = np.hypot(sigma_deg, np.degrees(smoothed.unsure.heading_rad))
     # For how long the error of a float solution lasts is a guess; if it lasts, no mean over the
     # drive makes it smaller than stated.
     last = np.maximum(np.searchsorted(fixes.time_ns, at.time_ns, side="right") - 1, 0)
@@ -304,7 +304,7 @@ def _drive(
         north,
         np.asarray(wrap_deg(np.degrees(heading))),
         np.asarray(sigma_deg),
-        np.hypot(np.maximum(smoothed.position_sigma_m, least_m), unsure_m),
+        np.maximum(smoothed.position_sigma_m, least_m),
         smoothed.relative_sigma_m,
         np.where(resting, 0.0, speed),
         np.where(resting, 0, np.where(speed >= 0.0, 1, -1)).astype(np.int64),

@@ -104,7 +104,9 @@ def estimate_poses(
         slope = slope_seen(log.accepted)
         table = unsure_slope(table, slope, axle.vehicle, turns_seen=drive.turns_seen)
     # Carried to the grid origin, and judged.
-    table = unsure_declared(_carried(table, axle.vehicle, source), drive, checks.denied)
+    table = unsure_declared(
+        _carried(table, axle.vehicle, source), drive, axle.vehicle, checks.denied
+    )
     trajectory = judged(table, log.datum, settings, budget, str(source))
     if lean is not None:
         trajectory = leaning(trajectory, lean, level_grids=level_grids)

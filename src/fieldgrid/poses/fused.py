@@ -47,7 +47,7 @@ from fieldgrid.poses.levelled import (
     measures_tilt,
 )
 from fieldgrid.poses.measured import turn_back, wheel_speed_at
-from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, LATE, SCALE
+from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, IMAGES, LATE, SCALE
 from fieldgrid.poses.table import ConditionedLog
 
 # Wheels whose sign is turned round: they say that a vehicle backs up while it drives forward.
@@ -178,11 +178,16 @@ class Fusion(NamedTuple):
     gyro_note: str | None = None
     notes: tuple[str, ...] = ()
 
-    def again(self, **changes: Any) -> Fusion:
-        """The drive estimated again, with other fixes, motion or axle."""
+    def again(self, *, as_stated: bool = False, **changes: Any) -> Fusion:
+        """The drive estimated again, with other fixes, motion or axle, and with the slow error of
+        its fixes learnt or `as_stated`."""
         new = self._replace(**changes)
-        fixes, at_ns = new.log.accepted, new.log.fixes.time_ns
-        return new._replace(drive=smooth_drive(fixes, at_ns, new.motion, new.axle, hints=new.hints))
+        drive = smooth_drive(
+            *(new.log.accepted, new.log.fixes.time_ns, new.motion, new.axle),
+            hints=new.hints,
+            as_stated=as_stated,
+        )
+        return new._replace(drive=drive)
 
     def has_camera(self) -> bool:
         """Whether a camera saw the vehicle move."""
@@ -250,7 +255,7 @@ def fuse(
         notes=tuple(note for note in notes if note is not None),
     )
     if found.drive.turns_seen:
-        told = axle_told(axle, found.drive.smoothed.declared.off(AHEAD, ASIDE, LATE, SCALE))
+        told = axle_told(axle, found.drive.smoothed.declared.off(AHEAD, ASIDE, LATE, IMAGES, SCALE))
         if told != axle:
             found = found.again(axle=told)
     # The same of a vehicle that stands level, once its headings have told how it leans.

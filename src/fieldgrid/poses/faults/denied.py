@@ -110,13 +110,18 @@ def sees_speed(drive: DriveEstimate) -> bool:
 
 
 def unsure_declared(
-    table: PoseTable, drive: DriveEstimate, denied: DriveContradiction
+    table: PoseTable,
+    drive: DriveEstimate,
+    vehicle: VehicleGeometry | None,
+    denied: DriveContradiction,
 ) -> PoseTable:
-    """The poses with positions as unsure as the contradicted declarations move them. Neighbours
-    share this error."""
-    node = np.clip(np.searchsorted(drive.time_ns, table.time_ns), 0, len(denied.off_m) - 1)
-    sigma_m = np.hypot(table.position_sigma_m, denied.off_m[node] / np.sqrt(2.0))
-    return table._replace(position_sigma_m=sigma_m)
+    """The poses with positions as unsure as what was declared of the vehicle leaves them.
+    Neighbours share this error. Of a log alone poses are those of the antenna, in its own clock."""
+    unsure = drive.smoothed.unsure
+    unsure_m = unsure.axle_m if isinstance(vehicle, Rig) else unsure.antenna_m
+    unsure_m = np.maximum(unsure_m, denied.off_m / np.sqrt(2.0))
+    node = np.clip(np.searchsorted(drive.time_ns, table.time_ns), 0, len(unsure_m) - 1)
+    return table._replace(position_sigma_m=np.hypot(table.position_sigma_m, unsure_m[node]))
 
 
 def denied_notes(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[str]:

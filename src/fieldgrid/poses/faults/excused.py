@@ -97,7 +97,10 @@ def _is_of_other_size(without: Fusion, gyro: Gyro) -> bool:
     if ratio is None:
         return False
     motion = scaled(without.motion._replace(gyro=gyro), ratio.value)
-    return without.again(motion=motion).drive.smoothed.declared.misfit(SCALE) < MOST_LEFT
+    return (
+        without.again(motion=motion, as_stated=True).drive.smoothed.declared.misfit(SCALE)
+        < MOST_LEFT
+    )
 
 
 def _fitting(
@@ -108,7 +111,7 @@ def _fitting(
 ) -> Iterator[Explanation]:
     """What explains the gyro, of place and stamps that the fixes fit as well as the drive without
     it; each from its start on."""
-    beside = without.again(motion=without.motion._replace(gyro=gyro))
+    beside = without.again(motion=without.motion._replace(gyro=gyro), as_stated=True)
     if not sees_turns(beside.drive.measured):
         return
     most_left = max(MOST_LEFT, LEFT_SHARE * beside.drive.smoothed.declared.misfit())

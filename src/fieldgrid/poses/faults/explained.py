@@ -152,7 +152,7 @@ def _place(found: Fusion, start_m: float) -> Correction:
     """How much farther ahead the antenna sits, if that explains all."""
 
     def moved(ahead_m: float) -> DriveEstimate:
-        return found.again(axle=with_antenna_moved(found.axle, ahead_m)).drive
+        return found.again(axle=with_antenna_moved(found.axle, ahead_m), as_stated=True).drive
 
     first = moved(start_m) if start_m else found.drive
     return _settled(
@@ -170,7 +170,7 @@ def _delay(found: Fusion, usual_mps: float, start_s: float) -> Correction:
             fixes=log.fixes.replace(time_ns=log.fixes.time_ns - late_ns),
             accepted=log.accepted._replace(time_ns=log.accepted.time_ns - late_ns),
         )
-        return found.again(log=earlier).drive
+        return found.again(log=earlier, as_stated=True).drive
 
     def left_s(one: DeclaredCorrection) -> Constant:
         # The step takes most of a delay for a place.

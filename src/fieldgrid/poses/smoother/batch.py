@@ -8,7 +8,13 @@ import numpy as np
 
 from fieldgrid.core import Float64
 from fieldgrid.poses.smoother import model
-from fieldgrid.poses.smoother.declared import Constant, DeclaredCorrection, Unsure, tested
+from fieldgrid.poses.smoother.declared import (
+    TOLD_SHARE,
+    Constant,
+    DeclaredCorrection,
+    Unsure,
+    tested,
+)
 from fieldgrid.poses.smoother.equations import CONSTANTS
 from fieldgrid.poses.smoother.measurements import Measurements
 from fieldgrid.poses.smoother.rounds import (
@@ -120,7 +126,7 @@ def _with_sigmas(problem: SmoothingProblem, found: Solution, steers: Steering) -
     """The estimate with its sigmas; where it has not settled, what still changes counts too."""
     linear, off = linearized(problem, found.x, found.constants, found.weights, held=False)
     declared, unsure = tested(problem, found, linear)
-    nats = likelihood_by(linear) + declared.nats()
+    nats = TOLD_SHARE * likelihood_by(linear) + declared.nats()
     known = Covariances.of(linear)
     east, north, phi = model.E, model.N, model.PHI
     relative = sum(

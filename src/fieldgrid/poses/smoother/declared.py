@@ -1,7 +1,7 @@
 """What was declared of antenna, clock and gyro: what the drive says of it, and how unsure it leaves
 poses.
 
-Five numbers may be off: each is usually off by little, and sometimes, where somebody measured or
+Six numbers may be off: each is usually off by little, and sometimes, where somebody measured or
 typed it wrong, by much. A drive says how likely each choice is of those that are wrong; what
 survives counts in its sigmas. Nothing of it is applied.
 """
@@ -17,11 +17,13 @@ import numpy as np
 
 from fieldgrid.core import Float64
 from fieldgrid.poses.smoother.envelope import STATES, solve
-from fieldgrid.poses.smoother.measurements import Measurements
+from fieldgrid.poses.smoother.equations import CONSTANTS
 from fieldgrid.poses.smoother.model import (
     ACROSS_NOISE,
     BIAS_E,
     BIAS_N,
+    CAMERA_SCALE,
+    CAMERA_YAW,
     GYRO,
     GYRO_NOISE,
     KAPPA,
@@ -30,18 +32,20 @@ from fieldgrid.poses.smoother.model import (
     E,
     N,
     V,
+    step_rows,
 )
 from fieldgrid.poses.smoother.rounds import Linear, SmoothingProblem, Solution, inverse
 
-ASIDE, AHEAD, LATE, SCALE, SLIP = range(5)
-"""The antenna's place to the right and ahead, metres; the delay of the fixes, seconds; the gyro's
-scale, a share; the slip angle of the axle that does not steer, rad per m/s² across."""
+ASIDE, AHEAD, LATE, IMAGES, SCALE, SLIP = range(6)
+"""The antenna's place to the right and ahead, metres; the delay of the fixes, and what the stamps
+of images lack, seconds; the gyro's scale, a share; the slip angle of the axle that does not steer,
+rad per m/s² across."""
 
-USUAL_SIGMAS = np.array([0.05, 0.05, 0.02, 0.04, SLIP_ANGLE])
+USUAL_SIGMAS = np.array([0.05, 0.05, 0.02, 0.02, 0.04, SLIP_ANGLE])
 """How far off they usually are: a place that was measured, the stamps of two clocks, a gyro's scale
 with its mounting, tyres."""
 
-WRONG_SIGMAS = np.array([1.0, 1.0, 0.5, 0.3, SLIP_ANGLE])
+WRONG_SIGMAS = np.array([1.0, 1.0, 0.5, 0.5, 0.3, SLIP_ANGLE])
 """How far off they are where they are wrong."""
 
 WRONG_NATS = math.log(0.02)
@@ -54,7 +58,7 @@ LIKELY = 0.9
 """What is said to be wrong is so by this probability at least."""
 
 TOLD_SHARE = 0.5
-"""Of what a drive tells of them: the noise of its fixes is known to a third."""
+"""Of what a drive tells, what counts: the noise of its fixes is known to a third."""
 
 FLEETING_S, FLEETING_SHARE = 30.0, 0.1
 """A slow error that lasts no longer is that of a solution that converges. It changes within a turn,
@@ -64,7 +68,7 @@ EDGE_S = 0.5
 """What bends a turn is unsure for so long before it and after it, too."""
 
 MOST_MISFIT = 5.0
-"""Five numbers that are right are more sigmas away once in 10,000 drives."""
+"""Six numbers that are right are more sigmas away once in 10,000 drives."""
 
 
 class Constant(NamedTuple):
@@ -76,7 +80,7 @@ class Constant(NamedTuple):
 
 class Hypothesis(NamedTuple):
     """Which of the numbers are `wrong`, how much likelier the drive makes that than that none is,
-    nats, and what the numbers are then: their means [5] and covariance [5, 5]."""
+    nats, and what the numbers are then: their means [6] and covariance [6, 6]."""
 
     wrong: tuple[int, ...]
     nats: float
@@ -85,8 +89,8 @@ class Hypothesis(NamedTuple):
 
 
 class DeclaredCorrection(NamedTuple):
-    """What a drive says of the five numbers: its `information` [5, 5] and the `right` side [5] of
-    their normal equations, all states following; `usual` [5] is how far off they usually are."""
+    """What a drive says of the six numbers: its `information` [6, 6] and the `right` side [6] of
+    their normal equations, all states following; `usual` [6] is how far off they usually are."""
 
     information: Float64
     right: Float64
@@ -122,7 +126,7 @@ class DeclaredCorrection(NamedTuple):
         return sum(share for one, share in self.hypotheses() if set(some) & set(one.wrong))
 
     def second_moment(self) -> Float64:
-        """The mean square [5, 5] of what the numbers are off, over all that may be wrong."""
+        """The mean square [6, 6] of what the numbers are off, over all that may be wrong."""
         every = self.hypotheses()
         least = SURVIVING * max(share for _, share in every)
         kept = [(one, share) for one, share in every if share >= least]
@@ -162,12 +166,12 @@ class DeclaredCorrection(NamedTuple):
     @property
     def blames_gyro(self) -> bool:
         """Whether they do not, and the gyro explains it better than anything else."""
-        *others, gyro = (self.misfit(k) for k in (ASIDE, AHEAD, LATE, SCALE))
+        *others, gyro = (self.misfit(k) for k in (ASIDE, AHEAD, LATE, IMAGES, SCALE))
         return self.contradicts and gyro < min(self.misfit() / 2.0, *others)
 
 
 class Unsure(NamedTuple):
-    """How unsure the five numbers leave the nodes [n], 1-sigma: headings in radians; places in
+    """How unsure the six numbers leave the nodes [n], 1-sigma: headings in radians; places in
     metres along one axis, of the axle and, of a log alone, of the antenna."""
 
     heading_rad: Float64
@@ -181,64 +185,68 @@ def tested(
     """What a drive says of what was declared, and how unsure that leaves it: one step of Gauss and
     Newton with all states following."""
     measured = problem.measured
-    followed, information, right = told_by(linear, *couplings(measured, found, problem.lever_m))
+    followed, information, right = _told(problem, found, linear)
     # An antenna aside is the faster one in a turn, which only those see who see the speed.
     seen = len(measured.step_nodes) or np.isfinite(measured.speed_mps).any()
     # The scale is confused with a wander that changes within a turn, the others hardly are.
     fleeting = float(np.median(measured.bias_s)) < FLEETING_S
-    told = np.full(5, TOLD_SHARE)
+    told = np.full(6, TOLD_SHARE)
     told[ASIDE] = TOLD_SHARE if seen else 0.0
     told[SCALE] = FLEETING_SHARE if fleeting else TOLD_SHARE
     usual = USUAL_SIGMAS.copy()
     usual[AHEAD] = max(usual[AHEAD], problem.ahead_sigma_m)
     declared = DeclaredCorrection(np.sqrt(np.outer(told, told)) * information, told * right, usual)
     moment = declared.second_moment()
-    response = -followed.reshape(-1, STATES, 5)
+    response = -followed.reshape(-1, STATES, 6)
     # Headings in the clock of the fixes.
     if len(measured.time_s) > 1:
         response[:, PHI, LATE] -= np.gradient(found.x[:, PHI], measured.time_s)
 
     def sigma(axis: int, of: Float64) -> Float64:
-        return np.sqrt(
-            np.maximum(np.einsum("na,ab,nb->n", response[:, axis], of, response[:, axis]), 0.0)
-        )
+        by = response[:, axis]
+        return np.asarray(np.sqrt(np.maximum(((by @ of) * by).sum(axis=1), 0.0)))
 
     near_s = np.linspace(-EDGE_S, EDGE_S, 9)
     at = np.searchsorted(measured.time_s, measured.time_s + near_s[:, None], side="right") - 1
     heading_rad = np.max(sigma(PHI, moment)[np.clip(at, 0, None)], axis=0)
     alone = moment.copy()
-    alone[:SCALE] = alone[:, :SCALE] = 0.0
+    alone[:IMAGES] = alone[:, :IMAGES] = 0.0
     axle_m, antenna_m = (
         np.hypot(sigma(E, of), sigma(N, of)) / math.sqrt(2.0) for of in (moment, alone)
     )
     return declared, Unsure(heading_rad, axle_m, antenna_m)
 
 
-def told_by(
-    linear: Linear, border: Float64, corner: Float64, right: Float64
+def _told(
+    problem: SmoothingProblem, found: Solution, linear: Linear
 ) -> tuple[Float64, Float64, Float64]:
-    """Response of all states [states, k] to k tested numbers, the information matrix [k, k] of
-    these numbers, and their right side [k]; from the coupling of the numbers with the states
-    [states, k], and the corner [k, k] and right side [k] of their residuals."""
+    """How all states follow the numbers [states, 6], the information matrix [6, 6] of these, and
+    their right side [6]."""
+    border, beside, corner, right = couplings(problem, found)
     followed = border.copy()
     solve(linear.system.shape, linear.system.values, followed)
-    if len(linear.active):
-        shared = linear.coupling.T @ border
-        followed -= linear.coupling @ (inverse(linear.schur) @ shared)
+    right = right - followed.T @ linear.system.right
     information = corner - border.T @ followed
-    return followed, information, right - followed.T @ linear.system.right
+    if len(linear.active):
+        aside = linear.coupling.T @ border - beside[linear.active]
+        constants = inverse(linear.schur) @ aside
+        information = information - aside.T @ constants
+        followed += linear.coupling @ constants
+    return followed, information, right
 
 
 def couplings(
-    measured: Measurements, found: Solution, lever: Float64
-) -> tuple[Float64, Float64, Float64]:
-    """How the residuals of fixes, gyro and motion depend on what is tested.
+    problem: SmoothingProblem, found: Solution
+) -> tuple[Float64, Float64, Float64, Float64]:
+    """How the residuals of fixes, steps, gyro and motion depend on what is tested.
 
-    Returns the coupling with the states [states, 5], the corner [5, 5], the right side [5].
+    Returns the coupling with the states [states, 6] and with the constants [constants, 6], the
+    corner [6, 6], the right side [6].
     """
-    x, step_s = found.x, np.diff(measured.time_s)
-    border, corner, right = np.zeros((len(x), STATES, 5)), np.zeros((5, 5)), np.zeros(5)
-    _add_fixes(border, corner, right, x, measured.fix_m, found.weights.fix, lever)
+    measured, x = problem.measured, found.x
+    step_s = np.diff(measured.time_s)
+    border, corner, right = np.zeros((len(x), STATES, 6)), np.zeros((6, 6)), np.zeros(6)
+    _add_fixes(border, corner, right, x, measured.fix_m, found.weights.fix, problem.lever_m)
     # The gyro's scale.
     known = np.flatnonzero(~np.isnan(measured.turned_rad))
     turned, known_s = measured.turned_rad[known], step_s[known]
@@ -262,13 +270,38 @@ def couplings(
     for state, slope in ((E, cos), (N, -sin)):
         border[at, state, SLIP] -= scaled * slope
         border[at + 1, state, SLIP] += scaled * slope
-    for state, slope in (
-        (PHI, -(east * sin + north * cos) / 2.0),
-        (V, h / 2.0 * SLIP_ANGLE * slid),
-    ):
+    along = east * sin + north * cos
+    for state, slope in ((PHI, -along / 2.0), (V, h / 2.0 * SLIP_ANGLE * slid)):
         border[at, state, SLIP] += scaled * slope
         border[at + 1, state, SLIP] += scaled * slope
-    return border.reshape(-1, 5), corner, right
+    flat, beside = border.reshape(-1, 6), np.zeros((CONSTANTS, 6))
+    if len(measured.step_nodes):
+        _add_images(flat, beside, corner, right, problem, found)
+    return flat, beside, corner, right
+
+
+def _add_images(
+    border: Float64,
+    beside: Float64,
+    corner: Float64,
+    right: Float64,
+    problem: SmoothingProblem,
+    found: Solution,
+) -> None:
+    """What the camera's steps say of its stamps: both ends of a step are a little later."""
+    measured, x = problem.measured, found.x
+    constants = float(found.constants[CAMERA_SCALE]), float(found.constants[CAMERA_YAW])
+    ends = measured.step_nodes
+    index, slope, off = step_rows(x, constants, ends, measured.step, problem.step_ahead_m)
+    way = np.stack([np.sin(x[:, PHI]), np.cos(x[:, PHI])], axis=1) * x[:, [V]]
+    rate = np.column_stack([way, np.gradient(x[:, PHI], measured.time_s)])
+    later = np.concatenate([rate[ends[:, 0]], rate[ends[:, 1]]], axis=1)
+    by_time = np.einsum("smk,sk->sm", slope[:, :, :6], later)
+    scaled = found.weights.step[:, [0, 0, 1]] * by_time
+    right[IMAGES], corner[IMAGES, IMAGES] = -_in_order(scaled * off), _in_order(scaled * by_time)
+    shared = np.einsum("sm,smk->sk", scaled, slope)
+    np.add.at(border[:, IMAGES], index[:, :6], shared[:, :6])
+    beside[[CAMERA_SCALE, CAMERA_YAW], IMAGES] = np.cumsum(shared[:, 6:], axis=0)[-1]
 
 
 def _add_fixes(

@@ -343,6 +343,16 @@ def add_steps(
     distances are too long by one share, and are seen from a heading farther right by one angle.
     Returns residuals [s, 3].
     """
+    index, slope, off = step_rows(x, constants, ends, moved, ahead_m)
+    _add_rows(system, index, slope, off, weight[:, [0, 0, 1]].copy())
+    return off
+
+
+def step_rows(
+    x: Float64, constants: tuple[float, float], ends: Int64, moved: Float64, ahead_m: float
+) -> tuple[Int64, Float64, Float64]:
+    """The unknowns [s, 8] that relative motions depend on (place and heading of both nodes, the
+    two constants), the slopes [s, 3, 8] and the residuals [s, 3], as in :func:`add_steps`."""
     scale, yaw = constants
     start, stop, size = x[ends[:, 0]], x[ends[:, 1]], 1.0 + scale
     sin_b, cos_b = np.sin(stop[:, PHI]), np.cos(stop[:, PHI])
@@ -370,5 +380,4 @@ def add_steps(
     slope[:, 1, 5] = size * ahead_m * (cos_b * cos + sin_b * sin)
     slope[:, 0, 6], slope[:, 1, 6] = forward, right
     slope[:, 2, 2], slope[:, 2, 5] = -1.0, 1.0
-    _add_rows(system, index, slope, off, weight[:, [0, 0, 1]].copy())
-    return off
+    return index, slope, off

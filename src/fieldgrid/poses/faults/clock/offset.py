@@ -23,7 +23,7 @@ from fieldgrid.poses.faults.clock.search import (
     MotionContradiction,
 )
 from fieldgrid.poses.gears.stations import NO_HINTS, GearHints
-from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, LATE, SCALE
+from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, IMAGES, LATE, SCALE
 
 POOR_MISFIT, NEAR_SHARE, BETTER_SHARE = 4.0, 0.5, 0.3
 """A drive and its camera fit badly when steps are off by more than two usual sigmas; then another
@@ -148,7 +148,7 @@ def _together(
             steps=steps._replace(start_ns=steps.start_ns + by_ns, stop_ns=steps.stop_ns + by_ns),
         )
         drive = smooth_drive(fixes, fixes.time_ns, moved, axle, hints=hints)
-        late = drive.smoothed.declared.off(LATE, ASIDE, AHEAD, SCALE)
+        late = drive.smoothed.declared.off(LATE, ASIDE, AHEAD, IMAGES, SCALE)
         if late.sigma > MOST_SIGMA_S:
             return None
         if abs(late.value) < max(LEAST_SIGMA_S, late.sigma / 2.0):
