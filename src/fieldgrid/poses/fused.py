@@ -47,7 +47,7 @@ from fieldgrid.poses.levelled import (
     measures_tilt,
 )
 from fieldgrid.poses.measured import turn_back, wheel_speed_at
-from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, IMAGES, LATE, SCALE
+from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, IMAGES, LATE
 from fieldgrid.poses.table import ConditionedLog
 
 # Wheels whose sign is turned round: they say that a vehicle backs up while it drives forward.
@@ -255,7 +255,7 @@ def fuse(
         notes=tuple(note for note in notes if note is not None),
     )
     if found.drive.turns_seen:
-        told = axle_told(axle, found.drive.smoothed.declared.off(AHEAD, ASIDE, LATE, IMAGES, SCALE))
+        told = axle_told(axle, found.drive.smoothed.declared.off(AHEAD, ASIDE, LATE, IMAGES))
         if told != axle:
             found = found.again(axle=told)
     # The same of a vehicle that stands level, once its headings have told how it leans.

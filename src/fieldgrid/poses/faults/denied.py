@@ -21,7 +21,6 @@ from fieldgrid.poses.smoother.declared import (
     ASIDE,
     LATE,
     LIKELY,
-    SCALE,
     Constant,
 )
 from fieldgrid.poses.table import PoseTable
@@ -190,7 +189,6 @@ def _unfit_note(drive: DriveEstimate) -> Iterator[str]:
         AHEAD: f"its place ahead ({found.off(AHEAD).value:+.2f} m would, and so would an IMU that "
         "is tilted)",
         LATE: f"the stamps (fixes {abs(late_s):.2f} s {'late' if late_s > 0.0 else 'early'} would)",
-        SCALE: "the gyro's scale",
     }
     check = " or ".join(what for k, what in alone.items() if found.explains(k))
     positions = f", and positions {most_m:.2f} m" if most_m > LEAST_OFF_M else ""
@@ -198,5 +196,5 @@ def _unfit_note(drive: DriveEstimate) -> Iterator[str]:
     yield (
         f"{', '.join(first)} and {last} do not fit together by {found.misfit():.0f} sigmas, so "
         f"headings may be up to {most_deg:.1f}° off{positions}. Check "
-        f"{check or 'the place of the antenna, the stamps and the scale of the gyro'}."
+        f"{check or 'the place of the antenna and the stamps'}."
     )

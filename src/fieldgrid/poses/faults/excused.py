@@ -20,7 +20,6 @@ from fieldgrid.poses.faults.denied import CLEAR_SIGMAS, DriveContradiction
 from fieldgrid.poses.faults.explained import MOST_LEFT, UNTOLD, Correction, Explanation, explanation
 from fieldgrid.poses.faults.gyro.check import apart_deg, scaled, turn_ratio
 from fieldgrid.poses.fused import Fusion
-from fieldgrid.poses.smoother.declared import SCALE
 
 STARTS = (0.0, 1.5, -1.5)
 """Where putting right begins, metres or seconds: a mistake of 2 or 3 bends the first estimate so
@@ -97,10 +96,7 @@ def _is_of_other_size(without: Fusion, gyro: Gyro) -> bool:
     if ratio is None:
         return False
     motion = scaled(without.motion._replace(gyro=gyro), ratio.value)
-    return (
-        without.again(motion=motion, as_stated=True).drive.smoothed.declared.misfit(SCALE)
-        < MOST_LEFT
-    )
+    return without.again(motion=motion, as_stated=True).drive.smoothed.declared.misfit() < MOST_LEFT
 
 
 def _fitting(

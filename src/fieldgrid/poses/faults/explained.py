@@ -27,7 +27,6 @@ from fieldgrid.poses.smoother.declared import (
     AHEAD,
     LATE,
     MOST_MISFIT,
-    SCALE,
     Constant,
     DeclaredCorrection,
 )
@@ -38,33 +37,28 @@ MOST_STEPS = 8
 SETTLED_M, SETTLED_S = 0.005, 0.005
 FARTHEST_M, LATEST_S = 10.0, 10.0
 
-MOST_LEFT, RULED_OUT, CLEARLY_WORSE = 3.5, 5.0, 2.0
-"""What was wrong leaves no more sigmas than the first once it is put right, beside a gyro's scale
-that is wrong, too; the other of the two is ruled out where it leaves more than the second, or so
-many times as many with the scale as it is. Random drives (`benchmarks.late_fixes`) have 0.2 to 5
-left by the one, 3 to 80 by the other."""
+MOST_LEFT, RULED_OUT = 3.5, 5.0
+"""What was wrong leaves no more sigmas than the first once it is put right; the other of the two is
+ruled out where it leaves more than the second. Random drives (`benchmarks.late_fixes`) have 0.2 to
+5 left by the one, 3 to 80 by the other."""
 
 LEAST_MPS = 0.1
 """A slower vehicle tells no clock from a place."""
 
 
 class Correction(NamedTuple):
-    """One of the two put right: by how much, how many sigmas are left, in all and beside a gyro's
-    scale that is wrong, too, and the drive then."""
+    """One of the two put right: by how much, how many sigmas are left, and the drive then."""
 
     value: Constant
-    misfit: float
     left: float
     drive: DriveEstimate | None
 
     def rules_out(self, other: Correction) -> bool:
-        """Whether the drive fits this, and not the other, whatever the scale, or clearly better as
-        it is."""
-        worse = other.misfit > max(RULED_OUT, CLEARLY_WORSE * self.misfit)
-        return self.left < MOST_LEFT and (other.left > RULED_OUT or worse)
+        """Whether the drive fits this, and not the other."""
+        return self.left < MOST_LEFT and other.left > RULED_OUT
 
 
-UNTOLD = Correction(Constant(0.0, np.inf), np.inf, np.inf, None)
+UNTOLD = Correction(Constant(0.0, np.inf), np.inf, None)
 
 
 class Explanation(NamedTuple):
@@ -116,7 +110,7 @@ def explained(
     of a log alone are the antenna's, wherever on the `vehicle` that sits."""
     declared = drive.smoothed.declared
     by_gyro = drive.at.has_gyro() and not found.has_camera() and not drive.headings_recorded
-    if not by_gyro or declared.misfit(SCALE) < MOST_MISFIT:
+    if not by_gyro or declared.misfit() < MOST_MISFIT:
         return denied
     tried = explanation(found._replace(drive=drive), vehicle)
     if tried is None:
@@ -156,7 +150,7 @@ def _place(found: Fusion, start_m: float) -> Correction:
 
     first = moved(start_m) if start_m else found.drive
     return _settled(
-        first, start_m, moved, lambda one: one.off(AHEAD, LATE, SCALE), (SETTLED_M, FARTHEST_M)
+        first, start_m, moved, lambda one: one.off(AHEAD, LATE), (SETTLED_M, FARTHEST_M)
     )
 
 
@@ -174,7 +168,7 @@ def _delay(found: Fusion, usual_mps: float, start_s: float) -> Correction:
 
     def left_s(one: DeclaredCorrection) -> Constant:
         # The step takes most of a delay for a place.
-        late_s, ahead_m = one.off(LATE, AHEAD, SCALE), one.off(AHEAD, LATE, SCALE)
+        late_s, ahead_m = one.off(LATE, AHEAD), one.off(AHEAD, LATE)
         return Constant(late_s.value - ahead_m.value / usual_mps, late_s.sigma)
 
     first = stamped(start_s) if start_s else found.drive
@@ -200,4 +194,4 @@ def _settled(
             break
     declared = drive.smoothed.declared
     value = Constant(total, left(declared).sigma)
-    return Correction(value, declared.misfit(), declared.misfit(SCALE), drive)
+    return Correction(value, declared.misfit(), drive)

@@ -26,7 +26,7 @@ from fieldgrid.poses.drive import (
 )
 from fieldgrid.poses.external.georeference import Georeference
 from fieldgrid.poses.faults.denied import CLEAR_SIGMAS, FAR_M, sees_speed
-from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, IMAGES, LATE, SCALE, Constant
+from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, IMAGES, LATE, Constant
 from fieldgrid.poses.table import PoseTable
 
 FIXED_NEAR_S = 60.0
@@ -73,9 +73,9 @@ def unseen_faults(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tupl
     shows a slow drift.
     """
     declared, placed = drive.smoothed.declared, isinstance(vehicle, Rig)
-    aside_m = declared.off(ASIDE, AHEAD, LATE, IMAGES, SCALE)
-    ahead_m = declared.off(AHEAD, ASIDE, LATE, IMAGES, SCALE)
-    late_s = declared.off(LATE, ASIDE, AHEAD, IMAGES, SCALE)
+    aside_m = declared.off(ASIDE, AHEAD, LATE, IMAGES)
+    ahead_m = declared.off(AHEAD, ASIDE, LATE, IMAGES)
+    late_s = declared.off(LATE, ASIDE, AHEAD, IMAGES)
     turns, speed = sees_turns(drive.measured), sees_speed(drive)
     turned = turns or (names_axle(vehicle) and drive.headings_recorded)
     moving = np.abs(drive.speed_mps)[np.abs(drive.speed_mps) > DRIVING_MPS]

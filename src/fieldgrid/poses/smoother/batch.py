@@ -49,8 +49,8 @@ class SmoothedDrive(NamedTuple):
     `fix_off_m` [n, 2] are how far fixes lie ahead and to the right of where pose, lever and slow
     error have them, `step_off` [s, 3] the same of the steps.
 
-    `heading_offset`, `camera_yaw_rad` (radians), `wheel_scale` and `camera_scale` are the
-    constants; None where nothing measures them. `declared` is what the drive makes of what was
+    `heading_offset`, `camera_yaw_rad` (radians), `wheel_scale`, `camera_scale`, `gyro_scale` are
+    the constants; None where nothing measures them. `declared` is what the drive makes of what was
     declared, and `unsure` what that does to poses. `nats` is how likely the measurements are, and
     `wander_nats` by how much likelier they would be with a slow error that changes more.
     `steering` is the change of the curvature that was learnt, and `steers` how the vehicle steers.
@@ -66,6 +66,7 @@ class SmoothedDrive(NamedTuple):
     wheel_scale: Constant | None
     camera_scale: Constant | None
     camera_yaw_rad: Constant | None
+    gyro_scale: Constant | None
     declared: DeclaredCorrection
     unsure: Unsure
     nats: float
@@ -154,6 +155,7 @@ def _with_sigmas(problem: SmoothingProblem, found: Solution, steers: Steering) -
         constants[model.WHEEL_SCALE],
         constants[model.CAMERA_SCALE],
         constants[model.CAMERA_YAW],
+        constants[model.GYRO_SCALE],
         declared,
         unsure,
         nats,

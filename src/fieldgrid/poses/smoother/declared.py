@@ -1,7 +1,7 @@
-"""What was declared of antenna, clock and gyro: what the drive says of it, and how unsure it leaves
+"""What was declared of antenna and clocks: what the drive says of it, and how unsure it leaves
 poses.
 
-Six numbers may be off: each is usually off by little, and sometimes, where somebody measured or
+Five numbers may be off: each is usually off by little, and sometimes, where somebody measured or
 typed it wrong, by much. A drive says how likely each choice is of those that are wrong; what
 survives counts in its sigmas. Nothing of it is applied.
 """
@@ -24,8 +24,6 @@ from fieldgrid.poses.smoother.model import (
     BIAS_N,
     CAMERA_SCALE,
     CAMERA_YAW,
-    GYRO,
-    GYRO_NOISE,
     KAPPA,
     PHI,
     SLIP_ANGLE,
@@ -36,16 +34,14 @@ from fieldgrid.poses.smoother.model import (
 )
 from fieldgrid.poses.smoother.rounds import Linear, SmoothingProblem, Solution, inverse
 
-ASIDE, AHEAD, LATE, IMAGES, SCALE, SLIP = range(6)
+ASIDE, AHEAD, LATE, IMAGES, SLIP = range(5)
 """The antenna's place to the right and ahead, metres; the delay of the fixes, and what the stamps
-of images lack, seconds; the gyro's scale, a share; the slip angle of the axle that does not steer,
-rad per m/s² across."""
+of images lack, seconds; the slip angle of the axle that does not steer, rad per m/s² across."""
 
-USUAL_SIGMAS = np.array([0.05, 0.05, 0.02, 0.02, 0.04, SLIP_ANGLE])
-"""How far off they usually are: a place that was measured, the stamps of two clocks, a gyro's scale
-with its mounting, tyres."""
+USUAL_SIGMAS = np.array([0.05, 0.05, 0.02, 0.02, SLIP_ANGLE])
+"""How far off they usually are: a place that was measured, the stamps of two clocks, tyres."""
 
-WRONG_SIGMAS = np.array([1.0, 1.0, 0.5, 0.5, 0.3, SLIP_ANGLE])
+WRONG_SIGMAS = np.array([1.0, 1.0, 0.5, 0.5, SLIP_ANGLE])
 """How far off they are where they are wrong."""
 
 WRONG_NATS = math.log(0.02)
@@ -60,15 +56,11 @@ LIKELY = 0.9
 TOLD_SHARE = 0.5
 """Of what a drive tells, what counts: the noise of its fixes is known to a third."""
 
-FLEETING_S, FLEETING_SHARE = 30.0, 0.1
-"""A slow error that lasts no longer is that of a solution that converges. It changes within a turn,
-and how fast it does is a guess: of the gyro's scale such fixes tell less."""
-
 EDGE_S = 0.5
 """What bends a turn is unsure for so long before it and after it, too."""
 
 MOST_MISFIT = 5.0
-"""Six numbers that are right are more sigmas away once in 10,000 drives."""
+"""Five numbers that are right are more sigmas away once in 10,000 drives."""
 
 
 class Constant(NamedTuple):
@@ -80,7 +72,7 @@ class Constant(NamedTuple):
 
 class Hypothesis(NamedTuple):
     """Which of the numbers are `wrong`, how much likelier the drive makes that than that none is,
-    nats, and what the numbers are then: their means [6] and covariance [6, 6]."""
+    nats, and what the numbers are then: their means [5] and covariance [5, 5]."""
 
     wrong: tuple[int, ...]
     nats: float
@@ -89,8 +81,8 @@ class Hypothesis(NamedTuple):
 
 
 class DeclaredCorrection(NamedTuple):
-    """What a drive says of the six numbers: its `information` [6, 6] and the `right` side [6] of
-    their normal equations, all states following; `usual` [6] is how far off they usually are."""
+    """What a drive says of the five numbers: its `information` [5, 5] and the `right` side [5] of
+    their normal equations, all states following; `usual` [5] is how far off they usually are."""
 
     information: Float64
     right: Float64
@@ -126,7 +118,7 @@ class DeclaredCorrection(NamedTuple):
         return sum(share for one, share in self.hypotheses() if set(some) & set(one.wrong))
 
     def second_moment(self) -> Float64:
-        """The mean square [6, 6] of what the numbers are off, over all that may be wrong."""
+        """The mean square [5, 5] of what the numbers are off, over all that may be wrong."""
         every = self.hypotheses()
         least = SURVIVING * max(share for _, share in every)
         kept = [(one, share) for one, share in every if share >= least]
@@ -163,15 +155,9 @@ class DeclaredCorrection(NamedTuple):
         """Whether most of what does not fit together would with the k-th of them alone."""
         return self.misfit(k) < self.misfit() / 2.0
 
-    @property
-    def blames_gyro(self) -> bool:
-        """Whether they do not, and the gyro explains it better than anything else."""
-        *others, gyro = (self.misfit(k) for k in (ASIDE, AHEAD, LATE, IMAGES, SCALE))
-        return self.contradicts and gyro < min(self.misfit() / 2.0, *others)
-
 
 class Unsure(NamedTuple):
-    """How unsure the six numbers leave the nodes [n], 1-sigma: headings in radians; places in
+    """How unsure the five numbers leave the nodes [n], 1-sigma: headings in radians; places in
     metres along one axis, of the axle and, of a log alone, of the antenna."""
 
     heading_rad: Float64
@@ -188,16 +174,13 @@ def tested(
     followed, information, right = _told(problem, found, linear)
     # An antenna aside is the faster one in a turn, which only those see who see the speed.
     seen = len(measured.step_nodes) or np.isfinite(measured.speed_mps).any()
-    # The scale is confused with a wander that changes within a turn, the others hardly are.
-    fleeting = float(np.median(measured.bias_s)) < FLEETING_S
-    told = np.full(6, TOLD_SHARE)
+    told = np.full(5, TOLD_SHARE)
     told[ASIDE] = TOLD_SHARE if seen else 0.0
-    told[SCALE] = FLEETING_SHARE if fleeting else TOLD_SHARE
     usual = USUAL_SIGMAS.copy()
     usual[AHEAD] = max(usual[AHEAD], problem.ahead_sigma_m)
     declared = DeclaredCorrection(np.sqrt(np.outer(told, told)) * information, told * right, usual)
     moment = declared.second_moment()
-    response = -followed.reshape(-1, STATES, 6)
+    response = -followed.reshape(-1, STATES, 5)
     # Headings in the clock of the fixes.
     if len(measured.time_s) > 1:
         response[:, PHI, LATE] -= np.gradient(found.x[:, PHI], measured.time_s)
@@ -220,8 +203,8 @@ def tested(
 def _told(
     problem: SmoothingProblem, found: Solution, linear: Linear
 ) -> tuple[Float64, Float64, Float64]:
-    """How all states follow the numbers [states, 6], the information matrix [6, 6] of these, and
-    their right side [6]."""
+    """How all states follow the numbers [states, 5], the information matrix [5, 5] of these, and
+    their right side [5]."""
     border, beside, corner, right = couplings(problem, found)
     followed = border.copy()
     solve(linear.system.shape, linear.system.values, followed)
@@ -238,24 +221,15 @@ def _told(
 def couplings(
     problem: SmoothingProblem, found: Solution
 ) -> tuple[Float64, Float64, Float64, Float64]:
-    """How the residuals of fixes, steps, gyro and motion depend on what is tested.
+    """How the residuals of fixes, steps and motion depend on what is tested.
 
-    Returns the coupling with the states [states, 6] and with the constants [constants, 6], the
-    corner [6, 6], the right side [6].
+    Returns the coupling with the states [states, 5] and with the constants [constants, 5], the
+    corner [5, 5], the right side [5].
     """
     measured, x = problem.measured, found.x
     step_s = np.diff(measured.time_s)
-    border, corner, right = np.zeros((len(x), STATES, 6)), np.zeros((6, 6)), np.zeros(6)
+    border, corner, right = np.zeros((len(x), STATES, 5)), np.zeros((5, 5)), np.zeros(5)
     _add_fixes(border, corner, right, x, measured.fix_m, found.weights.fix, problem.lever_m)
-    # The gyro's scale.
-    known = np.flatnonzero(~np.isnan(measured.turned_rad))
-    turned, known_s = measured.turned_rad[known], step_s[known]
-    missed = x[known + 1, PHI] - x[known, PHI] - (turned - x[known, GYRO] * known_s)
-    scaled = -turned / (GYRO_NOISE**2 * known_s)
-    right[SCALE], corner[SCALE, SCALE] = -_in_order(scaled * missed), -_in_order(scaled * turned)
-    border[known + 1, PHI, SCALE] += scaled
-    border[known, PHI, SCALE] -= scaled
-    border[known, GYRO, SCALE] += scaled * known_s
     # The slip angle: motion across the heading, see `model.add_motion`.
     at = np.flatnonzero(measured.seen)
     here, there, h = x[at], x[at + 1], step_s[at]
@@ -274,7 +248,7 @@ def couplings(
     for state, slope in ((PHI, -along / 2.0), (V, h / 2.0 * SLIP_ANGLE * slid)):
         border[at, state, SLIP] += scaled * slope
         border[at + 1, state, SLIP] += scaled * slope
-    flat, beside = border.reshape(-1, 6), np.zeros((CONSTANTS, 6))
+    flat, beside = border.reshape(-1, 5), np.zeros((CONSTANTS, 5))
     if len(measured.step_nodes):
         _add_images(flat, beside, corner, right, problem, found)
     return flat, beside, corner, right

@@ -9,7 +9,7 @@ import numpy as np
 from fieldgrid.core import Float64
 from fieldgrid.poses.smoother.envelope import STATES, Envelope
 
-CONSTANTS = 4
+CONSTANTS = 5
 """Of a drive, beside the states of its nodes."""
 
 

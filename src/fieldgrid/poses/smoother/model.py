@@ -5,7 +5,8 @@ north]: the middle of the axle that does not steer, in metres; the heading, radi
 north; metres a second, negative in reverse; radians of turn a metre; radians a second; and the
 slow part of the receiver's error, metres. Beside the nodes stand a few constants of the drive:
 the offset of a recorded heading (radians), the relative errors of the wheels' and of the camera's
-scale, and by how much the camera looks farther right than declared (radians).
+scale, by how much the camera looks farther right than declared (radians), and by which share the
+vehicle turns more than the gyro says.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from fieldgrid.poses.smoother.equations import CONSTANTS, NormalEquations
 
 E, N, PHI, V, KAPPA, GYRO, BIAS_E, BIAS_N = range(STATES)
 
-HEADING_OFFSET, WHEEL_SCALE, CAMERA_SCALE, CAMERA_YAW = range(CONSTANTS)
+HEADING_OFFSET, WHEEL_SCALE, CAMERA_SCALE, CAMERA_YAW, GYRO_SCALE = range(CONSTANTS)
 
 SCALE_SIGMAS = 0.1, 0.03
 """What is known of the scales before the drive: tyres are off by a tenth; a stereo baseline, and
@@ -27,6 +28,9 @@ disparities that are off by a tenth of a pixel at a range of some metres, make s
 CAMERA_YAW_SIGMA = np.radians(2.0)
 """Where a camera looks is hardly ever measured better, rad; and a vehicle that crabs on a side
 slope moves as if its camera were turned."""
+
+GYRO_SCALE_SIGMA = 0.04
+"""A gyro's scale with its mounting."""
 
 TURN_NOISE = np.radians(0.3)
 """Turning that neither speed nor curvature explains, rad/√s: slip."""
@@ -327,6 +331,24 @@ def _added(
         rows = index.copy(), slope.reshape(-1, 1, 2).copy(), off[at, None], weight[at, None]
         _add_rows(system, *rows)
     return off
+
+
+def add_gyro_scale(
+    system: NormalEquations, x: Float64, scale: float, turned: Float64, step_s: Float64
+) -> None:
+    """How the gyro's law of :func:`add_motion`, which takes `turned` [n - 1] times 1 + `scale`,
+    depends on the scale."""
+    at = np.flatnonzero(~np.isnan(turned))
+    turned, step_s = turned[at], step_s[at]
+    off = x[at + 1, PHI] - x[at, PHI] - ((1.0 + scale) * turned - x[at, GYRO] * step_s)
+    scaled = -turned / (GYRO_NOISE**2 * step_s)
+    border = system.border[:, GYRO_SCALE]
+    border[STATES * (at + 1) + PHI] += scaled
+    border[STATES * at + PHI] -= scaled
+    border[STATES * at + GYRO] += scaled * step_s
+    # In their order, whatever NumPy's is.
+    system.corner[GYRO_SCALE, GYRO_SCALE] -= np.cumsum(np.append(0.0, scaled * turned))[-1]
+    system.right_constants[GYRO_SCALE] -= np.cumsum(np.append(0.0, scaled * off))[-1]
 
 
 def add_steps(

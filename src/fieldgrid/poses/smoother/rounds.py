@@ -187,22 +187,26 @@ def linearized(
     a round to come, not for sigmas. What an earlier call gave for this problem is overwritten."""
     measured = problem.measured
     seen = len(measured.step) > 0
-    given = (weights.heading > 0.0).any(), (weights.speed > 0.0).any(), seen, seen
+    turns = np.isfinite(measured.turned_rad).any()
+    given = (weights.heading > 0.0).any(), (weights.speed > 0.0).any(), seen, seen, turns
     active = np.flatnonzero(np.array(given, dtype=np.bool_))
     system = empty_system(problem.shape, problem.values, coupled=active.size > 0)
+    offset, wheels, scale, yaw, gyro = constants
+    step_s = np.diff(measured.time_s)
     model.add_motion(
         system,
         x,
-        np.diff(measured.time_s),
+        step_s,
         *weights.steering,
         measured.bias_m,
         measured.bias_s,
-        measured.turned_rad,
+        (1.0 + gyro) * measured.turned_rad,
         measured.seen,
         measured.standing,
     )
     model.add_still(system, x, measured.standing, *(HELD if held else NOT_HELD))
-    offset, wheels, scale, yaw = constants
+    if turns:
+        model.add_gyro_scale(system, x, gyro, measured.turned_rad, step_s)
     off = Residuals(
         model.add_fixes(system, x, measured.fix_m, weights.fix, problem.lever_m),
         model.add_headings(system, x, offset, measured.heading_rad, weights.heading),
@@ -217,7 +221,7 @@ def linearized(
             problem.step_ahead_m,
         ),
     )
-    sigmas = *model.SCALE_SIGMAS, model.CAMERA_YAW_SIGMA
+    sigmas = *model.SCALE_SIGMAS, model.CAMERA_YAW_SIGMA, model.GYRO_SCALE_SIGMA
     prior = 1.0 / np.array([measured.heading_offset_sigma_rad, *sigmas]) ** 2
     system.corner[np.diag_indices(CONSTANTS)] += prior
     system.right_constants[:] -= prior * constants

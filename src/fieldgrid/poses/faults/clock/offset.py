@@ -23,7 +23,8 @@ from fieldgrid.poses.faults.clock.search import (
     MotionContradiction,
 )
 from fieldgrid.poses.gears.stations import NO_HINTS, GearHints
-from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, IMAGES, LATE, SCALE
+from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, IMAGES, LATE
+from fieldgrid.poses.smoother.slow_error import SlowError
 
 POOR_MISFIT, NEAR_SHARE, BETTER_SHARE = 4.0, 0.5, 0.3
 """A drive and its camera fit badly when steps are off by more than two usual sigmas; then another
@@ -69,6 +70,10 @@ def check_clock(
     steps = motion.steps
     if steps is None or len(steps.start_ns) < FEWEST_STEPS:
         return ClockFindings()
+    if drive.slow != SlowError():
+        # One that the fixes do not state may be what a wrong clock looks like.
+        fixed = fixes, drive.time_ns, motion, axle
+        drive = smooth_drive(*fixed, hints=hints, as_stated=True)
     search = ClockSearch(drive, steps, axle)
     change = None
     if drive.smoothed.declared.contradicts or may_change(search):
@@ -148,7 +153,7 @@ def _together(
             steps=steps._replace(start_ns=steps.start_ns + by_ns, stop_ns=steps.stop_ns + by_ns),
         )
         drive = smooth_drive(fixes, fixes.time_ns, moved, axle, hints=hints)
-        late = drive.smoothed.declared.off(LATE, ASIDE, AHEAD, IMAGES, SCALE)
+        late = drive.smoothed.declared.off(LATE, ASIDE, AHEAD, IMAGES)
         if late.sigma > MOST_SIGMA_S:
             return None
         if abs(late.value) < max(LEAST_SIGMA_S, late.sigma / 2.0):

@@ -1,4 +1,4 @@
-"""A gyro that contradicts the drive: with its scale corrected, or without it."""
+"""A gyro that contradicts the drive, and a drive without it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fieldgrid.poses.drive import DriveEstimate, smooth_drive
 from fieldgrid.poses.faults.gyro.sense import gyro_sense
 from fieldgrid.poses.faults.leaps.leaps import usual_period_s
 from fieldgrid.poses.gears.stations import TELL_GEARS, GearHints
-from fieldgrid.poses.smoother.declared import SCALE, DeclaredCorrection
+from fieldgrid.poses.smoother.declared import Constant
 
 MOST_SCALE = 0.25
 """No gyro's scale is off by a larger share; what is has wrong axes or units."""
@@ -41,9 +41,8 @@ wrong axes or units: an antenna ahead of the axle or a scale make less."""
 
 FEWEST_TURNS, HUBER, ROUNDS = 6, 1.5, 8
 
-UNUSUAL_SCALE = 0.12
-"""A scale that is off by this, three times what is usual, is as likely another fault of the
-gyro, or of the fixes; one that is off by half of it a quarter of that."""
+NOTED_SCALE, NOTED_SIGMAS = 0.05, 4.0
+"""A scale that is off by more than both is reported. It is taken out like any other."""
 
 PLAUSIBLE_RATIO = 0.3
 """A gyro that differs from the path's turns by at most this share has the right axes and units."""
@@ -67,8 +66,8 @@ GEARS_UNSURE = f"Or the gears are wrong, which are in doubt: {TELL_GEARS}."
 
 
 class GyroVerdict(NamedTuple):
-    """A drive and its motion with a gyro that fits, or without one; what was wrong with it, None
-    where nothing was. `unsure_deg` [n] is how far the headings with it and without it are apart at
+    """A drive and its motion with a gyro that fits, or without one; what is wrong with it, None
+    where nothing is. `unsure_deg` [n] is how far the headings with it and without it are apart at
     the nodes where nobody knows which of them is right, else 0."""
 
     drive: DriveEstimate
@@ -197,50 +196,42 @@ def with_trusted_gyro(
     axle: Axle,
     hints: GearHints,
 ) -> GyroVerdict:
-    """The drive with a gyro that fits, with its scale corrected if need be, or without it."""
-    found = drive.smoothed.declared
-    fits = GyroVerdict(drive, motion, np.zeros(len(drive.time_ns)))
-    wanders = float(np.median(fixes.sigma_m)) > STEADY_M
-    if not drive.at.has_gyro() or not found.contradicts:
+    """The drive with a gyro that fits, or without one."""
+    found, scale = drive.smoothed.declared, drive.smoothed.gyro_scale
+    fits = GyroVerdict(drive, motion, np.zeros(len(drive.time_ns)), _scale_note(scale))
+    wrong = scale is not None and abs(scale.value) > MOST_SCALE
+    if scale is None or not (wrong or found.contradicts):
         return fits
-    if not found.blames_gyro and (motion.steps is None or not len(motion.steps.start_ns)):
+    if not wrong and (motion.steps is None or not len(motion.steps.start_ns)):
         return fits  # nothing else saw the turns, so the drive without it would tell nothing
     without = motion._replace(gyro=None, inertial=None)
     rest = smooth_drive(fixes, all_ns, without, axle, hints=hints)
-    scale = found.off(SCALE)
-    if found.blames_gyro and abs(scale.value) < MOST_SCALE:
-        corrected = scaled(motion, 1.0 + scale.value)
-        again = smooth_drive(fixes, all_ns, corrected, axle, hints=hints)
-        if scale_explains(again.smoothed.declared, found):
-            size = "small" if scale.value > 0.0 else "large"
-            note = (
-                f"The turns of the gyro are {100.0 * abs(scale.value):.1f} % ± "
-                f"{100.0 * scale.sigma:.1f} % too {size} beside the drive; that was taken out. "
-                "Calibrate its scale."
-            )
-            unusual = float(wanders) * min(abs(scale.value) / UNUSUAL_SCALE, 1.0) ** 2
-            return GyroVerdict(again, corrected, apart_deg(again, rest) * unusual, note)
     # What the camera confirms without the gyro was spoilt by it.
-    if not found.blames_gyro and not (rest.turns_seen and not rest.smoothed.declared.contradicts):
+    if not wrong and not (rest.turns_seen and not rest.smoothed.declared.contradicts):
         return fits
     # One that turns as the path does may be right where the fixes wander, and any where gears are
     # in doubt.
     gyro, moves = motion.gyro, drive.gear != 0
     ratio = None if gyro is None else turn_ratio(fixes, gyro)
+    wanders = float(np.median(fixes.sigma_m)) > STEADY_M
     either = wanders and ratio is not None and abs(ratio.value - 1.0) < PLAUSIBLE_RATIO
-    note = f"The gyro contradicts the drive by {found.misfit():.0f} sigmas and {CHECK}"
+    note = f"The gyro contradicts the drive and {CHECK}"
     if moves.any() and float(np.mean(drive.doubt[moves] > DOUBT)) > DOUBTFUL_SHARE:
         either = True
         note += f" {GEARS_UNSURE}"
     return GyroVerdict(rest, without, apart_deg(rest, drive) * float(either), note)
 
 
-def scale_explains(corrected: DeclaredCorrection, found: DeclaredCorrection) -> bool:
-    """Whether a wrong scale explains what a gyro contradicts: with the corrected one nothing
-    contradicts, or it was no unusual error of a scale and less than half of the contradiction is
-    left. That then counts in the headings; a drive without the gyro would have it unseen."""
-    usual = abs(found.off(SCALE).value) < UNUSUAL_SCALE and not corrected.blames_gyro
-    return not corrected.contradicts or (usual and corrected.misfit() < found.misfit() / 2.0)
+def _scale_note(scale: Constant | None) -> str | None:
+    """That a gyro turns too much or too little."""
+    if scale is None or abs(scale.value) < max(NOTED_SCALE, NOTED_SIGMAS * scale.sigma):
+        return None
+    size = "small" if scale.value > 0.0 else "large"
+    return (
+        f"The turns of the gyro are {100.0 * abs(scale.value):.1f} % ± "
+        f"{100.0 * scale.sigma:.1f} % too {size} beside the drive; that was taken out. Calibrate "
+        "its scale."
+    )
 
 
 def apart_deg(one: DriveEstimate, other: DriveEstimate) -> Float64:
