@@ -13,9 +13,8 @@ from fieldgrid.core import Bool, Float64, PoseSettings, Quality
 from fieldgrid.geometry import Carrier, Datum, FixColumns, Gyro, LeverArm, Motion, wrap_deg
 from fieldgrid.pipeline import visual_odometry
 from fieldgrid.poses import Estimate, estimate_poses
-from fieldgrid.poses.faults.gyro.check import scale_explains, turn_ratio
+from fieldgrid.poses.faults.gyro.check import turn_ratio
 from fieldgrid.poses.fused import conditioned
-from fieldgrid.poses.smoother.declared import Constant, DeclaredCorrection
 from fieldgrid.recordings import open_recording
 from tests.scenes import paper_rig
 from tests.simulated import (
@@ -86,39 +85,11 @@ def test_a_scale_is_taken_out(commands: list[Command], size: float) -> None:
     found = estimate(drive, Motion(gyro=gyro(drive, size)))
     assert off_deg(found, drive).max() < 0.7
     assert within_3_sigma(found, drive) == 1.0
-    (note,) = found.report.notes
-    told = float(note.split("are ")[1].split(" %")[0]) / 100.0
-    assert told == pytest.approx(abs(1.0 / size - 1.0), abs=0.015)
-    assert ("too small" in note) == (size < 1.0)
-
-
-def correction(misfit: float, scale: float, left: float) -> DeclaredCorrection:
-    """Of a drive that denies the scale of its gyro; `left` is what that leaves."""
-    nothing = Constant(0.0, 0.1)
-    return DeclaredCorrection(
-        *(nothing, nothing, nothing, Constant(scale, 0.001)),
-        *(misfit, (0.0, 0.0, 0.0, scale), (misfit, misfit, misfit, left)),
-    )
-
-
-@pytest.mark.parametrize(
-    ("scale", "left", "blamed", "better"),
-    [
-        (0.01, 3.6, False, True),  # nothing contradicts any more
-        (0.2, 4.9, False, True),
-        (0.01, 9.0, False, True),  # most of it was a usual scale
-        (0.01, 12.0, False, False),
-        (0.01, 9.0, True, False),
-        (0.2, 9.0, False, False),
-    ],
-)
-def test_a_scale_that_explains_most_is_taken_out(
-    scale: float, left: float, blamed: bool, better: bool
-) -> None:
-    """A right gyro was left out where 1 % of scale left more than 2.5 sigmas: of cars that turn at
-    once, say."""
-    again = correction(left, 0.0, 0.1 if blamed else left)
-    assert scale_explains(again, correction(21.0, scale, left)) == better
+    notes = [note for note in found.report.notes if "turns of the gyro are" in note]
+    assert len(notes) == (size == 0.9)  # 5 % are hardly unusual
+    for note in notes:
+        told = float(note.split("are ")[1].split(" %")[0]) / 100.0
+        assert told == pytest.approx(1.0 / size - 1.0, abs=0.015)
 
 
 @pytest.mark.parametrize("with_steps", [False, True])

@@ -69,11 +69,11 @@ def with_antenna_moved(axle: Axle, ahead_m: float) -> Axle:
 
 def axle_told(axle: Axle, ahead: Constant) -> Axle:
     """The axle by what a drive whose turns were seen would add to the antenna's place ahead."""
-    told = ahead.sigma < SURE_AXLE_M and abs(ahead.value) < FARTHEST_AXLE_M
-    if names_axle(axle.vehicle) or not told:
-        return axle
     (_, was_m), _ = axle.frame()
-    return Axle(with_antenna_ahead(axle.vehicle, was_m + ahead.value), ahead.sigma, told=True)
+    ahead_m = was_m + ahead.value
+    if ahead.sigma > SURE_AXLE_M or abs(ahead_m) > FARTHEST_AXLE_M:
+        return axle
+    return Axle(with_antenna_ahead(axle.vehicle, ahead_m), ahead.sigma, told=True)
 
 
 def ways_of(steps: Steps) -> Ways:

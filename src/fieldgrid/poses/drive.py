@@ -97,10 +97,6 @@ BACK_M = 1.5
 SETTLED_DOUBT = 1e-30
 """So little doubt leaves only the user, whose word no estimate outweighs."""
 
-LEAST_SEEN_SHARE = 0.5
-"""A camera or a gyro that saw less of a drive denies nothing: of five frames, and of a log that
-ended early, the antenna was 3 m aside by six sigmas."""
-
 DRIVEN_M = 0.1
 """A camera that has moved by more was driven."""
 
@@ -149,7 +145,7 @@ class DriveEstimate(NamedTuple):
     @property
     def headings_recorded(self) -> bool:
         """Whether most fixes have a recorded heading that was used."""
-        return headings_recorded(self.measured)
+        return self.measured.records_headings()
 
     @property
     def gyro_bias_dps(self) -> float:
@@ -201,7 +197,7 @@ def smooth_drive(
         *(measured, first_guess(fixes, at, found, measured), lever_m, step_ahead_m), axle.sigma_m
     )
     slow = SlowError()
-    if not as_stated and sees_turns(measured) and smoothed.wander_nats > CLEAR_NATS:
+    if not as_stated and measured.sees_turns() and smoothed.wander_nats > CLEAR_NATS:
         slow, smoothed = _wandering(smoothed, measured, axle)
     return _drive(fixes, at, slow.of(measured), found, smoothed, axle, rest > 0.99, slow)
 
@@ -313,26 +309,6 @@ def _drive(
         offset_m,
         slow,
     )
-
-
-def sees_turns(measured: Measurements) -> bool:
-    """Whether a gyro or a camera saw how the vehicle turned, over most of the drive."""
-    step_s = np.diff(measured.time_s)
-    by_gyro = float(step_s[np.isfinite(measured.turned_rad)].sum()) / max(float(step_s.sum()), 1e-9)
-    return max(by_gyro, camera_share(measured)) >= LEAST_SEEN_SHARE
-
-
-def camera_share(measured: Measurements) -> float:
-    """The share of the drive's time that the camera's steps cover."""
-    time_s, nodes = measured.time_s, measured.step_nodes
-    lasted_s = float(time_s[-1] - time_s[0])
-    return float(np.diff(time_s[nodes], axis=1).sum()) / max(lasted_s, 1e-9)
-
-
-def headings_recorded(measured: Measurements) -> bool:
-    """Whether more than half of the fixes have a recorded heading."""
-    fixes = np.isfinite(measured.fix_m[:, 0])
-    return bool(fixes.any()) and float(np.isfinite(measured.heading_rad[fixes]).mean()) > 0.5
 
 
 def lasting(against: Bool, time_s: Float64) -> Bool:

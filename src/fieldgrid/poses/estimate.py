@@ -16,14 +16,19 @@ from fieldgrid.geometry import (
     VehicleGeometry,
     wrap_deg,
 )
-from fieldgrid.poses.axle import axle_forward_m
+from fieldgrid.poses.axle import axle_forward_m, with_antenna_moved
 from fieldgrid.poses.drive import DriveEstimate, with_recorded
 from fieldgrid.poses.external.poses import CLEAR_OFFSET_DEG, place_poses
 from fieldgrid.poses.faults.camera_yaw import CameraYaw, camera_yaw
 from fieldgrid.poses.faults.clock.jump import clock_jump
 from fieldgrid.poses.faults.clock.offset import ClockFindings, check_clock
 from fieldgrid.poses.faults.convention import FEW_TURNED_SHARE, Comparison
-from fieldgrid.poses.faults.denied import DriveContradiction, denied_by, unsure_declared
+from fieldgrid.poses.faults.denied import (
+    DriveContradiction,
+    denied_by,
+    unsure_declared,
+    with_whole_place,
+)
 from fieldgrid.poses.faults.excused import GyroExcuse, excused
 from fieldgrid.poses.faults.explained import explained
 from fieldgrid.poses.faults.unseen import (
@@ -180,7 +185,9 @@ def _checked(
     if smooth and follows_path:
         yaw = camera_yaw(drive.smoothed.camera_yaw_rad, found.motion.steps, found.axle)
     denied = denied_by(drive, declared, clocks)
-    if smooth and drive.turns_seen:
+    if smooth and not drive.turns_seen:
+        denied = with_whole_place(denied, partial(_with_recorded, found, recorded))
+    elif smooth:
         denied = explained(denied, found, drive, declared)
     excuse = None
     if smooth and not drive.turns_seen and not drive.headings_recorded:
@@ -190,13 +197,14 @@ def _checked(
     return _Checks(clocks, yaw, denied, excuse)
 
 
-def _with_recorded(found: Fusion, recorded: RecordedHeadings) -> DriveEstimate:
-    """The drive by its recorded headings, too."""
+def _with_recorded(
+    found: Fusion, recorded: RecordedHeadings, ahead_m: float = 0.0
+) -> DriveEstimate:
+    """The drive by its recorded headings, too, with the antenna `ahead_m` farther ahead."""
     if not np.isfinite(recorded.heading_deg).any():
         return found.drive
-    return with_recorded(
-        *(found.drive, found.log.accepted, found.motion, found.axle, recorded, found.hints)
-    )
+    axle = with_antenna_moved(found.axle, ahead_m) if ahead_m else found.axle
+    return with_recorded(found.drive, found.log.accepted, found.motion, axle, recorded, found.hints)
 
 
 def _of_given(

@@ -24,7 +24,7 @@ from fieldgrid.geometry import (
 )
 from fieldgrid.poses.accepted import AcceptedFixes, accepted_fixes, datum_of
 from fieldgrid.poses.attitude.axes import AxisTilt, axes_of_fixes
-from fieldgrid.poses.axle import Axle, axle_of, axle_told
+from fieldgrid.poses.axle import Axle, axle_of, axle_told, names_axle
 from fieldgrid.poses.drive import DriveEstimate, smooth_drive
 from fieldgrid.poses.faults.convention import Comparison, compare, turned_around
 from fieldgrid.poses.faults.gyro.check import GyroVerdict, with_trusted_gyro, without_wrong_gyro
@@ -47,7 +47,7 @@ from fieldgrid.poses.levelled import (
     measures_tilt,
 )
 from fieldgrid.poses.measured import turn_back, wheel_speed_at
-from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, IMAGES, LATE
+from fieldgrid.poses.smoother.declared import AHEAD
 from fieldgrid.poses.table import ConditionedLog
 
 # Wheels whose sign is turned round: they say that a vehicle backs up while it drives forward.
@@ -62,6 +62,10 @@ TURNED_SHARE = 0.8
 BACKING_SHARE, LEAST_WAY_M = 0.8, 50.0
 """Without a camera: hardly any vehicle backs up over this share of a drive of at least this
 length."""
+
+
+MOST_STEPS = 6
+"""A place of the axle is settled in two or three."""
 
 
 def with_right_wheels(motion: Motion) -> tuple[Motion, str | None]:
@@ -254,10 +258,8 @@ def fuse(
         gyro_note=wrong_gyro or trusted.note,
         notes=tuple(note for note in notes if note is not None),
     )
-    if found.drive.turns_seen:
-        told = axle_told(axle, found.drive.smoothed.declared.off(AHEAD, ASIDE, LATE, IMAGES))
-        if told != axle:
-            found = found.again(axle=told)
+    if found.drive.turns_seen and not names_axle(rig):
+        found = _with_axle(found)
     # The same of a vehicle that stands level, once its headings have told how it leans.
     rig = found.axle.vehicle
     axes = _stated_axes(found, settings)
@@ -282,6 +284,21 @@ def fuse(
         if lean is not None:
             unsure = levelled_fixes(unsure, lean)
         found = found.again(log=log._replace(accepted=unsure))
+    return found
+
+
+def _with_axle(found: Fusion) -> Fusion:
+    """The drive with the axle where it shows it, step by step: of an antenna far ahead one step is
+    not all."""
+    known, guess = found, found.axle
+    for _ in range(MOST_STEPS):
+        told = axle_told(known.axle, known.drive.smoothed.declared.off(AHEAD))
+        if told is known.axle:
+            return found
+        moved_m = told.frame()[0][1] - known.axle.frame()[0][1]
+        known = found.again(axle=told._replace(sigma_m=guess.sigma_m), as_stated=True)
+        if abs(moved_m) < told.sigma_m:
+            return found.again(axle=told)
     return found
 
 

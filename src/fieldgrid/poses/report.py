@@ -33,6 +33,10 @@ from fieldgrid.poses.smoother.declared import Constant
 GOOD_FIX_M = 0.05
 """To say that fixes are better than this admits no more headings."""
 
+LEAST_DRIFT_M, DRIFT_TIMES = 0.2, 3.0
+"""A drift of less than this, or than this multiple of the stated error, is not reported: the camera
+itself makes as much."""
+
 NO_AXLE = "Nothing says how far the antenna sits ahead of the axle that does not steer"
 
 
@@ -158,6 +162,7 @@ def drive_notes(
         )
     if len(leaps_ns(fixes)):
         yield leap_note(fixes)
+    yield from _drift_note(drive)
     yield from clock_notes(clock)
     if yaw is not None:
         yield from yaw_notes(yaw)
@@ -199,6 +204,21 @@ def leap_note(fixes: AcceptedFixes) -> str:
         "after the start), and nothing tells which side is right: its positions count as good to "
         f"{np.median(fixes.sigma_m):.2f} m. If you know, leave out the fixes of the wrong one."
     )
+
+
+def _drift_note(drive: DriveEstimate) -> Iterator[str]:
+    """That the slow error of the fixes is larger than they state."""
+    extent_m = float(np.hypot(*np.ptp(drive.smoothed.state[:, 6:], axis=0)))
+    stated_m = float(np.median(drive.measured.bias_m)) / drive.slow.factor
+    if drive.slow.larger and extent_m > max(LEAST_DRIFT_M, DRIFT_TIMES * stated_m):
+        by = "camera" if len(drive.measured.step) else "gyro"
+        yield (
+            f"By the {by} the fixes drift by about {extent_m:.1f} m within the drive, more than "
+            "they state, and nothing shows where they are right: positions count as good to "
+            f"{drive.slow.factor * stated_m:.2f} m. Check the receiver's base station and "
+            "corrections, and how cameras and IMU are mounted: one that is tilted or was pushed "
+            "looks the same."
+        )
 
 
 def clock_notes(clock: ClockOffset | None) -> Iterator[str]:

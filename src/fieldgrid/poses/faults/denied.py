@@ -6,7 +6,7 @@ is told, and positions are as unsure as the two are apart.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from fieldgrid.core import Float64
 from fieldgrid.geometry import Rig, VehicleGeometry
 from fieldgrid.poses.axle import names_axle
-from fieldgrid.poses.drive import LEAST_SEEN_SHARE, DriveEstimate, camera_share, sees_turns
+from fieldgrid.poses.drive import DriveEstimate
 from fieldgrid.poses.faults.clock.offset import ClockFindings
 from fieldgrid.poses.smoother.declared import (
     AHEAD,
@@ -33,6 +33,9 @@ CLEAR_SIGMAS = 4.0
 
 LEAST_LEVER_M, LEAST_DELAY_S = 0.3, 0.05
 """Smaller contradictions of the antenna's place and of the fixes' stamps are not worth a word."""
+
+MOST_ROUNDS = 10
+"""A wrong place is settled in two to six."""
 
 LEAST_DOUBT_DEG, LEAST_OFF_M = 1.0, 0.1
 """What does not fit together and moves no heading or position by more is not worth a word."""
@@ -66,14 +69,11 @@ def denied_by(
 ) -> DriveContradiction:
     """What a drive denies of its vehicle as it was declared, and of the clock of its images."""
     off_m = np.abs(drive.speed_mps) * np.abs(clocks.offset_s(drive.time_ns))
-    turns = sees_turns(drive.measured)
-    if not turns and not (names_axle(vehicle) and drive.headings_recorded):
-        return DriveContradiction(None, None, None, off_m)
     found = drive.smoothed.declared
     aside, ahead = moving_places(drive, vehicle)
     # Recorded headings have the stamps of the fixes. With an axle that nobody names, a delay and
     # the antenna's place ahead of it cancel each other.
-    late = turns and (names_axle(vehicle) or found.explains(LATE))
+    late = drive.measured.sees_turns() and (names_axle(vehicle) or found.explains(LATE))
     tellable = {ASIDE: aside, AHEAD: ahead, LATE: late}
     wrong = {k for k, tells in tellable.items() if tells and found.probability(k) > LIKELY}
     either = not wrong and ahead and late and found.probability(AHEAD, LATE) > LIKELY
@@ -99,13 +99,27 @@ def moving_places(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tupl
     # its place is no contradiction, and moves no position.
     placed = isinstance(vehicle, Rig)
     # An antenna aside is the faster one in a turn, which only those see who see the speed.
-    return placed and sees_speed(drive), placed and names_axle(vehicle)
+    return placed and drive.measured.sees_speed(), placed and names_axle(vehicle)
 
 
-def sees_speed(drive: DriveEstimate) -> bool:
-    """Whether wheels or a camera measured its speed, over most of the drive."""
-    by_wheels = float(np.mean(np.isfinite(drive.measured.speed_mps)))
-    return max(by_wheels, camera_share(drive.measured)) >= LEAST_SEEN_SHARE
+def with_whole_place(
+    denied: DriveContradiction, placed: Callable[[float], DriveEstimate]
+) -> DriveContradiction:
+    """The contradiction with the whole distance by which recorded headings have the antenna ahead.
+
+    The headings that a wrong place contradicts most have little weight, so that the drive shows a
+    part of it at once. `placed` estimates the drive with the antenna moved ahead, in metres.
+    """
+    if denied.ahead_m is None:
+        return denied
+    total_m, sigma_m = denied.ahead_m
+    for _ in range(MOST_ROUNDS):
+        value_m, sigma_m = placed(total_m).smoothed.declared.off(AHEAD)
+        total_m += value_m
+        if abs(value_m) < sigma_m:
+            break
+    ahead_m = Constant(total_m, float(np.hypot(sigma_m, value_m)))
+    return denied._replace(ahead_m=ahead_m, off_m=np.maximum(denied.off_m, abs(total_m)))
 
 
 def unsure_declared(
@@ -164,7 +178,7 @@ def _denied_notes(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[
             f"look at how they were logged, or add {-delay.value:.2f} to --gnss-offset. Until then "
             "positions count as unsure by what is driven in that time."
         )
-    if drive.smoothed.declared.contradicts and not denied.clear and sees_turns(drive.measured):
+    if drive.smoothed.declared.contradicts and not denied.clear and drive.measured.sees_turns():
         yield from _unfit_note(drive)
 
 

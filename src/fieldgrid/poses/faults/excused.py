@@ -15,7 +15,7 @@ import numpy as np
 
 from fieldgrid.core import Float64, Int64
 from fieldgrid.geometry import Gyro, VehicleGeometry, wrap_deg
-from fieldgrid.poses.drive import DriveEstimate, sees_turns
+from fieldgrid.poses.drive import DriveEstimate
 from fieldgrid.poses.faults.denied import CLEAR_SIGMAS, DriveContradiction
 from fieldgrid.poses.faults.explained import MOST_LEFT, UNTOLD, Correction, Explanation, explanation
 from fieldgrid.poses.faults.gyro.check import apart_deg, scaled, turn_ratio
@@ -108,7 +108,7 @@ def _fitting(
     """What explains the gyro, of place and stamps that the fixes fit as well as the drive without
     it; each from its start on."""
     beside = without.again(motion=without.motion._replace(gyro=gyro), as_stated=True)
-    if not sees_turns(beside.drive.measured):
+    if not beside.drive.measured.sees_turns():
         return
     most_left = max(MOST_LEFT, LEFT_SHARE * beside.drive.smoothed.declared.misfit())
     noise_m = without.log.accepted.noise.across_m

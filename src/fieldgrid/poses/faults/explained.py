@@ -37,10 +37,11 @@ MOST_STEPS = 8
 SETTLED_M, SETTLED_S = 0.005, 0.005
 FARTHEST_M, LATEST_S = 10.0, 10.0
 
-MOST_LEFT, RULED_OUT = 3.5, 5.0
-"""What was wrong leaves no more sigmas than the first once it is put right; the other of the two is
-ruled out where it leaves more than the second. Random drives (`benchmarks.late_fixes`) have 0.2 to
-5 left by the one, 3 to 80 by the other."""
+MOST_LEFT = 2.5
+"""What was wrong leaves no more sigmas once it is put right."""
+
+CLEAR_NATS = 3.0
+"""The other of the two is ruled out where it is less likely by this."""
 
 LEAST_MPS = 0.1
 """A slower vehicle tells no clock from a place."""
@@ -55,7 +56,7 @@ class Correction(NamedTuple):
 
     def rules_out(self, other: Correction) -> bool:
         """Whether the drive fits this, and not the other."""
-        return self.left < MOST_LEFT and other.left > RULED_OUT
+        return self.left < MOST_LEFT and other.left**2 - self.left**2 > 2.0 * CLEAR_NATS
 
 
 UNTOLD = Correction(Constant(0.0, np.inf), np.inf, None)
@@ -109,8 +110,8 @@ def explained(
     either. Where neither does, nothing is clearly denied, and positions stay as unsure. Positions
     of a log alone are the antenna's, wherever on the `vehicle` that sits."""
     declared = drive.smoothed.declared
-    by_gyro = drive.at.has_gyro() and not found.has_camera() and not drive.headings_recorded
-    if not by_gyro or declared.misfit() < MOST_MISFIT:
+    by_gyro = drive.measured.sees_turns() and not found.has_camera()
+    if not by_gyro or drive.headings_recorded or declared.misfit() < MOST_MISFIT:
         return denied
     tried = explanation(found._replace(drive=drive), vehicle)
     if tried is None:

@@ -17,15 +17,9 @@ from fieldgrid.core import Float64, Quality
 from fieldgrid.geometry import Rig, Trajectory, VehicleGeometry, least_sigma_m, position_sigma_m
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.axle import names_axle
-from fieldgrid.poses.drive import (
-    DRIVING_MPS,
-    LEAST_SEEN_SHARE,
-    DriveEstimate,
-    camera_share,
-    sees_turns,
-)
+from fieldgrid.poses.drive import DRIVING_MPS, DriveEstimate
 from fieldgrid.poses.external.georeference import Georeference
-from fieldgrid.poses.faults.denied import CLEAR_SIGMAS, FAR_M, sees_speed
+from fieldgrid.poses.faults.denied import CLEAR_SIGMAS, FAR_M
 from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, IMAGES, LATE, Constant
 from fieldgrid.poses.table import PoseTable
 
@@ -76,7 +70,7 @@ def unseen_faults(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tupl
     aside_m = declared.off(ASIDE, AHEAD, LATE, IMAGES)
     ahead_m = declared.off(AHEAD, ASIDE, LATE, IMAGES)
     late_s = declared.off(LATE, ASIDE, AHEAD, IMAGES)
-    turns, speed = sees_turns(drive.measured), sees_speed(drive)
+    turns, speed = drive.measured.sees_turns(), drive.measured.sees_speed()
     turned = turns or (names_axle(vehicle) and drive.headings_recorded)
     moving = np.abs(drive.speed_mps)[np.abs(drive.speed_mps) > DRIVING_MPS]
     usual_mps = float(np.median(moving)) if len(moving) else 0.0
@@ -89,7 +83,7 @@ def unseen_faults(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tupl
         # ahead shows there, too.
         UnseenFault.LATE_STAMPS: placed
         and not (turns and _is_told(ahead_m) and _is_told(late_s, usual_mps)),
-        UnseenFault.SLOW_DRIFT: camera_share(drive.measured) < LEAST_SEEN_SHARE,
+        UnseenFault.SLOW_DRIFT: not drive.measured.sees_way(),
     }
     return tuple(fault for fault, unseen in hidden.items() if unseen)
 

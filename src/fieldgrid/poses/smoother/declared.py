@@ -59,8 +59,8 @@ TOLD_SHARE = 0.5
 EDGE_S = 0.5
 """What bends a turn is unsure for so long before it and after it, too."""
 
-MOST_MISFIT = 5.0
-"""Five numbers that are right are more sigmas away once in 10,000 drives."""
+MOST_MISFIT = 4.0
+"""Five numbers that are as usual are more sigmas away once in 100,000 drives."""
 
 
 class Constant(NamedTuple):
@@ -172,10 +172,10 @@ def tested(
     Newton with all states following."""
     measured = problem.measured
     followed, information, right = _told(problem, found, linear)
-    # An antenna aside is the faster one in a turn, which only those see who see the speed.
-    seen = len(measured.step_nodes) or np.isfinite(measured.speed_mps).any()
-    told = np.full(5, TOLD_SHARE)
-    told[ASIDE] = TOLD_SHARE if seen else 0.0
+    # Positions alone fit any antenna and any stamps; and an antenna aside is the faster one in a
+    # turn, which only those see who see the speed.
+    turned = measured.sees_turns() or measured.records_headings()
+    told = TOLD_SHARE * np.array([turned and measured.sees_speed(), turned, turned, 1.0, 1.0])
     usual = USUAL_SIGMAS.copy()
     usual[AHEAD] = max(usual[AHEAD], problem.ahead_sigma_m)
     declared = DeclaredCorrection(np.sqrt(np.outer(told, told)) * information, told * right, usual)
