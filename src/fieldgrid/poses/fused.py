@@ -47,7 +47,7 @@ from fieldgrid.poses.levelled import (
     measures_tilt,
 )
 from fieldgrid.poses.measured import turn_back, wheel_speed_at
-from fieldgrid.poses.smoother.declared import AHEAD
+from fieldgrid.poses.smoother.declared import AHEAD, IMAGES, LATE, LIKELY
 from fieldgrid.poses.table import ConditionedLog
 
 # Wheels whose sign is turned round: they say that a vehicle backs up while it drives forward.
@@ -292,7 +292,11 @@ def _with_axle(found: Fusion) -> Fusion:
     not all."""
     known, guess = found, found.axle
     for _ in range(MOST_STEPS):
-        told = axle_told(known.axle, known.drive.smoothed.declared.off(AHEAD))
+        declared = known.drive.smoothed.declared
+        # Clocks that differ look like a place.
+        if declared.probability(LATE, IMAGES) > 1.0 - LIKELY:
+            return found
+        told = axle_told(known.axle, declared.off(AHEAD))
         if told is known.axle:
             return found
         moved_m = told.frame()[0][1] - known.axle.frame()[0][1]

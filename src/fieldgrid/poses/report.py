@@ -28,7 +28,7 @@ from fieldgrid.poses.gates.conditioning import COUNTED_TWICE
 from fieldgrid.poses.gates.summary import ConditioningSummary
 from fieldgrid.poses.gears.stations import TELL_GEARS
 from fieldgrid.poses.settings import HeadingSource
-from fieldgrid.poses.smoother.declared import Constant
+from fieldgrid.poses.smoother.declared import DRIFT, LIKELY, Constant
 
 GOOD_FIX_M = 0.05
 """To say that fixes are better than this admits no more headings."""
@@ -208,14 +208,19 @@ def leap_note(fixes: AcceptedFixes) -> str:
 
 def _drift_note(drive: DriveEstimate) -> Iterator[str]:
     """That the slow error of the fixes is larger than they state."""
-    extent_m = float(np.hypot(*np.ptp(drive.smoothed.state[:, 6:], axis=0)))
+    declared, larger = drive.smoothed.declared, drive.slow.larger > 0
     stated_m = float(np.median(drive.measured.bias_m)) / drive.slow.factor
-    if drive.slow.larger and extent_m > max(LEAST_DRIFT_M, DRIFT_TIMES * stated_m):
+    if not larger and declared.probability(DRIFT) < LIKELY:
+        return
+    extent_m = declared.extent_m(drive.measured.time_s)
+    if larger:
+        extent_m = float(np.hypot(*np.ptp(drive.smoothed.state[:, 6:], axis=0)))
+    if extent_m > max(LEAST_DRIFT_M, DRIFT_TIMES * stated_m):
         by = "camera" if len(drive.measured.step) else "gyro"
         yield (
             f"By the {by} the fixes drift by about {extent_m:.1f} m within the drive, more than "
             "they state, and nothing shows where they are right: positions count as good to "
-            f"{drive.slow.factor * stated_m:.2f} m. Check the receiver's base station and "
+            f"{max(drive.slow.factor * stated_m, extent_m / 2.0):.1f} m. Check the receiver's base station and "
             "corrections, and how cameras and IMU are mounted: one that is tilted or was pushed "
             "looks the same."
         )

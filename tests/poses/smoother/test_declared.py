@@ -22,6 +22,7 @@ from fieldgrid.poses.smoother.rounds import (
 from tests.poses.smoother.test_model import SEEDS, dense, empty, states
 
 STEP_S = 0.2
+NUMBERS = np.array([ASIDE, AHEAD, LATE, IMAGES, SLIP])
 
 
 def drive(seed: int, *, fixes: bool, steps: bool) -> tuple[SmoothingProblem, Solution]:
@@ -59,7 +60,7 @@ def test_how_fixes_depend_on_lever_and_clock(seed: int) -> None:
     """Beside fixes of an antenna elsewhere, taken a little earlier than they are stamped."""
     problem, found = drive(seed, fixes=True, steps=False)
     x, fix, weight, lever = found.x, problem.measured.fix_m, found.weights.fix, problem.lever_m
-    border, _, corner, right = couplings(problem, found)
+    border, _, corner, right = couplings(problem, found, NUMBERS)
 
     def away(right_m: float, ahead_m: float, late_s: float) -> Float64:
         """Residuals ahead and right [4] in axes that stand still."""
@@ -102,7 +103,7 @@ def test_how_steps_depend_on_the_clock_of_images(seed: int) -> None:
     """A step of images that are later is one between nodes that have gone on by as much."""
     problem, found = drive(seed, fixes=False, steps=True)
     x, measured = found.x, problem.measured
-    border, beside, corner, right = couplings(problem, found)
+    border, beside, corner, right = couplings(problem, found, NUMBERS)
     turning = np.gradient(x[:, PHI], measured.time_s)
     weight = found.weights.step[0, [0, 0, 1]]
 
@@ -134,7 +135,7 @@ def test_how_steps_depend_on_the_clock_of_images(seed: int) -> None:
 @given(SEEDS)
 def test_how_motion_depends_on_the_slip_angle(seed: int) -> None:
     problem, found = drive(seed, fixes=False, steps=False)
-    border, _, corner, right = couplings(problem, found)
+    border, _, corner, right = couplings(problem, found, NUMBERS)
 
     def across(x: Float64, more: float = 0.0) -> Float64:
         """What the vehicle moves across its heading beyond its slip, in sigmas, [2]."""

@@ -83,7 +83,7 @@ def unseen_faults(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tupl
         # ahead shows there, too.
         UnseenFault.LATE_STAMPS: placed
         and not (turns and _is_told(ahead_m) and _is_told(late_s, usual_mps)),
-        UnseenFault.SLOW_DRIFT: not drive.measured.sees_way(),
+        UnseenFault.SLOW_DRIFT: not declared.tells_drift(FAR_M),
     }
     return tuple(fault for fault, unseen in hidden.items() if unseen)
 

@@ -1,9 +1,9 @@
-"""What was declared of antenna and clocks: what the drive says of it, and how unsure it leaves
-poses.
+"""What was declared of antenna and clocks, and what the receiver states: what the drive says of it,
+and how unsure it leaves poses.
 
-Five numbers may be off: each is usually off by little, and sometimes, where somebody measured or
-typed it wrong, by much. A drive says how likely each choice is of those that are wrong; what
-survives counts in its sigmas. Nothing of it is applied.
+Some numbers may be off: each is usually off by little, and sometimes, where somebody measured or
+typed it wrong or a solution is wrong, by much. A drive says how likely each choice is of those that
+are wrong; what survives counts in its sigmas. Nothing of it is applied.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64
+from fieldgrid.core import Float64, Int64
 from fieldgrid.poses.smoother.envelope import STATES, solve
 from fieldgrid.poses.smoother.equations import CONSTANTS
 from fieldgrid.poses.smoother.model import (
@@ -34,14 +34,20 @@ from fieldgrid.poses.smoother.model import (
 )
 from fieldgrid.poses.smoother.rounds import Linear, SmoothingProblem, Solution, inverse
 
-ASIDE, AHEAD, LATE, IMAGES, SLIP = range(5)
+ASIDE, AHEAD, LATE, IMAGES, SLIP, DRIFT = range(6)
 """The antenna's place to the right and ahead, metres; the delay of the fixes, and what the stamps
-of images lack, seconds; the slip angle of the axle that does not steer, rad per m/s² across."""
+of images lack, seconds; the slip angle of the axle that does not steer, rad per m/s² across; how
+the fixes drift beside a camera, metres."""
 
-USUAL_SIGMAS = np.array([0.05, 0.05, 0.02, 0.02, SLIP_ANGLE])
-"""How far off they usually are: a place that was measured, the stamps of two clocks, tyres."""
+SHAPES = 3
+"""The drift is a sum of so many cosines, of 1, 2 and 3 halves of a period over the drive, east and
+north. What changes faster is the slow error's."""
 
-WRONG_SIGMAS = np.array([1.0, 1.0, 0.5, 0.5, SLIP_ANGLE])
+USUAL_SIGMAS = np.array([0.05, 0.05, 0.02, 0.02, SLIP_ANGLE, 0.002])
+"""How far off they usually are: a place that was measured, the stamps of two clocks, tyres, a
+receiver beyond what it states."""
+
+WRONG_SIGMAS = np.array([1.0, 1.0, 0.5, 0.5, SLIP_ANGLE, 1.0])
 """How far off they are where they are wrong."""
 
 WRONG_NATS = math.log(0.02)
@@ -60,7 +66,7 @@ EDGE_S = 0.5
 """What bends a turn is unsure for so long before it and after it, too."""
 
 MOST_MISFIT = 4.0
-"""Five numbers that are as usual are more sigmas away once in 100,000 drives."""
+"""Numbers that are as usual are more sigmas away once in 100,000 drives."""
 
 
 class Constant(NamedTuple):
@@ -72,7 +78,7 @@ class Constant(NamedTuple):
 
 class Hypothesis(NamedTuple):
     """Which of the numbers are `wrong`, how much likelier the drive makes that than that none is,
-    nats, and what the numbers are then: their means [5] and covariance [5, 5]."""
+    nats, and what the numbers are then: their means [k] and covariance [k, k]."""
 
     wrong: tuple[int, ...]
     nats: float
@@ -81,17 +87,22 @@ class Hypothesis(NamedTuple):
 
 
 class DeclaredCorrection(NamedTuple):
-    """What a drive says of the five numbers: its `information` [5, 5] and the `right` side [5] of
-    their normal equations, all states following; `usual` [5] is how far off they usually are."""
+    """What a drive says of the numbers: `of` [k] is what each is of, the `information` [k, k] and
+    the `right` side [k] are their normal equations, all states following; `usual` [k] is how far
+    off they usually are."""
 
+    of: Int64
     information: Float64
     right: Float64
     usual: Float64
 
+    def _sigma(self, wrong: Sequence[int]) -> Float64:
+        """How far off each number may be, [k]."""
+        return np.where(np.isin(self.of, wrong), WRONG_SIGMAS[self.of], self.usual)
+
     def hypothesis(self, wrong: Sequence[int]) -> Hypothesis:
         """The numbers when some of them are wrong: Laplace's approximation."""
-        sigma = self.usual.copy()
-        sigma[list(wrong)] = WRONG_SIGMAS[list(wrong)]
+        sigma = self._sigma(wrong)
         precision = self.information + np.diag(1.0 / sigma**2)
         covariance: Float64 = np.asarray(np.linalg.inv(precision), np.float64)
         mean = covariance @ self.right
@@ -102,7 +113,8 @@ class DeclaredCorrection(NamedTuple):
     def hypotheses(self) -> list[tuple[Hypothesis, float]]:
         """Each choice of what is wrong, of the numbers that the drive tells anything of, with its
         probability."""
-        told = np.flatnonzero(np.diagonal(self.information)[:SLIP] > 0.0).tolist()
+        may = ASIDE, AHEAD, LATE, IMAGES, DRIFT
+        told = [k for k in may if self.information[self.of == k].any()]
         choices = chain.from_iterable(combinations(told, k) for k in range(len(told) + 1))
         every = [self.hypothesis(wrong) for wrong in choices]
         nats = np.array([one.nats for one in every])
@@ -118,7 +130,7 @@ class DeclaredCorrection(NamedTuple):
         return sum(share for one, share in self.hypotheses() if set(some) & set(one.wrong))
 
     def second_moment(self) -> Float64:
-        """The mean square [5, 5] of what the numbers are off, over all that may be wrong."""
+        """The mean square [k, k] of what the numbers are off, over all that may be wrong."""
         every = self.hypotheses()
         least = SURVIVING * max(share for _, share in every)
         kept = [(one, share) for one, share in every if share >= least]
@@ -130,12 +142,26 @@ class DeclaredCorrection(NamedTuple):
     def off(self, k: int, *beside: int) -> Constant:
         """What the k-th is off if it is wrong, with others `beside` it."""
         found = self.hypothesis((k, *beside))
-        return Constant(float(found.mean[k]), math.sqrt(found.covariance[k, k]))
+        at = int(np.argmax(self.of == k))
+        return Constant(float(found.mean[at]), math.sqrt(found.covariance[at, at]))
+
+    def extent_m(self, time_s: Float64) -> float:
+        """How far apart fixes lie by their drift, if they do."""
+        drift = self.hypothesis((DRIFT,)).mean[self.of == DRIFT]
+        return (
+            float(np.hypot(*np.ptp(shapes(time_s) @ drift.reshape(-1, 2), axis=0)))
+            if len(drift)
+            else 0.0
+        )
+
+    def tells_drift(self, most_m: float) -> bool:
+        """Whether it would be seen that fixes drift by so much from one end to the other."""
+        variances = np.diagonal(self.hypothesis((DRIFT,)).covariance)[self.of == DRIFT]
+        return len(variances) > 0 and 2.0 * MOST_MISFIT * math.sqrt(variances.max()) < most_m
 
     def misfit(self, *wrong: int) -> float:
         """How many sigmas the numbers are from what is usual, but for those that are `wrong`."""
-        sigma = self.usual.copy()
-        sigma[list(wrong)] = WRONG_SIGMAS[list(wrong)]
+        sigma = self._sigma(wrong)
         spread = self.information + self.information @ np.diag(sigma**2) @ self.information
         return math.sqrt(
             max(float(self.right @ np.linalg.pinv(spread, hermitian=True) @ self.right), 0.0)
@@ -157,7 +183,7 @@ class DeclaredCorrection(NamedTuple):
 
 
 class Unsure(NamedTuple):
-    """How unsure the five numbers leave the nodes [n], 1-sigma: headings in radians; places in
+    """How unsure the numbers leave the nodes [n], 1-sigma: headings in radians; places in
     metres along one axis, of the axle and, of a log alone, of the antenna."""
 
     heading_rad: Float64
@@ -171,16 +197,20 @@ def tested(
     """What a drive says of what was declared, and how unsure that leaves it: one step of Gauss and
     Newton with all states following."""
     measured = problem.measured
-    followed, information, right = _told(problem, found, linear)
+    of = np.array([ASIDE, AHEAD, LATE, IMAGES, SLIP, *measured.sees_way() * 2 * SHAPES * [DRIFT]])
+    followed, information, right = _told(problem, found, linear, of)
     # Positions alone fit any antenna and any stamps; and an antenna aside is the faster one in a
     # turn, which only those see who see the speed.
     turned = measured.sees_turns() or measured.records_headings()
-    told = TOLD_SHARE * np.array([turned and measured.sees_speed(), turned, turned, 1.0, 1.0])
-    usual = USUAL_SIGMAS.copy()
+    share = np.full(len(of), TOLD_SHARE)
+    share[[AHEAD, LATE]] *= turned
+    share[ASIDE] *= turned and measured.sees_speed()
+    usual = USUAL_SIGMAS[of]
     usual[AHEAD] = max(usual[AHEAD], problem.ahead_sigma_m)
-    declared = DeclaredCorrection(np.sqrt(np.outer(told, told)) * information, told * right, usual)
+    information = np.sqrt(np.outer(share, share)) * information
+    declared = DeclaredCorrection(of, information, share * right, usual)
     moment = declared.second_moment()
-    response = -followed.reshape(-1, STATES, 5)
+    response = -followed.reshape(-1, STATES, len(of))
     # Headings in the clock of the fixes.
     if len(measured.time_s) > 1:
         response[:, PHI, LATE] -= np.gradient(found.x[:, PHI], measured.time_s)
@@ -192,20 +222,27 @@ def tested(
     near_s = np.linspace(-EDGE_S, EDGE_S, 9)
     at = np.searchsorted(measured.time_s, measured.time_s + near_s[:, None], side="right") - 1
     heading_rad = np.max(sigma(PHI, moment)[np.clip(at, 0, None)], axis=0)
-    alone = moment.copy()
-    alone[:IMAGES] = alone[:, :IMAGES] = 0.0
-    axle_m, antenna_m = (
-        np.hypot(sigma(E, of), sigma(N, of)) / math.sqrt(2.0) for of in (moment, alone)
-    )
-    return declared, Unsure(heading_rad, axle_m, antenna_m)
+    # Nobody knows where fixes that drift were right: any pose may be off by half of the way.
+    drift_m = declared.probability(DRIFT) * declared.extent_m(measured.time_s) / 2.0
+    moment[of == DRIFT] = moment[:, of == DRIFT] = 0.0
+    axle_m = np.hypot(sigma(E, moment), sigma(N, moment)) / math.sqrt(2.0)
+    moment[:IMAGES] = moment[:, :IMAGES] = 0.0
+    antenna_m = np.hypot(sigma(E, moment), sigma(N, moment)) / math.sqrt(2.0)
+    return declared, Unsure(heading_rad, np.hypot(axle_m, drift_m), np.hypot(antenna_m, drift_m))
+
+
+def shapes(time_s: Float64) -> Float64:
+    """The cosines of a drift at some instants [n, shapes]."""
+    share = (time_s - time_s[0]) / max(float(time_s[-1] - time_s[0]), 1e-9)
+    return np.asarray(np.cos(np.pi * np.outer(share, np.arange(1, SHAPES + 1))))
 
 
 def _told(
-    problem: SmoothingProblem, found: Solution, linear: Linear
+    problem: SmoothingProblem, found: Solution, linear: Linear, of: Int64
 ) -> tuple[Float64, Float64, Float64]:
-    """How all states follow the numbers [states, 5], the information matrix [5, 5] of these, and
-    their right side [5]."""
-    border, beside, corner, right = couplings(problem, found)
+    """How all states follow the numbers [states, k], the information matrix [k, k] of these, and
+    their right side [k]."""
+    border, beside, corner, right = couplings(problem, found, of)
     followed = border.copy()
     solve(linear.system.shape, linear.system.values, followed)
     right = right - followed.T @ linear.system.right
@@ -219,17 +256,18 @@ def _told(
 
 
 def couplings(
-    problem: SmoothingProblem, found: Solution
+    problem: SmoothingProblem, found: Solution, of: Int64
 ) -> tuple[Float64, Float64, Float64, Float64]:
-    """How the residuals of fixes, steps and motion depend on what is tested.
+    """How the residuals of fixes, steps and motion depend on what is tested, numbers `of` [k].
 
-    Returns the coupling with the states [states, 5] and with the constants [constants, 5], the
-    corner [5, 5], the right side [5].
+    Returns the coupling with the states [states, k] and with the constants [constants, k], the
+    corner [k, k], the right side [k].
     """
     measured, x = problem.measured, found.x
     step_s = np.diff(measured.time_s)
-    border, corner, right = np.zeros((len(x), STATES, 5)), np.zeros((5, 5)), np.zeros(5)
-    _add_fixes(border, corner, right, x, measured.fix_m, found.weights.fix, problem.lever_m)
+    size = len(of)
+    border, corner, right = np.zeros((len(x), STATES, size)), np.zeros((size, size)), np.zeros(size)
+    _add_fixes(border, corner, right, problem, found)
     # The slip angle: motion across the heading, see `model.add_motion`.
     at = np.flatnonzero(measured.seen)
     here, there, h = x[at], x[at + 1], step_s[at]
@@ -248,7 +286,7 @@ def couplings(
     for state, slope in ((PHI, -along / 2.0), (V, h / 2.0 * SLIP_ANGLE * slid)):
         border[at, state, SLIP] += scaled * slope
         border[at + 1, state, SLIP] += scaled * slope
-    flat, beside = border.reshape(-1, 5), np.zeros((CONSTANTS, 5))
+    flat, beside = border.reshape(-1, size), np.zeros((CONSTANTS, size))
     if len(measured.step_nodes):
         _add_images(flat, beside, corner, right, problem, found)
     return flat, beside, corner, right
@@ -279,15 +317,10 @@ def _add_images(
 
 
 def _add_fixes(
-    border: Float64,
-    corner: Float64,
-    right: Float64,
-    x: Float64,
-    fix_en: Float64,
-    weight: Float64,
-    lever: Float64,
+    border: Float64, corner: Float64, right: Float64, problem: SmoothingProblem, found: Solution
 ) -> None:
-    """What fixes say of the antenna's place and of their own stamps."""
+    """What fixes say of the antenna's place, of their own stamps and of their drift."""
+    x, weight, fix_en, lever = found.x, found.weights.fix, problem.measured.fix_m, problem.lever_m
     at = np.flatnonzero(weight[:, 0] > 0.0)
     here, weight = x[at], weight[at]
     sin, cos = np.sin(here[:, PHI]), np.cos(here[:, PHI])
@@ -298,16 +331,23 @@ def _add_fixes(
     off = np.stack([east * sin + north * cos, east * cos - north * sin], axis=1)
     states = ((sin, cos, none - lever[0]), (cos, -sin, none + lever[1]))
     late = (-(here[:, V] - lever[0] * turn), -lever[1] * turn)
-    constants = np.array([[none, none + 1.0, late[0]], [none + 1.0, none, late[1]]])
-    for a in range(3):
-        scaled = weight * constants[:, a].T
+    numbers = [(none, none + 1.0), (none + 1.0, none), late]
+    columns = [ASIDE, AHEAD, LATE, *range(DRIFT, len(right))]
+    if len(right) > DRIFT:
+        by_shape = shapes(problem.measured.time_s)[at].T
+        numbers += [
+            by for one in by_shape for by in ((sin * one, cos * one), (cos * one, -sin * one))
+        ]
+    for a, one in zip(columns, numbers, strict=True):
+        scaled = weight * np.stack(one, axis=1)
         right[a] = -_in_order(scaled * off)
-        for b in range(3):
-            corner[a, b] = _in_order(scaled * constants[:, b].T)
+        for b, other in zip(columns, numbers, strict=True):
+            corner[a, b] = _in_order(scaled * np.stack(other, axis=1))
         for axis in range(2):
             for state, slope in zip((E, N, PHI), states[axis], strict=True):
                 border[at, state, a] += scaled[:, axis] * slope
-    border[:, BIAS_E, :3], border[:, BIAS_N, :3] = border[:, E, :3], border[:, N, :3]
+    for bias, place in ((BIAS_E, E), (BIAS_N, N)):
+        border[:, bias, columns] = border[:, place, columns]
 
 
 def _in_order(terms: Float64) -> float:
