@@ -24,7 +24,14 @@ from fieldgrid.geometry import (
 )
 from fieldgrid.poses.accepted import AcceptedFixes, accepted_fixes, datum_of
 from fieldgrid.poses.attitude.axes import AxisTilt, axes_of_fixes
-from fieldgrid.poses.axle import Axle, axle_of, axle_told, names_axle
+from fieldgrid.poses.axle import (
+    Axle,
+    axle_of,
+    axle_told,
+    names_axle,
+    ways_of,
+    with_antenna_moved,
+)
 from fieldgrid.poses.drive import DriveEstimate, smooth_drive
 from fieldgrid.poses.faults.convention import Comparison, compare, turned_around
 from fieldgrid.poses.faults.gyro.check import GyroVerdict, with_trusted_gyro, without_wrong_gyro
@@ -49,6 +56,7 @@ from fieldgrid.poses.levelled import (
 from fieldgrid.poses.measured import turn_back, wheel_speed_at
 from fieldgrid.poses.smoother.declared import AHEAD, IMAGES, LATE, LIKELY
 from fieldgrid.poses.table import ConditionedLog
+from fieldgrid.poses.travel_direction import travel
 
 # Wheels whose sign is turned round: they say that a vehicle backs up while it drives forward.
 
@@ -291,6 +299,11 @@ def _with_axle(found: Fusion) -> Fusion:
     """The drive with the axle where it shows it, step by step: of an antenna far ahead one step is
     not all."""
     known, guess = found, found.axle
+    steps = found.motion.steps
+    by_camera = None if steps is None else travel(ways_of(steps)).ahead_m
+    if by_camera is not None:
+        begun = found.again(axle=with_antenna_moved(guess, by_camera.value), as_stated=True)
+        known = max(known, begun, key=lambda one: one.drive.smoothed.nats)
     for _ in range(MOST_STEPS):
         declared = known.drive.smoothed.declared
         # Clocks that differ look like a place.

@@ -220,9 +220,9 @@ def _drift_note(drive: DriveEstimate) -> Iterator[str]:
         yield (
             f"By the {by} the fixes drift by about {extent_m:.1f} m within the drive, more than "
             "they state, and nothing shows where they are right: positions count as good to "
-            f"{max(drive.slow.factor * stated_m, extent_m / 2.0):.1f} m. Check the receiver's base station and "
-            "corrections, and how cameras and IMU are mounted: one that is tilted or was pushed "
-            "looks the same."
+            f"{max(drive.slow.factor * stated_m, extent_m / 2.0):.1f} m. Check the receiver's base "
+            "station and corrections, and how cameras and IMU are mounted: one that is tilted or "
+            "was pushed looks the same."
         )
 
 

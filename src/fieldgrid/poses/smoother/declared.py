@@ -25,6 +25,7 @@ from fieldgrid.poses.smoother.model import (
     CAMERA_SCALE,
     CAMERA_YAW,
     KAPPA,
+    NO_BIAS_M,
     PHI,
     SLIP_ANGLE,
     E,
@@ -43,9 +44,9 @@ SHAPES = 3
 """The drift is a sum of so many cosines, of 1, 2 and 3 halves of a period over the drive, east and
 north. What changes faster is the slow error's."""
 
-USUAL_SIGMAS = np.array([0.05, 0.05, 0.02, 0.02, SLIP_ANGLE, 0.002])
-"""How far off they usually are: a place that was measured, the stamps of two clocks, tyres, a
-receiver beyond what it states."""
+USUAL_SIGMAS = np.array([0.05, 0.05, 0.02, 0.02, SLIP_ANGLE, 0.0])
+"""How far off they usually are: a place that was measured, the stamps of two clocks, tyres. Fixes
+drift as much as they state."""
 
 WRONG_SIGMAS = np.array([1.0, 1.0, 0.5, 0.5, SLIP_ANGLE, 1.0])
 """How far off they are where they are wrong."""
@@ -207,6 +208,7 @@ def tested(
     share[ASIDE] *= turned and measured.sees_speed()
     usual = USUAL_SIGMAS[of]
     usual[AHEAD] = max(usual[AHEAD], problem.ahead_sigma_m)
+    usual[DRIFT:] = max(float(np.median(measured.bias_m)), NO_BIAS_M)
     information = np.sqrt(np.outer(share, share)) * information
     declared = DeclaredCorrection(of, information, share * right, usual)
     moment = declared.second_moment()
@@ -288,11 +290,11 @@ def couplings(
         border[at + 1, state, SLIP] += scaled * slope
     flat, beside = border.reshape(-1, size), np.zeros((CONSTANTS, size))
     if len(measured.step_nodes):
-        _add_images(flat, beside, corner, right, problem, found)
+        _add_steps(flat, beside, corner, right, problem, found)
     return flat, beside, corner, right
 
 
-def _add_images(
+def _add_steps(
     border: Float64,
     beside: Float64,
     corner: Float64,
@@ -300,20 +302,29 @@ def _add_images(
     problem: SmoothingProblem,
     found: Solution,
 ) -> None:
-    """What the camera's steps say of its stamps: both ends of a step are a little later."""
+    """What the camera's steps say of its stamps, both ends being a little later; and of an axle
+    that nobody names, which camera and antenna are as far ahead of."""
     measured, x = problem.measured, found.x
     constants = float(found.constants[CAMERA_SCALE]), float(found.constants[CAMERA_YAW])
     ends = measured.step_nodes
     index, slope, off = step_rows(x, constants, ends, measured.step, problem.step_ahead_m)
-    way = np.stack([np.sin(x[:, PHI]), np.cos(x[:, PHI])], axis=1) * x[:, [V]]
-    rate = np.column_stack([way, np.gradient(x[:, PHI], measured.time_s)])
+    phi = x[:, PHI]
+    way = np.stack([np.sin(phi), np.cos(phi)], axis=1)
+    rate = np.column_stack([way * x[:, [V]], np.gradient(phi, measured.time_s)])
     later = np.concatenate([rate[ends[:, 0]], rate[ends[:, 1]]], axis=1)
-    by_time = np.einsum("smk,sk->sm", slope[:, :, :6], later)
-    scaled = found.weights.step[:, [0, 0, 1]] * by_time
-    right[IMAGES], corner[IMAGES, IMAGES] = -_in_order(scaled * off), _in_order(scaled * by_time)
-    shared = np.einsum("sm,smk->sk", scaled, slope)
-    np.add.at(border[:, IMAGES], index[:, :6], shared[:, :6])
-    beside[[CAMERA_SCALE, CAMERA_YAW], IMAGES] = np.cumsum(shared[:, 6:], axis=0)[-1]
+    numbers = {IMAGES: np.einsum("smk,sk->sm", slope[:, :, :6], later)}
+    if problem.ahead_sigma_m:
+        ahead = np.einsum("smk,sk->sm", slope[:, :, 3:5], way[ends[:, 1]] - way[ends[:, 0]])
+        numbers[AHEAD] = ahead
+    weight = found.weights.step[:, [0, 0, 1]]
+    for a, one in numbers.items():
+        scaled = weight * one
+        right[a] -= _in_order(scaled * off)
+        for b, other in numbers.items():
+            corner[a, b] += _in_order(scaled * other)
+        shared = np.einsum("sm,smk->sk", scaled, slope)
+        np.add.at(border[:, a], index[:, :6], shared[:, :6])
+        beside[[CAMERA_SCALE, CAMERA_YAW], a] = np.cumsum(shared[:, 6:], axis=0)[-1]
 
 
 def _add_fixes(
