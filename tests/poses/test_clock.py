@@ -162,18 +162,6 @@ def test_images_of_other_moments_than_stamped_are_told() -> None:
     assert not found.gyro_too
 
 
-def test_many_steps_that_are_somewhat_off_count_as_few_that_are_far_off() -> None:
-    """One late from the middle, beside fixes of decimetres: one step is far off. With so much more
-    noise than they state, gears are a guess; of eight drives four are told, with this seed one."""
-    drive = simulate(WEAVING, 20.0, speed_mps=1.5)
-    steps = steps_of(drive, 1.2, noise=1.0, seed=9)
-    count = len(steps.start_ns)
-    one_late = [*range(count // 2), *range(count // 2 - 1, count - 1)]
-    found = contradiction(drive, exchanged(steps, one_late), 0.3, seed=7)
-    assert found.off > found.weight > 3.0
-    assert found.is_certain
-
-
 def test_a_gyro_that_turns_as_the_images_do_blames_the_fixes() -> None:
     """They scatter by a metre and state two centimetres."""
     drive = simulate(WEAVING, 20.0, speed_mps=1.5)

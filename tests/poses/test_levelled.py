@@ -258,13 +258,13 @@ def test_a_good_gyro_on_steep_hills_is_used(lanes: int) -> None:
         assert farthest_m(off_m(way, found)[0]) < 0.05
 
 
-def test_a_wrong_gyro_on_hills_is_still_denied() -> None:
+def test_a_wrong_gyro_on_hills_is_still_told() -> None:
     way = hike(hills(15.0, 40.0), rows(3, 40.0))
     sensed = inertial(way)
     rate = sensed.rate_rad_s.copy()
     rate[:, 2] *= 1.2
     found = estimate(way, gyro_and(sensed._replace(rate_rad_s=rate)))
-    assert any("gyro contradicts the drive" in note for note in found.report.notes)
+    assert any("turns of the gyro are" in note for note in found.report.notes)
 
 
 @pytest.mark.parametrize("late_s", [0.1, 0.2, 0.4])
@@ -410,7 +410,7 @@ def test_what_tells_the_attitude_before_an_image_is_read() -> None:
 def test_an_unsure_lean_counts_before_the_verdict() -> None:
     """The antenna is 2.85 m above the ground: a degree is 5 cm."""
     way = hike(slope(0.0), rows(2, 28.0))
-    settings = PoseSettings(max_position_sigma_m=0.06)
+    settings = PoseSettings(max_position_sigma_m=0.09)
     sure, unsure = (
         estimate_poses(
             fixes_over(way, ANTENNA_M),

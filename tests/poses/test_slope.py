@@ -109,7 +109,7 @@ def test_positions_on_a_slope_are_as_unsure_as_the_antenna_leans() -> None:
         estimate_poses(on_ground(drive, climb, 0.0, noise_m=0.01), rig, DATUM)
         for climb in (0.0, np.tan(np.radians(8.0)))
     )
-    assert np.median(level.trajectory.position_sigma_m) < 0.05
+    assert np.median(level.trajectory.position_sigma_m) < 0.07
     off_m = 3.0 * np.tan(np.radians(8.0)) / np.sqrt(2.0)
     assert np.median(slope.trajectory.position_sigma_m) == pytest.approx(off_m, rel=0.35)
     assert any("nothing tells how the vehicle leans" in note for note in slope.report.notes)

@@ -131,7 +131,7 @@ def estimate_poses(
         offset=fix_offset(log.accepted, drive.offset_m),
         camera_scale=drive.smoothed.camera_scale,
         wheel_scale=drive.smoothed.wheel_scale,
-        unseen=unseen_faults(drive, rig),
+        unseen=unseen_faults(drive, rig, smooth=source.kind == "smooth"),
         notes=(
             *(() if silent else (found.gyro_note,)),
             *(*found.notes, *notes),

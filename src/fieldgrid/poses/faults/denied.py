@@ -23,6 +23,7 @@ from fieldgrid.poses.smoother.declared import (
     LIKELY,
     Constant,
 )
+from fieldgrid.poses.smoother.model import PHI
 from fieldgrid.poses.table import PoseTable
 
 FAR_M = 1.0
@@ -48,7 +49,7 @@ class DriveContradiction(NamedTuple):
     `off_m` [n] is how far the positions of its nodes are off if that is so and one step does not
     show it, or if images are stamped as the camera's motion has it. With `either`, the place ahead
     and the stamps each explain all, and only one is wrong. With `gyro_unused` a gyro denies it that
-    was not used.
+    was not used. Stamps `may_be_late_s`, also where the place explains as much.
     """
 
     right_m: Constant | None
@@ -57,6 +58,7 @@ class DriveContradiction(NamedTuple):
     off_m: Float64
     either: bool = False
     gyro_unused: bool = False
+    may_be_late_s: float = 0.0
 
     @property
     def clear(self) -> bool:
@@ -128,13 +130,18 @@ def unsure_declared(
     vehicle: VehicleGeometry | None,
     denied: DriveContradiction,
 ) -> PoseTable:
-    """The poses with positions as unsure as what was declared of the vehicle leaves them.
+    """The poses, as unsure as what was declared of the vehicle leaves them.
     Neighbours share this error. Of a log alone poses are those of the antenna, in its own clock."""
     unsure = drive.smoothed.unsure
     unsure_m = unsure.axle_m if isinstance(vehicle, Rig) else unsure.antenna_m
     unsure_m = np.maximum(unsure_m, denied.off_m / np.sqrt(2.0))
+    phi, time_s = drive.smoothed.state[:, PHI], drive.measured.time_s
+    turned_deg = np.degrees(np.interp(time_s + denied.may_be_late_s, time_s, phi) - phi)
     node = np.clip(np.searchsorted(drive.time_ns, table.time_ns), 0, len(unsure_m) - 1)
-    return table._replace(position_sigma_m=np.hypot(table.position_sigma_m, unsure_m[node]))
+    return table._replace(
+        position_sigma_m=np.hypot(table.position_sigma_m, unsure_m[node]),
+        heading_sigma_deg=np.hypot(table.heading_sigma_deg, turned_deg[node]),
+    )
 
 
 def denied_notes(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[str]:
@@ -179,7 +186,7 @@ def _denied_notes(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[
             "positions count as unsure by what is driven in that time."
         )
     if drive.smoothed.declared.contradicts and not denied.clear and drive.measured.sees_turns():
-        yield from _unfit_note(drive)
+        yield from _unfit_note(drive, denied)
 
 
 def _turn_sensors(drive: DriveEstimate) -> list[str]:
@@ -188,7 +195,7 @@ def _turn_sensors(drive: DriveEstimate) -> list[str]:
     return [name for has, name in seen if has]
 
 
-def _unfit_note(drive: DriveEstimate) -> Iterator[str]:
+def _unfit_note(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[str]:
     """That something does not fit together, and what would explain it alone."""
     found, unsure = drive.smoothed.declared, drive.smoothed.unsure
     moving = drive.gear != 0
@@ -196,7 +203,7 @@ def _unfit_note(drive: DriveEstimate) -> Iterator[str]:
     most_m = float(unsure.axle_m[moving].max(initial=0.0))
     if most_deg <= LEAST_DOUBT_DEG and most_m <= LEAST_OFF_M:
         return
-    late_s = found.off(LATE).value
+    late_s = denied.may_be_late_s or found.off(LATE).value
     alone = {
         ASIDE: f"the antenna's place aside ({found.off(ASIDE).value:+.2f} m to the right would "
         "explain it)",
@@ -204,7 +211,8 @@ def _unfit_note(drive: DriveEstimate) -> Iterator[str]:
         "is tilted)",
         LATE: f"the stamps (fixes {abs(late_s):.2f} s {'late' if late_s > 0.0 else 'early'} would)",
     }
-    check = " or ".join(what for k, what in alone.items() if found.explains(k))
+    explains = [k for k in alone if found.explains(k) or (k == LATE and denied.may_be_late_s)]
+    check = " or ".join(alone[k] for k in explains)
     positions = f", and positions {most_m:.2f} m" if most_m > LEAST_OFF_M else ""
     *first, last = ("Fixes", "antenna", *_turn_sensors(drive))
     yield (

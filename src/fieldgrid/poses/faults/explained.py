@@ -100,7 +100,9 @@ class Explanation(NamedTuple):
         apart_m = np.hypot(*(np.interp(later_ns, drive.time_ns, one) - one for one in places))
         off_m = np.maximum(by_place_m, np.maximum(apart_m, np.abs(by_stamps_s * drive.speed_mps)))
         either = ahead_m is not None and late_s is not None
-        return DriveContradiction(None, ahead_m, late_s, off_m, either)
+        return DriveContradiction(
+            *(None, ahead_m, late_s, off_m, either), may_be_late_s=by_stamps_s
+        )
 
 
 def explained(

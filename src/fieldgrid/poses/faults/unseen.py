@@ -64,7 +64,7 @@ def unseen_faults(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tupl
 
     Of a log alone positions are those of its antenna in its own clock, so that neither can be
     wrong; and where nobody says where the axle is, no place ahead of it is either. Only a camera
-    shows a slow drift.
+    shows a slow drift, to headings that are `smooth`.
     """
     declared, placed = drive.smoothed.declared, isinstance(vehicle, Rig)
     aside_m = declared.off(ASIDE, AHEAD, LATE, IMAGES)
@@ -83,7 +83,7 @@ def unseen_faults(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tupl
         # ahead shows there, too.
         UnseenFault.LATE_STAMPS: placed
         and not (turns and _is_told(ahead_m) and _is_told(late_s, usual_mps)),
-        UnseenFault.SLOW_DRIFT: not declared.tells_drift(FAR_M),
+        UnseenFault.SLOW_DRIFT: not (smooth and declared.tells_drift(FAR_M)),
     }
     return tuple(fault for fault, unseen in hidden.items() if unseen)
 

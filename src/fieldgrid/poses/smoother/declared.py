@@ -70,6 +70,10 @@ MOST_MISFIT = 4.0
 """Numbers that are as usual are more sigmas away once in 100,000 drives."""
 
 
+SEEN_SIGMAS = 3.0
+"""A drift of so many sigmas would be seen."""
+
+
 class Constant(NamedTuple):
     """A constant of the drive, with its 1-sigma error."""
 
@@ -158,7 +162,7 @@ class DeclaredCorrection(NamedTuple):
     def tells_drift(self, most_m: float) -> bool:
         """Whether it would be seen that fixes drift by so much from one end to the other."""
         variances = np.diagonal(self.hypothesis((DRIFT,)).covariance)[self.of == DRIFT]
-        return len(variances) > 0 and 2.0 * MOST_MISFIT * math.sqrt(variances.max()) < most_m
+        return len(variances) > 0 and 2.0 * SEEN_SIGMAS * math.sqrt(variances.max()) < most_m
 
     def misfit(self, *wrong: int) -> float:
         """How many sigmas the numbers are from what is usual, but for those that are `wrong`."""
@@ -175,8 +179,10 @@ class DeclaredCorrection(NamedTuple):
 
     @property
     def unsure_late_s(self) -> float:
-        """How late the stamps of fixes or gyro may be, 1-sigma."""
-        return math.sqrt(self.second_moment()[LATE, LATE])
+        """How late the stamps of fixes or gyro may be, 1-sigma, also where the place of the antenna
+        explains a contradiction better."""
+        late_s = self.off(LATE).value if self.contradicts else 0.0
+        return math.hypot(math.sqrt(self.second_moment()[LATE, LATE]), late_s)
 
     def explains(self, k: int) -> bool:
         """Whether most of what does not fit together would with the k-th of them alone."""

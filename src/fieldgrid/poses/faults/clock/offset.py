@@ -31,6 +31,9 @@ POOR_MISFIT, NEAR_SHARE, BETTER_SHARE = 4.0, 0.5, 0.3
 offset is believed where its misfit is less than these shares, near or far: a drive that repeats
 itself fits somewhat at the offset of one repetition, too."""
 
+SUSPECT_MISFIT = 2.5
+"""Where what was declared is off by so many sigmas, a clock may have been set within the drive."""
+
 MOST_ROUNDS = 6
 """In which the offset of camera and gyro beside the fixes settles."""
 
@@ -76,7 +79,7 @@ def check_clock(
         drive = smooth_drive(*fixed, hints=hints, as_stated=True)
     search = ClockSearch(drive, steps, axle)
     change = None
-    if drive.smoothed.declared.contradicts or may_change(search):
+    if drive.smoothed.declared.misfit() > SUSPECT_MISFIT or may_change(search):
         change = _change(fixes, steps, axle, hints, recorded)
     near = search.best() if change is None else None
     usual = near.misfit if near is not None else search.misfit(0.0)
