@@ -59,7 +59,9 @@ _WORDS = {
 }
 
 
-def unseen_faults(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tuple[UnseenFault, ...]:
+def unseen_faults(
+    drive: DriveEstimate, vehicle: VehicleGeometry | None, *, smooth: bool
+) -> tuple[UnseenFault, ...]:
     """The faults that this drive would not show, of a vehicle as it was declared.
 
     Of a log alone positions are those of its antenna in its own clock, so that neither can be
