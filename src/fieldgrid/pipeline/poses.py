@@ -104,7 +104,7 @@ def estimate_drive(
 def attitude_of_grids(drive: Drive, estimate: Estimate) -> Attitude | None:
     """The attitude that makes the local grids of a drive level, by its `estimate`; None where they
     are square to the ground."""
-    return levelling_attitude(estimate.report.attitude, drive.motion(), drive.fixes().time_ns)
+    return levelling_attitude(estimate.report.attitude)
 
 
 def _check_reach(drive: Drive, datum: Datum, places: FixColumns | FrameOrigin) -> None:

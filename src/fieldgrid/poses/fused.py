@@ -44,7 +44,7 @@ from fieldgrid.poses.levelled import (
     find_lean,
     levelled_fixes,
     levelled_motion,
-    measures_tilt,
+    tells_attitude,
 )
 from fieldgrid.poses.measured import turn_back, wheel_speed_at
 from fieldgrid.poses.table import ConditionedLog
@@ -306,7 +306,7 @@ def _with_trusted_gyro(
     levelled by this very IMU, too."""
     at_ns = log.fixes.time_ns
     trusted = with_trusted_gyro(drive, log.accepted, at_ns, motion, axle, hints)
-    if trusted.note is None or not measures_tilt(motion):
+    if trusted.note is None or not tells_attitude(motion, at_ns):
         return trusted
     lean, notes = find_lean(log.accepted, drive, motion, axle.vehicle, frame_ns)
     if lean is None and trusted.motion.inertial is None:

@@ -10,8 +10,9 @@ import pytest
 
 from fieldgrid.geometry import Inertial, roll_pitch_deg
 from fieldgrid.poses import Attitude
-from fieldgrid.poses.attitude.estimate import STRETCH_S, estimate_attitude
-from fieldgrid.poses.attitude.measurements import AntennaTrack, KnownHeadings
+from fieldgrid.poses.attitude.axes import axes_of_tilt
+from fieldgrid.poses.attitude.estimate import estimate_attitude
+from fieldgrid.poses.attitude.track import AntennaTrack, KnownHeadings
 from tests.hilly import (
     Hike,
     antenna_fixes,
@@ -152,7 +153,7 @@ def test_a_single_row_hides_its_cross_slope_and_sigma_says_so() -> None:
 def test_a_recorded_tilt_is_taken_as_it_is_stated() -> None:
     way = hike(GROUNDS["hills"], FIELD)
     found = estimate_attitude(
-        track_of(way), np.array(ANTENNA_M), wanted_ns=FRAMES, tilt=recorded_tilt(way)
+        track_of(way), np.array(ANTENNA_M), wanted_ns=FRAMES, axes=axes_of_tilt(recorded_tilt(way))
     )
     seen = score(way, found, FRAMES)
     assert seen.percentile(95) < 0.6
@@ -184,7 +185,6 @@ def test_outliers_of_fixes_do_not_tip_the_vehicle() -> None:
 
 def test_a_long_drive_is_estimated_in_stretches_without_seams() -> None:
     way = hike(hills(8.0), rows(10, 60.0))
-    assert way.drive.time_s[-1] > 1.5 * STRETCH_S
     found = estimate_attitude(track_of(way, 0.5), np.array(ANTENNA_M), sensed=inertial(way, 50.0))
     assert np.all(np.diff(found.time_ns) > 0)
     seen = score(way, found, found.time_ns[found.time_ns < time_ns(way.drive.time_s[-1:])[0]])

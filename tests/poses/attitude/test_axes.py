@@ -9,7 +9,7 @@ import pytest
 
 from fieldgrid.core import Quality
 from fieldgrid.geometry import FixColumns, Orientation, R_level_vehicle
-from fieldgrid.poses.attitude.axes import AxisTilt, axes_of_fixes, axes_of_orientation
+from fieldgrid.poses.attitude.axes import AxisTilt, axes_of_fixes, axes_of_tilt
 from fieldgrid.poses.attitude.estimate import estimate_attitude
 from tests.hilly import Hike, axis_rises, camera_steps, hike, hills, inertial, slope
 from tests.poses.attitude.test_attitude import ANTENNA_M, FIELD, FRAMES, RTK, SF1, score, track_of
@@ -44,7 +44,7 @@ def vertical_of(found: tuple[AxisTilt, ...]) -> np.ndarray:
 def test_an_orientation_is_the_vertical(roll: float, pitch: float) -> None:
     times = np.arange(3)
     said = Orientation(times, *(np.full(3, v) for v in (roll, pitch, 0.5, 2.0)))
-    found = axes_of_orientation(said)
+    found = axes_of_tilt(said)
     assert vertical_of(found) == pytest.approx(R_level_vehicle(roll, pitch)[2, :2])
     assert [axis.frame_sigma_deg for axis in found] == [2.0, 2.0]
 
@@ -52,10 +52,10 @@ def test_an_orientation_is_the_vertical(roll: float, pitch: float) -> None:
 @pytest.mark.parametrize("known", [0, 1, 2])
 def test_an_orientation_of_numbers_that_are_none_is_none(known: int) -> None:
     times, values = np.arange(5), np.where(np.arange(5) < known, 1.0, np.nan)
-    found = axes_of_orientation(Orientation(times, values, values, np.ones(5), np.zeros(5)))
+    found = axes_of_tilt(Orientation(times, values, values, np.ones(5), np.zeros(5)))
     assert len(found) == (2 if known == 2 else 0)
     assert (
-        axes_of_orientation(Orientation(*(column[:0] for column in (times, *[values] * 4)))) == ()
+        axes_of_tilt(Orientation(*(column[:0] for column in (times, *[values] * 4)))) == ()
     )
 
 
