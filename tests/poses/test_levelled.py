@@ -400,7 +400,7 @@ def test_wheels_that_know_reverse_count_along_the_slope() -> None:
 def test_what_tells_the_attitude_before_an_image_is_read() -> None:
     way = hike(slope(0.0), rows(1, 10.0))
     sensed = inertial(way)
-    at_ns = time_ns(FRAMES_S)
+    at_ns = sensed.time_ns[::100]
     assert tells_attitude(Motion(inertial=sensed), at_ns)
     assert tells_attitude(Motion(tilt=recorded_tilt(way)), at_ns)
     blind = sensed._replace(force_mps2=np.full_like(sensed.force_mps2, np.nan))
@@ -466,7 +466,6 @@ def test_an_orientation_over_little_of_the_drive_tells_no_attitude(which: str) -
 def test_an_orientation_that_contradicts_tells_no_attitude() -> None:
     way = hike(slope(12.0, 120.0), rows(3, 40.0))
     right, backward = (Motion(orientation=orientation(way, sign=sign)) for sign in (1.0, -1.0))
-    fix_ns = fixes_over(way, ANTENNA_M).time_ns
     used = estimate(way, right).report.attitude
     assert used is not None
     assert levelling_attitude(used) is used
@@ -482,7 +481,6 @@ def test_grids_are_level_by_what_the_drive_does_not_deny() -> None:
     backward = Motion(orientation=orientation(way, sign=-1.0), steps=camera_steps(way))
     found = estimate(way, backward).report.attitude
     assert found is not None
-    fix_ns = fixes_over(way, ANTENNA_M).time_ns
     assert levelling_attitude(found) is None
 
 

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     )
     from fieldgrid.poses.faults.clock.change import ClockChange as ClockChange
     from fieldgrid.poses.faults.clock.search import WIDEST_S as WIDEST_S, ClockOffset as ClockOffset
-    from fieldgrid.poses.faults.gyro.imu_turn import ImuTurn as ImuTurn
     from fieldgrid.poses.faults.unseen import (
         SLOW_ERRORS as SLOW_ERRORS,
         unseen_sentence as unseen_sentence,

@@ -127,7 +127,6 @@ def estimate_poses(
         clock_change=checks.clocks.change,
         jump=clock_jump(log.accepted, found.motion.steps, found.gyro),
         camera_yaw=checks.yaw,
-        imu_turn=found.imu_turn,
         gyro_bias_dps=drive.gyro_bias_dps,
         offset=fix_offset(log.accepted, drive.offset_m),
         camera_scale=drive.smoothed.camera_scale,
@@ -194,7 +193,7 @@ def _checked(
         excuse = excused(found, declared)
     if excuse is not None:
         denied = excuse.denied
-    seen = drifts(drive, found.axle, denied, clocks, found.imu_turn) if smooth else Drifts()
+    seen = drifts(drive, found.axle, denied, clocks) if smooth else Drifts()
     return _Checks(clocks, yaw, denied, seen, excuse)
 
 

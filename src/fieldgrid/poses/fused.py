@@ -29,7 +29,6 @@ from fieldgrid.poses.drive import DriveEstimate, smooth_drive
 from fieldgrid.poses.faults.convention import Comparison, compare, turned_around
 from fieldgrid.poses.faults.gyro.check import GyroVerdict, with_trusted_gyro, without_wrong_gyro
 from fieldgrid.poses.faults.gyro.dead_gyro import without_dead_gyro, without_faulty_samples
-from fieldgrid.poses.faults.gyro.imu_turn import ImuTurn, imu_turn
 from fieldgrid.poses.faults.leaps.leaps import holes
 from fieldgrid.poses.faults.leaps.recorded import recorded_leaps
 from fieldgrid.poses.faults.leaps.seams import LEAST_M, SeenLeap
@@ -162,7 +161,7 @@ class Fusion(NamedTuple):
     """A drive, and what it was estimated from: fixes and motion, of a vehicle that stands level
     where `lean` tells its attitude; its axle, and the gears that are known. `gyro` is the one that
     was recorded, used or not, `trusted` what became of it, and `gyro_note` says why it was changed
-    or left out. `imu_turn` is how an IMU is turned about the vertical against what was declared.
+    or left out.
     `notes` say which other sensors were changed or left out."""
 
     log: ConditionedLog
@@ -173,7 +172,6 @@ class Fusion(NamedTuple):
     gyro: Gyro | None
     trusted: GyroVerdict
     lean: Lean | None = None
-    imu_turn: ImuTurn | None = None
     gyro_note: str | None = None
     notes: tuple[str, ...] = ()
 
@@ -244,7 +242,6 @@ def fuse(
     notes = (counted_twice_note(log), faulty_gyro, dead_gyro, turned_wheels)
     found = Fusion(
         *(log, trusted.drive, trusted.motion, axle, hints, gyro, trusted),
-        imu_turn=imu_turn(trusted.motion.steps, trusted.motion.inertial),
         gyro_note=wrong_gyro or trusted.note,
         notes=tuple(note for note in notes if note is not None),
     )

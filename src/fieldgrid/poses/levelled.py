@@ -63,7 +63,7 @@ class Lean(NamedTuple):
     antenna_m: Float64
     axle_m: Float64
     sensor_m: Float64
-    by_imu: bool = True
+    by_imu: bool
 
     def shift_m(
         self, time_ns: Int64, point_m: Float64, heading_deg: Float64 | None = None
@@ -78,7 +78,7 @@ class Lean(NamedTuple):
 def tells_attitude(motion: Motion, fix_ns: Int64) -> bool:
     """Whether a drive says how its vehicle leans, whatever its camera sees: an accelerometer over
     most of what its IMU logged, or recorded angles at most of the fixes."""
-    return _feels_force(motion) or any(_is_known(axis, fix_ns) for axis in _axes_of(motion))
+    return _feels_force(motion) or any(axis.is_known(fix_ns) for axis in _axes_of(motion))
 
 
 def levelling_attitude(attitude: Attitude | None) -> Attitude | None:
@@ -96,11 +96,6 @@ def _axes_of(motion: Motion) -> Iterator[AxisTilt]:
     for said in (motion.tilt, motion.orientation):
         if said is not None:
             yield from axes_of_tilt(said)
-
-
-def _is_known(axis: AxisTilt, fix_ns: Int64) -> bool:
-    """Whether an axis is recorded at most of the fixes."""
-    return int(axis.is_known(fix_ns).sum()) * 2 > len(fix_ns)
 
 
 def track_m(fixes: AcceptedFixes) -> Float64:
@@ -121,7 +116,7 @@ def find_lean(
     if not isinstance(rig, Rig) or len(fixes.time_ns) < 2:
         return None, ()
     recorded = (*_axes_of(motion), *stated)
-    axes = [axis for axis in recorded if _is_known(axis, fixes.time_ns)]
+    axes = [axis for axis in recorded if axis.is_known(fixes.time_ns)]
     few = {axis.body for axis in recorded} - {axis.body for axis in axes}
     notes = [
         f"Roll and pitch by the {body} are recorded at less than half of the fixes, and were not "
@@ -142,12 +137,8 @@ def find_lean(
     )
     antenna, sensor_m = rig.antenna, np.array([0.0, 0.0, rig.mount.height_m])
     antenna_m = np.array([antenna.right_m, antenna.forward_m, antenna.up_m])
-    estimate = partial(
-        *(estimate_attitude, track, antenna_m - sensor_m),
-        wanted_ns=frame_ns,
-        steps=motion.steps,
-        axes=axes,
-    )
+    said = track, antenna_m - sensor_m, frame_ns, motion.steps, axes
+    estimate = partial(estimate_attitude, *said)
     attitude, sensed = estimate(sensed=motion.inertial), motion.inertial
     if sensed is not None and (denial := _imu_denial(estimate, sensed, attitude.push_misfit)):
         notes.append(denial)
@@ -158,8 +149,7 @@ def find_lean(
     if not (seen or attitude.bodies or (sensed is not None and sensed.feels_force())):
         return None, tuple(notes)
     axle_m = np.array([0.0, axle_forward_m(rig), 0.0])
-    by_imu = sensed is not None or motion.inertial is None
-    return Lean(attitude, antenna_m, axle_m, sensor_m, by_imu), tuple(notes)
+    return Lean(attitude, antenna_m, axle_m, sensor_m, sensed is not None), tuple(notes)
 
 
 def _imu_denial(estimate: Callable[..., Attitude], sensed: Inertial, misfit: float) -> str | None:
@@ -175,7 +165,8 @@ def _imu_denial(estimate: Callable[..., Attitude], sensed: Inertial, misfit: flo
     if fits[left_deg] < max(TWICE * misfit, min(CLEARLY * misfit, FITTING)):
         side = "left" if left_deg < 180 else "right"
         remedy = f"it fits turned by about {min(left_deg, 360 - left_deg)}° to the {side}: "
-        remedy += "mount it square to the vehicle" if left_deg % 90 else "correct imu_axes"
+        axes = f"correct imu_axes, from flu to {('flu', 'lbu', 'bru', 'rfu')[left_deg // 90]}"
+        remedy += "mount it square to the vehicle" if left_deg % 90 else axes
     elif misfit > MOST_PUSH_MISFIT:
         remedy = "check imu_axes, and the stamps of the IMU"
     else:

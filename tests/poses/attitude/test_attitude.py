@@ -197,8 +197,7 @@ def test_beyond_its_nodes_an_attitude_is_ever_less_sure() -> None:
     found = estimate_attitude(track_of(way), np.array(ANTENNA_M), sensed=inertial(way))
     end = found.time_ns[-1]
     late = found.at(end + np.array([0, 1, 4, 10_000]) * 1_000_000_000)
-    assert np.all(np.diff(late.roll_sigma_deg[:3]) > 0.5)
-    assert late.roll_sigma_deg[3] == pytest.approx(found.slope_sigma_deg)
+    assert np.all(np.diff(late.roll_sigma_deg) > 0.5)
     assert np.all(late.roll_deg == found.roll_deg[-1])
 
 

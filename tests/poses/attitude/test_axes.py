@@ -54,9 +54,7 @@ def test_an_orientation_of_numbers_that_are_none_is_none(known: int) -> None:
     times, values = np.arange(5), np.where(np.arange(5) < known, 1.0, np.nan)
     found = axes_of_tilt(Orientation(times, values, values, np.ones(5), np.zeros(5)))
     assert len(found) == (2 if known == 2 else 0)
-    assert (
-        axes_of_tilt(Orientation(*(column[:0] for column in (times, *[values] * 4)))) == ()
-    )
+    assert axes_of_tilt(Orientation(*(column[:0] for column in (times, *[values] * 4)))) == ()
 
 
 @pytest.mark.parametrize("offset_deg", [0.0, 90.0, -90.0, 180.0, 35.0])

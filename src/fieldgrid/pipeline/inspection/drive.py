@@ -52,11 +52,9 @@ from fieldgrid.pipeline.poses import (
     check_poses,
     clock_remedy,
     doubted_frames,
-    doubted_imu,
     doubted_jump,
     doubted_yaw,
     estimate_drive,
-    imu_notes,
     misplaced,
     usual_speed_mps,
 )
@@ -392,10 +390,8 @@ def _told_by_camera(recording: Recording, estimate: Estimate, findings: list[Fin
     findings += _refusals(
         doubted_jump(recording, estimate),
         doubted_frames(recording, estimate),
-        doubted_imu(estimate),
         askew,
     )
-    findings += [warning(StopCode.IMU_TURNED.value, note) for note in imu_notes(estimate)]
     yaw = estimate.report.camera_yaw
     if yaw is not None and askew is None:
         code = StopCode.CAMERA_YAW.value if yaw.moved is None else "camera-moved"

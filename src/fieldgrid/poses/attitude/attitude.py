@@ -20,7 +20,6 @@ class Attitude(NamedTuple):
 
     Pitch is positive with the nose up, roll with the right side down. `heading_deg` is that of the
     same estimate, without a jump at 360°, and `up_m` the height of the sensor, LTP metres.
-    `slope_sigma_deg` is what may be expected of a slope of which nothing was measured.
     `push_misfit` is how many sigmas the accelerometer is from the motion of the fixes, root mean
     square; NaN without one. `bodies` are those of the recorded axes that were used, and `notes`
     name what contradicts the rest of the drive and was not.
@@ -33,7 +32,6 @@ class Attitude(NamedTuple):
     pitch_sigma_deg: Float64
     heading_deg: Float64
     up_m: Float64
-    slope_sigma_deg: float
     push_misfit: float = math.nan
     notes: tuple[str, ...] = ()
     bodies: frozenset[str] = frozenset()
@@ -60,20 +58,9 @@ class Attitude(NamedTuple):
         roll, pitch, roll_sigma, pitch_sigma, heading, up = columns
         late_ns = np.maximum(self.time_ns[0] - time_ns, time_ns - self.time_ns[-1])
         late = np.degrees(TERRAIN_NOISE_RAD[0]) * np.sqrt(np.maximum(late_ns, 0) / 1e9)
-        most = np.maximum(self.slope_sigma_deg, late_ns * 0.0)
-        return Attitude(
-            time_ns,
-            roll,
-            pitch,
-            np.maximum(roll_sigma, np.minimum(np.hypot(roll_sigma, late), most)),
-            np.maximum(pitch_sigma, np.minimum(np.hypot(pitch_sigma, late), most)),
-            heading,
-            up,
-            self.slope_sigma_deg,
-            self.push_misfit,
-            self.notes,
-            self.bodies,
-        )
+        sigmas = np.hypot(roll_sigma, late), np.hypot(pitch_sigma, late)
+        said = self.push_misfit, self.notes, self.bodies
+        return Attitude(time_ns, roll, pitch, *sigmas, heading, up, *said)
 
     def if_late(self, late_s: float) -> Attitude:
         """The attitude by sensors whose stamps may be `late_s` late: as unsure as a vehicle leans

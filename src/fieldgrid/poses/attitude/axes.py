@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Bool, Float64, Int64, Quality
+from fieldgrid.core import Float64, Int64, Quality
 from fieldgrid.geometry import FixColumns, Orientation, RecordedTilt
 
 BASELINE_MOUNT_SIGMA_DEG, IMU_MOUNT_SIGMA_DEG = 1.0, 1.0
@@ -76,34 +76,23 @@ class AxisTilt(NamedTuple):
         return np.array([np.sin(toward), np.cos(toward)])
 
     def at(self, node_ns: Int64) -> tuple[Float64, Float64]:
-        """Sine of the rise and its sigma at other instants [n], NaN where nothing is recorded near.
+        """Sine of the rise and its sigma at other instants [n]; NaN where nothing is recorded near.
 
         The sigma is that of a value among others whose errors are the same for a while.
         """
-        before_ns, after_ns = self._beside(node_ns)
-        near = self.is_known(node_ns)
-        rise, sigma = (np.interp(node_ns, self.time_ns, column) for column in self[1:3])
-        late_s = np.minimum(np.abs(node_ns - before_ns), np.abs(after_ns - node_ns)) / 1e9
-        spacing_s = np.gradient(node_ns / 1e9) if len(node_ns) > 1 else np.ones(1)
-        sigma = sigma * lasting(LASTING_S, spacing_s)
-        sigma = np.radians(np.hypot(sigma, SWAY_DEG * np.sqrt(late_s)))
-        return np.where(near, np.sin(np.radians(rise)), np.nan), np.where(near, sigma, np.nan)
-
-    def is_known(self, node_ns: Int64) -> Bool:
-        """Where something is recorded near, [n]."""
-        before_ns, after_ns = self._beside(node_ns)
-        inside = (node_ns >= before_ns) & (node_ns <= after_ns)
-        return np.asarray(inside & (after_ns - before_ns <= MOST_GAP_NS))
-
-    def _beside(self, node_ns: Int64) -> tuple[Int64, Int64]:
-        """The recorded instants before and after others, [n] each."""
         after = np.clip(np.searchsorted(self.time_ns, node_ns), 1, len(self.time_ns) - 1)
-        return self.time_ns[after - 1], self.time_ns[after]
+        before_ns, after_ns = self.time_ns[after - 1], self.time_ns[after]
+        near = (node_ns >= before_ns) & (node_ns <= after_ns)
+        near &= after_ns - before_ns <= MOST_GAP_NS
+        late_s = np.minimum(np.abs(node_ns - before_ns), np.abs(after_ns - node_ns)) / 1e9
+        rise, sigma = (np.interp(node_ns, self.time_ns, column) for column in self[1:3])
+        spacing_s = np.gradient(node_ns / 1e9) if len(node_ns) > 1 else np.ones(1)
+        sigma = np.hypot(sigma * lasting(LASTING_S, spacing_s), SWAY_DEG * np.sqrt(late_s))
+        return np.sin(np.radians(rise)), np.where(near, np.radians(sigma), np.nan)
 
-    def total_sigma_deg(self) -> Float64:
-        """The error of each value, [n]."""
-        lasting = np.hypot(self.mount_sigma_deg, self.frame_sigma_deg)
-        return np.asarray(np.hypot(self.sigma_deg, lasting))
+    def is_known(self, fix_ns: Int64) -> bool:
+        """Whether it is recorded near most of the fixes."""
+        return bool(np.isfinite(self.at(fix_ns)[1]).mean() > 0.5)
 
 
 def axes_of_tilt(said: RecordedTilt | Orientation) -> tuple[AxisTilt, ...]:
@@ -112,7 +101,8 @@ def axes_of_tilt(said: RecordedTilt | Orientation) -> tuple[AxisTilt, ...]:
     known = np.isfinite(np.stack(said[1:])).all(axis=0)
     if known.sum() < 2:
         return ()
-    time_ns, roll_deg, pitch_deg, sigma_deg = (column[known] for column in said[:4])
+    time_ns = said.time_ns[known]
+    roll_deg, pitch_deg, sigma_deg = (column[known] for column in said[1:4])
     right_deg = _right_deg(roll_deg, pitch_deg)
     lasting, body = (float(np.median(sigma_deg)), 0.0), RECORDED
     if isinstance(said, Orientation):
@@ -174,7 +164,8 @@ def agreed(
     notes, denied = [], set()
     for axis, (rise_deg, sigma_deg) in zip(axes, others, strict=True):
         off_deg = axis.rise_deg - rise_deg
-        away = np.abs(off_deg) / np.hypot(axis.total_sigma_deg(), sigma_deg)
+        lasting_deg = np.hypot(axis.mount_sigma_deg, axis.frame_sigma_deg)
+        away = np.abs(off_deg) / np.hypot(np.hypot(axis.sigma_deg, sigma_deg), lasting_deg)
         if np.percentile(away, 68.0) > CONTRADICTED_SIGMAS:
             denied.add(axis.body)
             notes.append(

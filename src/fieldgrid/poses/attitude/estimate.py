@@ -48,11 +48,11 @@ this, the sigmas of the estimate are multiplied by it."""
 def estimate_attitude(
     track: AntennaTrack,
     antenna_m: Float64,
-    *,
     wanted_ns: Int64 | None = None,
-    sensed: Inertial | None = None,
     steps: Steps | None = None,
     axes: Sequence[AxisTilt] = (),
+    *,
+    sensed: Inertial | None = None,
 ) -> Attitude:
     """Roll and pitch over a drive of at least two fixes.
 
@@ -80,25 +80,26 @@ def _estimate(
     """Roll and pitch by all of this."""
     slow_m = float(np.median(track.wander_m)) * WANDER_SHARE[2]
     ground = expected_ground(track.enu_m, slow_m)
-    seen = evidence(track, antenna_m, wanted_ns, sensed, steps, axes, ground)
+    node_ns, rows, x = evidence(track, antenna_m, wanted_ns, sensed, steps, axes, ground)
     frame_deg = max((axis.frame_sigma_deg for axis in axes), default=0.0)
     lasting_deg = [frame_deg, frame_deg, *(axis.mount_sigma_deg for axis in axes)]
     sigma = np.append(SHARED_SIGMA, np.radians(np.maximum(lasting_deg, LEAST_LASTING_DEG)))
-    n = len(seen.node_ns)
+    n = len(node_ns)
     edges = np.linspace(0, n, max(round(n / MOST_NODES), 1) + 1).astype(int).tolist()
     parts = []
     for first, last in pairwise(edges):
         start, stop = max(first - OVERLAP, 0), min(last + OVERLAP, n)
-        rows = {name: one.part(start, stop) for name, one in seen.rows.items()}
-        x = States(*(column[start:stop] for column in seen.start[:3]), np.zeros(len(sigma)))
-        parts.append(_estimated(x, rows, sigma)[:, first - start : last - start])
+        own = {name: one.part(start, stop) for name, one in rows.items()}
+        place_m, speed_mps, R = (column[start:stop] for column in x[:3])
+        guess = States(place_m, speed_mps, R, np.zeros(len(sigma)))
+        parts.append(_estimated(guess, own, sigma)[:, first - start : last - start])
     columns = np.concatenate(parts, axis=1)
     roll, pitch, roll_sigma, pitch_sigma, heading, up, pushed = columns
     felt = np.isfinite(pushed)
     return Attitude(
-        *(seen.node_ns, roll, pitch, roll_sigma, pitch_sigma),
+        *(node_ns, roll, pitch, roll_sigma, pitch_sigma),
         np.degrees(np.unwrap(heading)),
-        *(up, ground.sigma_deg()),
+        up,
         _rms(pushed[felt]) if felt.any() else math.nan,
     )
 

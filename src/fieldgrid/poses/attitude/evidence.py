@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -53,16 +52,7 @@ long it does: on a crest, and when springs give."""
 LEAST_HEADING_SIGMA_RAD = np.radians(0.5)
 
 SLOPE_S = 10.0
-"""A vehicle that nothing watches is for so long on one slope. One whose turns are known is on the
-drive's slope all the time: it says so once."""
-
-
-class Evidence(NamedTuple):
-    """Rows at n nodes, by what they are, and the states to start from: level, along the fixes."""
-
-    node_ns: Int64
-    rows: dict[str, Rows]
-    start: States
+"""A vehicle is for so long on one slope."""
 
 
 def evidence(
@@ -73,56 +63,69 @@ def evidence(
     steps: Steps | None,
     axes: Sequence[AxisTilt],
     ground: ExpectedGround,
-) -> Evidence:
-    """All that was measured, with nodes at `wanted_ns` and where else something was."""
+) -> tuple[Int64, dict[str, Rows], States]:
+    """All that was measured: nodes, at `wanted_ns` and where else something was, the rows by what
+    they are, and the states to start from: level, along the fixes."""
     if sensed is not None and sensed.feels_force():
         # The camera's motion says no more than gyro and accelerometer together, and it is of longer
         # intervals.
         steps = None
     node_ns, fixed_ns = _nodes(track, wanted_ns, sensed is not None, steps)
-    every, step_s = np.arange(len(node_ns)), np.diff(node_ns) / 1e9
-    spacing_s = np.maximum(np.gradient(node_ns / 1e9), 1e-3) if len(node_ns) > 1 else np.ones(1)
+    every, none = np.arange(len(node_ns)), np.zeros(len(axes))
+    spacing_s = np.gradient(node_ns / 1e9) if len(node_ns) > 1 else np.ones(1)
     rows, turn_rad, watched = _motion(track, node_ns, sensed, steps)
     turned = _beside(np.isfinite(turn_rad[:, 0]))
-    turn_rad = np.nan_to_num(turn_rad)
     # With nothing to tell how the vehicle turns, its roll would explain what fixes err aside.
     lever_m = np.tile(antenna_m if turned.any() else np.zeros(3), (len(node_ns), 1))
-    at = np.flatnonzero(np.isin(node_ns, fixed_ns))
     place_m, sigma_m = _antenna_at(track, node_ns)
-    said = lever_m[at], place_m[at]
-    rows["fixes"] = Rows(model.sees_antenna, at, sigma_m[at], said, robust=True)
-    heading_rad, heading_sigma = np.radians(track.headings.at(node_ns))
-    start = _start(node_ns, heading_rad, heading_sigma, turn_rad[:, 2], place_m, lever_m)
-    sigma = np.maximum(heading_sigma, LEAST_HEADING_SIGMA_RAD) * lasting(GROUND_S, spacing_s)
-    rows["headings"] = Rows(model.heads, every, sigma[:, None], (heading_rad,))
+    at = np.flatnonzero(np.isin(node_ns, fixed_ns))
+    rows["fixes"] = _rows(
+        model.sees_antenna, at, sigma_m[at], lever_m[at], place_m[at], robust=True
+    )
+    heading_rad, sigma = np.radians(track.headings.at(node_ns))
+    start = _start(node_ns, heading_rad, np.isfinite(sigma), turn_rad[:, 2], place_m, lever_m)
+    sigma = np.maximum(sigma, LEAST_HEADING_SIGMA_RAD) * lasting(GROUND_S, spacing_s)
+    rows["headings"] = _rows(model.heads, every, sigma, heading_rad)
     # A camera tells the way in the vehicle's axes: nothing needs to be taken from the ground.
     at = every[~_beside(watched)]
-    speed = np.linalg.norm(start.velocity_mps[at], axis=1)
-    sigma = (GROUND_MPS + GROUND_SHARE * speed) * lasting(GROUND_S, spacing_s[at])
-    said = (turned[at].astype(float),)
-    rows["wheels"] = Rows(model.follows_ground, at, sigma[:, None], said, robust=True)
-    drive_s = float(step_s.sum())
-    vertical, sigma = ground.seen_from(heading_rad)
-    sigma = sigma * lasting(np.where(turned, max(drive_s, SLOPE_S), SLOPE_S), spacing_s)[:, None]
-    own = np.eye(len(axes))
-    for k, name in enumerate(("slope across", "slope along")):
-        said = _rise(np.eye(2)[k], vertical[:, k], 0.0, np.zeros(len(axes)))
-        rows[name] = Rows(model.rises, every, sigma[:, k, None], said)
-    for k, axis in enumerate(axes):
-        sine, sigma = axis.at(node_ns)
+    sigma = GROUND_MPS + GROUND_SHARE * np.linalg.norm(start.velocity_mps[at], axis=1)
+    sigma = sigma * lasting(GROUND_S, spacing_s[at])
+    rows["wheels"] = _rows(model.follows_ground, at, sigma, turned[at].astype(float), robust=True)
+    # A vehicle that nothing watches is for some seconds on one slope. One whose turns are known is
+    # on the drive's slope all the time: it says so once.
+    vertical, sigmas = ground.seen_from(heading_rad)
+    slope_s = np.where(turned, max((node_ns[-1] - node_ns[0]) / 1e9, SLOPE_S), SLOPE_S)
+    for k, axis in enumerate(np.eye(2)):
+        sigma = sigmas[:, k] * lasting(slope_s, spacing_s)
+        rows[f"slope {k}"] = _risen(every, sigma, axis, vertical[:, k], 0.0, none)
+    for k, (tilt, own) in enumerate(zip(axes, np.eye(len(axes)), strict=True)):
+        sine, sigma = tilt.at(node_ns)
         at = np.flatnonzero(np.isfinite(sigma))
-        framed = float(axis.frame_sigma_deg > 0.0)  # one frame leans, and not what gravity levels
-        said = _rise(axis.direction, sine[at], framed, own[k])
-        rows[f"axis {k}"] = Rows(model.rises, at, sigma[at, None], said, robust=True)
-    return Evidence(node_ns, rows, start)
+        framed = float(tilt.frame_sigma_deg > 0.0)  # one frame leans, and not what gravity levels
+        rows[f"axis {k}"] = _risen(
+            at, sigma[at], tilt.direction, sine[at], framed, own, robust=True
+        )
+    return node_ns, rows, start
 
 
-def _rise(
-    direction: Float64, sine: Float64, framed: float, own: Float64
-) -> tuple[Float64, Float64, Float64, Float64]:
-    """What `model.rises` takes, of an axis at m nodes."""
-    m = len(sine)
-    return np.tile(direction, (m, 1)), sine, np.full(m, framed), np.tile(own, (m, 1))
+def _rows(law: model.Law, at: Int64, sigma: Float64, *said: Float64, robust: bool = False) -> Rows:
+    return Rows(law, at, sigma.reshape(len(at), -1), said, robust=robust)
+
+
+def _risen(
+    at: Int64,
+    sigma: Float64,
+    direction: Float64,
+    sine: Float64,
+    framed: float,
+    own: Float64,
+    *,
+    robust: bool = False,
+) -> Rows:
+    """The rows of one axis."""
+    m = len(at)
+    said = np.tile(direction, (m, 1)), sine, np.full(m, framed), np.tile(own, (m, 1))
+    return _rows(model.rises, at, sigma, *said, robust=robust)
 
 
 def _motion(
@@ -132,13 +135,12 @@ def _motion(
     nothing tells them, and where a camera saw the way [n - 1]."""
     step_s = np.diff(node_ns)[:, None] / 1e9
     n = len(step_s)
-    every, zeros = np.arange(n), np.zeros((n, 3))
+    every, zeros, rows = np.arange(n), np.zeros((n, 3)), {}
     # How much the receiver's slow error may change.
     wander_m = np.interp(node_ns[:-1], track.time_ns, track.wander_m)[:, None] * WANDER_SHARE
     wander_m = wander_m * np.sqrt(2.0 * step_s / WANDER_S)
-    turn_rad, gyro_s = np.full((n, 3), np.nan), np.zeros(n)
+    turn_rad = push_mps = np.full((n, 3), np.nan)
     turn_sigma = TERRAIN_NOISE_RAD * np.sqrt(step_s)
-    push_mps, felt_s = zeros, np.zeros(n)
     push_sigma = np.tile(ACCELERATION_NOISE * np.sqrt(step_s), 3)
     way_sigma = np.hypot(COASTING_NOISE_M * np.sqrt(step_s), wander_m)
     if sensed is not None:
@@ -147,12 +149,12 @@ def _motion(
         angle_rad = np.linalg.norm(turn_rad, axis=1, keepdims=True)
         sigma = np.sqrt(noise**2 * step_s + GYRO_SQUARENESS**2 * angle_rad)
         turn_sigma = np.where(np.isfinite(turn_rad), sigma, turn_sigma)
-        gyro_s = np.where(np.isfinite(turn_rad[:, 0]), step_s[:, 0], 0.0)
         noise = np.hypot(FORCE_NOISE, sample_noise(sensed.force_mps2, sensed.time_ns))
         push_sigma = np.where(np.isfinite(push_mps), noise * np.sqrt(step_s), push_sigma)
-        felt_s = np.where(np.isfinite(push_mps[:, 0]), step_s[:, 0], 0.0)
+    gyro_s, felt_s = (
+        np.where(np.isfinite(known[:, 0]), step_s[:, 0], 0.0) for known in (turn_rad, push_mps)
+    )
     watched = np.zeros(n, dtype=np.bool_)
-    rows = {}
     if steps is not None:
         joins, at = _joined(steps, node_ns)
         watched[at], gyro_s[at] = True, 0.0
@@ -163,20 +165,14 @@ def _motion(
         way_m = np.stack([steps.right_m, steps.forward_m, steps.up_m], axis=1)[joins]
         sigma = np.hypot(steps.sigma_m[joins], STEP_WAY_SHARE * np.linalg.norm(way_m, axis=1))
         sigma = np.hypot(sigma[:, None], wander_m[at])
-        rows["camera"] = _between(model.moves, at, sigma, way_m, np.zeros(len(at)), robust=True)
+        rows["camera"] = _rows(model.moves, at, sigma, way_m, 0.0 * step_s[at, 0], robust=True)
         way_sigma[at] = SEEN_ELSEWHERE_M
-    rows["turns"] = _between(model.turns, every, turn_sigma, np.nan_to_num(turn_rad), gyro_s)
-    rows["pushes"] = _between(
+    rows["turns"] = _rows(model.turns, every, turn_sigma, np.nan_to_num(turn_rad), gyro_s)
+    rows["pushes"] = _rows(
         model.pushes, every, push_sigma, np.nan_to_num(push_mps), felt_s, robust=True
     )
-    rows["ways"] = _between(model.moves, every, way_sigma, zeros, step_s[:, 0])
-    return rows, turn_rad, watched
-
-
-def _between(
-    law: model.Law, at: Int64, sigma: Float64, *said: Float64, robust: bool = False
-) -> Rows:
-    return Rows(law, at, sigma, said, between=True, robust=robust)
+    rows["ways"] = _rows(model.moves, every, way_sigma, zeros, step_s[:, 0])
+    return {name: one._replace(between=True) for name, one in rows.items()}, turn_rad, watched
 
 
 def _joined(steps: Steps, node_ns: Int64) -> tuple[Bool, Int64]:
@@ -226,19 +222,18 @@ def _antenna_at(track: AntennaTrack, node_ns: Int64) -> tuple[Float64, Float64]:
 def _start(
     node_ns: Int64,
     heading_rad: Float64,
-    heading_sigma: Float64,
+    known: Bool,
     right_rad: Float64,
     place_m: Float64,
     lever_m: Float64,
 ) -> States:
-    """Level, along the fixes, with the known headings; between these it turns as was measured."""
-    known = np.isfinite(heading_sigma)
-    turned_rad = np.append(0.0, np.cumsum(-right_rad))
-    rest_rad = (heading_rad - turned_rad)[known]
-    R = R_enu_level(np.degrees(turned_rad + np.interp(node_ns, node_ns[known], rest_rad)))
+    """Level, along the fixes, with the `known` headings; between these it turns as was measured."""
+    turned_rad = np.append(0.0, np.cumsum(-np.nan_to_num(right_rad)))
+    rest_rad = np.interp(node_ns, node_ns[known], (heading_rad - turned_rad)[known])
+    R = R_enu_level(np.degrees(turned_rad + rest_rad))
     place_m = place_m - (R @ lever_m[:, :, None])[:, :, 0]
     speed_mps = np.gradient(place_m, node_ns / 1e9, axis=0) if len(node_ns) > 1 else 0.0 * place_m
-    return States(place_m, speed_mps, R, np.zeros(0))
+    return States(place_m, np.asarray(speed_mps), R, np.zeros(0))
 
 
 def _beside(between: Bool) -> Bool:

@@ -65,17 +65,9 @@ class ExpectedGround(NamedTuple):
         sin, cos = np.sin(heading_rad), np.cos(heading_rad)
         axes = np.stack([np.stack([cos, -sin], -1), np.stack([sin, cos], -1)], axis=1)
         variance = np.einsum("nia,ab,nib->ni", axes, self.covariance, axes)
-        rise = axes @ self.rise
-        return rise / np.sqrt(1.0 + self.rise @ self.rise), np.sqrt(variance + self._rough() ** 2)
-
-    def sigma_deg(self) -> float:
-        """How far a slope may be from the expected one, degrees, in the worse direction."""
-        worst = float(np.linalg.eigvalsh(self.covariance)[-1])
-        return float(np.degrees(np.arctan(np.sqrt(worst + self._rough() ** 2))))
-
-    def _rough(self) -> float:
-        known = USUAL_SLOPE if np.isnan(self.rough) else self.rough
-        return max(known, LEAST_ROUGHNESS)
+        rough = max(USUAL_SLOPE if np.isnan(self.rough) else self.rough, LEAST_ROUGHNESS)
+        rise = axes @ self.rise / np.sqrt(1.0 + self.rise @ self.rise)
+        return rise, np.sqrt(variance + rough**2)
 
 
 def expected_ground(place_m: Float64, slow_m: float) -> ExpectedGround:

@@ -48,9 +48,11 @@ def normal_equations(
         weight = one.sigma**-2.0
         if one.robust and robust:
             weight = weight * believed(off / one.sigma)
+        columns = np.flatnonzero(slope.any(axis=(0, 1)))
+        slope = slope[:, :, columns]
         weighted = (slope * weight[:, :, None]).swapaxes(1, 2)
-        square[one.at] += weighted @ slope
-        right[one.at] -= (weighted @ off[:, :, None])[:, :, 0]
+        square[np.ix_(one.at, columns, columns)] += weighted @ slope
+        right[np.ix_(one.at, columns)] -= (weighted @ off[:, :, None])[:, :, 0]
     # What concerns the next node goes there.
     own, after = slice(0, STATES), slice(STATES, SHARED)
     square[1:, own, own] += square[:-1, after, after]
@@ -82,7 +84,7 @@ def solved(system: AttitudeEquations) -> tuple[Float64, Float64]:
     _, found = _factored(system, np.column_stack([system.right, system.border]))
     alone, through = found[:, 0], found[:, 1:]
     rest = system.corner - system.border.T @ through
-    shared: Float64 = np.linalg.solve(rest, system.right_shared - system.border.T @ alone)
+    shared = np.asarray(np.linalg.solve(rest, system.right_shared - system.border.T @ alone))
     return (alone - through @ shared).reshape(-1, STATES), shared
 
 
@@ -90,11 +92,11 @@ def covariances(system: AttitudeEquations) -> Float64:
     """The covariance [n, 9, 9] of each node's states, by Takahashi's recursion from the last node
     to the first."""
     lower, through = _factored(system, system.border)
-    shared = np.linalg.inv(system.corner - system.border.T @ through)
+    shared = np.asarray(np.linalg.inv(system.corner - system.border.T @ through))
     band = lower.reshape(2 * STATES, -1, STATES)
-    own = np.zeros((band.shape[1], STATES, STATES))
-    own[:, _ROW, _COLUMN] = band[_ROW - _COLUMN, :, _COLUMN].T
-    own = np.linalg.inv(own)
+    triangle = np.zeros((band.shape[1], STATES, STATES))
+    triangle[:, _ROW, _COLUMN] = band[_ROW - _COLUMN, :, _COLUMN].T
+    own = np.asarray(np.linalg.inv(triangle))
     back = band[_BELOW, :, np.arange(STATES)].transpose(2, 0, 1) @ own
     blocks = own.swapaxes(1, 2) @ own
     for k in range(len(blocks) - 2, -1, -1):

@@ -305,7 +305,6 @@ def _attitude(table: PoseTable, tilt: RecordedTilt) -> Attitude:
     at, told = table.time_ns - first_ns, tilt.time_ns - first_ns
     roll, pitch, sigma = (np.interp(at, told, column) for column in tilt[1:])
     heading = np.unwrap(table.heading_deg, period=360.0)
-    slope_deg = max(float(np.abs(pitch).max()), float(np.abs(roll).max()), float(sigma.max()))
     return Attitude(
         table.time_ns,
         roll,
@@ -314,7 +313,6 @@ def _attitude(table: PoseTable, tilt: RecordedTilt) -> Attitude:
         sigma,
         heading,
         table.up_m,
-        slope_deg,
         bodies=frozenset({RECORDED}),
     )
 

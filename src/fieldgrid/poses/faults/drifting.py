@@ -19,7 +19,6 @@ from fieldgrid.poses.axle import Axle
 from fieldgrid.poses.drive import DriveEstimate
 from fieldgrid.poses.faults.clock.offset import ClockFindings
 from fieldgrid.poses.faults.denied import FAR_M, DriveContradiction, sees_way
-from fieldgrid.poses.faults.gyro.imu_turn import ImuTurn
 from fieldgrid.poses.smoother.slow_drift import slow_drift
 from fieldgrid.poses.smoother.wander import wander
 from fieldgrid.poses.table import PoseTable
@@ -65,10 +64,9 @@ def drifts(
     axle: Axle,
     denied: DriveContradiction,
     clocks: ClockFindings,
-    turned: ImuTurn | None,
 ) -> Drifts:
     """By how much the fixes of a drive drift beside its camera's way; nothing is found where a
-    wrong declaration or clock, or an IMU that is `turned`, explains what does not fit."""
+    wrong declaration or clock explains what does not fit."""
     slow, seen = None, Drifts()
     if sees_way(drive):
         slow = slow_drift(drive.smoothed, drive.measured, *axle.frame())
@@ -79,8 +77,7 @@ def drifts(
         seen = Drifts(None, CLEAR_MISFIT * open_m < FAR_M)
     by_clock = (clocks.contradiction, clocks.offset)
     certain = any(one is not None and one.is_certain for one in by_clock)
-    imu_off = turned is not None and turned.is_off
-    if denied.clear or certain or imu_off or clocks.change is not None:
+    if denied.clear or certain or clocks.change is not None:
         return seen
     if len(drive.measured.step) and (found := _wandering(drive, axle)) is not None:
         return seen._replace(found=found)
