@@ -59,7 +59,6 @@ if TYPE_CHECKING:
         LEAST_STEP_M as LEAST_STEP_M,
         LEAST_WAY_M as LEAST_WAY_M,
         MOST_TURN_DEG as MOST_TURN_DEG,
-        STRAIGHT_PER_M as STRAIGHT_PER_M,
         Travel as Travel,
         Ways as Ways,
         travel as travel,

@@ -221,10 +221,10 @@ def estimate_mount(
 
 def _beside_gnss(recording: Recording, found: MountEstimate) -> MountEstimate:
     """An estimate with the check against the fixes."""
-    check = check_against_gnss(recording, found.time_ns, found.ways)
+    check = check_against_gnss(recording, found.time_ns, found.ways, found.mount.yaw_deg)
     if isinstance(check, str):
         return replace(found, notes=(*found.notes, check))
-    return replace(found, gnss=check, notes=(*found.notes, *remarks(check)))
+    return replace(found, gnss=check, notes=(*found.notes, *remarks(check, recording.rig)))
 
 
 def measure_mount(

@@ -58,9 +58,9 @@ class Attitude(NamedTuple):
         roll, pitch, roll_sigma, pitch_sigma, heading, up = columns
         late_ns = np.maximum(self.time_ns[0] - time_ns, time_ns - self.time_ns[-1])
         late = np.degrees(TERRAIN_NOISE_RAD[0]) * np.sqrt(np.maximum(late_ns, 0) / 1e9)
-        sigmas = np.hypot(roll_sigma, late), np.hypot(pitch_sigma, late)
-        columns = time_ns, roll, pitch, *sigmas, heading, up
-        return Attitude(*columns, self.push_misfit, self.notes, self.bodies)
+        roll_sigma, pitch_sigma = np.hypot(roll_sigma, late), np.hypot(pitch_sigma, late)
+        said = time_ns, roll, pitch, roll_sigma, pitch_sigma, heading, up
+        return Attitude(*said, self.push_misfit, self.notes, self.bodies)
 
     def if_late(self, late_s: float) -> Attitude:
         """The attitude by sensors whose stamps may be `late_s` late: as unsure as a vehicle leans
