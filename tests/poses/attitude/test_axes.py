@@ -36,7 +36,7 @@ def fixes(heading_axis: dict[str, float], rows: int = 20) -> FixColumns:
 
 def vertical_of(found: tuple[AxisTilt, ...]) -> np.ndarray:
     """The vertical in the vehicle, right and forward [2], by the first values of two axes."""
-    directions = np.stack([axis.direction for axis in found])
+    directions = np.stack([axis.direction[:2] for axis in found])
     return np.linalg.solve(directions, [np.sin(np.radians(axis.rise_deg[0])) for axis in found])
 
 
@@ -69,7 +69,7 @@ def test_a_heading_s_axis_points_where_the_heading_does(offset_deg: float) -> No
     both = axes_of_fixes(fixes({"pitch_deg": pitch_deg, "roll_deg": roll_deg}), offset_deg)
     assert vertical_of(both) == pytest.approx(up[:2])
     (one,) = axes_of_fixes(fixes({"pitch_deg": pitch_deg}), offset_deg)
-    assert one.direction == pytest.approx(ahead[:2])
+    assert one.direction == pytest.approx(ahead)
     assert one.rise_deg[0] == pytest.approx(pitch_deg)
 
 

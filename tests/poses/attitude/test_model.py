@@ -35,8 +35,7 @@ BETWEEN_LAWS = {
 NODE_LAWS = {
     "sees_antenna": (model.sees_antenna, (some(N, 3), some(N, 3))),
     "follows_ground": (model.follows_ground, (np.ones(N),)),
-    "heads": (model.heads, (some(N),)),
-    "rises": (model.rises, (some(N, 2), some(N) * 0.1, np.ones(N), np.ones((N, OWN)))),
+    "points": (model.points, (some(N, 3), some(N, 3), some(N), np.ones((N, 2 + OWN)))),
 }
 ROWS = {
     **{

@@ -209,7 +209,7 @@ def with_frames(
             found = _with_poses(recording, settings, gridder, fixes_alone, seen, found, findings)
         # By other frames than those: by the ones of `fieldgrid mount`, to the same numbers.
         with suppress(FieldgridError):
-            found = replace(found, mount=measure_mount(recording))
+            found = replace(found, mount=measure_mount(recording, progress=tell))
         findings += mount_findings(found.mount, found.scale)
     return found
 

@@ -80,7 +80,7 @@ class Attitude(NamedTuple):
     def rise_at(self, axis: AxisTilt) -> tuple[Float64, Float64]:
         """How much an axis of the vehicle rises at its own instants, with the sigma, degrees."""
         at = self.at(axis.time_ns)
-        level = R_level_vehicle(at.roll_deg, at.pitch_deg)[:, 2, :2] @ axis.direction
-        right, forward = np.abs(axis.direction)
+        level = R_level_vehicle(at.roll_deg, at.pitch_deg)[:, 2] @ axis.direction
+        right, forward, _ = np.abs(axis.direction)
         sigma = np.hypot(right * at.roll_sigma_deg, forward * at.pitch_sigma_deg)
         return np.degrees(np.arcsin(level)), sigma

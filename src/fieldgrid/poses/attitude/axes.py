@@ -71,9 +71,9 @@ class AxisTilt(NamedTuple):
 
     @property
     def direction(self) -> Float64:
-        """The axis as the vehicle has it: right, forward [2]."""
+        """The axis as the vehicle has it: right, forward, up [3]."""
         toward = np.radians(self.toward_deg)
-        return np.array([np.sin(toward), np.cos(toward)])
+        return np.array([np.sin(toward), np.cos(toward), 0.0])
 
     def at(self, node_ns: Int64) -> tuple[Float64, Float64]:
         """Sine of the rise and its sigma at other instants [n]; NaN where nothing is recorded near.

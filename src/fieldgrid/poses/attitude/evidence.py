@@ -17,6 +17,8 @@ from fieldgrid.poses.attitude.model import Rows, States
 from fieldgrid.poses.attitude.track import WANDER_SHARE, AntennaTrack
 from fieldgrid.poses.nodes import filled
 
+RIGHT, AHEAD, UP = np.eye(3)
+
 LEAST_STEP_NS = 190_000_000
 """Fixes that are closer to each other add little."""
 
@@ -71,7 +73,7 @@ def evidence(
         # intervals.
         steps = None
     node_ns, fixed_ns = _nodes(track, wanted_ns, sensed is not None, steps)
-    every, none = np.arange(len(node_ns)), np.zeros(len(axes))
+    every, none = np.arange(len(node_ns)), np.zeros(len(axes) + 2)
     spacing_s = np.gradient(node_ns / 1e9) if len(node_ns) > 1 else np.ones(1)
     rows, turn_rad, watched = _motion(track, node_ns, sensed, steps)
     turned = _beside(np.isfinite(turn_rad[:, 0]))
@@ -85,7 +87,8 @@ def evidence(
     heading_rad, sigma = np.radians(track.headings.at(node_ns))
     start = _start(node_ns, heading_rad, np.isfinite(sigma), turn_rad[:, 2], place_m, lever_m)
     sigma = np.maximum(sigma, LEAST_HEADING_SIGMA_RAD) * lasting(GROUND_S, spacing_s)
-    rows["headings"] = _rows(model.heads, every, sigma, heading_rad)
+    aside = np.stack([np.cos(heading_rad), -np.sin(heading_rad), 0.0 * heading_rad], axis=1)
+    rows["headings"] = _pointing(every, sigma, AHEAD, aside, 0.0 * heading_rad, none)
     # A camera tells the way in the vehicle's axes: nothing needs to be taken from the ground.
     at = every[~_beside(watched)]
     sigma = GROUND_MPS + GROUND_SHARE * np.linalg.norm(start.velocity_mps[at], axis=1)
@@ -95,16 +98,16 @@ def evidence(
     # on the drive's slope all the time: it says so once.
     vertical, sigmas = ground.seen_from(heading_rad)
     slope_s = np.where(turned, max((node_ns[-1] - node_ns[0]) / 1e9, SLOPE_S), SLOPE_S)
-    for k, axis in enumerate(np.eye(2)):
+    for k, toward in enumerate((RIGHT, AHEAD)):
         sigma = sigmas[:, k] * lasting(slope_s, spacing_s)
-        rows[f"slope {k}"] = _risen(every, sigma, axis, vertical[:, k], 0.0, none)
-    for k, (tilt, own) in enumerate(zip(axes, np.eye(len(axes)), strict=True)):
-        sine, sigma = tilt.at(node_ns)
+        rows[f"slope {k}"] = _pointing(every, sigma, toward, UP, vertical[:, k], none)
+    for k, axis in enumerate(axes):
+        sine, sigma = axis.at(node_ns)
         at = np.flatnonzero(np.isfinite(sigma))
-        framed = float(tilt.frame_sigma_deg > 0.0)  # one frame leans, and not what gravity levels
-        rows[f"axis {k}"] = _risen(
-            at, sigma[at], tilt.direction, sine[at], framed, own, robust=True
-        )
+        own = none.copy()
+        own[:2], own[2 + k] = axis.frame_sigma_deg > 0.0, 1.0  # what gravity levels has no frame
+        risen = _pointing(at, sigma[at], axis.direction, UP, sine[at], own)
+        rows[f"axis {k}"] = risen._replace(robust=True)
     return node_ns, rows, start
 
 
@@ -112,20 +115,13 @@ def _rows(law: model.Law, at: Int64, sigma: Float64, *said: Float64, robust: boo
     return Rows(law, at, sigma.reshape(len(at), -1), said, robust=robust)
 
 
-def _risen(
-    at: Int64,
-    sigma: Float64,
-    direction: Float64,
-    sine: Float64,
-    framed: float,
-    own: Float64,
-    *,
-    robust: bool = False,
+def _pointing(
+    at: Int64, sigma: Float64, toward: Float64, along: Float64, sine: Float64, own: Float64
 ) -> Rows:
-    """The rows of one axis."""
-    m = len(at)
-    said = np.tile(direction, (m, 1)), sine, np.full(m, framed), np.tile(own, (m, 1))
-    return _rows(model.rises, at, sigma, *said, robust=robust)
+    """The rows of one axis, [3] in the vehicle."""
+    said = (np.broadcast_to(one, (len(at), one.shape[-1])) for one in (toward, along, own))
+    toward, along, own = said
+    return _rows(model.points, at, sigma, toward, along, sine, own)
 
 
 def _motion(

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.core import Float64, Index
-from fieldgrid.geometry import cross_matrices, from_vectors, heading_rad, to_vectors
+from fieldgrid.geometry import cross_matrices, from_vectors, to_vectors
 
 STATES = 9
 P, V, A = slice(0, 3), slice(3, 6), slice(6, 9)
@@ -23,11 +23,9 @@ NEXT_P, NEXT_V, NEXT_A = slice(9, 12), slice(12, 15), slice(15, 18)
 """The same of the node after it."""
 
 SHARED = 2 * STATES
-GYRO, FORCE, FRAME = slice(18, 21), slice(21, 24), slice(24, 26)
-"""Shared unknowns: bias of the gyro (rad/s) and of the accelerometer (m/s²), lean of the frame that
-axes were recorded in, toward east and north (rad). The errors of the axes follow, one each."""
-
-OWN = FRAME.stop
+GYRO, FORCE, OWN = slice(18, 21), slice(21, 24), 24
+"""Shared unknowns: bias of the gyro (rad/s) and of the accelerometer (m/s²); then the lean of the
+frame that axes were recorded in, toward east and north (rad), and an error of each of the axes."""
 
 GRAVITY_MPS2 = np.array([0.0, 0.0, -9.80665])
 
@@ -151,27 +149,16 @@ def follows_ground(x: States, at: Index, turned: Float64) -> tuple[Float64, Floa
     return own[:, 2:], slope
 
 
-def heads(x: States, at: Index, known_rad: Float64) -> tuple[Float64, Float64]:
-    """The heading is known: where the forward axis points. A turn about that axis leaves it."""
-    R, slope = x.R[at], _blank(x, at, 1)
-    off = heading_rad(R) - known_rad
-    right, ahead, up = R[:, :2, 0], R[:, :2, 1], R[:, :2, 2]
-    level2 = (ahead**2).sum(axis=1)
-    slope[:, 0, A.start] = (up[:, 0] * ahead[:, 1] - up[:, 1] * ahead[:, 0]) / level2
-    slope[:, 0, A.start + 2] = (right[:, 1] * ahead[:, 0] - right[:, 0] * ahead[:, 1]) / level2
-    return (off - 2.0 * np.pi * np.round(off / (2.0 * np.pi)))[:, None], slope
-
-
-def rises(
-    x: States, at: Index, direction: Float64, sine: Float64, framed: Float64, own: Float64
+def points(
+    x: States, at: Index, toward: Float64, along: Float64, sine: Float64, own: Float64
 ) -> tuple[Float64, Float64]:
-    """A level axis of the vehicle, `direction` [m, 2] right and forward, rises by a sine [m], but
-    for the lean of the frame if it is `framed` (1), and for the shared errors `own` [m, k] (1)."""
+    """An axis of the vehicle, `toward` [m, 3] right, forward, up, rises by a sine [m] in a
+    direction `along` [m, 3] east, north, up, but for the shared errors `own` [m, k] (1 of those it
+    has). The first two of these are the lean of the frame in which the rise is measured."""
     R, slope = x.R[at], _blank(x, at, 1)
-    axis = _times(R[:, :, :2], direction)
-    along = axis[:, :2] * framed[:, None]
-    slope[:, 0, A] = (direction[:, None] @ cross_matrices(R[:, 2])[:, :2])[:, 0]
-    slope[:, 0, FRAME], slope[:, 0, OWN:] = along, own
-    return (axis[:, 2] + along @ x.of(FRAME) + own @ x.shared[OWN - SHARED :] - sine)[
-        :, None
-    ], slope
+    seen, axis = _times(R.swapaxes(1, 2), along), _times(R, toward)
+    shared = own * np.hstack([axis[:, :2], np.ones((len(at), own.shape[1] - 2))])
+    slope[:, 0, A] = (toward[:, None] @ cross_matrices(seen))[:, 0]
+    slope[:, 0, OWN:] = shared
+    off = np.sum(seen * toward, axis=1) + shared @ x.shared[OWN - SHARED :] - sine
+    return off[:, None], slope
