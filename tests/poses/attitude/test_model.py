@@ -9,7 +9,7 @@ import pytest
 from fieldgrid.geometry import Inertial, R_enu_level, R_level_vehicle, from_vectors, to_vectors
 from fieldgrid.poses.attitude import model
 from fieldgrid.poses.attitude.increments import increments, sample_noise
-from fieldgrid.poses.attitude.model import SHARED, STATES, Rows, States
+from fieldgrid.poses.attitude.model import SHARED, STATES, AttitudeRows, States
 from fieldgrid.poses.attitude.solver import covariances, normal_equations, solved
 
 N, OWN = 5, 1
@@ -39,11 +39,13 @@ NODE_LAWS = {
 }
 ROWS = {
     **{
-        name: Rows(law, BETWEEN, np.full((N - 1, 3), 0.5), said, between=True)
+        name: AttitudeRows(law, BETWEEN, np.full((N - 1, 3), 0.5), said, between=True)
         for name, (law, said) in BETWEEN_LAWS.items()
     },
     **{
-        name: Rows(law, EVERY, np.full((N, 3 if law is model.sees_antenna else 1), 0.5), said)
+        name: AttitudeRows(
+            law, EVERY, np.full((N, 3 if law is model.sees_antenna else 1), 0.5), said
+        )
         for name, (law, said) in NODE_LAWS.items()
     },
 }

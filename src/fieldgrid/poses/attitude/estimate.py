@@ -21,7 +21,7 @@ from fieldgrid.poses.attitude.attitude import Attitude
 from fieldgrid.poses.attitude.axes import AxisTilt, agreed
 from fieldgrid.poses.attitude.evidence import evidence
 from fieldgrid.poses.attitude.ground import expected_ground
-from fieldgrid.poses.attitude.model import A, Rows, States
+from fieldgrid.poses.attitude.model import A, AttitudeRows, States
 from fieldgrid.poses.attitude.solver import believed, covariances, normal_equations, solved
 from fieldgrid.poses.attitude.track import WANDER_SHARE, AntennaTrack
 
@@ -104,7 +104,7 @@ def _estimate(
     )
 
 
-def _estimated(x: States, rows: dict[str, Rows], shared_sigma: Float64) -> Float64:
+def _estimated(x: States, rows: dict[str, AttitudeRows], shared_sigma: Float64) -> Float64:
     """Roll, pitch and their sigmas, degrees, heading, radians, height, metres, and how many sigmas
     the accelerometer's push after it is off, of the nodes of one stretch [7, n]."""
     for k in range(MOST_ROUNDS):

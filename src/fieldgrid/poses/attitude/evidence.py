@@ -13,7 +13,7 @@ from fieldgrid.poses.attitude.attitude import TERRAIN_NOISE_RAD
 from fieldgrid.poses.attitude.axes import AxisTilt, lasting
 from fieldgrid.poses.attitude.ground import ExpectedGround
 from fieldgrid.poses.attitude.increments import increments, sample_noise
-from fieldgrid.poses.attitude.model import Rows, States
+from fieldgrid.poses.attitude.model import AttitudeRows, States
 from fieldgrid.poses.attitude.track import WANDER_SHARE, AntennaTrack
 from fieldgrid.poses.nodes import filled
 
@@ -65,7 +65,7 @@ def evidence(
     steps: Steps | None,
     axes: Sequence[AxisTilt],
     ground: ExpectedGround,
-) -> tuple[Int64, dict[str, Rows], States]:
+) -> tuple[Int64, dict[str, AttitudeRows], States]:
     """All that was measured: nodes, at `wanted_ns` and where else something was, the rows by what
     they are, and the states to start from: level, along the fixes."""
     if sensed is not None and sensed.feels_force():
@@ -111,13 +111,15 @@ def evidence(
     return node_ns, rows, start
 
 
-def _rows(law: model.Law, at: Int64, sigma: Float64, *said: Float64, robust: bool = False) -> Rows:
-    return Rows(law, at, sigma.reshape(len(at), -1), said, robust=robust)
+def _rows(
+    law: model.Law, at: Int64, sigma: Float64, *said: Float64, robust: bool = False
+) -> AttitudeRows:
+    return AttitudeRows(law, at, sigma.reshape(len(at), -1), said, robust=robust)
 
 
 def _pointing(
     at: Int64, sigma: Float64, toward: Float64, along: Float64, sine: Float64, own: Float64
-) -> Rows:
+) -> AttitudeRows:
     """The rows of one axis, [3] in the vehicle."""
     said = (np.broadcast_to(one, (len(at), one.shape[-1])) for one in (toward, along, own))
     toward, along, own = said
@@ -126,7 +128,7 @@ def _pointing(
 
 def _motion(
     track: AntennaTrack, node_ns: Int64, sensed: Inertial | None, steps: Steps | None
-) -> tuple[dict[str, Rows], Float64, Bool]:
+) -> tuple[dict[str, AttitudeRows], Float64, Bool]:
     """The rows between nodes, the rotation vectors from each node to the next [n - 1, 3], NaN where
     nothing tells them, and where a camera saw the way [n - 1]."""
     step_s = np.diff(node_ns)[:, None] / 1e9

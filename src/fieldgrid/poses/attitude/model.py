@@ -58,7 +58,7 @@ Law = Callable[..., tuple[Float64, Float64]]
 the columns above."""
 
 
-class Rows(NamedTuple):
+class AttitudeRows(NamedTuple):
     """m measurements that follow one law, at different nodes `at`, or `between` these and the next.
 
     `said` is what the law takes, m long each; `sigma` [m, r] the errors. Those of `robust` ones are
@@ -72,7 +72,7 @@ class Rows(NamedTuple):
     between: bool = False
     robust: bool = False
 
-    def part(self, start: int, stop: int) -> Rows:
+    def part(self, start: int, stop: int) -> AttitudeRows:
         """Those of the nodes from `start` to before `stop`, which are counted from there."""
         own = (self.at >= start) & (self.at + self.between < stop)
         said = tuple(column[own] for column in self.said)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.core import Float64
-from fieldgrid.poses.attitude.model import SHARED, STATES, Rows, States
+from fieldgrid.poses.attitude.model import SHARED, STATES, AttitudeRows, States
 
 FREEDOM = 4.0
 """Of Student's distribution: a sigma off costs nothing, ten cost nearly everything."""
@@ -37,7 +37,7 @@ def believed(off: Float64) -> Float64:
 
 
 def normal_equations(
-    x: States, rows: Iterable[Rows], shared_sigma: Float64, *, robust: bool
+    x: States, rows: Iterable[AttitudeRows], shared_sigma: Float64, *, robust: bool
 ) -> AttitudeEquations:
     """The system of all rows, linearised at `x`; the shared unknowns are known to be within
     `shared_sigma` [s] of 0 beforehand."""

@@ -305,16 +305,8 @@ def _attitude(table: PoseTable, tilt: RecordedTilt) -> Attitude:
     at, told = table.time_ns - first_ns, tilt.time_ns - first_ns
     roll, pitch, sigma = (np.interp(at, told, column) for column in tilt[1:])
     heading = np.unwrap(table.heading_deg, period=360.0)
-    return Attitude(
-        table.time_ns,
-        roll,
-        pitch,
-        sigma,
-        sigma,
-        heading,
-        table.up_m,
-        bodies=frozenset({RECORDED}),
-    )
+    said = roll, pitch, sigma, sigma, heading, table.up_m
+    return Attitude(table.time_ns, *said, bodies=frozenset({RECORDED}))
 
 
 def _at_origin(
