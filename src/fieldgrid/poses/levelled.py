@@ -9,9 +9,8 @@ same attitude the pose's point is carried back.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -43,8 +42,8 @@ SUSPECT_PUSH_MISFIT, MOST_PUSH_MISFIT = 0.45, 8.0
 sideways, where it is at 0.3 to 12; good ones are at 0.1 to 0.4, on real vehicles at up to 1.7, with
 shocks at up to 7. From the second on it contradicts them anyhow."""
 
-LEAST_TRIED_S = 30.0
-"""A shorter drive tells too little of how an IMU is mounted."""
+MOST_TRIED = 1000
+"""As many fixes tell how an IMU is mounted."""
 
 TWICE, CLEARLY, FITTING = 0.5, 0.75, 0.6
 """An IMU is mounted as it fits best, where it fits twice as well there, or fits clearly better and
@@ -137,12 +136,11 @@ def find_lean(
     )
     antenna, sensor_m = rig.antenna, np.array([0.0, 0.0, rig.mount.height_m])
     antenna_m = np.array([antenna.right_m, antenna.forward_m, antenna.up_m])
-    said = track, antenna_m - sensor_m, frame_ns, motion.steps, axes
-    estimate = partial(estimate_attitude, *said)
-    attitude, sensed = estimate(sensed=motion.inertial), motion.inertial
-    if sensed is not None and (denial := _imu_denial(estimate, sensed, attitude.push_misfit)):
+    said, sensed = (track, antenna_m - sensor_m, frame_ns, motion.steps, axes), motion.inertial
+    attitude = estimate_attitude(*said, sensed=sensed)
+    if sensed is not None and (denial := _imu_denial(*said[:2], sensed, attitude.push_misfit)):
         notes.append(denial)
-        attitude, sensed = estimate(), None
+        attitude, sensed = estimate_attitude(*said), None
     elif not math.isnan(attitude.push_misfit):
         attitude = attitude.if_late(drive.smoothed.declared.unsure_late_s)
     notes += attitude.notes
@@ -152,17 +150,25 @@ def find_lean(
     return Lean(attitude, antenna_m, axle_m, sensor_m, sensed is not None), tuple(notes)
 
 
-def _imu_denial(estimate: Callable[..., Attitude], sensed: Inertial, misfit: float) -> str | None:
+def _imu_denial(
+    track: AntennaTrack, antenna_m: Float64, sensed: Inertial, misfit: float
+) -> str | None:
     """What is wrong with an IMU that contradicts the fixes, and what to do; None if nothing is."""
     if not misfit > SUSPECT_PUSH_MISFIT:
         return None
-    # As it fits turned to the left by so much; as declared it is `misfit`.
-    fits = {0: misfit}
-    if sensed.time_ns[-1] - sensed.time_ns[0] > LEAST_TRIED_S * 1e9:
-        for left_deg in range(45, 360, 45):
-            fits[left_deg] = estimate(sensed=_turned(sensed, left_deg)).push_misfit
+    # As it fits turned to the left by so much.
+    brief = track._replace(
+        time_ns=track.time_ns[:MOST_TRIED],
+        enu_m=track.enu_m[:MOST_TRIED],
+        noise_m=track.noise_m[:MOST_TRIED],
+        wander_m=track.wander_m[:MOST_TRIED],
+    )
+    fits = {
+        left_deg: estimate_attitude(brief, antenna_m, sensed=_turned(sensed, left_deg)).push_misfit
+        for left_deg in range(0, 360, 45)
+    }
     left_deg = min(fits, key=lambda deg: fits[deg])
-    if fits[left_deg] < max(TWICE * misfit, min(CLEARLY * misfit, FITTING)):
+    if fits[left_deg] < max(TWICE * fits[0], min(CLEARLY * fits[0], FITTING)):
         side = "left" if left_deg < 180 else "right"
         remedy = f"it fits turned by about {min(left_deg, 360 - left_deg)}° to the {side}: "
         axes = f"correct imu_axes, from flu to {('flu', 'lbu', 'bru', 'rfu')[left_deg // 90]}"
