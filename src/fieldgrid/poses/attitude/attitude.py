@@ -65,8 +65,6 @@ class Attitude(NamedTuple):
     def if_late(self, late_s: float) -> Attitude:
         """The attitude by sensors whose stamps may be `late_s` late: as unsure as a vehicle leans
         otherwise after that time, root mean square."""
-        if len(self.time_ns) < 2:
-            return self
         time_s = (self.time_ns - self.time_ns[0]) / 1e9
         roll, pitch = (
             np.hypot(sigma, late_s * np.sqrt(np.mean(np.gradient(angle, time_s) ** 2)))

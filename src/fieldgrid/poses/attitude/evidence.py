@@ -74,7 +74,7 @@ def evidence(
         steps = None
     node_ns, fixed_ns = _nodes(track, wanted_ns, sensed is not None, steps)
     every, none = np.arange(len(node_ns)), np.zeros(len(axes) + 2)
-    spacing_s = np.gradient(node_ns / 1e9) if len(node_ns) > 1 else np.ones(1)
+    spacing_s = np.gradient(node_ns / 1e9)
     rows, turn_rad, watched = _motion(track, node_ns, sensed, steps)
     turned = _beside(np.isfinite(turn_rad[:, 0]))
     # With nothing to tell how the vehicle turns, its roll would explain what fixes err aside.
@@ -137,7 +137,7 @@ def _motion(
     # How much the receiver's slow error may change.
     wander_m = np.interp(node_ns[:-1], track.time_ns, track.wander_m)[:, None] * WANDER_SHARE
     wander_m = wander_m * np.sqrt(2.0 * step_s / WANDER_S)
-    turn_rad = push_mps = np.full((n, 3), np.nan)
+    turn_rad, push_mps = np.full((2, n, 3), np.nan)
     turn_sigma = TERRAIN_NOISE_RAD * np.sqrt(step_s)
     push_sigma = np.tile(ACCELERATION_NOISE * np.sqrt(step_s), 3)
     way_sigma = np.hypot(COASTING_NOISE_M * np.sqrt(step_s), wander_m)
@@ -148,6 +148,7 @@ def _motion(
         sigma = np.sqrt(noise**2 * step_s + GYRO_SQUARENESS**2 * angle_rad)
         turn_sigma = np.where(np.isfinite(turn_rad), sigma, turn_sigma)
         noise = np.hypot(FORCE_NOISE, sample_noise(sensed.force_mps2, sensed.time_ns))
+        push_mps[:] = push_mps if sensed.feels_force() else np.nan
         push_sigma = np.where(np.isfinite(push_mps), noise * np.sqrt(step_s), push_sigma)
     gyro_s, felt_s = (
         np.where(np.isfinite(known[:, 0]), step_s[:, 0], 0.0) for known in (turn_rad, push_mps)
@@ -230,8 +231,8 @@ def _start(
     rest_rad = np.interp(node_ns, node_ns[known], (heading_rad - turned_rad)[known])
     R = R_enu_level(np.degrees(turned_rad + rest_rad))
     place_m = place_m - (R @ lever_m[:, :, None])[:, :, 0]
-    speed_mps = np.gradient(place_m, node_ns / 1e9, axis=0) if len(node_ns) > 1 else 0.0 * place_m
-    return States(place_m, np.asarray(speed_mps), R, np.zeros(0))
+    speed_mps = np.asarray(np.gradient(place_m, node_ns / 1e9, axis=0))
+    return States(place_m, speed_mps, R, np.zeros(0))
 
 
 def _beside(between: Bool) -> Bool:
