@@ -92,7 +92,7 @@ class AxisTilt(NamedTuple):
 
     def is_known(self, fix_ns: Int64) -> bool:
         """Whether it is recorded near most of the fixes."""
-        return bool(np.isfinite(self.at(fix_ns)[1]).mean() > 0.5)
+        return int(np.isfinite(self.at(fix_ns)[1]).sum()) * 2 > len(fix_ns)
 
 
 def axes_of_tilt(said: RecordedTilt | Orientation) -> tuple[AxisTilt, ...]:
@@ -103,18 +103,15 @@ def axes_of_tilt(said: RecordedTilt | Orientation) -> tuple[AxisTilt, ...]:
         return ()
     time_ns = said.time_ns[known]
     roll_deg, pitch_deg, sigma_deg = (column[known] for column in said[1:4])
-    right_deg = _right_deg(roll_deg, pitch_deg)
-    lasting, body = (float(np.median(sigma_deg)), 0.0), RECORDED
+    mount_deg, frame_deg, body = float(np.median(sigma_deg)), 0.0, RECORDED
     if isinstance(said, Orientation):
-        lasting, body = (
-            (IMU_MOUNT_SIGMA_DEG, float(np.max(said.frame_sigma_deg[known]))),
-            ORIENTATION,
-        )
+        frame_deg = float(np.max(said.frame_sigma_deg[known]))
+        mount_deg, body = IMU_MOUNT_SIGMA_DEG, ORIENTATION
     return tuple(
-        AxisTilt(time_ns, rise_deg, sigma_deg, toward_deg, *lasting, what, body)
+        AxisTilt(time_ns, rise_deg, sigma_deg, toward_deg, mount_deg, frame_deg, what, body)
         for rise_deg, toward_deg, what in (
             (pitch_deg, 0.0, "recorded pitch"),
-            (right_deg, 90.0, "recorded roll"),
+            (_right_deg(roll_deg, pitch_deg), 90.0, "recorded roll"),
         )
     )
 
