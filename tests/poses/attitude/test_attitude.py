@@ -122,6 +122,20 @@ def test_the_camera_alone_tells_roll_and_pitch(ground: str) -> None:
     assert seen.within_3_sigma() > 0.98
 
 
+@pytest.mark.parametrize("told", [True, False])
+def test_a_camera_sees_all_of_the_way_or_does_not_tell_how_it_rose(told: bool) -> None:
+    way = hike(GROUNDS["hills"], FIELD)
+    steps = camera_steps(way)
+    track = track_of(way)
+    inside = (track.time_ns >= steps.start_ns[0]) & (track.time_ns <= steps.stop_ns[-1])
+    track = AntennaTrack(*(column[inside] for column in track[:-1]), track.headings)
+    if not told:
+        steps = steps._replace(up_m=np.full(len(steps.up_m), np.nan))
+    found = estimate_attitude(track, np.array(ANTENNA_M), steps=steps)
+    seen = score(way, found, found.time_ns)
+    assert seen.within_3_sigma() > 0.98
+
+
 def test_what_the_camera_sees_is_its_own_attitude() -> None:
     # Mounted a degree higher than declared, it tells points that are placed right all the same.
     way = hike(GROUNDS["hills"], FIELD)

@@ -114,7 +114,8 @@ def evidence(
 def _rows(
     law: model.Law, at: Int64, sigma: Float64, *said: Float64, robust: bool = False
 ) -> AttitudeRows:
-    return AttitudeRows(law, at, sigma.reshape(len(at), -1), said, robust=robust)
+    sigma = sigma[:, None] if sigma.ndim == 1 else sigma
+    return AttitudeRows(law, at, sigma, said, robust=robust)
 
 
 def _pointing(
