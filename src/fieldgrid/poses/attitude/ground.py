@@ -91,14 +91,15 @@ def expected_ground(place_m: Float64, slow_m: float) -> ExpectedGround:
         rough_m = max(NORMAL_MAD * float(np.median(off_m)), sigma_m)
     chord_m = float(np.clip(np.sqrt(2.0) * noise_m / CLIMB_SIGMA, LEAST_CHORD_M, MOST_CHORD_M))
     at_m = np.arange(0.0, way_m[-1], chord_m)
-    if len(at_m) <= FEWEST_CHORDS:
+    if len(at_m) <= 2:
         return ExpectedGround(rise, covariance, np.nan, 0.0)
     step = np.diff([np.interp(at_m, way_m, axis) for axis in place_m.T]) / chord_m
     climb_noise = np.sqrt(2.0) * noise_m / chord_m
     rough, _ = _beyond(step[2] - rise @ step[:2], climb_noise)
     # What is large in less than half of the drive, as in the turns on a plane, is no crest.
     bent = min(_beyond(np.diff(step[2]) / chord_m, np.sqrt(3.0) * climb_noise / chord_m))
-    return ExpectedGround(rise, covariance, rough, BENT_SHARE * bent)
+    seen = BENT_SHARE * bent if len(at_m) > FEWEST_CHORDS else 0.0
+    return ExpectedGround(rise, covariance, rough, seen)
 
 
 def _beyond(values: Float64, noise: float) -> tuple[float, float]:
