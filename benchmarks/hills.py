@@ -43,9 +43,9 @@ from fieldgrid.perception import LocalGridder, ground as local_ground, localgrid
 from fieldgrid.perception.stereo import make_matcher
 from fieldgrid.pipeline import build_map, estimate_drive, visual_odometry
 from fieldgrid.poses import Attitude, fused
-from fieldgrid.poses.attitude.axes import AxisTilt
+from fieldgrid.poses.attitude.axes import AxisTilt, axes_of_tilt
 from fieldgrid.poses.attitude.estimate import estimate_attitude
-from fieldgrid.poses.attitude.measurements import AntennaTrack, KnownHeadings
+from fieldgrid.poses.attitude.track import AntennaTrack, KnownHeadings
 from fieldgrid.recordings import DriveOptions, Recording, open_recording
 from tests.hilly import (
     Ground,
@@ -323,7 +323,7 @@ def simulated() -> Iterator[str]:
                 "sensed": inertial(way, force_noise_mps2=1.5, gyro_noise_dps=1.5)
             },
             "camera": {"steps": camera_steps(way)},
-            "recorded": {"tilt": recorded_tilt(way)},
+            "recorded": {"axes": axes_of_tilt(recorded_tilt(way))},
             "fixes alone": {},
             "antennas fore and aft: pitch": {"axes": _antennas(way, 0.0)},
             "antennas across: roll": {"axes": _antennas(way, 90.0)},

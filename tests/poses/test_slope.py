@@ -7,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fieldgrid.core import PoseSettings
 from fieldgrid.geometry import Carrier, FixColumns, LeverArm, Motion
 from fieldgrid.poses import estimate_poses
-from fieldgrid.poses.fused import conditioned
-from fieldgrid.poses.slope import Slope, slope_notes, slope_seen
+from fieldgrid.poses.attitude.ground import ExpectedGround, expected_ground
 from tests.scenes import paper_rig
 from tests.simulated import DATUM, Command, Drive, fixes_of, gyro_of, simulate
 
@@ -37,15 +35,16 @@ def on_ground(
     return fixes.replace(height_m=fixes.height_m + ground_m + noise)
 
 
-def seen(fixes: FixColumns) -> Slope:
-    return slope_seen(conditioned(fixes, PoseSettings(), DATUM).accepted)
+def seen(fixes: FixColumns) -> ExpectedGround:
+    place_m = DATUM.to_enu(fixes.lat_deg, fixes.lon_deg, fixes.height_m)
+    return expected_ground(np.stack(place_m, axis=1), 0.0)
 
 
 @pytest.mark.parametrize("noise_m", [0.0, 0.02, 0.06])
 def test_level_ground_is_level(noise_m: float) -> None:
     found = seen(on_ground(simulate(LANES, 30.0), 0.0, 0.0, noise_m=noise_m))
-    assert found.lean_rad < np.radians(0.4)
-    assert found.bent_rad_m < np.radians(0.05)
+    assert found.slope < np.radians(0.4)
+    assert found.bent < np.radians(0.05)
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 45.0, 90.0])
@@ -54,15 +53,15 @@ def test_a_slope_is_seen_whichever_way_the_lanes_lie(heading_deg: float, noise_m
     """Along the fall line a vehicle climbs, across it only its lanes lie at other heights."""
     drive = simulate(LANES, heading_deg)
     found = seen(on_ground(drive, np.tan(np.radians(8.0)), 0.0, noise_m=noise_m))
-    assert np.degrees(found.lean_rad) == pytest.approx(8.0, abs=2.5)
-    assert np.degrees(found.bent_rad_m) < 0.15
+    assert np.degrees(found.slope) == pytest.approx(8.0, abs=2.5)
+    assert np.degrees(found.bent) < 0.15
 
 
 def test_a_crest_bends_the_way() -> None:
     drive = simulate([Command(50.0, 1.5)], 90.0)
     flat, crest = (seen(on_ground(drive, 0.0, 0.0, bent, 0.01)) for bent in (0.0, -0.01))
-    assert flat.bent_rad_m < 0.001
-    assert crest.bent_rad_m == pytest.approx(0.006, rel=0.3)
+    assert flat.bent < 0.001
+    assert crest.bent == pytest.approx(0.006, rel=0.3)
 
 
 @pytest.mark.parametrize("seconds", [0.5, 4.0])
@@ -72,9 +71,9 @@ def test_a_drive_too_short_to_tell_may_stand_on_any_usual_slope(
 ) -> None:
     drive = simulate([Command(seconds, 0.0 if standing else 1.0)], 0.0)
     found = seen(on_ground(drive, 0.0, 0.0))
-    assert 8.0 < np.degrees(found.lean_rad) < 12.0
-    assert found.unseen_rad > 0.9 * found.lean_rad
-    assert found.bent_rad_m == 0.0
+    assert 8.0 < np.degrees(found.slope) < 12.0
+    assert found.unseen > 0.9 * found.slope
+    assert found.bent == 0.0
 
 
 @pytest.mark.parametrize("across_deg", [-12.0, 0.0, 12.0])
@@ -86,8 +85,8 @@ def test_a_single_row_does_not_show_how_steep_it_is_across(
     drive = simulate([Command(40.0, 1.5)], 90.0)
     fixes = on_ground(drive, 0.0, np.tan(np.radians(across_deg)), bent_per_m, 0.02)
     found = seen(fixes)
-    assert 7.0 < np.degrees(found.unseen_rad) < 9.0
-    assert 7.0 < np.degrees(found.lean_rad) < 22.0
+    assert 7.0 < np.degrees(found.unseen) < 9.0
+    assert 7.0 < np.degrees(found.slope) < 22.0
     poses = estimate_poses(fixes, paper_rig(antenna=ANTENNA), DATUM)
     off_m = 3.0 * np.tan(np.radians(abs(across_deg)))
     assert np.median(poses.trajectory.position_sigma_m) * 3.0 > off_m
@@ -99,8 +98,8 @@ def test_a_single_row_does_not_show_how_steep_it_is_across(
 
 def test_another_row_shows_it() -> None:
     both = seen(on_ground(simulate(LANES[:3], 30.0), 0.0, 0.0, noise_m=0.02))
-    assert np.degrees(both.unseen_rad) < 1.0
-    assert np.degrees(both.lean_rad) < 1.5
+    assert np.degrees(both.unseen) < 1.0
+    assert np.degrees(both.slope) < 1.5
 
 
 def test_positions_on_a_slope_are_as_unsure_as_the_antenna_leans() -> None:
@@ -126,7 +125,7 @@ def test_an_antenna_at_no_known_height_leans_by_nothing_that_is_known() -> None:
     assert np.allclose(
         one.trajectory.position_sigma_m, other.trajectory.position_sigma_m, rtol=1e-6
     )
-    assert list(slope_notes(Slope(0.2, 0.0), Carrier(0.0))) == []
+    assert other.report.notes == one.report.notes
 
 
 def test_a_crest_makes_headings_unsure_unless_a_gyro_saw_them_turn() -> None:

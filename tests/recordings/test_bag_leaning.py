@@ -13,9 +13,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fieldgrid.geometry import Motion, Orientation, R_enu_level, R_level_vehicle
-from fieldgrid.poses.attitude.axes import axes_of_orientation
+from fieldgrid.poses.attitude.axes import axes_of_tilt
 from fieldgrid.poses.attitude.estimate import estimate_attitude
-from fieldgrid.poses.attitude.measurements import AntennaTrack
+from fieldgrid.poses.attitude.track import AntennaTrack
 from fieldgrid.recordings import (
     ORIENTATION,
     DriveOptions,
@@ -270,7 +270,7 @@ def test_an_orientation_makes_the_attitude_of_a_drive_without_accelerometer() ->
     found = found._replace(time_ns=found.time_ns - 50_000_000 + track.time_ns[0])
     arm = np.array(ANTENNA_M)
     without = estimate_attitude(track, arm, wanted_ns=FRAMES)
-    with_it = estimate_attitude(track, arm, wanted_ns=FRAMES, axes=axes_of_orientation(found))
+    with_it = estimate_attitude(track, arm, wanted_ns=FRAMES, axes=axes_of_tilt(found))
     assert score(way, without, FRAMES).percentile(95) > 3.0
     assert score(way, with_it, FRAMES).percentile(95) < 1.5
     assert score(way, with_it, FRAMES).within_3_sigma() == 1.0

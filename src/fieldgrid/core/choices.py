@@ -30,7 +30,6 @@ class StopCode(StrEnum):
     MIRRORED = "mirrored"
     SCALE = "scale"
     CAMERA_YAW = "camera-yaw"
-    IMU_TURNED = "imu-turned"
     VERTICAL_MISALIGNMENT = "vertical-misalignment"
     CAMERAS_SWAPPED = "cameras-swapped"
     CAMERAS_UNFIT = "cameras-unfit"

@@ -43,7 +43,6 @@ from fieldgrid.poses import (
     ClockOffset,
     ErrorBudget,
     Estimate,
-    ImuTurn,
     estimate_poses,
     levelling_attitude,
     off_sentence,
@@ -53,9 +52,6 @@ from fieldgrid.recordings import Drive, Recording, no_fixes
 ASKEW_DEG = 2.0
 """A camera that looks so far aside puts what is 7 m away by a cell of the paper elsewhere. Less
 than that a vehicle may slip on a slope, which looks the same."""
-
-TURNED_DEG = 20.0
-"""An IMU turned by as much makes a third of a roll out of a pitch."""
 
 USUAL_BUDGET_M = 0.25
 """How far off a cell at the far end of a grid may be when nothing is asked: the paper's cell."""
@@ -104,7 +100,7 @@ def estimate_drive(
 def attitude_of_grids(drive: Drive, estimate: Estimate) -> Attitude | None:
     """The attitude that makes the local grids of a drive level, by its `estimate`; None where they
     are square to the ground."""
-    return levelling_attitude(estimate.report.attitude, drive.motion(), drive.fixes().time_ns)
+    return levelling_attitude(estimate.report.attitude)
 
 
 def _check_reach(drive: Drive, datum: Datum, places: FixColumns | FrameOrigin) -> None:
@@ -308,35 +304,6 @@ def doubted_yaw(recording: Recording, estimate: Estimate) -> BuildDoubt | None:
             f"{off_sentence(yaw)}; measure the mounting with `fieldgrid mount --write`, or correct "
             "camera_yaw_deg in mounting.json."
         ),
-    )
-
-
-def doubted_imu(estimate: Estimate) -> BuildDoubt | None:
-    """The doubt about an IMU that is turned against what is declared, by `TURNED_DEG` or more: the
-    vehicle would lean the wrong way."""
-    turn = estimate.report.imu_turn
-    if turn is None or not turn.is_off or abs(turn.off_deg) < TURNED_DEG:
-        return None
-    quarter = round(turn.off_deg / 90.0) % 4
-    axes = f", from flu to {('flu', 'lbu', 'bru', 'rfu')[quarter]}" if quarter else ""
-    return BuildDoubt(StopCode.IMU_TURNED, CalibrationError(f"{_turned_sentence(turn)}{axes}."))
-
-
-def imu_notes(estimate: Estimate) -> tuple[str, ...]:
-    """The remark on an IMU that is turned by less than what stops a build."""
-    turn = estimate.report.imu_turn
-    if turn is None or not turn.is_off or doubted_imu(estimate) is not None:
-        return ()
-    return (f"{_turned_sentence(turn)}, or mount the IMU square.",)
-
-
-def _turned_sentence(turn: ImuTurn) -> str:
-    """The beginning of a sentence: the IMU is turned, and where its axes are declared."""
-    side = "left" if turn.off_deg > 0.0 else "right"
-    return (
-        f"Relative to the camera, the IMU is turned {abs(turn.off_deg):.0f}° ± "
-        f"{turn.sigma_deg:.0f}° farther {side} about the vertical than declared ({turn.steps} "
-        "steps), which mixes roll and pitch; correct imu_axes in mounting.json"
     )
 
 

@@ -56,11 +56,9 @@ from fieldgrid.pipeline.poses import (
     check_poses,
     doubted_clock,
     doubted_frames,
-    doubted_imu,
     doubted_jump,
     doubted_yaw,
     estimate_drive,
-    imu_notes,
     no_ground,
     none_usable,
     settle,
@@ -279,7 +277,6 @@ class NewSession:
             report.notes += settle(doubted(recording, estimate), self.settings)
         report.notes += settle(doubted_scale(scale, recording.rig), self.settings)
         report.notes += scale_notes(scale, recording.rig)
-        report.notes += settle(doubted_imu(estimate), self.settings) + imu_notes(estimate)
         check_poses(recording, estimate.trajectory)
         return estimate.trajectory
 

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     )
     from fieldgrid.poses.faults.clock.change import ClockChange as ClockChange
     from fieldgrid.poses.faults.clock.search import WIDEST_S as WIDEST_S, ClockOffset as ClockOffset
-    from fieldgrid.poses.faults.gyro.imu_turn import ImuTurn as ImuTurn
     from fieldgrid.poses.faults.unseen import (
         SLOW_ERRORS as SLOW_ERRORS,
         unseen_sentence as unseen_sentence,
@@ -60,7 +59,6 @@ if TYPE_CHECKING:
         LEAST_STEP_M as LEAST_STEP_M,
         LEAST_WAY_M as LEAST_WAY_M,
         MOST_TURN_DEG as MOST_TURN_DEG,
-        STRAIGHT_PER_M as STRAIGHT_PER_M,
         Travel as Travel,
         Ways as Ways,
         travel as travel,

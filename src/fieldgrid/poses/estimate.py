@@ -16,6 +16,7 @@ from fieldgrid.geometry import (
     VehicleGeometry,
     wrap_deg,
 )
+from fieldgrid.poses.attitude.ground import expected_ground
 from fieldgrid.poses.axle import axle_forward_m, with_antenna_moved
 from fieldgrid.poses.drive import DriveEstimate, with_recorded
 from fieldgrid.poses.external.poses import CLEAR_OFFSET_DEG, place_poses
@@ -40,12 +41,12 @@ from fieldgrid.poses.faults.unseen import (
 from fieldgrid.poses.fused import Fusion, conditioned, counted_twice_note, fuse
 from fieldgrid.poses.gates.conditioning import condition
 from fieldgrid.poses.gates.summary import summarise
-from fieldgrid.poses.levelled import leaning, tells_attitude, unsure_lean
+from fieldgrid.poses.levelled import leaning, tells_attitude, track_m, unsure_lean
 from fieldgrid.poses.measured import RecordedHeadings
 from fieldgrid.poses.parts import Estimate, by_parts
 from fieldgrid.poses.report import PoseReport, drive_notes, fix_offset, leaps_ns
 from fieldgrid.poses.settings import HeadingSource, heading_source
-from fieldgrid.poses.slope import FLAT, slope_notes, slope_seen, unsure_slope
+from fieldgrid.poses.slope import slope_notes, unsure_slope
 from fieldgrid.poses.table import PoseTable, pose_table
 from fieldgrid.poses.verdict import ErrorBudget, judged
 
@@ -102,12 +103,12 @@ def estimate_poses(
         if checks.excused is not None:
             unsure_deg = np.hypot(unsure_deg, checks.excused.unsure_at(table.time_ns))
         table = table._replace(heading_sigma_deg=np.hypot(table.heading_sigma_deg, unsure_deg))
-    slope = FLAT
     if lean is not None:
         table = unsure_lean(table, lean, level_grids=level_grids)
     elif axle.vehicle is not None:
-        slope = slope_seen(log.accepted)
-        table = unsure_slope(table, slope, axle.vehicle, turns_seen=drive.turns_seen)
+        ground = expected_ground(track_m(log.accepted), 0.0)
+        table = unsure_slope(table, ground, axle.vehicle, turns_seen=drive.turns_seen)
+        notes += slope_notes(ground, axle.vehicle)
     # Carried to the grid origin, and judged.
     table = unsure_declared(
         _carried(table, axle.vehicle, source), drive, axle.vehicle, checks.denied
@@ -126,7 +127,6 @@ def estimate_poses(
         clock_change=checks.clocks.change,
         jump=clock_jump(log.accepted, found.motion.steps, found.gyro),
         camera_yaw=checks.yaw,
-        imu_turn=found.imu_turn,
         gyro_bias_dps=drive.gyro_bias_dps,
         offset=fix_offset(log.accepted, drive.offset_m),
         camera_scale=drive.smoothed.camera_scale,
@@ -136,7 +136,6 @@ def estimate_poses(
             *(() if silent else (found.gyro_note,)),
             *(*found.notes, *notes),
             *(unsure_notes(log.accepted) if settings.accuracy_m is None else ()),
-            *slope_notes(slope, axle.vehicle),
             *drive_notes(
                 *(drive, log.accepted, rig, axle, checks.denied),
                 *(source, settings, checks.clocks.offset, checks.yaw),

@@ -36,7 +36,6 @@ from fieldgrid.poses.drive import DriveEstimate, smooth_drive
 from fieldgrid.poses.faults.convention import Comparison, compare, turned_around
 from fieldgrid.poses.faults.gyro.check import GyroVerdict, with_trusted_gyro, without_wrong_gyro
 from fieldgrid.poses.faults.gyro.dead_gyro import without_dead_gyro, without_faulty_samples
-from fieldgrid.poses.faults.gyro.imu_turn import ImuTurn, imu_turn
 from fieldgrid.poses.faults.leaps.leaps import holes
 from fieldgrid.poses.faults.leaps.recorded import recorded_leaps
 from fieldgrid.poses.faults.leaps.seams import LEAST_M, SeenLeap
@@ -51,7 +50,7 @@ from fieldgrid.poses.levelled import (
     find_lean,
     levelled_fixes,
     levelled_motion,
-    measures_tilt,
+    tells_attitude,
 )
 from fieldgrid.poses.measured import turn_back, wheel_speed_at
 from fieldgrid.poses.smoother.declared import AHEAD, IMAGES, LATE, LIKELY
@@ -175,7 +174,7 @@ class Fusion(NamedTuple):
     """A drive, and what it was estimated from: fixes and motion, of a vehicle that stands level
     where `lean` tells its attitude; its axle, and the gears that are known. `gyro` is the one that
     was recorded, used or not, `trusted` what became of it, and `gyro_note` says why it was changed
-    or left out. `imu_turn` is how an IMU is turned about the vertical against what was declared.
+    or left out.
     `notes` say which other sensors were changed or left out."""
 
     log: ConditionedLog
@@ -186,7 +185,6 @@ class Fusion(NamedTuple):
     gyro: Gyro | None
     trusted: GyroVerdict
     lean: Lean | None = None
-    imu_turn: ImuTurn | None = None
     gyro_note: str | None = None
     notes: tuple[str, ...] = ()
 
@@ -262,7 +260,6 @@ def fuse(
     notes = (counted_twice_note(log), faulty_gyro, dead_gyro, turned_wheels)
     found = Fusion(
         *(log, trusted.drive, trusted.motion, axle, hints, gyro, trusted),
-        imu_turn=imu_turn(trusted.motion.steps, trusted.motion.inertial),
         gyro_note=wrong_gyro or trusted.note,
         notes=tuple(note for note in notes if note is not None),
     )
@@ -346,7 +343,7 @@ def _with_trusted_gyro(
     levelled by this very IMU, too."""
     at_ns = log.fixes.time_ns
     trusted = with_trusted_gyro(drive, log.accepted, at_ns, motion, axle, hints)
-    if trusted.note is None or not measures_tilt(motion):
+    if trusted.note is None or not tells_attitude(motion, at_ns):
         return trusted
     lean, notes = find_lean(log.accepted, drive, motion, axle.vehicle, frame_ns)
     if lean is None and trusted.motion.inertial is None:

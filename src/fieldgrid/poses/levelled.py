@@ -9,7 +9,7 @@ same attitude the pose's point is carried back.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -22,7 +22,6 @@ from fieldgrid.geometry import (
     Motion,
     R_enu_level,
     R_level_vehicle,
-    RecordedTilt,
     Rig,
     Steps,
     Trajectory,
@@ -31,9 +30,9 @@ from fieldgrid.geometry import (
 )
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.attitude.attitude import Attitude
-from fieldgrid.poses.attitude.axes import ORIENTATION, AxisTilt, axes_of_orientation
+from fieldgrid.poses.attitude.axes import ANTENNAS, AxisTilt, axes_of_tilt
 from fieldgrid.poses.attitude.estimate import estimate_attitude
-from fieldgrid.poses.attitude.measurements import AntennaTrack, KnownHeadings
+from fieldgrid.poses.attitude.track import AntennaTrack, KnownHeadings
 from fieldgrid.poses.axle import axle_forward_m
 from fieldgrid.poses.drive import DriveEstimate
 from fieldgrid.poses.table import PoseTable
@@ -43,8 +42,8 @@ SUSPECT_PUSH_MISFIT, MOST_PUSH_MISFIT = 0.45, 8.0
 sideways, where it is at 0.3 to 12; good ones are at 0.1 to 0.4, on real vehicles at up to 1.7, with
 shocks at up to 7. From the second on it contradicts them anyhow."""
 
-LEAST_TRIED_S = 30.0
-"""A shorter drive tells too little of how an IMU is mounted."""
+MOST_TRIED = 1000
+"""As many fixes tell how an IMU is mounted."""
 
 TWICE, CLEARLY, FITTING = 0.5, 0.75, 0.6
 """An IMU is mounted as it fits best, where it fits twice as well there, or fits clearly better and
@@ -63,7 +62,7 @@ class Lean(NamedTuple):
     antenna_m: Float64
     axle_m: Float64
     sensor_m: Float64
-    by_imu: bool = True
+    by_imu: bool
 
     def shift_m(
         self, time_ns: Int64, point_m: Float64, heading_deg: Float64 | None = None
@@ -77,41 +76,30 @@ class Lean(NamedTuple):
 
 def tells_attitude(motion: Motion, fix_ns: Int64) -> bool:
     """Whether a drive says how its vehicle leans, whatever its camera sees: an accelerometer over
-    most of what its IMU logged, recorded angles, or an orientation at most of the fixes."""
-    return measures_tilt(motion) or bool(_known(_axes_of(motion), fix_ns))
+    most of what its IMU logged, or recorded angles at most of the fixes."""
+    return _feels_force(motion) or any(axis.is_known(fix_ns) for axis in _axes_of(motion))
 
 
-def levelling_attitude(attitude: Attitude | None, motion: Motion, fix_ns: Int64) -> Attitude | None:
+def levelling_attitude(attitude: Attitude | None) -> Attitude | None:
     """The attitude by which local grids are made level, before their images are read; None where
     nothing but the camera or antennas tells it, or the drive denies what does."""
-    if attitude is None or not tells_attitude(motion, fix_ns):
-        return None
-    by_imu = _has_force(motion) and not math.isnan(attitude.push_misfit)
-    levels = by_imu or _records_tilt(motion) or ORIENTATION in attitude.bodies
-    return attitude if levels else None
+    by_imu = attitude is not None and not math.isnan(attitude.push_misfit)
+    return attitude if by_imu or (attitude and attitude.bodies - {ANTENNAS}) else None
 
 
-def measures_tilt(motion: Motion) -> bool:
-    """Whether an accelerometer, over most of what its IMU logged, or recorded angles tell how the
-    vehicle leans."""
-    return _has_force(motion) or _records_tilt(motion)
-
-
-def _has_force(motion: Motion) -> bool:
+def _feels_force(motion: Motion) -> bool:
     return motion.inertial is not None and motion.inertial.feels_force()
 
 
-def _records_tilt(motion: Motion) -> bool:
-    return motion.tilt is not None and len(motion.tilt.time_ns) > 1
+def _axes_of(motion: Motion) -> Iterator[AxisTilt]:
+    for said in (motion.tilt, motion.orientation):
+        if said is not None:
+            yield from axes_of_tilt(said)
 
 
-def _axes_of(motion: Motion) -> tuple[AxisTilt, ...]:
-    return () if motion.orientation is None else axes_of_orientation(motion.orientation)
-
-
-def _known(axes: Sequence[AxisTilt], fix_ns: Int64) -> tuple[AxisTilt, ...]:
-    """Those of `axes` that are recorded at most of the fixes."""
-    return tuple(axis for axis in axes if axis.is_known(fix_ns).sum() * 2 > len(fix_ns))
+def track_m(fixes: AcceptedFixes) -> Float64:
+    """Accepted fixes east, north and up, [n, 3]."""
+    return np.stack([fixes.east_m, fixes.north_m, fixes.up_m], axis=1)
 
 
 def find_lean(
@@ -127,80 +115,64 @@ def find_lean(
     if not isinstance(rig, Rig) or len(fixes.time_ns) < 2:
         return None, ()
     recorded = (*_axes_of(motion), *stated)
-    axes = _known(recorded, fixes.time_ns)
+    axes = [axis for axis in recorded if axis.is_known(fixes.time_ns)]
     few = {axis.body for axis in recorded} - {axis.body for axis in axes}
-    notes = tuple(
+    notes = [
         f"Roll and pitch by the {body} are recorded at less than half of the fixes, and were not "
         "used."
         for body in sorted(few)
-    )
+    ]
     seen = motion.steps is not None and bool(np.isfinite(motion.steps.up_m).any())
-    measured = seen or measures_tilt(motion)
-    if not (measured or axes):
-        return None, notes
+    if not (seen or axes or _feels_force(motion)):
+        return None, tuple(notes)
+    # Headings of all nodes: in a hole of the fixes gyro or camera saw how the vehicle turned.
+    heading_deg = np.degrees(drive.smoothed.state[:, 2])
     track = AntennaTrack(
         fixes.time_ns,
-        np.stack([fixes.east_m, fixes.north_m, fixes.up_m], axis=1),
+        track_m(fixes),
         np.outer(fixes.noise.across_m, [1.0, 1.0, 2.0]),
         fixes.sigma_m,
-        # Those of all nodes: in a hole of the fixes gyro or camera saw how the vehicle turned.
-        KnownHeadings(
-            drive.time_ns, np.degrees(drive.smoothed.state[:, 2]), drive.heading_sigma_deg
-        ),
+        KnownHeadings(drive.time_ns, heading_deg, drive.heading_sigma_deg),
     )
     antenna, sensor_m = rig.antenna, np.array([0.0, 0.0, rig.mount.height_m])
     antenna_m = np.array([antenna.right_m, antenna.forward_m, antenna.up_m])
-    evidence = _Evidence(track, antenna_m - sensor_m, frame_ns, motion.steps, motion.tilt, axes)
-    attitude, by_imu = evidence.attitude(motion.inertial), True
-    denial = _imu_denial(evidence, motion.inertial, attitude.push_misfit)
-    if denial is not None:
-        notes = (*notes, denial)
-        attitude, by_imu = evidence.attitude(None), False
-        measured = seen or _records_tilt(motion)
+    said, sensed = (track, antenna_m - sensor_m, frame_ns, motion.steps, axes), motion.inertial
+    attitude = estimate_attitude(*said, sensed=sensed)
+    if sensed is not None and (denial := _imu_denial(*said[:2], sensed, attitude.push_misfit)):
+        notes.append(denial)
+        attitude, sensed = estimate_attitude(*said), None
     elif not math.isnan(attitude.push_misfit):
         attitude = attitude.if_late(drive.smoothed.declared.unsure_late_s)
-    notes = (*notes, *attitude.notes)
-    if not (measured or attitude.bodies):
-        return None, notes
+    notes += attitude.notes
+    if not (seen or attitude.bodies or (sensed is not None and sensed.feels_force())):
+        return None, tuple(notes)
     axle_m = np.array([0.0, axle_forward_m(rig), 0.0])
-    return Lean(attitude, antenna_m, axle_m, sensor_m, by_imu), notes
+    return Lean(attitude, antenna_m, axle_m, sensor_m, sensed is not None), tuple(notes)
 
 
-class _Evidence(NamedTuple):
-    """What tells the attitude of a drive, but for its IMU."""
-
-    track: AntennaTrack
-    antenna_m: Float64
-    frame_ns: Int64 | None
-    steps: Steps | None
-    tilt: RecordedTilt | None
-    axes: Sequence[AxisTilt]
-
-    def attitude(self, sensed: Inertial | None) -> Attitude:
-        """The attitude with an IMU, or without one."""
-        return estimate_attitude(
-            *(self.track, self.antenna_m),
-            wanted_ns=self.frame_ns,
-            sensed=sensed,
-            steps=self.steps,
-            tilt=self.tilt,
-            axes=self.axes,
-        )
-
-
-def _imu_denial(evidence: _Evidence, sensed: Inertial | None, misfit: float) -> str | None:
+def _imu_denial(
+    track: AntennaTrack, antenna_m: Float64, sensed: Inertial, misfit: float
+) -> str | None:
     """What is wrong with an IMU that contradicts the fixes, and what to do; None if nothing is."""
-    if sensed is None or not misfit > SUSPECT_PUSH_MISFIT:
+    if not misfit > SUSPECT_PUSH_MISFIT:
         return None
-    left_deg, best = 0.0, misfit
-    first_ns, last_ns = evidence.track.time_ns[[0, -1]].tolist()
-    if last_ns - first_ns > LEAST_TRIED_S * 1e9:
-        left_deg, best = _best_turn(evidence, sensed, misfit)
-    if best < TWICE * misfit or best < min(CLEARLY * misfit, FITTING):
-        side = "left" if left_deg < 180.0 else "right"
-        turned = f"it fits turned by about {min(left_deg, 360.0 - left_deg):.0f}° to the {side}"
-        square = left_deg % 90.0 == 0.0
-        remedy = f"{turned}: {'correct imu_axes' if square else 'mount it square to the vehicle'}"
+    # As it fits turned to the left by so much.
+    brief = track._replace(
+        time_ns=track.time_ns[:MOST_TRIED],
+        enu_m=track.enu_m[:MOST_TRIED],
+        noise_m=track.noise_m[:MOST_TRIED],
+        wander_m=track.wander_m[:MOST_TRIED],
+    )
+    fits = {
+        left_deg: estimate_attitude(brief, antenna_m, sensed=_turned(sensed, left_deg)).push_misfit
+        for left_deg in range(0, 360, 45)
+    }
+    left_deg = min(fits, key=lambda deg: fits[deg])
+    if fits[left_deg] < max(TWICE * fits[0], min(CLEARLY * fits[0], FITTING)):
+        side = "left" if left_deg < 180 else "right"
+        remedy = f"it fits turned by about {min(left_deg, 360 - left_deg)}° to the {side}: "
+        axes = f"correct imu_axes, from flu to {('flu', 'lbu', 'bru', 'rfu')[left_deg // 90]}"
+        remedy += "mount it square to the vehicle" if left_deg % 90 else axes
     elif misfit > MOST_PUSH_MISFIT:
         remedy = "check imu_axes, and the stamps of the IMU"
     else:
@@ -211,34 +183,18 @@ def _imu_denial(evidence: _Evidence, sensed: Inertial | None, misfit: float) -> 
     )
 
 
-def _best_turn(evidence: _Evidence, sensed: Inertial, misfit: float) -> tuple[float, float]:
-    """By how much an IMU is turned to the left where it fits the fixes best, to an eighth of a
-    circle, and its misfit there; as declared it is `misfit`."""
-    fits = {0.0: misfit}
-    for left_deg in (90.0, 180.0, 270.0):
-        fits[left_deg] = evidence.attitude(_turned(sensed, left_deg)).push_misfit
-    quarter_deg = min(fits, key=lambda deg: fits[deg])
-    for left_deg in ((quarter_deg - 45.0) % 360.0, quarter_deg + 45.0):
-        fits[left_deg] = evidence.attitude(_turned(sensed, left_deg)).push_misfit
-    left_deg = min(fits, key=lambda deg: fits[deg])
-    return left_deg, fits[left_deg]
-
-
 def _turned(sensed: Inertial, left_deg: float) -> Inertial:
     """What an IMU measured, in the vehicle's axes if it is turned to the left in it."""
-    R_vehicle_imu = R_enu_level(-left_deg)
-    return sensed._replace(
-        rate_rad_s=(sensed.rate_rad_s @ R_vehicle_imu.T).astype(sensed.rate_rad_s.dtype),
-        force_mps2=(sensed.force_mps2 @ R_vehicle_imu.T).astype(sensed.force_mps2.dtype),
+    R_imu_vehicle = R_enu_level(-left_deg).T.astype(sensed.rate_rad_s.dtype)
+    return Inertial(
+        sensed.time_ns, sensed.rate_rad_s @ R_imu_vehicle, sensed.force_mps2 @ R_imu_vehicle
     )
 
 
 def levelled_fixes(fixes: AcceptedFixes, lean: Lean) -> AcceptedFixes:
     """The antenna where it would be on a level vehicle."""
-    east, north, up = lean.shift_m(fixes.time_ns, lean.antenna_m).T
-    return fixes._replace(
-        east_m=fixes.east_m - east, north_m=fixes.north_m - north, up_m=fixes.up_m - up
-    )
+    east_m, north_m, up_m = (track_m(fixes) - lean.shift_m(fixes.time_ns, lean.antenna_m)).T
+    return fixes._replace(east_m=east_m, north_m=north_m, up_m=up_m)
 
 
 def levelled_motion(motion: Motion, lean: Lean) -> Motion:

@@ -56,13 +56,14 @@ def nodes(accepted_ns: Int64, all_ns: Int64, motion: Motion) -> Nodes:
             if stop <= latest_ns and earliest_ns <= start < first_ns <= stop:
                 first_ns = start
     times = np.unique(np.concatenate(wanted))
-    times = _filled(times[(times >= first_ns) & (times <= last_ns)])
+    times = filled(times[(times >= first_ns) & (times <= last_ns)])
     fix = np.full(len(times), -1, dtype=np.int64)
     fix[np.searchsorted(times, accepted_ns)] = np.arange(len(accepted_ns))
     return Nodes(times, fix, _turned(times, motion))
 
 
-def _filled(times: Int64) -> Int64:
+def filled(times: Int64) -> Int64:
+    """Instants with more of them evenly between, but in a long hole."""
     steps = np.diff(times)
     parts = np.where(steps <= UNSEEN_NS, -(-steps // FILL_NS), 1)
     start = np.repeat(times[:-1], parts)

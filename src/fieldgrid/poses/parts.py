@@ -122,7 +122,6 @@ def _attitude(parts: Sequence[Attitude]) -> Attitude:
         *(time_ns, roll, pitch, roll_sigma, pitch_sigma),
         np.unwrap(heading, period=360.0),
         up,
-        max(part.slope_sigma_deg for part in parts),
         float(np.max([part.push_misfit for part in parts])),
         tuple(dict.fromkeys(chain.from_iterable(part.notes for part in parts))),
         frozenset.intersection(*(part.bodies for part in parts)),

@@ -21,7 +21,6 @@ from fieldgrid.poses.faults.clock.jump import ClockJump
 from fieldgrid.poses.faults.clock.search import ClockOffset, MotionContradiction
 from fieldgrid.poses.faults.convention import Comparison
 from fieldgrid.poses.faults.denied import DriveContradiction, denied_notes
-from fieldgrid.poses.faults.gyro.imu_turn import ImuTurn
 from fieldgrid.poses.faults.leaps.seams import LEAP_S
 from fieldgrid.poses.faults.unseen import UnseenFault
 from fieldgrid.poses.gates.conditioning import COUNTED_TWICE
@@ -64,7 +63,7 @@ class PoseReport:
     wheels are too long. As the camera's motion has it, `clock` is the time offset between images
     and fixes, `jump` where the clock of images and gyro jumps, `clock_change` where that offset
     changes otherwise, `contradiction` how much of the motion no offset explains, `camera_yaw`
-    where the camera looks, and `imu_turn` how the IMU is turned. `unseen` are faults that the drive
+    where the camera looks. `unseen` are faults that the drive
     would not show: its sigmas do not cover them.
     """
 
@@ -82,7 +81,6 @@ class PoseReport:
     jump: ClockJump | None = None
     clock_change: ClockChange | None = None
     camera_yaw: CameraYaw | None = None
-    imu_turn: ImuTurn | None = None
     unseen: tuple[UnseenFault, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
@@ -114,7 +112,6 @@ class PoseReport:
                 for name, part in parts.items()
             },
             "camera_yaw": None if self.camera_yaw is None else self.camera_yaw.as_dict(),
-            "imu_turn": None if self.imu_turn is None else self.imu_turn.as_dict(),
             "gyro_bias_dps": None if np.isnan(bias) else bias,
             "unseen": [str(fault) for fault in self.unseen],
             "notes": list(self.notes),

@@ -133,7 +133,7 @@ def test_the_vineyard_rig_is_recovered(two_lanes: MountEstimate) -> None:
     assert not any(one.disagrees for one in compared)
     assert two_lanes.gnss is not None
     assert two_lanes.gnss.scale is not None
-    assert two_lanes.gnss.scale.value == pytest.approx(1.0, abs=0.01)
+    assert two_lanes.gnss.scale.ratio == pytest.approx(1.0, abs=0.01)
     assert two_lanes.gnss.course_off_deg is None  # no heading was recorded
 
 
@@ -167,7 +167,7 @@ def test_kitti_above_the_road(shared_data: Callable[[str], Path]) -> None:
     assert estimate.tilt_deg.value == pytest.approx(0.49 + 0.56, abs=0.2)
     assert estimate.gnss is not None
     assert estimate.gnss.scale is not None
-    assert estimate.gnss.scale.value == pytest.approx(1.0, abs=0.01)
+    assert estimate.gnss.scale.ratio == pytest.approx(1.0, abs=0.01)
     assert estimate.gnss.course_off_deg is not None
     assert abs(estimate.gnss.course_off_deg.value) < 0.3
 

@@ -10,6 +10,7 @@ import pytest
 
 from fieldgrid.core import MeasuredValue
 from fieldgrid.geometry import FixColumns, Mount
+from fieldgrid.pipeline.checks.camera_scale import CameraScale
 from fieldgrid.pipeline.mounting.gnss_check import GnssCheck, check_against_gnss, remarks
 from fieldgrid.poses import Ways
 from fieldgrid.recordings import FixLog, Recording
@@ -17,6 +18,7 @@ from tests.pipeline.mounting.drives import rendered
 from tests.simulated import Command, fixes_of, simulate, time_ns
 
 PERIOD_S = 0.5
+RIG = rendered(Mount(2.0, 18.0), frames=2).rig
 
 
 def straight(scale: float, heading_off_deg: float | None = None) -> tuple[Recording, Ways]:
@@ -45,7 +47,7 @@ def test_gentle_curves_are_compared_by_their_chords() -> None:
     )
     found = check(drive, arcs)
     assert found.scale is not None
-    assert found.scale.value == pytest.approx(1.0, abs=0.0015)
+    assert found.scale.ratio == pytest.approx(1.0, abs=0.0015)
 
 
 def check(drive: Recording, steps: Ways) -> GnssCheck:
@@ -57,44 +59,41 @@ def check(drive: Recording, steps: Ways) -> GnssCheck:
 
 @pytest.mark.parametrize("scale", [1.0, 1.05, 0.9])
 def test_a_wrong_baseline_shows_in_the_ways(scale: float) -> None:
-    found = check(*straight(scale))
+    drive, ways = straight(scale)
+    found = check(drive, ways)
     assert found.scale is not None
-    assert found.scale.value == pytest.approx(scale, abs=0.01)
+    assert found.scale.ratio == pytest.approx(scale, abs=0.01)
     assert found.course_off_deg is None
-    said = remarks(found)
-    if scale == 1.0:
-        assert said == []
-    else:
-        (sentence,) = said
-        assert ("too long" in sentence) is (scale > 1.0)
-        assert "baseline" in sentence
+    said = remarks(found, drive.rig)
+    assert [f"a baseline of {0.2 / scale:.2f}" in sentence for sentence in said] == (
+        [] if scale == 1.0 else [True]
+    )
 
 
 def test_a_recorded_heading_is_held_against_the_course() -> None:
     found = check(*straight(1.0, heading_off_deg=2.0))
     assert found.course_off_deg is not None
     assert found.course_off_deg.value == pytest.approx(-2.0, abs=0.2)
-    (sentence,) = remarks(found)
+    (sentence,) = remarks(found, RIG)
     assert "off the recorded heading" in sentence
 
 
 def test_what_is_within_its_error_needs_no_remark() -> None:
-    assert remarks(GnssCheck(MeasuredValue(1.03, 0.02), MeasuredValue(0.6, 0.3))) == []
-    assert remarks(GnssCheck(None, None)) == []
+    close = GnssCheck(CameraScale(1.04, 0.02, 60.0), MeasuredValue(0.6, 0.3))
+    assert remarks(close, RIG) == []
+    assert remarks(GnssCheck(None, None), RIG) == []
 
 
-def test_curves_gaps_and_lone_fixes_are_not_compared() -> None:
-    drive, steps = straight(1.0)
-    curved = steps._replace(curvature_per_m=np.full(len(steps.stop), 0.2))
-    assert check(drive, curved).scale is None
-    lone = steps._replace(stop=steps.stop * 2)
-    assert check(drive, lone._replace(stop=lone.stop % 70)).scale is None
+def test_few_ways_and_no_good_fixes_are_not_compared() -> None:
+    drive, ways = straight(1.0)
+    few = Ways(*(column[:6] for column in ways))
+    assert check(drive, few).scale is None
     without = replace(drive, log=FixLog(FixColumns.of([])))
-    assert check_against_gnss(without, time_ns(np.zeros(1)), steps) == (
+    assert check_against_gnss(without, time_ns(np.zeros(1)), ways) == (
         "No fixes, so nothing was compared with them."
     )
     log = drive.fixes()
     refused = log.replace(quality=np.zeros(len(log), dtype=np.int64))
-    said = check_against_gnss(replace(drive, log=FixLog(refused)), time_ns(np.zeros(1)), steps)
+    said = check_against_gnss(replace(drive, log=FixLog(refused)), time_ns(np.zeros(1)), ways)
     assert isinstance(said, str)
     assert said.startswith("Nothing was compared with the fixes: ")

@@ -9,7 +9,7 @@ import pytest
 
 from fieldgrid.core import Quality
 from fieldgrid.geometry import FixColumns, Orientation, R_level_vehicle
-from fieldgrid.poses.attitude.axes import AxisTilt, axes_of_fixes, axes_of_orientation
+from fieldgrid.poses.attitude.axes import AxisTilt, axes_of_fixes, axes_of_tilt
 from fieldgrid.poses.attitude.estimate import estimate_attitude
 from tests.hilly import Hike, axis_rises, camera_steps, hike, hills, inertial, slope
 from tests.poses.attitude.test_attitude import ANTENNA_M, FIELD, FRAMES, RTK, SF1, score, track_of
@@ -36,7 +36,7 @@ def fixes(heading_axis: dict[str, float], rows: int = 20) -> FixColumns:
 
 def vertical_of(found: tuple[AxisTilt, ...]) -> np.ndarray:
     """The vertical in the vehicle, right and forward [2], by the first values of two axes."""
-    directions = np.stack([axis.direction for axis in found])
+    directions = np.stack([axis.direction[:2] for axis in found])
     return np.linalg.solve(directions, [np.sin(np.radians(axis.rise_deg[0])) for axis in found])
 
 
@@ -44,7 +44,7 @@ def vertical_of(found: tuple[AxisTilt, ...]) -> np.ndarray:
 def test_an_orientation_is_the_vertical(roll: float, pitch: float) -> None:
     times = np.arange(3)
     said = Orientation(times, *(np.full(3, v) for v in (roll, pitch, 0.5, 2.0)))
-    found = axes_of_orientation(said)
+    found = axes_of_tilt(said)
     assert vertical_of(found) == pytest.approx(R_level_vehicle(roll, pitch)[2, :2])
     assert [axis.frame_sigma_deg for axis in found] == [2.0, 2.0]
 
@@ -52,11 +52,9 @@ def test_an_orientation_is_the_vertical(roll: float, pitch: float) -> None:
 @pytest.mark.parametrize("known", [0, 1, 2])
 def test_an_orientation_of_numbers_that_are_none_is_none(known: int) -> None:
     times, values = np.arange(5), np.where(np.arange(5) < known, 1.0, np.nan)
-    found = axes_of_orientation(Orientation(times, values, values, np.ones(5), np.zeros(5)))
+    found = axes_of_tilt(Orientation(times, values, values, np.ones(5), np.zeros(5)))
     assert len(found) == (2 if known == 2 else 0)
-    assert (
-        axes_of_orientation(Orientation(*(column[:0] for column in (times, *[values] * 4)))) == ()
-    )
+    assert axes_of_tilt(Orientation(*(column[:0] for column in (times, *[values] * 4)))) == ()
 
 
 @pytest.mark.parametrize("offset_deg", [0.0, 90.0, -90.0, 180.0, 35.0])
@@ -71,7 +69,7 @@ def test_a_heading_s_axis_points_where_the_heading_does(offset_deg: float) -> No
     both = axes_of_fixes(fixes({"pitch_deg": pitch_deg, "roll_deg": roll_deg}), offset_deg)
     assert vertical_of(both) == pytest.approx(up[:2])
     (one,) = axes_of_fixes(fixes({"pitch_deg": pitch_deg}), offset_deg)
-    assert one.direction == pytest.approx(ahead[:2])
+    assert one.direction == pytest.approx(ahead)
     assert one.rise_deg[0] == pytest.approx(pitch_deg)
 
 

@@ -101,7 +101,7 @@ def _rig_rows(found: Inspection) -> Iterator[tuple[str, str]]:
     rig = found.rig
     if rig is None:
         return
-    mount, lever, seen = rig.mount, rig.antenna, found.ground
+    mount, lever, seen = rig.mount, rig.antenna, found.mount
     yield "sensor", describe_sensor(rig.sensor)
     yield (
         "mount: height, tilt, roll, yaw",
@@ -109,8 +109,10 @@ def _rig_rows(found: Inspection) -> Iterator[tuple[str, str]]:
     )
     if seen is not None:
         yield (
-            "mount by the ground ahead",
-            f"{seen.height_m:.2f} m, {seen.tilt_deg:.1f}°, {seen.roll_deg:.1f}°",
+            f"mount by the {seen.method}",
+            f"{seen.height_m.value:.2f} ± {seen.height_m.sigma:.2f} m, "
+            f"{seen.tilt_deg.value:.2f} ± {seen.tilt_deg.sigma:.2f}°, "
+            f"{seen.roll_deg.value:.2f} ± {seen.roll_deg.sigma:.2f}°",
         )
     yield from (
         (

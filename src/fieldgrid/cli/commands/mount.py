@@ -148,7 +148,7 @@ def _facts(estimate: MountEstimate) -> list[tuple[str, str]]:
         ),
     ]
     if gnss is not None and (scale := gnss.scale) is not None:
-        rows.append(("distance, camera / receiver", f"{scale.value:.4f} ± {scale.sigma:.4f}"))
+        rows.append(("distance, camera / receiver", f"{scale.ratio:.4f} ± {scale.sigma:.4f}"))
     if gnss is not None and (course := gnss.course_off_deg) is not None:
         rows.append(
             ("course minus recorded heading", f"{course.value:+.2f} ± {course.sigma:.2f} °")

@@ -62,7 +62,7 @@ class EstimateInputs(NamedTuple):
         they are square to the ground, also since the drive denies what states its lean."""
         if not self.level_grids:
             return None
-        return levelling_attitude(estimate.report.attitude, self.motion, self.fixes.time_ns)
+        return levelling_attitude(estimate.report.attitude)
 
     def estimate(self) -> Estimate:
         """The poses. GnssError where there are none, which says why."""

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from fieldgrid.core import BuildSettings, Float64, Int64, StopCode
+from fieldgrid.core import BuildSettings, FieldgridError, Float64, Int64, StopCode
 from fieldgrid.geometry import GridSpec, Steps, StereoCamera, Trajectory
 from fieldgrid.perception import LocalGridder, drive_misalignment
 from fieldgrid.pipeline.checks.camera_scale import (
@@ -42,7 +43,8 @@ from fieldgrid.pipeline.inspection.images import (
 )
 from fieldgrid.pipeline.inspection.refusals import noted, refusal
 from fieldgrid.pipeline.inspection.report import Inspection
-from fieldgrid.pipeline.inspection.rigs import ground_seen, mount_findings
+from fieldgrid.pipeline.inspection.rigs import mount_findings
+from fieldgrid.pipeline.mounting.estimate import measure_mount
 from fieldgrid.pipeline.poses import (
     MISPLACED_M,
     BuildDoubt,
@@ -50,11 +52,9 @@ from fieldgrid.pipeline.poses import (
     check_poses,
     clock_remedy,
     doubted_frames,
-    doubted_imu,
     doubted_jump,
     doubted_yaw,
     estimate_drive,
-    imu_notes,
     misplaced,
     usual_speed_mps,
 )
@@ -207,9 +207,10 @@ def with_frames(
         seen, found = _looked(recording, settings, gridder, fixes_alone, found, findings, tell)
         if fixes_alone is not None:
             found = _with_poses(recording, settings, gridder, fixes_alone, seen, found, findings)
-        ground = ground_seen(seen.grounds, recording.rig.mount)
-        findings += mount_findings(ground, recording.rig.mount, found.scale)
-        found = replace(found, ground=ground)
+        # By other frames than those: by the ones of `fieldgrid mount`, to the same numbers.
+        with suppress(FieldgridError):
+            found = replace(found, mount=measure_mount(recording, progress=tell))
+        findings += mount_findings(found.mount, found.scale)
     return found
 
 
@@ -389,10 +390,8 @@ def _told_by_camera(recording: Recording, estimate: Estimate, findings: list[Fin
     findings += _refusals(
         doubted_jump(recording, estimate),
         doubted_frames(recording, estimate),
-        doubted_imu(estimate),
         askew,
     )
-    findings += [warning(StopCode.IMU_TURNED.value, note) for note in imu_notes(estimate)]
     yaw = estimate.report.camera_yaw
     if yaw is not None and askew is None:
         code = StopCode.CAMERA_YAW.value if yaw.moved is None else "camera-moved"

@@ -14,8 +14,8 @@ from fieldgrid.pipeline.inspection.coverage import ExpectedMap
 from fieldgrid.pipeline.inspection.findings import Finding, Severity
 from fieldgrid.pipeline.inspection.fixes import FixSummary, Sync
 from fieldgrid.pipeline.inspection.measures import PairMeasures
-from fieldgrid.pipeline.inspection.rigs import GroundSeen
 from fieldgrid.pipeline.inspection.streams import StreamSummary
+from fieldgrid.pipeline.mounting.estimate import MountEstimate
 from fieldgrid.poses import ClockOffset
 
 
@@ -49,7 +49,7 @@ class Inspection:
     reasons: Counter[str] = field(default_factory=Counter)
     looks: tuple[PairMeasures, ...] = ()
     misalignment: Misalignment | None = None
-    ground: GroundSeen | None = None
+    mount: MountEstimate | None = None
     scale: CameraScale | None = None
     coverage: ExpectedMap | None = None
     trajectory: Trajectory | None = None
@@ -97,7 +97,7 @@ class Inspection:
             "frames_rejected": dict(self.reasons.most_common()),
             "images": [look.as_dict() for look in self.looks],
             "vertical": None if self.misalignment is None else self.misalignment.as_dict(),
-            "ground": None if self.ground is None else self.ground._asdict(),
+            "mount": None if self.mount is None else self.mount.as_dict(),
             "scale": None if self.scale is None else self.scale._asdict(),
             "coverage": None if self.coverage is None else self.coverage._asdict(),
         }

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator
 
-import numpy as np
-
-from fieldgrid.geometry import DepthCamera, Lidar, Mount, Rig, Sensor, StereoCamera
-from fieldgrid.perception import FrameGround
+from fieldgrid.core import MeasuredValue
+from fieldgrid.geometry import DepthCamera, Lidar, Rig, Sensor, StereoCamera
 from fieldgrid.pipeline.checks.camera_scale import CameraScale
 from fieldgrid.pipeline.inspection.findings import Finding, info, warning
+from fieldgrid.pipeline.mounting.estimate import HEIGHT, ROLL, TILT, MountEstimate
 
 LOWEST_M, HIGHEST_M = 0.3, 6.0
 
@@ -20,23 +18,11 @@ OFF_CENTRE_SHARE = 0.2
 
 NARROWEST_DEG, WIDEST_DEG = 15.0, 150.0
 
-HEIGHT_SHARE, LEAN_DEG, CLEAR_SIGMAS = 0.08, 1.5, 4.0
-"""A mounting disagrees with the ground when height, tilt or roll is off by more than these, and
-by more than `CLEAR_SIGMAS` errors of the mean: the ground ahead is not the one under the wheels."""
+HEIGHT_SHARE, LEAN_DEG = 0.08, 1.5
+"""A mounting that is off by less than these costs no map: each frame finds its own ground."""
 
-FEWEST_GROUNDS = 5
-
-
-class GroundSeen(NamedTuple):
-    """The mount as the ground ahead shows it: medians over the frames, and their 1-sigma errors."""
-
-    height_m: float
-    height_sigma_m: float
-    tilt_deg: float
-    tilt_sigma_deg: float
-    roll_deg: float
-    roll_sigma_deg: float
-    frames: int
+MOUNT_VALUES = {HEIGHT: ("height", " m"), TILT: ("tilt", "°"), ROLL: ("roll", "°")}
+"""What is compared of a mounting here, by its key; the yaw has findings of its own."""
 
 
 def rig_findings(rig: Rig) -> Iterator[Finding]:
@@ -107,56 +93,25 @@ def describe_sensor(sensor: Sensor) -> str:
     return f"lidar, {sensor.points_per_sr:.0f} points/sr"
 
 
-def ground_seen(grounds: Sequence[FrameGround], mount: Mount) -> GroundSeen | None:
-    """The mount as the ground shows it; None where it was found in too few frames."""
-    found = [ground for ground in grounds if ground.refined]
-    if len(found) < FEWEST_GROUNDS:
-        return None
-    height_m = np.array([ground.camera_height_m for ground in found])
-    # Ground that seems to rise ahead is seen by a camera that looks farther down than it says.
-    tilt_deg = mount.tilt_deg + np.array([ground.pitch_deg for ground in found])
-    roll_deg = mount.roll_deg + np.array([ground.roll_deg for ground in found])
-    return GroundSeen(
-        height_m=float(np.median(height_m)),
-        height_sigma_m=_error(height_m),
-        tilt_deg=float(np.median(tilt_deg)),
-        tilt_sigma_deg=_error(tilt_deg),
-        roll_deg=float(np.median(roll_deg)),
-        roll_sigma_deg=_error(roll_deg),
-        frames=len(found),
-    )
-
-
 def mount_findings(
-    seen: GroundSeen | None, mount: Mount, scale_found: CameraScale | None
+    seen: MountEstimate | None, scale_found: CameraScale | None
 ) -> Iterator[Finding]:
     """A mounting that is not that of these images. A wrong scale also makes a wrong height."""
     if seen is None:
         return
     by = scale_found.ratio if scale_found is not None and scale_found.is_off else 1.0
-    remedy = "Measure it with `fieldgrid mount`, or correct {} in mounting.json."
-    height_m = seen.height_m / by
-    off_m = height_m - mount.height_m
-    if abs(off_m) > max(HEIGHT_SHARE * mount.height_m, CLEAR_SIGMAS * seen.height_sigma_m):
-        yield warning(
-            "mounting-height",
-            f"The ground is {height_m:.2f} ± {seen.height_sigma_m:.2f} m below the camera in "
-            f"{seen.frames} frames; the mounting says {mount.height_m:.2f} m.",
-            remedy.format("camera_height_above_ground_m"),
-        )
-    for what, seen_deg, sigma_deg, said_deg, key in (
-        ("tilt", seen.tilt_deg, seen.tilt_sigma_deg, mount.tilt_deg, "camera_tilt_down_deg"),
-        ("roll", seen.roll_deg, seen.roll_sigma_deg, mount.roll_deg, "camera_roll_deg"),
-    ):
-        if abs(seen_deg - said_deg) > max(LEAN_DEG, CLEAR_SIGMAS * sigma_deg):
+    for one in seen.compared():
+        least = LEAN_DEG
+        if one.key == HEIGHT:
+            value, sigma = one.measured
+            one = one._replace(measured=MeasuredValue(value / by, sigma))
+            least = HEIGHT_SHARE * one.stated
+        value, sigma = one.measured
+        if one.key in MOUNT_VALUES and one.disagrees and abs(value - one.stated) > least:
+            what, unit = MOUNT_VALUES[one.key]
             yield warning(
                 f"mounting-{what}",
-                f"From the ground, the camera's {what} is {seen_deg:.1f} ± {sigma_deg:.1f}° in "
-                f"{seen.frames} frames; the mounting says {said_deg:.1f}°.",
-                remedy.format(key),
+                f"By the {seen.method}, the camera's {what} is {value:.2f} ± {sigma:.2f}{unit}; "
+                f"the mounting says {one.stated:.2f}{unit}.",
+                f"Measure it with `fieldgrid mount`, or correct {one.key} in mounting.json.",
             )
-
-
-def _error(values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
-    """The 1-sigma error of a median."""
-    return 1.25 * float(np.std(values)) / math.sqrt(len(values))

@@ -213,20 +213,27 @@ def estimate_mount(
     is told how many of how many. Raises RecordingError when no ground is seen.
     """
     if not isinstance(recording, str | Path):
-        return _estimated(recording, recording.rig, every, jobs, progress)
+        return _beside_gnss(recording, measure_mount(recording, every, jobs, progress))
     with open_drive(recording, replace(options or DriveOptions(), unmounted=True)) as drive:
         found = drive.recording()
-        stated = found.rig if found.is_mounted else None
-        return _estimated(found, stated, every, jobs, progress)
+        return _beside_gnss(found, measure_mount(found, every, jobs, progress))
 
 
-def _estimated(
+def _beside_gnss(recording: Recording, found: MountEstimate) -> MountEstimate:
+    """An estimate with the check against the fixes."""
+    check = check_against_gnss(recording, found.time_ns, found.ways, found.mount.yaw_deg)
+    if isinstance(check, str):
+        return replace(found, notes=(*found.notes, check))
+    return replace(found, gnss=check, notes=(*found.notes, *remarks(check, recording.rig)))
+
+
+def measure_mount(
     recording: Recording,
-    stated: Rig | None,
-    every: int | None,
-    jobs: int | None,
-    progress: Callable[[int, int], None] | None,
+    every: int | None = None,
+    jobs: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> MountEstimate:
+    """The same by the images alone, without a look at the fixes: what `inspect` compares with."""
     rig = recording.rig
     chosen = stretches(
         recording.frame_count, every or usual_every(recording.frame_times_ns(), recording.fixes())
@@ -251,9 +258,6 @@ def _estimated(
     height, tilt, roll = _means(found, under)
     axle = rig.rear_axle_forward_m
     moved = travel(steps, None if axle is None else -axle)
-    time_ns = np.array([look.time_ns for look in looks], dtype=np.int64) + rig.image_time_offset_ns
-    check = check_against_gnss(recording, time_ns, steps)
-    checked = [check] if isinstance(check, str) else remarks(check)
     return MountEstimate(
         name=recording.name,
         height_m=height,
@@ -268,12 +272,12 @@ def _estimated(
         forward_m=float(steps.forward_m[steps.forward_m > 0.0].sum()),
         reverse_m=float(np.abs(steps.forward_m[steps.forward_m < 0.0]).sum()),
         straight_m=moved.straight_m,
-        time_ns=time_ns,
+        time_ns=np.array([look.time_ns for look in looks], np.int64) + rig.image_time_offset_ns,
         mount_samples=found,
         ways=steps,
-        gnss=None if isinstance(check, str) else check,
-        stated=stated,
-        notes=(*_notes(rig, under, steps, moved), *checked),
+        gnss=None,
+        stated=rig if recording.is_mounted else None,
+        notes=tuple(_notes(rig, under, steps, moved)),
     )
 
 

@@ -102,9 +102,14 @@ def rough_plane(points_m: Float64, range_sigma_m: Float64) -> SensorGround | Non
     range_m = np.linalg.norm(points_m, axis=1)
     per_height = 2.0 * range_sigma_m / range_m  # an error along the ray, seen across the plane
     best, most = None, 0.0
-    for drawn in random.integers(0, n, (TRIES, 3)):
-        plane = _through(points_m[drawn])
-        if plane is None or not plane.can_be():
+    three_m = points_m[random.integers(0, n, (TRIES, 3))]
+    normal = np.cross(three_m[:, 1] - three_m[:, 0], three_m[:, 2] - three_m[:, 0])
+    height_m = -np.sum(normal * three_m[:, 0], axis=1)
+    # Up is the side of the sensor.
+    per_size = np.copysign(1.0 / np.maximum(np.linalg.norm(normal, axis=1), 1e-6), height_m)
+    for up, plane_height_m in zip(normal * per_size[:, None], height_m * per_size, strict=True):
+        plane = SensorGround(up, float(plane_height_m))
+        if not plane.can_be():
             continue
         above = points_m @ plane.up + plane.height_m
         slack = np.maximum(per_height * plane.height_m, ROUGH_M)
@@ -113,17 +118,6 @@ def rough_plane(points_m: Float64, range_sigma_m: Float64) -> SensorGround | Non
         if score > most:
             best, most = plane, score
     return best
-
-
-def _through(three_m: Float64) -> SensorGround | None:
-    """The plane through three points, up being the side of the sensor."""
-    normal = np.cross(three_m[1] - three_m[0], three_m[2] - three_m[0])
-    size = float(np.linalg.norm(normal))
-    if size < 1e-6:
-        return None
-    up = normal / size
-    height_m = -float(up @ three_m[0])
-    return SensorGround(up, height_m) if height_m > 0.0 else SensorGround(-up, -height_m)
 
 
 def refined_plane(

@@ -10,7 +10,7 @@ from fieldgrid.geometry import Datum, FixColumns
 APART_M = 1.0
 """Nearer frames say the same again; over a longer way the camera's motion is harder to tell."""
 
-STRETCHES, OF_FRAMES = 8, 60
+STRETCHES, OF_FRAMES = 8, 30
 """Number of stretches of a longer drive, spread over it, and of the frames in each."""
 
 MOVING_MPS = 0.2

@@ -20,7 +20,6 @@ class Attitude(NamedTuple):
 
     Pitch is positive with the nose up, roll with the right side down. `heading_deg` is that of the
     same estimate, without a jump at 360°, and `up_m` the height of the sensor, LTP metres.
-    `slope_sigma_deg` is what may be expected of a slope of which nothing was measured.
     `push_misfit` is how many sigmas the accelerometer is from the motion of the fixes, root mean
     square; NaN without one. `bodies` are those of the recorded axes that were used, and `notes`
     name what contradicts the rest of the drive and was not.
@@ -33,7 +32,6 @@ class Attitude(NamedTuple):
     pitch_sigma_deg: Float64
     heading_deg: Float64
     up_m: Float64
-    slope_sigma_deg: float
     push_misfit: float = math.nan
     notes: tuple[str, ...] = ()
     bodies: frozenset[str] = frozenset()
@@ -60,26 +58,13 @@ class Attitude(NamedTuple):
         roll, pitch, roll_sigma, pitch_sigma, heading, up = columns
         late_ns = np.maximum(self.time_ns[0] - time_ns, time_ns - self.time_ns[-1])
         late = np.degrees(TERRAIN_NOISE_RAD[0]) * np.sqrt(np.maximum(late_ns, 0) / 1e9)
-        most = np.maximum(self.slope_sigma_deg, late_ns * 0.0)
-        return Attitude(
-            time_ns,
-            roll,
-            pitch,
-            np.maximum(roll_sigma, np.minimum(np.hypot(roll_sigma, late), most)),
-            np.maximum(pitch_sigma, np.minimum(np.hypot(pitch_sigma, late), most)),
-            heading,
-            up,
-            self.slope_sigma_deg,
-            self.push_misfit,
-            self.notes,
-            self.bodies,
-        )
+        roll_sigma, pitch_sigma = np.hypot(roll_sigma, late), np.hypot(pitch_sigma, late)
+        said = time_ns, roll, pitch, roll_sigma, pitch_sigma, heading, up
+        return Attitude(*said, self.push_misfit, self.notes, self.bodies)
 
     def if_late(self, late_s: float) -> Attitude:
         """The attitude by sensors whose stamps may be `late_s` late: as unsure as a vehicle leans
         otherwise after that time, root mean square."""
-        if len(self.time_ns) < 2:
-            return self
         time_s = (self.time_ns - self.time_ns[0]) / 1e9
         roll, pitch = (
             np.hypot(sigma, late_s * np.sqrt(np.mean(np.gradient(angle, time_s) ** 2)))
@@ -93,7 +78,7 @@ class Attitude(NamedTuple):
     def rise_at(self, axis: AxisTilt) -> tuple[Float64, Float64]:
         """How much an axis of the vehicle rises at its own instants, with the sigma, degrees."""
         at = self.at(axis.time_ns)
-        level = R_level_vehicle(at.roll_deg, at.pitch_deg)[:, 2, :2] @ axis.direction
-        right, forward = np.abs(axis.direction)
+        level = R_level_vehicle(at.roll_deg, at.pitch_deg)[:, 2] @ axis.direction
+        right, forward, _ = np.abs(axis.direction)
         sigma = np.hypot(right * at.roll_sigma_deg, forward * at.pitch_sigma_deg)
         return np.degrees(np.arcsin(level)), sigma

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Bool, Float64, Int64, Quality
-from fieldgrid.geometry import FixColumns, Orientation
+from fieldgrid.core import Float64, Int64, Quality
+from fieldgrid.geometry import FixColumns, Orientation, RecordedTilt
 
 BASELINE_MOUNT_SIGMA_DEG, IMU_MOUNT_SIGMA_DEG = 1.0, 1.0
 """Antennas a metre apart are mounted to the same height within two centimetres, and an IMU is
@@ -36,14 +36,19 @@ LASTING_S = 5.0
 """For how long the error of a recorded value stays the same; what lasts longer is taken for the
 constant error."""
 
-CONTRADICTED_SIGMAS, OUTLIER_SIGMAS = 3.0, 4.0
-"""An axis contradicts the rest of the drive if a third of it is more of its sigmas away than the
-one; single values that are more than the other are left out."""
+CONTRADICTED_SIGMAS = 3.0
+"""An axis contradicts the rest of the drive if a third of it is more of its sigmas away."""
 
 LEAST_VALUES = 10
 
-ORIENTATION, ANTENNAS = "orientation", "antennas"
+ORIENTATION, RECORDED, ANTENNAS = "orientation", "recorded angles", "antennas"
 """What recorded axes are those of."""
+
+
+def lasting(lasting_s: float | Float64, spacing_s: Float64) -> Float64:
+    """What sigmas of values that are `spacing_s` apart, and whose errors are the same for so long,
+    are to be multiplied by."""
+    return np.sqrt(np.maximum(lasting_s / np.maximum(spacing_s, 1e-3), 1.0))
 
 
 class AxisTilt(NamedTuple):
@@ -66,57 +71,55 @@ class AxisTilt(NamedTuple):
 
     @property
     def direction(self) -> Float64:
-        """The axis as the vehicle has it: right, forward [2]."""
+        """The axis as the vehicle has it: right, forward, up [3]."""
         toward = np.radians(self.toward_deg)
-        return np.array([np.sin(toward), np.cos(toward)])
+        return np.array([np.sin(toward), np.cos(toward), 0.0])
 
     def at(self, node_ns: Int64) -> tuple[Float64, Float64]:
-        """Sine of the rise and its sigma at other instants [n], NaN where nothing is recorded near.
+        """Sine of the rise and its sigma at other instants [n]; NaN where nothing is recorded near.
 
         The sigma is that of a value among others whose errors are the same for a while.
         """
-        before_ns, after_ns = self._beside(node_ns)
-        near = self.is_known(node_ns)
-        rise, sigma = (np.interp(node_ns, self.time_ns, column) for column in self[1:3])
-        late_s = np.minimum(np.abs(node_ns - before_ns), np.abs(after_ns - node_ns)) / 1e9
-        spacing_s = np.gradient(node_ns / 1e9) if len(node_ns) > 1 else np.ones(1)
-        lasting = np.sqrt(np.maximum(LASTING_S / np.maximum(spacing_s, 1e-3), 1.0))
-        sigma = np.radians(np.hypot(sigma * lasting, SWAY_DEG * np.sqrt(late_s)))
-        return np.where(near, np.sin(np.radians(rise)), np.nan), np.where(near, sigma, np.nan)
-
-    def is_known(self, node_ns: Int64) -> Bool:
-        """Where something is recorded near, [n]."""
-        before_ns, after_ns = self._beside(node_ns)
-        inside = (node_ns >= before_ns) & (node_ns <= after_ns)
-        return np.asarray(inside & (after_ns - before_ns <= MOST_GAP_NS))
-
-    def _beside(self, node_ns: Int64) -> tuple[Int64, Int64]:
-        """The recorded instants before and after others, [n] each."""
         after = np.clip(np.searchsorted(self.time_ns, node_ns), 1, len(self.time_ns) - 1)
-        return self.time_ns[after - 1], self.time_ns[after]
+        before_ns, after_ns = self.time_ns[after - 1], self.time_ns[after]
+        near = (node_ns >= before_ns) & (node_ns <= after_ns)
+        near &= after_ns - before_ns <= MOST_GAP_NS
+        late_s = np.minimum(np.abs(node_ns - before_ns), np.abs(after_ns - node_ns)) / 1e9
+        rise, sigma = (np.interp(node_ns, self.time_ns, column) for column in self[1:3])
+        spacing_s = np.gradient(node_ns / 1e9) if len(node_ns) > 1 else np.ones(1)
+        sigma = np.hypot(sigma * lasting(LASTING_S, spacing_s), SWAY_DEG * np.sqrt(late_s))
+        return np.sin(np.radians(rise)), np.where(near, np.radians(sigma), np.nan)
 
-    def total_sigma_deg(self) -> Float64:
-        """The error of each value, [n]."""
-        lasting = np.hypot(self.mount_sigma_deg, self.frame_sigma_deg)
-        return np.asarray(np.hypot(self.sigma_deg, lasting))
+    def is_known(self, fix_ns: Int64) -> bool:
+        """Whether it is recorded near most of the fixes."""
+        return int(np.isfinite(self.at(fix_ns)[1]).sum()) * 2 > len(fix_ns)
 
 
-def axes_of_orientation(said: Orientation) -> tuple[AxisTilt, ...]:
-    """The axes forward and right of a recorded roll and pitch; none of fewer than two instants."""
+def axes_of_tilt(said: RecordedTilt | Orientation) -> tuple[AxisTilt, ...]:
+    """The axes forward and right of a recorded roll and pitch; none of fewer than two instants.
+    What a recording is sure of is so all the time, and of the vehicle."""
     known = np.isfinite(np.stack(said[1:])).all(axis=0)
     if known.sum() < 2:
         return ()
-    said = Orientation(said.time_ns[known], *(column[known] for column in said[1:]))
-    roll, pitch = np.radians(said.roll_deg), np.radians(said.pitch_deg)
-    right_deg = np.degrees(np.arcsin(-np.sin(roll) * np.cos(pitch)))
-    lasting = IMU_MOUNT_SIGMA_DEG, float(np.max(said.frame_sigma_deg))
+    time_ns = said.time_ns[known]
+    roll_deg, pitch_deg, sigma_deg = (column[known] for column in said[1:4])
+    mount_deg, frame_deg, body = float(np.median(sigma_deg)), 0.0, RECORDED
+    if isinstance(said, Orientation):
+        frame_deg = float(np.max(said.frame_sigma_deg[known]))
+        mount_deg, body = IMU_MOUNT_SIGMA_DEG, ORIENTATION
     return tuple(
-        AxisTilt(said.time_ns, rise_deg, said.sigma_deg, toward_deg, *lasting, what, ORIENTATION)
+        AxisTilt(time_ns, rise_deg, sigma_deg, toward_deg, mount_deg, frame_deg, what, body)
         for rise_deg, toward_deg, what in (
-            (said.pitch_deg, 0.0, "recorded pitch"),
-            (right_deg, 90.0, "recorded roll"),
+            (pitch_deg, 0.0, "recorded pitch"),
+            (_right_deg(roll_deg, pitch_deg), 90.0, "recorded roll"),
         )
     )
+
+
+def _right_deg(roll_deg: Float64, pitch_deg: Float64) -> Float64:
+    """How much the axis to the right rises, where roll is known; pitch may be unknown there."""
+    sine = np.sin(np.radians(roll_deg)) * np.cos(np.radians(np.nan_to_num(pitch_deg)))
+    return np.asarray(np.degrees(np.arcsin(-sine)))
 
 
 def axes_of_fixes(fixes: FixColumns, offset_deg: float) -> tuple[AxisTilt, ...]:
@@ -124,8 +127,6 @@ def axes_of_fixes(fixes: FixColumns, offset_deg: float) -> tuple[AxisTilt, ...]:
     nose, and where it is stated the one to the right of it. Of a baseline whose ambiguities are
     not fixed nothing is used: it may be off by many degrees, and for minutes."""
     fixes = fixes[np.isin(fixes.heading_quality, (Quality.RTK_FIXED, Quality.UNKNOWN))]
-    roll, pitch = np.radians(fixes.roll_deg), np.radians(fixes.pitch_deg)
-    right_deg = np.degrees(np.arcsin(-np.sin(roll) * np.cos(np.nan_to_num(pitch))))
     sigma = np.where(
         fixes.tilt_sigma_deg > 0.0,
         np.maximum(fixes.tilt_sigma_deg, LEAST_SIGMA_DEG),
@@ -134,7 +135,7 @@ def axes_of_fixes(fixes: FixColumns, offset_deg: float) -> tuple[AxisTilt, ...]:
     found = []
     for rise_deg, beside_deg, what in (
         (fixes.pitch_deg, 0.0, "pitch"),
-        (right_deg, 90.0, "roll"),
+        (_right_deg(fixes.roll_deg, fixes.pitch_deg), 90.0, "roll"),
     ):
         known = np.flatnonzero(np.isfinite(rise_deg))
         times_ns, first = np.unique(fixes.time_ns[known], return_index=True)
@@ -153,41 +154,21 @@ def axes_of_fixes(fixes: FixColumns, offset_deg: float) -> tuple[AxisTilt, ...]:
 def agreed(
     axes: Sequence[AxisTilt], others: Sequence[tuple[Float64, Float64]]
 ) -> tuple[tuple[AxisTilt, ...], tuple[str, ...]]:
-    """The `axes` that agree with `others`, as sure as they agree, and notes on those that do not.
+    """The `axes` that agree with `others`, and notes on those that do not.
     `others` is the rise of each axis at its own instants by the rest of the drive with its sigma,
     degrees, [n] each. An axis that contradicts takes all of its body along:
     the roll of an IMU that is mounted backward shows it before its pitch does."""
-    usual = [
-        float(np.percentile(_away(axis, *other), 68.0))
-        for axis, other in zip(axes, others, strict=True)
-    ]
-    wrong = [k for k, sigmas in enumerate(usual) if sigmas > CONTRADICTED_SIGMAS]
-    bodies = {axes[k].body for k in wrong}
-    kept = []
-    for axis, other, sigmas in zip(axes, others, usual, strict=True):
-        if axis.body in bodies:
-            continue
-        good = _away(axis, *other) <= max(OUTLIER_SIGMAS, OUTLIER_SIGMAS * sigmas)
-        kept.append(
-            axis._replace(
-                time_ns=axis.time_ns[good],
-                rise_deg=axis.rise_deg[good],
-                sigma_deg=axis.sigma_deg[good] * max(sigmas, 1.0),
+    notes, denied = [], set()
+    for axis, (rise_deg, sigma_deg) in zip(axes, others, strict=True):
+        off_deg = axis.rise_deg - rise_deg
+        lasting_deg = np.hypot(axis.mount_sigma_deg, axis.frame_sigma_deg)
+        away = np.abs(off_deg) / np.hypot(np.hypot(axis.sigma_deg, sigma_deg), lasting_deg)
+        if np.percentile(away, 68.0) > CONTRADICTED_SIGMAS:
+            denied.add(axis.body)
+            notes.append(
+                f"The {axis.source} is {np.median(off_deg):+.1f}° (half of it more than "
+                f"{np.median(np.abs(off_deg)):.1f}°) off what the rest of the drive tells, so roll "
+                f"and pitch by the {axis.body} were not used; see that heading_offset_deg says "
+                "where the antennas point, or imu_axes how the IMU sits."
             )
-        )
-    notes = []
-    for k in wrong:
-        off_deg = axes[k].rise_deg - others[k][0]
-        notes.append(
-            f"The {axes[k].source} is {np.median(off_deg):+.1f}° (half of it more than "
-            f"{np.median(np.abs(off_deg)):.1f}°) off what the rest of the drive tells, so roll and "
-            f"pitch by the {axes[k].body} were not used; see that heading_offset_deg says where "
-            "the antennas point, or imu_axes how the IMU sits."
-        )
-    return tuple(kept), tuple(notes)
-
-
-def _away(axis: AxisTilt, rise_deg: Float64, sigma_deg: Float64) -> Float64:
-    """How many sigmas the values of an axis are away from a rise, [n]."""
-    off_deg = np.abs(axis.rise_deg - rise_deg)
-    return np.asarray(off_deg / np.hypot(axis.total_sigma_deg(), sigma_deg))
+    return tuple(axis for axis in axes if axis.body not in denied), tuple(notes)

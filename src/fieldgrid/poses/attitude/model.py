@@ -1,43 +1,47 @@
-"""The laws between attitude, motion and positions, as weighted residuals with their slopes.
+"""The laws between attitude, motion and positions, as residuals with their slopes.
 
 The state of a node is where the receiver would see the sensor (its slow error included), its
-velocity, and the vehicle's axes. The biases of gyro and accelerometer are shared by all nodes of a
-stretch of some minutes. Changes of the axes are small rotations about them: R · exp([a]x).
+velocity, and the vehicle's axes, of which changes are small rotations: R · exp([a]x). All nodes of
+a stretch of some minutes share the biases of the IMU and the constant errors of recorded axes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Bool, Float64, Index
-from fieldgrid.geometry import cross_matrices, from_vectors, heading_rad, to_vectors
+from fieldgrid.core import Float64, Index
+from fieldgrid.geometry import cross_matrices, from_vectors, to_vectors
 
 STATES = 9
 P, V, A = slice(0, 3), slice(3, 6), slice(6, 9)
-"""Position (m), velocity (m/s) and axes (rad) among the states of a node."""
+"""Position (m), velocity (m/s) and axes (rad) of a node among the columns of a slope."""
 
-SHARED = 9
-GYRO, GYRO_DRIFT, FORCE = slice(0, 3), slice(3, 6), slice(6, 9)
-"""Bias of the gyro in the middle of the stretch (rad/s), its drift (rad/s²), and bias of the
-accelerometer (m/s²) among the shared unknowns. Constant errors of recorded axes follow them: first
-the lean of the frame that they were recorded in, toward east and north, then one each."""
+NEXT_P, NEXT_V, NEXT_A = slice(9, 12), slice(12, 15), slice(15, 18)
+"""The same of the node after it."""
 
-FRAME = slice(SHARED, SHARED + 2)
+SHARED = 2 * STATES
+GYRO, FORCE, OWN = slice(18, 21), slice(21, 24), 24
+"""Shared unknowns: bias of the gyro (rad/s) and of the accelerometer (m/s²); then the lean of the
+frame that axes were recorded in, toward east and north (rad), and an error of each of the axes."""
 
 GRAVITY_MPS2 = np.array([0.0, 0.0, -9.80665])
 
 
 class States(NamedTuple):
     """The states of n nodes, [n, 3] each, `R` [n, 3, 3] from the vehicle's axes to ENU, and the
-    `shared` unknowns [9 or more]; `since_s` [n] is the time since the middle of the stretch."""
+    `shared` unknowns."""
 
     position_m: Float64
     velocity_mps: Float64
     R: Float64
     shared: Float64
-    since_s: Float64
+
+    def of(self, unknown: slice) -> Float64:
+        """Shared unknowns by their columns."""
+        return self.shared[unknown.start - SHARED : unknown.stop - SHARED]
 
     def moved(self, change: Float64, shared: Float64) -> States:
         """The states after a change [n, 9] of the nodes and one of what they share."""
@@ -46,151 +50,115 @@ class States(NamedTuple):
             self.velocity_mps + change[:, V],
             self.R @ from_vectors(change[:, A]),
             self.shared + shared,
-            self.since_s,
         )
 
 
-class Law(NamedTuple):
-    """m instances of one law of r residuals, at nodes `node` [m] or between them and the next.
+Law = Callable[..., tuple[Float64, Float64]]
+"""Residuals [m, r] of states at nodes [m] by what was measured there, and their slopes [m, r, c] by
+the columns above."""
 
-    `slope` [m, r, 9 or 18] is by the states of the node, or of both; `shared` [m, r, 9 or more] by
-    the first shared unknowns, None where they do not enter; `weight` [m, r] is 1 / sigma².
+
+class AttitudeRows(NamedTuple):
+    """m measurements that follow one law, at different nodes `at`, or `between` these and the next.
+
+    `said` is what the law takes, m long each; `sigma` [m, r] the errors. Those of `robust` ones are
+    Student's: outliers are believed the less.
     """
 
-    node: Index
-    residual: Float64
-    slope: Float64
-    weight: Float64
-    shared: Float64 | None = None
+    law: Law
+    at: Index
+    sigma: Float64
+    said: tuple[Float64, ...]
+    between: bool = False
+    robust: bool = False
+
+    def part(self, start: int, stop: int) -> AttitudeRows:
+        """Those of the nodes from `start` to before `stop`, which are counted from there."""
+        own = (self.at >= start) & (self.at + self.between < stop)
+        said = tuple(column[own] for column in self.said)
+        return self._replace(at=self.at[own] - start, sigma=self.sigma[own], said=said)
+
+    def sigmas_off(self, x: States) -> Float64:
+        """How many sigmas each is off, [m, r]."""
+        return np.asarray(self.law(x, self.at, *self.said)[0] / self.sigma)
 
 
-def _later(part: slice) -> slice:
-    return slice(part.start + STATES, part.stop + STATES)
+def _blank(x: States, at: Index, residuals: int) -> Float64:
+    return np.zeros((len(at), residuals, SHARED + len(x.shared)))
 
 
 def _times(R: Float64, vectors: Float64) -> Float64:
-    rotated: Float64 = np.einsum("mij,mj->mi", R, vectors)
-    return rotated
+    return np.asarray((R @ vectors[:, :, None])[:, :, 0])
 
 
-def turns(x: States, at: Index, turn_rad: Float64, weight: Float64, gyro_s: Float64) -> Law:
-    """The axes turn as the camera (`gyro_s` 0) or a gyro over `gyro_s` seconds saw it."""
+def turns(x: States, at: Index, turn_rad: Float64, gyro_s: Float64) -> tuple[Float64, Float64]:
+    """The axes turn as a gyro saw it over `gyro_s` seconds, or (0 s) the camera."""
     h = gyro_s[:, None]
-    late = x.since_s[at][:, None] + h / 2.0
-    bias = x.shared[GYRO] + x.shared[GYRO_DRIFT] * late
     between = x.R[at].swapaxes(1, 2) @ x.R[at + 1]
-    measured = from_vectors(turn_rad - bias * h)
-    slope, shared = np.zeros((len(at), 3, 2 * STATES)), np.zeros((len(at), 3, SHARED))
-    slope[:, :, A], slope[:, :, _later(A)] = -between.swapaxes(1, 2), np.eye(3)
-    shared[:, :, GYRO] = np.eye(3) * h[:, :, None]
-    shared[:, :, GYRO_DRIFT] = np.eye(3) * (h * late)[:, :, None]
-    return Law(at, to_vectors(measured.swapaxes(1, 2) @ between), slope, weight, shared)
+    measured = from_vectors(turn_rad - x.of(GYRO) * h)
+    slope = _blank(x, at, 3)
+    slope[:, :, A], slope[:, :, NEXT_A] = -between.swapaxes(1, 2), np.eye(3)
+    slope[:, :, GYRO] = np.eye(3) * h[:, :, None]
+    return to_vectors(measured.swapaxes(1, 2) @ between), slope
 
 
-def pushes(
-    x: States, at: Index, step_s: Float64, speed_mps: Float64, way_m: Float64, weight: Float64
-) -> Law:
-    """Specific force and gravity change the velocity, and both of them the position."""
-    h = step_s[:, None]
-    R = x.R[at]
-    push = speed_mps - x.shared[FORCE] * h
-    way = way_m - x.shared[FORCE] * (h * h / 2.0)
-    speed_off = x.velocity_mps[at + 1] - x.velocity_mps[at] - GRAVITY_MPS2 * h - _times(R, push)
-    way_off = x.position_m[at + 1] - x.position_m[at] - x.velocity_mps[at] * h
-    way_off -= GRAVITY_MPS2 * (h * h / 2.0) + _times(R, way)
-    slope, shared = np.zeros((len(at), 6, 2 * STATES)), np.zeros((len(at), 6, SHARED))
-    one, h = np.eye(3), h[:, :, None]
-    slope[:, :3, V], slope[:, :3, _later(V)] = -one, one
-    slope[:, 3:, P], slope[:, 3:, _later(P)], slope[:, 3:, V] = -one, one, -one * h
-    slope[:, :3, A], slope[:, 3:, A] = R @ cross_matrices(push), R @ cross_matrices(way)
-    shared[:, :3, FORCE], shared[:, 3:, FORCE] = R * h, R * (h * h / 2.0)
+def pushes(x: States, at: Index, push_mps: Float64, felt_s: Float64) -> tuple[Float64, Float64]:
+    """Specific force over `felt_s` seconds, and gravity, change the velocity."""
+    h, R = felt_s[:, None], x.R[at]
+    push = push_mps - x.of(FORCE) * h
+    off = x.velocity_mps[at + 1] - x.velocity_mps[at] - GRAVITY_MPS2 * h - _times(R, push)
+    slope, h = _blank(x, at, 3), h[:, :, None]
+    slope[:, :, V], slope[:, :, NEXT_V] = -np.eye(3), np.eye(3)
+    slope[:, :, A], slope[:, :, FORCE] = R @ cross_matrices(push), R * h
     # A gyro's bias turns the axes on the way, by half of it on average.
-    shared[:, :3, GYRO] = -slope[:, :3, A] * (h / 2.0)
-    return Law(at, np.hstack([speed_off, way_off]), slope, weight, shared)
+    slope[:, :, GYRO] = -slope[:, :, A] * (h / 2.0)
+    return off, slope
 
 
-def coasts(x: States, at: Index, step_s: Float64, weight: Float64) -> Law:
-    """Without an accelerometer: velocities change little, and positions by their mean."""
-    h = step_s[:, None]
-    speed_off = x.velocity_mps[at + 1] - x.velocity_mps[at]
-    mean_mps = (x.velocity_mps[at + 1] + x.velocity_mps[at]) / 2.0
-    way_off = x.position_m[at + 1] - x.position_m[at] - mean_mps * h
-    slope, one = np.zeros((len(at), 6, 2 * STATES)), np.eye(3)
-    slope[:, :3, V], slope[:, :3, _later(V)] = -one, one
-    slope[:, 3:, P], slope[:, 3:, _later(P)] = -one, one
-    slope[:, 3:, V] = slope[:, 3:, _later(V)] = -one * (h / 2.0)[:, :, None]
-    return Law(at, np.hstack([speed_off, way_off]), slope, weight)
+def moves(x: States, at: Index, way_m: Float64, rolled_s: Float64) -> tuple[Float64, Float64]:
+    """The sensor moves by its mean velocity over `rolled_s` seconds and a way [m, 3] in the axes at
+    the earlier node."""
+    R, half = x.R[at], rolled_s[:, None] / 2.0
+    off = x.position_m[at + 1] - x.position_m[at] - _times(R, way_m)
+    off = off - (x.velocity_mps[at] + x.velocity_mps[at + 1]) * half
+    slope = _blank(x, at, 3)
+    slope[:, :, P], slope[:, :, NEXT_P] = -np.eye(3), np.eye(3)
+    slope[:, :, V] = slope[:, :, NEXT_V] = -np.eye(3) * half[:, :, None]
+    slope[:, :, A] = R @ cross_matrices(way_m)
+    return off, slope
 
 
-def moves(x: States, at: Index, way_m: Float64, weight: Float64) -> Law:
-    """The sensor moved as the camera saw it, `way_m` [m, 3] in the axes at the earlier node."""
-    off = x.position_m[at + 1] - x.position_m[at] - _times(x.R[at], way_m)
-    slope = np.zeros((len(at), 3, 2 * STATES))
-    slope[:, :, P], slope[:, :, _later(P)] = -np.eye(3), np.eye(3)
-    slope[:, :, A] = x.R[at] @ cross_matrices(way_m)
-    return Law(at, off, slope, weight)
-
-
-def sees_antenna(x: States, at: Index, antenna_m: Float64, fix_m: Float64, weight: Float64) -> Law:
-    """The receiver sees the antenna, `antenna_m` [3] from the sensor in the vehicle's axes."""
-    R = x.R[at]
-    slope = np.zeros((len(at), 3, STATES))
+def sees_antenna(
+    x: States, at: Index, antenna_m: Float64, fix_m: Float64
+) -> tuple[Float64, Float64]:
+    """The receiver sees the antenna, `antenna_m` [m, 3] from the sensor in the vehicle's axes."""
+    R, slope = x.R[at], _blank(x, at, 3)
     slope[:, :, P], slope[:, :, A] = np.eye(3), -R @ cross_matrices(antenna_m)
-    return Law(at, x.position_m[at] + R @ antenna_m - fix_m, slope, weight)
+    return x.position_m[at] + _times(R, antenna_m) - fix_m, slope
 
 
-def follows_ground(x: States, at: Index, weight: Float64, turned: Bool) -> Law:
+def follows_ground(x: States, at: Index, turned: Float64) -> tuple[Float64, Float64]:
     """A vehicle on wheels leaves the ground neither upward nor downward: its way is its pitch.
 
-    Where it is not known how the vehicle turns, no roll follows from it: it would stand for a
-    heading that is a little off.
+    Where it is not known how it turned (0), no roll follows: it would stand for a wrong heading.
     """
-    own = _times(x.R[at].swapaxes(1, 2), x.velocity_mps[at])
-    slope = np.zeros((len(at), 1, STATES))
-    slope[:, :, V] = x.R[at].swapaxes(1, 2)[:, 2:]
-    slope[:, :, A] = cross_matrices(own)[:, 2:]
-    slope[~turned, :, A.start + 1] = 0.0
-    return Law(at, own[:, 2:], slope, weight)
+    to_vehicle = x.R[at].swapaxes(1, 2)
+    own, slope = _times(to_vehicle, x.velocity_mps[at]), _blank(x, at, 1)
+    slope[:, :, V], slope[:, :, A] = to_vehicle[:, 2:], cross_matrices(own)[:, 2:]
+    slope[:, 0, A.start + 1] *= turned
+    return own[:, 2:], slope
 
 
-def heads(x: States, at: Index, known_rad: Float64, weight: Float64) -> Law:
-    """The heading is known: where the forward axis points. A turn about that axis leaves it."""
-    R = x.R[at]
-    off = heading_rad(R) - known_rad
-    off -= 2.0 * np.pi * np.round(off / (2.0 * np.pi))
-    slope = np.zeros((len(at), 1, STATES))
-    right, ahead, up = R[:, :2, 0], R[:, :2, 1], R[:, :2, 2]
-    level2 = (ahead**2).sum(axis=1)
-    slope[:, 0, A.start] = (up[:, 0] * ahead[:, 1] - up[:, 1] * ahead[:, 0]) / level2
-    slope[:, 0, A.start + 2] = (right[:, 1] * ahead[:, 0] - right[:, 0] * ahead[:, 1]) / level2
-    return Law(at, off[:, None], slope, weight)
-
-
-def leans(x: States, at: Index, vertical: Float64, weight: Float64) -> Law:
-    """The vertical is known as the vehicle sees it: its right and forward part [m, 2]."""
-    own = x.R[at][:, 2]
-    slope = np.zeros((len(at), 2, STATES))
-    slope[:, :, A] = cross_matrices(own)[:, :2]
-    return Law(at, own[:, :2] - vertical, slope, weight)
-
-
-def rises(
-    x: States,
-    at: Index,
-    direction: Float64,
-    sine: Float64,
-    weight: Float64,
-    own: int,
-    framed: bool,
-) -> Law:
-    """A level axis of the vehicle, `direction` [2] right and forward, rises by a recorded sine [m],
-    but for the constant error number `own` of the axis and, of a `framed` one, for the lean of the
-    frame."""
-    R = x.R[at]
-    axis = R[:, :, :2] @ direction
-    along = axis[:, :2] * float(framed)
-    slope, shared = np.zeros((len(at), 1, STATES)), np.zeros((len(at), 1, len(x.shared)))
-    slope[:, 0, A] = direction @ cross_matrices(R[:, 2])[:, :2]
-    shared[:, 0, FRAME], shared[:, 0, FRAME.stop + own] = along, 1.0
-    off = axis[:, 2] + along @ x.shared[FRAME] + x.shared[FRAME.stop + own] - sine
-    return Law(at, off[:, None], slope, weight[:, None], shared)
+def points(
+    x: States, at: Index, toward: Float64, along: Float64, sine: Float64, own: Float64
+) -> tuple[Float64, Float64]:
+    """An axis of the vehicle, `toward` [m, 3] right, forward, up, rises by a sine [m] in a
+    direction `along` [m, 3] east, north, up, but for the shared errors `own` [m, k] (1 of those it
+    has). The first two of these are the lean of the frame in which the rise is measured."""
+    R, slope = x.R[at], _blank(x, at, 1)
+    seen, axis = _times(R.swapaxes(1, 2), along), _times(R, toward)
+    shared = own * np.hstack([axis[:, :2], np.ones((len(at), own.shape[1] - 2))])
+    slope[:, 0, A] = (toward[:, None] @ cross_matrices(seen))[:, 0]
+    slope[:, 0, OWN:] = shared
+    off = np.sum(seen * toward, axis=1) + shared @ x.shared[OWN - SHARED :] - sine
+    return off[:, None], slope

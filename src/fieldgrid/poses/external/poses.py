@@ -34,6 +34,7 @@ from fieldgrid.geometry import (
 )
 from fieldgrid.poses.accepted import fix_offsets
 from fieldgrid.poses.attitude.attitude import Attitude
+from fieldgrid.poses.attitude.axes import RECORDED
 from fieldgrid.poses.external.georeference import (
     CLEAR_SIGMAS,
     Georeference,
@@ -304,8 +305,8 @@ def _attitude(table: PoseTable, tilt: RecordedTilt) -> Attitude:
     at, told = table.time_ns - first_ns, tilt.time_ns - first_ns
     roll, pitch, sigma = (np.interp(at, told, column) for column in tilt[1:])
     heading = np.unwrap(table.heading_deg, period=360.0)
-    slope_deg = max(float(np.abs(pitch).max()), float(np.abs(roll).max()), float(sigma.max()))
-    return Attitude(table.time_ns, roll, pitch, sigma, sigma, heading, table.up_m, slope_deg)
+    said = roll, pitch, sigma, sigma, heading, table.up_m
+    return Attitude(table.time_ns, *said, bodies=frozenset({RECORDED}))
 
 
 def _at_origin(
