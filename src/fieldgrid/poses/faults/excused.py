@@ -18,7 +18,7 @@ from fieldgrid.geometry import Gyro, VehicleGeometry, wrap_deg
 from fieldgrid.poses.drive import DriveEstimate
 from fieldgrid.poses.faults.denied import CLEAR_SIGMAS, DriveContradiction, sees_turns
 from fieldgrid.poses.faults.explained import MOST_LEFT, UNTOLD, Correction, Explanation, explanation
-from fieldgrid.poses.faults.gyro.check import apart_deg, scaled, turn_ratio
+from fieldgrid.poses.faults.gyro.check import apart_deg, scaled
 from fieldgrid.poses.fused import Fusion
 
 STARTS = (0.0, 1.5, -1.5)
@@ -90,12 +90,11 @@ def _most_turning(found: Fusion) -> Fusion:
 
 
 def _is_of_other_size(without: Fusion, gyro: Gyro) -> bool:
-    """Whether a gyro fits once it turns by as much as the path does: then its axes or its unit are
-    wrong, and nothing else."""
-    ratio = turn_ratio(without.log.accepted, gyro)
-    if ratio is None:
-        return False
-    motion = scaled(without.motion._replace(gyro=gyro), ratio.value)
+    """Whether a gyro fits once it turns by as much as the drive has it: then its axes or its unit
+    are wrong, and nothing else."""
+    beside = without.again(motion=without.motion._replace(gyro=gyro))
+    size = 1.0 + beside.drive.smoothed.declared.gyro_scale.value
+    motion = scaled(beside.motion, size)
     return without.again(motion=motion).drive.smoothed.declared.misfit_but_scale < MOST_LEFT
 
 
