@@ -20,7 +20,6 @@ from fieldgrid.poses.axle import axle_forward_m, with_antenna_moved
 from fieldgrid.poses.drive import DriveEstimate, with_recorded
 from fieldgrid.poses.external.poses import CLEAR_OFFSET_DEG, place_poses
 from fieldgrid.poses.faults.camera_yaw import CameraYaw, camera_yaw
-from fieldgrid.poses.faults.clock.jump import clock_jump
 from fieldgrid.poses.faults.clock.offset import ClockFindings, check_clock
 from fieldgrid.poses.faults.convention import FEW_TURNED_SHARE, Comparison
 from fieldgrid.poses.faults.denied import (
@@ -124,7 +123,6 @@ def estimate_poses(
         clock=checks.clocks.offset,
         contradiction=checks.clocks.contradiction,
         clock_change=checks.clocks.change,
-        jump=clock_jump(log.accepted, found.motion.steps, found.gyro),
         camera_yaw=checks.yaw,
         imu_turn=found.imu_turn,
         gyro_bias_dps=drive.gyro_bias_dps,

@@ -31,7 +31,6 @@ from fieldgrid.poses.faults.gyro.check import GyroVerdict, with_trusted_gyro, wi
 from fieldgrid.poses.faults.gyro.dead_gyro import without_dead_gyro, without_faulty_samples
 from fieldgrid.poses.faults.gyro.imu_turn import ImuTurn, imu_turn
 from fieldgrid.poses.faults.leaps.leaps import holes
-from fieldgrid.poses.faults.leaps.recorded import recorded_leaps
 from fieldgrid.poses.faults.leaps.seams import LEAST_M, SeenLeap
 from fieldgrid.poses.faults.leaps.seen import seen_leaps
 from fieldgrid.poses.faults.stray import MOST_ROUNDS, stray_fixes
@@ -263,10 +262,6 @@ def fuse(
     # A solution that goes on elsewhere, as the camera sees or the estimate itself.
     steps = found.motion.steps
     seen = {leap.time_ns: leap for leap in denied_leaps(found.log.accepted, found.drive)}
-    if (offset_deg := _heading_offset_deg(found, settings)) is not None:
-        nose_deg, (_, ahead_m) = found.recorded_deg() - offset_deg, found.axle.frame()[0]
-        by_heading = recorded_leaps(found.log.accepted, nose_deg, ahead_m)
-        seen |= {leap.time_ns: leap for leap in by_heading}
     if rig is not None:
         by_camera = seen_leaps(found.log.accepted, found.drive, steps, rig.antenna)
         seen |= {leap.time_ns: leap for leap in by_camera}

@@ -90,7 +90,6 @@ def by_parts(
         parts[int(np.argmax(usable))].report,
         conditioning=whole.report.conditioning,
         contradiction=whole.report.contradiction,
-        jump=whole.report.jump,
         clock_change=whole.report.clock_change,
         attitude=_attitude(levelled) if levelled else None,
         notes=(leap_note(accepted), _cut_note(accepted, usable), *dict.fromkeys(notes)),

@@ -17,7 +17,6 @@ from fieldgrid.poses.drive import DriveEstimate
 from fieldgrid.poses.external.georeference import Georeference
 from fieldgrid.poses.faults.camera_yaw import CameraYaw, yaw_notes
 from fieldgrid.poses.faults.clock.change import ClockChange
-from fieldgrid.poses.faults.clock.jump import ClockJump
 from fieldgrid.poses.faults.clock.search import ClockOffset, MotionContradiction
 from fieldgrid.poses.faults.convention import Comparison
 from fieldgrid.poses.faults.denied import DriveContradiction, denied_notes
@@ -58,9 +57,9 @@ class PoseReport:
     heading beside the estimate; `gyro_bias_dps` NaN without a gyro. `offset` compares poses with
     their fixes. `camera_scale` and `wheel_scale` are by what share the distances of camera and
     wheels are too long. As the camera's motion has it, `clock` is the time offset between images
-    and fixes, `jump` where the clock of images and gyro jumps, `clock_change` where that offset
-    changes otherwise, `contradiction` how much of the motion no offset explains, `camera_yaw`
-    where the camera looks, and `imu_turn` how the IMU is turned. `unseen` are faults that the drive
+    and fixes, `clock_change` where that offset changes, `contradiction` how much of the motion no
+    offset explains, `camera_yaw` where the camera looks, and `imu_turn` how the IMU is turned.
+    `unseen` are faults that the drive
     would not show: its sigmas do not cover them.
     """
 
@@ -75,7 +74,6 @@ class PoseReport:
     notes: tuple[str, ...]
     georeference: Georeference | None = None
     contradiction: MotionContradiction | None = None
-    jump: ClockJump | None = None
     clock_change: ClockChange | None = None
     camera_yaw: CameraYaw | None = None
     imu_turn: ImuTurn | None = None
@@ -88,7 +86,6 @@ class PoseReport:
             "recorded_heading": self.recorded,
             "clock_offset": self.clock,
             "camera_contradiction": self.contradiction,
-            "clock_jump": self.jump,
             "clock_change": self.clock_change,
             "fix_offset": self.offset,
             "camera_scale": self.camera_scale,
@@ -109,7 +106,7 @@ class PoseReport:
                 )
                 for name, part in parts.items()
             },
-            "camera_yaw": None if self.camera_yaw is None else self.camera_yaw.as_dict(),
+            "camera_yaw": None if self.camera_yaw is None else self.camera_yaw._asdict(),
             "imu_turn": None if self.imu_turn is None else self.imu_turn.as_dict(),
             "gyro_bias_dps": None if np.isnan(bias) else bias,
             "unseen": [str(fault) for fault in self.unseen],
