@@ -156,13 +156,9 @@ _COLUMNS = (
     "if a column of a table is taken for what it is not, name columns and units in [gnss.columns] "
     "of recording.toml"
 )
-CUT_AT_CLOCK = (
-    "cut the log where its clock goes back or another log begins, and use the parts one by one"
-)
 _REMEDIES = {
     Gate.PLACE: _COLUMNS,
     Gate.TIME: _COLUMNS,
-    Gate.CLOCK: CUT_AT_CLOCK,
     Gate.QUALITY: "declare its quality with --quality",
     Gate.SATELLITES: _with_limit("min_satellites"),
     Gate.HDOP: _with_limit("max_hdop"),

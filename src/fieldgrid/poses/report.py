@@ -10,7 +10,7 @@ import numpy as np
 
 from fieldgrid.core import Float64, Int64, PoseSettings, commonest_reason, utc_text
 from fieldgrid.geometry import Rig, Trajectory, VehicleGeometry, wrap_deg
-from fieldgrid.poses.accepted import CUT_AT_CLOCK, AcceptedFixes, fix_offsets
+from fieldgrid.poses.accepted import AcceptedFixes, fix_offsets
 from fieldgrid.poses.attitude.attitude import Attitude
 from fieldgrid.poses.axle import Axle, names_axle
 from fieldgrid.poses.drive import DriveEstimate
@@ -23,7 +23,6 @@ from fieldgrid.poses.faults.denied import DriveContradiction, denied_notes
 from fieldgrid.poses.faults.gyro.imu_turn import ImuTurn
 from fieldgrid.poses.faults.leaps.seams import LEAP_S
 from fieldgrid.poses.faults.unseen import UnseenFault
-from fieldgrid.poses.gates.conditioning import COUNTED_TWICE
 from fieldgrid.poses.gates.summary import ConditioningSummary
 from fieldgrid.poses.gears.stations import TELL_GEARS
 from fieldgrid.poses.settings import HeadingSource
@@ -114,6 +113,17 @@ class PoseReport:
         }
 
 
+class Estimate(NamedTuple):
+    """A trajectory, the row of each input fix in it (in order of time), the report, and for each
+    row the probability that the gear is the other one. Of given poses without fixes, `fix_row` has
+    all rows."""
+
+    trajectory: Trajectory
+    fix_row: Int64
+    report: PoseReport
+    gear_doubt: Float64
+
+
 def fix_offset(fixes: AcceptedFixes, offset_m: Float64) -> FixOffset:
     """How far the antenna is estimated from the accepted fixes: `offset_m` [fixes, 2]."""
     away_m = np.hypot(*offset_m.T)
@@ -194,7 +204,8 @@ def leap_note(fixes: AcceptedFixes) -> str:
     return (
         f"The receiver's solution leaps {often} by more than it states (first {first_s:.0f} s "
         "after the start), and nothing tells which side is right: its positions count as good to "
-        f"{np.median(fixes.sigma_m):.2f} m. If you know, leave out the fixes of the wrong one."
+        f"{np.median(fixes.sigma_m):.2f} m. If you know, keep that side alone: --until or --from "
+        f"{utc_text(int(leaps[0]) + 1, 'ms')}."
     )
 
 
@@ -251,7 +262,6 @@ def _remedy(
         "the estimate lies": "the fixes contradict each other by more than they state; say how "
         "good they are with --accuracy METRES, or leave out the epochs of another receiver or of "
         "a jump",
-        COUNTED_TWICE: CUT_AT_CLOCK,
         "forward or reverse": TELL_GEARS,
         "heading unknown": "log while the vehicle drives, or record its heading",
         "heading sigma": surer,
@@ -261,5 +271,5 @@ def _remedy(
     advice = "".join(known) or "choose another log with --gnss"
     if len(leaps_ns(fixes)):
         # What is declared of the fixes does not tell which solution was right.
-        advice = "nor is a part of the drive between leaps sure enough"
+        advice = "keep the part on one side of a leap alone"
     return f"No pose can be used, mostly because: {commonest}; {advice}."

@@ -95,7 +95,6 @@ def spoilt(time_ns: Int64, climbing: Bool) -> Bool:
 
 _LAST_NS = 2**62  # differences of such times still fit into 64 bits
 NO_STRAYS: Mapping[int, str] = MappingProxyType({})
-COUNTED_TWICE = "the log counts its time twice, at two places"
 _LOWEST_M, _HIGHEST_M = -1000.0, 10_000.0
 
 
@@ -103,20 +102,17 @@ def condition(
     fixes: FixColumns,
     limits: GateLimits = DEFAULT_LIMITS,
     strays: Mapping[int, str] = NO_STRAYS,
-    twice: Bool | None = None,
 ) -> Verdicts:
     """The verdicts on fixes in order of time. Accepted fixes increase strictly in it.
 
     The whole drive is judged at once, so a fix may be rejected for what came after it. Where the
     solution has moved, the fix from which it is followed is accepted with a reason: the seam.
     `strays` are rows that an estimate of the drive denies, with the reason of each: the others are
-    judged without them, and without those whose seconds the log counts `twice`.
+    judged without them.
     """
     log = _VerdictTable(fixes, limits)
     _check_place(log)
     _check_receiver(log)
-    if twice is not None:
-        log.reject_all(twice, Gate.CLOCK, lambda _: COUNTED_TWICE)
     _check_repeats(log)
     _check_climb(log)
     for row, reason in strays.items():
