@@ -35,7 +35,20 @@ def test_a_camera_that_looks_aside_is_measured(drive: Drive, yaw_deg: float, see
     assert found.off_deg == pytest.approx(yaw_deg, abs=4.0 * found.sigma_deg)
     assert found.sigma_deg < 0.3
     assert found.is_off == (yaw_deg != 0.0)
+    assert found.turned_deg == 0.0
     assert len(list(yaw_notes(found))) == (yaw_deg != 0.0)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.7])
+def test_a_camera_that_is_pushed_is_told(drive: Drive, share: float) -> None:
+    steps = steps_of(drive, noise=1.0, seed=5)
+    at, pushed = int(share * len(steps.start_ns)), turned(steps, 2.5)
+    halves = zip(steps, pushed, strict=True)
+    mixed = Steps._make(np.concatenate([one[:at], two[at:]]) for one, two in halves)
+    found = camera_yaw(mixed, Axle(None))
+    assert found is not None
+    assert 1.0 < found.turned_deg < 3.0
+    assert len(list(yaw_notes(found))) == 1
 
 
 def test_an_even_curve_does_not_tell_a_yaw_from_an_axle() -> None:

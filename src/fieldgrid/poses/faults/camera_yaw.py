@@ -14,17 +14,23 @@ from typing import NamedTuple
 
 from fieldgrid.geometry import Steps
 from fieldgrid.poses.axle import Axle, ways_of
-from fieldgrid.poses.travel_direction import travel
+from fieldgrid.poses.travel_direction import Ways, travel
 
 CLEAR_SIGMAS, LEAST_DEG = 4.0, 0.5
 """A yaw is off when it is by more than both; half a degree is what a mounting is measured to."""
 
 
+LEAST_TURN_DEG = 1.0
+"""In the last third of a drive a camera looks elsewhere if by this, and by as many sigmas."""
+
+
 class CameraYaw(NamedTuple):
-    """How far to the right of what is declared the camera looks, `off_deg` ± `sigma_deg`."""
+    """How far to the right of what is declared the camera looks, `off_deg` ± `sigma_deg`, and how
+    much farther in the last third of the drive than in the first, 0 where that is not clear."""
 
     off_deg: float
     sigma_deg: float
+    turned_deg: float = 0.0
 
     @property
     def is_off(self) -> bool:
@@ -37,25 +43,46 @@ def camera_yaw(steps: Steps | None, axle: Axle) -> CameraYaw | None:
     The axle's place regards that in a curve a camera ahead of it moves sideways, too."""
     if steps is None or not len(steps.start_ns):
         return None
-    yaw = travel(ways_of(steps), axle.frame()[1]).yaw_deg
-    return None if yaw is None else CameraYaw(yaw.value, yaw.sigma)
+    ways, ahead_m = ways_of(steps), axle.frame()[1]
+    third = len(ways.stop) // 3
+    parts = (slice(None), slice(third), slice(-third, None))
+    whole, early, late = (
+        travel(Ways._make(column[part] for column in ways), ahead_m).yaw_deg for part in parts
+    )
+    if whole is None:
+        return None
+    found = CameraYaw(whole.value, whole.sigma)
+    if early is None or late is None:
+        return found
+    turned_deg, sigma_deg = late.value - early.value, math.hypot(early.sigma, late.sigma)
+    is_clear = abs(turned_deg) > max(CLEAR_SIGMAS * sigma_deg, LEAST_TURN_DEG)
+    return found._replace(turned_deg=turned_deg) if is_clear else found
 
 
 def yaw_notes(yaw: CameraYaw) -> Iterator[str]:
-    """That the camera looks elsewhere than declared, and what to do about it."""
-    if yaw.is_off:
+    """That the camera looks elsewhere than declared, or was moved, and what to do about it."""
+    if yaw.turned_deg:
+        yield (
+            f"By its own motion the camera looks {abs(yaw.turned_deg):.1f}° {_side(yaw.turned_deg)}"
+            " at the end of the drive than at its beginning: it was moved, or the vehicle slips "
+            "sideways on a slope. If it was moved, cut the drive there, and measure the mounting "
+            "of each part with `fieldgrid mount`."
+        )
+    elif yaw.is_off:
         yield (
             f"{off_sentence(yaw)}; measure it with `fieldgrid mount`, and correct camera_yaw_deg "
-            "in mounting.json. A vehicle that slips sideways on a slope looks the same, and so "
-            "does a camera that was moved during the drive."
+            "in mounting.json. A vehicle that slips sideways on a slope looks the same."
         )
 
 
 def off_sentence(yaw: CameraYaw) -> str:
     """That the camera looks elsewhere than declared, without an end."""
-    side, off_deg = "right" if yaw.off_deg > 0.0 else "left", abs(yaw.off_deg)
     return (
-        f"By its own motion the camera looks {off_deg:.1f}° ± {yaw.sigma_deg:.1f}° farther {side} "
-        "than declared, and what it sees is misplaced by "
-        f"{100.0 * math.radians(off_deg):.0f} cm in 1 m"
+        f"By its own motion the camera looks {abs(yaw.off_deg):.1f}° ± {yaw.sigma_deg:.1f}° "
+        f"{_side(yaw.off_deg)} than declared, and what it sees is misplaced by "
+        f"{100.0 * math.radians(abs(yaw.off_deg)):.0f} cm in 1 m"
     )
+
+
+def _side(by_deg: float) -> str:
+    return "farther right" if by_deg > 0.0 else "farther left"
