@@ -48,15 +48,11 @@ def test_of_two_solutions_as_long_either_may_be_wrong() -> None:
     assert sigma_m == pytest.approx(np.full(200, 1.5), abs=0.1)
 
 
-def test_what_lasted_longer_is_rather_right_and_more_so_what_the_drive_comes_back_to() -> None:
+def test_what_lasted_longer_is_rather_right() -> None:
     long = doubt_of(np.where(np.arange(400) < 300, 0.0, 3.0), denied_at(400, 300))
     # Right with the probability of their shares, 3 to 1.
     assert long[0] == pytest.approx(np.sqrt(0.25 * 9.0 / 2.0), abs=0.1)
     assert long[-1] == pytest.approx(np.sqrt(0.75 * 9.0 / 2.0), abs=0.1)
-    between = (np.arange(400) >= 150) & (np.arange(400) < 250)
-    back = doubt_of(np.where(between, 3.0, 0.0), denied_at(400, 150, 250))
-    assert back[0] == pytest.approx(back[-1], abs=0.05)
-    assert back[0] < 0.6 < 1.9 < back[200]
 
 
 def test_a_receiver_that_says_how_bad_it_is_leaves_the_better_one_alone() -> None:
