@@ -163,10 +163,6 @@ _REMEDIES = {
     Gate.SATELLITES: _with_limit("min_satellites"),
     Gate.HDOP: _with_limit("max_hdop"),
     Gate.AGE: f"{_with_limit('max_age_s')} (max_code_age_s without carrier phase)",
-    Gate.CLIMB: (
-        "if its heights alone are wrong, allow them with max_climb_mps of the table pose.gnss in "
-        "--config"
-    ),
 }
 """What helps against what refuses all fixes."""
 

@@ -30,7 +30,6 @@ class Gate(StrEnum):
     STRAY = "stray"
     ACCELERATION = "acceleration"
     TURN_RATE = "turn_rate"
-    CLIMB = "climb"
     ALONE = "alone"
     SEAM = "seam"
 
