@@ -80,8 +80,7 @@ def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, st
     sense = gyro_sense(fixes, motion.steps, gyro)
     if sense.is_wrong:
         note = f"The path turns the other way than the gyro: the gyro {CHECK}"
-    # Turns that the fixes did show, and which do not tell the sense, are of other moments.
-    elif sense.is_unknown and (sense.seen or not _feels_up(motion.inertial)):
+    elif sense.is_unknown and not _feels_up(motion.inertial):
         note = (
             "The fixes do not show that the vehicle turns as its gyro does, be they too few or too "
             f"noisy in turns, or the gyro another: it {CHECK}"

@@ -48,11 +48,10 @@ LITTLE_TURN_RAD, LITTLE_TURN_S = np.radians(10.0), 10.0
 
 class GyroSense(NamedTuple):
     """How much likelier the drive is with the gyro as it is than with it upside down (the logarithm
-    of the ratio), whether the gyro turns at all, and whether it does where the fixes tell lines."""
+    of the ratio), and whether the gyro turns at all."""
 
     nats: float
     turns: bool
-    seen: bool
 
     @property
     def is_wrong(self) -> bool:
@@ -90,14 +89,13 @@ def _between(values: Float64) -> Float64:
 def gyro_sense(fixes: AcceptedFixes, steps: Steps | None, gyro: Gyro) -> GyroSense:
     """What fixes and camera say of the way in which a gyro of two samples or more turns."""
     turned = _GyroAngle.of(gyro)
-    nats, seen = 0.0 if steps is None else _by_steps(steps, gyro, turned), False
+    nats = 0.0 if steps is None else _by_steps(steps, gyro, turned)
     if abs(nats) < ENOUGH_NATS:
-        more, seen = _by_lines(fixes, gyro, turned)
-        nats += more
+        nats += _by_lines(fixes, gyro, turned)
     rate_bias = float(np.median(gyro.rate_rad_s))
     later = np.minimum(turned.time_s + LITTLE_TURN_S, turned.time_s[-1])
     by = turned.at(later, turned.angle) - turned.angle - rate_bias * (later - turned.time_s)
-    return GyroSense(nats, bool(np.abs(by).max() > LITTLE_TURN_RAD), seen)
+    return GyroSense(nats, bool(np.abs(by).max() > LITTLE_TURN_RAD))
 
 
 def _by_steps(steps: Steps, gyro: Gyro, turned: _GyroAngle) -> float:
@@ -128,8 +126,7 @@ def _noisy_chords(fixes: AcceptedFixes, points: Float64, time_s: Float64) -> tup
     return _chords(points, time_s, max(LEAST_CHORD_M, CHORD_NOISES * noise_m))
 
 
-def _by_lines(fixes: AcceptedFixes, gyro: Gyro, turned: _GyroAngle) -> tuple[float, bool]:
-    """The logarithm of the ratio by lines, and whether the gyro turns within a stretch of them."""
+def _by_lines(fixes: AcceptedFixes, gyro: Gyro, turned: _GyroAngle) -> float:
     points, time_s = fixes.points_m(), (fixes.time_ns - gyro.time_ns[0]) / 1e9
     noise_m = float(np.median(fixes.noise.across_m))
     a, b = _noisy_chords(fixes, points, time_s)
@@ -144,17 +141,16 @@ def _by_lines(fixes: AcceptedFixes, gyro: Gyro, turned: _GyroAngle) -> tuple[flo
     stretch = np.unique(
         np.stack([hole, np.floor(middle_s / STRETCH_S)]), axis=1, return_inverse=True
     )[1].ravel()
-    nats, seen = 0.0, False
+    nats = 0.0
     for one in range(int(stretch.max(initial=-1)) + 1):
         at = np.flatnonzero(stretch == one)
         at = at[:: max(1, len(at) // MOST_LINES)]
         if len(at) >= FEWEST_LINES:
             told, since_s = nose[at] - np.median(nose[at]), middle_s[at] - middle_s[at].mean()
             nats += _by_stretch(line[at], told, since_s, variance[at])
-            seen |= bool(np.ptp(told) > LITTLE_TURN_RAD)
         if abs(nats) > ENOUGH_NATS:
             break
-    return nats, seen
+    return nats
 
 
 def _middle(time_s: Float64, a: Int64, b: Int64) -> Float64:

@@ -1,8 +1,8 @@
 """What it means that a receiver's solution has leapt by more than it states.
 
 One of the two solutions was wrong by as much, and nobody told. Which one is not known; the longer
-it lasted, and the better the receiver says it is, the likelier it is the right one. A wrong one may
-have got there bit by bit.
+it lasted, the better the receiver says it is, and the more often a drive comes back to it, the
+likelier it is the right one. A wrong one may have got there bit by bit.
 """
 
 from __future__ import annotations
@@ -21,6 +21,14 @@ LEAST_M = 0.1
 
 FREE_SIGMAS = 3.0
 """Largest step that motion and noise explain at a leap, in sigmas of its size."""
+
+RETURN_TRUST, MOST_RETURNS = 10.0, 3.0
+"""A solution is right with the probability of its share of the drive, but one that a drive comes
+back to from another is likelier by this factor for each return, up to this number of returns: a
+wrong one is seldom found twice."""
+
+SAME_SHARE = 0.3
+"""Solutions are the same when they lie apart by this share of the usual leap between them."""
 
 MOST_AT_ONCE = 1000
 """Number of solutions that are compared with all others at once."""
@@ -186,12 +194,19 @@ def _same(
 def _away(found: _Solutions, stated_m: Float64) -> tuple[Float64, Float64]:
     """How far each solution [s] may lie from the right one, 1-sigma along one axis, and how far
     each lies from the next [s - 1]."""
-    count = len(found.first)
-    share = found.lasted_s / found.lasted_s.max() * (stated_m.min() / stated_m) ** 2
-    share /= share.sum()
-    blocks = [slice(k, k + MOST_AT_ONCE) for k in range(0, count, MOST_AT_ONCE)]
-    away_m = np.concatenate([np.sqrt(_apart2(found, rows) @ share / 2.0) for rows in blocks])
+    count, lasted_s = len(found.first), found.lasted_s
+    mass = lasted_s / lasted_s.max() * (stated_m.min() / stated_m) ** 2
     apart_m = np.sqrt([_apart2(found, slice(k, k + 1))[0, k + 1] for k in range(count - 1)])
+    same_m = np.maximum(SAME_SHARE * float(np.median(apart_m)), stated_m)
+    away_m, trust = np.zeros(count), np.zeros(count)
+    blocks = [slice(k, k + MOST_AT_ONCE) for k in range(0, count, MOST_AT_ONCE)]
+    for rows in blocks:
+        alike = _apart2(found, rows) < np.minimum(same_m[rows, None], same_m) ** 2
+        left_and_back = np.diff(alike.astype(np.int8), axis=1, prepend=0) > 0
+        returns = np.minimum(np.count_nonzero(left_and_back, axis=1) - 1.0, MOST_RETURNS)
+        trust[rows] = mass[rows] * RETURN_TRUST**returns
+    for rows in blocks:
+        away_m[rows] = np.sqrt(_apart2(found, rows) @ (trust / trust.sum()) / 2.0)
     return away_m, apart_m
 
 
