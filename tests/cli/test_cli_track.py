@@ -26,7 +26,7 @@ KEYS = {
     *("repeated", "rejected", "reasons", "duration_s", "distance_m"),
     *("forward_s", "reverse_s", "standing_s"),
     *("reversals", "heading_sigma_deg", "position_sigma_m", "conditioning", "recorded_heading"),
-    *("clock_offset", "clock_jump", "clock_change", "camera_contradiction", "camera_yaw"),
+    *("clock_offset", "clock_change", "camera_contradiction", "camera_yaw"),
     *("gyro_bias_dps", "fix_offset", "camera_scale", "wheel_scale", "notes"),
     *("attitude", "georeference", "unseen"),
 }

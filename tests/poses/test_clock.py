@@ -4,18 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import Any
 
-import numpy as np
 import pytest
 
-from fieldgrid.core import PoseSettings
 from fieldgrid.geometry import LeverArm, Motion, Steps
-from fieldgrid.poses import ClockOffset, estimate_poses
-from fieldgrid.poses.axle import Axle
-from fieldgrid.poses.drive import smooth_drive
-from fieldgrid.poses.faults.clock.search import ClockSearch, MotionContradiction
-from fieldgrid.poses.fused import conditioned
-from fieldgrid.poses.report import PoseReport
+from fieldgrid.poses import estimate_poses
 from tests.scenes import paper_rig
 from tests.simulated import (
     DATUM,
@@ -33,7 +27,7 @@ WEAVING = [*SLALOM, Command(4.0, 0.5), *SLALOM[1:]]
 UNREPEATED = [*SLALOM, *K_TURN, *SLALOM[:4]]
 
 
-def report(drive: Drive, late_s: float, *, seed: int = 0, noise_m: float = 0.01) -> PoseReport:
+def report(drive: Drive, late_s: float, *, seed: int = 0, noise_m: float = 0.01) -> Any:
     fixes = fixes_of(drive, 0.2, noise_m, seed=seed)
     steps = steps_of(drive, 0.4, noise=1.0, late_s=late_s, seed=seed + 1)
     return estimate_poses(fixes, None, DATUM, motion=Motion(steps=steps)).report
@@ -91,22 +85,6 @@ def test_with_a_gyro_thirty_milliseconds_are_told() -> None:
     assert found.offset_s == pytest.approx(-0.03, abs=3.0 * found.sigma_s)
 
 
-def test_an_offset_far_away_is_found_near_where_it_is_looked_for() -> None:
-    drive = simulate(WEAVING, 20.0, speed_mps=1.5)
-    fixes = fixes_of(drive, 0.2, 0.02)
-    steps = steps_of(drive, 0.4, noise=1.0, late_s=18.0)
-    log = conditioned(fixes, PoseSettings(), DATUM)
-    without = smooth_drive(log.accepted, fixes.time_ns, Motion(), Axle(None))
-    search = ClockSearch(without, steps, Axle(None))
-    scan = np.arange(-30.0, 30.0, 0.5)
-    lowest = float(scan[int(np.argmin([search.misfit(offset) for offset in scan]))])
-    found = search.best(lowest)
-    assert found is not None
-    assert found.offset_s == pytest.approx(-18.0, abs=3.0 * found.sigma_s)
-    assert search.misfit(-18.0) < 0.5 * search.misfit(0.0)
-    assert search.misfit(3600.0) == np.inf
-
-
 @pytest.mark.parametrize("late_s", [2.0, pytest.param(-18.0, marks=pytest.mark.long)])
 def test_fixes_of_another_clock_than_images_and_gyro_are_told(late_s: float) -> None:
     """A computer of another time stamps images and gyro alike: it is the fixes to move."""
@@ -138,10 +116,8 @@ def exchanged(steps: Steps, order: Sequence[int]) -> Steps:
     return others._replace(start_ns=steps.start_ns, stop_ns=steps.stop_ns)
 
 
-def contradiction(
-    drive: Drive, steps: Steps, noise_m: float = 0.02, *, seed: int = 8
-) -> MotionContradiction:
-    fixes = fixes_of(drive, 0.2, noise_m, seed=seed)
+def contradiction(drive: Drive, steps: Steps, noise_m: float = 0.02) -> Any:
+    fixes = fixes_of(drive, 0.2, noise_m, seed=8)
     motion = Motion(gyro_of(drive, noise_dps=0.1), steps=steps)
     found = estimate_poses(fixes, None, DATUM, motion=motion).report.contradiction
     assert found is not None
@@ -173,15 +149,12 @@ def test_a_gyro_that_turns_as_the_images_do_blames_the_fixes() -> None:
 @pytest.mark.parametrize(
     ("scale", "noise_m"),
     [
-        (1.08, 0.3),
-        *(
-            pytest.param(*one, marks=pytest.mark.long)
-            for one in ((1.0, 0.02), (1.0, 0.3), (1.08, 0.02))
-        ),
+        (1.08, 0.1),
+        *(pytest.param(*one, marks=pytest.mark.long) for one in ((1.0, 0.1), (1.08, 0.02))),
     ],
 )
 def test_images_of_their_moments_do_not_contradict(scale: float, noise_m: float) -> None:
-    """However poor the fixes are, and with a calibration that is somewhat off."""
+    """With fixes that are poorer than they state, and a calibration that is somewhat off."""
     drive = simulate(WEAVING, 20.0, speed_mps=1.5)
     steps = steps_of(drive, 1.2, noise=1.0, seed=10)
     longer = steps._replace(forward_m=scale * steps.forward_m, right_m=scale * steps.right_m)
@@ -209,12 +182,3 @@ def test_the_camera_s_place_is_regarded() -> None:
     found = estimate_poses(fixes, rig, DATUM, motion=Motion(steps=steps)).report.clock
     assert found is not None
     assert abs(found.offset_s + 0.3) < 3.0 * found.sigma_s
-
-
-def test_a_report_is_plain_values() -> None:
-    drive = simulate(WEAVING, 20.0, speed_mps=1.5)
-    told = report(drive, 0.5).as_dict()
-    assert told["clock_offset"].keys() == set(ClockOffset._fields)
-    assert told["gyro_bias_dps"] is None
-    assert told["recorded_heading"] is None
-    assert not np.isnan(told["clock_offset"]["offset_s"])

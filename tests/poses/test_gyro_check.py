@@ -13,8 +13,6 @@ from fieldgrid.core import Bool, Float64, PoseSettings, Quality
 from fieldgrid.geometry import Carrier, Datum, FixColumns, Gyro, LeverArm, Motion, wrap_deg
 from fieldgrid.pipeline import visual_odometry
 from fieldgrid.poses import Estimate, estimate_poses
-from fieldgrid.poses.faults.gyro.check import turn_ratio
-from fieldgrid.poses.fused import conditioned
 from fieldgrid.recordings import open_recording
 from tests.scenes import paper_rig
 from tests.simulated import (
@@ -108,30 +106,6 @@ def test_a_gyro_with_wrong_axes_or_units_is_not_used(
     assert within_3_sigma(found, drive) > 0.98
     assert np.isnan(found.report.gyro_bias_dps)
     assert "was not used: check imu_axes" in found.report.notes[0]
-    if size == -1.0:
-        assert "the path turns -" in found.report.notes[0]
-
-
-@pytest.mark.parametrize("noise_m", [0.01, 0.03])
-@pytest.mark.parametrize("period_s", [0.1, 1.0])
-@pytest.mark.parametrize("commands", [SLALOM, K_TURN, ROWS])
-def test_the_path_tells_which_way_a_gyro_turns(
-    commands: list[Command], period_s: float, noise_m: float
-) -> None:
-    """At any rate, with decimetre fixes, an antenna ahead of the axle and holes."""
-    drive = simulate(commands, 35.0)
-    for ahead_m in (0.0, 1.5):
-        fixes = fixes_of(drive, period_s, noise_m, antenna=LeverArm(0.0, ahead_m, 0.0))
-        late_s = (fixes.time_ns - fixes.time_ns[0]) / 1e9
-        for some in (fixes, fixes[late_s % 10.0 < 5.0]):
-            settings = PoseSettings(quality=4, accuracy_m=10.0 * noise_m)
-            accepted = conditioned(some, settings, DATUM).accepted
-            right, upside_down = (turn_ratio(accepted, gyro(drive, s)) for s in (1.0, -1.0))
-            assert right is None or not right.is_wrong
-            if some is fixes:
-                assert upside_down is not None
-                assert upside_down.is_wrong
-                assert upside_down.value == pytest.approx(-1.0, abs=0.2)
 
 
 @pytest.mark.parametrize("commands", [SLALOM, K_TURN, ROWS])
@@ -229,17 +203,7 @@ def test_a_gyro_whose_sense_the_drive_does_not_show_is_not_used(size: float) -> 
     drive = simulate(K_TURN, 35.0)
     found = poor_estimate(drive, gyro(drive, size), holes=True)
     assert np.isnan(found.report.gyro_bias_dps)
-    assert "which way the gyro turns" in found.report.notes[0]
     assert not found.trajectory.accepted.any()
-
-
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_the_first_fixes_of_a_drive_say_nothing_of_its_gyro(count: int) -> None:
-    """Nor do they warn: as a live session has them."""
-    drive = simulate(ROWS, 35.0)
-    fixes = fixes_of(drive, 0.2, 0.01)
-    accepted = conditioned(fixes[np.arange(len(fixes)) < count], PoseSettings(), DATUM).accepted
-    assert turn_ratio(accepted, gyro(drive)) is None
 
 
 def test_a_camera_that_saw_little_of_a_drive_denies_no_antenna(
@@ -294,12 +258,7 @@ def test_a_gyro_that_sees_turns_on_the_spot_is_used(seed: int) -> None:
     """Its path turns the other way where it goes on in reverse: the gyro was said to be upside
     down, and of the poses a third and a sixteenth were used."""
     drive = pivoting(seed)
-    fixes, right = fixes_of(drive, 0.2, 0.01), gyro_of(drive, bias_dps=0.1, noise_dps=0.1)
-    accepted = conditioned(fixes, PoseSettings(), DATUM).accepted
-    ratio = turn_ratio(accepted, right)
-    assert ratio is not None
-    assert ratio.value < 0.0
-    assert ratio.is_wrong
+    right = gyro_of(drive, bias_dps=0.1, noise_dps=0.1)
     found = estimate(drive, Motion(gyro=right))
     assert not [note for note in found.report.notes if "gyro" in note]
     track, rows = found.trajectory, found.fix_row

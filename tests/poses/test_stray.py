@@ -5,13 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fieldgrid.core import Bool, PoseSettings
+from fieldgrid.core import Bool
 from fieldgrid.geometry import Carrier, FixColumns, Motion, wrap_deg
-from fieldgrid.poses import Estimate, Gate, estimate_poses
-from fieldgrid.poses.accepted import AcceptedFixes
-from fieldgrid.poses.fused import conditioned
-from fieldgrid.poses.gates.conditioning import condition
-from fieldgrid.poses.gears.stations import breaks
+from fieldgrid.poses import Estimate, estimate_poses
 from tests.simulated import DATUM, K_TURN, SLALOM, STOP, Command, Drive, fixes_of, gyro_of, simulate
 
 ROWS = [Command(25.0, 1.2), *K_TURN[1:-1], Command(25.0, 1.2)]
@@ -65,14 +61,6 @@ def test_a_jump_while_the_vehicle_turns_takes_nothing_else_away(
     assert wrong_headings(found, drive) == 0.0
 
 
-def test_conditioning_alone_takes_a_jump_in_a_turn_for_driven() -> None:
-    """What the others here are about: were it not so, they would prove nothing."""
-    drive = simulate(ROWS, 37.0)
-    fixes, off = jumping(drive, 29.5, 2.0, 1.2)
-    assert condition(fixes).ok[off].any()
-    assert denied(estimate(drive, fixes))[off].any()
-
-
 @pytest.mark.parametrize("commands", [ROWS, SLALOM, STOP])
 @pytest.mark.parametrize(("period_s", "noise_m", "quality"), [(0.1, 0.01, 4), (1.0, 0.05, 2)])
 def test_a_drive_without_jumps_denies_nothing(
@@ -100,38 +88,3 @@ def test_what_lies_between_a_jump_and_a_hole_is_denied_however_the_estimate_is_d
     seen = (at_s < 31.0) | (at_s > 36.0)
     found = estimate_poses(fixes[seen], Carrier(0.0), DATUM)
     assert not found.trajectory.accepted[found.fix_row][off[seen]].any()
-
-
-def test_strays_are_judged_first_and_those_after_them_anew() -> None:
-    drive = simulate([Command(20.0, 1.5)], 0.0)
-    fixes, off = jumping(drive, 8.0, 0.4, 4.0)
-    rows = np.flatnonzero(off).tolist()
-    verdicts = condition(fixes, strays=dict.fromkeys(rows, "denied"))
-    assert [verdicts.gate[k] for k in rows] == [Gate.STRAY] * len(rows)
-    assert [verdicts.reason[k] for k in rows] == ["denied"] * len(rows)
-    assert verdicts.ok[~off].all()
-
-
-def accepted(drive: Drive, fixes: FixColumns) -> AcceptedFixes:
-    return conditioned(fixes, PoseSettings(), DATUM).accepted
-
-
-@pytest.mark.parametrize("period_s", [0.05, 0.2, 1.0])
-@pytest.mark.parametrize("commands", [ROWS, SLALOM, STOP])
-def test_turning_and_stopping_tears_no_track(commands: list[Command], period_s: float) -> None:
-    drive = simulate(commands, 10.0)
-    hole, torn = breaks(accepted(drive, fixes_of(drive, period_s, 0.02)))
-    assert not hole.any()
-    assert not torn.any()
-
-
-def test_a_jump_tears_the_track_and_a_hole_is_one() -> None:
-    drive = simulate(ROWS, 37.0)
-    fixes, _ = jumping(drive, 29.0, 90.0, 3.3)
-    at_s = (fixes.time_ns - fixes.time_ns[0]) / 1e9
-    used = accepted(drive, fixes[(at_s < 10.0) | (at_s > 15.0)])
-    hole, torn = breaks(used)
-    ends_s = (used.time_ns[1:] - fixes.time_ns[0]) / 1e9
-    assert ends_s[hole].tolist() == pytest.approx([15.2])
-    assert len(ends_s[torn]) == 1
-    assert ends_s[torn][0] == pytest.approx(29.0, abs=1.5)

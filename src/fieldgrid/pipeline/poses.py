@@ -229,18 +229,10 @@ def doubted_clock(recording: Recording, estimate: Estimate) -> BuildDoubt | None
 
 def doubted_jump(recording: Recording, estimate: Estimate) -> BuildDoubt | None:
     """The doubt about images, gyro or fixes whose clock changes at some instant."""
-    jump, change = estimate.report.jump, estimate.report.clock_change
-    if jump is None:
-        if change is None:
-            return None
-        return BuildDoubt(StopCode.CLOCK_JUMP, _change_error(recording, change))
-    error = RecordingError(
-        f"The clock of images and gyro of {recording.name} jumps ahead by {jump.jump_s:.2f} s at "
-        f"{utc_text(jump.time_ns)}: over that gap in their stamps the camera moved "
-        f"{jump.seen_m:.2f} m and the fixes {jump.driven_m:.2f} m; split the drive there into two "
-        "recordings, and give each the offset that `fieldgrid inspect` finds."
-    )
-    return BuildDoubt(StopCode.CLOCK_JUMP, error)
+    change = estimate.report.clock_change
+    if change is None:
+        return None
+    return BuildDoubt(StopCode.CLOCK_JUMP, _change_error(recording, change))
 
 
 def _change_error(recording: Recording, change: ClockChange) -> RecordingError:
@@ -296,7 +288,7 @@ def doubted_yaw(recording: Recording, estimate: Estimate) -> BuildDoubt | None:
     """The doubt about a camera that certainly looks elsewhere than declared, by `ASKEW_DEG` or
     more: the map would be wrong."""
     yaw = estimate.report.camera_yaw
-    if yaw is None or not yaw.is_off or abs(yaw.off_deg) < ASKEW_DEG or yaw.moved is not None:
+    if yaw is None or not yaw.is_off or abs(yaw.off_deg) < ASKEW_DEG:
         return None
     return BuildDoubt(
         StopCode.CAMERA_YAW,

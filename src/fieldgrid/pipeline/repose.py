@@ -149,7 +149,10 @@ def _of_sweeps(
 
 def _settings(session: SessionInfo, pose_settings: Mapping[str, Any]) -> BuildSettings:
     stored = session.config.get("settings", {})
-    tables = {**stored, "pose": {**stored.get("pose", {}), **pose_settings}}
+    pose = {**stored.get("pose", {}), **pose_settings}
+    # Older versions had a limit of the climb, too.
+    gates = {name: one for name, one in pose.get("gnss", {}).items() if name != "max_climb_mps"}
+    tables = {**stored, "pose": {**pose, "gnss": gates}}
     try:
         return BuildSettings.model_validate(tables)
     except ValidationError as error:

@@ -45,8 +45,11 @@ if TYPE_CHECKING:
         levelling_attitude as levelling_attitude,
         tells_attitude as tells_attitude,
     )
-    from fieldgrid.poses.parts import Estimate as Estimate
-    from fieldgrid.poses.report import NO_AXLE as NO_AXLE, clock_notes as clock_notes
+    from fieldgrid.poses.report import (
+        NO_AXLE as NO_AXLE,
+        Estimate as Estimate,
+        clock_notes as clock_notes,
+    )
     from fieldgrid.poses.track.formats import gpx_track as gpx_track
     from fieldgrid.poses.track.table import (
         Spread as Spread,

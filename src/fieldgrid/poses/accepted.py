@@ -156,21 +156,13 @@ _COLUMNS = (
     "if a column of a table is taken for what it is not, name columns and units in [gnss.columns] "
     "of recording.toml"
 )
-CUT_AT_CLOCK = (
-    "cut the log where its clock goes back or another log begins, and use the parts one by one"
-)
 _REMEDIES = {
     Gate.PLACE: _COLUMNS,
     Gate.TIME: _COLUMNS,
-    Gate.CLOCK: CUT_AT_CLOCK,
     Gate.QUALITY: "declare its quality with --quality",
     Gate.SATELLITES: _with_limit("min_satellites"),
     Gate.HDOP: _with_limit("max_hdop"),
     Gate.AGE: f"{_with_limit('max_age_s')} (max_code_age_s without carrier phase)",
-    Gate.CLIMB: (
-        "if its heights alone are wrong, allow them with max_climb_mps of the table pose.gnss in "
-        "--config"
-    ),
 }
 """What helps against what refuses all fixes."""
 

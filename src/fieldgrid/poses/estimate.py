@@ -21,7 +21,6 @@ from fieldgrid.poses.axle import axle_forward_m, with_antenna_moved
 from fieldgrid.poses.drive import DriveEstimate, with_recorded
 from fieldgrid.poses.external.poses import CLEAR_OFFSET_DEG, place_poses
 from fieldgrid.poses.faults.camera_yaw import CameraYaw, camera_yaw
-from fieldgrid.poses.faults.clock.jump import clock_jump
 from fieldgrid.poses.faults.clock.offset import ClockFindings, check_clock
 from fieldgrid.poses.faults.convention import FEW_TURNED_SHARE, Comparison
 from fieldgrid.poses.faults.denied import (
@@ -38,13 +37,12 @@ from fieldgrid.poses.faults.unseen import (
     unsure_notes,
     unsure_receiver,
 )
-from fieldgrid.poses.fused import Fusion, conditioned, counted_twice_note, fuse
+from fieldgrid.poses.fused import Fusion, conditioned, fuse
 from fieldgrid.poses.gates.conditioning import condition
 from fieldgrid.poses.gates.summary import summarise
 from fieldgrid.poses.levelled import leaning, tells_attitude, track_m, unsure_lean
 from fieldgrid.poses.measured import RecordedHeadings
-from fieldgrid.poses.parts import Estimate, by_parts
-from fieldgrid.poses.report import PoseReport, drive_notes, fix_offset, leaps_ns
+from fieldgrid.poses.report import Estimate, PoseReport, drive_notes, fix_offset
 from fieldgrid.poses.settings import HeadingSource, heading_source
 from fieldgrid.poses.slope import slope_notes, unsure_slope
 from fieldgrid.poses.table import PoseTable, pose_table
@@ -125,7 +123,6 @@ def estimate_poses(
         clock=checks.clocks.offset,
         contradiction=checks.clocks.contradiction,
         clock_change=checks.clocks.change,
-        jump=clock_jump(log.accepted, found.motion.steps, found.gyro),
         camera_yaw=checks.yaw,
         gyro_bias_dps=drive.gyro_bias_dps,
         offset=fix_offset(log.accepted, drive.offset_m),
@@ -143,19 +140,7 @@ def estimate_poses(
             ),
         ),
     )
-    whole = Estimate(trajectory, fix_row, report, table.gear_doubt)
-    if trajectory.accepted.any() or not len(leaps_ns(log.accepted)):
-        return whole
-    one = partial(
-        estimate_poses,
-        rig=rig,
-        datum=log.datum,
-        settings=settings,
-        budget=budget,
-        level_grids=level_grids,
-    )
-    most_m = settings.max_position_sigma_m
-    return by_parts(whole, log.accepted, fixes, motion, frame_ns, one, most_m)
+    return Estimate(trajectory, fix_row, report, table.gear_doubt)
 
 
 class _Checks(NamedTuple):
@@ -223,7 +208,6 @@ def _of_given(
     try:
         log = conditioned(fixes, settings, datum)
         datum = log.datum
-        notes += [note for note in (counted_twice_note(log),) if note is not None]
     except GnssError as problem:
         if origin is not None and len(fixes):
             notes.append(str(problem))

@@ -37,12 +37,10 @@ from fieldgrid.poses.faults.convention import Comparison, compare, turned_around
 from fieldgrid.poses.faults.gyro.check import GyroVerdict, with_trusted_gyro, without_wrong_gyro
 from fieldgrid.poses.faults.gyro.dead_gyro import without_dead_gyro, without_faulty_samples
 from fieldgrid.poses.faults.leaps.leaps import holes
-from fieldgrid.poses.faults.leaps.recorded import recorded_leaps
 from fieldgrid.poses.faults.leaps.seams import LEAST_M, SeenLeap
 from fieldgrid.poses.faults.leaps.seen import seen_leaps
 from fieldgrid.poses.faults.stray import MOST_ROUNDS, stray_fixes
 from fieldgrid.poses.gates.conditioning import condition
-from fieldgrid.poses.gates.counted_twice import counted_twice
 from fieldgrid.poses.gears.stations import GearHints, gear_hints
 from fieldgrid.poses.levelled import (
     DENIED_IMU,
@@ -257,7 +255,7 @@ def fuse(
         drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     # A gyro that contradicts the drive; of one that fits, where an undeclared axle is.
     trusted = _with_trusted_gyro(drive, log, motion, axle, hints, frame_ns)
-    notes = (counted_twice_note(log), faulty_gyro, dead_gyro, turned_wheels)
+    notes = (faulty_gyro, dead_gyro, turned_wheels)
     found = Fusion(
         *(log, trusted.drive, trusted.motion, axle, hints, gyro, trusted),
         gyro_note=wrong_gyro or trusted.note,
@@ -276,10 +274,6 @@ def fuse(
     # A solution that goes on elsewhere, as the camera sees or the estimate itself.
     steps = found.motion.steps
     seen = {leap.time_ns: leap for leap in denied_leaps(found.log.accepted, found.drive)}
-    if (offset_deg := _heading_offset_deg(found, settings)) is not None:
-        nose_deg, (_, ahead_m) = found.recorded_deg() - offset_deg, found.axle.frame()[0]
-        by_heading = recorded_leaps(found.log.accepted, nose_deg, ahead_m)
-        seen |= {leap.time_ns: leap for leap in by_heading}
     if rig is not None:
         by_camera = seen_leaps(found.log.accepted, found.drive, steps, rig.antenna)
         seen |= {leap.time_ns: leap for leap in by_camera}
@@ -314,20 +308,6 @@ def _with_axle(found: Fusion) -> Fusion:
         if abs(moved_m) < told.sigma_m:
             return found.again(axle=told)
     return found
-
-
-def counted_twice_note(log: ConditionedLog) -> str | None:
-    """That the log counts some seconds twice, and what it means."""
-    if not log.spans:
-        return None
-    seconds, rows = (sum(span[k] for span in log.spans) for k in (1, 2))
-    first_s = (log.spans[0].start_ns - int(log.fixes.time_ns[0])) / 1e9
-    often = "" if len(log.spans) == 1 else f", {len(log.spans)} times"
-    return (
-        f"The log counts {seconds:.1f} s twice, at two places{often} (first {first_s:.0f} s after "
-        f"its start): its clock was set back, or logs were joined. These {rows} fixes were not "
-        "used; where there are images or a gyro, cut the log there and use the part of their clock."
-    )
 
 
 def _with_trusted_gyro(
@@ -389,22 +369,20 @@ def conditioned(
 ) -> ConditionedLog:
     """Fixes in order of time with what the settings declare of them, judged, and the accepted
     ones in the plane. Raises GnssError when none can be used."""
-    twice, spans = counted_twice(fixes)
-    twice = twice[np.argsort(fixes.time_ns, kind="stable")]
     fixes = fixes.in_order()
     if settings.quality is not None:
         fixes = fixes.replace(quality=np.full(len(fixes), settings.quality, dtype=np.int64))
     if settings.accuracy_m is not None:
         fixes = fixes.replace(sigma_m=np.full(len(fixes), settings.accuracy_m))
-    verdicts = condition(fixes, settings.gnss, twice=twice)
+    verdicts = condition(fixes, settings.gnss)
     datum = datum or datum_of(fixes, verdicts)
     accepted = accepted_fixes(fixes, verdicts, datum)
-    return ConditionedLog(fixes, verdicts, datum, accepted, twice, spans)
+    return ConditionedLog(fixes, verdicts, datum, accepted)
 
 
 def conditioned_again(
     log: ConditionedLog, settings: PoseSettings, strays: Mapping[int, str]
 ) -> ConditionedLog:
     """The log judged again without the fixes `strays`, as in `condition`."""
-    verdicts = condition(log.fixes, settings.gnss, strays, log.twice)
+    verdicts = condition(log.fixes, settings.gnss, strays)
     return log._replace(verdicts=verdicts, accepted=accepted_fixes(log.fixes, verdicts, log.datum))

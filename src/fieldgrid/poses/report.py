@@ -10,20 +10,18 @@ import numpy as np
 
 from fieldgrid.core import Float64, Int64, PoseSettings, commonest_reason, utc_text
 from fieldgrid.geometry import Rig, Trajectory, VehicleGeometry, wrap_deg
-from fieldgrid.poses.accepted import CUT_AT_CLOCK, AcceptedFixes, fix_offsets
+from fieldgrid.poses.accepted import AcceptedFixes, fix_offsets
 from fieldgrid.poses.attitude.attitude import Attitude
 from fieldgrid.poses.axle import Axle, names_axle
 from fieldgrid.poses.drive import DriveEstimate
 from fieldgrid.poses.external.georeference import Georeference
 from fieldgrid.poses.faults.camera_yaw import CameraYaw, yaw_notes
 from fieldgrid.poses.faults.clock.change import ClockChange
-from fieldgrid.poses.faults.clock.jump import ClockJump
 from fieldgrid.poses.faults.clock.search import ClockOffset, MotionContradiction
 from fieldgrid.poses.faults.convention import Comparison
 from fieldgrid.poses.faults.denied import DriveContradiction, denied_notes
 from fieldgrid.poses.faults.leaps.seams import LEAP_S
 from fieldgrid.poses.faults.unseen import UnseenFault
-from fieldgrid.poses.gates.conditioning import COUNTED_TWICE
 from fieldgrid.poses.gates.summary import ConditioningSummary
 from fieldgrid.poses.gears.stations import TELL_GEARS
 from fieldgrid.poses.settings import HeadingSource
@@ -61,9 +59,8 @@ class PoseReport:
     heading beside the estimate; `gyro_bias_dps` NaN without a gyro. `offset` compares poses with
     their fixes. `camera_scale` and `wheel_scale` are by what share the distances of camera and
     wheels are too long. As the camera's motion has it, `clock` is the time offset between images
-    and fixes, `jump` where the clock of images and gyro jumps, `clock_change` where that offset
-    changes otherwise, `contradiction` how much of the motion no offset explains, `camera_yaw`
-    where the camera looks. `unseen` are faults that the drive
+    and fixes, `clock_change` where that offset changes, `contradiction` how much of the motion no
+    offset explains, `camera_yaw` where the camera looks. `unseen` are faults that the drive
     would not show: its sigmas do not cover them.
     """
 
@@ -78,7 +75,6 @@ class PoseReport:
     notes: tuple[str, ...]
     georeference: Georeference | None = None
     contradiction: MotionContradiction | None = None
-    jump: ClockJump | None = None
     clock_change: ClockChange | None = None
     camera_yaw: CameraYaw | None = None
     unseen: tuple[UnseenFault, ...] = ()
@@ -90,7 +86,6 @@ class PoseReport:
             "recorded_heading": self.recorded,
             "clock_offset": self.clock,
             "camera_contradiction": self.contradiction,
-            "clock_jump": self.jump,
             "clock_change": self.clock_change,
             "fix_offset": self.offset,
             "camera_scale": self.camera_scale,
@@ -111,11 +106,22 @@ class PoseReport:
                 )
                 for name, part in parts.items()
             },
-            "camera_yaw": None if self.camera_yaw is None else self.camera_yaw.as_dict(),
+            "camera_yaw": None if self.camera_yaw is None else self.camera_yaw._asdict(),
             "gyro_bias_dps": None if np.isnan(bias) else bias,
             "unseen": [str(fault) for fault in self.unseen],
             "notes": list(self.notes),
         }
+
+
+class Estimate(NamedTuple):
+    """A trajectory, the row of each input fix in it (in order of time), the report, and for each
+    row the probability that the gear is the other one. Of given poses without fixes, `fix_row` has
+    all rows."""
+
+    trajectory: Trajectory
+    fix_row: Int64
+    report: PoseReport
+    gear_doubt: Float64
 
 
 def fix_offset(fixes: AcceptedFixes, offset_m: Float64) -> FixOffset:
@@ -199,7 +205,8 @@ def leap_note(fixes: AcceptedFixes) -> str:
     return (
         f"The receiver's solution leaps {often} by more than it states (first {first_s:.0f} s "
         "after the start), and nothing tells which side is right: its positions count as good to "
-        f"{np.median(fixes.sigma_m):.2f} m. If you know, leave out the fixes of the wrong one."
+        f"{np.median(fixes.sigma_m):.2f} m. If you know, keep that side alone: --until or --from "
+        f"{utc_text(int(leaps[0]) + 1, 'ms')}."
     )
 
 
@@ -276,7 +283,6 @@ def _remedy(
         "the estimate lies": "the fixes contradict each other by more than they state; say how "
         "good they are with --accuracy METRES, or leave out the epochs of another receiver or of "
         "a jump",
-        COUNTED_TWICE: CUT_AT_CLOCK,
         "forward or reverse": TELL_GEARS,
         "heading unknown": "log while the vehicle drives, or record its heading",
         "heading sigma": surer,
@@ -286,5 +292,5 @@ def _remedy(
     advice = "".join(known) or "choose another log with --gnss"
     if len(leaps_ns(fixes)):
         # What is declared of the fixes does not tell which solution was right.
-        advice = "nor is a part of the drive between leaps sure enough"
+        advice = "keep the part on one side of a leap alone"
     return f"No pose can be used, mostly because: {commonest}; {advice}."

@@ -10,7 +10,6 @@ from fieldgrid.core import Bool, Float64, Int64, PoseSettings, Quality
 from fieldgrid.geometry import MAX_GAP_NS, Datum, FixColumns, VehicleGeometry, wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes, fix_offsets
 from fieldgrid.poses.drive import DriveEstimate
-from fieldgrid.poses.gates.counted_twice import CountedTwice
 from fieldgrid.poses.gates.verdict import Verdicts
 from fieldgrid.poses.gears.course import (
     NOISE_SHARE,
@@ -135,15 +134,12 @@ class PoseTable(NamedTuple):
 
 class ConditionedLog(NamedTuple):
     """All fixes of a drive in order of time with their verdicts, and the accepted ones in the
-    plane of the datum; `twice` are those whose seconds the log counts twice, if there are any, and
-    `spans` these seconds."""
+    plane of the datum."""
 
     fixes: FixColumns
     verdicts: Verdicts
     datum: Datum
     accepted: AcceptedFixes
-    twice: Bool | None = None
-    spans: tuple[CountedTwice, ...] = ()
 
 
 def pose_table(

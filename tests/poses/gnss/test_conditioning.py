@@ -282,9 +282,9 @@ def test_a_move_needs_fixes_enough_and_time_enough(
 
     assert seams(before, after) == [before]
     if before > after:
-        assert seams(before, after - 1) == []
+        assert seams(before, after - 2) == []
     else:
-        assert seams(before - 1, after) == []
+        assert seams(before - 2, after) == []
 
 
 def test_an_excursion_is_rejected_below_twice_that() -> None:

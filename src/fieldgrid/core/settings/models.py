@@ -175,7 +175,7 @@ class GateLimits(Settings):
     From fix to fix a vehicle may leave its even motion by `speed_margin_mps` and
     `max_acceleration_mps2`, along the track or across it; a stamp may be off by `timing_s`, for
     hosts buffer; and `sigmas` standard deviations of a displacement are noise. Where fixes are
-    missing it drives at `max_speed_mps` at most, and up or down at `max_climb_mps`.
+    missing it drives at `max_speed_mps` at most.
 
     Fixes that agree with each other but not with those before or after them are a solution that
     has moved, and are followed, when they are `moved_fixes` over `moved_s` seconds; fewer are
@@ -208,9 +208,6 @@ class GateLimits(Settings):
     )
     max_acceleration_mps2: float = setting(4.0, "the same, as an acceleration", gt=0.0, le=50.0)
     max_speed_mps: float = setting(40.0, "largest speed where fixes are missing", gt=0.0, le=500.0)
-    max_climb_mps: float = setting(
-        3.0, "largest vertical speed where fixes are missing", gt=0.0, le=100.0
-    )
     timing_s: float = setting(0.1, "largest delay of the time stamp of a fix", ge=0.0, le=5.0)
     sigmas: float = setting(4.0, "deviations up to so many sigma count as noise", gt=0.0, le=20.0)
     moved_fixes: int = setting(

@@ -385,7 +385,7 @@ def _refusals(*doubts: BuildDoubt | None) -> list[Finding]:
 
 
 def _told_by_camera(recording: Recording, estimate: Estimate, findings: list[Finding]) -> None:
-    """A clock that jumps, images of other moments than stamped, a camera that looks elsewhere."""
+    """A clock that is set, images of other moments than stamped, a camera that looks elsewhere."""
     askew = doubted_yaw(recording, estimate)
     findings += _refusals(
         doubted_jump(recording, estimate),
@@ -394,5 +394,4 @@ def _told_by_camera(recording: Recording, estimate: Estimate, findings: list[Fin
     )
     yaw = estimate.report.camera_yaw
     if yaw is not None and askew is None:
-        code = StopCode.CAMERA_YAW.value if yaw.moved is None else "camera-moved"
-        findings += [warning(code, note) for note in yaw_notes(yaw)]
+        findings += [warning(StopCode.CAMERA_YAW.value, note) for note in yaw_notes(yaw)]

@@ -18,7 +18,7 @@ from fieldgrid.geometry import Gyro, VehicleGeometry, wrap_deg
 from fieldgrid.poses.drive import DriveEstimate
 from fieldgrid.poses.faults.denied import CLEAR_SIGMAS, DriveContradiction
 from fieldgrid.poses.faults.explained import MOST_LEFT, UNTOLD, Correction, Explanation, explanation
-from fieldgrid.poses.faults.gyro.check import apart_deg, scaled, turn_ratio
+from fieldgrid.poses.faults.gyro.check import MOST_SCALE, apart_deg
 from fieldgrid.poses.fused import Fusion
 
 STARTS = (0.0, 1.5, -1.5)
@@ -90,13 +90,12 @@ def _most_turning(found: Fusion) -> Fusion:
 
 
 def _is_of_other_size(without: Fusion, gyro: Gyro) -> bool:
-    """Whether a gyro fits once it turns by as much as the path does: then its axes or its unit are
-    wrong, and nothing else."""
-    ratio = turn_ratio(without.log.accepted, gyro)
-    if ratio is None:
-        return False
-    motion = scaled(without.motion._replace(gyro=gyro), ratio.value)
-    return without.again(motion=motion, as_stated=True).drive.smoothed.declared.misfit() < MOST_LEFT
+    """Whether a gyro fits once it turns by as much as the drive has it: then its axes or its unit
+    are wrong, and nothing else."""
+    beside = without.again(motion=without.motion._replace(gyro=gyro), as_stated=True)
+    smoothed = beside.drive.smoothed
+    wrong = smoothed.gyro_scale is not None and abs(smoothed.gyro_scale.value) > MOST_SCALE
+    return wrong and smoothed.declared.misfit() < MOST_LEFT
 
 
 def _fitting(

@@ -2,7 +2,7 @@
 
 The gates are physical. A receiver's own confidence widens them at most; a jump with a confident
 covariance is still a jump. A fix is asked in this order: its place, what the receiver says of it,
-its time, whether it is one at all or a repeat, and whether a vehicle drove there, up and along.
+its time, whether it is one at all or a repeat, and whether a vehicle drove there.
 """
 
 from __future__ import annotations
@@ -13,9 +13,8 @@ from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
-from fieldgrid.core import CARRIER, CODE, Bool, Float64, GateLimits, Index, Int64, Quality
+from fieldgrid.core import CARRIER, CODE, Bool, Float64, GateLimits, Index, Quality
 from fieldgrid.geometry import NOT_SAID, Datum, FixColumns
 from fieldgrid.poses.gates.motion_gate import (
     MotionEnvelope,
@@ -27,75 +26,8 @@ from fieldgrid.poses.gates.motion_gate import (
 from fieldgrid.poses.gates.repeats import held_ns
 from fieldgrid.poses.gates.verdict import DEFAULT_LIMITS, REPEATS, Gate, Verdicts
 
-# Heights that run away: the sign of a solution that has come apart while it looks smooth.
-#
-# An inertial receiver without satellites drifts on evenly. No jump and no covariance need give it
-# away, but it soon climbs or sinks as nothing on wheels can.
-
-
-HALF_WINDOW_S = 2.5
-"""Rates of climb are taken over twice this."""
-
-SPIKE_S = 1.0
-"""A height that is off for less than half of this is a spike, and no climb."""
-
-SPOILT_S = 10.0
-"""How long before and after a climb the solution is not trusted either."""
-
-VALUES_AT_ONCE = 1 << 16
-"""As many are sorted together: windows are copied for it."""
-
-MOST_APART = 0.5
-"""Of a solution that climbs as nothing on wheels can in more of its fixes, none is trusted."""
-
-
-def climb_mps(time_ns: Int64, height_m: Float64) -> Float64:
-    """Rate of climb at each of n fixes ordered by time, m/s; 0 where too few are near."""
-    if len(time_ns) < 3:
-        return np.zeros(len(time_ns))
-    time_s = (time_ns - time_ns[0]) / 1e9
-    step_s = max(float(np.median(np.diff(time_s))), 1e-3)
-    size = 2 * int(SPIKE_S / step_s / 2.0) + 1
-    smooth_m = running_median(height_m, max(size, 3))
-    first = np.searchsorted(time_s, time_s - HALF_WINDOW_S)
-    last = np.searchsorted(time_s, time_s + HALF_WINDOW_S, side="right") - 1
-    span_s = time_s[last] - time_s[first]
-    rise_m = smooth_m[last] - smooth_m[first]
-    return np.where(span_s >= HALF_WINDOW_S, rise_m / np.maximum(span_s, 1e-3), 0.0)
-
-
-def running_median(values: Float64, size: int) -> Float64:
-    """The median of `size` values, an odd number, around each of n; the first and the last one
-    stand for those beyond them. SciPy's takes a tenth of a second to import."""
-    half = size // 2
-    windows = sliding_window_view(np.pad(values, half, mode="edge"), size)
-    medians, step = np.empty(len(values)), max(VALUES_AT_ONCE // size, 1)
-    for first in range(0, len(values), step):
-        part = slice(first, first + step)
-        medians[part] = np.partition(windows[part], half, axis=1)[:, half]
-    return medians
-
-
-def has_come_apart(climbing: Bool) -> bool:
-    """Whether most fixes of a solution climb as no vehicle does."""
-    return int(climbing.sum()) > MOST_APART * len(climbing)
-
-
-def spoilt(time_ns: Int64, climbing: Bool) -> Bool:
-    """Which of n fixes lie in or near a climb that no vehicle makes: all, where most climb so."""
-    at = time_ns[climbing]
-    if at.size == 0 or has_come_apart(climbing):
-        return np.full(len(time_ns), at.size > 0)
-    reach_ns = int(SPOILT_S * 1e9)
-    near = np.searchsorted(at, time_ns + reach_ns, side="right") - np.searchsorted(
-        at, time_ns - reach_ns
-    )
-    return np.asarray(near > 0)
-
-
 _LAST_NS = 2**62  # differences of such times still fit into 64 bits
 NO_STRAYS: Mapping[int, str] = MappingProxyType({})
-COUNTED_TWICE = "the log counts its time twice, at two places"
 _LOWEST_M, _HIGHEST_M = -1000.0, 10_000.0
 
 
@@ -103,22 +35,18 @@ def condition(
     fixes: FixColumns,
     limits: GateLimits = DEFAULT_LIMITS,
     strays: Mapping[int, str] = NO_STRAYS,
-    twice: Bool | None = None,
 ) -> Verdicts:
     """The verdicts on fixes in order of time. Accepted fixes increase strictly in it.
 
     The whole drive is judged at once, so a fix may be rejected for what came after it. Where the
     solution has moved, the fix from which it is followed is accepted with a reason: the seam.
     `strays` are rows that an estimate of the drive denies, with the reason of each: the others are
-    judged without them, and without those whose seconds the log counts `twice`.
+    judged without them.
     """
     log = _VerdictTable(fixes, limits)
     _check_place(log)
     _check_receiver(log)
-    if twice is not None:
-        log.reject_all(twice, Gate.CLOCK, lambda _: COUNTED_TWICE)
     _check_repeats(log)
-    _check_climb(log)
     for row, reason in strays.items():
         if log.ok[row]:
             log.reject(row, Gate.STRAY, reason)
@@ -234,30 +162,13 @@ def _check_repeats(log: _VerdictTable) -> None:
 # --- whether a vehicle drove through it
 
 
-def _check_climb(log: _VerdictTable) -> None:
-    """Rows that climb or sink faster than a vehicle, or lie near such."""
-    rows, limit_mps = log.rows(), log.limits.max_climb_mps
-    time_ns = log.fixes.time_ns[rows]
-    rate_mps = climb_mps(time_ns, log.fixes.height_m[rows])
-    climbing = np.abs(rate_mps) > limit_mps
-    where = "in most of the log" if has_come_apart(climbing) else f"within {SPOILT_S:g} s"
-    for k in np.flatnonzero(spoilt(time_ns, climbing)).tolist():
-        steep = "climbs" if rate_mps[k] >= 0.0 else "sinks"
-        reason = f"height {steep} at {abs(rate_mps[k]):.1f} m/s: the solution has come apart"
-        if not climbing[k]:
-            reason = f"height runs away {where}: the solution has come apart"
-        log.reject(int(rows[k]), Gate.CLIMB, reason)
-
-
 def _check_motion(log: _VerdictTable) -> None:
     """Judge the rows, which are ordered by time, by the motion of the whole drive."""
     rows = log.rows()
     if not len(rows):
         return
     used = log.fixes[rows]
-    envelope = motion_envelope(
-        used.time_ns, *_metres(used), used.position_sigma_m(), used.speed_mps, log.limits
-    )
+    envelope = motion_envelope(used.time_ns, *_metres(used), used.position_sigma_m(), log.limits)
     is_kept, seam = follow(envelope)
     kept = np.flatnonzero(is_kept)
     jump_at = -1  # where the run of rejected fixes that agree with each other began

@@ -23,17 +23,14 @@ _LOOK_BACK = 1000
 _SIGMA_DOUBT = 10.0  # how many times the stated sigma the measured noise may raise it to
 _ANYWHERE_M = 1e7  # a sigma that says no more than "on Earth"
 _LEAST_WORTH = 0.25
-_WHOLE, _ROUNDED_SHARE = 0.01, 0.05
-_WRONG_SPEEDS = 0.1  # share of speeds below the track's own that discredits them all
 
 
 class MotionEnvelope(NamedTuple):
     """How the vehicle can have moved: row by row, all of length n, and the price of a seam.
 
     `distance_*_m` is the way driven from the first row by the velocity around each row, which jumps
-    of the position do not enter; `slack_m` and `reach_m` are running sums: how far off that way
-    it can have come, and how far it can have come at the speeds that the receiver states.
-    `worth` is 1 for a fix as good as most of the log, less for worse ones.
+    of the position do not enter; `slack_m` is a running sum, too: how far off that way it can have
+    come. `worth` is 1 for a fix as good as most of the log, less for worse ones.
     """
 
     time_ns: Int64
@@ -42,7 +39,6 @@ class MotionEnvelope(NamedTuple):
     distance_east_m: Float64
     distance_north_m: Float64
     slack_m: Float64
-    reach_m: Float64
     noise_m: Float64
     worth: Float64
     seam_price: float
@@ -66,10 +62,9 @@ def motion_envelope(
     east_m: Float64,
     north_m: Float64,
     sigma_m: Float64,
-    speed_mps: Float64,
     limits: GateLimits,
 ) -> MotionEnvelope:
-    """The motion around each row. Rows are ordered by time; an unknown speed is NaN."""
+    """The motion around each row. Rows are ordered by time."""
     step_s = np.diff(time_ns) / 1e9
     period_s = float(np.median(step_s[step_s > 0.0])) if np.any(step_s > 0.0) else 1.0
     half = int(np.clip(math.ceil(_AROUND_S / period_s), _LEAST_AROUND, _MOST_AROUND))
@@ -80,17 +75,12 @@ def motion_envelope(
             for axis in (east_m, north_m)
         ]
     )
-    pace_mps = np.hypot(*velocity)
-    told_mps = _credible(speed_mps, pace_mps, limits)
-    top_mps = np.where(np.isnan(told_mps), limits.max_speed_mps, told_mps + limits.speed_margin_mps)
-    velocity *= np.minimum(1.0, top_mps / np.maximum(pace_mps, 1e-9))
+    pace_mps = np.minimum(np.hypot(*velocity), limits.max_speed_mps)
+    velocity *= pace_mps / np.maximum(np.hypot(*velocity), 1e-9)
     way = _running(0.5 * (velocity[:, 1:] + velocity[:, :-1]) * step_s)
     free_m = limits.speed_margin_mps * step_s + np.minimum(
         0.5 * limits.max_acceleration_mps2 * step_s**2, limits.max_speed_mps * step_s
     )
-    # The quicker end of a step, and as good as any distance where no speed is stated.
-    told_step_mps = np.where(np.isnan(told_mps), limits.max_speed_mps, told_mps)
-    told_step_mps = np.maximum(told_step_mps[1:], told_step_mps[:-1])
     # The stated sigma, raised to the noise that the log has, but no more than tenfold.
     measured_m = short_term_sigma_m(east_m, north_m, time_ns, 0.0)
     sigma_m = np.minimum(sigma_m, _ANYWHERE_M)
@@ -103,8 +93,7 @@ def motion_envelope(
         way[0],
         way[1],
         _running(free_m),
-        _running(free_m + told_step_mps * step_s),
-        noise_m + _timing_s(step_s, period_s, limits) * np.minimum(pace_mps, top_mps),
+        noise_m + limits.timing_s * pace_mps,
         np.clip(np.sqrt(np.median(sigma_m) / sigma_m), _LEAST_WORTH, 1.0),
         max(limits.moved_fixes, math.ceil(limits.moved_s / period_s)) - 1.0,
     )
@@ -142,7 +131,7 @@ def transition(envelope: MotionEnvelope, a: int, b: int) -> Transition:
         moved_m=math.hypot(east_m, north_m),
         off_m=math.hypot(off_e, off_n),
         explained_m=float(envelope.slack_m[b] - envelope.slack_m[a] + noise_m),
-        strain=float(_strain(*envelope[:8], a, b)),
+        strain=float(_strain(*envelope[:7], a, b)),
         along_m=off_e * unit_e + off_n * unit_n,
         across_m=off_e * unit_n - off_n * unit_e,
         distance_m=distance_m,
@@ -153,33 +142,6 @@ def _running(steps: Float64) -> Float64:
     """Sums from the first row to each row, along the last axis."""
     start = np.zeros((*steps.shape[:-1], 1))
     return np.concatenate([start, np.cumsum(steps, axis=-1)], axis=-1)
-
-
-def _timing_s(step_s: Float64, period_s: float, limits: GateLimits) -> float:
-    """How far a stamp may be off: half a step where they are rounded to whole ones.
-
-    A log at one stamp a second that often has none for two was not taken once a second.
-    """
-    steps = step_s / period_s
-    whole = np.abs(steps - np.round(steps)) < _WHOLE
-    missing = np.count_nonzero(steps > 1.5)
-    if np.all(whole) and missing > _ROUNDED_SHARE * len(steps):
-        return max(limits.timing_s, 0.5 * period_s)
-    return limits.timing_s
-
-
-def _credible(speed_mps: Float64, pace_mps: Float64, limits: GateLimits) -> Float64:
-    """The stated speeds, or none where the track as a whole contradicts them.
-
-    Speeds in the wrong unit, or stuck at 0, would otherwise reject a whole drive.
-    """
-    possible = (speed_mps >= 0.0) & (speed_mps <= limits.max_speed_mps)
-    speed_mps = np.where(possible, speed_mps, np.nan)
-    told = ~np.isnan(speed_mps)
-    too_slow = pace_mps[told] > speed_mps[told] + limits.speed_margin_mps
-    if told.any() and np.mean(too_slow) > _WRONG_SPEEDS:
-        return np.full_like(speed_mps, np.nan)
-    return speed_mps
 
 
 @kernel
@@ -221,7 +183,6 @@ def _strain(
     distance_east_m: Float64,
     distance_north_m: Float64,
     slack_m: Float64,
-    reach_m: Float64,
     noise_m: Float64,
     a: int,
     b: int,
@@ -233,9 +194,7 @@ def _strain(
     off_east = east - (distance_east_m[b] - distance_east_m[a])
     off_north = north - (distance_north_m[b] - distance_north_m[a])
     noise = max(noise_m[a], noise_m[b])
-    off = np.hypot(off_east, off_north) / (slack_m[b] - slack_m[a] + noise)
-    far = np.hypot(east, north) / (reach_m[b] - reach_m[a] + noise)
-    return float(max(off, far))
+    return float(np.hypot(off_east, off_north) / (slack_m[b] - slack_m[a] + noise))
 
 
 @kernel
@@ -246,7 +205,6 @@ def _follow(
     distance_east_m: Float64,
     distance_north_m: Float64,
     slack_m: Float64,
-    reach_m: Float64,
     noise_m: Float64,
     worth: Float64,
     seam_price: float,
@@ -272,7 +230,7 @@ def _follow(
                 continue
             strain = _strain(
                 time_ns, east_m, north_m, distance_east_m, distance_north_m,
-                slack_m, reach_m, noise_m, j, k,
+                slack_m, noise_m, j, k,
             )  # fmt: skip
             joined = strain <= 1.0
             loss = strain * strain * min(worth[j], worth[k]) if joined else seam_price

@@ -15,8 +15,7 @@ class Gate(StrEnum):
     """Which gate a fix failed, for programs; the sentence beside it is for people.
 
     `SEAM` belongs to an accepted fix: the solution has moved there. `STRAY` is what the estimate
-    of the whole drive denies, `CLOCK` what the log counts twice. `NONE` is a fix without anything
-    to say about it.
+    of the whole drive denies. `NONE` is a fix without anything to say about it.
     """
 
     NONE = ""
@@ -26,13 +25,11 @@ class Gate(StrEnum):
     HDOP = "hdop"
     AGE = "age"
     TIME = "time"
-    CLOCK = "clock"
     REPEAT = "repeat"
     JUMP = "jump"
     STRAY = "stray"
     ACCELERATION = "acceleration"
     TURN_RATE = "turn_rate"
-    CLIMB = "climb"
     ALONE = "alone"
     SEAM = "seam"
 

@@ -61,11 +61,6 @@ class Unseen(NamedTuple):
         """The last step of each hole, unless only one fix lies between it and the next."""
         return np.flatnonzero(self.between[:-1] & ~self.between[1:])
 
-    def stretches(self) -> tuple[Int64, Int64]:
-        """The first and the last nodes of the stretches outside of holes."""
-        hidden = np.diff(np.concatenate([[True], self.holes, [True]]).astype(np.int8))
-        return np.flatnonzero(hidden < 0), np.flatnonzero(hidden > 0)
-
 
 class ShownBends(NamedTuple):
     """The absolute curvatures `bend` [b], 1/m, that a drive shows outside of holes, each on a
@@ -80,11 +75,7 @@ class ShownBends(NamedTuple):
         way_m = seen_way_m(measured, x)
         way_m[Unseen.of(measured).holes] = 0.0
         bend = np.abs(x[1:, model.KAPPA] + x[:-1, model.KAPPA]) / 2.0
-        return cls.by_way(way_m, bend, cls.usual())
-
-    @classmethod
-    def by_way(cls, way_m: Float64, bend: Float64, usual: ShownBends) -> ShownBends:
-        """Those of `bend` [n - 1] in steps of `way_m` [n - 1], beside the `usual` ones."""
+        usual = cls.usual()
         order = np.argsort(bend)
         passed_m = np.cumsum(way_m[order])
         total_m = float(passed_m[-1])

@@ -223,6 +223,8 @@ def linearized(
     )
     sigmas = *model.SCALE_SIGMAS, model.CAMERA_YAW_SIGMA, model.GYRO_SCALE_SIGMA
     prior = 1.0 / np.array([measured.heading_offset_sigma_rad, *sigmas]) ** 2
+    # What is usual of a constant has outliers, too.
+    prior *= (OUTLIER_FREEDOM + 1.0) / (OUTLIER_FREEDOM + np.maximum(prior * constants**2, 1.0))
     system.corner[np.diag_indices(CONSTANTS)] += prior
     system.right_constants[:] -= prior * constants
     log_determinant = float(factor(system.shape, system.values))

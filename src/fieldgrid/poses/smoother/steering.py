@@ -12,8 +12,6 @@ import numpy as np
 
 from fieldgrid.core import Bool, Float64
 from fieldgrid.poses.smoother import model
-from fieldgrid.poses.smoother.edges import LEAST_VARIANCE, FixEdges, freed, shown_changes, units
-from fieldgrid.poses.smoother.envelope import STATES, solve
 from fieldgrid.poses.smoother.holes import ShownBends, Unseen, leaving, seen_way_m
 from fieldgrid.poses.smoother.measurements import Measurements
 from fieldgrid.poses.smoother.rounds import (
@@ -47,6 +45,9 @@ ALWAYS_SHARE = 0.5
 
 MOST_STEERING = 8.0 * model.CURVATURE_SIGMA**2 / model.CURVATURE_S
 """(1/m)²/s: from lock to lock in a second."""
+
+LEAST_VARIANCE = 1e-12
+"""No curvature is known better, 1/m²: rounding."""
 
 STEERING_S = 2.0
 """Steering at one moment makes more of it likely for about a second before and after."""
@@ -119,11 +120,9 @@ def local_steering(
     return np.asarray(np.minimum(mixed, MOST_STEERING) * step_s)
 
 
-def adapted(
-    problem: SmoothingProblem, found: Solution, steering: Steering, *, at_edges: bool = True
-) -> Solution:
-    """The drive when steering is expected where it was seen, and where it may be hidden: in holes,
-    and `at_edges` of them."""
+def adapted(problem: SmoothingProblem, found: Solution, steering: Steering) -> Solution:
+    """The drive when steering is expected where it was seen, and where it may be hidden: in
+    holes."""
     k, measured = model.KAPPA, problem.measured
     unseen = Unseen.of(measured)
     exits = unseen.exits()
@@ -132,25 +131,16 @@ def adapted(
     hidden = usual._replace(variance=bent**2 * usual.variance)
     inside = outside = bent[exits] * model.CURVATURE_SIGMA
     found = found._replace(weights=found.weights._replace(steering=hidden))
-    beside = FixEdges.of(measured.time_s, unseen) if at_edges else ()
-    sides = tuple(edges for edges in beside if len(edges.at))
     for _ in range(ADAPTATIONS):
         linear, off = linearized(problem, found.x, found.constants, found.weights)
-        curvature, prior = found.x[:, k], found.weights.steering
+        curvature = found.x[:, k]
         found = improved(problem, found, linear, off)
-        shared = units(sides, found.x.size)
-        solve(linear.system.shape, linear.system.values, shared)
         known = Covariances.of(linear)
         own, onward = known.own(k, k), known.with_before(k, k)
         del linear, off, known  # large, and the next round makes its own
         seen = local_steering(
             *(curvature, own, onward), measured.time_s, steering.noise, unseen.between
         )
-        if sides:
-            shown = shown_changes(measured, found.x, unseen)
-            for edges, column in zip(sides, shared[k::STATES].T, strict=True):
-                now = found.x[:, k], own, column
-                seen = freed(seen, hidden.variance, edges, shown, now, prior, measured.time_s)
         there = np.maximum(own[exits + 1], LEAST_VARIANCE)
         measured_precision = np.maximum(1.0 / there - 1.0 / outside**2, 0.0)
         information = curvature[exits + 1] / there
@@ -229,9 +219,8 @@ def roughly(problem: SmoothingProblem, start: Float64, constants: Float64) -> So
 
 def log_likelihood(problem: SmoothingProblem, near: Solution, steering: Steering) -> float:
     """Of the measurements under a steering, every drive around its solution considered: Laplace's
-    approximation, up to a constant. What may be hidden at edges is no part of what the vehicle does
-    all the time."""
-    solution = adapted(problem, near, steering, at_edges=False)
+    approximation, up to a constant."""
+    solution = adapted(problem, near, steering)
     linear, _ = linearized(problem, solution.x, solution.constants, solution.weights, held=False)
     return likelihood_by(linear)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from fieldgrid.core import Bool, Float64, Int64
 from fieldgrid.geometry import MAX_GAP_NS, yaw_from_heading_rad
-from fieldgrid.poses.parts import Estimate
+from fieldgrid.poses.report import Estimate
 
 GPX_START = (
     '<?xml version="1.0" encoding="UTF-8"?><gpx version="1.1" creator="fieldgrid" '

@@ -21,8 +21,7 @@ from fieldgrid.core import (
 )
 from fieldgrid.geometry import MAX_DISTANCE_M, MAX_GAP_NS, Datum, Status, wrap_deg
 from fieldgrid.poses.gates.verdict import REPEATS
-from fieldgrid.poses.parts import Estimate
-from fieldgrid.poses.report import PoseReport
+from fieldgrid.poses.report import Estimate, PoseReport
 from fieldgrid.poses.track.formats import (
     GEOJSON_START,
     GPX_START,

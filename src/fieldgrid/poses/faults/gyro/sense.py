@@ -59,11 +59,6 @@ class GyroSense(NamedTuple):
         return self.nats < -CLEAR_NATS
 
     @property
-    def is_right(self) -> bool:
-        """Whether the gyro is the right way up."""
-        return self.nats > CLEAR_NATS
-
-    @property
     def is_unknown(self) -> bool:
         """Whether the drive turns, and does not show which way."""
         return self.turns and abs(self.nats) < CLEAR_NATS

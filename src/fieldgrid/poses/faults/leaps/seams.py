@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.core import Bool, Float64, Int64
-from fieldgrid.poses.faults.leaps.leaps import TORN_S, Leaps, leaps, usual_period_s
+from fieldgrid.poses.faults.leaps.leaps import TORN_S, leaps, usual_period_s
 
 LEAST_M = 0.1
 """A smaller leap is none."""
@@ -32,10 +32,6 @@ SAME_SHARE = 0.3
 
 MOST_AT_ONCE = 1000
 """Number of solutions that are compared with all others at once."""
-
-RETURN_S, RETURN_SHARE = 10.0, 0.5
-"""Within so long of a leap a smaller step that undoes it is one, too: one that is this share of
-what is one by itself, and leaves this share of it."""
 
 BRIEF_S = 3.0
 """What lasted no longer is an excursion: after it the error is that of before."""
@@ -132,7 +128,7 @@ def _solutions(
         torn[row - 1] = True
         steps.off_m[row - 1] = leap.east_m, leap.north_m
         steps.free_m[row - 1] = FREE_SIGMAS * leap.sigma_m
-    at = np.flatnonzero(torn | _returns(steps, torn, time_s))
+    at = np.flatnonzero(torn)
     first, stop = np.concatenate([[0], at + 1]), np.append(at + 1, len(time_s))
     place_m = np.concatenate([[[0.0, 0.0]], np.cumsum(steps.off_m[at], axis=0)])
     unsure_m2 = np.concatenate([[0.0], np.cumsum((steps.free_m[at] / FREE_SIGMAS) ** 2)])
@@ -195,18 +191,6 @@ def _same(
     return None
 
 
-def _returns(steps: Leaps, torn: Bool, time_s: Float64) -> Bool:
-    """Steps that undo a leap near by, though they would be none by themselves."""
-    found = np.zeros(len(steps.free_m), dtype=np.bool_)
-    size_m = np.hypot(*steps.off_m.T)
-    maybe = (size_m > RETURN_SHARE * steps.free_m) & ~steps.hole
-    for k in np.flatnonzero(torn).tolist():
-        near = slice(*np.searchsorted(time_s, (time_s[k] - RETURN_S, time_s[k] + RETURN_S)))
-        left_m = np.hypot(*(steps.off_m[near] + steps.off_m[k]).T)
-        found[near] |= maybe[near] & (left_m < RETURN_SHARE * size_m[k])
-    return found
-
-
 def _away(found: _Solutions, stated_m: Float64) -> tuple[Float64, Float64]:
     """How far each solution [s] may lie from the right one, 1-sigma along one axis, and how far
     each lies from the next [s - 1]."""
@@ -217,8 +201,7 @@ def _away(found: _Solutions, stated_m: Float64) -> tuple[Float64, Float64]:
     away_m, trust = np.zeros(count), np.zeros(count)
     blocks = [slice(k, k + MOST_AT_ONCE) for k in range(0, count, MOST_AT_ONCE)]
     for rows in blocks:
-        nearer_m = np.minimum(same_m[rows, None], same_m)
-        alike = _apart2(found, rows) < nearer_m**2
+        alike = _apart2(found, rows) < np.minimum(same_m[rows, None], same_m) ** 2
         left_and_back = np.diff(alike.astype(np.int8), axis=1, prepend=0) > 0
         returns = np.minimum(np.count_nonzero(left_and_back, axis=1) - 1.0, MOST_RETURNS)
         trust[rows] = mass[rows] * RETURN_TRUST**returns
