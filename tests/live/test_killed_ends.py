@@ -59,7 +59,6 @@ STEPS: dict[str, tuple[Any, str, Any]] = {
     "before the map is published": (Draft, "publish", dies()),
     "after the map was published": (Draft, "publish", dies(after=True)),
     "before what was kept is removed": (session_folder, "_remove", dies()),
-    "pairs are removed": (Path, "unlink", dies(5)),
 }
 IS_IN_THE_MAP = list(STEPS)[list(STEPS).index("after the map was published") :]
 

@@ -22,8 +22,7 @@ from fieldgrid.core import (
     quoted,
 )
 from fieldgrid.live.gridding_again import gridded_again
-from fieldgrid.live.kept.kept_drive import JOURNAL, PushedDrive, SessionStart, live_folder
-from fieldgrid.live.kept.kept_points import LOST
+from fieldgrid.live.kept.kept_drive import PushedDrive, SessionStart, live_folder, live_journal
 from fieldgrid.live.kept.session_folder import SessionFolder, remove_unread
 from fieldgrid.maps import Patience, StageFile, check_cell_sizes, create_map, open_map
 from fieldgrid.perception import OriginTrack
@@ -74,12 +73,11 @@ def check_begin(out: Path, about: SessionStart) -> None:
     try:
         check_target(out, about)
     except FieldgridError as error:
-        folder = live_folder(out)
-        if not (folder / JOURNAL).exists():
+        if not live_journal(out).exists():
             raise
         raise type(error)(
-            f"{error} {folder} holds a session whose end was interrupted: fieldgrid live -o {out} "
-            "--finish completes it."
+            f"{error} {live_folder(out)} holds a session whose end was interrupted: fieldgrid live "
+            f"-o {out} --finish completes it."
         ) from error
 
 
@@ -156,9 +154,8 @@ def discard_session(out: str | Path) -> tuple[str, int]:
     except FieldgridError:  # it is given up: what is wrong with it does not matter
         if not remove_unread(Path(out)):
             raise
-    folder = live_folder(Path(out))
-    if (folder / JOURNAL).exists():
-        raise MapWriteError(f"{folder} could not be removed; check its permissions.")
+    if (journal := live_journal(Path(out))).exists():
+        raise MapWriteError(f"{journal} could not be removed; check its permissions.")
     return name, frames
 
 
@@ -269,12 +266,10 @@ def _placed(
         session.report.notes += (NOT_LEVELLED,)
     datum = datum or trajectory.datum
     chosen = settings.map
-    with StageFile.temporary(out) as file:
+    with StageFile(out) as file:
         way = OriginTrack.of(trajectory)
         staged, notes, left_out = gridded_again(kept, drive, file, attitude, way, progress)
         session.report.notes += notes
-        if kept.points.is_lost and not notes:
-            session.report.notes += (LOST,)
         if about.append:
             universal = open_map(
                 out,
@@ -314,8 +309,8 @@ def _done(kept: SessionFolder, drive: PushedDrive) -> int | None:
         staged = frames[number]
         if staged.frame_id not in placed:
             # What an end leaves out was not level and cannot be made so.
-            is_lost = kept.points.is_levelling and not kept.points.has(frame.points)
-            if frame.is_level or not is_lost:
+            has_points = frame.points is not None and kept.journal.read(frame.points) is not None
+            if frame.flags[0] or has_points or not kept.points.is_levelling:
                 return None
             missing += 1
         elif placed.pop(staged.frame_id) != staged.images_sha256:

@@ -92,7 +92,7 @@ class Live(Closing):
         self.is_resumed = self._kept.is_resumed
         self.newest_frame_ns = self._kept.newest_frame_ns
         """The time of the last frame that is kept, by the receiver's clock; None without."""
-        self._last_number = highest_number(one.frame_id for one in self._kept.stage.entries)
+        self._last_number = highest_number(one.entry.frame_id for one in drive.frames)
         self._outbox = Outbox()
         self._deliverer = None if on_result is None else Deliverer(self._outbox, on_result)
         given_ns = (int(rows.time_ns.max()) for rows in drive.parts.get(GIVEN_ROWS, ()))

@@ -64,12 +64,21 @@ if TYPE_CHECKING:
         check_names as check_names,
         check_output as check_output,
     )
-    from fieldgrid.pipeline.staging.parts import (
-        found_from_json as found_from_json,
-        found_to_json as found_to_json,
-        left_behind as left_behind,
-        parts_folder as parts_folder,
+    from fieldgrid.pipeline.staging.journal import (
+        DAMAGED as DAMAGED,
+        Blob as Blob,
+        Journal as Journal,
+        read_journal as read_journal,
     )
+    from fieldgrid.pipeline.staging.kept_frames import (
+        FRAME as FRAME,
+        JournalFrames as JournalFrames,
+        KeptFrame as KeptFrame,
+        keep_frame as keep_frame,
+        kept_frame as kept_frame,
+        work_folder as work_folder,
+    )
+    from fieldgrid.pipeline.staging.parts import left_behind as left_behind
     from fieldgrid.pipeline.staging.perception import (
         Perception as Perception,
         carried as carried,

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,21 +43,19 @@ from fieldgrid.pipeline.session import (
     check_output,
     is_in_map,
 )
+from fieldgrid.pipeline.staging.kept_frames import work_folder
 from fieldgrid.pipeline.staging.part_key import part_key
 from fieldgrid.pipeline.staging.parts import (
     SHARE_FRAMES,
     DriveParts,
-    keep_part,
+    journal_of,
     left_behind,
-    parts_folder,
     remove_parts,
     settle_left_behind,
-    shares_of,
-    write_part,
 )
 from fieldgrid.pipeline.staging.perception import follows_camera
 from fieldgrid.pipeline.staging.remote import packed, place_of
-from fieldgrid.pipeline.staging.shares import stage_frames
+from fieldgrid.pipeline.staging.shares import FrameOutcome, stage_frames
 from fieldgrid.pipeline.staging.staging import Processes, ShareResult, Staging, Workers
 from fieldgrid.recordings import DriveOptions, Recording, open_drive
 
@@ -115,7 +112,7 @@ def build_map(
     Of several drives those that fail are left out: when the others are in the map, PartlyBuiltError
     names them. With `fail_fast`, and for a single drive, its error is raised at once. On an error a
     new map does not come to be and an existing one stays as it was, but for the sessions already
-    appended. What was staged then stays in `MAP.parts`, but for that of the drive that failed:
+    appended. What was staged then stays in `MAP.work`, but for that of the drive that failed:
     `resume` uses it, or refuses it where it is of other inputs or settings. Where there is such a
     folder, None refuses to build and False removes it.
     """
@@ -207,7 +204,7 @@ class _Build:
         None, while the drives are checked."""
         if shares is None:
             counts = [-(-drive.recording.frame_count // self.every) for drive in self._good()]
-            shares = sum(len(shares_of(count)) for count in counts)
+            shares = sum(-(-count // SHARE_FRAMES) for count in counts)
         if self.jobs > 1 and shares * SHARE_FRAMES >= WORTH_FRAMES:
             self.staging = opened.enter_context(Staging(Processes(min(self.jobs, shares))))
 
@@ -243,21 +240,23 @@ class _Build:
             session = drive.session
             drive.key = part_key(session, datum)
             drive.parts = held.enter_context(
-                DriveParts(self.out, drive.key, drive.name, str(drive.path), session.total)
+                DriveParts(self.out, drive.key, drive.name, session.total)
             )
         known = {drive.key for drive in self.drives}
         stale = [about for about in left_behind(self.out) if about.key not in known]
         if resume and stale:
             raise ConfigError(
-                f"The staged parts of {stale[0].name} in {parts_folder(self.out) / stale[0].key} "
+                f"The staged frames of {stale[0].name} in {journal_of(self.out, stale[0].key)} "
                 "are of other inputs or settings than this command's, so they cannot be used; "
-                "repeat the command that made them, or remove that folder."
+                "repeat the command that made them, or remove that file."
             )
 
     def run(self, universal: MapFile, taken: list[str], *, is_there: bool) -> list[SessionReport]:
         """Stage the drives and put them into the map, in their order."""
         reports: list[SessionReport] = []
-        missing = sum(len(drive.parts.missing()) for drive in self.drives if not drive.error)
+        missing = sum(
+            sum(1 for _ in drive.parts.missing()) for drive in self.drives if not drive.error
+        )
         with ExitStack() as running:
             if self.client is not None and missing:
                 self.staging = running.enter_context(Staging(Workers(self.client)))
@@ -274,7 +273,7 @@ class _Build:
                     if not any(one.parts.frames_done for one in self.drives if not one.error):
                         raise
                     raise type(error)(
-                        f"{error} What was staged is kept in {parts_folder(self.out)}; the same "
+                        f"{error} What was staged is kept in {work_folder(self.out)}; the same "
                         "command with --resume goes on from there."
                     ) from error
                 else:
@@ -306,8 +305,9 @@ class _Build:
         start = time.perf_counter()
         if drive.name in taken and not parts.is_complete:
             raise ConfigError(
-                f"{self.out} has a session {quoted(drive.name)} already, and no staged part of it "
-                "to go on with: that build had finished. Leave the recording out, or give --name."
+                f"{self.out} has a session {quoted(drive.name)} already, and no staged frame "
+                "of it to go on with: that build had finished. Leave the recording out, or give "
+                "--name."
             )
         if self.staging is None:
             self._stage(drive)
@@ -339,13 +339,16 @@ class _Build:
     def _stage(self, drive: _DriveBuild) -> None:
         """Stage in threads of this process what is missing of a drive."""
         parts, work = drive.parts, drive.session.work()
-        for run in parts.runs():
-            with closing(stage_frames(work, run[0].first, run[-1].last, self.jobs)) as looks:
-                for share in run:
-                    frames = islice(looks, share.last - share.first)
-                    write_part(parts.folder, self.out, share, frames, drive.tell)
-                    parts.take(share)
-                    parts.check_bad(self.skip_bad)
+        for first, last in list(parts.missing(work.total)):
+            with closing(stage_frames(work, first, last, self.jobs)) as looks:
+                for number, looked in enumerate(looks, first):
+                    self._keep(drive, number, looked)
+
+    def _keep(self, drive: _DriveBuild, number: int, looked: FrameOutcome) -> None:
+        """Keep a frame that was staged, and tell it."""
+        drive.parts.add(number, looked)
+        drive.parts.check_bad(self.skip_bad)
+        drive.tell(looked.moved_m)
 
     def _take(self, drive: _DriveBuild, result: ShareResult) -> None:
         """Keep a share that another process has staged, or leave its drive out."""
@@ -359,17 +362,12 @@ class _Build:
                     "process that staged them; leave the recording out, or give the processes "
                     "more memory, as by fewer --jobs (with --jobs 1 there is only this process)."
                 )
-            keep_part(drive.parts.folder, share, staged.part)
-            if drive.parts.take(share) is None:
-                where = drive.parts.folder
-                raise MapError(f"The staged frames in {where} cannot be read back; check the disk.")
-            drive.parts.check_bad(self.skip_bad)
+            if drive.began_s is None:
+                drive.began_s = time.perf_counter() - staged.took_s
+            for number, looked in enumerate(staged.frames, share.first):
+                self._keep(drive, number, looked)
         except DRIVE_ERRORS as error:
             self._fail(drive, error)
-            return
-        if drive.began_s is None:
-            drive.began_s = time.perf_counter() - staged.took_s
-        drive.tell(staged.moved_m, share.last - share.first)
 
     def _good(self) -> Iterator[_DriveBuild]:
         """The drives that have not failed; raises when there is none."""

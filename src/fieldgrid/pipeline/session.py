@@ -107,7 +107,7 @@ def add_recording(
     session.check(universal)
     work, threads = session.work(), jobs or os.cpu_count() or 1
     with (
-        StageFile.temporary(universal.path) as file,
+        StageFile(universal.path) as file,
         closing(stage_frames(work, 0, work.total, threads)) as looks,
     ):
         session.add(universal, collect(looks, file, ProgressReporter(session, progress)))

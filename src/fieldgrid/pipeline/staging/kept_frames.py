@@ -1,0 +1,106 @@
+"""Staged frames of a drive in its journal: those of a build, of one that goes on, and of a session
+that is still driven.
+
+`MAP.work/` beside the map holds a journal for each drive on its way into the map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fieldgrid.maps import (
+    StagedFrame,
+    StageEntry,
+    damaged_frame,
+    frame_of_record,
+    frame_record,
+)
+from fieldgrid.perception import CameraStep, Refusal
+from fieldgrid.pipeline.report import StageTimes
+from fieldgrid.pipeline.staging.journal import Blob, Journal, JournalRecord
+from fieldgrid.pipeline.staging.shares import StepOutcome
+
+FRAME = "frame"
+"""The kind of the records of frames."""
+
+
+class KeptFrame(NamedTuple):
+    """A frame of a journal: its number in the drive, the camera's step to it, what it took, and
+    what else was kept with it: flags, and its points."""
+
+    number: int
+    entry: StageEntry
+    found: StepOutcome
+    times: StageTimes
+    flags: tuple[Any, ...] = ()
+    points: Blob | None = None
+
+
+def work_folder(out: Path) -> Path:
+    """Where drives are kept on their way into the map `out`."""
+    place = out.resolve()
+    return place.with_name(f"{place.name}.work")
+
+
+def keep_frame(
+    journal: Journal,
+    number: int,
+    staged: StagedFrame,
+    found: StepOutcome,
+    times: StageTimes,
+    flags: Sequence[Any] = (),
+    points: bytes = b"",
+) -> bool:
+    """Keep a frame; False where the disk does not take it."""
+    said, cells = frame_record(staged)
+    spent = {name: round(value, 6) for name, value in asdict(times).items() if value}
+    value = [number, said, found_to_json(found), spent, *flags]
+    return journal.append(FRAME, value, cells, *([points] if points else []))
+
+
+def kept_frame(record: JournalRecord) -> KeptFrame:
+    """The frame of a record. ValueError or TypeError where it is none."""
+    number, said, found, times, *flags = record.value
+    frame_id, time_ns, *_, ground_found = said
+    return KeptFrame(
+        number,
+        StageEntry(frame_id, time_ns, ground_found, record.start),
+        found_from_json(found),
+        StageTimes(**times),
+        tuple(flags),
+        record.blobs[1] if len(record.blobs) > 1 else None,
+    )
+
+
+class JournalFrames:
+    """Staged frames of a journal, by their place among the `entries`, and with the names there."""
+
+    def __init__(self, journal: Journal, entries: Iterable[StageEntry]) -> None:
+        self._journal, self.entries = journal, list(entries)
+
+    def __getitem__(self, index: int) -> StagedFrame:
+        """A frame; MapError when it was damaged since it was written."""
+        entry = self.entries[index]
+        record = self._journal.at(entry.start)
+        cells = None if record is None else self._journal.read(record.blobs[0])
+        if record is None or cells is None:
+            raise damaged_frame(entry)
+        return replace(frame_of_record(record.value[1], cells), frame_id=entry.frame_id)
+
+
+def found_to_json(found: StepOutcome) -> Any:
+    """What became of a step of the camera, as a value that JSON has."""
+    if isinstance(found, CameraStep):
+        return [*map(float, found[:-1]), int(found.inliers)]
+    return None if found is None else found.value
+
+
+def found_from_json(said: Any) -> StepOutcome:
+    """The step of the camera of a value that `found_to_json` made; ValueError or TypeError for
+    others."""
+    if isinstance(said, str):
+        return Refusal(said)
+    return None if said is None else CameraStep(*said)
