@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fieldgrid.core import BuildSettings, MapExistsError
+from fieldgrid.core import BuildSettings, ConfigError
 from fieldgrid.geometry import Tilt
 from fieldgrid.live import finish_from, finish_session, live_folder, replay
 from fieldgrid.live.finish import NOT_LEVELLED
@@ -217,6 +217,6 @@ def test_a_session_of_the_same_name_with_fewer_frames_is_another_drive(
         live.stop()
     fewer = make_small_drive(tmp_path / "fewer" / "drive", range(20, 24))
     build_map([fewer], out, BuildSettings())
-    with pytest.raises(MapExistsError, match="The drive is kept"):
+    with pytest.raises(ConfigError, match="The drive is kept"):
         finish_session(out)
     assert live_folder(out).exists()

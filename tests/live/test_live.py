@@ -396,7 +396,7 @@ def test_an_end_on_a_full_disk_says_what_is_lost(
         def full(*_given: object, **_options: object) -> None:
             raise MapWriteError(errno.ENOSPC, "The disk is full.")
 
-        monkeypatch.setattr("fieldgrid.live.finish.create_map", full)
+        monkeypatch.setattr("fieldgrid.live.finish.made_map", full)
         with pytest.raises(MapWriteError, match="but for the last 1 records") as caught:
             live.finish()
         assert "--finish tries again" in str(caught.value)

@@ -19,11 +19,12 @@ import pytest
 from fieldgrid.core import BuildSettings, ConfigError, MapError, Quality
 from fieldgrid.geometry import Datum, Fix
 from fieldgrid.live import Live, finish_session, live_folder, replay
+from fieldgrid.live.kept import session_folder
 from fieldgrid.live.kept.kept_drive import PushedDrive, SessionStart
 from fieldgrid.live.kept.session_folder import MOST_PAIRS, SessionFolder
 from fieldgrid.live.pose.sensor_rows import fix_from_json, fix_to_json
 from fieldgrid.maps import open_map
-from fieldgrid.pipeline import BadFrame, read_journal
+from fieldgrid.pipeline import BadFrame, Journal, read_journal
 from fieldgrid.recordings import open_recording
 from tests.cli.conftest import in_a_process
 from tests.live.making import begin
@@ -135,25 +136,24 @@ def test_rows_of_a_long_drive_are_joined_and_read_once_at_its_end(
 ) -> None:
     """Each piece takes fifty times what is in it."""
     monkeypatch.setattr("fieldgrid.live.kept.kept_drive.PIECES", 50)
-    out, reads = tmp_path / "m.gpkg", list[PushedDrive]()
+    out, reads = tmp_path / "m.gpkg", list[PushedDrive | None]()
     with open_recording(leaning_drive) as recording:
         live = begin(recording, out)
         replay(live, recording, rate=None)
         rows = live.counts.rows
         live.stop()
-    read = SessionFolder.read
+    read = session_folder.read_drive
 
-    def reading(kept: SessionFolder) -> PushedDrive:
-        assert not kept.drive.fixes
-        assert not kept.drive.parts
-        reads.append(read(kept))
-        for part, pieces in reads[-1].parts.items():
+    def reading(journal: Journal) -> PushedDrive | None:
+        reads.append(drive := read(journal))
+        assert drive is not None
+        for part, pieces in drive.parts.items():
             count = sum(len(piece.time_ns) for piece in pieces)
             assert count == rows[part]
             assert len(pieces) <= count / 50 + 50
-        return reads[-1]
+        return drive
 
-    monkeypatch.setattr(SessionFolder, "read", reading)
+    monkeypatch.setattr(session_folder, "read_drive", reading)
     finish_session(out)
     assert len(reads) == 1
     assert content(out) == content(built_level)

@@ -34,9 +34,9 @@ def gridded_again(
 
     Returns them with remarks for the report, and the number of frames that are left out, since
     their points are not there to make them as the others are."""
-    staged = kept.staged(drive)
-    is_swept = any(frame.flags[1] for frame in drive.frames)
-    if attitude is None and not is_swept and not any(frame.flags[0] for frame in drive.frames):
+    staged = kept.staged()
+    is_swept = any(frame.is_timed for frame in drive.frames)
+    if attitude is None and not is_swept and not any(frame.is_level for frame in drive.frames):
         return staged, (), 0
     settings = drive.about.settings
     gridder = LocalGridder(
@@ -51,7 +51,7 @@ def gridded_again(
         seen = kept.points_of(frame, gridder)
         if seen is not None:
             return _again(was, seen, gridder, tilt, way), False
-        return was if frame.flags[0] == (tilt is not None) else None, True
+        return was if frame.is_level == (tilt is not None) else None, True
 
     found: list[StepOutcome] = []
     bad, as_driven, notes = list(staged.bad), 0, tuple[str, ...]()

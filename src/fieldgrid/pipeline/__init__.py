@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from fieldgrid.pipeline.poses import (
         attitude_of_grids as attitude_of_grids,
         cell_budget as cell_budget,
-        check_images as check_images,
-        check_poses as check_poses,
         estimate_drive as estimate_drive,
         estimate_trajectory as estimate_trajectory,
         no_ground as no_ground,
@@ -59,10 +57,12 @@ if TYPE_CHECKING:
         repose_map as repose_map,
     )
     from fieldgrid.pipeline.session import (
-        NewSession as NewSession,
         add_recording as add_recording,
         check_names as check_names,
         check_output as check_output,
+        made_map as made_map,
+        opened_map as opened_map,
+        prepared as prepared,
     )
     from fieldgrid.pipeline.staging.journal import (
         DAMAGED as DAMAGED,

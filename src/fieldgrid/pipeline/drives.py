@@ -26,13 +26,9 @@ from fieldgrid.core import (
     refuse_input,
 )
 from fieldgrid.geometry import Datum
-from fieldgrid.maps import MapFile, Patience, create_map, kept_groups, open_map, read_datum
+from fieldgrid.maps import MapFile, Patience, kept_groups, read_datum
 from fieldgrid.pipeline.checks.doubt import doubted_cell
 from fieldgrid.pipeline.poses import (
-    attitude_of_grids,
-    check_images,
-    check_poses,
-    estimate_drive,
     settle,
 )
 from fieldgrid.pipeline.report import DRIVE_ERRORS, PartlyBuiltError, Progress, SessionReport
@@ -41,7 +37,9 @@ from fieldgrid.pipeline.session import (
     ProgressReporter,
     check_names,
     check_output,
-    is_in_map,
+    made_map,
+    opened_map,
+    prepared,
 )
 from fieldgrid.pipeline.staging.kept_frames import work_folder
 from fieldgrid.pipeline.staging.part_key import part_key
@@ -53,7 +51,6 @@ from fieldgrid.pipeline.staging.parts import (
     remove_parts,
     settle_left_behind,
 )
-from fieldgrid.pipeline.staging.perception import follows_camera
 from fieldgrid.pipeline.staging.remote import packed, place_of
 from fieldgrid.pipeline.staging.shares import FrameOutcome, stage_frames
 from fieldgrid.pipeline.staging.staging import Processes, ShareResult, Staging, Workers
@@ -119,7 +116,6 @@ def build_map(
     if scheduler is not None and jobs is not None:
         raise ConfigError("With a scheduler its workers stage the frames; leave out --jobs.")
     settings = settings or BuildSettings()
-    chosen, layers = settings.map, settings.map.kept_layers()
     jobs = jobs or os.cpu_count() or 1
     build = _Build(Path(out), settings, every, jobs, skip_bad, fail_fast, progress)
     check_output(build.out, append=append, overwrite=overwrite)
@@ -134,15 +130,7 @@ def build_map(
         build.open(opened, options, name)
         if append or is_there:
             datum = datum or read_datum(build.out)
-            universal = open_map(
-                build.out,
-                datum=datum,
-                cell_m=chosen.cell_m,
-                transfer=chosen.transfer,
-                layers=layers,
-                patience=patience or Patience(),
-            )
-            opened.enter_context(universal)
+            universal = opened.enter_context(opened_map(build.out, settings, datum, patience))
         taken = [info.name for info in universal.sessions()] if append or is_there else []
         names = [drive.name for drive in build.drives if not drive.error]
         check_names(names, () if resume else taken)
@@ -155,14 +143,7 @@ def build_map(
         datum = build.estimate(datum)
         if not (append or is_there):
             universal = opened.enter_context(
-                create_map(
-                    build.out,
-                    datum,
-                    cell_m=settings.universal_cell_m,
-                    transfer=chosen.transfer,
-                    layers=layers,
-                    overwrite=overwrite,
-                )
+                made_map(build.out, settings, datum, overwrite=overwrite)
             )
         with ExitStack() as held:
             build.find_parts(held, datum, resume=bool(resume))
@@ -211,24 +192,14 @@ class _Build:
     def estimate(self, datum: Datum | None) -> Datum:
         """The datum of the map, after a look at what no image has to be read for."""
         for drive in self._good():
-            recording = drive.recording
             try:
-                estimate = estimate_drive(recording, self.settings, datum)
-                trajectory = estimate.trajectory
-                settle(doubted_cell(trajectory, self.settings), self.settings)
-                check_images(recording, trajectory)
-                if recording.pose_name or not follows_camera(recording.rig, self.settings):
-                    check_poses(recording, trajectory)
-                drive.session = NewSession(
-                    recording,
-                    self.settings,
-                    attitude_of_grids(recording, estimate),
-                    drive.name,
-                    self.every,
+                drive.session, estimate = prepared(
+                    *(drive.recording, self.settings, datum, drive.name),
+                    every=self.every,
                     skips_bad=self.skip_bad > 0,
-                    known=trajectory,
                 )
-                datum = datum or trajectory.datum
+                settle(doubted_cell(estimate.trajectory, self.settings), self.settings)
+                datum = datum or estimate.trajectory.datum
             except FieldgridError as error:
                 self._fail(drive, error)
         assert datum is not None  # there is a drive, or _good would have raised
@@ -319,19 +290,12 @@ class _Build:
         if drive.error is not None:
             raise drive.error
         parts.check_bad(self.skip_bad)
-        staged = parts.staged()
-        if drive.name in taken:
-            if not is_in_map(universal, drive.name, staged):
-                check_names([drive.name], taken)
-            session.report.notes += ("The drive was in the map already.",)
-            session.report.frames = len(staged.entries)
-        elif is_there:
+        if is_there and drive.name not in taken:
             raise MapExistsError(
                 f"{self.out} exists already; give another name, --append to add a session to it, "
                 "or --overwrite to replace it."
             )
-        else:
-            session.add(universal, staged)
+        session.put(universal, parts.staged(), taken)
         began_s = start if drive.began_s is None else drive.began_s
         session.report.wall_s = time.perf_counter() - began_s
         return session.report

@@ -21,7 +21,16 @@ import numpy as np
 
 from fieldgrid.core import BuildSettings, CalibrationError, ConfigError, RecordingError, quoted
 from fieldgrid.geometry import Datum, GridSpec, Rig, Status, Steps, StereoCamera, Trajectory
-from fieldgrid.maps import MapFile, Session, StageFile, check_cell_sizes, check_name
+from fieldgrid.maps import (
+    MapFile,
+    Patience,
+    Session,
+    StageFile,
+    check_cell_sizes,
+    check_name,
+    create_map,
+    open_map,
+)
 from fieldgrid.perception import LocalGridder, OriginTrack
 from fieldgrid.pipeline.checks.agreement import (
     agreement_notes,
@@ -53,6 +62,7 @@ from fieldgrid.pipeline.checks.stuck import StuckCamera
 from fieldgrid.pipeline.inputs import Inputs, to_arrays
 from fieldgrid.pipeline.poses import (
     attitude_of_grids,
+    check_images,
     check_poses,
     doubted_clock,
     doubted_frames,
@@ -74,7 +84,7 @@ from fieldgrid.pipeline.staging.shares import (
     collect,
     stage_frames,
 )
-from fieldgrid.poses import GIVEN, Attitude, tells_attitude
+from fieldgrid.poses import GIVEN, Attitude, Estimate
 from fieldgrid.recordings import Recording
 
 BAD_KEPT = 1000
@@ -96,14 +106,8 @@ def add_recording(
     from the motion that the camera saw. The map's bits do not depend on `jobs`, the number of
     threads that decode and match (all cores if None).
     """
-    settings = settings or BuildSettings()
     started = time.perf_counter()
-    attitude, known = None, None
-    if tells_attitude(recording.motion(), recording.fixes().time_ns) or has_sweeps(recording):
-        estimate = estimate_drive(recording, settings, universal.datum)
-        known = estimate.trajectory
-        attitude = attitude_of_grids(recording, estimate)
-    session = NewSession(recording, settings, attitude, name, known=known)
+    session, _ = prepared(recording, settings or BuildSettings(), universal.datum, name)
     session.check(universal)
     work, threads = session.work(), jobs or os.cpu_count() or 1
     with (
@@ -113,6 +117,59 @@ def add_recording(
         session.add(universal, collect(looks, file, ProgressReporter(session, progress)))
     session.report.wall_s = time.perf_counter() - started
     return session.report
+
+
+def prepared(
+    recording: Recording,
+    settings: BuildSettings,
+    datum: Datum | None,
+    name: str | None,
+    *,
+    every: int = 1,
+    skips_bad: bool = False,
+    levels: bool = True,
+) -> tuple[NewSession, Estimate]:
+    """A session of a recording, and its poses as they are known before a frame is staged, once what
+    these and some images show is good enough. Grids are to be level where the drive tells how its
+    vehicle leans, if it `levels` them."""
+    estimate = estimate_drive(recording, settings, datum)
+    trajectory = estimate.trajectory
+    check_images(recording, trajectory)
+    if recording.pose_name or not follows_camera(recording.rig, settings):
+        check_poses(recording, trajectory)
+    attitude = attitude_of_grids(recording, estimate) if levels else None
+    session = NewSession(
+        recording, settings, attitude, name, every, skips_bad=skips_bad, known=trajectory
+    )
+    return session, estimate
+
+
+def opened_map(
+    out: Path, settings: BuildSettings, datum: Datum | None, patience: Patience | None
+) -> MapFile:
+    """The map to which sessions are added, as the settings want it."""
+    return open_map(
+        out,
+        datum=datum,
+        cell_m=settings.map.cell_m,
+        transfer=settings.map.transfer,
+        layers=settings.map.kept_layers(),
+        patience=patience or Patience(),
+    )
+
+
+def made_map(
+    out: Path, settings: BuildSettings, datum: Datum, *, overwrite: bool = False
+) -> MapFile:
+    """A new map, as the settings want it."""
+    return create_map(
+        out,
+        datum,
+        cell_m=settings.universal_cell_m,
+        transfer=settings.map.transfer,
+        layers=settings.map.kept_layers(),
+        overwrite=overwrite,
+    )
 
 
 class ProgressReporter:
@@ -261,6 +318,17 @@ class NewSession:
             report.notes += tuple(camera_notes(recording, report))
             placed = time.perf_counter()
         report.stages.map_s += time.perf_counter() - placed
+
+    def put(self, universal: MapFile, staged: StagedDrive, taken: Sequence[str]) -> None:
+        """`add`, unless an end that was killed has done so: then the session is among those that
+        are `taken`. ConfigError where that has other frames."""
+        if self.name not in taken:
+            self.add(universal, staged)
+            return
+        if not is_in_map(universal, self.name, staged):
+            check_names([self.name], taken)
+        self.report.notes += ("The drive was in the map already.",)
+        self.report.frames = len(staged.entries)
 
     def _estimated(self, datum: Datum, steps: Steps | None) -> Trajectory:
         recording, report = self.recording, self.report

@@ -118,8 +118,6 @@ class PushedDrive:
     fixes: list[Fix] = field(default_factory=list)
     parts: dict[str, list[Rows]] = field(default_factory=dict)
     frames: list[KeptFrame] = field(default_factory=list)
-    """Their flags are whether the grid is level, and whether it is of a sweep whose points have
-    times."""
     bad: list[tuple[int, BadFrame]] = field(default_factory=list)
     pairs: dict[int, tuple[Blob, ...]] = field(default_factory=dict)
     """The images by which the cameras are checked, PNG, by the numbers of their frames."""
@@ -144,9 +142,9 @@ class PushedDrive:
             pieces[-PIECES:] = [joined(pieces[-PIECES:])]
             self._apart[part] = 0
 
-    def add_frame(self, frame: KeptFrame) -> None:
+    def add_frame(self, frame: KeptFrame, times: StageTimes) -> None:
         """The next frame. No step leads to it over one that is lost, or from before a restart."""
-        self.times.add(frame.times)
+        self.times.add(times)
         if self.frames and frame.number != self.frames[-1].number + 1:
             frame = frame._replace(found=Refusal.LOST)
         elif self.frames and frame.found is None:
@@ -185,7 +183,7 @@ def read_drive(journal: Journal) -> PushedDrive | None:
             elif kind == FRAME and journal.read(blobs[0]) is None:
                 drive.unreadable += 1
             elif kind == FRAME:
-                drive.add_frame(kept_frame(record))
+                drive.add_frame(*kept_frame(record))
             elif kind == "pair" and None not in map(journal.read, blobs):
                 drive.pairs[value] = blobs
             elif kind == "bad":

@@ -89,8 +89,7 @@ class SessionFolder(Closing):
         self.points = self._points(round(points_gb * 1e9))
         self._number = drive.frames[-1].number + 1 if drive.frames else 0
         self._pairs, self._pair_ns = list(drive.pairs), -PAIR_EVERY_NS
-        self.unreadable = drive.unreadable
-        """How many frames' grids could not be read back, as last read."""
+        self._is_forgotten = False
         self.is_resumed = bool(drive.fixes or drive.frames or drive.parts or drive.damaged_bytes)
 
     def _begun(self, about: SessionStart | None) -> PushedDrive:
@@ -221,16 +220,16 @@ class SessionFolder(Closing):
 
     def read(self) -> PushedDrive:
         """What was pushed until now."""
-        drive = read_drive(self.journal) or self.drive
-        self.unreadable = drive.unreadable
-        return drive
+        if self._is_forgotten:
+            self.drive, self._is_forgotten = read_drive(self.journal) or self.drive, False
+        return self.drive
 
-    def staged(self, read: PushedDrive | None = None) -> StagedDrive:
-        """The frames, as a build has them of its drive; of what was `read`, if that was done."""
-        drive = read or self.read()
+    def staged(self) -> StagedDrive:
+        """The frames, as a build has them of its drive."""
+        drive = self.read()
         names = told_apart([frame.entry.frame_id for frame in drive.frames])
         entries = [
-            frame.entry._replace(frame_id=name)
+            frame.entry if name == frame.entry.frame_id else frame.entry._replace(frame_id=name)
             for frame, name in zip(drive.frames, names, strict=True)
         ]
         is_pair = isinstance(drive.about.rig.sensor, StereoCamera)
@@ -283,7 +282,7 @@ class SessionFolder(Closing):
 
     def forget(self) -> None:
         """Hold no more in memory than what the session was begun with, however long it lasts."""
-        self.drive = PushedDrive(self.drive.about)
+        self.drive, self._is_forgotten = PushedDrive(self.drive.about), True
 
     def remove(self) -> None:
         """Remove it: the drive is in the map, or is given up. Files of others stay."""

@@ -28,15 +28,16 @@ FRAME = "frame"
 
 
 class KeptFrame(NamedTuple):
-    """A frame of a journal: its number in the drive, the camera's step to it, what it took, and
-    what else was kept with it: flags, and its points."""
+    """A frame of a journal: its number in the drive, the camera's step to it, and where its points
+    are, if they were kept. Of a session, whether its grid is level, and whether it is of a sweep
+    whose points have times."""
 
     number: int
     entry: StageEntry
     found: StepOutcome
-    times: StageTimes
-    flags: tuple[Any, ...] = ()
     points: Blob | None = None
+    is_level: bool = False
+    is_timed: bool = False
 
 
 def work_folder(out: Path) -> Path:
@@ -51,7 +52,7 @@ def keep_frame(
     staged: StagedFrame,
     found: StepOutcome,
     times: StageTimes,
-    flags: Sequence[Any] = (),
+    flags: Sequence[bool] = (),
     points: bytes = b"",
 ) -> bool:
     """Keep a frame; False where the disk does not take it."""
@@ -61,18 +62,13 @@ def keep_frame(
     return journal.append(FRAME, value, cells, *([points] if points else []))
 
 
-def kept_frame(record: JournalRecord) -> KeptFrame:
-    """The frame of a record. ValueError or TypeError where it is none."""
+def kept_frame(record: JournalRecord) -> tuple[KeptFrame, StageTimes]:
+    """The frame of a record, and what it took. ValueError or TypeError where it is none."""
     number, said, found, times, *flags = record.value
     frame_id, time_ns, *_, ground_found = said
-    return KeptFrame(
-        number,
-        StageEntry(frame_id, time_ns, ground_found, record.start),
-        found_from_json(found),
-        StageTimes(**times),
-        tuple(flags),
-        record.blobs[1] if len(record.blobs) > 1 else None,
-    )
+    entry = StageEntry(frame_id, time_ns, ground_found, record.start)
+    points = record.blobs[1] if len(record.blobs) > 1 else None
+    return KeptFrame(number, entry, found_from_json(found), points, *flags), StageTimes(**times)
 
 
 class JournalFrames:

@@ -131,9 +131,9 @@ class DriveParts(Closing):
             self._done.add(record.value[0])
             self._bad[record.value[0]] = BadFrame(*record.value[1:])
         elif record.kind == FRAME and self._journal.read(record.blobs[0]) is not None:
-            frame = kept_frame(record)
+            frame, times = kept_frame(record)
             self._done.add(frame.number)
-            self._times.add(frame.times)
+            self._times.add(times)
             if isinstance(frame.found, CameraStep):
                 self.moved_m += math.hypot(frame.found.forward_m, frame.found.right_m)
 
@@ -187,7 +187,7 @@ class DriveParts(Closing):
     def staged(self) -> StagedDrive:
         """The whole drive, once no frame is missing."""
         records = (one for one in self._journal.records() if one.kind == FRAME)
-        frames = {frame.number: frame for frame in map(kept_frame, records)}
+        frames = {frame.number: frame for frame, _ in map(kept_frame, records)}
         if len(frames) + len(self._bad) < self._count:
             where = journal_of(self._out, self.key)
             raise MapError(f"The staged frames in {where} cannot be read back; check the disk.")
