@@ -58,7 +58,7 @@ STEPS: dict[str, tuple[Any, str, Any]] = {
     "after the commit": (Pyramid, "settle", dies()),
     "before the map is published": (Draft, "publish", dies()),
     "after the map was published": (Draft, "publish", dies(after=True)),
-    "before what was kept is removed": (session_folder, "_remove", dies()),
+    "before what was kept is removed": (session_folder, "drop_journal", dies()),
 }
 IS_IN_THE_MAP = list(STEPS)[list(STEPS).index("after the map was published") :]
 

@@ -74,6 +74,8 @@ if TYPE_CHECKING:
         FRAME as FRAME,
         JournalFrames as JournalFrames,
         KeptFrame as KeptFrame,
+        drop_journal as drop_journal,
+        held_journal as held_journal,
         keep_frame as keep_frame,
         kept_frame as kept_frame,
         work_folder as work_folder,

@@ -7,9 +7,8 @@ end.
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,8 +19,6 @@ from fieldgrid.core import (
     Closing,
     ConfigError,
     Int64,
-    MapError,
-    MapWriteError,
     counted,
     holding,
     quoted,
@@ -51,6 +48,8 @@ from fieldgrid.pipeline import (
     StagedDrive,
     StageTimes,
     StepOutcome,
+    drop_journal,
+    held_journal,
     keep_frame,
 )
 from fieldgrid.recordings import FixLog, Frame, Image, Recording, StereoFrame, with_body_poses
@@ -73,17 +72,11 @@ class SessionFolder(Closing):
                 f"There is no live session to finish for {out}: {path} does not exist."
             )
         with ExitStack() as opening:
+            busy = f"Another program maps into {self.folder}; end it, or give another map."
             try:
-                if about is not None:
-                    self.folder.mkdir(parents=True, exist_ok=True)
-                    path.touch()
-                if not opening.enter_context(holding(path)):
-                    raise MapError(
-                        f"Another program maps into {self.folder}; end it, or give another map."
-                    )
-                self.journal = opening.enter_context(Journal(path))
+                self.journal = opening.enter_context(held_journal(path, busy))
             except OSError as error:
-                raise _unwritable(self.folder, error) from error
+                raise unwritable(out, error) from error
             self.drive = drive = self._begun(about)
             self._open = opening.pop_all()
         self.points = self._points(round(points_gb * 1e9))
@@ -286,7 +279,7 @@ class SessionFolder(Closing):
 
     def remove(self) -> None:
         """Remove it: the drive is in the map, or is given up. Files of others stay."""
-        _remove(self.out)
+        drop_journal(live_journal(self.out))
         self.close()
 
     def close(self) -> None:
@@ -303,22 +296,8 @@ def remove_unread(out: Path) -> bool:
     with holding(path) as is_ours:
         if is_ours:
             Journal(path).close()
-            _remove(out)
+            drop_journal(path)
     return is_ours
-
-
-def _unwritable(path: Path, error: OSError) -> MapWriteError:
-    advice = "check the folder and its permissions"
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        advice = "free some space there and try again"
-    return MapWriteError(f"{path} could not be written ({error.strerror}); {advice}.")
-
-
-def _remove(out: Path) -> None:
-    """Remove the file of a session, and its folder where nothing else is in it."""
-    with suppress(OSError):
-        live_journal(out).unlink(missing_ok=True)
-        live_folder(out).rmdir()
 
 
 def _apart(numbers: list[int]) -> int:

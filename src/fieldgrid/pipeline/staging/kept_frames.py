@@ -6,11 +6,13 @@ that is still driven.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from fieldgrid.core import MapError, holding
 from fieldgrid.maps import (
     StagedFrame,
     StageEntry,
@@ -44,6 +46,26 @@ def work_folder(out: Path) -> Path:
     """Where drives are kept on their way into the map `out`."""
     place = out.resolve()
     return place.with_name(f"{place.name}.work")
+
+
+@contextmanager
+def held_journal(path: Path, busy: str) -> Iterator[Journal]:
+    """A journal, made where it is not there, and held against other programs. MapError, which says
+    that it is `busy`, where another one has it; OSError where there can be none."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.touch()
+    with holding(path) as is_ours:
+        if not is_ours:
+            raise MapError(busy)
+        with Journal(path) as journal:
+            yield journal
+
+
+def drop_journal(path: Path) -> None:
+    """Remove a journal, and its folder where nothing else is in it."""
+    with suppress(OSError):
+        path.unlink(missing_ok=True)
+        path.parent.rmdir()
 
 
 def keep_frame(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,10 +18,12 @@ from fieldgrid.core import Closing, ConfigError, FieldgridError, MapError, Recor
 from fieldgrid.maps import unwritable
 from fieldgrid.perception import CameraStep
 from fieldgrid.pipeline.report import BadFrame, StageTimes
-from fieldgrid.pipeline.staging.journal import Journal, JournalRecord, read_journal
+from fieldgrid.pipeline.staging.journal import JournalRecord, read_journal
 from fieldgrid.pipeline.staging.kept_frames import (
     FRAME,
     JournalFrames,
+    drop_journal,
+    held_journal,
     keep_frame,
     kept_frame,
     work_folder,
@@ -91,10 +93,8 @@ def settle_left_behind(out: Path, resume: bool | None) -> None:
 
 def remove_parts(out: Path, keys: Iterable[str]) -> None:
     """Remove what is staged of drives, and the folder with the last."""
-    with suppress(OSError):  # there are others
-        for key in keys:
-            journal_of(out, key).unlink(missing_ok=True)
-        work_folder(out).rmdir()
+    for key in keys:
+        drop_journal(journal_of(out, key))
 
 
 class DriveParts(Closing):
@@ -108,15 +108,9 @@ class DriveParts(Closing):
         self.moved_m = 0.0
         path = journal_of(out, key)
         with ExitStack() as opening:
+            busy = f"Another program builds {name} into {out}; wait until it has finished."
             try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.touch()
-                if not opening.enter_context(holding(path)):
-                    raise MapError(
-                        f"Another program builds {name} into {out}; wait until it has finished, "
-                        "and try again."
-                    )
-                self._journal = opening.enter_context(Journal(path))
+                self._journal = opening.enter_context(held_journal(path, busy))
             except OSError as error:
                 raise unwritable(out, error) from error
             for record in self._journal.records():
