@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from fieldgrid.live.kept.points import packed, unpacked
 
 from benchmarks import EXAMPLE
 from benchmarks.live_cropped import cropped
@@ -27,6 +26,7 @@ from fieldgrid.core import BuildSettings, FieldgridError, Float64, resolve
 from fieldgrid.field import read_truth
 from fieldgrid.geometry import GridSpec, Pose, Status, Steps, Tilt, wrap_deg
 from fieldgrid.live import Live, LiveGrid, LiveOptions, LiveResult, LiveWindow, replay
+from fieldgrid.live.kept.points import packed, unpacked
 from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.live.pose.fixed_lag import FixedLagSmoother, pose_at, unknown_pose
 from fieldgrid.live.pose.running_tilt import RunningTilt

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fieldgrid.core import BuildSettings, MapError
-from fieldgrid.geometry import Datum, Fix, Rig
+from fieldgrid.geometry import Datum, Fix, FixColumns, Rig
 from fieldgrid.live.pose.sensor_rows import Rows, fix_from_json, joined, rows_from_json
 from fieldgrid.perception import Refusal
 from fieldgrid.pipeline import (
@@ -115,7 +115,7 @@ class PushedDrive:
     """What was pushed, as it is read back."""
 
     about: SessionStart
-    fixes: list[Fix] = field(default_factory=list)
+    fixes: FixColumns = field(default_factory=lambda: FixColumns.of_rows(()))
     parts: dict[str, list[Rows]] = field(default_factory=dict)
     frames: list[KeptFrame] = field(default_factory=list)
     bad: list[tuple[int, BadFrame]] = field(default_factory=list)
@@ -153,7 +153,7 @@ class PushedDrive:
 
     def let_go(self) -> None:
         """Forget fixes and rows, of which a recording was made."""
-        self.fixes, self.parts = [], {}
+        self.fixes, self.parts = FixColumns.of_rows(()), {}
 
 
 def live_folder(out: Path) -> Path:
@@ -174,10 +174,14 @@ def read_drive(journal: Journal) -> PushedDrive | None:
         return None
     try:
         drive = PushedDrive(SessionStart.from_json(start))
+        fixes, columns = list[Fix](), list[FixColumns]()
         for record in journal.records():
             kind, value, blobs, _ = record
             if kind == "fix":
-                drive.fixes.append(fix_from_json(value))
+                fixes.append(fix_from_json(value))
+                if len(fixes) == PIECES:  # they take ten times the memory of columns
+                    columns.append(FixColumns.of_rows(fixes))
+                    fixes.clear()
             elif kind == "rows":
                 drive.add_rows(*rows_from_json(value))
             elif kind == FRAME and journal.read(blobs[0]) is None:
@@ -195,6 +199,7 @@ def read_drive(journal: Journal) -> PushedDrive | None:
                 drive.is_unlevelled = True
             elif kind == DAMAGED:
                 drive.damaged_bytes += value
+        drive.fixes = FixColumns.joined([*columns, FixColumns.of_rows(fixes)])
     except (KeyError, ValueError, TypeError, IndexError) as error:
         if isinstance(error, MapError):
             raise

@@ -23,7 +23,7 @@ from fieldgrid.core import (
     holding,
     quoted,
 )
-from fieldgrid.geometry import Fix, FixColumns, GridSpec, StereoCamera
+from fieldgrid.geometry import Fix, GridSpec, StereoCamera
 from fieldgrid.live.given import GIVEN_ROWS, NO_POSES, body_poses
 from fieldgrid.live.kept.frame_names import told_apart
 from fieldgrid.live.kept.kept_drive import (
@@ -83,7 +83,9 @@ class SessionFolder(Closing):
         self._number = drive.frames[-1].number + 1 if drive.frames else 0
         self._pairs, self._pair_ns = list(drive.pairs), -PAIR_EVERY_NS
         self._is_forgotten = False
-        self.is_resumed = bool(drive.fixes or drive.frames or drive.parts or drive.damaged_bytes)
+        self.is_resumed = bool(
+            len(drive.fixes) or drive.frames or drive.parts or drive.damaged_bytes
+        )
 
     def _begun(self, about: SessionStart | None) -> PushedDrive:
         drive = read_drive(self.journal)
@@ -254,7 +256,7 @@ class SessionFolder(Closing):
             path=self.folder,
             name=about.name,
             kind="live session",
-            log=FixLog(FixColumns.of_rows(drive.fixes), (), motion_of(drive.parts)),
+            log=FixLog(drive.fixes, (), motion_of(drive.parts)),
             gnss_source=about.source,
             gnss_hash=about.source_sha256,
             rig=rig,
