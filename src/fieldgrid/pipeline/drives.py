@@ -41,18 +41,16 @@ from fieldgrid.pipeline.session import (
     opened_map,
     prepared,
 )
-from fieldgrid.pipeline.staging.kept_frames import work_folder
+from fieldgrid.pipeline.staging.kept_frames import drop_journal, work_folder
 from fieldgrid.pipeline.staging.part_key import part_key
 from fieldgrid.pipeline.staging.parts import (
     SHARE_FRAMES,
     DriveParts,
-    journal_of,
     left_behind,
-    remove_parts,
     settle_left_behind,
 )
 from fieldgrid.pipeline.staging.remote import packed, place_of
-from fieldgrid.pipeline.staging.shares import FrameOutcome, stage_frames
+from fieldgrid.pipeline.staging.shares import stage_frames
 from fieldgrid.pipeline.staging.staging import Processes, ShareResult, Staging, Workers
 from fieldgrid.recordings import DriveOptions, Recording, open_drive
 
@@ -74,7 +72,6 @@ class _DriveBuild:
     session: NewSession = field(init=False)
     tell: ProgressReporter = field(init=False)
     parts: DriveParts = field(init=False)
-    key: str = ""
     began_s: float | None = None
     error: FieldgridError | None = None
 
@@ -148,7 +145,8 @@ def build_map(
         with ExitStack() as held:
             build.find_parts(held, datum, resume=bool(resume))
             reports = build.run(universal, taken, is_there=is_there)
-    remove_parts(build.out, [drive.key for drive in build.drives if drive.key])
+    for path in build.staged:
+        drop_journal(path)
     failed = [(drive.name, str(drive.error)) for drive in build.drives if drive.error]
     if failed:
         raise PartlyBuiltError(reports, failed)
@@ -167,6 +165,7 @@ class _Build:
     fail_fast: bool
     progress: Callable[[Progress], None] | None
     drives: list[_DriveBuild] = field(default_factory=list)
+    staged: list[Path] = field(default_factory=list)
     client: Client | None = None
     staging: Staging | None = None
 
@@ -209,15 +208,13 @@ class _Build:
         """The parts of the drives that are there already; ConfigError for others."""
         for drive in self._good():
             session = drive.session
-            drive.key = part_key(session, datum)
-            drive.parts = held.enter_context(
-                DriveParts(self.out, drive.key, drive.name, session.total)
-            )
-        known = {drive.key for drive in self.drives}
-        stale = [about for about in left_behind(self.out) if about.key not in known]
+            key = part_key(session, datum)
+            drive.parts = held.enter_context(DriveParts(self.out, key, drive.name, session.total))
+            self.staged.append(drive.parts.path)
+        stale = [about for about in left_behind(self.out) if about.path not in self.staged]
         if resume and stale:
             raise ConfigError(
-                f"The staged frames of {stale[0].name} in {journal_of(self.out, stale[0].key)} "
+                f"The staged frames of {stale[0].name} in {stale[0].path} "
                 "are of other inputs or settings than this command's, so they cannot be used; "
                 "repeat the command that made them, or remove that file."
             )
@@ -241,7 +238,7 @@ class _Build:
                 except DRIVE_ERRORS as error:
                     self._fail(drive, error)
                 except (MapError, ClusterError) as error:
-                    if not any(one.parts.frames_done for one in self.drives if not one.error):
+                    if not any(one.parts.done for one in self.drives if not one.error):
                         raise
                     raise type(error)(
                         f"{error} What was staged is kept in {work_folder(self.out)}; the same "
@@ -261,8 +258,8 @@ class _Build:
             return
         parts = drive.parts
         drive.tell = ProgressReporter(drive.session, self.progress)
-        if parts.frames_done:
-            drive.tell(parts.moved_m, parts.frames_done)
+        if parts.done:
+            drive.tell(parts.moved_m, len(parts.done))
         if self.staging is not None:
             place = None if self.client is None else place_of(drive.recording.path)
             work = packed(drive.session.work(drive.recording.source), place)
@@ -274,7 +271,7 @@ class _Build:
         """Wait until the drive is staged, or stage it here, and put it into the map."""
         session, parts = drive.session, drive.parts
         start = time.perf_counter()
-        if drive.name in taken and not parts.is_complete:
+        if drive.name in taken and len(parts.done) < session.total:
             raise ConfigError(
                 f"{self.out} has a session {quoted(drive.name)} already, and no staged frame "
                 "of it to go on with: that build had finished. Leave the recording out, or give "
@@ -282,7 +279,7 @@ class _Build:
             )
         if self.staging is None:
             self._stage(drive)
-        while drive.error is None and not parts.is_complete:
+        while drive.error is None and len(parts.done) < session.total:
             assert self.staging is not None
             result = self.staging.next()
             if result is not None:
@@ -306,13 +303,9 @@ class _Build:
         for first, last in list(parts.missing(work.total)):
             with closing(stage_frames(work, first, last, self.jobs)) as looks:
                 for number, looked in enumerate(looks, first):
-                    self._keep(drive, number, looked)
-
-    def _keep(self, drive: _DriveBuild, number: int, looked: FrameOutcome) -> None:
-        """Keep a frame that was staged, and tell it."""
-        drive.parts.add(number, looked)
-        drive.parts.check_bad(self.skip_bad)
-        drive.tell(looked.moved_m)
+                    parts.add(number, looked)
+                    parts.check_bad(self.skip_bad)
+                    drive.tell(looked.moved_m)
 
     def _take(self, drive: _DriveBuild, result: ShareResult) -> None:
         """Keep a share that another process has staged, or leave its drive out."""
@@ -329,7 +322,9 @@ class _Build:
             if drive.began_s is None:
                 drive.began_s = time.perf_counter() - staged.took_s
             for number, looked in enumerate(staged.frames, share.first):
-                self._keep(drive, number, looked)
+                drive.parts.add(number, looked)
+                drive.tell(looked.moved_m)
+            drive.parts.check_bad(self.skip_bad)
         except DRIVE_ERRORS as error:
             self._fail(drive, error)
 
@@ -346,7 +341,7 @@ class _Build:
         drive.error = error
         if self.staging is not None:
             self.staging.drop(drive.number)
-        if drive.key:
+        if hasattr(drive, "parts"):
             drive.parts.remove()
         if self.fail_fast or len(self.drives) == 1:
             raise error

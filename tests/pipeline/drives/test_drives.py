@@ -276,7 +276,7 @@ def test_a_build_that_was_ended_after_a_commit_knows_its_sessions(
     out = tmp_path / "m.gpkg"
     drive = make_drive(frames=range(3, 7))
     with monkeypatch.context() as patched:
-        patched.setattr(drives, "remove_parts", lambda *_: None)  # it ends just before that
+        patched.setattr(drives, "drop_journal", lambda *_: None)  # it ends just before that
         build([drive], out)
     before = out.read_bytes()
     (report,) = build([drive], out, resume=True)

@@ -14,6 +14,7 @@ import zlib
 from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
+from itertools import chain, starmap
 from pathlib import Path
 from struct import Struct
 from typing import Any, BinaryIO, NamedTuple
@@ -22,8 +23,8 @@ from fieldgrid.core import Closing, MapError, parse_json
 
 MAGIC = b"fieldgrid journal 2\n"
 _HEAD = Struct("<4sIII")
-"""The head of each record: a mark, how long its JSON is and its blobs are, the CRC-32 of the
-JSON."""
+"""The head of each record: a mark, how long its JSON is and its blobs are, the CRC-32 of the JSON,
+which begins with the latter."""
 _MARK = b"\xf1LIV"
 MAX_JSON_BYTES = 64 << 20
 _BEGINS = b'["'
@@ -92,16 +93,22 @@ class Journal(Closing):
         said = [kind, value, *([about] if about else [])]
         body = json.dumps(said, ensure_ascii=False, separators=(",", ":")).encode()
         size = sum(map(len, blobs))
-        record = _HEAD.pack(_MARK, len(body), size, _check(len(body), size, body)) + body
+        record = _HEAD.pack(_MARK, len(body), size, zlib.crc32(body, size)) + body
         with self._lock:
-            if blobs:
-                return self._write() and self._write_at_once(b"".join((record, *blobs)))
-            if self._waiting_bytes + len(record) > MAX_WAITING_BYTES:
+            if not blobs and self._waiting_bytes + len(record) > MAX_WAITING_BYTES:
                 self.lost += 1
                 return False
-            self._waiting.append(record)
-            self._waiting_bytes += len(record)
-            return self._write()
+            self._waiting.append(b"".join((record, *blobs)))
+            self._waiting_bytes += len(self._waiting[-1])
+            is_written = self._write()
+            if blobs and not is_written:
+                self._waiting_bytes -= len(self._waiting.pop())
+                if not self._waiting and self._file is not None:
+                    self._end -= self._part
+                    self._part = 0
+                    with suppress(OSError):
+                        os.ftruncate(self._file, self._end)  # other records need the room
+            return is_written
 
     def _write(self) -> bool:
         """Write what waits; whole records, since a part of one counts as none."""
@@ -122,37 +129,20 @@ class Journal(Closing):
             return False
         return True
 
-    def _write_at_once(self, record: bytes) -> bool:
-        """Write all of a record, or none of it."""
-        assert self._file is not None
-        left, end = memoryview(record), self._end + len(record)
-        try:
-            while left:  # a disk that fills up takes a part first
-                left = left[os.pwrite(self._file, left, end - len(left)) :]
-        except OSError as error:
-            self.problem = error
-            with suppress(OSError):
-                os.ftruncate(self._file, self._end)  # other records need the room
-            return False
-        self._end, self._synced = end, False
-        return True
-
     def records(self) -> Iterator[JournalRecord]:
         """The records in order, those that wait for the disk behind those of the file, and
         `DAMAGED`, with the number of bytes, for a stretch before, between or behind them that
         cannot be read. A record at the end that was not written to its end is none."""
         with self._lock:
-            waiting = list(self._waiting)
-        yield from read_journal(self._path)
-        for one in waiting:
-            yield from _read(-1, one[_HEAD.size :])
+            waiting = [(-1, -1, one[_HEAD.size :]) for one in self._waiting]
+        return starmap(_record, chain(_scan(self._path), waiting))
 
     def at(self, start: int) -> JournalRecord | None:
         """The record that begins there; None where it is damaged."""
         assert self._file is not None, "the journal is closed"
         _, length, blobs, check = _HEAD.unpack(os.pread(self._file, _HEAD.size, start))
         body = os.pread(self._file, length, start + _HEAD.size)
-        return next(_read(start, body)) if _check(length, blobs, body) == check else None
+        return _record(start, start, body) if zlib.crc32(body, blobs) == check else None
 
     def read(self, blob: Blob) -> bytes | None:
         """What a blob holds; None where it is damaged."""
@@ -193,27 +183,20 @@ class Journal(Closing):
 def read_journal(path: Path) -> Iterator[JournalRecord]:
     """The records of a journal that need not be open, as `Journal.records`. MapError for another
     file."""
-    for start, end, body in _scan(path):
-        yield from _read(start, body) if body else (JournalRecord(DAMAGED, end - start, (), start),)
+    return starmap(_record, _scan(path))
 
 
-def _read(start: int, body: bytes) -> Iterator[JournalRecord]:
-    """The record of a JSON that is whole."""
+def _record(start: int, end: int, body: bytes) -> JournalRecord:
+    """The record of a JSON that is whole; `DAMAGED` of none, or of what no record begins with."""
     try:
         kind, value, *about = parse_json(body)
         blobs, at = list[Blob](), start + _HEAD.size + len(body)
         for size, check in about[0] if about else ():
             blobs.append(Blob(at, size, check))
             at += size
-    except (ValueError, TypeError):  # its sum fits, but it is no record of this program
-        yield JournalRecord(DAMAGED, _HEAD.size + len(body), (), start)
-    else:
-        yield JournalRecord(str(kind), value, tuple(blobs), start)
-
-
-def _check(length: int, blobs: int, body: bytes) -> int:
-    """The sum over a JSON, and over how long it and its blobs are."""
-    return zlib.crc32(body, zlib.crc32(b"%d %d" % (length, blobs)))
+        return JournalRecord(str(kind), value, tuple(blobs), start)
+    except (ValueError, TypeError):
+        return JournalRecord(DAMAGED, end - start, (), start)
 
 
 def _scan(path: Path) -> Iterator[tuple[int, int, bytes]]:
@@ -258,7 +241,7 @@ def _body_at(file: BinaryIO, at: int, size: int) -> tuple[bytes | None, int]:
         # byte is read for many records that are none.
         if not part or not body.startswith(_BEGINS) or _MARK in body:
             return None, at
-    return (body if _check(length, blobs, body) == check else None), end
+    return (body if zlib.crc32(body, blobs) == check else None), end
 
 
 def _next_mark(file: BinaryIO, at: int, size: int) -> int:

@@ -6,9 +6,9 @@ that is still driven.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -93,17 +93,18 @@ def kept_frame(record: JournalRecord) -> tuple[KeptFrame, StageTimes]:
     return KeptFrame(number, entry, found_from_json(found), points, *flags), StageTimes(**times)
 
 
+@dataclass(frozen=True, slots=True)
 class JournalFrames:
     """Staged frames of a journal, by their place among the `entries`, and with the names there."""
 
-    def __init__(self, journal: Journal, entries: Iterable[StageEntry]) -> None:
-        self._journal, self.entries = journal, list(entries)
+    journal: Journal
+    entries: Sequence[StageEntry]
 
     def __getitem__(self, index: int) -> StagedFrame:
         """A frame; MapError when it was damaged since it was written."""
         entry = self.entries[index]
-        record = self._journal.at(entry.start)
-        cells = None if record is None else self._journal.read(record.blobs[0])
+        record = self.journal.at(entry.start)
+        cells = None if record is None else self.journal.read(record.blobs[0])
         if record is None or cells is None:
             raise damaged_frame(entry)
         return replace(frame_of_record(record.value[1], cells), frame_id=entry.frame_id)

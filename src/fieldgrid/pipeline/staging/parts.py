@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
@@ -47,15 +47,10 @@ class Share(NamedTuple):
 
 
 class PartsInfo(NamedTuple):
-    """What is staged of a drive as it is found without its recording: its key, and its name."""
+    """What is staged of a drive as it is found without its recording: its journal, and its name."""
 
-    key: str
+    path: Path
     name: str
-
-
-def journal_of(out: Path, key: str) -> Path:
-    """Where the staged frames of a drive are kept."""
-    return work_folder(out) / f"{key}.build"
 
 
 def left_behind(out: Path) -> list[PartsInfo]:
@@ -70,11 +65,11 @@ def left_behind(out: Path) -> list[PartsInfo]:
                 records = read_journal(path) if is_free else iter(())
                 kinds = {record.kind: record for record in records}
                 if FRAME in kinds or BAD in kinds:
-                    found.append(PartsInfo(path.stem, str(kinds[BEGIN].value)))
+                    found.append(PartsInfo(path, str(kinds[BEGIN].value)))
                 elif is_free and is_old:
-                    remove_parts(out, [path.stem])
+                    drop_journal(path)
         except (OSError, FieldgridError, KeyError):
-            found.append(PartsInfo(path.stem, "a drive"))
+            found.append(PartsInfo(path, "a drive"))
     return found
 
 
@@ -87,46 +82,41 @@ def settle_left_behind(out: Path, resume: bool | None) -> None:
             f"{work_folder(out)} holds staged frames of a build that was ended ({names}); give "
             "--resume with the command that it was to go on, or --no-resume to remove them."
         )
-    if resume is False:
-        remove_parts(out, [about.key for about in left])
-
-
-def remove_parts(out: Path, keys: Iterable[str]) -> None:
-    """Remove what is staged of drives, and the folder with the last."""
-    for key in keys:
-        drop_journal(journal_of(out, key))
+    for about in left if resume is False else ():
+        drop_journal(about.path)
 
 
 class DriveParts(Closing):
     """The staged frames of a drive: those that are there already, and those to be made."""
 
     def __init__(self, out: Path, key: str, name: str, count: int) -> None:
-        self.key, self._out, self._name, self._count = key, out, name, count
-        self._done: set[int] = set()
+        self._out, self._name, self._count = out, name, count
+        self.path = work_folder(out) / f"{key}.build"
+        self.done: set[int] = set()
+        """The numbers of the frames that are staged or known to be bad."""
         self._bad: dict[int, BadFrame] = {}
         self._times = StageTimes()
         self.moved_m = 0.0
-        path = journal_of(out, key)
         with ExitStack() as opening:
             busy = f"Another program builds {name} into {out}; wait until it has finished."
             try:
-                self._journal = opening.enter_context(held_journal(path, busy))
+                self._journal = opening.enter_context(held_journal(self.path, busy))
             except OSError as error:
                 raise unwritable(out, error) from error
             for record in self._journal.records():
                 self._note(record)
-            if not self._done:
+            if not self.done:
                 self._journal.append(BEGIN, name)
             self._open = opening.pop_all()
 
     def _note(self, record: JournalRecord) -> None:
         """A record that is there already. A frame that is damaged is made again."""
         if record.kind == BAD:
-            self._done.add(record.value[0])
+            self.done.add(record.value[0])
             self._bad[record.value[0]] = BadFrame(*record.value[1:])
         elif record.kind == FRAME and self._journal.read(record.blobs[0]) is not None:
             frame, times = kept_frame(record)
-            self._done.add(frame.number)
+            self.done.add(frame.number)
             self._times.add(times)
             if isinstance(frame.found, CameraStep):
                 self.moved_m += math.hypot(frame.found.forward_m, frame.found.right_m)
@@ -142,14 +132,9 @@ class DriveParts(Closing):
             taken = keep_frame(self._journal, number, looked.staged, looked.found, looked.times)
         if not taken:
             raise unwritable(self._out, self._journal.problem) from self._journal.problem
-        self._done.add(number)
+        self.done.add(number)
         self._times.add(looked.times)
         self._times.map_s += time.thread_time() - start
-
-    @property
-    def frames_done(self) -> int:
-        """How many frames are staged or known to be bad."""
-        return len(self._done)
 
     def check_bad(self, skip_bad: int | float) -> None:
         """Raise RecordingError when more frames are bad than `skip_bad` allows, a number or, below
@@ -162,17 +147,12 @@ class DriveParts(Closing):
                 f"First: {self._bad[min(self._bad)].reason}"
             )
 
-    @property
-    def is_complete(self) -> bool:
-        """Whether no frame is missing."""
-        return len(self._done) == self._count
-
     def missing(self, most: int = 0) -> Iterator[Share]:
         """The frames that are not staged yet, at most so many together, those of a share if 0."""
         first, most = 0, most or SHARE_FRAMES
         while first < self._count:
             last = first
-            while last < min(first + most, self._count) and last not in self._done:
+            while last < min(first + most, self._count) and last not in self.done:
                 last += 1
             if last > first:
                 yield Share(first, last)
@@ -183,8 +163,7 @@ class DriveParts(Closing):
         records = (one for one in self._journal.records() if one.kind == FRAME)
         frames = {frame.number: frame for frame, _ in map(kept_frame, records)}
         if len(frames) + len(self._bad) < self._count:
-            where = journal_of(self._out, self.key)
-            raise MapError(f"The staged frames in {where} cannot be read back; check the disk.")
+            raise MapError(f"The staged frames in {self.path} cannot be read back; check the disk.")
         kept = [frames[number] for number in sorted(frames)]
         return StagedDrive(
             JournalFrames(self._journal, [frame.entry for frame in kept]),
@@ -196,11 +175,11 @@ class DriveParts(Closing):
 
     def remove(self) -> None:
         """Remove the frames of a drive that is given up."""
-        self._done.clear()
-        remove_parts(self._out, [self.key])
+        self.done.clear()
+        drop_journal(self.path)
 
     def close(self) -> None:
         """Let go of the journal; without a frame, it is gone."""
         self._open.close()
-        if not self._done:
+        if not self.done:
             self.remove()
