@@ -58,10 +58,6 @@ if TYPE_CHECKING:
     )
     from fieldgrid.pipeline.session import (
         add_recording as add_recording,
-        check_names as check_names,
-        check_output as check_output,
-        made_map as made_map,
-        opened_map as opened_map,
         prepared as prepared,
     )
     from fieldgrid.pipeline.staging.journal import (
@@ -96,6 +92,12 @@ if TYPE_CHECKING:
         StepOutcome as StepOutcome,
         encoded as encoded,
         stage_frame as stage_frame,
+    )
+    from fieldgrid.pipeline.targets import (
+        check_names as check_names,
+        check_output as check_output,
+        made_map as made_map,
+        opened_map as opened_map,
     )
     from fieldgrid.pipeline.tracking import TrackedDrive as TrackedDrive, track_drive as track_drive
 else:

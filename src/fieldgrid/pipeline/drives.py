@@ -32,15 +32,7 @@ from fieldgrid.pipeline.poses import (
     settle,
 )
 from fieldgrid.pipeline.report import DRIVE_ERRORS, PartlyBuiltError, Progress, SessionReport
-from fieldgrid.pipeline.session import (
-    NewSession,
-    ProgressReporter,
-    check_names,
-    check_output,
-    made_map,
-    opened_map,
-    prepared,
-)
+from fieldgrid.pipeline.session import NewSession, ProgressReporter, prepared
 from fieldgrid.pipeline.staging.kept_frames import drop_journal, work_folder
 from fieldgrid.pipeline.staging.part_key import part_key
 from fieldgrid.pipeline.staging.parts import (
@@ -52,6 +44,7 @@ from fieldgrid.pipeline.staging.parts import (
 from fieldgrid.pipeline.staging.remote import packed, place_of
 from fieldgrid.pipeline.staging.shares import stage_frames
 from fieldgrid.pipeline.staging.staging import Processes, ShareResult, Staging, Workers
+from fieldgrid.pipeline.targets import check_names, check_output, made_map, opened_map
 from fieldgrid.recordings import DriveOptions, Recording, open_drive
 
 if TYPE_CHECKING:
