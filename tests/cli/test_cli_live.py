@@ -102,7 +102,7 @@ def test_who_interrupts_the_making_of_the_map_is_told_where_the_drive_is(
 ) -> None:
     out = tmp_path / "m.gpkg"
 
-    def interrupted(*_given: object) -> None:
+    def interrupted(*_given: object, **_named: object) -> None:
         raise ends
 
     with pytest.MonkeyPatch.context() as patch:
