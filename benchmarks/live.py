@@ -26,7 +26,7 @@ from fieldgrid.core import BuildSettings, FieldgridError, Float64, resolve
 from fieldgrid.field import read_truth
 from fieldgrid.geometry import GridSpec, Pose, Status, Steps, Tilt, wrap_deg
 from fieldgrid.live import Live, LiveGrid, LiveOptions, LiveResult, LiveWindow, replay
-from fieldgrid.live.kept.points_file import PointsFile, packed
+from fieldgrid.live.kept.points import packed, unpacked
 from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.live.pose.fixed_lag import FixedLagSmoother, pose_at, unknown_pose
 from fieldgrid.live.pose.running_tilt import RunningTilt
@@ -204,22 +204,21 @@ def points() -> None:
             continue
         log = None if folder == KITTI else "gnss_rtk.nmea"
         spent: list[tuple[float, float, float]] = []
-        with open_recording(folder, gnss=log) as recording, tempfile.TemporaryDirectory() as place:
+        with open_recording(folder, gnss=log) as recording:
             gridder = LocalGridder(recording.rig, GridSpec.of(settings.grid))
-            reach_m, file = GridSpec.of(settings.grid).reach_m, PointsFile(Path(place) / "points")
+            reach_m = GridSpec.of(settings.grid).reach_m
             for frame in recording.frames():
                 assert isinstance(frame, StereoFrame)
                 seen = gridder.coded(*gridder.matcher.disparity(*frame.images()))
                 start = time.process_time()
-                at = file.append(packed(seen, reach_m))
+                record = packed(seen, reach_m)
                 kept = time.process_time()
-                again = file.read(at, gridder)
+                again = unpacked(record, gridder)
                 assert isinstance(again, CodedDepth)
                 gridder.from_coded(again, Tilt(1.0, 1.0, 0.2))
                 spent.append(
-                    (at.size / 1e3, 1e3 * (kept - start), 1e3 * (time.process_time() - kept))
+                    (len(record) / 1e3, 1e3 * (kept - start), 1e3 * (time.process_time() - kept))
                 )
-            file.close()
         size, keeping, gridding = np.median(np.array(spent), axis=0)
         print(f"{name:<30}{size:>8.0f}{keeping:>14.1f}{gridding:>20.1f}", flush=True)
 

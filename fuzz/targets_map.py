@@ -12,14 +12,14 @@ import numpy as np
 
 from fieldgrid.core import FieldgridError
 from fieldgrid.geometry import Datum, GridSpec, LocalGrid, Pose, Status
-from fieldgrid.live.kept.journal import Journal, read_journal
-from fieldgrid.live.kept.points_file import _MARK, _RECORD, PointsFile
+from fieldgrid.live.kept.points import unpacked
 from fieldgrid.maps import GROUPS, create_map, encode_png, open_map, transform_of
 from fieldgrid.maps.file.codec import BITS, decode_channel
 from fieldgrid.maps.file.geometry import decode_rings, encode_point, encode_polygon
 from fieldgrid.maps.tiles.png import decode_png
 from fieldgrid.maps.tiles.tile_codec import Expectation, decode_tile, stored_channels
 from fieldgrid.perception import Sweep
+from fieldgrid.pipeline import Journal, read_journal
 from fuzz.target import Target, check_sentence, written
 
 _DATUM = Datum(41.65, -4.72, 787.4)
@@ -122,7 +122,7 @@ def _journal_seeds() -> list[bytes]:
     path.unlink()
     with Journal(path) as journal:
         for k in range(4):
-            journal.append("fix", [k, 1.5, None, "x"])
+            journal.append("fix", [k, 1.5, None, "x"], *([b"blob"] * (k % 2)))
     return [path.read_bytes()]
 
 
@@ -166,14 +166,10 @@ def _small_map() -> bytes:
 def _points(data: bytes) -> None:
     """A record of points whose sum fits, whatever is in it."""
     header, _, body = data.partition(b"#")
-    with PointsFile(written(b"", "points")) as file:
-        for packed_body in (body, zlib.compress(body)):
-            check = zlib.crc32(packed_body, zlib.crc32(header))
-            sizes = len(header), len(packed_body)
-            place = file.append(_RECORD.pack(_MARK, *sizes, check) + header + packed_body)
-            assert file.has(place)
-            found = file.read(place, None)  # type: ignore[arg-type] - a sweep asks for none
-            assert found is None or isinstance(found, Sweep)
+    for packed_body in (body, zlib.compress(body)):
+        record = len(header).to_bytes(4, "little") + header + packed_body
+        found = unpacked(record, None)  # type: ignore[arg-type] - a sweep asks for none
+        assert found is None or isinstance(found, Sweep)
 
 
 def _points_seeds() -> list[bytes]:

@@ -28,8 +28,8 @@ from fieldgrid.core import MapError, RecordingError, resolve
 from fieldgrid.export.route_file import read_poses, read_route
 from fieldgrid.field import read_survey, read_truth, read_vehicle
 from fieldgrid.geometry import Datum, read_shapes
-from fieldgrid.live.kept.journal import _MARK, _RECORD, MAGIC, read_journal
 from fieldgrid.maps import marks_of_geojson, open_map
+from fieldgrid.pipeline import Journal, read_journal
 from fieldgrid.poses.gnss.nmea import unicore_crc
 from fieldgrid.recordings import (
     CloudFile,
@@ -667,7 +667,14 @@ def route_figure(folder: Path) -> Read:
 
 @case
 def live_journal(folder: Path) -> Read:
-    path = put(folder / "a.journal", lambda: MAGIC + 100_000 * _RECORD.pack(_MARK, 100_000, 0))
+    path = folder / "a.journal"
+    with Journal(path) as journal:
+        journal.append("rows", 1)
+    whole = path.read_bytes()
+    (record,) = read_journal(path)
+    mark = whole[record.start : record.start + 4]
+    head = mark + (100_000).to_bytes(4, "little") + bytes(8)
+    path.write_bytes(whole[: record.start] + 100_000 * head)
     return lambda: sum(1 for _ in read_journal(path))
 
 

@@ -577,7 +577,7 @@ def test_a_disk_with_too_little_room(
         result = fieldgrid("build", drive, "-o", out, *flags, "--jobs", 1)
     assert str(out) in result.sentence()
     left = tree(out.parent)
-    kept = {name for name in left if name.startswith("m.gpkg.parts/")}
+    kept = {name for name in left if name.startswith("m.gpkg.work/")}
     assert bool(kept) == ("the same command with --resume goes on" in result.sentence())
     assert {name: data for name, data in left.items() if name not in kept} == before
     fieldgrid("build", drive, "-o", out, *flags, "--jobs", 1, "--resume").output()

@@ -93,7 +93,7 @@ def test_a_request_to_end_makes_the_map_of_what_was_driven(
     assert {next(iter(one)) for one in said} >= {"grid", "pose", "window", "map"}
     with open_map(out) as universal:
         assert universal.verify(deep=True).sound
-    assert not (tmp_path / "m.gpkg.live").exists()
+    assert not (tmp_path / "m.gpkg.work").exists()
 
 
 @pytest.mark.parametrize(("ends", "status"), [(KeyboardInterrupt(), 130), (SystemExit(143), 143)])
@@ -102,16 +102,16 @@ def test_who_interrupts_the_making_of_the_map_is_told_where_the_drive_is(
 ) -> None:
     out = tmp_path / "m.gpkg"
 
-    def interrupted(*_given: object) -> None:
+    def interrupted(*_given: object, **_named: object) -> None:
         raise ends
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fieldgrid.live.finish.estimate_drive", interrupted)
+        patch.setattr("fieldgrid.live.finish.prepared", interrupted)
         replay = "live", "-o", out, "--replay", drive, "--rate", "max"
         for attempt in (replay, ("live", "-o", out, "--finish")):
             result = fieldgrid(*attempt)
             assert result.status == status
-            assert f"interrupted. The drive is kept in {out}.live; fieldgrid live" in result.err
+            assert f"interrupted. The drive is kept in {out}.work; fieldgrid live" in result.err
             assert "--finish makes the map of it" in result.err
     fieldgrid("live", "-o", out, "--finish").output()
 
@@ -152,7 +152,7 @@ def test_a_drive_whose_end_is_refused_is_finished_or_discarded_later(
     replay = ("live", "-o", out, "--replay", drive, "--rate", "max", "--time-offset", "-500")
     result = fieldgrid(*replay)
     assert result.status == 1
-    assert f"The drive is kept in {tmp_path / 'm.gpkg.live'}" in result.err
+    assert f"The drive is kept in {tmp_path / 'm.gpkg.work'}" in result.err
     assert "do not overlap in time" in fieldgrid("live", "-o", out, "--finish").sentence()
     made = fieldgrid("live", "-o", out, "--finish", "--cell", "0.2").usage()
     assert "the drive is over" in made
@@ -160,16 +160,16 @@ def test_a_drive_whose_end_is_refused_is_finished_or_discarded_later(
     assert "--discard" in again.sentence()
     text = fieldgrid("live", "-o", out, "--discard").output()
     assert text == "removed the session june with 4 frames\n"
-    assert not (tmp_path / "m.gpkg.live").exists()
+    assert not (tmp_path / "m.gpkg.work").exists()
     assert "no live session" in fieldgrid("live", "-o", out, "--finish").sentence()
 
 
 def test_a_session_of_which_nothing_can_be_read_is_discarded(
     tmp_path: Path, fieldgrid: Run
 ) -> None:
-    folder = tmp_path / "m.gpkg.live"
+    folder = tmp_path / "m.gpkg.work"
     folder.mkdir()
-    (folder / "journal").write_bytes(bytes(300))  # as a power cut may leave it
+    (folder / "live").write_bytes(bytes(300))  # as a power cut may leave it
     out = tmp_path / "m.gpkg"
     assert "--discard" in fieldgrid("live", "-o", out, "--finish").sentence()
     assert fieldgrid("live", "-o", out, "--discard").output() == "removed an unreadable session\n"

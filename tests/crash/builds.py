@@ -22,7 +22,7 @@ import numpy as np
 
 from fieldgrid.core import BuildSettings
 from fieldgrid.maps import open_map
-from fieldgrid.pipeline import build_map, parts_folder
+from fieldgrid.pipeline import build_map, work_folder
 from tests.cli.conftest import in_a_process
 from tests.conftest import make_small_drive
 from tests.pipeline.drives.making import SMALL_SHARES, content
@@ -62,10 +62,10 @@ def run_builds(count: int, seed: int, folder: Path) -> Counter[str]:
             if build.wait() == 0:
                 break
             assert build.returncode == -signal.SIGKILL, said
-            if out.exists() and not parts_folder(out).exists():
+            if out.exists() and not work_folder(out).exists():
                 break  # it was killed when all was done
         assert content(out) == expected
-        assert not parts_folder(out).exists()
+        assert not work_folder(out).exists()
         left = [path.name for path in folder.glob(".m.gpkg.*")]
         assert not left, (left, kills)
         with open_map(out) as universal:

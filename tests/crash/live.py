@@ -111,7 +111,7 @@ def _kept(out: Path) -> Had:
     """What is there of a session, read as its end would."""
     try:
         with SessionFolder(out, None) as kept:
-            drive = read_drive(kept.folder, kept.stage.entries)
+            drive = read_drive(kept.journal)
             assert drive is not None
             return Had([entry.frame_id for entry in kept.staged().entries], len(drive.fixes))
     except ConfigError:

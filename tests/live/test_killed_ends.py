@@ -50,7 +50,7 @@ def dies(at: int = 1, *, after: bool = False) -> Callable[[Any], Callable[..., A
 
 
 STEPS: dict[str, tuple[Any, str, Any]] = {
-    "the journal was read": (finish, "estimate_drive", dies()),
+    "the journal was read": (finish, "prepared", dies()),
     "grids are made again": (StageFile, "append", dies(3)),
     "before frames are placed": (FoldedTiles, "__init__", dies()),
     "frames are placed": (FoldedTiles, "cells", dies(2)),
@@ -58,8 +58,7 @@ STEPS: dict[str, tuple[Any, str, Any]] = {
     "after the commit": (Pyramid, "settle", dies()),
     "before the map is published": (Draft, "publish", dies()),
     "after the map was published": (Draft, "publish", dies(after=True)),
-    "before what was kept is removed": (session_folder, "_remove", dies()),
-    "pairs are removed": (Path, "unlink", dies(5)),
+    "before what was kept is removed": (session_folder, "drop_journal", dies()),
 }
 IS_IN_THE_MAP = list(STEPS)[list(STEPS).index("after the map was published") :]
 

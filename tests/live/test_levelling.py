@@ -25,9 +25,9 @@ from fieldgrid.geometry import (
 )
 from fieldgrid.live import LiveGrid, LiveOptions, finish_from, finish_session, live_folder, replay
 from fieldgrid.live.gridding_again import NO_POINTS
-from fieldgrid.live.kept.kept_drive import POINTS, KeptFrame
 from fieldgrid.live.kept.kept_points import UNTOLD_NS, KeptPoints
-from fieldgrid.live.kept.points_file import PointsFile, RecordSpan, packed
+from fieldgrid.live.kept.points import packed, unpacked
+from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.live.pose.running_tilt import CARRIED_S, RunningTilt, square_to_ground
 from fieldgrid.live.pose.sensor_rows import rows_of
 from fieldgrid.maps import create_map, open_map
@@ -39,6 +39,7 @@ from fieldgrid.pipeline import (
     convert_recording,
     estimate_drive,
     local_grid,
+    read_journal,
 )
 from fieldgrid.poses import Attitude
 from fieldgrid.recordings import DriveOptions, open_drive, open_recording
@@ -49,6 +50,12 @@ from tests.pipeline.drives.making import content
 pytestmark = pytest.mark.usefixtures("worked_out_once")
 
 
+def points_bytes(out: Path) -> int:
+    """How much the points of a session's frames take."""
+    records = read_journal(live_folder(out) / "live")
+    return sum(r.blobs[1].size for r in records if r.kind == "frame" and len(r.blobs) > 1)
+
+
 def test_the_map_of_a_drive_with_an_imu_is_that_of_a_build(
     leaning_drive: Path, built_level: Path, tmp_path: Path
 ) -> None:
@@ -57,7 +64,7 @@ def test_the_map_of_a_drive_with_an_imu_is_that_of_a_build(
         live = begin(recording, out)
         replay(live, recording, rate=None)
         live.stop()
-    assert (live_folder(out) / POINTS).stat().st_size > 6 * 50_000
+    assert points_bytes(out) > 6 * 50_000
     shown: list[Progress] = []
     report = finish_session(out, progress=shown.append)
     assert content(out) == content(built_level)
@@ -212,7 +219,7 @@ def test_frames_beyond_the_bound_are_as_level_as_they_were_while_driving(
         live = begin(recording, out, options=LiveOptions(points_gb=450e-6), on_result=told)
         replay(live, recording, rate=None)
         live.stop()
-    assert (live_folder(out) / POINTS).stat().st_size <= 450_000
+    assert 0 < points_bytes(out) <= 450_000
     (text,) = told.texts("disk")
     assert "take 0.00045 GB" in text
     report = finish_session(out)
@@ -233,47 +240,65 @@ def test_points_of_a_drive_that_tells_no_lean_are_not_kept_for_long(
 ) -> None:
     clock_ns = [0]
     monkeypatch.setattr("fieldgrid.live.kept.kept_points.time.monotonic_ns", lambda: clock_ns[0])
-    path, record = tmp_path / POINTS, packed(Sweep(np.ones((50, 3), np.float32)), 15.0)
-    level = KeptPoints(path, 15.0, 1 << 30, None)
-    assert level.add(record, 1_000) is not None
-    assert level.add(record, 1_000 + UNTOLD_NS) is not None
+    level, seen = points_of(tmp_path), Sweep(np.ones((50, 3), np.float32))
+    assert level.packed(seen, 1_000)
+    assert level.packed(seen, 1_000 + UNTOLD_NS)
     # Stamps alone do not say so.
-    assert level.add(record, 1_001 + UNTOLD_NS) is not None
+    assert level.packed(seen, 1_001 + UNTOLD_NS)
     clock_ns[0] = 1 + UNTOLD_NS
-    assert level.add(record, 1_002 + UNTOLD_NS) is None
-    assert not path.exists()
+    assert not level.packed(seen, 1_002 + UNTOLD_NS)
     assert not level.is_levelling
     # It is told when an IMU comes too late, once.
-    assert not level.take_warning()
     level.note_rows("inertial", rows_of("inertial", 1, [0.0] * 3, [np.nan] * 3))
-    assert not level.take_warning()
-    level.note_rows("inertial", rows_of("inertial", 1, [0.0] * 3, [0.0, 0.0, 9.8]))
-    assert "--finish-from" in level.take_warning()
-    assert not level.take_warning()
-    # Nor after a restart.
-    assert not KeptPoints(path, 15.0, 1 << 30, 1_000).is_levelling
-    # What was removed for nothing is not lost.
-    frames = [KeptFrame(0, None, RecordSpan(20, 99))]
-    assert not KeptPoints(path, 15.0, 1 << 30, 1_000, frames).is_lost
-    assert KeptPoints(path, 15.0, 1 << 30, 1_000, [frames[0]._replace(is_timed=True)]).is_lost
+    assert not level.warnings
+    for _ in range(2):
+        level.note_rows("inertial", rows_of("inertial", 1, [0.0] * 3, [0.0, 0.0, 9.8]))
+    (warning,) = level.warnings
+    assert "--finish-from" in warning
+
+
+def points_of(folder: Path, most_bytes: int = 1 << 30) -> KeptPoints:
+    """What decides on the points of a session that begins."""
+    return KeptPoints(folder, 15.0, most_bytes, None, held_bytes=0, is_levelling=True)
+
+
+def test_a_restart_does_not_begin_to_keep_points(
+    leaning_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fieldgrid.live.kept.kept_points.UNTOLD_NS", 0)
+    out = tmp_path / "m.gpkg"
+    with open_recording(leaning_drive) as recording:
+        for first in (0, 3):
+            live = begin(recording, out)
+            for frame in recording.frames(first, first + 3):
+                live.push_frame(frame, wait=True)
+            live.stop()
+    assert points_bytes(out) < 200_000  # of the first frame alone
+    with SessionFolder(out, None) as kept:
+        assert not kept.points.is_levelling
 
 
 @pytest.mark.parametrize("part", ["inertial", "tilt", "orientation", "sweep"])
-def test_points_of_a_drive_that_tells_its_lean_are_kept(part: str, tmp_path: Path) -> None:
-    with KeptPoints(tmp_path / POINTS, 15.0, 1 << 30, None) as level:
-        after_s = np.zeros(50, np.float32) if part == "sweep" else None
-        record = level.record(Sweep(np.ones((50, 3), np.float32), after_s))
-        if part == "inertial":
-            level.note_rows(part, rows_of(part, 1, [0.0] * 3, [0.0, 0.0, 9.8]))
-        elif part == "tilt":
-            level.note_rows(part, rows_of(part, 1, 1.0, 2.0, 0.1))
-        elif part == "orientation":
-            level.note_rows(part, rows_of(part, 1, 1.0, 2.0, 0.1, 2.0))
-        assert level.add(record, 1_000) is not None
-        assert level.add(record, 1_001 + 5 * UNTOLD_NS) is not None
+def test_points_of_a_drive_that_tells_its_lean_are_kept(
+    part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock_ns = [0]
+    monkeypatch.setattr("fieldgrid.live.kept.kept_points.time.monotonic_ns", lambda: clock_ns[0])
+    level = points_of(tmp_path)
+    after_s = np.zeros(50, np.float32) if part == "sweep" else None
+    seen = Sweep(np.ones((50, 3), np.float32), after_s)
+    if part == "inertial":
+        level.note_rows(part, rows_of(part, 1, [0.0] * 3, [0.0, 0.0, 9.8]))
+    elif part == "tilt":
+        level.note_rows(part, rows_of(part, 1, 1.0, 2.0, 0.1))
+    elif part == "orientation":
+        level.note_rows(part, rows_of(part, 1, 1.0, 2.0, 0.1, 2.0))
+    assert level.packed(seen, 1_000)
+    clock_ns[0] = 5 * UNTOLD_NS
+    assert level.packed(seen, 1_001 + 5 * UNTOLD_NS)
 
 
-def test_points_come_back_as_they_were(leaning_drive: Path, tmp_path: Path) -> None:
+def test_points_come_back_as_they_were(leaning_drive: Path) -> None:
     random = np.random.default_rng(1)
     with open_recording(leaning_drive) as recording:
         gridder = LocalGridder(recording.rig, GridSpec.of(BuildSettings().grid))
@@ -283,27 +308,18 @@ def test_points_come_back_as_they_were(leaning_drive: Path, tmp_path: Path) -> N
     far = np.linalg.norm(points, axis=1) > 40.0
     assert 0 < far.sum() < 400
     seen = [gridder.coded(codes, 7), Sweep(points), Sweep(np.asfortranarray(points), after)]
-    with PointsFile(tmp_path / POINTS) as file:
-        places = [file.append(packed(one, 15.0)) for one in seen]
-    data = bytearray((tmp_path / POINTS).read_bytes())
-    with PointsFile(tmp_path / POINTS) as file:
-        coded, plain, timed = (file.read(place, gridder) for place in places)
-        assert np.array_equal(coded.codes, codes)
-        assert coded.codes.dtype == np.int16
-        assert coded.row_start == 7
-        # Points that no grid reaches are left out, and all others lie as they lay in memory.
-        for one in (plain, timed):
-            assert np.array_equal(one.points_m[~far], points[~far])
-            assert np.isnan(one.points_m[far]).all()
-        assert plain.points_m.flags.c_contiguous
-        assert timed.points_m.flags.f_contiguous
-        assert plain.after_s is None
-        assert np.array_equal(timed.after_s, after)
-    data[places[1].start + 40] ^= 1
-    (tmp_path / POINTS).write_bytes(data[:-1])
-    with PointsFile(tmp_path / POINTS) as file:
-        found = [file.read(place, gridder) is not None for place in places]
-    assert found == [True, False, False]
+    coded, plain, timed = (unpacked(packed(one, 15.0), gridder) for one in seen)
+    assert np.array_equal(coded.codes, codes)
+    assert coded.codes.dtype == np.int16
+    assert coded.row_start == 7
+    # Points that no grid reaches are left out, and all others lie as they lay in memory.
+    for one in (plain, timed):
+        assert np.array_equal(one.points_m[~far], points[~far])
+        assert np.isnan(one.points_m[far]).all()
+    assert plain.points_m.flags.c_contiguous
+    assert timed.points_m.flags.f_contiguous
+    assert plain.after_s is None
+    assert np.array_equal(timed.after_s, after)
 
 
 def test_live_grids_are_level_by_the_tilt_known_then(

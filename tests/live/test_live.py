@@ -37,13 +37,12 @@ from fieldgrid.live import (
     perceiver,
     replay,
 )
-from fieldgrid.live.kept.journal import Journal, read_journal
 from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.live.perceiver import PerceivedFrame, encoded, perceive_frame
 from fieldgrid.live.pose.poser import Poser
-from fieldgrid.maps import StagedFrame, StageFile, open_map
+from fieldgrid.maps import StagedFrame, open_map
 from fieldgrid.perception import CameraStep
-from fieldgrid.pipeline import Perception, build_map
+from fieldgrid.pipeline import Journal, Perception, build_map, read_journal
 from fieldgrid.recordings import Frame, Recording, open_recording
 from tests.conftest import make_small_drive
 from tests.live.making import Told, begin, drive_live
@@ -239,16 +238,15 @@ def test_the_camera_is_followed_over_a_frame_that_a_full_disk_refused(
     short_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The pose goes on from frame to frame; the map has the step between those that it has."""
-    passed, append, out = passed_on(monkeypatch), StageFile.append, tmp_path / "m.gpkg"
+    passed, append, out = passed_on(monkeypatch), Journal.append, tmp_path / "m.gpkg"
     drive_live(short_drive, tmp_path / "whole.gpkg")
     whole = {name: frame.step for name, frame in passed.items()}
 
-    def appending(self: StageFile, frame: StagedFrame) -> int:
-        if frame.frame_id == "000022":
-            raise MapWriteError(errno.ENOSPC, "The disk is full.")
-        return append(self, frame)
+    def appending(self: Journal, kind: str, value: Any, *blobs: bytes) -> bool:
+        is_full = kind == "frame" and value[1][0] == "000022"
+        return not is_full and append(self, kind, value, *blobs)
 
-    monkeypatch.setattr(StageFile, "append", appending)
+    monkeypatch.setattr(Journal, "append", appending)
     passed.clear()
     with open_recording(short_drive) as recording:
         live = begin(recording, out)
@@ -290,16 +288,15 @@ def test_a_client_that_fails_changes_nothing(
 def test_a_disk_that_is_full_for_a_while_costs_the_frames_of_that_while(
     short_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out, told, append, write = tmp_path / "m.gpkg", Told(), StageFile.append, Journal._write
+    out, told, append, write = tmp_path / "m.gpkg", Told(), Journal.append, Journal._write
     full = [False]
 
-    def appending(self: StageFile, frame: StagedFrame) -> int:
-        full[0] = frame.frame_id in ("000022", "000023")
-        if full[0]:
-            raise MapWriteError(errno.ENOSPC, "The disk is full.")
-        return append(self, frame)
+    def appending(self: Journal, kind: str, value: Any, *blobs: bytes) -> bool:
+        if kind == "frame":
+            full[0] = value[1][0] in ("000022", "000023")
+        return append(self, kind, value, *blobs)
 
-    monkeypatch.setattr(StageFile, "append", appending)
+    monkeypatch.setattr(Journal, "append", appending)
     monkeypatch.setattr(Journal, "_write", lambda self: not full[0] and write(self))
     drive_live(short_drive, out, told)
     monkeypatch.undo()
@@ -319,7 +316,7 @@ def test_fixes_and_rows_that_a_full_disk_costs_are_told(
     with open_recording(short_drive) as recording:
         live = begin(recording, tmp_path / "m.gpkg", on_result=told)
         monkeypatch.setattr(Journal, "_write", lambda _self: False)
-        monkeypatch.setattr("fieldgrid.live.kept.journal.MAX_WAITING_BYTES", 2_000)
+        monkeypatch.setattr("fieldgrid.pipeline.staging.journal.MAX_WAITING_BYTES", 2_000)
         push_fixes(live, recording)
         monkeypatch.setattr(Journal, "_write", write)
         live.push_gyro(1, 0.0)  # too large for memory yet, and then the disk takes what waits
@@ -332,8 +329,8 @@ def test_fixes_and_rows_that_a_full_disk_costs_are_told(
     found = re.search(r"again\. (\d+) records did not fit", again)
     assert found
     assert 0 < int(found[1]) < pushed
-    journal = list(read_journal(live.folder / "journal"))
-    assert sum(kind in ("fix", "rows") for kind, _ in journal) == pushed - int(found[1])
+    journal = list(read_journal(live.folder / "live"))
+    assert sum(record.kind in ("fix", "rows") for record in journal) == pushed - int(found[1])
 
 
 def test_an_end_that_is_interrupted_lets_go_of_the_session(
@@ -399,7 +396,7 @@ def test_an_end_on_a_full_disk_says_what_is_lost(
         def full(*_given: object, **_options: object) -> None:
             raise MapWriteError(errno.ENOSPC, "The disk is full.")
 
-        monkeypatch.setattr("fieldgrid.live.finish.create_map", full)
+        monkeypatch.setattr("fieldgrid.live.finish.made_map", full)
         with pytest.raises(MapWriteError, match="but for the last 1 records") as caught:
             live.finish()
         assert "--finish tries again" in str(caught.value)
@@ -420,7 +417,7 @@ def test_times_that_no_map_can_have_are_refused_and_not_kept(
                 live.push_pair(*frame.images(), time_ns)
         live.stop()
         assert (live.counts.fixes, live.counts.frames) == (0, 0)
-    assert [kind for kind, _ in read_journal(live.folder / "journal")] == ["begin"]
+    assert [record.kind for record in read_journal(live.folder / "live")] == ["begin"]
 
 
 def test_images_of_another_kind_are_told_and_left_out(short_drive: Path, tmp_path: Path) -> None:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from fieldgrid.core import MapWriteError
+from fieldgrid.core import ConfigError
 from fieldgrid.live import Live, finish_from, finish_session
-from fieldgrid.live.kept.journal import Journal
 from fieldgrid.live.kept.session_folder import SessionFolder
+from fieldgrid.pipeline import Journal
 from fieldgrid.recordings import Recording, open_recording
 from tests.live.making import begin
 
@@ -33,11 +33,10 @@ def test_an_end_without_any_record_on_the_disk_says_that_nothing_is_kept(
     short_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Journal, "_write", lambda _self: False)
-    refuse(monkeypatch, "estimate_drive", MapWriteError("The disk is full."))
     with open_recording(short_drive) as recording:
         live = begin(recording, tmp_path / "m.gpkg")
         push_all(live, recording)
-        with pytest.raises(MapWriteError, match="Nothing of the drive is kept") as caught:
+        with pytest.raises(ConfigError, match="Nothing of the drive is kept") as caught:
             live.finish()
     assert "--finish" not in str(caught.value)
 
@@ -52,7 +51,7 @@ def test_an_interrupted_end_says_what_the_disk_did_not_take(
         write = Journal._write
         monkeypatch.setattr(Journal, "_write", lambda _self: False)
         live.push_gyro(1, 0.0)
-        refuse(monkeypatch, "estimate_drive", KeyboardInterrupt())
+        refuse(monkeypatch, "prepared", KeyboardInterrupt())
         with pytest.raises(KeyboardInterrupt) as caught:
             live.finish()
     (note,) = caught.value.__notes__

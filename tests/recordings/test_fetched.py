@@ -25,11 +25,10 @@ from fieldgrid.core import BuildSettings, ClusterError, ConfigError, LimitError,
 from fieldgrid.core.input_limits import limited
 from fieldgrid.maps import open_map
 from fieldgrid.pipeline import (
-    NewSession,
     PartlyBuiltError,
     build_map,
-    estimate_drive,
     estimate_mount,
+    prepared,
     write_estimate,
 )
 from fieldgrid.pipeline.staging import remote
@@ -615,8 +614,7 @@ def test_the_mounting_of_a_copy_is_not_written(zipped: str) -> None:
 def work_on(here: Path) -> DriveWork:
     with open_drive(here, DriveOptions()) as opened:
         recording = opened.recording()
-        trajectory = estimate_drive(recording, BuildSettings(), None).trajectory
-        session = NewSession(recording, BuildSettings(), None, "june", known=trajectory)
+        session, _ = prepared(recording, BuildSettings(), None, "june")
         return session.work(recording.source)
 
 
@@ -647,7 +645,7 @@ def test_a_worker_fetches_the_files_of_its_frames_only(
     copy = copies.copy_of("memory://vines/june-10")
     for start, there in ((0, 2), (2, 4)):
         made = remote.stage_share(packed, Share(start, start + 2), place)
-        assert made.part[0] == parts[start // 2].part[0]
+        assert made.frames[1].staged == parts[start // 2].frames[1].staged
         files = {path.relative_to(copy).parts[0] for path in copy.rglob("*") if path.is_file()}
         assert files == {"left", "right"}
         assert len([path for path in copy.rglob("*") if path.is_file()]) == 2 * there
@@ -825,8 +823,10 @@ def test_a_worker_makes_its_own_copy_and_names_images_as_here(
     remote._unpacked.cache_clear()
     far_away = remote.stage_share(work, Share(0, 2), place)
     assert (copies.copy_of(zipped) / "left" / "000003.jpg").exists()
-    assert str(here).encode() in far_away.part[0]
-    assert far_away.part[0] == at_home.part[0]
+    (far, _), (home, _) = ((one.staged for one in made.frames) for made in (far_away, at_home))
+    assert far == home
+    assert far is not None
+    assert far.images[0].startswith(str(here))
     # A recording that changes in between is not mixed with what was read of it before.
     with pytest.raises(ClusterError, match=r"has changed since this build began; build it again"):
         remote.stage_share(work, Share(0, 2), place._replace(version="of before"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,6 @@ from fieldgrid.core import (
     BuildSettings,
     ConfigError,
     FieldgridError,
-    MapError,
     MapExistsError,
     MapWriteError,
     Overrides,
@@ -22,23 +21,20 @@ from fieldgrid.core import (
     quoted,
 )
 from fieldgrid.live.gridding_again import gridded_again
-from fieldgrid.live.kept.kept_drive import JOURNAL, PushedDrive, SessionStart, live_folder
-from fieldgrid.live.kept.kept_points import LOST
+from fieldgrid.live.kept.kept_drive import PushedDrive, SessionStart, live_folder, live_journal
 from fieldgrid.live.kept.session_folder import SessionFolder, remove_unread
-from fieldgrid.maps import Patience, StageFile, check_cell_sizes, create_map, open_map
+from fieldgrid.maps import Patience, StageFile, check_cell_sizes, open_map
 from fieldgrid.perception import OriginTrack
 from fieldgrid.pipeline import (
-    NewSession,
     Progress,
     SessionReport,
     attitude_of_grids,
     build_map,
-    check_images,
     check_names,
     check_output,
-    check_poses,
-    estimate_drive,
-    follows_camera,
+    made_map,
+    opened_map,
+    prepared,
 )
 from fieldgrid.recordings import DriveOptions, Recording, open_drive
 
@@ -74,12 +70,11 @@ def check_begin(out: Path, about: SessionStart) -> None:
     try:
         check_target(out, about)
     except FieldgridError as error:
-        folder = live_folder(out)
-        if not (folder / JOURNAL).exists():
+        if not live_journal(out).exists():
             raise
         raise type(error)(
-            f"{error} {folder} holds a session whose end was interrupted: fieldgrid live -o {out} "
-            "--finish completes it."
+            f"{error} {live_folder(out)} holds a session whose end was interrupted: fieldgrid live "
+            f"-o {out} --finish completes it."
         ) from error
 
 
@@ -156,9 +151,8 @@ def discard_session(out: str | Path) -> tuple[str, int]:
     except FieldgridError:  # it is given up: what is wrong with it does not matter
         if not remove_unread(Path(out)):
             raise
-    folder = live_folder(Path(out))
-    if (folder / JOURNAL).exists():
-        raise MapWriteError(f"{folder} could not be removed; check its permissions.")
+    if (journal := live_journal(Path(out))).exists():
+        raise MapWriteError(f"{journal} could not be removed; check its permissions.")
     return name, frames
 
 
@@ -176,7 +170,6 @@ def finish(
     ways = f"{again} tries again, with pose options or --accept, and --discard gives it up"
     with _telling_where(kept, "--finish"):
         try:
-            kept.drive.let_go()  # what was read when the folder was opened is read again
             drive = kept.read()
             if not drive.frames:
                 ways = (
@@ -196,9 +189,9 @@ def finish(
             raise type(error)(f"{sentence}. {kept.what_is_kept(ways)}") from error
         if left_out:
             report.notes += (_still_kept(kept, left_out, _NO_POINTS),)
-        if kept.unreadable:
-            report.notes += (_still_kept(kept, kept.unreadable, _NO_GRIDS),)
-        if not (left_out or kept.unreadable):
+        if drive.unreadable:
+            report.notes += (_still_kept(kept, drive.unreadable, _NO_GRIDS),)
+        if not (left_out or drive.unreadable):
             kept.remove()
     report.wall_s = time.perf_counter() - started
     return report
@@ -242,85 +235,35 @@ def _placed(
     """Put the drive into the map; its report, and the number of its frames that are left out, since
     their points are lost."""
     about, out = kept.drive.about, kept.out
-    done = _done(kept, drive) if out.exists() else None
-    if done is not None:
-        # A map opened to be changed is given at its close what a killed end left for later. Where
-        # that is not possible, readers do without.
-        with suppress(MapError):
-            open_map(out, writable=True, patience=patience).close()
-        session = NewSession(recording, settings, None, about.name)
-        session.report.notes += ("The drive was in the map already.",)
-        session.report.frames = len(drive.frames) - done
-        return session.report, done
-    check_target(out, about)
-    datum = about.datum
-    if about.append and datum is None:
+    datum, taken = about.datum, list[str]()
+    if out.exists():
         with open_map(out) as existing:
-            datum = existing.datum
-    estimate = estimate_drive(recording, settings, datum)
-    trajectory = estimate.trajectory
-    check_images(recording, trajectory)
-    if recording.pose_name or not follows_camera(recording.rig, settings):
-        check_poses(recording, trajectory)
+            taken = [info.name for info in existing.sessions()]
+            datum = datum or existing.datum
+    if about.name not in taken:
+        check_target(out, about)
+    levels = kept.points.is_levelling
+    session, estimate = prepared(
+        *(recording, settings, datum, about.name), skips_bad=True, levels=levels
+    )
     told = attitude_of_grids(recording, estimate)
-    attitude = told if kept.points.is_levelling else None
-    session = NewSession(recording, settings, attitude, about.name, skips_bad=True)
-    if told is not None and attitude is None:
+    if told is not None and not levels:
         session.report.notes += (NOT_LEVELLED,)
-    datum = datum or trajectory.datum
-    chosen = settings.map
-    with StageFile.temporary(out) as file:
-        way = OriginTrack.of(trajectory)
+    way, datum = OriginTrack.of(estimate.trajectory), datum or estimate.trajectory.datum
+    del estimate  # of a long drive there is no room for two
+    with StageFile(out) as file:
+        attitude = told if levels else None
         staged, notes, left_out = gridded_again(kept, drive, file, attitude, way, progress)
         session.report.notes += notes
-        if kept.points.is_lost and not notes:
-            session.report.notes += (LOST,)
-        if about.append:
-            universal = open_map(
-                out,
-                datum=datum,
-                cell_m=chosen.cell_m,
-                transfer=chosen.transfer,
-                layers=chosen.kept_layers(),
-                patience=patience,
-            )
-        else:
-            universal = create_map(
-                out,
-                datum,
-                cell_m=settings.universal_cell_m,
-                transfer=chosen.transfer,
-                layers=chosen.kept_layers(),
-            )
-        with universal:
-            session.check(universal)
-            session.add(universal, staged)
+        with (
+            opened_map(out, settings, datum, patience)
+            if out.exists()
+            else made_map(out, settings, datum)
+        ) as universal:
+            if about.name not in taken:
+                session.check(universal)
+            session.put(universal, staged, taken)
     return session.report, left_out
-
-
-def _done(kept: SessionFolder, drive: PushedDrive) -> int | None:
-    """How many frames an end left out that has put the drive into the map already, and was killed
-    or left frames out; None where none has. It is told by its frames, whose grids may be others by
-    now."""
-    with open_map(kept.out) as universal:
-        name = kept.drive.about.name
-        if name not in {info.name for info in universal.sessions()}:
-            return None
-        placed = {frame.frame_id: frame.images_sha256 for frame in universal.frames(name)}
-    if not placed:
-        return None
-    missing, frames = 0, kept.staged(drive).frames
-    for number, frame in enumerate(drive.frames):
-        staged = frames[number]
-        if staged.frame_id not in placed:
-            # What an end leaves out was not level and cannot be made so.
-            is_lost = kept.points.is_levelling and not kept.points.has(frame.points)
-            if frame.is_level or not is_lost:
-                return None
-            missing += 1
-        elif placed.pop(staged.frame_id) != staged.images_sha256:
-            return None
-    return None if placed else missing
 
 
 def with_overrides(settings: BuildSettings, overrides: Overrides) -> BuildSettings:

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from fieldgrid.geometry import GridSpec, Tilt
 from fieldgrid.live.kept.kept_drive import PushedDrive
-from fieldgrid.live.kept.points_file import GridInput
+from fieldgrid.live.kept.points import GridInput
 from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.maps import StagedFrame, StageFile, stage
 from fieldgrid.perception import CodedDepth, LocalGridder, OriginTrack, Refusal
@@ -34,7 +34,7 @@ def gridded_again(
 
     Returns them with remarks for the report, and the number of frames that are left out, since
     their points are not there to make them as the others are."""
-    staged = kept.staged(drive)
+    staged = kept.staged()
     is_swept = any(frame.is_timed for frame in drive.frames)
     if attitude is None and not is_swept and not any(frame.is_level for frame in drive.frames):
         return staged, (), 0
@@ -48,7 +48,7 @@ def gridded_again(
         driving."""
         frame, was = drive.frames[number], staged.frames[number]
         tilt = None if attitude is None else attitude.tilt_at(was.time_ns)
-        seen = kept.points.read(frame.points, gridder)
+        seen = kept.points_of(frame, gridder)
         if seen is not None:
             return _again(was, seen, gridder, tilt, way), False
         return was if frame.is_level == (tilt is not None) else None, True

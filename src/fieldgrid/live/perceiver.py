@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 from fieldgrid.core import FieldgridError, MapWriteError, MatcherKind
 from fieldgrid.geometry import LocalGrid, StereoCamera
-from fieldgrid.live.kept.kept_drive import KeptFrame
 from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.live.pose.running_tilt import TellTilt
 from fieldgrid.live.pose.sensor_rows import check_time
@@ -24,7 +23,6 @@ from fieldgrid.perception import (
     FrameGround,
     LocalGridder,
     OriginTrack,
-    Sweep,
     step,
 )
 from fieldgrid.pipeline import Perception, StageTimes, StepOutcome, encoded, perceive_frame
@@ -274,7 +272,6 @@ class Perceiver:
     def _finish(self, waiting: _QueuedFrame, seen: Perception, is_level: bool) -> int | None:
         """Pass a frame on, and then keep it: no window waits until it is encoded and written. Its
         number where its images are to be kept, too."""
-        # Behind it the stage file may have frames of which the journal does not know.
         if waiting.is_again:
             self._last = self._last_kept = seen.features
             return None
@@ -310,11 +307,10 @@ class Perceiver:
         """Keep a frame, to which the camera's step from the last one that is kept was `found`."""
         kept, frame, number = self._kept, seen.frame, None
         time_ns = self._time_ns(frame)
-        points_at = kept.points.add(kept.points.record(seen.seen), time_ns)
         try:
-            number = kept.stage.append(encoded(seen, self._gridder.rig))
+            staged = encoded(seen, self._gridder.rig)
+            number = kept.add_frame(staged, found, times, seen.seen, is_level=is_level)
         except MapWriteError as error:
-            kept.points.take_back(points_at)
             if not self._disk_full:
                 text = f"{error} Frames are not kept until there is room; the mapping goes on."
                 self._tell(LiveEvent(What.DISK, text, time_ns))
@@ -326,12 +322,9 @@ class Perceiver:
                 self._tell(LiveEvent(What.DISK, text, time_ns))
             self._last_kept = seen.features
             self.frames += 1
-            is_timed = isinstance(seen.seen, Sweep) and seen.seen.after_s is not None
-            kept_frame = KeptFrame(number, found, points_at, is_level, is_timed)
-            kept.add_frame(kept_frame, frame.frame_id, times)
         self._disk_full = number is None
-        if warning := kept.points.take_warning():
-            self._tell(LiveEvent(What.DISK, warning, time_ns))
+        while kept.points.warnings:
+            self._tell(LiveEvent(What.DISK, kept.points.warnings.popleft(), time_ns))
         return number if number is not None and kept.claim_pair(number, time_ns) else None
 
     def _keep_pair(self, number: int, frame: Frame) -> None:

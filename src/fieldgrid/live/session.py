@@ -92,7 +92,7 @@ class Live(Closing):
         self.is_resumed = self._kept.is_resumed
         self.newest_frame_ns = self._kept.newest_frame_ns
         """The time of the last frame that is kept, by the receiver's clock; None without."""
-        self._last_number = highest_number(one.frame_id for one in self._kept.stage.entries)
+        self._last_number = highest_number(one.entry.frame_id for one in drive.frames)
         self._outbox = Outbox()
         self._deliverer = None if on_result is None else Deliverer(self._outbox, on_result)
         given_ns = (int(rows.time_ns.max()) for rows in drive.parts.get(GIVEN_ROWS, ()))
@@ -125,10 +125,10 @@ class Live(Closing):
         """Let poses begin with the end of what was pushed before a restart."""
         drive = self._kept.drive
         text = f"The session {quoted(self.name)} goes on: {len(drive.frames)} frames are kept."
-        newest_ns = max((fix.time_ns for fix in drive.fixes), default=0)
+        newest_ns = int(drive.fixes.time_ns.max(initial=0))
         self._tell(LiveEvent(What.SESSION, text, newest_ns))
         since_ns = newest_ns - round(GIVEN_KEPT_S * 1e9)
-        for fix in (fix for fix in drive.fixes if fix.time_ns >= since_ns):
+        for fix in drive.fixes[drive.fixes.time_ns >= since_ns]:
             self._poser.put(fix)
         for part, chunks in drive.parts.items():
             for rows in chunks:

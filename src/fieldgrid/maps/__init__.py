@@ -148,8 +148,11 @@ if TYPE_CHECKING:
         StagedFrames as StagedFrames,
         StageEntry as StageEntry,
         StageFile as StageFile,
-        read_staged as read_staged,
+        damaged_frame as damaged_frame,
+        frame_of_record as frame_of_record,
+        frame_record as frame_record,
         stage as stage,
+        unwritable as unwritable,
     )
     from fieldgrid.maps.writing.transform import (
         WORSE_TIMES as WORSE_TIMES,

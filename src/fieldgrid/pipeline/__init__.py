@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from fieldgrid.pipeline.poses import (
         attitude_of_grids as attitude_of_grids,
         cell_budget as cell_budget,
-        check_images as check_images,
-        check_poses as check_poses,
         estimate_drive as estimate_drive,
         estimate_trajectory as estimate_trajectory,
         no_ground as no_ground,
@@ -59,17 +57,26 @@ if TYPE_CHECKING:
         repose_map as repose_map,
     )
     from fieldgrid.pipeline.session import (
-        NewSession as NewSession,
         add_recording as add_recording,
-        check_names as check_names,
-        check_output as check_output,
+        prepared as prepared,
     )
-    from fieldgrid.pipeline.staging.parts import (
-        found_from_json as found_from_json,
-        found_to_json as found_to_json,
-        left_behind as left_behind,
-        parts_folder as parts_folder,
+    from fieldgrid.pipeline.staging.journal import (
+        DAMAGED as DAMAGED,
+        Blob as Blob,
+        Journal as Journal,
+        read_journal as read_journal,
     )
+    from fieldgrid.pipeline.staging.kept_frames import (
+        FRAME as FRAME,
+        JournalFrames as JournalFrames,
+        KeptFrame as KeptFrame,
+        drop_journal as drop_journal,
+        held_journal as held_journal,
+        keep_frame as keep_frame,
+        kept_frame as kept_frame,
+        work_folder as work_folder,
+    )
+    from fieldgrid.pipeline.staging.parts import left_behind as left_behind
     from fieldgrid.pipeline.staging.perception import (
         Perception as Perception,
         carried as carried,
@@ -85,6 +92,12 @@ if TYPE_CHECKING:
         StepOutcome as StepOutcome,
         encoded as encoded,
         stage_frame as stage_frame,
+    )
+    from fieldgrid.pipeline.targets import (
+        check_names as check_names,
+        check_output as check_output,
+        made_map as made_map,
+        opened_map as opened_map,
     )
     from fieldgrid.pipeline.tracking import TrackedDrive as TrackedDrive, track_drive as track_drive
 else:

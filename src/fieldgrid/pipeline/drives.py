@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,39 +26,25 @@ from fieldgrid.core import (
     refuse_input,
 )
 from fieldgrid.geometry import Datum
-from fieldgrid.maps import MapFile, Patience, create_map, kept_groups, open_map, read_datum
+from fieldgrid.maps import MapFile, Patience, kept_groups, read_datum
 from fieldgrid.pipeline.checks.doubt import doubted_cell
 from fieldgrid.pipeline.poses import (
-    attitude_of_grids,
-    check_images,
-    check_poses,
-    estimate_drive,
     settle,
 )
 from fieldgrid.pipeline.report import DRIVE_ERRORS, PartlyBuiltError, Progress, SessionReport
-from fieldgrid.pipeline.session import (
-    NewSession,
-    ProgressReporter,
-    check_names,
-    check_output,
-    is_in_map,
-)
+from fieldgrid.pipeline.session import NewSession, ProgressReporter, prepared
+from fieldgrid.pipeline.staging.kept_frames import drop_journal, work_folder
 from fieldgrid.pipeline.staging.part_key import part_key
 from fieldgrid.pipeline.staging.parts import (
     SHARE_FRAMES,
     DriveParts,
-    keep_part,
     left_behind,
-    parts_folder,
-    remove_parts,
     settle_left_behind,
-    shares_of,
-    write_part,
 )
-from fieldgrid.pipeline.staging.perception import follows_camera
 from fieldgrid.pipeline.staging.remote import packed, place_of
 from fieldgrid.pipeline.staging.shares import stage_frames
 from fieldgrid.pipeline.staging.staging import Processes, ShareResult, Staging, Workers
+from fieldgrid.pipeline.targets import check_names, check_output, made_map, opened_map
 from fieldgrid.recordings import DriveOptions, Recording, open_drive
 
 if TYPE_CHECKING:
@@ -80,7 +65,6 @@ class _DriveBuild:
     session: NewSession = field(init=False)
     tell: ProgressReporter = field(init=False)
     parts: DriveParts = field(init=False)
-    key: str = ""
     began_s: float | None = None
     error: FieldgridError | None = None
 
@@ -115,14 +99,13 @@ def build_map(
     Of several drives those that fail are left out: when the others are in the map, PartlyBuiltError
     names them. With `fail_fast`, and for a single drive, its error is raised at once. On an error a
     new map does not come to be and an existing one stays as it was, but for the sessions already
-    appended. What was staged then stays in `MAP.parts`, but for that of the drive that failed:
+    appended. What was staged then stays in `MAP.work`, but for that of the drive that failed:
     `resume` uses it, or refuses it where it is of other inputs or settings. Where there is such a
     folder, None refuses to build and False removes it.
     """
     if scheduler is not None and jobs is not None:
         raise ConfigError("With a scheduler its workers stage the frames; leave out --jobs.")
     settings = settings or BuildSettings()
-    chosen, layers = settings.map, settings.map.kept_layers()
     jobs = jobs or os.cpu_count() or 1
     build = _Build(Path(out), settings, every, jobs, skip_bad, fail_fast, progress)
     check_output(build.out, append=append, overwrite=overwrite)
@@ -137,15 +120,7 @@ def build_map(
         build.open(opened, options, name)
         if append or is_there:
             datum = datum or read_datum(build.out)
-            universal = open_map(
-                build.out,
-                datum=datum,
-                cell_m=chosen.cell_m,
-                transfer=chosen.transfer,
-                layers=layers,
-                patience=patience or Patience(),
-            )
-            opened.enter_context(universal)
+            universal = opened.enter_context(opened_map(build.out, settings, datum, patience))
         taken = [info.name for info in universal.sessions()] if append or is_there else []
         names = [drive.name for drive in build.drives if not drive.error]
         check_names(names, () if resume else taken)
@@ -158,19 +133,13 @@ def build_map(
         datum = build.estimate(datum)
         if not (append or is_there):
             universal = opened.enter_context(
-                create_map(
-                    build.out,
-                    datum,
-                    cell_m=settings.universal_cell_m,
-                    transfer=chosen.transfer,
-                    layers=layers,
-                    overwrite=overwrite,
-                )
+                made_map(build.out, settings, datum, overwrite=overwrite)
             )
         with ExitStack() as held:
             build.find_parts(held, datum, resume=bool(resume))
             reports = build.run(universal, taken, is_there=is_there)
-    remove_parts(build.out, [drive.key for drive in build.drives if drive.key])
+    for path in build.staged:
+        drop_journal(path)
     failed = [(drive.name, str(drive.error)) for drive in build.drives if drive.error]
     if failed:
         raise PartlyBuiltError(reports, failed)
@@ -189,6 +158,7 @@ class _Build:
     fail_fast: bool
     progress: Callable[[Progress], None] | None
     drives: list[_DriveBuild] = field(default_factory=list)
+    staged: list[Path] = field(default_factory=list)
     client: Client | None = None
     staging: Staging | None = None
 
@@ -207,31 +177,21 @@ class _Build:
         None, while the drives are checked."""
         if shares is None:
             counts = [-(-drive.recording.frame_count // self.every) for drive in self._good()]
-            shares = sum(len(shares_of(count)) for count in counts)
+            shares = sum(-(-count // SHARE_FRAMES) for count in counts)
         if self.jobs > 1 and shares * SHARE_FRAMES >= WORTH_FRAMES:
             self.staging = opened.enter_context(Staging(Processes(min(self.jobs, shares))))
 
     def estimate(self, datum: Datum | None) -> Datum:
         """The datum of the map, after a look at what no image has to be read for."""
         for drive in self._good():
-            recording = drive.recording
             try:
-                estimate = estimate_drive(recording, self.settings, datum)
-                trajectory = estimate.trajectory
-                settle(doubted_cell(trajectory, self.settings), self.settings)
-                check_images(recording, trajectory)
-                if recording.pose_name or not follows_camera(recording.rig, self.settings):
-                    check_poses(recording, trajectory)
-                drive.session = NewSession(
-                    recording,
-                    self.settings,
-                    attitude_of_grids(recording, estimate),
-                    drive.name,
-                    self.every,
+                drive.session, estimate = prepared(
+                    *(drive.recording, self.settings, datum, drive.name),
+                    every=self.every,
                     skips_bad=self.skip_bad > 0,
-                    known=trajectory,
                 )
-                datum = datum or trajectory.datum
+                settle(doubted_cell(estimate.trajectory, self.settings), self.settings)
+                datum = datum or estimate.trajectory.datum
             except FieldgridError as error:
                 self._fail(drive, error)
         assert datum is not None  # there is a drive, or _good would have raised
@@ -241,23 +201,23 @@ class _Build:
         """The parts of the drives that are there already; ConfigError for others."""
         for drive in self._good():
             session = drive.session
-            drive.key = part_key(session, datum)
-            drive.parts = held.enter_context(
-                DriveParts(self.out, drive.key, drive.name, str(drive.path), session.total)
-            )
-        known = {drive.key for drive in self.drives}
-        stale = [about for about in left_behind(self.out) if about.key not in known]
+            key = part_key(session, datum)
+            drive.parts = held.enter_context(DriveParts(self.out, key, drive.name, session.total))
+            self.staged.append(drive.parts.path)
+        stale = [about for about in left_behind(self.out) if about.path not in self.staged]
         if resume and stale:
             raise ConfigError(
-                f"The staged parts of {stale[0].name} in {parts_folder(self.out) / stale[0].key} "
+                f"The staged frames of {stale[0].name} in {stale[0].path} "
                 "are of other inputs or settings than this command's, so they cannot be used; "
-                "repeat the command that made them, or remove that folder."
+                "repeat the command that made them, or remove that file."
             )
 
     def run(self, universal: MapFile, taken: list[str], *, is_there: bool) -> list[SessionReport]:
         """Stage the drives and put them into the map, in their order."""
         reports: list[SessionReport] = []
-        missing = sum(len(drive.parts.missing()) for drive in self.drives if not drive.error)
+        missing = sum(
+            sum(1 for _ in drive.parts.missing()) for drive in self.drives if not drive.error
+        )
         with ExitStack() as running:
             if self.client is not None and missing:
                 self.staging = running.enter_context(Staging(Workers(self.client)))
@@ -271,10 +231,10 @@ class _Build:
                 except DRIVE_ERRORS as error:
                     self._fail(drive, error)
                 except (MapError, ClusterError) as error:
-                    if not any(one.parts.frames_done for one in self.drives if not one.error):
+                    if not any(one.parts.done for one in self.drives if not one.error):
                         raise
                     raise type(error)(
-                        f"{error} What was staged is kept in {parts_folder(self.out)}; the same "
+                        f"{error} What was staged is kept in {work_folder(self.out)}; the same "
                         "command with --resume goes on from there."
                     ) from error
                 else:
@@ -291,8 +251,8 @@ class _Build:
             return
         parts = drive.parts
         drive.tell = ProgressReporter(drive.session, self.progress)
-        if parts.frames_done:
-            drive.tell(parts.moved_m, parts.frames_done)
+        if parts.done:
+            drive.tell(parts.moved_m, len(parts.done))
         if self.staging is not None:
             place = None if self.client is None else place_of(drive.recording.path)
             work = packed(drive.session.work(drive.recording.source), place)
@@ -304,14 +264,15 @@ class _Build:
         """Wait until the drive is staged, or stage it here, and put it into the map."""
         session, parts = drive.session, drive.parts
         start = time.perf_counter()
-        if drive.name in taken and not parts.is_complete:
+        if drive.name in taken and len(parts.done) < session.total:
             raise ConfigError(
-                f"{self.out} has a session {quoted(drive.name)} already, and no staged part of it "
-                "to go on with: that build had finished. Leave the recording out, or give --name."
+                f"{self.out} has a session {quoted(drive.name)} already, and no staged frame "
+                "of it to go on with: that build had finished. Leave the recording out, or give "
+                "--name."
             )
         if self.staging is None:
             self._stage(drive)
-        while drive.error is None and not parts.is_complete:
+        while drive.error is None and len(parts.done) < session.total:
             assert self.staging is not None
             result = self.staging.next()
             if result is not None:
@@ -319,19 +280,12 @@ class _Build:
         if drive.error is not None:
             raise drive.error
         parts.check_bad(self.skip_bad)
-        staged = parts.staged()
-        if drive.name in taken:
-            if not is_in_map(universal, drive.name, staged):
-                check_names([drive.name], taken)
-            session.report.notes += ("The drive was in the map already.",)
-            session.report.frames = len(staged.entries)
-        elif is_there:
+        if is_there and drive.name not in taken:
             raise MapExistsError(
                 f"{self.out} exists already; give another name, --append to add a session to it, "
                 "or --overwrite to replace it."
             )
-        else:
-            session.add(universal, staged)
+        session.put(universal, parts.staged(), taken)
         began_s = start if drive.began_s is None else drive.began_s
         session.report.wall_s = time.perf_counter() - began_s
         return session.report
@@ -339,13 +293,12 @@ class _Build:
     def _stage(self, drive: _DriveBuild) -> None:
         """Stage in threads of this process what is missing of a drive."""
         parts, work = drive.parts, drive.session.work()
-        for run in parts.runs():
-            with closing(stage_frames(work, run[0].first, run[-1].last, self.jobs)) as looks:
-                for share in run:
-                    frames = islice(looks, share.last - share.first)
-                    write_part(parts.folder, self.out, share, frames, drive.tell)
-                    parts.take(share)
+        for first, last in list(parts.missing(work.total)):
+            with closing(stage_frames(work, first, last, self.jobs)) as looks:
+                for number, looked in enumerate(looks, first):
+                    parts.add(number, looked)
                     parts.check_bad(self.skip_bad)
+                    drive.tell(looked.moved_m)
 
     def _take(self, drive: _DriveBuild, result: ShareResult) -> None:
         """Keep a share that another process has staged, or leave its drive out."""
@@ -359,17 +312,14 @@ class _Build:
                     "process that staged them; leave the recording out, or give the processes "
                     "more memory, as by fewer --jobs (with --jobs 1 there is only this process)."
                 )
-            keep_part(drive.parts.folder, share, staged.part)
-            if drive.parts.take(share) is None:
-                where = drive.parts.folder
-                raise MapError(f"The staged frames in {where} cannot be read back; check the disk.")
+            if drive.began_s is None:
+                drive.began_s = time.perf_counter() - staged.took_s
+            for number, looked in enumerate(staged.frames, share.first):
+                drive.parts.add(number, looked)
+                drive.tell(looked.moved_m)
             drive.parts.check_bad(self.skip_bad)
         except DRIVE_ERRORS as error:
             self._fail(drive, error)
-            return
-        if drive.began_s is None:
-            drive.began_s = time.perf_counter() - staged.took_s
-        drive.tell(staged.moved_m, share.last - share.first)
 
     def _good(self) -> Iterator[_DriveBuild]:
         """The drives that have not failed; raises when there is none."""
@@ -384,7 +334,7 @@ class _Build:
         drive.error = error
         if self.staging is not None:
             self.staging.drop(drive.number)
-        if drive.key:
+        if hasattr(drive, "parts"):
             drive.parts.remove()
         if self.fail_fast or len(self.drives) == 1:
             raise error

@@ -14,14 +14,18 @@ from array import array
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import BuildSettings, CalibrationError, ConfigError, RecordingError, quoted
+from fieldgrid.core import BuildSettings, CalibrationError, RecordingError
 from fieldgrid.geometry import Datum, GridSpec, Rig, Status, Steps, StereoCamera, Trajectory
-from fieldgrid.maps import MapFile, Session, StageFile, check_cell_sizes, check_name
+from fieldgrid.maps import (
+    MapFile,
+    Session,
+    StageFile,
+    check_cell_sizes,
+)
 from fieldgrid.perception import LocalGridder, OriginTrack
 from fieldgrid.pipeline.checks.agreement import (
     agreement_notes,
@@ -53,6 +57,7 @@ from fieldgrid.pipeline.checks.stuck import StuckCamera
 from fieldgrid.pipeline.inputs import Inputs, to_arrays
 from fieldgrid.pipeline.poses import (
     attitude_of_grids,
+    check_images,
     check_poses,
     doubted_clock,
     doubted_frames,
@@ -72,7 +77,8 @@ from fieldgrid.pipeline.staging.shares import (
     collect,
     stage_frames,
 )
-from fieldgrid.poses import GIVEN, Attitude, tells_attitude
+from fieldgrid.pipeline.targets import check_names, is_in_map
+from fieldgrid.poses import GIVEN, Attitude, Estimate
 from fieldgrid.recordings import Recording
 
 BAD_KEPT = 1000
@@ -94,23 +100,42 @@ def add_recording(
     from the motion that the camera saw. The map's bits do not depend on `jobs`, the number of
     threads that decode and match (all cores if None).
     """
-    settings = settings or BuildSettings()
     started = time.perf_counter()
-    attitude, known = None, None
-    if tells_attitude(recording.motion(), recording.fixes().time_ns) or has_sweeps(recording):
-        estimate = estimate_drive(recording, settings, universal.datum)
-        known = estimate.trajectory
-        attitude = attitude_of_grids(recording, estimate)
-    session = NewSession(recording, settings, attitude, name, known=known)
+    session, _ = prepared(recording, settings or BuildSettings(), universal.datum, name)
     session.check(universal)
     work, threads = session.work(), jobs or os.cpu_count() or 1
     with (
-        StageFile.temporary(universal.path) as file,
+        StageFile(universal.path) as file,
         closing(stage_frames(work, 0, work.total, threads)) as looks,
     ):
         session.add(universal, collect(looks, file, ProgressReporter(session, progress)))
     session.report.wall_s = time.perf_counter() - started
     return session.report
+
+
+def prepared(
+    recording: Recording,
+    settings: BuildSettings,
+    datum: Datum | None,
+    name: str | None,
+    *,
+    every: int = 1,
+    skips_bad: bool = False,
+    levels: bool = True,
+) -> tuple[NewSession, Estimate]:
+    """A session of a recording, and its poses as they are known before a frame is staged, once what
+    these and some images show is good enough. Grids are to be level where the drive tells how its
+    vehicle leans, if it `levels` them."""
+    estimate = estimate_drive(recording, settings, datum)
+    trajectory = estimate.trajectory
+    check_images(recording, trajectory)
+    if recording.pose_name or not follows_camera(recording.rig, settings):
+        check_poses(recording, trajectory)
+    attitude = attitude_of_grids(recording, estimate) if levels else None
+    session = NewSession(
+        recording, settings, attitude, name, every, skips_bad=skips_bad, known=trajectory
+    )
+    return session, estimate
 
 
 class ProgressReporter:
@@ -260,6 +285,17 @@ class NewSession:
             placed = time.perf_counter()
         report.stages.map_s += time.perf_counter() - placed
 
+    def put(self, universal: MapFile, staged: StagedDrive, taken: Sequence[str]) -> None:
+        """`add`, unless an end that was killed has done so: then the session is among those that
+        are `taken`. ConfigError where that has other frames."""
+        if self.name not in taken:
+            self.add(universal, staged)
+            return
+        if not is_in_map(universal, self.name, staged):
+            check_names([self.name], taken)
+        self.report.notes += ("The drive was in the map already.",)
+        self.report.frames = len(staged.entries)
+
     def _estimated(self, datum: Datum, steps: Steps | None) -> Trajectory:
         recording, report = self.recording, self.report
         start = time.perf_counter()
@@ -345,36 +381,3 @@ def session_config(
 
 def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if values else None
-
-
-def check_output(path: Path, *, append: bool, overwrite: bool) -> None:
-    """Raise before any work is done when the output cannot be what was asked for."""
-    if append and overwrite:
-        raise ConfigError("--append and --overwrite exclude each other; give one of them.")
-    if append and not path.exists():
-        raise ConfigError(f"There is no map {path} to append to; leave out --append to make it.")
-
-
-def check_names(names: Sequence[str], taken: Sequence[str]) -> None:
-    """Raise before any work is done when a session could not get its name."""
-    for k, name in enumerate(names):
-        check_name(name)
-        if name in taken:
-            raise ConfigError(
-                f"The map has a session {quoted(name)} already; give another with --name."
-            )
-        if name in names[:k]:
-            raise ConfigError(
-                f"Two of the recordings are called {quoted(name)}; build them one after the other, "
-                "the second with --append and a --name."
-            )
-
-
-def is_in_map(universal: MapFile, name: str, staged: StagedDrive) -> bool:
-    """Whether a session of the map has the frames that were staged, and no others."""
-    kept = {
-        frame.frame_id: (frame.cells_sha256, frame.images_sha256)
-        for frame in universal.frames(name)
-    }
-    frames = (staged.frames[k] for k in range(len(staged.entries)))
-    return kept == {f.frame_id: (f.cells_sha256, f.images_sha256) for f in frames}

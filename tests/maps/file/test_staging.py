@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import pickle
 from concurrent.futures import ProcessPoolExecutor
@@ -14,7 +15,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from fieldgrid.core import ConfigError, MapError, MapWriteError
-from fieldgrid.maps import StagedFrame, StageFile, create_map, open_map, stage
+from fieldgrid.maps import (
+    StagedFrame,
+    StageFile,
+    create_map,
+    frame_of_record,
+    frame_record,
+    open_map,
+    stage,
+)
 from tests.maps.file.content import content
 from tests.maps.file.maps import CELL_M, DATUM, drive, grid_of, write_map
 
@@ -34,7 +43,7 @@ def staged(k: int) -> StagedFrame:
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.integers(0, 10**6), max_size=8, unique=True))
 def test_frames_come_back_as_they_were(tmp_path: Path, seeds: list[int]) -> None:
-    with StageFile.temporary(tmp_path / "map.gpkg") as temporary:
+    with StageFile(tmp_path / "map.gpkg") as temporary:
         frames = [staged(seed) for seed in seeds]
         assert [temporary.append(frame) for frame in frames] == list(range(len(frames)))
         assert list(temporary) == frames
@@ -49,54 +58,24 @@ def test_frames_come_back_as_they_were(tmp_path: Path, seeds: list[int]) -> None
         assert (frame.cells().channels["height"] == seed % 999).all()
 
 
-def test_a_stage_file_is_appended_to_and_loses_no_whole_frame(tmp_path: Path) -> None:
-    path = tmp_path / "drive.stage"
-    with StageFile(path) as first:
-        first.append(staged(1))
-    with StageFile(path) as again:
-        assert len(again) == 1
-        again.append(staged(2))
-        one = again.entries[1].offset
-    whole = path.read_bytes()
-    for size in (len(whole) - 1, one + 3, one, one - 1, 18, 5, 0):
-        path.write_bytes(whole[:size])
-        if size == 5:
-            with pytest.raises(MapError, match="no file of staged frames"):
-                StageFile(path)
-            continue
-        with StageFile(path) as torn:
-            assert list(torn) == ([staged(1)] if size >= one else [])
-            torn.append(staged(3))
-            assert list(torn)[-1] == staged(3)
-    noise = bytearray(whole)
-    noise[len(whole) // 4] ^= 1
-    path.write_bytes(noise)
-    with StageFile(path) as damaged:
-        assert len(damaged) == 0
-
-
-def test_entries_that_were_forgotten_are_read_again(tmp_path: Path) -> None:
-    with StageFile(tmp_path / "frames.grids") as file:
-        assert [file.append(staged(k)) for k in range(2)] == [0, 1]
-        held = list(file.entries)
-        file.forget()
-        assert [file.append(staged(k)) for k in range(2, 4)] == [2, 3]
-        assert (file.entries, len(file)) == ([], 4)
-        file.recall()
-        assert file.entries[:2] == held
-        assert [one.frame_id for one in file] == [staged(k).frame_id for k in range(4)]
-        assert file.append(staged(4)) == 4
-
-
-def test_what_is_damaged_after_it_was_opened_is_told_of(tmp_path: Path) -> None:
-    path = tmp_path / "drive.stage"
-    with StageFile(path) as stage_file:
+def test_what_is_damaged_since_it_was_written_is_told_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with StageFile(tmp_path / "map.gpkg") as stage_file:
         stage_file.append(staged(1))
-        with path.open("r+b") as file:
-            file.seek(200)
-            file.write(b"\xff" * 40)
+        read = os.pread
+
+        def damaged(*given: int) -> bytes:
+            return read(*given).replace(b"density", b"dansity")
+
+        monkeypatch.setattr(os, "pread", damaged)
         with pytest.raises(MapError, match="staged frame 'frame 1 ä' is damaged"):
             stage_file[0]
+
+
+def test_a_frame_is_that_of_its_record() -> None:
+    said, data = frame_record(staged(1))
+    assert frame_of_record(json.loads(json.dumps(said)), data) == staged(1)
 
 
 @pytest.mark.parametrize("error", [errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EACCES])
@@ -104,7 +83,7 @@ def test_what_is_damaged_after_it_was_opened_is_told_of(tmp_path: Path) -> None:
 def test_a_full_disk_is_told_with_what_to_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int, room: int
 ) -> None:
-    with StageFile.temporary(tmp_path / "map.gpkg") as temporary:
+    with StageFile(tmp_path / "map.gpkg") as temporary:
         temporary.append(staged(0))
         write, left = os.pwrite, room
 
@@ -132,8 +111,8 @@ def test_a_full_disk_is_told_with_what_to_do(
 
 def test_in_no_folder_and_once_closed_there_is_none(tmp_path: Path) -> None:
     with pytest.raises(MapWriteError, match=r"map\.gpkg \(No such file .*check the folder"):
-        StageFile.temporary(tmp_path / "nowhere" / "map.gpkg")
-    temporary = StageFile.temporary(tmp_path / "map.gpkg")
+        StageFile(tmp_path / "nowhere" / "map.gpkg")
+    temporary = StageFile(tmp_path / "map.gpkg")
     temporary.close()
     temporary.close()
     with pytest.raises(ConfigError, match="are closed"):
@@ -153,7 +132,7 @@ def test_frames_staged_by_processes_in_any_order_give_the_same_bits(tmp_path: Pa
     for order in (range(8), reversed(range(8)), (3, 0, 7, 1, 6, 2, 5, 4)):
         path = tmp_path / "map.gpkg"
         with (
-            StageFile.temporary(path) as stage_file,
+            StageFile(path) as stage_file,
             create_map(path, DATUM, cell_m=CELL_M, overwrite=True) as universal,
             universal.add_session("0") as session,
         ):

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fieldgrid.core import BuildSettings, resolve
-from fieldgrid.pipeline import SessionReport, build_map, drives
+from fieldgrid.pipeline import SessionReport, build_map, drives, read_journal, work_folder
 from fieldgrid.pipeline.staging.shares import DriveWork
 from fieldgrid.recordings import Frame, StereoFrame
 from tests.maps.file.content import unpacked
@@ -34,6 +34,12 @@ WITHOUT_CAMERA = resolve(None, {"pose": {"visual_odometry": False}})
 
 def build(paths: list[Path], out: Path, **options: Any) -> list[SessionReport]:
     return build_map(paths, out, options.pop("settings", DEFAULTS), **options)
+
+
+def frames_left(out: Path) -> int:
+    """How many frames an ended build of a map has staged, or found to be bad."""
+    left = (read_journal(path) for path in work_folder(out).glob("*.build"))
+    return sum(record.kind in ("frame", "bad") for records in left for record in records)
 
 
 def content(path: Path) -> dict[str, list[tuple[Any, ...]]]:

@@ -20,7 +20,13 @@ from fieldgrid.core import (
 )
 from fieldgrid.geometry import Status
 from fieldgrid.maps import open_map
-from fieldgrid.pipeline import Progress, estimate_mount, inspect_recording, visual_odometry
+from fieldgrid.pipeline import (
+    Progress,
+    estimate_mount,
+    inspect_recording,
+    visual_odometry,
+    work_folder,
+)
 from fieldgrid.pipeline.staging.perception import CameraMotion
 from fieldgrid.recordings import DriveOptions, open_recording
 from tests.conftest import TWO_LANES
@@ -72,7 +78,9 @@ def test_an_existing_map_is_replaced_only_by_a_whole_one(
 
 
 @pytest.mark.parametrize("append", [False, True])
-def test_an_interrupt_leaves_nothing(append: bool, make_drive: MakeDrive, tmp_path: Path) -> None:
+def test_an_interrupt_leaves_what_was_staged_and_nothing_else(
+    append: bool, make_drive: MakeDrive, tmp_path: Path
+) -> None:
     out = tmp_path / "out" / "m.gpkg"
     out.parent.mkdir()
     if append:
@@ -85,6 +93,7 @@ def test_an_interrupt_leaves_nothing(append: bool, make_drive: MakeDrive, tmp_pa
 
     with pytest.raises(KeyboardInterrupt):
         build([make_drive(frames=range(3, 9))], out, append=append, progress=interrupt)
+    shutil.rmtree(work_folder(out))
     assert {path: path.read_bytes() for path in out.parent.iterdir()} == before
 
 

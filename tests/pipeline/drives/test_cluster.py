@@ -24,6 +24,7 @@ from tests.pipeline.drives.making import (
     content,
     count_staged,
     damage,
+    frames_left,
     pipeline_threads,
 )
 
@@ -93,11 +94,11 @@ def test_an_interrupted_build_takes_its_tasks_back_and_goes_on_at_home(
         assert client.status == "running"
         # One may have ended just before.
         assert not [key for key, state in client.futures.items() if state.status == "pending"]
-    done = [path.stem.split("-") for path in parts.parts_folder(out).glob("*/*-*.json")]
+    done = frames_left(out)
     assert done
     staged = count_staged(monkeypatch)
     build(paths, out, jobs=1, skip_bad=1, resume=True)
-    assert sum(staged) == 11 - sum(int(last) - int(first) for first, last in done)
+    assert sum(staged) == 11 - done
     assert content(out) == content(whole)
     assert list(tmp_path.iterdir()) == [out]
 
@@ -228,7 +229,7 @@ def test_a_defect_on_a_worker_ends_the_build_with_its_traceback(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(remote, "part_bytes", lambda *_: 1 // 0)
+    monkeypatch.setattr(remote, "stage_frames", lambda *_, **__: 1 // 0)
     with pytest.raises(ZeroDivisionError) as told:
         build([make_drive()], tmp_path / "m.gpkg", scheduler=inside.scheduler_address)
     assert "stage_share" in {entry.name for entry in told.traceback}
@@ -247,7 +248,7 @@ def test_a_scheduler_that_goes_away_ends_the_build(make_drive: MakeDrive, tmp_pa
     said = r"The Dask scheduler .* is gone.*; start it again\. What was staged is kept .* --resume"
     with pytest.raises(ClusterError, match=said):
         build([make_drive()], out, scheduler=scheduler.scheduler_address, progress=end)
-    assert list(parts.parts_folder(out).glob("*/*-*.json"))
+    assert frames_left(out)
 
 
 def test_a_scheduler_without_workers_is_not_waited_for_without_end(

@@ -14,7 +14,7 @@ import pytest
 
 from fieldgrid.core import ConfigError, MapWriteError, RecordingError
 from fieldgrid.maps import Patience, open_map
-from fieldgrid.pipeline import PartlyBuiltError, Progress, drives
+from fieldgrid.pipeline import PartlyBuiltError, Progress, drives, read_journal, work_folder
 from fieldgrid.pipeline.staging import parts
 from tests.cli.conftest import in_a_process
 from tests.conftest import wait_for_end
@@ -27,6 +27,7 @@ from tests.pipeline.drives.making import (
     content,
     count_staged,
     damage,
+    frames_left,
 )
 
 
@@ -112,27 +113,26 @@ import os, signal
 from fieldgrid.pipeline.staging.parts import DriveParts
 from pathlib import Path
 
-usual, taken = DriveParts.take, []
+usual, taken = DriveParts.add, []
 
-def take(self, share):
-    part = usual(self, share)
-    taken.extend([] if part is None else [share])
-    if len(taken) == {parts_done}:
+def add(self, number, looked):
+    usual(self, number, looked)
+    taken.append(number)
+    if len(taken) == {frames_done}:
         tasks = Path("/proc/self/task").glob("*/children")
         Path({notes!r}).write_text(" ".join(found.read_text() for found in tasks))
         os.kill(os.getpid(), signal.{how})
-    return part
 
-DriveParts.take = take
+DriveParts.add = add
 """
-"""Python to run first in a build, which notes its workers and gets a signal when it has taken so
-many parts: from outside, it may be through before one has looked."""
+"""Python to run first in a build, which notes its workers and gets a signal when it has kept so
+many frames: from outside, it may be through before one has looked."""
 
 
-def ended(paths: list[Path], out: Path, parts_done: int, how: signal.Signals) -> str:
-    """A build by two processes that is ended once it has staged so many parts; what it said."""
+def ended(paths: list[Path], out: Path, frames_done: int, how: signal.Signals) -> str:
+    """A build by two processes that is ended once it has staged so many frames; what it said."""
     notes = out.with_suffix(".workers")
-    before = SMALL_SHARES + ENDED.format(parts_done=parts_done, notes=str(notes), how=how.name)
+    before = SMALL_SHARES + ENDED.format(frames_done=frames_done, notes=str(notes), how=how.name)
     child = subprocess.run(
         in_a_process("build", *paths, "-o", out, "--jobs", 2, "--skip-bad", 1, before=before),
         stderr=subprocess.PIPE,
@@ -150,12 +150,12 @@ def ended(paths: list[Path], out: Path, parts_done: int, how: signal.Signals) ->
 
 
 @pytest.mark.parametrize(
-    ("parts_done", "how"),
-    [pytest.param(4, signal.SIGKILL, marks=pytest.mark.long), (1, signal.SIGINT)],
+    ("frames_done", "how"),
+    [pytest.param(8, signal.SIGKILL, marks=pytest.mark.long), (1, signal.SIGINT)],
 )
 @pytest.mark.usefixtures("worked_out_afresh")
 def test_an_ended_build_goes_on_to_the_same_bits(
-    parts_done: int,
+    frames_done: int,
     how: signal.Signals,
     two: tuple[list[Path], Path],
     tmp_path: Path,
@@ -163,23 +163,23 @@ def test_an_ended_build_goes_on_to_the_same_bits(
 ) -> None:
     paths, whole = two
     out = tmp_path / "m.gpkg"
-    errors = ended(paths, out, parts_done, how)
+    errors = ended(paths, out, frames_done, how)
     assert not out.exists()
     if how is signal.SIGINT:
-        assert f"What was staged is kept in {out}.parts; the same command with --resume" in errors
+        assert f"What was staged is kept in {out}.work; the same command with --resume" in errors
         assert "Traceback" not in errors
-    done = [path.stem.split("-") for path in parts.parts_folder(out).glob("*/*-*.json")]
+    done = frames_left(out)
     staged = count_staged(monkeypatch)
     build(paths, out, jobs=1, skip_bad=1, resume=True)
-    assert len(done) >= parts_done
-    assert sum(staged) == 11 - sum(int(last) - int(first) for first, last in done)
+    assert done >= frames_done
+    assert sum(staged) == 11 - done
     assert content(out) == content(whole)
     assert list(tmp_path.iterdir()) == [out]
 
 
 @pytest.fixture
 def left(make_drive: MakeDrive, tmp_path: Path) -> tuple[Path, Path]:
-    """A drive, and a map of which an interrupted build has left a part of it."""
+    """A drive, and a map of which an interrupted build has left some frames of it."""
     drive, out = make_drive(frames=range(3, 9)), tmp_path / "out" / "m.gpkg"
     out.parent.mkdir()
 
@@ -189,25 +189,24 @@ def left(make_drive: MakeDrive, tmp_path: Path) -> tuple[Path, Path]:
 
     with pytest.raises(KeyboardInterrupt):
         build([drive], out, jobs=1, progress=interrupt)
-    assert len(list(out.parent.glob("m.gpkg.parts/*/*.grids"))) == 1
+    assert frames_left(out) == 3
     return drive, out
 
 
-def test_what_a_build_left_that_was_killed_before_its_first_part_is_removed(
+def test_what_a_build_left_that_was_killed_before_its_first_frame_is_removed(
     left: tuple[Path, Path],
 ) -> None:
     drive, out = left
-    (key,) = parts.parts_folder(out).iterdir()
-    for part in key.glob("*-*"):
-        part.unlink()
-    os.utime(key / "drive.json", (1e9, 1e9))
+    (path,) = work_folder(out).iterdir()
+    path.write_bytes(path.read_bytes()[:60])
+    os.utime(path, (1e9, 1e9))
     build([drive], out, settings=COURSE)  # of another key
     assert list(out.parent.iterdir()) == [out]
 
 
 def test_parts_that_are_there_are_told(left: tuple[Path, Path]) -> None:
     drive, out = left
-    with pytest.raises(ConfigError, match=r"m\.gpkg\.parts holds staged parts .*\(drive\); give"):
+    with pytest.raises(ConfigError, match=r"m\.gpkg\.work holds staged frames .*\(drive\); give"):
         build([drive], out)
     build([drive], out, resume=False)
     assert list(out.parent.iterdir()) == [out]
@@ -227,17 +226,19 @@ def test_parts_of_other_inputs_or_settings_are_refused(
     if change == "how images are read":
         (drive / "recording.toml").write_text("[images]\nbits = 8\n")
     settings = {"settings": COURSE} if change == "settings" else {}
-    with pytest.raises(ConfigError, match=r"parts of drive in .* are of other inputs or settings"):
+    with pytest.raises(ConfigError, match=r"frames of drive in .* are of other inputs or settings"):
         build([drive], out, resume=True, **settings)
     assert sorted(out.parent.rglob("*")) == before
 
 
-def test_a_damaged_part_is_made_again(left: tuple[Path, Path], tmp_path: Path) -> None:
+@pytest.mark.parametrize("what", ["cells", "record", "end"])
+def test_a_damaged_frame_is_made_again(what: str, left: tuple[Path, Path], tmp_path: Path) -> None:
     drive, out = left
-    (grids,) = out.parent.glob("m.gpkg.parts/*/*.grids")
-    data = bytearray(grids.read_bytes())
-    data[len(data) // 2] ^= 1
-    grids.write_bytes(data)
+    (path,) = work_folder(out).iterdir()
+    frames = [record for record in read_journal(path) if record.kind == "frame"]
+    data = bytearray(path.read_bytes())
+    data[frames[1].blobs[0].start if what == "cells" else frames[1].start + 40] ^= 1
+    path.write_bytes(data[:-5] if what == "end" else data)
     build([drive], out, resume=True)
     build([drive], tmp_path / "anew.gpkg")
     assert content(out) == content(tmp_path / "anew.gpkg")
@@ -266,7 +267,7 @@ def test_a_drive_that_was_refused_at_its_commit_is_not_staged_again(
     assert staged == [2]  # those of the third drive alone
     with open_map(out) as universal:
         assert [info.name for info in universal.sessions()] == ["first", "second", "third"]
-    assert not parts.parts_folder(out).exists()
+    assert not work_folder(out).exists()
 
 
 def test_a_build_that_was_ended_after_a_commit_knows_its_sessions(
@@ -275,17 +276,17 @@ def test_a_build_that_was_ended_after_a_commit_knows_its_sessions(
     out = tmp_path / "m.gpkg"
     drive = make_drive(frames=range(3, 7))
     with monkeypatch.context() as patched:
-        patched.setattr(drives, "remove_parts", lambda *_: None)  # it ends just before that
+        patched.setattr(drives, "drop_journal", lambda *_: None)  # it ends just before that
         build([drive], out)
     before = out.read_bytes()
     (report,) = build([drive], out, resume=True)
     assert "The drive was in the map already." in report.notes
     assert out.read_bytes() == before
-    assert not parts.parts_folder(out).exists()
+    assert not work_folder(out).exists()
     with pytest.raises(ConfigError, match=r"session 'drive' already, .* that build had finished"):
         build([drive], out, resume=True)
     assert out.read_bytes() == before
-    assert not parts.parts_folder(out).exists()
+    assert not work_folder(out).exists()
 
 
 # --- frames that are bad

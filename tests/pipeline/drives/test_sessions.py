@@ -216,7 +216,7 @@ def test_with_fail_fast_a_new_map_of_several_drives_needs_all_of_them(
     with pytest.raises(RecordingError, match="truncated"):
         build([first, second], tmp_path / "out" / "m.gpkg", fail_fast=True)
     # What was staged of the whole drive is kept for --resume.
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["m.gpkg.parts"]
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["m.gpkg.work"]
     build([first, second], tmp_path / "out" / "m.gpkg", resume=True, skip_bad=1)
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["m.gpkg"]
 

@@ -182,7 +182,7 @@ def command(
     )
     from fieldgrid.core import resolve
     from fieldgrid.maps import Patience
-    from fieldgrid.pipeline import PartlyBuiltError, build_map, left_behind, parts_folder
+    from fieldgrid.pipeline import PartlyBuiltError, build_map, left_behind, work_folder
 
     partly: PartlyBuiltError | None = None
     paths = [progress.fetched_or_url(recording) for recording in recordings]
@@ -210,7 +210,7 @@ def command(
         kept = ""
         if left_behind(out):
             kept = (
-                f" What was staged is kept in {parts_folder(out)}; the same command with --resume "
+                f" What was staged is kept in {work_folder(out)}; the same command with --resume "
                 "goes on from there."
             )
         what = "drive is" if len(recordings) == 1 else "drives that were not finished are"

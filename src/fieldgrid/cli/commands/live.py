@@ -76,7 +76,7 @@ def command(
             "--out",
             "-o",
             metavar="MAP.gpkg",
-            help="The map file. MAP.gpkg.live beside it stores the drive until it is in the map.",
+            help="The map file. MAP.gpkg.work beside it stores the drive until it is in the map.",
             rich_help_panel=_SESSION,
             show_default=False,
         ),

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, field
-from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from fieldgrid.core import BuildSettings, MapError
-from fieldgrid.geometry import Datum, Fix, Rig
-from fieldgrid.live.kept.journal import DAMAGED, Record, read_journal
-from fieldgrid.live.kept.points_file import RecordSpan, points_end
+from fieldgrid.geometry import Datum, Fix, FixColumns, Rig
 from fieldgrid.live.pose.sensor_rows import Rows, fix_from_json, joined, rows_from_json
-from fieldgrid.maps import StageEntry
 from fieldgrid.perception import Refusal
-from fieldgrid.pipeline import BadFrame, StageTimes, StepOutcome, found_from_json, rig_from_config
+from fieldgrid.pipeline import (
+    DAMAGED,
+    FRAME,
+    BadFrame,
+    Blob,
+    Journal,
+    KeptFrame,
+    StageTimes,
+    kept_frame,
+    rig_from_config,
+    work_folder,
+)
 from fieldgrid.recordings import PoseBody
-
-JOURNAL, GRIDS, POINTS = "journal", "frames.grids", "frames.points"
-"""The files in a session's folder."""
 
 PIECES = 1000
 """Number of pieces of rows that are joined to one."""
@@ -107,40 +110,24 @@ def _datum_to_json(datum: Datum | None) -> list[float] | None:
     return None if datum is None else [datum.lat_deg, datum.lon_deg, datum.height_m]
 
 
-class KeptFrame(NamedTuple):
-    """A frame that was staged: its number in the stage file, the step to it, where its points are
-    in theirs, None where they were not kept, whether its grid is level, and whether it is a sweep
-    whose points have times."""
-
-    number: int
-    found: StepOutcome
-    points: RecordSpan | None = None
-    is_level: bool = False
-    is_timed: bool = False
-
-    def is_within(self, end: int) -> bool:
-        """Whether a file of points of `end` bytes has those of the frame."""
-        return self.points is None or self.points.start + self.points.size <= end
-
-
 @dataclass(slots=True)
 class PushedDrive:
     """What was pushed, as it is read back."""
 
     about: SessionStart
-    fixes: list[Fix] = field(default_factory=list)
+    fixes: FixColumns = field(default_factory=lambda: FixColumns.of_rows(()))
     parts: dict[str, list[Rows]] = field(default_factory=dict)
     frames: list[KeptFrame] = field(default_factory=list)
     bad: list[tuple[int, BadFrame]] = field(default_factory=list)
+    pairs: dict[int, tuple[Blob, ...]] = field(default_factory=dict)
+    """The images by which the cameras are checked, PNG, by the numbers of their frames."""
     dropped: int = 0
     damaged_bytes: int = 0
     """Number of bytes of the journal that cannot be read any more."""
-    is_damaged_since: bool = False
-    """Whether some of that lies behind the last frame: frames may be lost there."""
-    unreadable: list[int] = field(default_factory=list)
-    """The numbers of frames whose grids cannot be read any more."""
-    cut_at: int | None = None
-    """The number of the first frame whose points were lost with the power: it does not count."""
+    unreadable: int = 0
+    """The number of frames whose grids cannot be read any more."""
+    is_unlevelled: bool = False
+    """Whether grids are not to be level, since no points are kept to make them so."""
     times: StageTimes = field(default_factory=StageTimes)
     _apart: Counter[str] = field(default_factory=Counter)
     """How many of the last rows of each part were not joined."""
@@ -155,86 +142,69 @@ class PushedDrive:
             pieces[-PIECES:] = [joined(pieces[-PIECES:])]
             self._apart[part] = 0
 
+    def add_frame(self, frame: KeptFrame, times: StageTimes) -> None:
+        """The next frame. No step leads to it over one that is lost, or from before a restart."""
+        self.times.add(times)
+        if self.frames and frame.number != self.frames[-1].number + 1:
+            frame = frame._replace(found=Refusal.LOST)
+        elif self.frames and frame.found is None:
+            frame = frame._replace(found=Refusal.NOT_COMPARED)
+        self.frames.append(frame)
+
     def let_go(self) -> None:
         """Forget fixes and rows, of which a recording was made."""
-        self.fixes, self.parts = [], {}
+        self.fixes, self.parts = FixColumns.of_rows(()), {}
 
 
 def live_folder(out: Path) -> Path:
     """Where a live session for the map `out` keeps what it has."""
-    place = out.resolve()
-    return place.with_name(f"{place.name}.live")
+    return work_folder(out)
 
 
-def read_drive(
-    folder: Path, entries: Sequence[StageEntry], waiting: Iterable[Record] = ()
-) -> PushedDrive | None:
-    """What a journal holds, and what is `waiting` to be written to it, with the frames that the
-    stage file has as well, and the file of points if their points were kept; None without a
-    beginning. One that a damage took is written anew behind the rest."""
-    drive: PushedDrive | None = None
-    before: list[Record] = []
-    end = points_end(folder / POINTS)
+def live_journal(out: Path) -> Path:
+    """The file in it that a live session writes."""
+    return work_folder(out) / "live"
+
+
+def read_drive(journal: Journal) -> PushedDrive | None:
+    """What a journal holds, with the frames whose grids can be read; None without a beginning. One
+    that a damage took is written anew behind the rest."""
+    starts = (record.value for record in journal.records() if record.kind == "begin")
+    if (start := next(starts, None)) is None:
+        return None
     try:
-        for kind, value in chain(read_journal(folder / JOURNAL), waiting):
-            if kind == "begin":
-                drive = drive or PushedDrive(SessionStart.from_json(value))
-                for record in before:
-                    _take(drive, *record, entries)
-                before.clear()
-            elif drive is None:
-                before.append((kind, value))
-            else:
-                _take(drive, kind, value, entries)
-        if drive is not None and end is not None:
-            while drive.frames and not drive.frames[-1].is_within(end):
-                drive.cut_at = drive.frames.pop().number
+        drive = PushedDrive(SessionStart.from_json(start))
+        fixes, columns = list[Fix](), list[FixColumns]()
+        for record in journal.records():
+            kind, value, blobs, _ = record
+            if kind == "fix":
+                fixes.append(fix_from_json(value))
+                if len(fixes) == PIECES:  # they take ten times the memory of columns
+                    columns.append(FixColumns.of_rows(fixes))
+                    fixes.clear()
+            elif kind == "rows":
+                drive.add_rows(*rows_from_json(value))
+            elif kind == FRAME and journal.read(blobs[0]) is None:
+                drive.unreadable += 1
+            elif kind == FRAME:
+                drive.add_frame(*kept_frame(record))
+            elif kind == "pair" and None not in map(journal.read, blobs):
+                drive.pairs[value] = blobs
+            elif kind == "bad":
+                time_ns, *bad = value
+                drive.bad.append((time_ns, BadFrame(*bad)))
+            elif kind == "dropped":
+                drive.dropped += 1
+            elif kind == "unlevelled":
+                drive.is_unlevelled = True
+            elif kind == DAMAGED:
+                drive.damaged_bytes += value
+        drive.fixes = FixColumns.joined([*columns, FixColumns.of_rows(fixes)])
     except (KeyError, ValueError, TypeError, IndexError) as error:
         if isinstance(error, MapError):
             raise
         raise MapError(
-            f"The journal in {folder} is of another version of this program or damaged ({error}); "
-            "finish it with the version that wrote it."
+            "The journal of the drive is of another version of this program or damaged "
+            f"({error}); finish it with the version that wrote it."
         ) from error
     return drive
-
-
-def _take(drive: PushedDrive, kind: str, value: Any, entries: Sequence[StageEntry]) -> None:
-    if kind == "fix":
-        drive.fixes.append(fix_from_json(value))
-    elif kind == "rows":
-        drive.add_rows(*rows_from_json(value))
-    elif kind == "frame":
-        number, frame_id, found, times, *rest = value
-        # A frame that was lost with the power is written anew under the same number.
-        _cut(drive, number)
-        if number < len(entries) and entries[number].frame_id == frame_id:
-            points, *flags = rest or (None,)
-            place = None if points is None else RecordSpan(*points)
-            step = found_from_json(found)
-            is_lost = drive.is_damaged_since or number - 1 in drive.unreadable
-            if is_lost and drive.frames and number != drive.frames[-1].number + 1:
-                step = Refusal.LOST  # it led from a frame that is lost
-            drive.is_damaged_since = False
-            drive.frames.append(KeptFrame(number, step, place, *flags))
-            drive.times.add(StageTimes(*times))
-        else:
-            drive.unreadable.append(number)
-    elif kind == "cut":
-        _cut(drive, value)
-    elif kind == "bad":
-        time_ns, *bad = value
-        drive.bad.append((time_ns, BadFrame(*bad)))
-    elif kind == "dropped":
-        drive.dropped += 1
-    elif kind == DAMAGED:
-        drive.damaged_bytes += value
-        drive.is_damaged_since = True
-
-
-def _cut(drive: PushedDrive, number: int) -> None:
-    """Frames from this number on do not count any more."""
-    while drive.unreadable and drive.unreadable[-1] >= number:
-        drive.unreadable.pop()
-    while drive.frames and drive.frames[-1].number >= number:
-        drive.frames.pop()

@@ -1,17 +1,15 @@
-"""The folder in which a live session stores its data beside the map, written and read back.
+"""The journal in which a live session stores its data beside the map, written and read back.
 
-`MAP.live/` holds `journal` (`kept.journal`), `frames.grids` (a stage file), `frames.points` (points
-before gridding, `kept.points_file`) and the pairs by which the cameras are checked at the end. A
-frame counts when all files have it, so a kill between two of them loses that frame alone.
+`MAP.work/live` is a journal as those of a build (`pipeline`), with all that was pushed in it:
+sensor data, grids, points before gridding and the pairs by which the cameras are checked at the
+end.
 """
 
 from __future__ import annotations
 
-import errno
-import re
-import threading
-from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -20,46 +18,45 @@ import numpy as np
 from fieldgrid.core import (
     Closing,
     ConfigError,
-    MapError,
-    MapWriteError,
+    Int64,
     counted,
     holding,
     quoted,
-    replacing,
 )
-from fieldgrid.geometry import Fix, FixColumns, GridSpec, StereoCamera
+from fieldgrid.geometry import Fix, GridSpec, StereoCamera
 from fieldgrid.live.given import GIVEN_ROWS, NO_POSES, body_poses
 from fieldgrid.live.kept.frame_names import told_apart
-from fieldgrid.live.kept.journal import Journal, read_journal
 from fieldgrid.live.kept.kept_drive import (
-    GRIDS,
-    JOURNAL,
-    POINTS,
-    KeptFrame,
     PushedDrive,
     SessionStart,
     live_folder,
+    live_journal,
     read_drive,
 )
 from fieldgrid.live.kept.kept_points import KeptPoints
-from fieldgrid.live.kept.pairs import KeptPairs, pair_numbers
+from fieldgrid.live.kept.points import GridInput, unpacked
 from fieldgrid.live.options import POINTS_GB
 from fieldgrid.live.pose.sensor_rows import Rows, check_time, fix_to_json, motion_of, rows_to_json
-from fieldgrid.maps import StagedFrame, StageFile
-from fieldgrid.perception import Refusal
-from fieldgrid.pipeline import StagedDrive, StageTimes, found_to_json
-from fieldgrid.recordings import FixLog, Image, Recording, with_body_poses
+from fieldgrid.live.pushed import PushedSource
+from fieldgrid.maps import StagedFrame, unwritable
+from fieldgrid.perception import LocalGridder, Sweep
+from fieldgrid.pipeline import (
+    Blob,
+    Journal,
+    JournalFrames,
+    KeptFrame,
+    StagedDrive,
+    StageTimes,
+    StepOutcome,
+    drop_journal,
+    held_journal,
+    keep_frame,
+)
+from fieldgrid.recordings import FixLog, Frame, Image, Recording, StereoFrame, with_body_poses
 
 MOST_PAIRS, PAIR_EVERY_NS = 12, 500_000_000
-"""Pairs that are kept to check the cameras: every one at first, then every second, and so on; none
-of frames that follow faster, since a pair takes as much as a fifth of a frame."""
-
-BEGINS_EVERY = 100
-"""Number of frames after which it is written again what the session was begun with: damage to the
-beginning does not leave the frames to a session of another rig."""
-
-_OF_PAIRS = re.compile(r"\d{8,}-(left|right)\.png|\.\d{8,}-(left|right)\.png\..{8}\.partial.*")
-"""Files of pairs, also such as a kill left half-written."""
+"""Pairs by which the cameras are checked: of every frame at first, then of every second, and so on;
+none of frames that follow faster, since a pair takes as much as a fifth of a frame."""
 
 
 class SessionFolder(Closing):
@@ -69,41 +66,31 @@ class SessionFolder(Closing):
         """Open what is there, or begin with `about`; ConfigError where that is of another drive,
         or where nothing is there to go on with. Points take at most `points_gb`."""
         self.out, self.folder = out, live_folder(out)
-        self._pairing = threading.Lock()
-        self._pairs_every, self._pair_ns = 1, -PAIR_EVERY_NS
-        journal = self.folder / JOURNAL
-        if about is None and not journal.is_file():
+        path = live_journal(out)
+        if about is None and not path.is_file():
             raise ConfigError(
-                f"There is no live session to finish for {out}: {journal} does not exist."
+                f"There is no live session to finish for {out}: {path} does not exist."
             )
         with ExitStack() as opening:
+            busy = f"Another program maps into {self.folder}; end it, or give another map."
             try:
-                if about is not None:
-                    self.folder.mkdir(parents=True, exist_ok=True)
-                    journal.touch()
-                if not opening.enter_context(holding(journal)):
-                    raise MapError(
-                        f"Another program maps into {self.folder}; end it, or give another map."
-                    )
-                self.journal = opening.enter_context(Journal(journal))
-                self.stage = opening.enter_context(
-                    StageFile(self.folder / GRIDS, out, passes_damage=True)
-                )
+                self.journal = opening.enter_context(held_journal(path, busy))
             except OSError as error:
-                if isinstance(error, MapWriteError):
-                    raise
-                raise _unwritable(self.folder, error) from error
+                raise unwritable(out, error) from error
             self.drive = drive = self._begun(about)
-            self.points = opening.enter_context(self._points(round(points_gb * 1e9)))
             self._open = opening.pop_all()
-        self.unreadable = len(drive.unreadable)
-        """How many frames' grids could not be read back, as last read."""
-        self.is_resumed = bool(drive.fixes or drive.frames or drive.parts or drive.damaged_bytes)
+        self.points = self._points(round(points_gb * 1e9))
+        self._number = drive.frames[-1].number + 1 if drive.frames else 0
+        self._pairs, self._pair_ns = list(drive.pairs), -PAIR_EVERY_NS
+        self._is_forgotten = False
+        self.is_resumed = bool(
+            len(drive.fixes) or drive.frames or drive.parts or drive.damaged_bytes
+        )
 
     def _begun(self, about: SessionStart | None) -> PushedDrive:
-        drive = read_drive(self.folder, self.stage.entries)
+        drive = read_drive(self.journal)
         if drive is None:
-            is_damaged = next(read_journal(self.folder / JOURNAL), None) is not None
+            is_damaged = next(self.journal.records(), None) is not None
             if about is None and is_damaged:
                 raise ConfigError(
                     f"The beginning of the session in {self.folder} is damaged. Run the command "
@@ -117,10 +104,8 @@ class SessionFolder(Closing):
                     "removes it."
                 )
             self.journal.append("begin", about.to_json())
-            self.stage.sync()
             self.journal.sync()
-            waiting = self.journal.waiting()  # a full disk takes no beginning
-            drive = read_drive(self.folder, self.stage.entries, waiting) or PushedDrive(about)
+            drive = read_drive(self.journal) or PushedDrive(about)
         if about is not None and (other := about.differs_in(drive.about)):
             raise ConfigError(
                 f"{self.folder} holds the session {quoted(drive.about.name)}, which was ended "
@@ -128,19 +113,21 @@ class SessionFolder(Closing):
                 f"{' and '.join(other)}. Finish it with fieldgrid live -o {self.out} --finish, or "
                 "remove it with --discard."
             )
-        if drive.cut_at is not None:
-            self.journal.append("cut", drive.cut_at)
         return drive
 
     def _points(self, most_bytes: int) -> KeptPoints:
-        """The points of the frames that are there already, and room for others."""
+        """What decides on the points of the frames to come, by those that are there already."""
         drive = self.drive
-        first_ns = self.stage.entries[drive.frames[0].number].time_ns if drive.frames else None
-        reach_m = GridSpec.of(drive.about.settings.grid).reach_m
-        try:
-            points = KeptPoints(self.folder / POINTS, reach_m, most_bytes, first_ns, drive.frames)
-        except OSError as error:
-            raise _unwritable(self.folder / POINTS, error) from error
+        points = KeptPoints(
+            self.folder,
+            GridSpec.of(drive.about.settings.grid).reach_m,
+            most_bytes,
+            drive.frames[0].entry.time_ns if drive.frames else None,
+            held_bytes=sum(frame.points.size for frame in drive.frames if frame.points),
+            is_levelling=not drive.is_unlevelled and bool(drive.frames or most_bytes),
+        )
+        if not points.is_levelling and not drive.is_unlevelled:
+            self.journal.append("unlevelled", None)
         for part, chunks in drive.parts.items():
             for rows in chunks:
                 points.note_rows(part, rows)
@@ -157,15 +144,34 @@ class SessionFolder(Closing):
         self.points.note_rows(part, rows)
         return self.journal.append("rows", rows_to_json(part, rows))
 
-    def add_frame(self, frame: KeptFrame, frame_id: str, times: StageTimes) -> bool:
-        """Keep what else is known of a frame that is in the stage file."""
-        spent = [round(getattr(times, name), 6) for name in times.__slots__]
-        number, found, *points = frame
-        if number % BEGINS_EVERY == 0:
-            self.journal.append("begin", self.drive.about.to_json())
-        return self.journal.append(
-            "frame", [number, frame_id, found_to_json(found), spent, *points]
-        )
+    def add_frame(
+        self,
+        staged: StagedFrame,
+        found: StepOutcome,
+        times: StageTimes,
+        seen: GridInput,
+        *,
+        is_level: bool,
+    ) -> int:
+        """Keep a frame, and its points where they are to be kept; its number. MapWriteError where
+        the disk does not take it."""
+        journal, points = self.journal, self.points
+        was_levelling = points.is_levelling
+        packed = points.packed(seen, staged.time_ns)
+        if was_levelling and not points.is_levelling:
+            journal.append("unlevelled", None)
+        flags = is_level, isinstance(seen, Sweep) and seen.after_s is not None
+        kept = staged, found, times, flags
+        is_kept = keep_frame(journal, self._number, *kept, packed)
+        if not is_kept and packed:
+            points.refused(f"{self.folder} could not be written ({journal.problem.strerror})")
+            packed = b""
+            is_kept = keep_frame(journal, self._number, *kept)
+        if not is_kept:
+            raise unwritable(self.out, journal.problem)
+        points.kept(len(packed))
+        self._number += 1
+        return self._number - 1
 
     def add_dropped(self, frame_id: str, time_ns: int) -> bool:
         """Keep that a frame was dropped."""
@@ -174,72 +180,58 @@ class SessionFolder(Closing):
     def claim_pair(self, number: int, time_ns: int) -> bool:
         """Whether the pair of this frame is one by which the cameras are checked, and is to be
         added; none is of the frames just after it."""
-        is_due = number % self._pairs_every == 0 and abs(time_ns - self._pair_ns) >= PAIR_EVERY_NS
+        is_due = number % _apart(self._pairs) == 0 and abs(time_ns - self._pair_ns) >= PAIR_EVERY_NS
         if is_due:
             self._pair_ns = time_ns
+            self._pairs.append(number)
         return is_due
 
     def add_pair(self, number: int, left: Image, right: Image) -> None:
-        """Keep a pair, and fewer of the others; one that the disk refuses is not kept. It may wait
-        for the disk, and may be called from any thread."""
-        with self._pairing, suppress(OSError):
-            # Each whole or not there, and the left one last: it tells that there is a pair.
-            # OpenCV's own setting takes a third of the time of any that is given to it.
-            for side, image in (("right", right), ("left", left)):
-                with replacing(self.folder / f"{number:08d}-{side}.png") as draft:
-                    draft.write_bytes(cv2.imencode(".png", image)[1].tobytes())
-            kept = pair_numbers(self.folder)
-            if len(kept) > MOST_PAIRS:
-                self._pairs_every *= 2
-                for other in kept:
-                    if other % self._pairs_every:
-                        for side in ("left", "right"):
-                            (self.folder / f"{other:08d}-{side}.png").unlink(missing_ok=True)
+        """Keep a pair; one that the disk refuses is not kept. It may wait for the disk, and may be
+        called from any thread."""
+        # OpenCV's own setting takes a third of the time of any that is given to it.
+        png = (cv2.imencode(".png", image)[1].tobytes() for image in (left, right))
+        self.journal.append("pair", number, *png)
 
     def sync(self) -> bool:
         """Return when all of it is on the disk; False where the disk does not take it."""
-        taken = 0
-        for sync in (self.stage.sync, self.journal.sync, self.points.sync):
-            with suppress(OSError):  # MapWriteError, too, is one
-                taken += sync() is not False
-        return taken == 3
+        return self.journal.sync()
+
+    def points_of(self, frame: KeptFrame, gridder: LocalGridder) -> GridInput | None:
+        """The points of a frame; None where they were not kept or are damaged."""
+        packed = None if frame.points is None else self.journal.read(frame.points)
+        return None if packed is None else unpacked(packed, gridder)
 
     def what_is_kept(self, then: str) -> str:
         """A sentence on where the drive is, and with what command it goes on (`then`). It writes
         first what waits."""
-        journal = self.folder / JOURNAL
-        if not journal.exists():
+        if not live_journal(self.out).exists():
             return f"The drive is in the map {self.out}."
-        taken = self.sync()
-        if not taken and next(read_journal(journal), None) is None:
+        taken, count = self.sync(), self.journal.waits()
+        if not taken and count and sum(1 for _ in self.journal.records()) == count:
             return "Nothing of the drive is kept, since the full disk took none of it."
-        count = sum(kind != "begin" for kind, _ in self.journal.waiting())
         lost = f", but for the last {count} records, which the full disk did not take"
         return f"The drive is kept in {self.folder}{lost if count else ''}; {then}."
 
     def read(self) -> PushedDrive:
         """What was pushed until now."""
-        self.stage.recall()
-        waiting = self.journal.waiting()  # a full disk took nothing of it
-        drive = read_drive(self.folder, self.stage.entries, waiting) or self.drive
-        self.unreadable = len(drive.unreadable)
-        return drive
+        if self._is_forgotten:
+            self.drive, self._is_forgotten = read_drive(self.journal) or self.drive, False
+        return self.drive
 
-    def staged(self, read: PushedDrive | None = None) -> StagedDrive:
-        """The frames, as a build has them of its drive; of what was `read`, if that was done."""
-        drive = read or self.read()
-        numbers = [frame.number for frame in drive.frames]
-        entries = [self.stage.entries[number] for number in numbers]
-        names = told_apart([entry.frame_id for entry in entries])
-        found = [frame.found for frame in drive.frames]
-        # No step leads to a frame before which the program was started again.
-        found = [one or Refusal.NOT_COMPARED if k else one for k, one in enumerate(found)]
-        if not isinstance(drive.about.rig.sensor, StereoCamera):
-            found = [None] * len(numbers)
+    def staged(self) -> StagedDrive:
+        """The frames, as a build has them of its drive."""
+        drive = self.read()
+        names = told_apart([frame.entry.frame_id for frame in drive.frames])
+        entries = [
+            frame.entry if name == frame.entry.frame_id else frame.entry._replace(frame_id=name)
+            for frame, name in zip(drive.frames, names, strict=True)
+        ]
+        is_pair = isinstance(drive.about.rig.sensor, StereoCamera)
         return StagedDrive(
-            _NamedFrames(self.stage, numbers, names),
-            [e._replace(frame_id=name) for e, name in zip(entries, names, strict=True)],
-            found,
+            JournalFrames(self.journal, entries),
+            entries,
+            [frame.found if is_pair else None for frame in drive.frames],
             [bad for _, bad in drive.bad],
             drive.times,
         )
@@ -249,7 +241,7 @@ class SessionFolder(Closing):
         RecordingError where poses were to be pushed that cannot be used."""
         about, rig = drive.about, drive.about.rig
         offset_ns = rig.image_time_offset_ns
-        staged_ns = [self.stage.entries[number].time_ns - offset_ns for number, *_ in drive.frames]
+        staged_ns = [frame.entry.time_ns - offset_ns for frame in drive.frames]
         times_ns = np.array(sorted(staged_ns + [t for t, _ in drive.bad]), dtype=np.int64)
         notes = about.notes
         if drive.dropped:
@@ -264,13 +256,13 @@ class SessionFolder(Closing):
             path=self.folder,
             name=about.name,
             kind="live session",
-            log=FixLog(FixColumns.of_rows(drive.fixes), (), motion_of(drive.parts)),
+            log=FixLog(drive.fixes, (), motion_of(drive.parts)),
             gnss_source=about.source,
             gnss_hash=about.source_sha256,
             rig=rig,
             datum_hint=about.datum_hint,
             notes=notes,
-            source=KeptPairs(self.folder, times_ns),
+            source=_KeptPairs(self.journal, drive.pairs, times_ns),
         )
         if about.poses is None:
             return recording
@@ -281,62 +273,72 @@ class SessionFolder(Closing):
     def newest_frame_ns(self) -> int | None:
         """The time of the last frame that is there already, None without, until `forget`."""
         frames = self.drive.frames
-        return self.stage.entries[frames[-1].number].time_ns if frames else None
+        return frames[-1].entry.time_ns if frames else None
 
     def forget(self) -> None:
         """Hold no more in memory than what the session was begun with, however long it lasts."""
-        self.drive = PushedDrive(self.drive.about)
-        self.stage.forget()
+        self.drive, self._is_forgotten = PushedDrive(self.drive.about), True
 
     def remove(self) -> None:
-        """Remove all of it: the drive is in the map, or is given up. Files of others stay."""
-        _remove(self.folder)
+        """Remove it: the drive is in the map, or is given up. Files of others stay."""
+        drop_journal(live_journal(self.out))
         self.close()
 
     def close(self) -> None:
-        """Let go of the folder."""
+        """Let go of it."""
         self._open.close()
 
 
 def remove_unread(out: Path) -> bool:
     """Remove the session for a map whatever of it can be read; False where there is none, or where
-    another program has it. MapError where the journal is a file of others."""
-    journal = live_folder(out) / JOURNAL
-    if not journal.is_file():
+    another program has it. MapError where it is a file of others."""
+    path = live_journal(out)
+    if not path.is_file():
         return False
-    with holding(journal) as is_ours:
+    with holding(path) as is_ours:
         if is_ours:
-            next(read_journal(journal), None)
-            _remove(journal.parent)
+            Journal(path).close()
+            drop_journal(path)
     return is_ours
 
 
-def _unwritable(path: Path, error: OSError) -> MapWriteError:
-    advice = "check the folder and its permissions"
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        advice = "free some space there and try again"
-    return MapWriteError(f"{path} could not be written ({error.strerror}); {advice}.")
-
-
-def _remove(folder: Path) -> None:
-    """Remove the files of a session. Files of others stay."""
-    pairs = [path for path in folder.glob("*") if _OF_PAIRS.fullmatch(path.name)]
-    # Without the journal nothing of the rest counts, but for pairs.
-    for path in (*pairs, *(folder / name for name in (POINTS, JOURNAL, GRIDS))):
-        with suppress(OSError):
-            path.unlink(missing_ok=True)
-    with suppress(OSError):
-        folder.rmdir()
+def _apart(numbers: list[int]) -> int:
+    """How far apart frames are whose pairs count, so that these are few."""
+    apart = 1
+    while sum(number % apart == 0 for number in numbers) > MOST_PAIRS:
+        apart *= 2
+    return apart
 
 
 @dataclass(frozen=True, slots=True)
-class _NamedFrames:
-    """Some of the frames of a stage file, in their order, and what they are called."""
+class _KeptPairs:
+    """A `FrameSource` of a drive whose images are gone, but for some pairs: a frame is the nearest
+    of these, which is enough to check the cameras."""
 
-    stage: StageFile
-    numbers: list[int]
-    names: list[str]
+    journal: Journal
+    pairs: dict[int, tuple[Blob, ...]]
+    times_ns: Int64
 
-    def __getitem__(self, index: int) -> StagedFrame:
-        frame, name = self.stage[self.numbers[index]], self.names[index]
-        return frame if frame.frame_id == name else replace(frame, frame_id=name)
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """The roles of the images of a pair."""
+        return "left", "right"
+
+    def frames(self, start: int, stop: int) -> Iterator[Frame]:
+        """For each frame the nearest pair."""
+        apart = _apart(list(self.pairs))
+        numbers = [number for number in self.pairs if number % apart == 0]
+        for number in range(start, stop) if numbers else ():
+            nearest = min(numbers, key=lambda other: abs(other - number))
+            left, right = (
+                PushedSource(f"{nearest}/{role}", self._image(blob))
+                for role, blob in zip(self.roles, self.pairs[nearest], strict=True)
+            )
+            size_px = left.values.shape[::-1]
+            yield StereoFrame(str(number), int(self.times_ns[number]), left, right, size_px)
+
+    def _image(self, blob: Blob) -> Image:
+        data = self.journal.read(blob)
+        assert data is not None, "it was whole when the session was read"
+        image: Image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+        return image

@@ -73,7 +73,7 @@ class Session:
         self._committing = committing
         self._on_end = on_end
         self._spec: GridSpec | None = None
-        self._own = StageFile.temporary(path)
+        self._own = StageFile(path)
         self._frames: dict[str, _PendingFrame] = {}
         self._open = True
         self._committed = False

@@ -1,43 +1,36 @@
 """A frame's evidence before it has a pose: encoded once, by any process, put together in any order.
 
 A *staged frame* is all that a map keeps of what a frame saw. A *stage file* holds staged frames
-one behind the other; a frame that was not written to its end is not in it, so after a crash it has
-every frame before.
+one behind the other while they wait for their poses.
 """
 
 from __future__ import annotations
 
 import errno
-import json
 import os
+import pickle
 import tempfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from struct import Struct
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from fieldgrid.core import (
     AnyArray,
     Closing,
     ConfigError,
-    FieldgridError,
     MapError,
     MapWriteError,
-    parse_json,
     quoted,
 )
 from fieldgrid.geometry import GridSpec, LocalGrid
 from fieldgrid.maps.file.codec import EncodedChannel, decode_cells, encode_channels
 from fieldgrid.maps.layers.frame import FrameCells
 
-_MAGIC = b"fieldgrid stage 1\n"
-_FRAME = Struct("<4sIQI")
-"""Of each frame: a mark, the length of its JSON header and of its data, the CRC-32 of both."""
-_MARK = b"FRAM"
-
-MAX_FRAME_BYTES = 64 << 20
+_HEAD = Struct("<QI")
+"""The head of each frame in a stage file: how long it is, bytes, and its CRC-32."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,14 +87,49 @@ def stage(
     )
 
 
+def frame_record(frame: StagedFrame) -> tuple[list[Any], bytes]:
+    """A staged frame as a value that JSON has, and the bytes of its channels."""
+    spec = frame.spec
+    said = [
+        frame.frame_id,
+        frame.time_ns,
+        [spec.width_m, spec.length_m, spec.cell_m],
+        [[name, dtype, len(data)] for name, dtype, data in frame.channels],
+        frame.cells_sha256,
+        frame.images,
+        frame.images_sha256,
+        frame.ground_found,
+    ]
+    return said, b"".join(channel.data for channel in frame.channels)
+
+
+def frame_of_record(said: Any, data: bytes) -> StagedFrame:
+    """The frame of what `frame_record` made; ValueError or TypeError for others."""
+    name, time_ns, spec, sizes, sha256, images, hashes, ground = said
+    channels, start = [], 0
+    for channel, dtype, count in sizes:
+        channels.append(EncodedChannel(channel, dtype, data[start : start + count]))
+        start += count
+    return StagedFrame(
+        name,
+        time_ns,
+        GridSpec(*spec),
+        tuple(channels),
+        sha256,
+        tuple(images),
+        tuple(hashes),
+        ground,
+    )
+
+
 class StageEntry(NamedTuple):
-    """A frame of a stage file: what is known without reading its cells, and where it lies."""
+    """A staged frame on disk: what is known without reading its cells, and where its record begins,
+    bytes."""
 
     frame_id: str
     time_ns: int
     ground_found: bool
-    offset: int
-    size: int
+    start: int
 
 
 class StagedFrames(Protocol):
@@ -112,215 +140,76 @@ class StagedFrames(Protocol):
 
 
 class StageFile(Closing):
-    """Staged frames on disk, in the order in which they were appended.
+    """Staged frames on the disk of the map at `target`, in the order in which they were appended.
 
-    `StageFile.temporary` is gone when it is closed. Reading is safe from any thread.
+    The file has no name and is gone when it is closed: the system's place for temporary files is
+    often a small part of the memory. Reading is safe from any thread.
     """
 
-    def __init__(
-        self,
-        path: str | Path | None,
-        target: Path | None = None,
-        *,
-        passes_damage: bool = False,
-    ) -> None:
-        """Open a stage file to read it and append to it, or make it. MapError for another file.
-        Where the disk is full, the error names the `target`, the map that the frames are for.
-
-        A file ends at its first frame that is not whole, which the next one replaces. With
-        `passes_damage` one of which no byte lacks keeps its number, as an entry of the name "",
-        and those behind it are found.
-        """
-        self._place = Path(path or target or "")
-        self._target, self._passes_damage = target or self._place, passes_damage
+    def __init__(self, target: Path) -> None:
+        """MapWriteError where there can be none."""
+        self._target, self._end = target, 0
         self.entries: list[StageEntry] = []
-        self._count, self._holds_entries = 0, True
         self._file: int | None = None
         try:
-            if path is None:
-                with tempfile.TemporaryFile(dir=self._place.resolve().parent) as unnamed:
-                    self._file = os.dup(unnamed.fileno())
-            else:
-                self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-            self._end = self._scan(self._file)
-        except BaseException as error:
-            self.close()
-            if isinstance(error, OSError):
-                raise self._unwritable(error) from error
-            raise
-
-    @classmethod
-    def temporary(cls, target: Path) -> StageFile:
-        """A stage file without a name for the map at `target`, on its disk: the system's place for
-        temporary files is often a small part of the memory."""
-        return cls(None, target)
+            with tempfile.TemporaryFile(dir=target.resolve().parent) as unnamed:
+                self._file = os.dup(unnamed.fileno())
+        except OSError as error:
+            raise unwritable(target, error) from error
 
     def append(self, frame: StagedFrame) -> int:
         """Write a frame behind the others; returns its index. MapWriteError on a full disk."""
-        spec = frame.spec
-        header = json.dumps(
-            [
-                frame.frame_id,
-                frame.time_ns,
-                [spec.width_m, spec.length_m, spec.cell_m],
-                [[name, dtype, len(data)] for name, dtype, data in frame.channels],
-                frame.cells_sha256,
-                frame.images,
-                frame.images_sha256,
-                frame.ground_found,
-            ],
-            ensure_ascii=False,
-        ).encode()
-        data = b"".join(channel.data for channel in frame.channels)
-        check = zlib.crc32(data, zlib.crc32(header))
-        record = _FRAME.pack(_MARK, len(header), len(data), check) + header + data
         if self._file is None:
             raise ConfigError(f"The staged frames for {self._target} are closed.")
+        body = pickle.dumps(frame)
+        record = memoryview(_HEAD.pack(len(body), zlib.crc32(body)) + body)
+        end = self._end + len(record)
         try:
-            _write_all(self._file, record, self._end)
+            while record:  # a disk that fills up takes a part first
+                record = record[os.pwrite(self._file, record, end - len(record)) :]
         except OSError as error:
-            raise self._unwritable(error) from error
-        entry = StageEntry(
-            frame.frame_id, frame.time_ns, frame.ground_found, self._end, len(record)
+            raise unwritable(self._target, error) from error
+        self.entries.append(
+            StageEntry(frame.frame_id, frame.time_ns, frame.ground_found, self._end)
         )
-        self._add(entry)
-        self._end += len(record)
-        return self._count - 1
-
-    def forget(self) -> None:
-        """Hold no entries in memory, those of frames to come neither, until `recall`. Only of a
-        file with a name."""
-        self._holds_entries, self.entries = False, []
-
-    def recall(self) -> None:
-        """Hold the entries of all frames again, read from the file."""
-        if self._holds_entries:
-            return
-        assert self._file is not None, "the stage file is closed"
-        self._holds_entries, self._count, self.entries = True, 0, []
-        self._end = self._scan(self._file)
-
-    def _add(self, entry: StageEntry) -> None:
-        self._count += 1
-        if self._holds_entries:
-            self.entries.append(entry)
+        self._end = end
+        return len(self.entries) - 1
 
     def __len__(self) -> int:
-        return self._count
+        return len(self.entries)
 
     def __getitem__(self, index: int) -> StagedFrame:
         """A frame; MapError when it was damaged since it was written."""
         entry = self.entries[index]
         assert self._file is not None, "the stage file is closed"
-        return _whole(os.pread(self._file, entry.size, entry.offset), entry)
+        size, check = _HEAD.unpack(os.pread(self._file, _HEAD.size, entry.start))
+        body = os.pread(self._file, size, entry.start + _HEAD.size)
+        if zlib.crc32(body) != check:
+            raise damaged_frame(entry)
+        frame: StagedFrame = pickle.loads(body)
+        return frame
 
     def __iter__(self) -> Iterator[StagedFrame]:
         return (self[k] for k in range(len(self)))
 
-    def sync(self) -> None:
-        """Return when what was appended is on the disk, and not only with the system."""
-        if self._file is not None:
-            try:
-                os.fsync(self._file)
-            except OSError as error:
-                raise self._unwritable(error) from error
-
     def close(self) -> None:
-        """Close the file; a temporary one is gone."""
+        """Close the file, which is gone then."""
         if self._file is not None:
             os.close(self._file)
             self._file = None
 
-    def _scan(self, file: int) -> int:
-        """Find the frames; returns where the next one goes."""
-        head = os.pread(file, len(_MAGIC), 0)
-        if not head:
-            _write_all(file, _MAGIC, 0)
-            return len(_MAGIC)
-        if head != _MAGIC:
-            raise MapError(f"{self._place} is no file of staged frames. Check the name.")
-        offset = len(_MAGIC)
-        while True:
-            start = os.pread(file, _FRAME.size, offset)
-            if len(start) < _FRAME.size:
-                return offset
-            mark, header, data, _ = _FRAME.unpack(start)
-            size = _FRAME.size + header + data
-            if size > MAX_FRAME_BYTES:
-                return offset
-            record = os.pread(file, size, offset)
-            frame = _unpacked(record)
-            if frame is not None:
-                entry = StageEntry(frame.frame_id, frame.time_ns, frame.ground_found, offset, size)
-            elif self._passes_damage and mark == _MARK and len(record) == size:
-                entry = StageEntry("", 0, False, offset, size)
-            else:
-                return offset
-            self._add(entry)
-            offset += size
 
-    def _unwritable(self, error: OSError) -> MapWriteError:
-        advice = "check the folder and its permissions"
-        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-            advice = "free some space there and try again"
-        return MapWriteError(
-            f"The local grids of the drive cannot be kept beside {self._target} "
-            f"({error.strerror}), so the drive is not in it; {advice}."
-        )
+def unwritable(target: Path, error: OSError) -> MapWriteError:
+    """The error of a disk that does not take the staged frames for the map at `target`."""
+    advice = "check the folder and its permissions"
+    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        advice = "free some space there and try again"
+    return MapWriteError(
+        f"The local grids of the drive cannot be kept beside {target} "
+        f"({error.strerror}), so the drive is not in it; {advice}."
+    )
 
 
-def read_staged(path: Path, entry: StageEntry) -> StagedFrame:
-    """A frame of a stage file that is not open; MapError when it cannot be read any more."""
-    try:
-        with path.open("rb") as file:
-            file.seek(entry.offset)
-            return _whole(file.read(entry.size), entry)
-    except OSError as error:
-        raise MapError(
-            f"The staged frame {quoted(entry.frame_id)} in {path} cannot be read "
-            f"({error.strerror}); build the drive again."
-        ) from error
-
-
-def _whole(record: bytes, entry: StageEntry) -> StagedFrame:
-    frame = _unpacked(record)
-    if frame is None:
-        raise MapError(
-            f"The staged frame {quoted(entry.frame_id)} is damaged; build the drive again."
-        )
-    return frame
-
-
-def _write_all(file: int, data: bytes, offset: int) -> None:
-    left = memoryview(data)
-    while left:  # a disk that fills up takes a part first
-        written = os.pwrite(file, left, offset)
-        left, offset = left[written:], offset + written
-
-
-def _unpacked(record: bytes) -> StagedFrame | None:
-    """A frame from its record; None for one that is cut off or damaged."""
-    if len(record) < _FRAME.size:
-        return None
-    mark, size, length, check = _FRAME.unpack(record[: _FRAME.size])
-    body = record[_FRAME.size :]
-    if mark != _MARK or len(body) != size + length or zlib.crc32(body) != check:
-        return None
-    try:
-        name, time_ns, spec, sizes, sha256, images, hashes, ground = parse_json(body[:size])
-        channels, start = [], size
-        for channel, dtype, count in sizes:
-            channels.append(EncodedChannel(channel, dtype, body[start : start + count]))
-            start += count
-        return StagedFrame(
-            name,
-            time_ns,
-            GridSpec(*spec),
-            tuple(channels),
-            sha256,
-            tuple(images),
-            tuple(hashes),
-            ground,
-        )
-    except (TypeError, ValueError, FieldgridError):
-        return None
+def damaged_frame(entry: StageEntry) -> MapError:
+    """The error of a frame that cannot be read back."""
+    return MapError(f"The staged frame {quoted(entry.frame_id)} is damaged; build the drive again.")

@@ -12,7 +12,6 @@ import numpy as np
 from fieldgrid.geometry import Datum
 from fieldgrid.pipeline.inputs import Inputs, to_arrays
 from fieldgrid.pipeline.session import NewSession
-from fieldgrid.pipeline.staging.parts import SHARE_FRAMES
 from fieldgrid.recordings import StoredFrames
 from fieldgrid.version import software_version
 
@@ -37,7 +36,7 @@ def part_key(session: NewSession, datum: Datum) -> str:
         "settings": session.settings.model_dump(mode="json", exclude={"checks"}),
         "rig": recording.rig.as_dict(),
         "datum": repr(datum),
-        "frames": [session.total, session.every, SHARE_FRAMES],
+        "frames": [session.total, session.every],
         "files": [_state(file) for file in files],
         "kind": hashlib.sha256(kind).hexdigest(),
     }

@@ -7,7 +7,6 @@ import os
 import pickle
 import platform
 import re
-import tempfile
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import closing
@@ -20,12 +19,11 @@ from fieldgrid.core import (
     ClusterError,
     ConfigError,
     FieldgridError,
-    MapWriteError,
     check_is_here,
     check_versions,
     versions,
 )
-from fieldgrid.pipeline.staging.parts import Share, part_bytes, write_part
+from fieldgrid.pipeline.staging.parts import Share
 from fieldgrid.pipeline.staging.shares import DriveWork, FrameOutcome, stage_frames
 from fieldgrid.recordings import (
     cache_folder,
@@ -52,10 +50,9 @@ class RecordingPlace(NamedTuple):
 
 
 class StagedShare(NamedTuple):
-    """A share that is staged: its part, how far the camera went, metres, and how long it took."""
+    """A share that is staged: what became of its frames, and how long it took."""
 
-    part: tuple[bytes, bytes]
-    moved_m: float
+    frames: list[FrameOutcome]
     took_s: float
 
 
@@ -100,8 +97,7 @@ _unpacked = lru_cache(maxsize=2)(pickle.loads)
 def stage_share(work: bytes, share: Share, place: RecordingPlace | None) -> StagedShare:
     """Stage a share of a drive, `packed`; on another machine the recording is at a `place`.
 
-    Raises ClusterError when that machine does not have the recording and cannot fetch it, or has no
-    room for the part.
+    Raises ClusterError when that machine does not have the recording and cannot fetch it.
     """
     start = time.perf_counter()
     if place is not None:
@@ -111,17 +107,9 @@ def stage_share(work: bytes, share: Share, place: RecordingPlace | None) -> Stag
     unpacked: DriveWork = _unpacked(work)
     if place is not None and place.url:
         _fetch(place, unpacked, share)
-    moved_m: list[float] = []
-    with tempfile.TemporaryDirectory(prefix="fieldgrid-") as name:
-        folder = Path(name)
-        with closing(stage_frames(unpacked, *share, jobs=1)) as looks:
-            given = looks if place is None else _as_given(looks, place)
-            try:
-                write_part(folder, folder, share, given, moved_m.append)
-            except MapWriteError as error:
-                raise ClusterError(f"{platform.node()} has no room: {error}") from error
-        part = part_bytes(folder, share)
-    return StagedShare(part, sum(moved_m), time.perf_counter() - start)
+    with closing(stage_frames(unpacked, *share, jobs=1)) as looks:
+        frames = list(looks if place is None else _as_given(looks, place))
+    return StagedShare(frames, time.perf_counter() - start)
 
 
 def _files_of(work: DriveWork, share: Share) -> set[Path]:

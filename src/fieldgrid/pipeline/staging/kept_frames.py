@@ -1,0 +1,125 @@
+"""Staged frames of a drive in its journal: those of a build, of one that goes on, and of a session
+that is still driven.
+
+`MAP.work/` beside the map holds a journal for each drive on its way into the map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fieldgrid.core import MapError, holding
+from fieldgrid.maps import (
+    StagedFrame,
+    StageEntry,
+    damaged_frame,
+    frame_of_record,
+    frame_record,
+)
+from fieldgrid.perception import CameraStep, Refusal
+from fieldgrid.pipeline.report import StageTimes
+from fieldgrid.pipeline.staging.journal import Blob, Journal, JournalRecord
+from fieldgrid.pipeline.staging.shares import StepOutcome
+
+FRAME = "frame"
+"""The kind of the records of frames."""
+
+
+class KeptFrame(NamedTuple):
+    """A frame of a journal: its number in the drive, the camera's step to it, and where its points
+    are, if they were kept. Of a session, whether its grid is level, and whether it is of a sweep
+    whose points have times."""
+
+    number: int
+    entry: StageEntry
+    found: StepOutcome
+    points: Blob | None = None
+    is_level: bool = False
+    is_timed: bool = False
+
+
+def work_folder(out: Path) -> Path:
+    """Where drives are kept on their way into the map `out`."""
+    place = out.resolve()
+    return place.with_name(f"{place.name}.work")
+
+
+@contextmanager
+def held_journal(path: Path, busy: str) -> Iterator[Journal]:
+    """A journal, made where it is not there, and held against other programs. MapError, which says
+    that it is `busy`, where another one has it; OSError where there can be none."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.touch()
+    with holding(path) as is_ours:
+        if not is_ours:
+            raise MapError(busy)
+        with Journal(path) as journal:
+            yield journal
+
+
+def drop_journal(path: Path) -> None:
+    """Remove a journal, and its folder where nothing else is in it."""
+    with suppress(OSError):
+        path.unlink(missing_ok=True)
+        path.parent.rmdir()
+
+
+def keep_frame(
+    journal: Journal,
+    number: int,
+    staged: StagedFrame,
+    found: StepOutcome,
+    times: StageTimes,
+    flags: Sequence[bool] = (),
+    points: bytes = b"",
+) -> bool:
+    """Keep a frame; False where the disk does not take it."""
+    said, cells = frame_record(staged)
+    spent = {name: round(value, 6) for name, value in asdict(times).items() if value}
+    value = [number, said, found_to_json(found), spent, *flags]
+    return journal.append(FRAME, value, cells, *([points] if points else []))
+
+
+def kept_frame(record: JournalRecord) -> tuple[KeptFrame, StageTimes]:
+    """The frame of a record, and what it took. ValueError or TypeError where it is none."""
+    number, said, found, times, *flags = record.value
+    frame_id, time_ns, *_, ground_found = said
+    entry = StageEntry(frame_id, time_ns, ground_found, record.start)
+    points = record.blobs[1] if len(record.blobs) > 1 else None
+    return KeptFrame(number, entry, found_from_json(found), points, *flags), StageTimes(**times)
+
+
+@dataclass(frozen=True, slots=True)
+class JournalFrames:
+    """Staged frames of a journal, by their place among the `entries`, and with the names there."""
+
+    journal: Journal
+    entries: Sequence[StageEntry]
+
+    def __getitem__(self, index: int) -> StagedFrame:
+        """A frame; MapError when it was damaged since it was written."""
+        entry = self.entries[index]
+        record = self.journal.at(entry.start)
+        cells = None if record is None else self.journal.read(record.blobs[0])
+        if record is None or cells is None:
+            raise damaged_frame(entry)
+        return replace(frame_of_record(record.value[1], cells), frame_id=entry.frame_id)
+
+
+def found_to_json(found: StepOutcome) -> Any:
+    """What became of a step of the camera, as a value that JSON has."""
+    if isinstance(found, CameraStep):
+        return [*map(float, found[:-1]), int(found.inliers)]
+    return None if found is None else found.value
+
+
+def found_from_json(said: Any) -> StepOutcome:
+    """The step of the camera of a value that `found_to_json` made; ValueError or TypeError for
+    others."""
+    if isinstance(said, str):
+        return Refusal(said)
+    return None if said is None else CameraStep(*said)
