@@ -31,6 +31,7 @@ from fieldgrid.recordings import (
     TF_STATIC,
     TYPES_OF_ROLES,
     UNNAMED,
+    BagFrames,
     CloudFrame,
     CloudKind,
     Connection,
@@ -78,7 +79,7 @@ class PoseTopic(NamedTuple):
     offset_ns: int = 0
 
 
-class _StreamChannel(NamedTuple):
+class StreamChannel(NamedTuple):
     """A topic and what it is for; an Odometry may be wheels and `is_pose`, an Imu `is_attitude`."""
 
     connection: Connection
@@ -100,7 +101,7 @@ class McapStream:
     def __init__(
         self,
         address: str,
-        kind: FrameKind,
+        kind: FrameKind | BagFrames,
         topics: Mapping[str, str] | None = None,
         *,
         imu_axes: str = AXES,
@@ -113,7 +114,7 @@ class McapStream:
             raise ConfigError(
                 f"{quoted(address)} is no MCAP; give -, a FIFO's path or tcp://HOST:PORT."
             )
-        if not isinstance(kind, PairKind | CloudKind):
+        if not isinstance(kind, PairKind | CloudKind | BagFrames):
             raise ConfigError(
                 "Of an MCAP pairs and clouds are read while driving; give the rig of a stereo "
                 "camera or a lidar."
@@ -173,13 +174,13 @@ class McapStream:
         from mcap.records import Channel, Message as Record, Schema
 
         schemas = {0: UNNAMED}
-        channels: dict[int, _StreamChannel] = {}
+        channels: dict[int, StreamChannel] = {}
         for record in records:
             if isinstance(record, Schema):
                 schemas[record.id] = named(record)
             elif isinstance(record, Channel) and record.id not in channels:
                 connection = connection_of(record, schemas.get(record.schema_id, UNNAMED))
-                channels[record.id] = _StreamChannel(
+                channels[record.id] = StreamChannel(
                     connection,
                     self._role(connection, intake),
                     self._is_pose(connection, intake),
@@ -189,19 +190,23 @@ class McapStream:
             elif isinstance(record, Record) and record.channel_id in channels:
                 channel = channels[record.channel_id]
                 message = Message(channel.connection, record.log_time, record.data)
-                if channel.connection.type in TF and message.topic.endswith(TF_STATIC):
-                    self._static(message, intake)
-                if channel.role and (self._takes_fixes or channel.role not in FIXES):
-                    self._take(channel.role, message, intake)
-                if channel.is_pose:
-                    self._take("pose", message, intake)
-                if channel.is_attitude:
-                    self._take(ATTITUDE, message, intake)
-                if channel.connection.type == _TEXT and message.topic in RECORDED:
-                    # Roll and pitch of a converted drive; the texts have their own times.
-                    with suppress(RecordingError):
-                        told = self._leans.recorded(message.topic, decode(message).data)
-                        self._push_motion(told, intake)
+                self.take(channel, message, intake)
+
+    def take(self, channel: StreamChannel, message: Message, intake: Intake) -> None:
+        """Give what a message says."""
+        if channel.connection.type in TF and message.topic.endswith(TF_STATIC):
+            self._static(message, intake)
+        if channel.role and (self._takes_fixes or channel.role not in FIXES):
+            self._take(channel.role, message, intake)
+        if channel.is_pose:
+            self._take("pose", message, intake)
+        if channel.is_attitude:
+            self._take(ATTITUDE, message, intake)
+        if channel.connection.type == _TEXT and message.topic in RECORDED:
+            # Roll and pitch of a converted drive; the texts have their own times.
+            with suppress(RecordingError):
+                told = self._leans.recorded(message.topic, decode(message).data)
+                self._push_motion(told, intake)
 
     def _role(self, connection: Connection, intake: Intake) -> str:
         """What the messages of a topic are for; empty for nothing."""

@@ -1,0 +1,86 @@
+"""What the topics of a node say, as a source of a live session."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+
+from fieldgrid.live.intake import Intake
+from fieldgrid.live.ros.head import Head
+from fieldgrid.live.ros.place import RobotFrames
+from fieldgrid.live.sources.mcap_stream import McapStream, PoseTopic, StreamChannel
+from fieldgrid.live.sources.orientation_stream import ATTITUDE
+from fieldgrid.recordings import MAX_APART_NS, TF, TF_STATIC, Message, Taken, decode
+
+_POLL_S = 0.25
+_MOST_WAITING = 16
+"""Messages of one topic that wait for the other one of their frame."""
+
+
+class RosStream(McapStream):
+    """The messages that a node takes, read as those of an MCAP, with frames of any kind that a bag
+    has. What came before the session began is waited for: of it nothing is dropped."""
+
+    name = "ROS"
+
+    def __init__(
+        self,
+        head: Head,
+        robot: RobotFrames,
+        *,
+        imu_axes: str,
+        poses: PoseTopic | None,
+        epoch_ns: int | None,
+    ) -> None:
+        given = {ATTITUDE: topic for topic, role in head.roles.items() if role == ATTITUDE}
+        super().__init__(
+            "-", head.frames, given, imu_axes=imu_axes, poses=poses, epoch_ns=epoch_ns
+        )
+        self._head, self._robot = head, robot
+        self._channels: dict[str, StreamChannel] = {}
+        self._parts: list[deque[Taken]] = [deque() for _ in head.frames.plan.topics]
+        self._since_ns = 0
+
+    def run(self, intake: Intake) -> None:
+        """Give what comes; see `InputSource`."""
+        self._since_ns = self._since_ns or time.time_ns()
+        while not intake.stop.is_set():
+            message = self._head.inbox.take(_POLL_S)
+            if message is None:
+                continue
+            intake.arrived()
+            if message.topic not in self._channels:
+                self._channels[message.topic] = self._channel(message, intake)
+            if message.connection.type in TF and not message.topic.endswith(TF_STATIC):
+                self._robot.moved(decode(message))
+            self.take(self._channels[message.topic], message, intake)
+            if left_out := self._head.inbox.left_out:
+                self._say(intake, f"gives images faster than they are taken; {left_out} are lost.")
+
+    def _channel(self, message: Message, intake: Intake) -> StreamChannel:
+        connection, role = message.connection, self._head.roles.get(message.topic, "")
+        if role == "imu":
+            self._roles["imu"] = message.topic
+        is_attitude, is_tree = role == ATTITUDE, connection.type in TF
+        taken = "" if is_attitude or is_tree or role.endswith("_info") else role
+        return StreamChannel(connection, taken, self._is_pose(connection, intake), is_attitude)
+
+    def _cloud(self, message: Message, time_ns: int, intake: Intake) -> None:
+        """Hold a message until the others of its frame, of whatever kind, come; give the frame."""
+        frames = self._head.frames
+        self._parts[frames.plan.topics.index(message.topic)].append((message, time_ns))
+        while all(self._parts):
+            first = min(self._parts, key=_time_ns)
+            if max(map(_time_ns, self._parts)) - _time_ns(first) > MAX_APART_NS:
+                first.popleft()
+                continue
+            frame = frames.frame(self._frames, [part.popleft() for part in self._parts])
+            self._frames += 1
+            intake.push_frame(frame, wait=message.receive_ns < self._since_ns)
+        for part in self._parts:
+            while len(part) > _MOST_WAITING:
+                part.popleft()
+
+
+def _time_ns(part: deque[Taken]) -> int:
+    return part[0][1]
