@@ -33,7 +33,6 @@ if TYPE_CHECKING:
         turns_across as turns_across,
     )
     from fieldgrid.recordings.bag.order import MAX_APART_NS as MAX_APART_NS, is_utc as is_utc
-    from fieldgrid.recordings.bag.opening import mounting_path as bag_mounting_path
     from fieldgrid.recordings.bag.sensors.clouds import MessageCloud as MessageCloud
     from fieldgrid.recordings.bag.sensors.frames import BagFrames as BagFrames, Taken as Taken
     from fieldgrid.recordings.bag.sensors.images import image_source as image_source

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import Counter, deque
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from typing import Any
 from fieldgrid.core import RecordingError, counted
 from fieldgrid.live.ros.node import RosNode
 from fieldgrid.recordings import (
+    AXES,
     ROLES,
     TF,
     TYPES_OF_ROLES,
@@ -25,6 +27,7 @@ from fieldgrid.recordings import (
     Message,
     Recording,
     is_of_use,
+    mounting_path,
     open_drive,
 )
 
@@ -52,9 +55,17 @@ class Inbox:
         self._frames, self._others = deque[tuple[int, Message]](), deque[tuple[int, Message]]()
         self._changed = threading.Condition()
         self._number = self._bytes = self.left_out = 0
+        self.is_closed = False
+        """Whether nothing more is put in."""
+
+    def __len__(self) -> int:
+        with self._changed:
+            return len(self._frames) + len(self._others)
 
     def put(self, message: Message) -> None:
         """Add a message. What waits longest gives way where images and clouds are too many."""
+        if self.is_closed:
+            return
         with self._changed:
             self._number += 1
             if message.connection.type in _FRAMES:
@@ -93,18 +104,18 @@ class Head:
     roles: dict[str, str]
     first: dict[str, list[Message]]
     inbox: Inbox
+    imu_axes: str
 
 
 class Listener:
     """Hears all topics that may be of use, until it is known which are."""
 
-    def __init__(self, ros: RosNode, options: DriveOptions) -> None:
+    def __init__(self, ros: RosNode, options: DriveOptions, tell: Callable[[str], None]) -> None:
         given = ros.remapped(ROLES)
         self._options = replace(options, topics={**given, **options.topics})
-        self._ros, self._inbox = ros, Inbox()
+        self._ros, self._inbox, self._tell = ros, Inbox(), tell
         self._heard: dict[str, Any] = {}
         self._first: dict[str, list[Message]] = {}
-        self._counts = Counter[str]()
         self._begun_s = 0.0
 
     def _take(self, message: Message) -> None:
@@ -132,7 +143,7 @@ class Listener:
             except RecordingError as problem:
                 if str(problem) not in told:
                     told.add(str(problem))
-                    self._ros.say(f"No drive begins yet: {problem}")
+                    self._tell(f"no drive begins yet: {problem}")
                 self._begun_s = time.monotonic()
         return None
 
@@ -147,6 +158,9 @@ class Listener:
                     writer.write_raw(*about, one.data, one.receive_ns)
             with open_drive(path, self._options) as drive:
                 recording = drive.recording()
+            usual = mounting_path(path)
+            is_said = self._options.mounting is not None or usual.exists()
+            axes = self._options.find_mounting(usual, path).imu_axes if is_said else AXES
         finally:
             path.unlink(missing_ok=True)
         frames = recording.source
@@ -161,7 +175,7 @@ class Listener:
         for topic, subscription in self._heard.items():
             if subscription is not None and topic not in roles and not _is_tree(first, topic):
                 self._ros.node.destroy_subscription(subscription)
-        return Head(recording, frames, roles, first, self._inbox)
+        return Head(recording, frames, roles, first, self._inbox, axes)
 
 
 def _is_tree(first: dict[str, list[Message]], topic: str) -> bool:

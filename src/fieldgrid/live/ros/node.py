@@ -13,6 +13,7 @@ from typing import Any
 from fieldgrid.core import Closing, ConfigError
 from fieldgrid.recordings import Connection, Message, encoded
 
+_QUIET = ("--ros-args", "--disable-stdout-logs")
 _DEPTH = 100
 """Messages of a topic that wait until they are taken."""
 
@@ -34,7 +35,9 @@ class RosNode(Closing):
                 "2 with its own Python, or with Python 3.12 run: pip install 'fieldgrid[ros]'."
             ) from error
         self._context = rclpy.Context()
-        rclpy.init(args=sys.argv if arguments is None else arguments, context=self._context)
+        given = sys.argv if arguments is None else arguments
+        # What it says goes to /rosout; the program has another way to stderr.
+        rclpy.init(args=[*given, *_QUIET], context=self._context)
         self.node = rclpy.create_node("fieldgrid", context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
@@ -51,7 +54,7 @@ class RosNode(Closing):
             self.node.destroy_node()
 
     def say(self, text: str) -> None:
-        """Log a warning, on /rosout too."""
+        """Tell something on /rosout."""
         self.node.get_logger().warning(text)
 
     def remapped(self, names: tuple[str, ...]) -> dict[str, str]:

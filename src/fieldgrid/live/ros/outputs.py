@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
 from pathlib import Path
@@ -10,16 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import FieldgridError
 from fieldgrid.export import occupancy_grid, variances
 from fieldgrid.geometry import Datum, Pose, Status, yaw_from_heading_rad
 from fieldgrid.live.results import LiveEvent, LivePose, LiveResult, LiveWindow, What
 from fieldgrid.live.ros.node import RosNode
 from fieldgrid.live.ros.place import RobotFrames
-from fieldgrid.live.ros.serving import publish_map
+from fieldgrid.live.ros.serving import publish_datum
 from fieldgrid.live.ros.so_far import OccupancyPart
 from fieldgrid.maps import CostCurve, MapView, Selection, open_map
-from fieldgrid.recordings import MAP, datum_message, ros_messages
+from fieldgrid.recordings import MAP, ros_messages
 
 EACH_S = 1.0
 """The map so far, the path and the diagnostics are published so often."""
@@ -104,18 +102,6 @@ class RosOutputs:
                 self._ros.publish("map", self._so_far.grid(time_ns), latched=True)
 
 
-def publish_datum(ros: RosNode, datum: Datum, time_ns: int) -> None:
-    """Where the frame `map` is on Earth."""
-    ros.publish("datum", datum_message(datum, time_ns), latched=True)
-    point = ros_messages.new(
-        "geographic_msgs/GeoPoint",
-        latitude=datum.lat_deg,
-        longitude=datum.lon_deg,
-        altitude=datum.height_m,
-    )
-    ros.publish("datum/point", point, latched=True)
-
-
 def _pose_message(pose: Pose) -> Any:
     yaw_rad = float(yaw_from_heading_rad(pose.heading_deg))
     position, turn = pose.position_sigma_m, np.radians(pose.heading_sigma_deg)
@@ -145,25 +131,3 @@ def _diagnostics(window: LiveWindow) -> Any:
     )
     header = ros_messages.header_of(window.time_ns, "")
     return ros_messages.new("diagnostic_msgs/DiagnosticArray", header=header, status=[status])
-
-
-class Saving:
-    """The service `save` (std_srvs/Trigger), which ends the drive and answers when its map is made
-    or cannot be."""
-
-    def __init__(self, ros: RosNode) -> None:
-        from std_srvs.srv import Trigger
-
-        self._ros = ros
-        self.stop, self._done = threading.Event(), threading.Event()
-        self._error: FieldgridError | None = None
-        self.is_asked = False
-        ros.node.create_service(Trigger, "save", self._save)
-
-    def _save(self, _: Any, answer: Any) -> Any:
-        self.is_asked = True
-        self.stop.set()
-        self._done.wait()
-        answer.success = self._error is None
-        answer.message = str(self._error or "the map is made")
-        return answer

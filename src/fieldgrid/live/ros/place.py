@@ -63,6 +63,4 @@ class RobotFrames:
         assert at is not None
         at_m = np.array([pose.east_m, pose.north_m, pose.up_m]) + turn @ at.at_m
         turned = ros_messages.quaternion(turn @ at.R)
-        return ros_messages.transforms(
-            ros_messages.transform(pose.time_ns, MAP, top, at_m, turned)
-        )
+        return ros_messages.transforms(ros_messages.transform(pose.time_ns, MAP, top, at_m, turned))

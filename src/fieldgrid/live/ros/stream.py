@@ -8,7 +8,7 @@ from collections import deque
 from fieldgrid.live.intake import Intake
 from fieldgrid.live.ros.head import Head
 from fieldgrid.live.ros.place import RobotFrames
-from fieldgrid.live.sources.mcap_stream import McapStream, PoseTopic, StreamChannel
+from fieldgrid.live.sources.mcap_stream import FIXES, McapStream, StreamChannel
 from fieldgrid.live.sources.orientation_stream import ATTITUDE
 from fieldgrid.recordings import MAX_APART_NS, TF, TF_STATIC, Message, Taken, decode
 
@@ -17,25 +17,19 @@ _MOST_WAITING = 16
 """Messages of one topic that wait for the other one of their frame."""
 
 
+_TAKEN = {"cloud", "imu", "odometry", *FIXES}
+
+
 class RosStream(McapStream):
     """The messages that a node takes, read as those of an MCAP, with frames of any kind that a bag
     has. What came before the session began is waited for: of it nothing is dropped."""
 
     name = "ROS"
 
-    def __init__(
-        self,
-        head: Head,
-        robot: RobotFrames,
-        *,
-        imu_axes: str,
-        poses: PoseTopic | None,
-        epoch_ns: int | None,
-    ) -> None:
-        given = {ATTITUDE: topic for topic, role in head.roles.items() if role == ATTITUDE}
-        super().__init__(
-            "-", head.frames, given, imu_axes=imu_axes, poses=poses, epoch_ns=epoch_ns
-        )
+    def __init__(self, head: Head, robot: RobotFrames, epoch_ns: int | None = None) -> None:
+        named = (ATTITUDE, "imu")
+        given = {role: topic for topic, role in head.roles.items() if role in named}
+        super().__init__("-", head.frames, given, imu_axes=head.imu_axes, epoch_ns=epoch_ns)
         self._head, self._robot = head, robot
         self._channels: dict[str, StreamChannel] = {}
         self._parts: list[deque[Taken]] = [deque() for _ in head.frames.plan.topics]
@@ -50,20 +44,17 @@ class RosStream(McapStream):
                 continue
             intake.arrived()
             if message.topic not in self._channels:
-                self._channels[message.topic] = self._channel(message, intake)
+                self._channels[message.topic] = self._channel(message)
             if message.connection.type in TF and not message.topic.endswith(TF_STATIC):
                 self._robot.moved(decode(message))
             self.take(self._channels[message.topic], message, intake)
             if left_out := self._head.inbox.left_out:
                 self._say(intake, f"gives images faster than they are taken; {left_out} are lost.")
 
-    def _channel(self, message: Message, intake: Intake) -> StreamChannel:
+    def _channel(self, message: Message) -> StreamChannel:
         connection, role = message.connection, self._head.roles.get(message.topic, "")
-        if role == "imu":
-            self._roles["imu"] = message.topic
-        is_attitude, is_tree = role == ATTITUDE, connection.type in TF
-        taken = "" if is_attitude or is_tree or role.endswith("_info") else role
-        return StreamChannel(connection, taken, self._is_pose(connection, intake), is_attitude)
+        taken = role if role in _TAKEN and connection.type not in TF else ""
+        return StreamChannel(connection, taken, False, role == ATTITUDE)
 
     def _cloud(self, message: Message, time_ns: int, intake: Intake) -> None:
         """Hold a message until the others of its frame, of whatever kind, come; give the frame."""
