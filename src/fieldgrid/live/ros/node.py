@@ -49,9 +49,9 @@ class RosNode(Closing):
         """Leave the graph."""
         if self._context.ok():
             self._executor.shutdown()
-            self._context.shutdown()
             self._thread.join()
             self.node.destroy_node()
+            self._context.shutdown()
 
     def say(self, text: str) -> None:
         """Tell something on /rosout."""
@@ -64,10 +64,9 @@ class RosNode(Closing):
         return {name: topic for name, topic in topics.items() if topic != f"{above}/{name}"}
 
     def topics(self) -> dict[str, str]:
-        """The types of all topics that others publish."""
-        own = {one.topic_name for one in self._publishers.values() if one is not None}
+        """The types of all topics."""
         found = self.node.get_topic_names_and_types()
-        return {name: types[0] for name, types in found if len(types) == 1 and name not in own}
+        return {name: types[0] for name, types in found if len(types) == 1}
 
     def subscribe(self, topic: str, type_: str, take: Callable[[Message], None]) -> Any:
         """Take the messages of a topic, as reliably and from as far back as all of its publishers

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 
 from fieldgrid.live.intake import Intake
@@ -22,7 +21,7 @@ _TAKEN = {"cloud", "imu", "odometry", *FIXES}
 
 class RosStream(McapStream):
     """The messages that a node takes, read as those of an MCAP, with frames of any kind that a bag
-    has. What came before the session began is waited for: of it nothing is dropped."""
+    has. Until it has caught up with what came before the session began, nothing is dropped."""
 
     name = "ROS"
 
@@ -33,16 +32,16 @@ class RosStream(McapStream):
         self._head, self._robot = head, robot
         self._channels: dict[str, StreamChannel] = {}
         self._parts: list[deque[Taken]] = [deque() for _ in head.frames.plan.topics]
-        self._since_ns = 0
+        self._is_behind = True
 
     def run(self, intake: Intake) -> None:
         """Give what comes; see `InputSource`."""
-        self._since_ns = self._since_ns or time.time_ns()
         while not intake.stop.is_set():
             message = self._head.inbox.take(_POLL_S)
             if message is None:
                 continue
             intake.arrived()
+            self._is_behind = self._is_behind and len(self._head.inbox) > 0
             if message.topic not in self._channels:
                 self._channels[message.topic] = self._channel(message)
             if message.connection.type in TF and not message.topic.endswith(TF_STATIC):
@@ -67,7 +66,7 @@ class RosStream(McapStream):
                 continue
             frame = frames.frame(self._frames, [part.popleft() for part in self._parts])
             self._frames += 1
-            intake.push_frame(frame, wait=message.receive_ns < self._since_ns)
+            intake.push_frame(frame, wait=self._is_behind)
         for part in self._parts:
             while len(part) > _MOST_WAITING:
                 part.popleft()
