@@ -69,7 +69,7 @@ def build(name: str, messages: dict[str, str], prefix: Path) -> None:
     given = [f"-D{key}={value}" for key, value in definitions.items()]
     for order in (
         ["cmake", "-S", folder, "-B", folder / "build", *given],
-        ["cmake", "--build", folder / "build"],
+        ["cmake", "--build", folder / "build", "--parallel", "2"],
         ["cmake", "--install", folder / "build"],
     ):
         done = subprocess.run(order, env=os.environ | about, capture_output=True, text=True)

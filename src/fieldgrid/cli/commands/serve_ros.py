@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import typer
+
 from fieldgrid.cli import options, output
 from fieldgrid.cli.commands.live import ended_by_signals
 
@@ -11,8 +15,13 @@ def command(
     cell: options.Cell = None,
     bounds: options.BoundsValues = None,
     at: options.At = None,
+    robot_radius: Annotated[
+        float, typer.Option(metavar="M", min=0.0, help="Clearance that a path on /plan needs.")
+    ] = 0.5,
 ) -> None:
     """Publish a map for Nav2 and RViz until Ctrl+C: /map, the keep-out mask, drives, the datum.
+
+    Each path on /plan is answered on /plan_clear, /plan_clearance and /plan_blocked_at.
 
     Examples:
 
@@ -20,12 +29,14 @@ def command(
 
         fieldgrid serve-ros vineyard.gpkg --ros-args -r map:=/field/map
     """
-    from fieldgrid.live import RosNode, publish_map
-    from fieldgrid.maps import Selection, open_map
+    from fieldgrid.live import PathCheck, RosNode, publish_map
+    from fieldgrid.maps import Costmap, Selection, open_map
 
-    selection = Selection(options.bounds(bounds), cell, at=at)
+    part = options.bounds(bounds), cell
     with ended_by_signals() as stop, RosNode() as ros:
         with open_map(map_) as universal:
-            publish_map(ros, universal, selection)
+            publish_map(ros, universal, Selection(*part, at=at))
+            costmap = Costmap.from_map(universal, *part, at=at, robot_radius_m=robot_radius)
+        PathCheck(ros, costmap)
         output.report_line(f"serving {map_}")
         stop.wait()

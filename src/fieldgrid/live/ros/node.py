@@ -46,8 +46,12 @@ class RosNode(Closing):
         self._thread.start()
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Leave the graph, once what was published has arrived or a second has passed."""
         if self._context.ok():
+            from rclpy.duration import Duration
+
+            for publisher in filter(None, self._publishers.values()):
+                publisher.wait_for_all_acked(Duration(seconds=1))
             self._executor.shutdown()
             self._thread.join()
             self.node.destroy_node()
@@ -77,8 +81,12 @@ class RosNode(Closing):
         if kind is None:
             return None
         offers = [one.qos_profile for one in self.node.get_publishers_info_by_topic(topic)]
-        reliable = all(one.reliability == ReliabilityPolicy.RELIABLE for one in offers)
-        lasting = all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in offers)
+        reliable = bool(offers) and all(
+            one.reliability == ReliabilityPolicy.RELIABLE for one in offers
+        )
+        lasting = bool(offers) and all(
+            one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in offers
+        )
         qos = QoSProfile(
             depth=_DEPTH,
             reliability=ReliabilityPolicy(1 if reliable else 2),

@@ -15,7 +15,7 @@ from fieldgrid.live.results import LiveEvent, LivePose, LiveResult, LiveWindow, 
 from fieldgrid.live.ros.node import RosNode
 from fieldgrid.live.ros.place import RobotFrames
 from fieldgrid.live.ros.serving import publish_datum
-from fieldgrid.live.ros.so_far import OccupancyPart
+from fieldgrid.live.ros.so_far import MapSoFar
 from fieldgrid.maps import CostCurve, MapView, Selection, open_map
 from fieldgrid.recordings import MAP, ros_messages
 
@@ -37,7 +37,7 @@ class RosOutputs:
 
     def __init__(self, ros: RosNode, robot: RobotFrames, curve: CostCurve) -> None:
         self._ros, self._robot, self._curve = ros, robot, curve
-        self._so_far: OccupancyPart | None = None
+        self._so_far: MapSoFar | None = None
         self._listeners, self._said_s = 0, 0.0
         self._datum: Datum | None = None
         self._path: deque[Pose] = deque(maxlen=MOST_PATH)
@@ -47,7 +47,7 @@ class RosOutputs:
         with open_map(path) as universal:
             view = Selection().view(universal, universal.deciding(None))
         cells = self._curve.occupancy(*view.decision())
-        self._so_far = OccupancyPart(view.lattice, view.window, cells)
+        self._so_far = MapSoFar(view.lattice, view.window, cells)
 
     def take(self, result: LiveResult) -> None:
         """Publish a result."""
@@ -89,17 +89,18 @@ class RosOutputs:
     def _map(self, view: MapView, time_ns: int) -> None:
         """Publish the map so far: all of it where it grew or somebody is new, else what changed."""
         cells = self._curve.occupancy(view.density, view.observed)
-        newer = OccupancyPart(view.lattice, view.window, cells)
-        before = self._so_far or newer._replace(cells=cells[:0])
-        self._so_far, part = before.with_(newer)
+        if self._so_far is None:
+            self._so_far = MapSoFar(view.lattice, view.window, np.full_like(cells, -1))
+        whole = self._so_far.window
+        part = self._so_far.take(view.window, cells)
         listeners = self._ros.listeners("map")
         is_new, self._listeners = listeners > self._listeners, listeners
-        if is_new or before.window != self._so_far.window:
+        grown = is_new or self._so_far.window != whole
+        if part is not None and not grown:
+            update = self._so_far.update(part, time_ns)
+            grown = not self._ros.publish("map_updates", update)
+        if grown:
             self._ros.publish("map", self._so_far.grid(time_ns), latched=True)
-        elif part is not None:
-            update = part.update(self._so_far.window, time_ns)
-            if not self._ros.publish("map_updates", update):
-                self._ros.publish("map", self._so_far.grid(time_ns), latched=True)
 
 
 def _pose_message(pose: Pose) -> Any:

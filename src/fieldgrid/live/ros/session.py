@@ -13,13 +13,14 @@ from fieldgrid.core import Closing, RecordingError
 from fieldgrid.live.intake import Sources
 from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.results import LiveResult
-from fieldgrid.live.ros.head import Listener
+from fieldgrid.live.ros.head import Head
 from fieldgrid.live.ros.node import RosNode
 from fieldgrid.live.ros.outputs import RosOutputs
 from fieldgrid.live.ros.place import RobotFrames
 from fieldgrid.live.ros.serving import publish_map
 from fieldgrid.live.ros.stream import RosStream
 from fieldgrid.live.session import Live
+from fieldgrid.live.sources.mcap_stream import FIXES
 from fieldgrid.maps import Selection, open_map
 from fieldgrid.recordings import (
     TF,
@@ -57,22 +58,23 @@ class RosSession(Closing):
 
     def wait(self, stop: threading.Event) -> Recording:
         """The head of the drive, with all but its frames. RecordingError where none began."""
-        path = self._out.with_suffix(f"{_HEAD}.mcap")
-        head = Listener(self._ros, self._options, self._tell).wait(path, stop)
-        if head is None:
+        head = Head(self._ros, self._options)
+        found = head.find(self._out.with_suffix(f"{_HEAD}.mcap"), stop, self._tell)
+        if found is None:
             raise RecordingError("No drive began, so there is no map.")
-        fixes = [topic for topic, role in head.roles.items() if role in ("fix", "nmea")]
-        frame = decode(head.first[fixes[0]][0]).header.frame_id if fixes else ""
-        static = Transforms()
+        static, antenna = Transforms(), ""
         for topic, messages in head.first.items():
+            if head.roles.get(topic) in FIXES:
+                antenna = decode(messages[0]).header.frame_id
             if topic.endswith(TF_STATIC) and messages[0].connection.type in TF:
                 for message in messages:
                     static.add(decode(message))
-        robot = RobotFrames(static, frame, head.recording.rig.antenna)
+        robot = RobotFrames(static, antenna, found.rig.antenna)
         self._outputs = RosOutputs(self._ros, robot, LiveOptions().curve)
-        self._inbox = head.inbox
-        self._stream = RosStream(head, robot, self._options.epoch_ns)
-        return replace(head.recording, name=head.recording.name.removesuffix(_HEAD))
+        if self._out.exists():
+            self._outputs.begin_with(self._out)
+        self._head, self._stream = head, RosStream(head, robot, self._options.epoch_ns)
+        return replace(found, name=found.name.removesuffix(_HEAD))
 
     def take(self, result: LiveResult) -> None:
         """Publish a result."""
@@ -84,8 +86,8 @@ class RosSession(Closing):
         with Sources(live, [self._stream]):
             while not (stop.is_set() or self._is_asked.wait(_LOOK_S)):
                 pass
-            self._inbox.is_closed = True
-            while len(self._inbox):  # what came counts
+            self._head.is_closed = True
+            while len(self._head):  # what came counts
                 time.sleep(_LOOK_S)
         return False
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,57 +13,69 @@ from fieldgrid.maps import UNKNOWN_OCCUPANCY
 from fieldgrid.recordings import MAP, ros_messages
 
 GROWS_CELLS = 512
-"""The edges of the whole lie at multiples of so many cells, so that it seldom grows."""
+"""Where it is to grow, it gets so many cells more on each side."""
+
+Occupancy = npt.NDArray[np.int8]
 
 
-class OccupancyPart(NamedTuple):
-    """Occupancy int8 [rows north, columns east] of a window of a lattice."""
+class MapSoFar:
+    """Occupancy [rows north, columns east] over `window`, of windows that move along: what one
+    shows holds while it is there, and what it knew last when it has moved on."""
 
-    lattice: Lattice
-    window: Window
-    cells: npt.NDArray[np.int8]
+    def __init__(self, lattice: Lattice, window: Window, cells: Occupancy) -> None:
+        self._lattice, self.window = lattice, window
+        self._kept, self._cells = cells, cells.copy()
+        """What is kept of where windows were, and that with what the last one shows."""
+        self._last: tuple[Window, Occupancy] | None = None
 
-    def with_(self, newer: Self) -> tuple[Self, Self | None]:
-        """The whole with what a newer part knows, in place where it lies inside; and the part that
-        changed, None for nothing."""
-        whole = self.around(newer.window)
-        old = whole.cells[whole.window.slices_of(newer.window)]
-        changed = (newer.cells != UNKNOWN_OCCUPANCY) & (newer.cells != old)
+    def take(self, window: Window, cells: Occupancy) -> Window | None:
+        """Take what a window shows; where that changed something, None for nowhere."""
+        self._grow(window)
+        area = window
+        if self._last is not None and self._last[0] != window:
+            area = window.union(self._last[0])
+            _lay(self._kept[self.window.slices_of(self._last[0])], self._last[1])
+        self._last = window, cells
+        place = self.window.slices_of(area)
+        now = self._kept[place].copy()
+        _lay(now[area.slices_of(window)], cells)
+        changed = now != self._cells[place]
+        self._cells[place] = now
         if not changed.any():
-            return whole, None
-        old[changed] = newer.cells[changed]
+            return None
         rows, columns = (np.flatnonzero(changed.any(axis=axis)) for axis in (1, 0))
-        i0, j0 = newer.window.i0 + int(columns[0]), newer.window.j0 + int(rows[0])
-        part = Window(i0, j0, int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1)
-        cells = whole.cells[whole.window.slices_of(part)]
-        return whole, self._replace(window=part, cells=cells)
+        i0, j0 = area.i0 + int(columns[0]), area.j0 + int(rows[0])
+        return Window(i0, j0, int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1)
 
-    def around(self, window: Window) -> Self:
-        """It, larger where a window goes beyond it."""
-        if self.window.union(window) == self.window and self.cells.size:
-            return self
-        needed = self.window.union(window) if self.cells.size else window
-        i0, j0 = (value // GROWS_CELLS * GROWS_CELLS for value in needed[:2])
-        width = -(-(needed.i0 + needed.width - i0) // GROWS_CELLS) * GROWS_CELLS
-        height = -(-(needed.j0 + needed.height - j0) // GROWS_CELLS) * GROWS_CELLS
-        larger = Window(i0, j0, width, height)
-        cells = np.full(larger.shape, UNKNOWN_OCCUPANCY, dtype=np.int8)
-        if self.cells.size:
-            cells[larger.slices_of(self.window)] = self.cells
-        return self._replace(window=larger, cells=cells)
+    def _grow(self, window: Window) -> None:
+        whole = self.window.union(window)
+        if whole != self.window:
+            whole = whole.grown(GROWS_CELLS)
+            inside = zip(whole.slices_of(self.window), whole.shape, strict=True)
+            pads = [(part.start, size - part.stop) for part, size in inside]
+            self._kept, self._cells = (
+                np.pad(one, pads, constant_values=UNKNOWN_OCCUPANCY)
+                for one in (self._kept, self._cells)
+            )
+            self.window = whole
 
     def grid(self, time_ns: int) -> Any:
-        """It as a nav_msgs/OccupancyGrid."""
-        return occupancy_grid(self.lattice, self.window, self.cells, time_ns)
+        """All of it as a nav_msgs/OccupancyGrid."""
+        return occupancy_grid(self._lattice, self.window, self._cells, time_ns)
 
-    def update(self, whole: Window, time_ns: int) -> Any:
-        """It as a map_msgs/OccupancyGridUpdate of a grid over the window `whole`."""
+    def update(self, part: Window, time_ns: int) -> Any:
+        """A part of it as a map_msgs/OccupancyGridUpdate."""
         return ros_messages.new(
             "map_msgs/OccupancyGridUpdate",
             header=ros_messages.header_of(time_ns, MAP),
-            x=self.window.i0 - whole.i0,
-            y=self.window.j0 - whole.j0,
-            width=self.window.width,
-            height=self.window.height,
-            data=np.ascontiguousarray(self.cells).reshape(-1),
+            x=part.i0 - self.window.i0,
+            y=part.j0 - self.window.j0,
+            width=part.width,
+            height=part.height,
+            data=self._cells[self.window.slices_of(part)].reshape(-1),
         )
+
+
+def _lay(below: Occupancy, above: Occupancy) -> None:
+    """Change what is below to what is known above."""
+    np.copyto(below, above, where=above != UNKNOWN_OCCUPANCY)

@@ -8,14 +8,11 @@ from fieldgrid.live.intake import Intake
 from fieldgrid.live.ros.head import Head
 from fieldgrid.live.ros.place import RobotFrames
 from fieldgrid.live.sources.mcap_stream import FIXES, McapStream, StreamChannel
+from fieldgrid.live.sources.moments import Waiting, together
 from fieldgrid.live.sources.orientation_stream import ATTITUDE
-from fieldgrid.recordings import MAX_APART_NS, TF, TF_STATIC, Message, Taken, decode
+from fieldgrid.recordings import TF, TF_STATIC, Message, decode
 
 _POLL_S = 0.25
-_MOST_WAITING = 16
-"""Messages of one topic that wait for the other one of their frame."""
-
-
 _TAKEN = {"cloud", "imu", "odometry", *FIXES}
 
 
@@ -30,47 +27,31 @@ class RosStream(McapStream):
         given = {role: topic for topic, role in head.roles.items() if role in named}
         super().__init__("-", head.frames, given, imu_axes=head.imu_axes, epoch_ns=epoch_ns)
         self._head, self._robot = head, robot
-        self._channels: dict[str, StreamChannel] = {}
-        self._parts: list[deque[Taken]] = [deque() for _ in head.frames.plan.topics]
+        self._parts: list[Waiting] = [deque() for _ in head.frames.plan.topics]
         self._is_behind = True
 
     def run(self, intake: Intake) -> None:
         """Give what comes; see `InputSource`."""
         while not intake.stop.is_set():
-            message = self._head.inbox.take(_POLL_S)
+            message = self._head.take(_POLL_S)
             if message is None:
                 continue
             intake.arrived()
-            self._is_behind = self._is_behind and len(self._head.inbox) > 0
-            if message.topic not in self._channels:
-                self._channels[message.topic] = self._channel(message)
-            if message.connection.type in TF and not message.topic.endswith(TF_STATIC):
-                self._robot.moved(decode(message))
-            self.take(self._channels[message.topic], message, intake)
-            if left_out := self._head.inbox.left_out:
+            self._is_behind = self._is_behind and len(self._head) > 0
+            connection, role = message.connection, self._head.roles.get(message.topic, "")
+            if connection.type in TF:
+                role = ""
+                if not message.topic.endswith(TF_STATIC):
+                    self._robot.moved(decode(message))
+            taken = role if role in _TAKEN else ""
+            self.take(StreamChannel(connection, taken, False, role == ATTITUDE), message, intake)
+            if left_out := self._head.left_out:
                 self._say(intake, f"gives images faster than they are taken; {left_out} are lost.")
-
-    def _channel(self, message: Message) -> StreamChannel:
-        connection, role = message.connection, self._head.roles.get(message.topic, "")
-        taken = role if role in _TAKEN and connection.type not in TF else ""
-        return StreamChannel(connection, taken, False, role == ATTITUDE)
 
     def _cloud(self, message: Message, time_ns: int, intake: Intake) -> None:
         """Hold a message until the others of its frame, of whatever kind, come; give the frame."""
         frames = self._head.frames
         self._parts[frames.plan.topics.index(message.topic)].append((message, time_ns))
-        while all(self._parts):
-            first = min(self._parts, key=_time_ns)
-            if max(map(_time_ns, self._parts)) - _time_ns(first) > MAX_APART_NS:
-                first.popleft()
-                continue
-            frame = frames.frame(self._frames, [part.popleft() for part in self._parts])
+        for taken in together(self._parts):
+            intake.push_frame(frames.frame(self._frames, taken), wait=self._is_behind)
             self._frames += 1
-            intake.push_frame(frame, wait=self._is_behind)
-        for part in self._parts:
-            while len(part) > _MOST_WAITING:
-                part.popleft()
-
-
-def _time_ns(part: deque[Taken]) -> int:
-    return part[0][1]

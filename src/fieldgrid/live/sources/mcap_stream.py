@@ -20,12 +20,12 @@ from fieldgrid.live.pose.sensor_rows import Rows, rows_of
 from fieldgrid.live.sources.imu_stream import ImuStream
 from fieldgrid.live.sources.links import open_link, parse_address
 from fieldgrid.live.sources.mcap_link import LinkBytes, LinkDoneError
+from fieldgrid.live.sources.moments import Waiting, together
 from fieldgrid.live.sources.orientation_stream import ATTITUDE, RECORDED, OrientationStream
 from fieldgrid.live.sources.receiver import ReceiverStream
 from fieldgrid.recordings import (
     AXES,
     DATUM,
-    MAX_APART_NS,
     ODOMETRY,
     TF,
     TF_STATIC,
@@ -55,9 +55,6 @@ from fieldgrid.recordings import (
 )
 
 MOST_RECORD_BYTES = 1 << 28
-MOST_WAITING = 16
-"""Images of one side that wait for their partner; the oldest of more is left out."""
-
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _CLOUD, _TEXT = "sensor_msgs/msg/PointCloud2", "std_msgs/msg/String"
 _BY_TYPE = {
@@ -66,7 +63,6 @@ _BY_TYPE = {
     "sensor_msgs/msg/Imu": "imu",
     ODOMETRY: "odometry",
 }
-_Waiting = deque[tuple[Message, int]]
 _POSES = (ODOMETRY, "geometry_msgs/msg/PoseStamped")
 ROLES = ("left", "right", "cloud", ATTITUDE, *_BY_TYPE.values())
 FIXES = ("fix", "nmea")
@@ -133,7 +129,7 @@ class McapStream:
         self._roles: dict[str, str] = {}
         self._told: set[str] = set()
         self._nmea = ReceiverStream()
-        self._waiting: tuple[_Waiting, _Waiting] = deque(), deque()
+        self._waiting: tuple[Waiting, Waiting] = deque(), deque()
         self._frames = 0
         self._turns: dict[str, tuple[str, tuple[float, ...]]] = {}
         self._fixes_of = ""
@@ -319,23 +315,12 @@ class McapStream:
         kind = self._kind
         if not isinstance(kind, PairKind):
             raise ConfigError("the rig is of a lidar; give that of the camera with --rig.")
-        left, right = self._waiting
-        (left if role == "left" else right).append((message, time_ns))
-        while left and right:
-            apart_ns = left[0][1] - right[0][1]
-            if apart_ns > MAX_APART_NS:
-                right.popleft()
-            elif apart_ns < -MAX_APART_NS:
-                left.popleft()
-            else:
-                pair_ns, bits = left[0][1], kind.image_format.bits or 16
-                first, second = (image_source(*side.popleft(), bits) for side in self._waiting)
-                pair = first, second, kind.size_px, kind.rectifier
-                intake.push_frame(StereoFrame(f"{self._frames:06d}", pair_ns, *pair))
-                self._frames += 1
-        for waiting in self._waiting:
-            while len(waiting) > MOST_WAITING:
-                waiting.popleft()
+        self._waiting[role == "right"].append((message, time_ns))
+        for taken in together(self._waiting):
+            first, second = (image_source(*one, kind.image_format.bits or 16) for one in taken)
+            pair = first, second, kind.size_px, kind.rectifier
+            intake.push_frame(StereoFrame(f"{self._frames:06d}", taken[0][1], *pair))
+            self._frames += 1
 
     def _fix(self, message: Message, time_ns: int, intake: Intake) -> None:
         one = Numbers(message.topic, message.connection.type)

@@ -173,7 +173,9 @@ _COUNTED = (
 
 def count_frames(connection: sqlite3.Connection, session_id: int) -> None:
     """Bring what a session's own row says of its frames up to date."""
-    connection.execute(f"UPDATE fieldgrid_session SET {_COUNTED} WHERE id = :id", {"id": session_id})
+    connection.execute(
+        f"UPDATE fieldgrid_session SET {_COUNTED} WHERE id = :id", {"id": session_id}
+    )
 
 
 def sum_up(connection: sqlite3.Connection, session_id: int, metadata: SessionMetadata) -> None:
