@@ -31,6 +31,8 @@ class OtherNode:
         rclpy.init(context=self._context)
         self.node = rclpy.create_node("other", context=self._context)
         self.heard: dict[str, list[Any]] = defaultdict(list)
+        self.order: list[tuple[str, Any]] = []
+        """What was heard with its topic, in the order in which it came."""
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._executor.spin)
@@ -48,7 +50,12 @@ class OtherNode:
     def hear(self, topic: str, type_: str, *, latched: bool = False) -> None:
         """Subscribe as RViz does: to a map as to something that is latched."""
         qos = QoSProfile(depth=1000, durability=DurabilityPolicy(1 if latched else 2))
-        self.node.create_subscription(type_of(type_), topic, self.heard[topic].append, qos)
+
+        def take(message: Any) -> None:
+            self.heard[topic].append(message)
+            self.order.append((topic, message))
+
+        self.node.create_subscription(type_of(type_), topic, take, qos)
 
     def publisher(self, topic: str, type_: str, *, latched: bool = False) -> Any:
         qos = QoSProfile(depth=1000, durability=DurabilityPolicy(1 if latched else 2))

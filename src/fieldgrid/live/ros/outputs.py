@@ -90,6 +90,8 @@ class RosOutputs:
         """Publish the map so far: all of it where it grew or somebody is new, else what changed."""
         cells = self._curve.occupancy(view.density, view.observed)
         if self._so_far is None:
+            if not view.observed.any():
+                return
             self._so_far = MapSoFar(view.lattice, view.window, np.full_like(cells, -1))
         whole = self._so_far.window
         part = self._so_far.take(view.window, cells)

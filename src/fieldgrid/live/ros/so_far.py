@@ -33,9 +33,12 @@ class MapSoFar:
         self._grow(window)
         area = window
         if self._last is not None and self._last[0] != window:
-            area = window.union(self._last[0])
-            _lay(self._kept[self.window.slices_of(self._last[0])], self._last[1])
-        self._last = window, cells
+            last, left = self._last
+            area = window.union(last)
+            if common := window.intersect(last):  # of which the window still tells
+                left[last.slices_of(common)] = UNKNOWN_OCCUPANCY
+            _lay(self._kept[self.window.slices_of(last)], left)
+        self._last = window, cells.copy()
         place = self.window.slices_of(area)
         now = self._kept[place].copy()
         _lay(now[area.slices_of(window)], cells)
