@@ -63,7 +63,7 @@ COMMANDS: dict[str, Entry] = {
     "live": Entry(
         _MAPS,
         "Map during the drive: local grids and poses now, the map at the end.",
-        "--out --images --camera --mcap --ros --gnss --rig --replay --finish --view "
+        "--out --images --camera --mcap --ros --gnss --replay --finish --view "
         "--foxglove --cell --append",
     ),
     "sessions": Entry(_MAPS, "List the drives of a map; remove, restore or rename one."),

@@ -186,7 +186,7 @@ def command(
     driving.append(sources.ros)
     if sum([*driving, finish, finish_from is not None, discard]) != 1:
         raise typer.BadParameter(
-            "give one of --images, --camera, --mcap, --ros, --replay, --finish, --finish-from "
+            "give one of --images, --camera, --mcap, --replay, --ros, --finish, --finish-from "
             "and --discard",
             param_hint="--images",
         )

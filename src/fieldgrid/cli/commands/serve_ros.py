@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from typing import Annotated
 
 import typer
@@ -18,6 +19,7 @@ def command(
     robot_radius: Annotated[
         float, typer.Option(metavar="M", min=0.0, help="Clearance that a path on /plan needs.")
     ] = 0.5,
+    as_json: options.AsJson = False,
 ) -> None:
     """Publish a map for Nav2 and RViz until Ctrl+C: /map, the keep-out mask, drives, the datum.
 
@@ -33,10 +35,14 @@ def command(
     from fieldgrid.maps import Costmap, Selection, open_map
 
     part = options.bounds(bounds), cell
-    with ended_by_signals() as stop, RosNode() as ros:
+    with ended_by_signals() as stop, ExitStack() as stack:
         with open_map(map_) as universal:
-            publish_map(ros, universal, Selection(*part, at=at))
             costmap = Costmap.from_map(universal, *part, at=at, robot_radius_m=robot_radius)
+            ros = stack.enter_context(RosNode())
+            publish_map(ros, universal, Selection(*part, at=at))
         PathCheck(ros, costmap)
-        output.report_line(f"serving {map_}")
+        if as_json:
+            output.print_json_line({"serving": str(map_)})
+        else:
+            output.report_line(f"serving {map_}")
         stop.wait()
