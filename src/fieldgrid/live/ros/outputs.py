@@ -89,11 +89,11 @@ class RosOutputs:
     def _map(self, view: MapView, time_ns: int) -> None:
         """Publish the map so far: all of it where it grew or somebody is new, else what changed."""
         cells = self._curve.occupancy(view.density, view.observed)
+        whole = self._so_far and self._so_far.window
         if self._so_far is None:
             if not view.observed.any():
                 return
             self._so_far = MapSoFar(view.lattice, view.window, np.full_like(cells, -1))
-        whole = self._so_far.window
         part = self._so_far.take(view.window, cells)
         listeners = self._ros.listeners("map")
         is_new, self._listeners = listeners > self._listeners, listeners
