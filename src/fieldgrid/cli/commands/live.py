@@ -174,8 +174,6 @@ def command(
 
         ssh robot record | fieldgrid live -o row.gpkg --mcap - --rig zed
 
-        fieldgrid live -o row.gpkg --ros --ros-args -r fix:=/gnss/fix
-
         fieldgrid live -o row.gpkg --replay june --feed tcp://127.0.0.1:7007
 
         fieldgrid live -o row.gpkg --replay june --view 8080 --foxglove 8765

@@ -28,8 +28,6 @@ def command(
     Examples:
 
         fieldgrid serve-ros vineyard.gpkg --cell 0.1 --bounds -20 -20 60 80
-
-        fieldgrid serve-ros vineyard.gpkg --ros-args -r map:=/field/map
     """
     from fieldgrid.live import PathCheck, RosNode, publish_map
     from fieldgrid.maps import Costmap, Selection, open_map

@@ -37,7 +37,9 @@ class RosStream(McapStream):
             if message is None:
                 continue
             intake.arrived()
-            self._is_behind = self._is_behind and len(self._head) > 0
+            if self._is_behind and not len(self._head):
+                intake.drain()
+                self._is_behind = len(self._head) > 0
             connection, role = message.connection, self._head.roles.get(message.topic, "")
             if connection.type in TF:
                 role = ""
