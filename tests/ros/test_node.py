@@ -157,16 +157,17 @@ def composed(other: OtherNode) -> npt.NDArray[np.int8]:
 
 
 def check_what_was_told(other: OtherNode) -> None:
-    poses = {(p.header.stamp.sec, p.header.stamp.nanosec): p.pose for p in other.heard["/pose"]}
+    poses = list(other.heard["/pose"])
     assert poses
     trees = [message.transforms for message in other.heard["/tf"]]
     ours = [one for (one,) in trees if one.header.frame_id == "map"]
     assert {one.child_frame_id for one in ours} == {"odom"}
-    for one in ours:
+    for one, told in zip(ours, poses, strict=True):
+        assert one.header.stamp == told.header.stamp
+        pose = told.pose.pose
         placed = matrix(one.transform.translation, one.transform.rotation)
         at = np.eye(4)
         at[:3, :3], at[:3, 3] = ODOM_TURN.as_matrix(), ODOM_AT
-        pose = poses[one.header.stamp.sec, one.header.stamp.nanosec].pose
         assert np.allclose(placed @ at, matrix(pose.position, pose.orientation), atol=1e-6)
     path = other.heard["/path"][-1].poses
     assert len(path) > 2
