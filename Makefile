@@ -7,6 +7,7 @@ PY     := $(BIN)/python
 # -qq: errors only.
 PIP    := $(BIN)/pip -qq --disable-pip-version-check
 PARTS  ?=
+PYTHON312 ?= python3.12
 SOURCES := src tests tools $(wildcard benchmarks examples fuzz)
 
 # The tests start hundreds of Pythons, each of which would compile the whole package.
@@ -14,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test long check size docs page dist bench crash accuracy heading figures compare fuzz format lock clean
+.PHONY: help demo test long ros check size docs page dist bench crash accuracy heading figures compare fuzz format lock clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -30,6 +31,16 @@ test: .venv/installed ## Run the tests
 
 long: .venv/installed ## Run the tests that take long: more cases, and real drives
 	$(PY) -m pytest -n auto --dist worksteal -m "long or hypothesis" --hypothesis-profile=long
+
+ros: build/ros/installed ## Test the node of ROS 2 over real DDS (needs Python 3.12 and cmake)
+	build/ros/bin/python -m pytest tests/ros
+
+build/ros/installed: pyproject.toml tests/ros/requirements.txt tests/ros/make_messages.py
+	@rm -rf build/ros
+	$(PYTHON312) -m venv build/ros
+	build/ros/bin/pip -qq --disable-pip-version-check install -e '.[ros]' -r tests/ros/requirements.txt
+	build/ros/bin/python tests/ros/make_messages.py build/ros/packages
+	@touch $@
 
 check: .venv/installed ## Check style, types, and the code and commands in the documentation
 	$(BIN)/ruff check $(SOURCES)

@@ -38,7 +38,7 @@ def test_without_outliers_it_is_least_squares() -> None:
     x, y, z = points(3)
     c, agreeing = robust_plane(x, y, z, np.full(200, 1e3))
     columns = np.column_stack([np.ones_like(x), x, y])
-    assert c == pytest.approx(np.linalg.lstsq(columns, z)[0], abs=1e-6)
+    assert c == pytest.approx(np.linalg.lstsq(columns, z, rcond=None)[0], abs=1e-6)
     assert agreeing == 200
 
 

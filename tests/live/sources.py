@@ -67,8 +67,11 @@ class Notes:
     def push_rows(self, part: str, rows: Rows) -> None:
         self._note(self.rows, (part, rows))
 
-    def push_frame(self, frame: Frame) -> bool:
+    def push_frame(self, frame: Frame, *, wait: bool = False) -> bool:
         self._note(self.frames, frame)
+        return True
+
+    def drain(self) -> bool:
         return True
 
     def tell(self, what: What, text: str) -> None:

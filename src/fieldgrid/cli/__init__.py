@@ -89,6 +89,8 @@ def main() -> None:
     try:
         try:
             asked = sys.argv[1:] or ["--help"]
+            if "--ros-args" in asked and not {"--ros", "serve-ros"}.isdisjoint(asked):
+                asked = asked[: asked.index("--ros-args")]  # what follows is for ROS
             app(asked, prog_name="fieldgrid", standalone_mode=False)
         finally:
             log_cost()

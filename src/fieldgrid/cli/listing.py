@@ -63,7 +63,7 @@ COMMANDS: dict[str, Entry] = {
     "live": Entry(
         _MAPS,
         "Map during the drive: local grids and poses now, the map at the end.",
-        "--out --images --camera --mcap --gnss --rig --replay --finish --view "
+        "--out --images --camera --mcap --ros --gnss --replay --finish --view "
         "--foxglove --cell --append",
     ),
     "sessions": Entry(_MAPS, "List the drives of a map; remove, restore or rename one."),
@@ -85,6 +85,7 @@ COMMANDS: dict[str, Entry] = {
         "--out --figure --layer --cell --bounds --at --session --route --rows --overwrite --json",
     ),
     "view": Entry(_USE, "Look at maps in the browser."),
+    "serve-ros": Entry(_USE, "Publish a map and its keep-outs to Nav2 and RViz."),
     "rows": Entry(
         _USE,
         "Find rows of plants, lanes, gaps and headlands.",
@@ -216,7 +217,7 @@ class Commands(TyperGroup):
 
 def load(name: str) -> Any:
     """Import a command's module and make a command of its function."""
-    module = importlib.import_module(f"fieldgrid.cli.commands.{name}")
+    module = importlib.import_module(f"fieldgrid.cli.commands.{name.replace('-', '_')}")
     one = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     settings = {**CONTEXT, **getattr(module, "CONTEXT", {})}
     help_text = getattr(module, "help_text", str)

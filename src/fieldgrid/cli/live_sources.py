@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from fieldgrid.cli.pose_flags import PoseFlags
     from fieldgrid.geometry import Datum, Rig
-    from fieldgrid.live import Live
+    from fieldgrid.live import Live, RosSession
     from fieldgrid.recordings import DriveOptions, GrowingFolder, PairKind, PoseBody, Recording
 
 _PANEL = "Sources"
@@ -65,6 +65,15 @@ class SourceFlags(NamedTuple):
             rich_help_panel=_PANEL,
         ),
     ] = None
+    ros: Annotated[
+        bool,
+        typer.Option(
+            "--ros",
+            help="Be a node of ROS 2: take images, depths or clouds, fixes, IMU and odometry "
+            "from its topics, and publish costmap, pose and map. Behind --ros-args: remappings.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = False
     camera_fps: Annotated[
         float,
         typer.Option(
@@ -165,6 +174,15 @@ def of_recording(found: Recording, rate: float | None) -> LiveInput:
         found.pose_body,
         lambda live, stop: replay(live, found, rate=rate, stop=stop),
     )
+
+
+def of_ros(ros: RosSession) -> LiveInput:
+    """What the topics of ROS say, once a drive has begun."""
+    import threading
+
+    found = ros.wait(threading.Event())
+    about = found.rig, found.name, found.datum_hint, found.gnss_source, "", found.notes
+    return LiveInput(*about, None, ros.run)
 
 
 def of_sources(flags: SourceFlags, drive: DriveFlags, poses: PoseFlags) -> LiveInput:

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Any
 from fieldgrid.cli import output
 
 if TYPE_CHECKING:
-    from fieldgrid.live import Counts, Feed, FoxgloveServer, Live, LivePage, LiveResult, LiveWindow
+    from fieldgrid.live import (
+        Counts,
+        Feed,
+        FoxgloveServer,
+        Live,
+        LivePage,
+        LiveResult,
+        LiveWindow,
+        RosSession,
+    )
     from fieldgrid.pipeline import Progress
 
 _DROPS_S = 5.0
@@ -53,7 +62,7 @@ class Watch:
     def __init__(self, line: Any, *, as_json: bool) -> None:
         self.live: Live | None = None
         self.feed: Feed | None = None
-        self.servers: list[LivePage | FoxgloveServer] = []
+        self.servers: list[LivePage | FoxgloveServer | RosSession] = []
         self._line, self._as_json = line, as_json
         self._said_s = -math.inf
         self._window: LiveWindow | None = None

@@ -29,6 +29,14 @@ if TYPE_CHECKING:
         unregister_export_format as unregister_export_format,
     )
     from fieldgrid.export.robots import foxglove_messages as foxglove_messages
+    from fieldgrid.export.robots.bag_content import (
+        BagContent as BagContent,
+        standing_messages as standing_messages,
+    )
+    from fieldgrid.export.robots.ros_messages import (
+        occupancy_grid as occupancy_grid,
+        variances as variances,
+    )
     from fieldgrid.export.shapes.guidance import TaskdataOptions as TaskdataOptions
     from fieldgrid.export.shapes.taskdata import export_taskdata as export_taskdata
     from fieldgrid.export.stac import write_stac as write_stac

@@ -5,6 +5,7 @@
 * `perceiver`: frames to local grids; `pose`: the pose now, by a fixed-lag estimate.
 * `window`: `LiveWindow`, the costmap around the vehicle.
 * `kept`: the journal on disk, from which `finish` makes the map after any end.
+* `ros`: a node of ROS 2: topics in, windows, poses and the map out.
 * `servers`: `LivePage`, `FoxgloveServer` and the TCP `Feed` for controllers.
 * `replaying`: a recording pushed as if it were driven now.
 
@@ -41,6 +42,13 @@ if TYPE_CHECKING:
         What as What,
         WindowDoubt as WindowDoubt,
     )
+    from fieldgrid.live.ros.head import Head as Head
+    from fieldgrid.live.ros.node import RosNode as RosNode
+    from fieldgrid.live.ros.place import RobotFrames as RobotFrames
+    from fieldgrid.live.ros.serving import PathCheck as PathCheck, publish_map as publish_map
+    from fieldgrid.live.ros.session import RosSession as RosSession
+    from fieldgrid.live.ros.so_far import MapSoFar as MapSoFar
+    from fieldgrid.live.ros.stream import RosStream as RosStream
     from fieldgrid.live.servers.address import parse_server_address as parse_server_address
     from fieldgrid.live.servers.feed import Feed as Feed
     from fieldgrid.live.servers.feeds import open_feed as open_feed, parse_feed as parse_feed

@@ -81,10 +81,14 @@ class Intake:
         self._live.push_fix(fix)
         self._compare(self._clocks.fix(fix.time_ns))
 
-    def push_frame(self, frame: Frame) -> None:
+    def push_frame(self, frame: Frame, *, wait: bool = False) -> None:
         """Take a frame that came just now."""
-        self._live.push_frame(frame)
+        self._live.push_frame(frame, wait=wait)
         self._compare(self._clocks.frame(frame.time_ns + self._live.rig.image_time_offset_ns))
+
+    def drain(self) -> None:
+        """Wait until all frames that were taken are perceived."""
+        self._live.drain()
 
     def push_rows(self, part: str, rows: Rows) -> None:
         """Take rows of a sensor that came just now."""

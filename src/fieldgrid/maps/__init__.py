@@ -21,6 +21,7 @@ from fieldgrid.core.doors import door
 if TYPE_CHECKING:
     from fieldgrid.maps.cost import (
         DENSITIES as DENSITIES,
+        INSCRIBED as INSCRIBED,
         LEAST_DROP_M as LEAST_DROP_M,
         LEAST_SEEN as LEAST_SEEN,
         LETHAL as LETHAL,

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     )
     from fieldgrid.recordings.bag.order import MAX_APART_NS as MAX_APART_NS, is_utc as is_utc
     from fieldgrid.recordings.bag.sensors.clouds import MessageCloud as MessageCloud
+    from fieldgrid.recordings.bag.sensors.frames import BagFrames as BagFrames, Taken as Taken
     from fieldgrid.recordings.bag.sensors.images import image_source as image_source
     from fieldgrid.recordings.bag.topic_names import (
         IMU as IMU,
@@ -43,13 +44,16 @@ if TYPE_CHECKING:
     )
     from fieldgrid.recordings.bag.topics import (
         TYPES_OF_ROLES as TYPES_OF_ROLES,
+        is_of_use as is_of_use,
         short as short,
     )
     from fieldgrid.recordings.bag.transforms import (
+        FrameTransform as FrameTransform,
         Transforms as Transforms,
         imu_rotation as imu_rotation,
         is_optical as is_optical,
         optical as optical,
+        told as told,
     )
     from fieldgrid.recordings.calibration.mounting import (
         Mounting as Mounting,
@@ -135,7 +139,11 @@ if TYPE_CHECKING:
         ros_messages as ros_messages,
     )
     from fieldgrid.recordings.ros.bag import as_utc as as_utc
-    from fieldgrid.recordings.ros.definitions import decode as decode, stamp_ns as stamp_ns
+    from fieldgrid.recordings.ros.definitions import (
+        decode as decode,
+        encoded as encoded,
+        stamp_ns as stamp_ns,
+    )
     from fieldgrid.recordings.ros.gnss_messages import (
         DATUM as DATUM,
         ORIENTATION as ORIENTATION,

@@ -51,8 +51,8 @@ def mutual(bits: np.ndarray, possible: np.ndarray) -> list[tuple[int, int, int, 
 
 
 def differing(start: Features, stop: Features) -> np.ndarray:
-    ones = np.bitwise_count(start.descriptors[:, None] ^ stop.descriptors)
-    return ones.sum(axis=2, dtype=np.int64)
+    apart = start.descriptors[:, None] ^ stop.descriptors
+    return np.unpackbits(apart.view(np.uint8), axis=2).sum(axis=2, dtype=np.int64)
 
 
 def agree(found: object, expected: list[tuple[int, int]], bits: np.ndarray) -> None:

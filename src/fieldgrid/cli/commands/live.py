@@ -13,7 +13,15 @@ from fieldgrid.cli import options, output, progress
 from fieldgrid.cli.build_report import report_session
 from fieldgrid.cli.drive_options import DriveFlags
 from fieldgrid.cli.groups import FieldsOf
-from fieldgrid.cli.live_sources import GNSS, LiveInput, SourceFlags, of_recording, of_sources, speed
+from fieldgrid.cli.live_sources import (
+    GNSS,
+    LiveInput,
+    SourceFlags,
+    of_recording,
+    of_ros,
+    of_sources,
+    speed,
+)
 from fieldgrid.cli.live_watch import Watch, open_feed_at, open_foxglove, open_page
 from fieldgrid.cli.new_drives import compare, report_offsets
 from fieldgrid.cli.pose_flags import PoseFlags, Poses
@@ -21,7 +29,7 @@ from fieldgrid.cli.settings_flags import SettingsFlags
 from fieldgrid.core import ConfigError, FieldgridError, Overrides, quoted
 
 if TYPE_CHECKING:
-    from fieldgrid.live import Counts, Live
+    from fieldgrid.live import Counts, Live, RosSession
     from fieldgrid.pipeline import SessionReport
 
 
@@ -173,10 +181,11 @@ def command(
         fieldgrid live -o row.gpkg --finish --accept clock-offset
     """
     driving = [one is not None for one in (replay, sources.images, sources.camera, sources.mcap)]
+    driving.append(sources.ros)
     if sum([*driving, finish, finish_from is not None, discard]) != 1:
         raise typer.BadParameter(
-            "give one of --images, --camera, --mcap, --replay, --finish, --finish-from and "
-            "--discard",
+            "give one of --images, --camera, --mcap, --replay, --ros, --finish, --finish-from "
+            "and --discard",
             param_hint="--images",
         )
     if discard:
@@ -201,7 +210,14 @@ def command(
     _refuse_idle(ctx, sources, replay)
     options.check_new_map(out)
     with ExitStack() as stack:
-        if replay is None:
+        ros = None
+        if sources.ros:
+            from fieldgrid.live import RosSession
+
+            ros = stack.enter_context(RosSession(out, drive.options(), output.message))
+            output.message("listening to the topics of ROS")
+            driven = of_ros(ros)
+        elif replay is None:
             driven = of_sources(sources, drive, poses)
         else:
             from fieldgrid.recordings import open_drive
@@ -210,15 +226,20 @@ def command(
             opened = stack.enter_context(open_drive(replay, opening))
             driven = of_recording(opened.recording(), speed(rate))
         report, counts = _drive(
-            *(driven, out, append, name, datum, sources, settings, config, wait_s), as_json=as_json
+            *(driven, out, append, name, datum, sources, settings, config, wait_s),
+            ros=ros,
+            as_json=as_json,
         )
-    _report(report, counts, out, wait_s, as_json=as_json)
+        _report(report, counts, out, wait_s, as_json=as_json)
+        if ros is not None:
+            with ended_by_signals() as stop:
+                ros.finished(stop)
 
 
 def _refuse_idle(ctx: typer.Context, sources: SourceFlags, replay: Path | None) -> None:
     """A usage error for what would be ignored with this source."""
     idle = {"rate"} if replay is None else {"gnss_log"}
-    idle |= {"topic"} if replay is None and sources.mcap is None else set()
+    idle |= {"topic"} if replay is None and sources.mcap is None and not sources.ros else set()
     idle |= {"camera_fps"} if sources.camera is None else set()
     idle |= set(PoseFlags._fields) if replay is None and sources.mcap is None else set()
     idle |= {"poses", "poses_times"} if sources.mcap is not None else set()
@@ -237,6 +258,7 @@ def _drive(
     config: Path | None,
     wait_s: float,
     *,
+    ros: RosSession | None,
     as_json: bool,
 ) -> tuple[SessionReport, Counts]:
     from fieldgrid.core import resolve
@@ -256,6 +278,8 @@ def _drive(
         if sources.foxglove is not None:
             server = open_foxglove(sources.foxglove, name or driven.name, watch)
             watch.servers.append(stack.enter_context(server))
+        if ros is not None:
+            watch.servers.append(ros)
         live = Live(
             out,
             driven.rig,

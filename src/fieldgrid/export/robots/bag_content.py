@@ -10,6 +10,7 @@ import heapq
 import json
 import re
 from collections.abc import Iterator
+from itertools import takewhile
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -189,6 +190,11 @@ def messages(content: BagContent) -> Iterator[BagMessage]:
         )
 
 
+def standing_messages(content: BagContent) -> Iterator[BagMessage]:
+    """Those of the whole map, which are latched and come first."""
+    return takewhile(lambda one: one.latched, messages(content))
+
+
 def _up_sigma_m(universal: MapFile, session: str) -> Float64:
     """1-sigma errors of the heights of a trajectory: those of GNSS as driven, as only places are
     surer after an alignment."""
@@ -202,7 +208,7 @@ def _occupancy(content: BagContent, selection: Selection) -> Any:
     """The occupancy grid of a part."""
     view = selection.view(content.universal, content.universal.deciding(selection.cell_m))
     occupancy = content.curve.occupancy(*view.decision(selection.layer, content.curve.least_drop_m))
-    return ros_messages.occupancy_grid(view, occupancy, content.start_ns)
+    return ros_messages.occupancy_grid(view.lattice, view.window, occupancy, content.start_ns)
 
 
 def _grid_map(content: BagContent, selection: Selection) -> Any:

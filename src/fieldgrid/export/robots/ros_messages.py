@@ -17,8 +17,10 @@ from fieldgrid.core import AnyArray, Bool, Float32, Float64, Int64, Quality
 from fieldgrid.geometry import (
     Datum,
     Fix,
+    Lattice,
     LeverArm,
     Trajectory,
+    Window,
     geodetic_to_ecef,
     yaw_from_heading_rad,
 )
@@ -40,18 +42,20 @@ from fieldgrid.recordings import (
 )
 
 
-def occupancy_grid(view: MapView, occupancy: npt.NDArray[np.int8], time_ns: int) -> Any:
+def occupancy_grid(
+    lattice: Lattice, window: Window, occupancy: npt.NDArray[np.int8], time_ns: int
+) -> Any:
     """nav_msgs/OccupancyGrid of an occupancy [rows north, columns east], as Nav2 takes it."""
-    bounds = view.bounds
+    bounds = lattice.bounds(window)
     return new(
         "nav_msgs/OccupancyGrid",
         header=header_of(time_ns, MAP),
         info=new(
             "nav_msgs/MapMetaData",
             map_load_time=time_of(time_ns),
-            resolution=view.lattice.cell_m,
-            width=view.window.width,
-            height=view.window.height,
+            resolution=lattice.cell_m,
+            width=window.width,
+            height=window.height,
             origin=pose(bounds.west_m, bounds.south_m),
         ),
         data=np.ascontiguousarray(occupancy).reshape(-1),
@@ -187,7 +191,7 @@ def driven(track: Trajectory, rows: Int64, base: str) -> Iterator[tuple[int, Any
             pose=new(
                 "geometry_msgs/PoseWithCovariance",
                 pose=pose(float(at_m[0]), float(at_m[1]), float(at_m[2]), yaw),
-                covariance=_variances(sigmas),
+                covariance=variances(sigmas),
             ),
             twist=new(
                 "geometry_msgs/TwistWithCovariance",
@@ -196,13 +200,13 @@ def driven(track: Trajectory, rows: Int64, base: str) -> Iterator[tuple[int, Any
                     linear=vector(-abs(speed_mps) if gear < 0 else speed_mps, 0.0, 0.0),
                     angular=vector(0.0, 0.0, 0.0),
                 ),
-                covariance=_variances([math.nan] * 6),
+                covariance=variances([math.nan] * 6),
             ),
         )
         yield time_ns, message, transforms(transform(time_ns, MAP, base, at_m, turn_left(yaw)))
 
 
-def _variances(sigmas: Sequence[float]) -> Float64:
+def variances(sigmas: Sequence[float]) -> Float64:
     """A covariance [36] of six errors that are independent."""
     found: Float64 = np.diag([s * s if math.isfinite(s) else NOT_SAID for s in sigmas]).reshape(-1)
     return found

@@ -20,17 +20,18 @@ from fieldgrid.live.pose.sensor_rows import Rows, rows_of
 from fieldgrid.live.sources.imu_stream import ImuStream
 from fieldgrid.live.sources.links import open_link, parse_address
 from fieldgrid.live.sources.mcap_link import LinkBytes, LinkDoneError
+from fieldgrid.live.sources.moments import Waiting, together
 from fieldgrid.live.sources.orientation_stream import ATTITUDE, RECORDED, OrientationStream
 from fieldgrid.live.sources.receiver import ReceiverStream
 from fieldgrid.recordings import (
     AXES,
     DATUM,
-    MAX_APART_NS,
     ODOMETRY,
     TF,
     TF_STATIC,
     TYPES_OF_ROLES,
     UNNAMED,
+    BagFrames,
     CloudFrame,
     CloudKind,
     Connection,
@@ -54,9 +55,6 @@ from fieldgrid.recordings import (
 )
 
 MOST_RECORD_BYTES = 1 << 28
-MOST_WAITING = 16
-"""Images of one side that wait for their partner; the oldest of more is left out."""
-
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _CLOUD, _TEXT = "sensor_msgs/msg/PointCloud2", "std_msgs/msg/String"
 _BY_TYPE = {
@@ -65,7 +63,6 @@ _BY_TYPE = {
     "sensor_msgs/msg/Imu": "imu",
     ODOMETRY: "odometry",
 }
-_Waiting = deque[tuple[Message, int]]
 _POSES = (ODOMETRY, "geometry_msgs/msg/PoseStamped")
 ROLES = ("left", "right", "cloud", ATTITUDE, *_BY_TYPE.values())
 FIXES = ("fix", "nmea")
@@ -78,7 +75,7 @@ class PoseTopic(NamedTuple):
     offset_ns: int = 0
 
 
-class _StreamChannel(NamedTuple):
+class StreamChannel(NamedTuple):
     """A topic and what it is for; an Odometry may be wheels and `is_pose`, an Imu `is_attitude`."""
 
     connection: Connection
@@ -100,7 +97,7 @@ class McapStream:
     def __init__(
         self,
         address: str,
-        kind: FrameKind,
+        kind: FrameKind | BagFrames,
         topics: Mapping[str, str] | None = None,
         *,
         imu_axes: str = AXES,
@@ -113,7 +110,7 @@ class McapStream:
             raise ConfigError(
                 f"{quoted(address)} is no MCAP; give -, a FIFO's path or tcp://HOST:PORT."
             )
-        if not isinstance(kind, PairKind | CloudKind):
+        if not isinstance(kind, PairKind | CloudKind | BagFrames):
             raise ConfigError(
                 "Of an MCAP pairs and clouds are read while driving; give the rig of a stereo "
                 "camera or a lidar."
@@ -132,7 +129,7 @@ class McapStream:
         self._roles: dict[str, str] = {}
         self._told: set[str] = set()
         self._nmea = ReceiverStream()
-        self._waiting: tuple[_Waiting, _Waiting] = deque(), deque()
+        self._waiting: tuple[Waiting, Waiting] = deque(), deque()
         self._frames = 0
         self._turns: dict[str, tuple[str, tuple[float, ...]]] = {}
         self._fixes_of = ""
@@ -173,13 +170,13 @@ class McapStream:
         from mcap.records import Channel, Message as Record, Schema
 
         schemas = {0: UNNAMED}
-        channels: dict[int, _StreamChannel] = {}
+        channels: dict[int, StreamChannel] = {}
         for record in records:
             if isinstance(record, Schema):
                 schemas[record.id] = named(record)
             elif isinstance(record, Channel) and record.id not in channels:
                 connection = connection_of(record, schemas.get(record.schema_id, UNNAMED))
-                channels[record.id] = _StreamChannel(
+                channels[record.id] = StreamChannel(
                     connection,
                     self._role(connection, intake),
                     self._is_pose(connection, intake),
@@ -189,19 +186,23 @@ class McapStream:
             elif isinstance(record, Record) and record.channel_id in channels:
                 channel = channels[record.channel_id]
                 message = Message(channel.connection, record.log_time, record.data)
-                if channel.connection.type in TF and message.topic.endswith(TF_STATIC):
-                    self._static(message, intake)
-                if channel.role and (self._takes_fixes or channel.role not in FIXES):
-                    self._take(channel.role, message, intake)
-                if channel.is_pose:
-                    self._take("pose", message, intake)
-                if channel.is_attitude:
-                    self._take(ATTITUDE, message, intake)
-                if channel.connection.type == _TEXT and message.topic in RECORDED:
-                    # Roll and pitch of a converted drive; the texts have their own times.
-                    with suppress(RecordingError):
-                        told = self._leans.recorded(message.topic, decode(message).data)
-                        self._push_motion(told, intake)
+                self.take(channel, message, intake)
+
+    def take(self, channel: StreamChannel, message: Message, intake: Intake) -> None:
+        """Give what a message says."""
+        if channel.connection.type in TF and message.topic.endswith(TF_STATIC):
+            self._static(message, intake)
+        if channel.role and (self._takes_fixes or channel.role not in FIXES):
+            self._take(channel.role, message, intake)
+        if channel.is_pose:
+            self._take("pose", message, intake)
+        if channel.is_attitude:
+            self._take(ATTITUDE, message, intake)
+        if channel.connection.type == _TEXT and message.topic in RECORDED:
+            # Roll and pitch of a converted drive; the texts have their own times.
+            with suppress(RecordingError):
+                told = self._leans.recorded(message.topic, decode(message).data)
+                self._push_motion(told, intake)
 
     def _role(self, connection: Connection, intake: Intake) -> str:
         """What the messages of a topic are for; empty for nothing."""
@@ -314,23 +315,12 @@ class McapStream:
         kind = self._kind
         if not isinstance(kind, PairKind):
             raise ConfigError("the rig is of a lidar; give that of the camera with --rig.")
-        left, right = self._waiting
-        (left if role == "left" else right).append((message, time_ns))
-        while left and right:
-            apart_ns = left[0][1] - right[0][1]
-            if apart_ns > MAX_APART_NS:
-                right.popleft()
-            elif apart_ns < -MAX_APART_NS:
-                left.popleft()
-            else:
-                pair_ns, bits = left[0][1], kind.image_format.bits or 16
-                first, second = (image_source(*side.popleft(), bits) for side in self._waiting)
-                pair = first, second, kind.size_px, kind.rectifier
-                intake.push_frame(StereoFrame(f"{self._frames:06d}", pair_ns, *pair))
-                self._frames += 1
-        for waiting in self._waiting:
-            while len(waiting) > MOST_WAITING:
-                waiting.popleft()
+        self._waiting[role == "right"].append((message, time_ns))
+        for taken in together(self._waiting):
+            first, second = (image_source(*one, kind.image_format.bits or 16) for one in taken)
+            pair = first, second, kind.size_px, kind.rectifier
+            intake.push_frame(StereoFrame(f"{self._frames:06d}", taken[0][1], *pair))
+            self._frames += 1
 
     def _fix(self, message: Message, time_ns: int, intake: Intake) -> None:
         one = Numbers(message.topic, message.connection.type)

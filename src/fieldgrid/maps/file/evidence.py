@@ -114,10 +114,10 @@ class EvidenceTables:
             row
             for session_id, *placing in chosen
             for row in self.connection.execute(
-                f"{FRAME_SQL} WHERE f.session_id = ?5 "
-                "AND (typeof(f.east_m) <> 'real' OR f.east_m BETWEEN ?1 AND ?3) "
-                "AND (typeof(f.north_m) <> 'real' OR f.north_m BETWEEN ?2 AND ?4)",
-                (*_driven_near(near, *placing), session_id),
+                f"{FRAME_SQL} WHERE f.session_id = :id "
+                "AND (typeof(f.east_m) <> 'real' OR f.east_m BETWEEN :west_m AND :east_m) "
+                "AND (typeof(f.north_m) <> 'real' OR f.north_m BETWEEN :south_m AND :north_m)",
+                {"id": session_id, **_driven_near(near, *placing)._asdict()},
             ).fetchall()
         )
         records = (frame_record(row, loader(self.connection, row[0])) for row in rows)

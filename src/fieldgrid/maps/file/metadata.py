@@ -166,14 +166,16 @@ def put_arrays(
 _COUNTED = (
     "(frames, accepted, first_time_ns, last_time_ns) = "
     "(SELECT count(*), coalesce(sum(status = 'ok'), 0), min(time_ns), max(time_ns) "
-    "FROM fieldgrid_frame WHERE session_id = ?1)"
+    "FROM fieldgrid_frame WHERE session_id = :id)"
 )
 """What a session's own row says of its frames."""
 
 
 def count_frames(connection: sqlite3.Connection, session_id: int) -> None:
     """Bring what a session's own row says of its frames up to date."""
-    connection.execute(f"UPDATE fieldgrid_session SET {_COUNTED} WHERE id = ?1", (session_id,))
+    connection.execute(
+        f"UPDATE fieldgrid_session SET {_COUNTED} WHERE id = :id", {"id": session_id}
+    )
 
 
 def sum_up(connection: sqlite3.Connection, session_id: int, metadata: SessionMetadata) -> None:
@@ -188,8 +190,8 @@ def sum_up(connection: sqlite3.Connection, session_id: int, metadata: SessionMet
     )
     digest = digest_of(metadata, grid, heading_source, [row[0] for row in frames])
     connection.execute(
-        f"UPDATE fieldgrid_session SET digest = ?2, {_COUNTED} WHERE id = ?1",
-        (session_id, digest),
+        f"UPDATE fieldgrid_session SET digest = :digest, {_COUNTED} WHERE id = :id",
+        {"id": session_id, "digest": digest},
     )
 
 

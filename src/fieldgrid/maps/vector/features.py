@@ -137,7 +137,7 @@ def announce_extents(connection: sqlite3.Connection) -> None:
     for layer in GEOMETRIES:
         connection.execute(
             "UPDATE gpkg_contents SET (min_x, min_y, max_x, max_y) = (SELECT min(west_m), "
-            "min(south_m), max(east_m), max(north_m) FROM fieldgrid_extent WHERE layer = ?1) "
-            "WHERE table_name = ?1",
-            (layer,),
+            "min(south_m), max(east_m), max(north_m) FROM fieldgrid_extent WHERE layer = :layer) "
+            "WHERE table_name = :layer",
+            {"layer": layer},
         )

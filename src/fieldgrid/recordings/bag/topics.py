@@ -142,6 +142,11 @@ _SENSORS: dict[Sensing, tuple[str, ...]] = {
 _MOST_LISTED = 2000
 
 
+def is_of_use(name: str, type_: str) -> bool:
+    """Whether anything is taken of such a topic."""
+    return any(kind.fits(name, type_) for kind in KINDS)
+
+
 class Choice(NamedTuple):
     """The topics by their roles (those of `options.ROLES` that were found), and what is told.
 

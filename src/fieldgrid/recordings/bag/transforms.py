@@ -106,6 +106,10 @@ class Transforms:
         R_base = of_base.R.T
         return FrameTransform(R_base @ of_frame.R, R_base @ (of_frame.at_m - of_base.at_m))
 
+    def top(self, frame: str) -> str:
+        """The frame above all that a frame is below; itself where there is none."""
+        return list(self._ancestors(frame))[-1]
+
     def on_vehicle(self, frame: str) -> FrameTransform | None:
         """A frame seen from that of the vehicle; None where nothing joins them."""
         placed = self.place(frame, BASE)

@@ -24,6 +24,20 @@ _ENCODINGS = ("cdr", "ros1")
 _STAMP_AT = 4  # after the CDR encapsulation or the sequence number
 
 _NMEA = "std_msgs/Header header\nstring sentence\n"
+_GEO_POINT = "float64 latitude\nfloat64 longitude\nfloat64 altitude\n"
+_MAP_UPDATE = """std_msgs/Header header
+int32 x
+int32 y
+uint32 width
+uint32 height
+int8[] data
+"""
+_FILTER_INFO = """std_msgs/Header header
+uint8 type
+string filter_mask_topic
+float32 base
+float32 multiplier
+"""
 _GRID_MAP = """std_msgs/Header header
 grid_map_msgs/GridMapInfo info
 string[] layers
@@ -88,13 +102,21 @@ def _with(release: Stores, more: dict[str, str]) -> Typestore:
 
 @cache
 def types() -> Typestore:
-    """The types of ROS 2 Humble, `nmea_msgs/msg/Sentence` and `grid_map_msgs/msg/GridMap`."""
+    """The types of ROS 2 Humble, and those beside them that are read or written."""
     more = {
+        "geographic_msgs/msg/GeoPoint": _GEO_POINT,
+        "map_msgs/msg/OccupancyGridUpdate": _MAP_UPDATE,
+        "nav2_msgs/msg/CostmapFilterInfo": _FILTER_INFO,
         "nmea_msgs/msg/Sentence": _NMEA,
         "grid_map_msgs/msg/GridMapInfo": _GRID_MAP_INFO,
         "grid_map_msgs/msg/GridMap": _GRID_MAP,
     }
     return _with(Stores.ROS2_HUMBLE, more)
+
+
+def encoded(message: Any) -> bytes:
+    """A message of one of the classes of `types()` as ROS 2 sends it."""
+    return bytes(types().serialize_cdr(message, message.__msgtype__))
 
 
 @cache

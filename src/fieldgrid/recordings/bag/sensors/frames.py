@@ -61,8 +61,12 @@ class BagFrames:
             message_ns=self.plan.message_ns[start:stop], places=self.plan.places[start:stop]
         )
         for number, taken in enumerate(read_frames(self.bag, plan), start):
-            sources = [read(*one) for read, one in zip(self.sources, taken, strict=True)]
-            yield self.kind(f"{number:06d}", taken[0][1], *sources, *self.common)
+            yield self.frame(number, taken)
+
+    def frame(self, number: int, taken: Sequence[Taken]) -> Frame:
+        """The frame that is made of a message of each topic."""
+        sources = [read(*one) for read, one in zip(self.sources, taken, strict=True)]
+        return self.kind(f"{number:06d}", taken[0][1], *sources, *self.common)
 
 
 def plan_frames(bag: Bag, *topics: str) -> Plan:
