@@ -94,9 +94,7 @@ def export_taskdata(
     obstacles, drives, footprints = feature_layers(
         universal, selection, options, ("obstacle", "trajectory", "footprint")
     )
-    grid = zone_grid(
-        selection.view(universal, universal.deciding(selection.cell_m)), options.obstacle_above
-    )
+    grid = zone_grid(selection.view(universal, decide="density"), options.obstacle_above)
     if planting is None and options.guidance == "lanes":
         from fieldgrid.field import find_rows  # brings 50 MB of libraries
 

@@ -74,7 +74,7 @@ class Ground:
         inner = cells[inside]
         classes = np.full(256, FREE, dtype=np.uint8)
         classes[LETHAL], classes[UNKNOWN_COST] = OBSTACLE, UNSEEN
-        worst, share, keepout = view.decision(least_drop_m=curve.least_drop_m)
+        worst, share, keepout = view.decision(curve.least_drop_m)
         for first in range(0, height, _BLOCK_ROWS):
             some = slice(first, first + _BLOCK_ROWS)
             inner[some] = classes[curve.cost(worst[some], share[some])]
