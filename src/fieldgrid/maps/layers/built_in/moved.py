@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from fieldgrid.core import Bool, Float32, Int64, UInt8, UInt64, kernel, palette
+from fieldgrid.core import Bool, Float32, Int32, Int64, UInt8, UInt64, kernel, palette
 from fieldgrid.geometry import Lattice
 from fieldgrid.maps.layers.declaration import (
     Channel,
@@ -29,7 +29,6 @@ from fieldgrid.maps.layers.declaration import (
 )
 from fieldgrid.maps.layers.frame import FrameInPlace
 from fieldgrid.maps.layers.sight import CLEAR, NOTHING, STANDS, look
-from fieldgrid.maps.transfer import footprint
 
 LEAST_CLEAR = 2
 """Clear looks since the latest obstacle that tell of a thing that moved."""
@@ -44,8 +43,8 @@ NEAREST_M = 2.0
 class _Looks:
     """Of each cell how many looks saw an obstacle, from how near, and how many since were clear.
 
-    Frames come in the order of their time; those of one time in any. Pages of the arrays that no
-    obstacle touches are never taken from the system.
+    Frames come in the order of their time; those of one time in any. Only cells in which anything
+    ever stood are looked at again; they are listed.
     """
 
     def __init__(self, cells: int, lattice: Lattice) -> None:
@@ -54,20 +53,22 @@ class _Looks:
         self._near_m: Float32 = np.zeros(cells, dtype=np.float32)
         self._when_ns: Int64 = np.zeros((cells, 2), dtype=np.int64)
         self._seen: Bool = np.zeros(cells, dtype=np.bool_)
+        self._listed: Bool = np.zeros(cells, dtype=np.bool_)
+        self._list: Int32 = np.zeros(cells, dtype=np.int32)
+        self._count = 0
 
     def add(self, frame: FrameInPlace) -> None:
         grid, pose = frame.cells.grid, frame.pose
         self._seen[frame.touched] = True
-        place = footprint(grid.spec, pose, frame.lattice).intersect(frame.window)
-        if place is None:
-            return
         local_m, phi = grid.spec.cell_m, math.radians(pose.heading_deg)
-        add_looks(
-            look(grid, int(0.71 / (self._per_m * local_m) + 0.5)), local_m, self._per_m,
-            *(pose.east_m, pose.north_m, math.cos(phi), math.sin(phi), pose.time_ns),
-            *(*place, frame.window.i0, frame.window.j0, frame.window.width),
-            *(self._looks, self._near_m, self._when_ns),
-        )  # fmt: skip
+        place = (
+            *(local_m, self._per_m, pose.east_m, pose.north_m, math.cos(phi), math.sin(phi)),
+            *(*frame.window, self._list, self._count),
+        )
+        said = look(grid, int(0.71 / (self._per_m * local_m) + 0.5))
+        self._count = list_standing(said, *place, self._listed)
+        place = *place[:-1], self._count
+        add_looks(said, *place, pose.time_ns, self._looks, self._near_m, self._when_ns)
 
     def channels(self) -> UInt64:
         stood, clear = self._looks[:, 0], self._looks[:, 1]
@@ -76,42 +77,63 @@ class _Looks:
 
 
 @kernel
+def list_standing(  # type: ignore[no-untyped-def]
+    said, local_m, per_m, east_m, north_m, cos, sin, i0, j0, width, height, cells, count, listed
+):
+    """Add to `cells` those of the window where a frame has said that anything stands; returns how
+    many there are then."""
+    half = 0.5 * said.shape[1]
+    for r in range(said.shape[0]):
+        for c in range(said.shape[1]):
+            if said[r, c] == NOTHING or said[r, c] == CLEAR:
+                continue
+            x, y = (c + 0.5 - half) * local_m, (r + 0.5) * local_m
+            i = int(np.floor((east_m + x * cos + y * sin) * per_m)) - i0
+            j = int(np.floor((north_m - x * sin + y * cos) * per_m)) - j0
+            if i < 0 or j < 0 or i >= width or j >= height or listed[j * width + i]:
+                continue
+            listed[j * width + i] = True
+            cells[count] = j * width + i
+            count += 1
+    return count
+
+
+@kernel
 def add_looks(  # type: ignore[no-untyped-def]
-    said, local_m, per_m, east_m, north_m, cos, sin, time_ns,
-    i0, j0, width, height, window_i0, window_j0, window_width, looks, near_m, when_ns,
+    said, local_m, per_m, east_m, north_m, cos, sin, i0, j0, width, height, cells, count,
+    time_ns, looks, near_m, when_ns,
 ):  # fmt: skip
-    """Add what a frame has `said` [n_y, n_x] of the cells of a place in the window.
+    """Add what a frame has `said` [n_y, n_x] of the middles of the listed cells.
 
     `looks` [cells, 2] counts obstacles since the cell was last clear, and clear looks since these;
     `near_m` is the least distance of the obstacles; `when_ns` [cells, 2] is when anything was last
     seen standing, and when a look was last clear.
     """
     n_y, n_x = said.shape
-    for cell_j in range(j0, j0 + height):
-        away_n = (cell_j + 0.5) / per_m - north_m
-        for cell_i in range(i0, i0 + width):
-            away_e = (cell_i + 0.5) / per_m - east_m
-            x = (away_e * cos - away_n * sin) / local_m
-            y = (away_e * sin + away_n * cos) / local_m
-            r, c = int(np.floor(y)), int(np.floor(x + 0.5 * n_x))
-            if r < 0 or c < 0 or r >= n_y or c >= n_x or said[r, c] == NOTHING:
-                continue
-            k = (cell_j - window_j0) * window_width + cell_i - window_i0
-            away_m = np.float32(local_m * np.sqrt(x * x + y * y))
-            if said[r, c] != CLEAR:
-                if looks[k, 1] - (when_ns[k, 1] == time_ns) >= LEAST_CLEAR:
-                    looks[k, 0] = 0  # it was clear before, and something has come
-                looks[k, 1], when_ns[k, 0] = 0, time_ns
-                if said[r, c] == STANDS:
-                    if looks[k, 0] == 0 or away_m < near_m[k]:
-                        near_m[k] = away_m
-                    looks[k, 0] = min(looks[k, 0] + 1, 255)
-            elif (
-                looks[k, 0] > 0
-                and when_ns[k, 0] != time_ns
-                and NEAREST_M <= away_m <= AS_NEAR * near_m[k]
-            ):
-                looks[k, 1], when_ns[k, 1] = min(looks[k, 1] + 1, 255), time_ns
+    for n in range(count):
+        k = cells[n]
+        away_n = (k // width + j0 + 0.5) / per_m - north_m
+        away_e = (k % width + i0 + 0.5) / per_m - east_m
+        x = (away_e * cos - away_n * sin) / local_m
+        y = (away_e * sin + away_n * cos) / local_m
+        r, c = int(np.floor(y)), int(np.floor(x + 0.5 * n_x))
+        if r < 0 or c < 0 or r >= n_y or c >= n_x or said[r, c] == NOTHING:
+            continue
+        away_m = np.float32(local_m * np.sqrt(x * x + y * y))
+        if said[r, c] != CLEAR:
+            if looks[k, 1] - (when_ns[k, 1] == time_ns) >= LEAST_CLEAR:
+                looks[k, 0] = 0  # it was clear before, and something has come
+            looks[k, 1], when_ns[k, 0] = 0, time_ns
+            if said[r, c] == STANDS:
+                if looks[k, 0] == 0 or away_m < near_m[k]:
+                    near_m[k] = away_m
+                looks[k, 0] = min(looks[k, 0] + 1, 255)
+        elif (
+            looks[k, 0] > 0
+            and when_ns[k, 0] != time_ns
+            and NEAREST_M <= away_m <= AS_NEAR * near_m[k]
+        ):
+            looks[k, 1], when_ns[k, 1] = min(looks[k, 1] + 1, 255), time_ns
 
 
 GROUP = ChannelGroup(
