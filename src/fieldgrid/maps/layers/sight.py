@@ -116,8 +116,8 @@ def fill_look(  # type: ignore[no-untyped-def]
         margin = int((MARGIN_M + MARGIN_SHARE * range_m) / cell_m) + 1
         end = nearest[1, b] if nearest[1, b] < rings else rings + margin
         ground = -1  # the nearest that is seen beyond
-        for k in range(min(end, rings) - 1, -1, -1):
-            if rays[b, k] > 0:
+        for k in range(rings - 1, -1, -1):
+            if rays[b, k] > 0 and k < end:
                 ground = k
             rays[b, k] = ground >= 0 and HIDDEN_FROM * ground <= k + 1 and k + margin < end
     for r in range(n_y):

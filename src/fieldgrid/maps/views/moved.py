@@ -18,8 +18,8 @@ from fieldgrid.maps.views.view import MapView
 LAYERS = ("moved", "sessions", "persistence")
 """What tells of cells that moved."""
 
-_SHARE = 0.05
-"""The share of a thing's cells that were seen through: of what stands it is a thousandth."""
+_SHARE = 0.02
+"""The share of the cells of a thing that were seen through: of what stands it is less than 0.001."""
 
 _JOINED_M = 0.2
 """Cells of one thing are no farther from each other."""
@@ -46,4 +46,4 @@ def moved_cells(view: MapView, layer: str) -> Bool:
     # are then as many as they can be, so that in doubt an obstacle remains.
     stays = 2.0 * np.minimum(stood, drives - 1.0) > drives
     of_thing = (gone > _SHARE * cells)[things]
-    return np.asarray(obstacle & (moved | of_thing) & ~stays)
+    return np.asarray((moved | obstacle & of_thing) & ~stays)

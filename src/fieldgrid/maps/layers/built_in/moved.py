@@ -51,7 +51,7 @@ class _Looks:
         self._per_m = lattice.cells_per_m
         self._looks: UInt8 = np.zeros((cells, 2), dtype=np.uint8)
         self._near_m: Float32 = np.zeros(cells, dtype=np.float32)
-        self._when_ns: Int64 = np.zeros((cells, 2), dtype=np.int64)
+        self._stood_ns: Int64 = np.zeros(cells, dtype=np.int64)
         self._seen: Bool = np.zeros(cells, dtype=np.bool_)
         self._listed: Bool = np.zeros(cells, dtype=np.bool_)
         self._list: Int32 = np.zeros(cells, dtype=np.int32)
@@ -68,7 +68,7 @@ class _Looks:
         said = look(grid, int(0.71 / (self._per_m * local_m) + 0.5))
         self._count = list_standing(said, *place, self._listed)
         place = *place[:-1], self._count
-        add_looks(said, *place, pose.time_ns, self._looks, self._near_m, self._when_ns)
+        add_looks(said, *place, pose.time_ns, self._looks, self._near_m, self._stood_ns)
 
     def channels(self) -> UInt64:
         stood, clear = self._looks[:, 0], self._looks[:, 1]
@@ -101,13 +101,12 @@ def list_standing(  # type: ignore[no-untyped-def]
 @kernel
 def add_looks(  # type: ignore[no-untyped-def]
     said, local_m, per_m, east_m, north_m, cos, sin, i0, j0, width, height, cells, count,
-    time_ns, looks, near_m, when_ns,
+    time_ns, looks, near_m, stood_ns,
 ):  # fmt: skip
     """Add what a frame has `said` [n_y, n_x] of the middles of the listed cells.
 
-    `looks` [cells, 2] counts obstacles since the cell was last clear, and clear looks since these;
-    `near_m` is the least distance of the obstacles; `when_ns` [cells, 2] is when anything was last
-    seen standing, and when a look was last clear.
+    `looks` [cells, 2] counts obstacles, and clear looks since the latest; `near_m` is the least
+    distance of the obstacles, `stood_ns` when anything was last seen standing.
     """
     n_y, n_x = said.shape
     for n in range(count):
@@ -121,19 +120,17 @@ def add_looks(  # type: ignore[no-untyped-def]
             continue
         away_m = np.float32(local_m * np.sqrt(x * x + y * y))
         if said[r, c] != CLEAR:
-            if looks[k, 1] - (when_ns[k, 1] == time_ns) >= LEAST_CLEAR:
-                looks[k, 0] = 0  # it was clear before, and something has come
-            looks[k, 1], when_ns[k, 0] = 0, time_ns
+            looks[k, 1], stood_ns[k] = 0, time_ns
             if said[r, c] == STANDS:
                 if looks[k, 0] == 0 or away_m < near_m[k]:
                     near_m[k] = away_m
                 looks[k, 0] = min(looks[k, 0] + 1, 255)
         elif (
             looks[k, 0] > 0
-            and when_ns[k, 0] != time_ns
+            and stood_ns[k] != time_ns
             and NEAREST_M <= away_m <= AS_NEAR * near_m[k]
         ):
-            looks[k, 1], when_ns[k, 1] = min(looks[k, 1] + 1, 255), time_ns
+            looks[k, 1] = min(looks[k, 1] + 1, 255)
 
 
 GROUP = ChannelGroup(
