@@ -20,7 +20,7 @@ from fieldgrid.field.route.verify import Fault, find_fault, swept_hulls
 from fieldgrid.geometry import Bounds, Datum, wrap_deg, yaw_from_heading_rad
 from fieldgrid.maps import CostCurve, MapFile, MapView, open_map
 
-USUAL_CELL_M = 0.2
+USUAL_CELL_M = 0.1
 """Cells that a route is planned on, where the map's own are smaller: stereo leaves pinholes in the
 smallest cells of ground that it has seen."""
 
@@ -105,9 +105,10 @@ def plan_route(
 
     Places are (east_m, north_m) or (east_m, north_m, heading_deg), metres of the map and degrees
     clockwise from north; without a heading any will do. What the footprint sweeps keeps the
-    vehicle's clearance to every obstacle and, but for `allow_unknown`, to every cell that was not
-    seen. Cells are decided by the map's own cells in them, as `CostCurve` says;
-    `cell_m` is their size, by default the smallest multiple of the map's own from 0.2 m up.
+    vehicle's clearance to every obstacle and, but for `allow_unknown`, keeps off ground that was
+    not seen, but for pinholes that are no wider than two clearances. Cells are decided by the map's
+    own cells in them, as `CostCurve` says; `cell_m` is their size, by default the smallest multiple
+    of the map's own from 0.1 m up.
     `bounds` keeps the route in a part of the map; `at` is a session or a date.
 
     Raises NoRouteError, with the reason and the place, when there is no such way; ConfigError for
@@ -211,6 +212,8 @@ def weak_cells(
             f"`fieldgrid mark {universal.path.name} --kind free --polygon "
             f'"{";".join(f"{east:.2f},{north:.2f}" for east, north in corners)}"`'
         )
+    if not cells:
+        return ""
     return (
         f"there is a way if nothing stands at {' and '.join(cells)}; "
         f"where that is so, run {' and '.join(marks)}"
@@ -224,7 +227,13 @@ def searcher_of(
     # Beyond what was read nothing was seen; where that may be driven, there is room for a turn.
     around = 2.0 * (vehicle.turning_radius_m + vehicle.reach_m) if allow_unknown else 0.0
     margin = NEAR_M + vehicle.clearance_m + vehicle.reach_m + around
-    ground = Ground.of(view, curve or CostCurve(), allow_unknown=allow_unknown, margin_m=margin)
+    ground = Ground.of(
+        view,
+        curve or CostCurve(),
+        allow_unknown=allow_unknown,
+        margin_m=margin,
+        clearance_m=vehicle.clearance_m,
+    )
     return Searcher(ground, vehicle)
 
 

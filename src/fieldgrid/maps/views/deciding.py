@@ -87,5 +87,6 @@ def _square(content: Content, asked: Request, column: int, row: int) -> tuple[Wi
     worst = np.where(view.observed, view.layer(asked.decide), np.uint8(0))[inside]
     flags = marked_cells(content.marks(), lattice, window)
     flags[moved_cells(view, asked.decide)[inside]] |= np.uint8(MOVED)
-    flags[driven_cells(content, own, worst > OBSTACLE_ABOVE)] |= np.uint8(DRIVEN)
+    driven = driven_cells(content, own, worst > OBSTACLE_ABOVE, view.observed[inside])
+    flags[driven] |= np.uint8(DRIVEN)
     return window, Decided.of_cells(worst, view.sure_share[inside], view.drop_m[inside], flags)

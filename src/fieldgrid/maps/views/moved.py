@@ -19,7 +19,7 @@ LAYERS = ("moved", "sessions", "persistence")
 """What tells of cells that moved."""
 
 _SHARE = 0.02
-"""The share of the cells of a thing that were seen through: of what stands it is less than 0.001."""
+"""The share of the cells of a thing that were seen through; of what stands it is below 0.001."""
 
 _JOINED_M = 0.2
 """Cells of one thing are no farther from each other."""
