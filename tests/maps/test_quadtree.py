@@ -336,7 +336,7 @@ def test_a_map_of_a_moment_and_of_another_layer(universal: Any) -> None:
     early = Quadtree.from_map(universal, at=first)
     view = universal.read(at=first)
     east, north = view.lattice.centres(view.window)
-    assert ((early.at(east[None, :], north[:, None]) >= 0) == view.observed).all()
+    assert (early.at(east[None, :], north[:, None]) >= 0)[view.observed].all()
     highest = Quadtree.from_map(universal, layer="max")
     assert highest.squares.highest.max() == universal.read(layers=("max",)).layer("max").max()
 
