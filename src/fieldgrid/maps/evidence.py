@@ -52,10 +52,9 @@ class Evidence(NamedTuple):
         """The classes of the blocks of a map, of which one is held at a time."""
         cells = np.zeros(blocks.window.shape, dtype=np.uint8)
         for view in blocks.views:
-            part = cells[blocks.window.slices_of(view.window)]
             worst, seen, _ = view.decision()
-            part[seen > 0.0] = FREE
-            part[(seen > 0.0) & (worst > obstacle_above)] = OBSTACLE
+            classes = np.where(worst > obstacle_above, OBSTACLE, FREE)
+            cells[blocks.window.slices_of(view.window)] = np.where(seen > 0.0, classes, UNSEEN)
         return cls(blocks.lattice, blocks.window, cells)
 
     @property

@@ -20,7 +20,6 @@ MAX_CELLS = 100_000_000
 MAX_SIDE = 40_000
 """Cells along a side, for whose squares the distance transform has room."""
 
-_BLOCK_ROWS = 256
 _FEW_CELLS = 4
 """Obstacle cells that touch each other and are no more than these stand alone."""
 
@@ -85,9 +84,7 @@ class Ground:
         classes = np.full(256, FREE, dtype=np.uint8)
         classes[LETHAL], classes[UNKNOWN_COST] = OBSTACLE, UNSEEN
         worst, share, keepout = view.decision(curve.least_drop_m)
-        for first in range(0, height, _BLOCK_ROWS):
-            some = slice(first, first + _BLOCK_ROWS)
-            inner[some] = classes[curve.cost(worst[some], share[some])]
+        inner[:] = classes[curve.cost(worst, share)]
         density[inside] = worst
         if view.marks:
             said = decision.marked_cells(view.marks, view.lattice, view.window.grown(margin))

@@ -83,10 +83,11 @@ def _square(content: Content, asked: Request, column: int, row: int) -> tuple[Wi
         ),
     )
     inside = around.slices_of(window)
-    own = asked._replace(window=window)
     worst = np.where(view.observed, view.layer(asked.decide), np.uint8(0))[inside]
     flags = marked_cells(content.marks(), lattice, window)
     flags[moved_cells(view, asked.decide)[inside]] |= np.uint8(MOVED)
-    driven = driven_cells(content, own, worst > OBSTACLE_ABOVE, view.observed[inside])
+    driven = driven_cells(
+        content, asked._replace(window=window), worst > OBSTACLE_ABOVE, view.observed[inside]
+    )
     flags[driven] |= np.uint8(DRIVEN)
     return window, Decided.of_cells(worst, view.sure_share[inside], view.drop_m[inside], flags)

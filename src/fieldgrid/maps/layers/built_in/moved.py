@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from fieldgrid.core import Bool, Float32, Int32, Int64, UInt8, UInt64, kernel, palette
-from fieldgrid.geometry import Lattice
+from fieldgrid.geometry import FREE_UP_TO, Lattice
 from fieldgrid.maps.layers.declaration import (
     Channel,
     ChannelGroup,
@@ -52,49 +52,41 @@ class _Looks:
         self._looks: UInt8 = np.zeros((cells, 2), dtype=np.uint8)
         self._near_m: Float32 = np.zeros(cells, dtype=np.float32)
         self._stood_ns: Int64 = np.zeros(cells, dtype=np.int64)
-        self._seen: Bool = np.zeros(cells, dtype=np.bool_)
         self._listed: Bool = np.zeros(cells, dtype=np.bool_)
         self._list: Int32 = np.zeros(cells, dtype=np.int32)
         self._count = 0
 
     def add(self, frame: FrameInPlace) -> None:
-        grid, pose = frame.cells.grid, frame.pose
-        self._seen[frame.touched] = True
+        grid, pose, landing = frame.cells.grid, frame.pose, frame.landing
         local_m, phi = grid.spec.cell_m, math.radians(pose.heading_deg)
-        place = (
-            *(local_m, self._per_m, pose.east_m, pose.north_m, math.cos(phi), math.sin(phi)),
-            *(*frame.window, self._list, self._count),
+        self._count = list_standing(
+            grid.density, landing.cell, landing.shift, self._list, self._count, self._listed
         )
-        said = look(grid, int(0.71 / (self._per_m * local_m) + 0.5))
-        self._count = list_standing(said, *place, self._listed)
-        place = *place[:-1], self._count
-        add_looks(said, *place, pose.time_ns, self._looks, self._near_m, self._stood_ns)
+        add_looks(
+            look(grid, int(0.71 / (self._per_m * local_m) + 0.5)), local_m, self._per_m,
+            *(pose.east_m, pose.north_m, math.cos(phi), math.sin(phi), *frame.window),
+            *(self._list, self._count, pose.time_ns, self._looks, self._near_m, self._stood_ns),
+        )  # fmt: skip
 
     def channels(self) -> UInt64:
         stood, clear = self._looks[:, 0], self._looks[:, 1]
-        moved = self._seen & (stood > 0) & (clear >= np.maximum(stood, LEAST_CLEAR))
+        moved = (stood > 0) & (clear >= np.maximum(stood, LEAST_CLEAR))
         return moved.astype(np.uint64)[None] if moved.any() else nothing((1, moved.size))
 
 
 @kernel
-def list_standing(  # type: ignore[no-untyped-def]
-    said, local_m, per_m, east_m, north_m, cos, sin, i0, j0, width, height, cells, count, listed
-):
-    """Add to `cells` those of the window where a frame has said that anything stands; returns how
-    many there are then."""
-    half = 0.5 * said.shape[1]
-    for r in range(said.shape[0]):
-        for c in range(said.shape[1]):
-            if said[r, c] == NOTHING or said[r, c] == CLEAR:
+def list_standing(density, cell, shift, cells, count, listed):  # type: ignore[no-untyped-def]
+    """Add to `cells` those of the window in which a local cell lands where anything stands; returns
+    how many there are then."""
+    inner = (1 << shift) >> 1
+    for r in range(density.shape[0]):
+        for c in range(density.shape[1]):
+            if density[r, c] <= FREE_UP_TO:
                 continue
-            x, y = (c + 0.5 - half) * local_m, (r + 0.5) * local_m
-            i = int(np.floor((east_m + x * cos + y * sin) * per_m)) - i0
-            j = int(np.floor((north_m - x * sin + y * cos) * per_m)) - j0
-            if i < 0 or j < 0 or i >= width or j >= height or listed[j * width + i]:
-                continue
-            listed[j * width + i] = True
-            cells[count] = j * width + i
-            count += 1
+            k = cell[(r << shift) + inner, (c << shift) + inner]
+            if k >= 0 and not listed[k]:
+                listed[k], cells[count] = True, k
+                count += 1
     return count
 
 
