@@ -102,8 +102,7 @@ def _free_ends(
     vehicle, size = searcher.vehicle, float(lengths(line)[-1])
     corners = vehicle.footprint()[:, 0]
     reach = (corners.max() if is_last else -corners.min()) + vehicle.clearance_m
-    inside = max(reach + _STEP_M, _LEFT_OUT * size)
-    shift = np.arange(0.0, min(inside, 0.4 * size), _STEP_M)
+    shift = np.arange(0.0, min(max(reach + _STEP_M, _LEFT_OUT * size), 0.4 * size), _STEP_M)
     at = size - shift if is_last else shift
     found = {}
     for aside in beside:
