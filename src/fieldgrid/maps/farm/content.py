@@ -111,11 +111,12 @@ class FarmContent:
 
     def ways(self, request: Request) -> dict[str, list[FrameRecord]]:
         """See `Content`."""
-        found: dict[str, list[FrameRecord]] = {}
+        found: list[tuple[int, str, list[FrameRecord]]] = []
         for part, content, asked in self._near(request):
             own = content.ways(asked)
-            found |= {name: own[was] for name, was in part.names.items() if was in own}
-        return dict(sorted(found.items(), key=lambda way: [f.pose.time_ns for f in way[1][:1]]))
+            ends = {info.name: info.last_time_ns or -1 for info in part.block.sessions}
+            found += [(ends[was], name, own[was]) for name, was in part.names.items() if was in own]
+        return {name: frames for _, name, frames in sorted(found, key=lambda way: way[0])}
 
     def by_session(self, request: Request) -> Iterator[tuple[str, Cells]]:
         """See `Content`."""
