@@ -55,14 +55,12 @@ def _decided(content: Content, request: Request) -> Decided:
             cells.put(under.slices_of(piece), found, whole.slices_of(piece))
         # In whole centimetres, as drops are stored.
         drop_cm = np.rint(100.0 * np.minimum(cells.drop_m, 2.55)).astype(np.uint8)
-        flags = np.zeros(part.shape, np.uint8)
-        for flag in (KEEPOUT, OBSTACLE, FREE, DRIVEN, MOVED):
-            flags |= by.highest(cells.flags & np.uint8(flag), part)
+        each = (cells.flags & np.uint8(flag) for flag in (KEEPOUT, OBSTACLE, FREE, DRIVEN, MOVED))
         larger = Decided(
             by.highest(cells.worst, part),
             by.share(cells.seen > 0.0, part),
             by.highest(drop_cm, part).astype(np.float32) / np.float32(100.0),
-            flags,
+            np.bitwise_or.reduce([by.highest(flags, part) for flags in each]),
         )
         result.put(request.window.slices_of(part), larger)
     result.seen[(result.flags & OBSTACLE) > 0] = 1.0
@@ -86,8 +84,6 @@ def _square(content: Content, asked: Request, column: int, row: int) -> tuple[Wi
     worst = np.where(view.observed, view.layer(asked.decide), np.uint8(0))[inside]
     flags = marked_cells(content.marks(), lattice, window)
     flags[moved_cells(view, asked.decide)[inside]] |= np.uint8(MOVED)
-    driven = driven_cells(
-        content, asked._replace(window=window), worst > OBSTACLE_ABOVE, view.observed[inside]
-    )
-    flags[driven] |= np.uint8(DRIVEN)
+    own, obstacle = asked._replace(window=window), worst > OBSTACLE_ABOVE
+    flags[driven_cells(content, own, obstacle, view.observed[inside])] |= np.uint8(DRIVEN)
     return window, Decided.of_cells(worst, view.sure_share[inside], view.drop_m[inside], flags)
