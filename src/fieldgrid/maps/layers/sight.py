@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import AnyArray, Bool, Float32, Float64, Index, UInt8, kernel
+from fieldgrid.core import AnyArray, Bool, Float32, Float64, Index, kernel
 from fieldgrid.geometry import (
     FREE_UP_TO,
     HIDDEN_FROM,
@@ -69,26 +69,16 @@ def hidden(grid: LocalGrid) -> Bool:
     return np.asarray(before[lines.bearing, lines.ring] > before[lines.bearing, lines.hidden_from])
 
 
-def look(grid: LocalGrid, around: int) -> UInt8:
-    """What a frame says of the places of its local cells [n_y, n_x]; what stands is said of those
-    within `around` cells of it, too."""
-    lines = sight_lines(grid.spec)
-    shape = int(lines.bearing.max()) + 1, int(lines.ring.max()) + 1
-    said = np.zeros(grid.spec.shape, np.uint8)
-    rays, nearest = np.zeros(shape, np.uint8), np.full((2, shape[0]), shape[1], np.int32)
-    fill_look(
-        *(grid.density, grid.observed, lines.bearing, lines.ring, lines.step, grid.spec.cell_m),
-        *(around, rays, nearest, np.zeros(said.shape, np.int32), said),
-    )
-    return said
-
-
 @kernel
 def fill_look(  # type: ignore[no-untyped-def]
     density, observed, bearing, ring, step, cell_m, around, rays, nearest, hits, said
 ):
-    """Fill `said`; `rays` [bearings, rings] and `hits` are 0 before, `nearest` [2, bearings] the
-    number of rings: the nearest that stands in a bearing, and in it or beside it."""
+    """Fill `said` with what a frame says of the places of its local cells [n_y, n_x]; what stands
+    is said of those within `around` cells of it, too.
+
+    `said`, `rays` [bearings, rings] and `hits` are 0 before, `nearest` [2, bearings] the number of
+    rings: the nearest that stands in a bearing, and in it or beside it.
+    """
     n_y, n_x = density.shape
     bearings, rings = rays.shape
     for r in range(n_y):

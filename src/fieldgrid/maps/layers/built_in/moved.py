@@ -28,7 +28,7 @@ from fieldgrid.maps.layers.declaration import (
     nothing,
 )
 from fieldgrid.maps.layers.frame import FrameInPlace
-from fieldgrid.maps.layers.sight import CLEAR, NOTHING, STANDS, look
+from fieldgrid.maps.layers.sight import CLEAR, NOTHING, STANDS, fill_look, sight_lines
 
 LEAST_CLEAR = 2
 """Clear looks since the latest obstacle that tell of a thing that moved."""
@@ -62,11 +62,22 @@ class _Looks:
         self._count = list_standing(
             grid.density, landing.cell, landing.shift, self._list, self._count, self._listed
         )
+        lines = sight_lines(grid.spec)
+        rays = np.zeros((int(lines.bearing.max()) + 1, int(lines.ring.max()) + 1), np.uint8)
+        nearest = np.full((2, len(rays)), rays.shape[1], np.int32)
+        said, around = (
+            np.zeros(grid.spec.shape, np.uint8),
+            int(0.71 / (self._per_m * local_m) + 0.5),
+        )
+        fill_look(
+            *(grid.density, grid.observed, lines.bearing, lines.ring, lines.step, local_m),
+            *(around, rays, nearest, np.zeros(said.shape, np.int32), said),
+        )
         add_looks(
-            look(grid, int(0.71 / (self._per_m * local_m) + 0.5)), local_m, self._per_m,
-            *(pose.east_m, pose.north_m, math.cos(phi), math.sin(phi), *frame.window),
-            *(self._list, self._count, pose.time_ns, self._looks, self._near_m, self._stood_ns),
-        )  # fmt: skip
+            *(said, local_m, self._per_m, pose.east_m, pose.north_m, math.cos(phi), math.sin(phi)),
+            *(*frame.window, self._list, self._count, pose.time_ns),
+            *(self._looks, self._near_m, self._stood_ns),
+        )
 
     def channels(self) -> UInt64:
         stood, clear = self._looks[:, 0], self._looks[:, 1]
