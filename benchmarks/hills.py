@@ -302,7 +302,7 @@ def _false_drops(folder: Path, gnss: str | None) -> str:
                     frames += bool(mark.any())
                     seen, falls = seen + int(told.sum()), falls + int(mark.sum())
                     beyond += int((told & (cm == BEYOND_DROP)).sum())
-            view = universal.read(layers=universal.deciding(None))
+            view = universal.read(layers=("drop", "sure_share"), decide="density")
         edge, lost = view.drop_m > 0.0, view.observed & (view.sure_share == 0.0)
         return (
             f"of frames {100 * falls / seen:.3f} % at drops and {100 * beyond / seen:.3f} % "

@@ -45,7 +45,7 @@ SHEETS = (
                                     "step", "drop", "traversability")),
     Sheet("layers_standing.png", _at(0.1, "density", "occupancy", "max_height", "clearance")),
     Sheet("layers_time.png", _at(0.1, "sessions", "persistence", "static", "seasonal",
-                                 "passing", "lasting", "moved", "remaining"), several_drives=True),
+                                 "passing", "lasting", "moved"), several_drives=True),
     Sheet("layers.png", _at(0.1, "slope", "roughness", "step", "traversability", "density",
                             "occupancy", "max_height", "clearance")),
 )  # fmt: skip

@@ -29,7 +29,7 @@ _OUTLINES = """
 import sys, fieldgrid as fg
 from fieldgrid.export.shapes.obstacles import trace_obstacles
 from fieldgrid.export.options import ShapeOptions
-with fg.open_map(sys.argv[1]) as m, m.read_blocks(layers=m.deciding(None)) as blocks:
+with fg.open_map(sys.argv[1]) as m, m.read_blocks(decide="density") as blocks:
     list(trace_obstacles(blocks.views, ShapeOptions(min_area_m2=1e8)))
 """
 

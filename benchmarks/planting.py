@@ -138,4 +138,4 @@ def seen_view(planting: Planting, sight: Sight, cell_m: float = 0.05) -> MapView
             obstacle[place_of], ground[place_of] = False, False
     observed = obstacle | ground
     density = np.where(obstacle, rng.integers(*sight.density, shape), 0).astype(np.uint8)
-    return MapView(lattice, window, density, observed, DATUM)
+    return MapView(lattice, window, density, observed, DATUM, is_base=True)

@@ -120,7 +120,7 @@ def judge_drive(path: Path, name: str) -> str:
     truth = driven_vineyard(name)
     with open_map(path) as universal:
         planting = find_rows(universal)
-        evidence = Evidence.of(universal.read())
+        evidence = Evidence.of(universal.read(decide="density"))
     points = thinned(evidence, evidence.cell_m)
     seen = [_seen_part(points, row) for row in truth.rows]
     lines = [np.asarray(row.line.coords) for row in planting.rows]

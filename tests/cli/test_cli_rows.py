@@ -158,7 +158,9 @@ def test_a_map_without_rows_says_what_to_change(fieldgrid: Run, tmp_path: Path) 
     lattice = Lattice(0.1)
     window = lattice.window(Bounds(0.0, 0.0, 16.0, 16.0))
     seen = np.ones(window.shape, dtype=np.bool_)
-    view = MapView(lattice, window, np.zeros(window.shape, dtype=np.uint8), seen, DATUM)
+    view = MapView(
+        lattice, window, np.zeros(window.shape, dtype=np.uint8), seen, DATUM, is_base=True
+    )
     path = write_map(tmp_path / "bare.gpkg", view)
     assert "no rows found; check --crop" in fieldgrid("rows", path).output()
     assert json.loads(fieldgrid("rows", path, "--json").output())["rows"] == []

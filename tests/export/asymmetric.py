@@ -221,7 +221,8 @@ def _inside(box: tuple[float, float, float, float], east: _Float64, north: _Floa
 
 
 def _pose_over(west: float, south: float, k: int, start_ns: int) -> Pose:
-    """The pose of a grid that covers the block, by each of four headings in turn."""
+    """The pose of a grid that covers the block, by each of four headings in turn. It is unsure by a
+    metre, so that no ground counts as driven over."""
     heading = _HEADINGS_DEG[k % 4]
     half = _BLOCK_M / 2.0
     east, north = {
@@ -231,7 +232,7 @@ def _pose_over(west: float, south: float, k: int, start_ns: int) -> Pose:
         180.0: (west + half, south + _BLOCK_M),
     }[heading]
     time_ns = start_ns + 400_000_000 * k
-    return Pose(time_ns, float(east), float(north), 0.3, heading, 0.02, 0.5, 1.2)
+    return Pose(time_ns, float(east), float(north), 0.3, heading, 1.0, 0.5, 1.2)
 
 
 def _grid_at(session: str, pose: Pose) -> LocalGrid:

@@ -16,7 +16,6 @@ from fieldgrid.export import Selection, export_map
 from fieldgrid.export.shapes.taskdata import OBSTACLE, UNSEEN, zone_grid
 from fieldgrid.geometry import Datum, GridSpec, LocalGrid, Pose, Status
 from fieldgrid.maps import LETHAL, UNKNOWN_COST, MapFile, create_map, open_map
-from fieldgrid.maps.views.view import DECISION_LAYERS
 from tests.export.nav2_loader import load
 
 DATUM = Datum(41.0, 2.0, 100.0)
@@ -75,7 +74,7 @@ def test_costs_forget_no_obstacle_and_call_nothing_free_that_few_have_seen(
     costmap = Costmap.from_map(universal, cell_m=cell_m)
     east, north, obstacle = inside(universal, cell_m)
     assert (costmap.cost(east[obstacle], north[obstacle]) == LETHAL).all()
-    view = universal.read(cell_m=cell_m, layers=DECISION_LAYERS)
+    view = universal.read(cell_m=cell_m, layers=("peak", "seen_share"), decide="density")
     costs = CostCurve().cost(view.peak, view.seen_share)
     share = np.nan_to_num(view.seen_share)
     assert (costs[(share < 0.5) & (view.peak <= 100)] == UNKNOWN_COST).all()
@@ -86,7 +85,7 @@ def test_costs_forget_no_obstacle_and_call_nothing_free_that_few_have_seen(
 
 
 def test_how_much_must_be_seen_can_be_set(universal: MapFile) -> None:
-    view = universal.read(cell_m=0.25, layers=DECISION_LAYERS)
+    view = universal.read(cell_m=0.25, layers=("peak", "seen_share"), decide="density")
     free = [
         np.count_nonzero(CostCurve(least_seen=share).cost(view.peak, view.seen_share) == 0)
         for share in (0.1, 0.5, 0.9)
@@ -131,7 +130,7 @@ def test_outlines_enclose_every_obstacle_cell(
 
 
 def test_zones_of_a_terminal_keep_obstacles_and_what_is_unseen(universal: MapFile) -> None:
-    view = universal.read(cell_m=0.4, layers=DECISION_LAYERS)
+    view = universal.read(cell_m=0.4, layers=("peak", "seen_share"), decide="density")
     grid = zone_grid(view)
     east, north, obstacle = inside(universal, 0.4)
     lat, lon, _ = DATUM.to_geodetic(east[obstacle], north[obstacle], np.zeros(obstacle.sum()))

@@ -299,9 +299,8 @@ def test_the_costs_are_those_of_the_whole_however_it_is_cut(
             rings = tuple((east_m + aside_m + a, north_m + b) for a, b in ring)
             universal.add_marks([Mark(kind, rings)])
         cell_m = times * universal.cell_m
-        layers = ("max", "peak", "seen_share", *universal.deciding(cell_m))
-        view = universal.read(cell_m=cell_m, layers=tuple(dict.fromkeys(layers)))
-        whole = CostCurve().cost(*view.decision(layer))
+        view = universal.read(cell_m=cell_m, decide=layer)
+        whole = CostCurve().cost(*view.decision())
         monkeypatch.setattr(blocks, "_ROWS", 24)  # still less than the inflation reaches
         monkeypatch.setattr(blocks, "_COLUMNS", 32)
         monkeypatch.setattr(costmap, "_BLOCK_CELLS", 100)

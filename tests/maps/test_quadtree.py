@@ -291,7 +291,7 @@ def test_a_map_block_by_block_gives_the_squares_of_a_view_of_it(
     monkeypatch.setattr(blocks, "_COLUMNS", 256)
     monkeypatch.setattr(split, "_CHUNK_CELLS", 256)
     cut = Quadtree.from_map(universal, cell_m=cell_m, loss=40.0)
-    view = universal.read(cell_m=cell_m, layers=universal.deciding(cell_m))
+    view = universal.read(cell_m=cell_m, decide="density")
     from_view = Quadtree.from_view(view, loss=40.0)
     for one, other, third in zip(whole.squares, cut.squares, from_view.squares, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -306,7 +306,7 @@ def test_no_square_is_better_than_its_cells(
     universal: Any, cell_m: float | None, least_seen: float
 ) -> None:
     found = Quadtree.from_map(universal, cell_m=cell_m, loss=255.0, least_seen=least_seen)
-    view = universal.read(cell_m=cell_m, layers=universal.deciding(cell_m))
+    view = universal.read(cell_m=cell_m, decide="density")
     cost = fg.CostCurve(least_seen=1.0).cost(*view.decision())
     east, north = view.lattice.centres(view.window)
     at = found.at(east[None, :], north[:, None])
@@ -336,7 +336,7 @@ def test_a_map_of_a_moment_and_of_another_layer(universal: Any) -> None:
     early = Quadtree.from_map(universal, at=first)
     view = universal.read(at=first)
     east, north = view.lattice.centres(view.window)
-    assert ((early.at(east[None, :], north[:, None]) >= 0) == view.observed).all()
+    assert (early.at(east[None, :], north[:, None]) >= 0)[view.observed].all()
     highest = Quadtree.from_map(universal, layer="max")
     assert highest.squares.highest.max() == universal.read(layers=("max",)).layer("max").max()
 

@@ -74,7 +74,7 @@ class Holds(StrEnum):
 
     ANY = "any layer"
     GREY = "layers of whole numbers from 0 to 255"
-    OCCUPANCY = "the layers density, lasting, remaining and max"
+    OCCUPANCY = "the layers density, lasting and max"
     SHAPES = "what is traced from the density"
     MAP = "the density of the map as it is"
 

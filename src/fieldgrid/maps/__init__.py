@@ -5,7 +5,7 @@
   them, `revision` removes, restores and moves sessions. A slow commit: here and in `tiles`.
 * `tiles`: `pyramid`, the map over all sessions at every zoom level.
 * `layers`: `Layer`, `ChannelGroup`, `register_layer`; one module a layer in `built_in`.
-* `views`: `MapView`, its blocks and sources, and what cells count as (`decision`).
+* `views`: `MapView`, its blocks and sources, and what cells count as (`decision`, `deciding`).
 * `vector`: `Mark`s, features for a GIS, and the styles of QGIS (`qgis`, `styles`).
 * `health`: `verify` and `repair`; `farm`: `Farm`, maps as one; `quadtree`; `costmap`.
 
@@ -93,6 +93,7 @@ if TYPE_CHECKING:
         register_layer as register_layer,
         unregister as unregister,
     )
+    from fieldgrid.maps.layers.sight import hidden as hidden, sight_lines as sight_lines
     from fieldgrid.maps.layers.window import WindowFold as WindowFold
     from fieldgrid.maps.quadtree.rule import LOSS as LOSS, Near as Near
     from fieldgrid.maps.quadtree.split import Squares as Squares, State as State
@@ -125,7 +126,6 @@ if TYPE_CHECKING:
         Change as Change,
         ChangeView as ChangeView,
     )
-    from fieldgrid.maps.views.driven import DRIVEN_WIDTH_M as DRIVEN_WIDTH_M
     from fieldgrid.maps.views.provenance import Provenance as Provenance
     from fieldgrid.maps.views.readable import (
         DrivenMap as DrivenMap,

@@ -18,7 +18,7 @@ from fieldgrid.geometry import FREE_UP_TO, OBSTACLE_ABOVE
 OCCUPIED, UNKNOWN_OCCUPANCY = 100, -1
 """Of nav_msgs/OccupancyGrid: an obstacle, and a cell of which nothing is known."""
 
-DENSITIES = ("density", "lasting", "remaining", "max")
+DENSITIES = ("density", "lasting", "max")
 """The layers that hold densities, from which a cost can be made."""
 
 LEAST_DROP_M = 0.1

@@ -120,7 +120,7 @@ class Costmap:
     ) -> Self:
         """The costs of a part of a map, or of a `Farm`; `bounds`, `cell_m` and `at` as in
         `MapFile.read`. `layer` is the density; `lasting`, without what stood in half of the drives
-        or fewer; `remaining`, without what moved within a drive, too; or `max`.
+        or fewer; or `max`.
 
         Raises ConfigError for settings that cannot be and for a part of more than 100 million
         cells or 40000 along a side.
@@ -131,9 +131,8 @@ class Costmap:
                 f"The layer {quoted(layer)} holds no density, so it has no cost; choose one of "
                 f"{', '.join(DENSITIES)}."
             )
-        wanted = dict.fromkeys((layer, *universal.deciding(cell_m)))
-        with universal.read_blocks(bounds, cell_m, layers=tuple(wanted), at=at) as blocks:
-            costmap = cls._of(blocks, universal.datum, settings, curve, layer)
+        with universal.read_blocks(bounds, cell_m, at=at, decide=layer) as blocks:
+            costmap = cls._of(blocks, universal.datum, settings, curve)
         for cost in (LETHAL, UNKNOWN_COST):  # so that the first question takes no longer
             costmap._distances.to(cost)
         return costmap
@@ -148,12 +147,11 @@ class Costmap:
         inflation_m: float = 0.0,
         decay_per_m: float = 3.0,
     ) -> Self:
-        """The costs of a view that was read already, with the layers that `MapFile.deciding` names:
-        those of drops, and where its cells are larger than the map's own `DECISION_LAYERS`. Its
-        distances are worked out when they are first asked for."""
+        """The costs of a view that was read already, to decide. Its distances are worked out when
+        they are first asked for."""
         settings = Inflation(robot_radius_m, inflation_m, decay_per_m)
         whole = MapBlocks(view.lattice, view.window, iter((view,)))
-        return cls._of(whole, view.datum, settings, curve, "density")
+        return cls._of(whole, view.datum, settings, curve)
 
     @classmethod
     def _of(
@@ -162,9 +160,8 @@ class Costmap:
         datum: Datum,
         inflation: Inflation,
         curve: CostCurve | None,
-        layer: str,
     ) -> Self:
-        costs = _costs_of(blocks, curve or CostCurve(), layer)
+        costs = _costs_of(blocks, curve or CostCurve())
         distances = _Distances(costs)
         # It changes no cell that is an obstacle or unknown.
         _inflate(costs, distances, inflation, blocks.lattice)
@@ -254,7 +251,7 @@ def _distance_cells(other: Bool) -> Float32:
     return np.asarray(found, dtype=np.float32)
 
 
-def _costs_of(blocks: MapBlocks, curve: CostCurve, layer: str) -> UInt8:
+def _costs_of(blocks: MapBlocks, curve: CostCurve) -> UInt8:
     """The costs of the cells with a border, block by block: what decides them takes more bytes than
     they do."""
     window = blocks.window
@@ -268,7 +265,7 @@ def _costs_of(blocks: MapBlocks, curve: CostCurve, layer: str) -> UInt8:
     costs = np.full((window.height + 2, window.width + 2), UNKNOWN_COST, np.uint8)
     inside = costs[1:-1, 1:-1]
     for view in blocks.views:
-        decided = view.decision(layer, curve.least_drop_m)
+        decided = view.decision(curve.least_drop_m)
         inside[window.slices_of(view.window)] = curve.cost(*decided)
     return costs
 

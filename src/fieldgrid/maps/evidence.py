@@ -43,7 +43,8 @@ class Evidence(NamedTuple):
 
     @classmethod
     def of(cls, view: MapView, obstacle_above: int = OBSTACLE_ABOVE) -> Evidence:
-        """The classes of a view: an obstacle is a cell whose density is above the threshold."""
+        """The classes of a view that was read to decide: an obstacle is a cell whose worst density
+        is above the threshold."""
         return cls.of_blocks(MapBlocks(view.lattice, view.window, iter((view,))), obstacle_above)
 
     @classmethod
@@ -51,9 +52,9 @@ class Evidence(NamedTuple):
         """The classes of the blocks of a map, of which one is held at a time."""
         cells = np.zeros(blocks.window.shape, dtype=np.uint8)
         for view in blocks.views:
-            part = cells[blocks.window.slices_of(view.window)]
-            part[view.observed] = FREE
-            part[view.observed & (view.density > obstacle_above)] = OBSTACLE
+            worst, seen, _ = view.decision()
+            classes = np.where(worst > obstacle_above, OBSTACLE, FREE)
+            cells[blocks.window.slices_of(view.window)] = np.where(seen > 0.0, classes, UNSEEN)
         return cls(blocks.lattice, blocks.window, cells)
 
     @property

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from scipy import ndimage
 
 from benchmarks.planting import DATUM
 from benchmarks.routes import Task, random_task
@@ -71,7 +72,8 @@ def assert_holds(route: Route, view: MapView, *, allow_unknown: bool = False) ->
     shapes = footprints(route)
     barred = view.observed & (view.density > 100)
     if not allow_unknown:
-        barred |= ~view.observed
+        depth_m = ndimage.distance_transform_edt(~view.observed) * view.lattice.cell_m
+        barred |= depth_m > route.vehicle.clearance_m + 1e-6
         bounds = view.bounds
         window = shapely.box(bounds.west_m, bounds.south_m, bounds.east_m, bounds.north_m)
         assert shapely.covers(window.buffer(1e-6), shapes).all()
@@ -135,7 +137,13 @@ def test_random_fields_are_never_touched(block: int) -> None:
         found += 1
         assert_holds(route, task.view)
         assert_ends(route, task)
-        ground = Ground.of(task.view, CostCurve(), allow_unknown=False, margin_m=10.0)
+        ground = Ground.of(
+            task.view,
+            CostCurve(),
+            allow_unknown=False,
+            margin_m=10.0,
+            clearance_m=task.vehicle.clearance_m,
+        )
         assert find_fault(route.path, ground, task.vehicle) is None
     assert found >= 5
 

@@ -26,7 +26,9 @@ def noise(per_m2: float, heap_m: float, seed: int, side_m: float = 35.0) -> MapV
     cells = (rng.random(window.shape) < per_m2 * 0.1**2).astype(np.uint8)
     size = round(heap_m / 0.1) | 1
     cells = cv2.dilate(cells, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
-    return MapView(lattice, window, cells * np.uint8(200), np.ones(window.shape, np.bool_), DATUM)
+    return MapView(
+        lattice, window, cells * np.uint8(200), np.ones(window.shape, np.bool_), DATUM, is_base=True
+    )
 
 
 @pytest.mark.parametrize(

@@ -293,7 +293,9 @@ def test_noise_alone_has_no_rows() -> None:
     lattice = Lattice(0.1)
     window = lattice.window(Bounds(0.0, 0.0, 40.0, 40.0))
     density = np.where(rng.random(window.shape) < 0.01, 200, 0).astype(np.uint8)
-    view = MapView(lattice, window, density, np.ones(window.shape, dtype=np.bool_), DATUM)
+    view = MapView(
+        lattice, window, density, np.ones(window.shape, dtype=np.bool_), DATUM, is_base=True
+    )
     assert not rows_of_view(view).rows
 
 
@@ -302,7 +304,9 @@ def test_a_map_without_obstacles_is_an_empty_planting(observed: bool) -> None:
     lattice = Lattice(0.1)
     window = lattice.window(Bounds(0.0, 0.0, 10.0, 10.0))
     mask = np.full(window.shape, observed)
-    found = rows_of_view(MapView(lattice, window, np.zeros(window.shape, np.uint8), mask, DATUM))
+    found = rows_of_view(
+        MapView(lattice, window, np.zeros(window.shape, np.uint8), mask, DATUM, is_base=True)
+    )
     assert found.rows == found.lanes == found.gaps == found.blocks == found.headlands == ()
 
 

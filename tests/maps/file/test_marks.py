@@ -285,7 +285,7 @@ def test_the_density_stays_what_the_drives_saw(field: Path) -> None:
         before = universal.read(layers=("peak", "seen_share"), cell_m=4 * CELL_M)
     add(field, POND, Mark(MarkKind.OBSTACLE, square(-9.0, 3.0, 4.0)), GATE)
     with open_map(field) as universal:
-        after = universal.read(layers=("peak", "seen_share"), cell_m=4 * CELL_M)
+        after = universal.read(layers=("peak", "seen_share"), cell_m=4 * CELL_M, decide="density")
     for name in ("density", "observed", "peak", "seen_share"):
         np.testing.assert_array_equal(before.layer(name), after.layer(name))
     assert len(after.marks) == 3

@@ -97,7 +97,7 @@ def tiles_of(path: Path) -> list[tuple[object, ...]]:
     rows = [
         *database.execute(
             "SELECT zoom, ty, tx, channels, data FROM fieldgrid_tile "
-            "WHERE channels NOT IN ('sessions', 'lasting', 'moved', 'remaining', "
+            "WHERE channels NOT IN ('sessions', 'lasting', 'moved', "
             "'terrain', 'surface', 'vehicle_height') "  # each session has one voice
             "ORDER BY 1, 2, 3, 4"
         ),

@@ -145,8 +145,7 @@ def _points(
     universal: MapFile, selection: Selection, above: int, counts: Counter[str]
 ) -> Iterator[AnyArray]:
     """The obstacle cells, block by block; adds their numbers to `counts`."""
-    wanted = (*universal.deciding(selection.cell_m), *_HEIGHTS)
-    with selection.blocks(universal, wanted) as blocks:
+    with selection.blocks(universal, _HEIGHTS, decide="density") as blocks:
         for view in blocks.views:
             worst, seen, _ = view.decision()
             j, i = np.nonzero((worst > above) & (seen > 0.0))

@@ -206,8 +206,8 @@ def _up_sigma_m(universal: MapFile, session: str) -> Float64:
 
 def _occupancy(content: BagContent, selection: Selection) -> Any:
     """The occupancy grid of a part."""
-    view = selection.view(content.universal, content.universal.deciding(selection.cell_m))
-    occupancy = content.curve.occupancy(*view.decision(selection.layer, content.curve.least_drop_m))
+    view = selection.view(content.universal, decide=selection.layer)
+    occupancy = content.curve.occupancy(*view.decision(content.curve.least_drop_m))
     return ros_messages.occupancy_grid(view.lattice, view.window, occupancy, content.start_ns)
 
 

@@ -196,8 +196,8 @@ class _Part:
     ) -> None:
         self._path, self._layer, self._options = path, selection.layer, options
         counted = ("count",) if options.slow_percent and options.slow_seen_by else ()
-        view = selection.view(universal, (*universal.deciding(selection.cell_m), *counted))
-        decision = view.decision(selection.layer, options.curve().least_drop_m)
+        view = selection.view(universal, counted, decide=selection.layer)
+        decision = view.decision(options.curve().least_drop_m)
         self._lattice, self._window, self._datum = view.lattice, view.window, view.datum
         self._occupancy = options.curve().occupancy(*decision)
         self._keepout = np.zeros(view.window.shape, np.int8)

@@ -169,7 +169,7 @@ def _marks(universal: MapFile) -> FeatureLayer:
 
 
 def _obstacles(universal: MapFile, selection: Selection, options: ShapeOptions) -> FeatureLayer:
-    with selection.blocks(universal, universal.deciding(selection.cell_m)) as blocks:
+    with selection.blocks(universal, decide="density") as blocks:
         found = list(trace_obstacles(blocks.views, options))
     import shapely
 

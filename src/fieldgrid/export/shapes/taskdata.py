@@ -47,7 +47,15 @@ from fieldgrid.geometry import (
     Status,
     continued_deg,
 )
-from fieldgrid.maps import LEAST_SEEN, MapFile, MapView, MarkKind, Selection
+from fieldgrid.maps import (
+    OCCUPIED,
+    UNKNOWN_OCCUPANCY,
+    CostCurve,
+    MapFile,
+    MapView,
+    MarkKind,
+    Selection,
+)
 
 if TYPE_CHECKING:
     from fieldgrid.field import Planting
@@ -94,9 +102,7 @@ def export_taskdata(
     obstacles, drives, footprints = feature_layers(
         universal, selection, options, ("obstacle", "trajectory", "footprint")
     )
-    grid = zone_grid(
-        selection.view(universal, universal.deciding(selection.cell_m)), options.obstacle_above
-    )
+    grid = zone_grid(selection.view(universal, decide="density"), options.obstacle_above)
     if planting is None and options.guidance == "lanes":
         from fieldgrid.field import find_rows  # brings 50 MB of libraries
 
@@ -207,9 +213,11 @@ _BY_SEVERITY = np.array([FREE, UNSEEN, DOUBT, OBSTACLE, KEEPOUT], dtype=np.uint8
 def _severity(view: MapView, obstacle_above: int) -> UInt8:
     """0 free, 1 not observed, 2 in doubt, 3 obstacle, 4 keep-out."""
     worst, seen, keepout = view.decision()
-    found = np.where(worst > FREE_UP_TO, np.uint8(2), np.uint8(0))
-    found[~(seen >= LEAST_SEEN)] = 1  # NaN where nothing was seen
-    found[(worst > obstacle_above) & (seen > 0.0)] = 3
+    curve = CostCurve(min(FREE_UP_TO, obstacle_above), obstacle_above)
+    known = curve.occupancy(worst, seen)
+    found = np.select(
+        [known == UNKNOWN_OCCUPANCY, known == 0, known == OCCUPIED], [1, 0, 3], 2
+    ).astype(np.uint8)
     if keepout is not None:
         found[keepout] = 4
     return found

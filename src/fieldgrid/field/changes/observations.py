@@ -12,34 +12,35 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from fieldgrid.core import (
-    AnyArray,
     Bool,
     ConfigError,
     FieldgridError,
     Float32,
-    Float64,
-    Index,
     quoted,
 )
 from fieldgrid.field.changes.relative_sigmas import RelativeSigma
 from fieldgrid.geometry import (
     FREE_UP_TO,
-    HIDDEN_FROM,
     OBSTACLE_ABOVE,
-    GridSpec,
     Lattice,
-    LocalGrid,
     Rig,
     StereoCamera,
     Window,
 )
-from fieldgrid.maps import FrameRecord, SessionInfo, Transfer, footprint, land
+from fieldgrid.maps import (
+    FrameRecord,
+    SessionInfo,
+    Transfer,
+    footprint,
+    hidden,
+    land,
+    sight_lines,
+)
 
 APART_M = 0.5
 """Frames from one stretch of the path of this length count as one look together."""
@@ -94,7 +95,7 @@ class FrameObserver(NamedTuple):
         free = where((density <= FREE_UP_TO) & ~hidden(grid)[hit]) & ~stands
         observed = where(np.ones(density.shape, dtype=np.bool_))
         range_m = np.zeros(size, dtype=np.float32)
-        range_m[at] = _polar(grid.spec).range_m[hit]
+        range_m[at] = sight_lines(grid.spec).range_m[hit]
         range_m = range_m.reshape(place.shape)
         heading = math.radians(self.heading_sigma_deg)
         return Observation(
@@ -163,35 +164,3 @@ def _range_sigma_1pm(config: Mapping[str, Any]) -> float:
     if not isinstance(sensor, StereoCamera) or not isinstance(sigma_px, int | float):
         return 0.0
     return float(sensor.range_sigma_m(1.0, sigma_px))
-
-
-class _Polar(NamedTuple):
-    """The cells of a local grid as seen from its origin, arrays [n_y, n_x]."""
-
-    range_m: Float32
-    bearing: Index
-    ring: Index
-    hidden_from: Index
-
-
-@lru_cache(maxsize=8)
-def _polar(spec: GridSpec) -> _Polar:
-    """Bearings in steps of one cell at half the grid's reach, ranges in steps of a cell."""
-    x, y = np.meshgrid(*spec.centres_m())
-    range_m: Float64 = np.hypot(x, y)
-    step = 2.0 * spec.cell_m / spec.reach_m
-    bearing = np.floor((np.arctan2(x, y) + math.pi / 2.0) / step).astype(np.intp)
-    ring = np.floor(range_m / spec.cell_m).astype(np.intp)
-    first = np.floor(range_m * HIDDEN_FROM / spec.cell_m).astype(np.intp)
-    return _Polar(range_m.astype(np.float32), bearing, ring, first)
-
-
-def hidden(grid: LocalGrid) -> Bool:
-    """The cells [n_y, n_x] with an obstacle shortly before them in the line of sight."""
-    polar = _polar(grid.spec)
-    stands = grid.observed & (grid.density > OBSTACLE_ABOVE)
-    rays = np.zeros((int(polar.bearing.max()) + 1, int(polar.ring.max()) + 2), dtype=np.int16)
-    rays[polar.bearing[stands], polar.ring[stands] + 1] = 1
-    before: AnyArray = np.cumsum(rays, axis=1, dtype=np.int16)
-    # `before[b, k]` counts the rings of a bearing that are nearer than ring k.
-    return np.asarray(before[polar.bearing, polar.ring] > before[polar.bearing, polar.hidden_from])

@@ -29,6 +29,10 @@ _STEP_M = 0.1
 _BESIDE_M = 0.6
 """How far beside the middle of a lane a vehicle may drive along it."""
 
+_LEFT_OUT = 0.15
+"""The share of a lane that may be left out at either end, where that end has no room or was not
+seen."""
+
 _MAX_POSES = 100_000
 
 
@@ -58,8 +62,8 @@ def drive_lane(searcher: Searcher, lane: Lane, *, backwards: bool) -> Pass:
     forward, but for where it has to manoeuvre.
 
     The reference point goes from the line's one end to the other; where the vehicle cannot stand
-    there, from as far inside as its nose or tail still reaches the end. Raises NoRouteError where
-    it cannot be driven.
+    there, from as near to it as it can, and no farther than its nose or tail reaches or a seventh
+    of the lane. Raises NoRouteError where it cannot be driven.
     """
     ground, vehicle = searcher.ground, searcher.vehicle
     line = np.asarray(lane.line.coords, dtype=np.float64)[:, :2]
@@ -98,7 +102,7 @@ def _free_ends(
     vehicle, size = searcher.vehicle, float(lengths(line)[-1])
     corners = vehicle.footprint()[:, 0]
     reach = (corners.max() if is_last else -corners.min()) + vehicle.clearance_m
-    shift = np.arange(0.0, min(reach + _STEP_M, 0.4 * size), _STEP_M)
+    shift = np.arange(0.0, min(max(reach + _STEP_M, _LEFT_OUT * size), 0.4 * size), _STEP_M)
     at = size - shift if is_last else shift
     found = {}
     for aside in beside:

@@ -146,7 +146,7 @@ def plan_coverage(
         above = OBSTACLE_ABOVE if curve is None else curve.obstacle_above
         work = find_rows(universal, crop=crop, bounds=bounds, obstacle_above=above, at=at)
     vehicle = vehicle or Vehicle()
-    view = planning_view(universal, vehicle, cell_m, bounds, at)
+    view = planning_view(universal, cell_m, bounds, at)
     return coverage_in_view(
         view, work, vehicle, lanes=lanes, start=start, goal=goal,
         allow_unknown=allow_unknown, curve=curve, progress=progress, universal=universal,

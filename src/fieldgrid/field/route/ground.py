@@ -20,7 +20,6 @@ MAX_CELLS = 100_000_000
 MAX_SIDE = 40_000
 """Cells along a side, for whose squares the distance transform has room."""
 
-_BLOCK_ROWS = 256
 _FEW_CELLS = 4
 """Obstacle cells that touch each other and are no more than these stand alone."""
 
@@ -54,10 +53,20 @@ class Ground:
     obstacle_above: int
 
     @classmethod
-    def of(cls, view: MapView, curve: CostCurve, *, allow_unknown: bool, margin_m: float) -> Ground:
+    def of(
+        cls,
+        view: MapView,
+        curve: CostCurve,
+        *,
+        allow_unknown: bool,
+        margin_m: float,
+        clearance_m: float = 0.0,
+    ) -> Ground:
         """The ground of a view, decided as a costmap decides, with `margin_m` of unseen cells
-        around it, but for what is marked there. Unseen cells are blocked but for `allow_unknown`.
-        Raises ConfigError for more than 100 million cells, or 40000 along a side."""
+        around it, but for what is marked there. Unseen cells are blocked but for `allow_unknown`,
+        and but for those within `clearance_m` of what was seen: a footprint that keeps so far from
+        the others keeps off unseen ground, but for its pinholes. Raises ConfigError for more than
+        100 million cells, or 40000 along a side."""
         cell_m = 1.0 / view.lattice.cells_per_m
         margin = math.ceil(margin_m / cell_m)
         height, width = view.density.shape
@@ -74,10 +83,8 @@ class Ground:
         inner = cells[inside]
         classes = np.full(256, FREE, dtype=np.uint8)
         classes[LETHAL], classes[UNKNOWN_COST] = OBSTACLE, UNSEEN
-        worst, share, keepout = view.decision(least_drop_m=curve.least_drop_m)
-        for first in range(0, height, _BLOCK_ROWS):
-            some = slice(first, first + _BLOCK_ROWS)
-            inner[some] = classes[curve.cost(worst[some], share[some])]
+        worst, share, keepout = view.decision(curve.least_drop_m)
+        inner[:] = classes[curve.cost(worst, share)]
         density[inside] = worst
         if view.marks:
             said = decision.marked_cells(view.marks, view.lattice, view.window.grown(margin))
@@ -87,8 +94,12 @@ class Ground:
         if keepout is not None:
             inner[keepout] = KEEPOUT
         blocked = cells != FREE
+        unseen = (cells == UNSEEN).astype(np.uint8)
         if allow_unknown:
-            blocked &= cells != UNSEEN
+            blocked &= unseen == 0
+        elif not unseen.all():
+            depth = cv2.distanceTransform(unseen, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+            blocked[(unseen > 0) & (depth * cell_m <= clearance_m + 1e-6)] = False
         bounds = view.bounds
         return cls(
             bounds.west_m - margin * cell_m, bounds.south_m - margin * cell_m, cell_m, cells,

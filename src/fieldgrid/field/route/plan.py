@@ -18,9 +18,9 @@ from fieldgrid.field.route.search import MAX_STATES, Searcher, SearchPose
 from fieldgrid.field.route.vehicle import Vehicle
 from fieldgrid.field.route.verify import Fault, find_fault, swept_hulls
 from fieldgrid.geometry import Bounds, Datum, wrap_deg, yaw_from_heading_rad
-from fieldgrid.maps import DRIVEN_WIDTH_M, CostCurve, MapFile, MapView, open_map
+from fieldgrid.maps import CostCurve, MapFile, MapView, open_map
 
-USUAL_CELL_M = 0.2
+USUAL_CELL_M = 0.1
 """Cells that a route is planned on, where the map's own are smaller: stereo leaves pinholes in the
 smallest cells of ground that it has seen."""
 
@@ -105,9 +105,10 @@ def plan_route(
 
     Places are (east_m, north_m) or (east_m, north_m, heading_deg), metres of the map and degrees
     clockwise from north; without a heading any will do. What the footprint sweeps keeps the
-    vehicle's clearance to every obstacle and, but for `allow_unknown`, to every cell that was not
-    seen. Cells are decided by the map's own cells in them, as `CostCurve` says;
-    `cell_m` is their size, by default the smallest multiple of the map's own from 0.2 m up.
+    vehicle's clearance to every obstacle and, but for `allow_unknown`, keeps off ground that was
+    not seen, but for pinholes that are no wider than two clearances. Cells are decided by the map's
+    own cells in them, as `CostCurve` says; `cell_m` is their size, by default the smallest multiple
+    of the map's own from 0.1 m up.
     `bounds` keeps the route in a part of the map; `at` is a session or a date.
 
     Raises NoRouteError, with the reason and the place, when there is no such way; ConfigError for
@@ -120,25 +121,19 @@ def plan_route(
                 bounds=bounds, curve=curve, at=at,
             )  # fmt: skip
     vehicle = vehicle or Vehicle()
-    view = planning_view(universal, vehicle, cell_m, bounds, at)
+    view = planning_view(universal, cell_m, bounds, at)
     return route_in_view(
         view, start, goal, vehicle, allow_unknown=allow_unknown, curve=curve, universal=universal
     )
 
 
 def planning_view(
-    universal: MapFile,
-    vehicle: Vehicle,
-    cell_m: float | None,
-    bounds: Bounds | None,
-    at: str | int | None,
+    universal: MapFile, cell_m: float | None, bounds: Bounds | None, at: str | int | None
 ) -> MapView:
-    """What :func:`plan_route` reads of a map. Of the ground that was driven over, as much is free
-    as the vehicle needs, but no more than another one is sure to have been wide."""
+    """What :func:`plan_route` reads of a map."""
     own = universal.cell_m
     size = own * max(1, math.ceil(USUAL_CELL_M / own - 1e-9)) if cell_m is None else cell_m
-    driven_m = min(vehicle.work_width_m + 2.0 * vehicle.clearance_m, DRIVEN_WIDTH_M)
-    return universal.read(bounds, size, layers=universal.deciding(size), at=at, driven_m=driven_m)
+    return universal.read(bounds, size, at=at, decide="density")
 
 
 def route_in_view(
@@ -152,9 +147,9 @@ def route_in_view(
     max_poses: int = MAX_STATES,
     universal: MapFile | None = None,
 ) -> Route:
-    """Plan a route as :func:`plan_route` does, in a view that was read with the layers that
-    `MapFile.deciding` names. `max_poses` is the largest number of poses that are searched. With the
-    map of the view, a refusal names the weak cells that block."""
+    """Plan a route as :func:`plan_route` does, in a view that was read to decide. `max_poses` is
+    the largest number of poses that are searched. With the map of the view, a refusal names the
+    weak cells that block."""
     for name, place in (("start", start), ("goal", goal)):
         check_place(name, place)
     if math.dist(start[:2], goal[:2]) < 1e-3 and (
@@ -217,6 +212,8 @@ def weak_cells(
             f"`fieldgrid mark {universal.path.name} --kind free --polygon "
             f'"{";".join(f"{east:.2f},{north:.2f}" for east, north in corners)}"`'
         )
+    if not cells:
+        return ""
     return (
         f"there is a way if nothing stands at {' and '.join(cells)}; "
         f"where that is so, run {' and '.join(marks)}"
@@ -230,7 +227,13 @@ def searcher_of(
     # Beyond what was read nothing was seen; where that may be driven, there is room for a turn.
     around = 2.0 * (vehicle.turning_radius_m + vehicle.reach_m) if allow_unknown else 0.0
     margin = NEAR_M + vehicle.clearance_m + vehicle.reach_m + around
-    ground = Ground.of(view, curve or CostCurve(), allow_unknown=allow_unknown, margin_m=margin)
+    ground = Ground.of(
+        view,
+        curve or CostCurve(),
+        allow_unknown=allow_unknown,
+        margin_m=margin,
+        clearance_m=vehicle.clearance_m,
+    )
     return Searcher(ground, vehicle)
 
 

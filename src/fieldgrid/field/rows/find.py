@@ -107,7 +107,9 @@ def find_rows(
     size = (area.east_m - area.west_m) * (area.north_m - area.south_m)
     while size / cell_m**2 > MAX_CELLS:
         cell_m *= 2.0
-    with universal.read_blocks(bounds, cell_m, at=at, jobs=jobs, scheduler=scheduler) as blocks:
+    with universal.read_blocks(
+        bounds, cell_m, at=at, jobs=jobs, scheduler=scheduler, decide="density"
+    ) as blocks:
         evidence = Evidence.of_blocks(blocks, obstacle_above)
         drives = drives_of(universal, at)
     return _planting(

@@ -7,7 +7,7 @@ joined own cells, where sums do not say it all.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
 from itertools import chain
@@ -103,6 +103,34 @@ class FarmContent:
     def marks(self) -> tuple[Mark, ...]:
         """See `Content`."""
         return self._marks
+
+    def tells_of_drops(self) -> bool:
+        """See `Content`."""
+        headers = (part.block.header for part in self._parts)
+        return any(header is not None and "drop" in header.groups for header in headers)
+
+    def ways(self, request: Request) -> dict[str, list[FrameRecord]]:
+        """See `Content`."""
+        found: list[tuple[int, str, list[FrameRecord]]] = []
+        for part, content, asked in self._near(request):
+            own = content.ways(asked)
+            ends = {info.name: info.last_time_ns or -1 for info in part.block.sessions}
+            found += [(ends[was], name, own[was]) for name, was in part.names.items() if was in own]
+        return {name: frames for _, name, frames in sorted(found, key=lambda way: way[0])}
+
+    def by_session(self, request: Request) -> Iterator[tuple[str, Cells]]:
+        """See `Content`."""
+        for part, content, asked in self._near(request):
+            names = {was: name for name, was in part.names.items()}
+            yield from ((names[was], cells) for was, cells in content.by_session(asked))
+
+    def _near(self, request: Request) -> Iterator[tuple[FarmPart, MapContent, Request]]:
+        """The maps that may tell of a window of the own cells, and what is asked of each."""
+        for part in self._parts:
+            asked = part.request(request)
+            if asked is not None and part.reach(request.lattice).intersect(request.window):
+                with self._maps.reading(part.block) as opened:
+                    yield part, part.content(opened.content), asked
 
     def fill(self, view: MapView, request: Request) -> bool:
         """See `Content`: where one map alone has all that is asked for."""

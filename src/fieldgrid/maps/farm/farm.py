@@ -22,7 +22,6 @@ from fieldgrid.maps.file.records import FrameRecord, SessionInfo
 from fieldgrid.maps.layers.registry import ALL_LAYERS, kept_groups
 from fieldgrid.maps.vector.marks import Mark
 from fieldgrid.maps.views.readable import DrivenMap
-from fieldgrid.maps.views.view import DECISION_LAYERS, DROP_LAYERS
 from fieldgrid.maps.writing.merge import free_name, marks_together
 from fieldgrid.maps.writing.redatum import Redatum
 from fieldgrid.maps.writing.twins import REMEDY, Twin, twin_of
@@ -128,14 +127,6 @@ class Farm(DrivenMap, Closing):
     def marks(self) -> tuple[Mark, ...]:
         """The marks of all maps; what two of them have counts once."""
         return self._marks
-
-    def deciding(self, cell_m: float | None) -> tuple[str, ...]:
-        """As `MapFile.deciding`."""
-        headers = (part.block.header for part in self._parts)
-        tells = any(header is not None and "drop" in header.groups for header in headers)
-        drops = DROP_LAYERS if tells else ()
-        is_own = self._header.lattice_of(cell_m) == self._header.lattice
-        return drops if is_own else (*DECISION_LAYERS, *drops)
 
     def check_sessions(self, names: Collection[str]) -> None:
         """As `MapFile.check_sessions`."""

@@ -32,10 +32,10 @@ def check(path: Path) -> None:
     The map is opened and closed, which takes all locks on it from this process: it must not be
     open in it.
     """
-    for name, is_strange in (("wal", _is_strange_log), ("journal", _is_strange_journal)):
+    for name in ("wal", "journal"):
         beside = path.with_name(f"{path.name}-{name}")
         # Twice, because another program may begin or end writing meanwhile.
-        if is_strange(path, beside) and is_strange(path, beside):
+        if _is_strange(path, beside) and _is_strange(path, beside):
             raise MapError(
                 f"{beside} does not belong to {path} as it is, and would damage it: move it "
                 "elsewhere if the map was restored from a copy, or restore the map that it "
@@ -67,18 +67,13 @@ def _numbers(first_page: bytes) -> tuple[int, int, int]:
     return 65536 if page_size == 1 else page_size, changes, pages
 
 
-def _is_strange_log(path: Path, beside: Path) -> bool:
-    """Whether it is the write-ahead log of a map that has none. Of a map that has one, since
-    another program has it open or was killed, SQLite looks after it."""
+def _is_strange(path: Path, beside: Path) -> bool:
+    """Whether it is the write-ahead log of a map that has none, or anything but a journal with
+    pages as they were before a change of this map. After the log of a map that has one, since
+    another program has it open or was killed, SQLite looks."""
     try:
-        return beside.stat().st_size > 0 and _first_page(path)[18:20] != b"\2\2"
-    except OSError:
-        return False
-
-
-def _is_strange_journal(path: Path, beside: Path) -> bool:
-    """Whether it is anything but a journal with pages as they were before a change of this map."""
-    try:
+        if beside.name.endswith("-wal"):
+            return beside.stat().st_size > 0 and _first_page(path)[18:20] != b"\2\2"
         if not stat.S_ISREG(beside.stat().st_mode):
             return True
         with beside.open("rb") as file:

@@ -338,17 +338,6 @@ def announce_layers(connection: sqlite3.Connection, matrices: TileMatrixSet) -> 
     )
 
 
-def zoom_levels(
-    matrices: TileMatrixSet, top: int
-) -> list[tuple[str, int, int, int, int, int, float, float]]:
-    """The rows of gpkg_tile_matrix for the levels from `top` down to the base."""
-    return [
-        ("density", zoom, 1 << zoom, 1 << zoom, TILE_CELLS, TILE_CELLS, pixel_m, pixel_m)
-        for zoom in range(top, matrices.base_zoom + 1)
-        for pixel_m in (matrices.pixel_m(zoom),)
-    ]
-
-
 def has_table(connection: sqlite3.Connection, name: str) -> bool:
     """Whether a map has a table, of those that not every map has."""
     query = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE type = 'table' AND name = ?)"

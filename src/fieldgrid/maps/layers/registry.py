@@ -27,7 +27,7 @@ from fieldgrid.maps.layers.declaration import ChannelGroup, Layer
 _GROUPS: dict[str, ChannelGroup] = {}
 _LAYERS: dict[str, Layer] = {}
 
-CORE_GROUPS = ("density", "count", "sessions", "terrain", "drop")
+CORE_GROUPS = ("density", "count", "sessions", "terrain", "drop", "moved")
 """The channel groups that the tiles of every map hold: what planners decide by, and the ground."""
 
 GROUPS: Mapping[str, ChannelGroup] = PluginRegistry(_GROUPS, Group.LAYERS)
@@ -45,7 +45,7 @@ _SUBJECTS = {
     "standing": ("What stands on it", "occupancy max_height clearance"),
     "time": (
         "Over time",
-        "sessions persistence static seasonal passing lasting moved remaining",
+        "sessions persistence static seasonal passing lasting moved",
     ),
 }
 """What layers tell: its title, and their names."""
@@ -163,7 +163,6 @@ for _group in (
     drop.GROUP,
     standing.GROUP,
     moved.GROUP,
-    moved.LEFT,
 ):
     register_group(_group)
 
@@ -179,7 +178,6 @@ for _layer in (
     lasting.PASSING,
     lasting.LASTING,
     moved.MOVED,
-    moved.REMAINING,
     height.HEIGHT,
     ground.GROUND,
     ground.SIGMA,

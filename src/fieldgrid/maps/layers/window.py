@@ -46,8 +46,10 @@ class WindowFold:
         self._under = blocks_under(window, self._side)
         # Whether a frame saw anything of a block is known where all of it is.
         self._window = whole_blocks(window, lattice)
+        # What a group has values of: the cells of the window, or the blocks under it.
+        self._units = {g.name: self._under if g.blocks else self._window for g in groups}
         self._folds = {
-            group.name: group.fold(math.prod(self._units(group).shape), lattice)
+            group.name: group.fold(math.prod(self._units[group.name].shape), lattice)
             for group in groups
             if group.fold is not None
         }
@@ -65,10 +67,6 @@ class WindowFold:
         frame = FrameInPlace(cells, pose, self._lattice, self._window, landing, self._touched)
         for fold in self._folds.values():
             fold.add(frame)
-
-    def _units(self, group: ChannelGroup) -> Window:
-        """What a group has values of: the cells of the window, or the blocks under it."""
-        return self._under if group.blocks else self._window
 
     def _touched(self, landing: Landing) -> Int32:
         """The cells that the latest frame landed in, each once."""
@@ -118,7 +116,7 @@ class WindowFold:
             if group.name not in folds:
                 continue
             made = folds.pop(group.name).channels()
-            channels = [one.reshape(self._units(group).shape) for one in made]
+            channels = [one.reshape(self._units[group.name].shape) for one in made]
             if group is self._groups[0] and any(other.blocks for other in self._groups):
                 side, (height, width) = self._side, self._under.shape
                 weighty = (channels[0] > 0).reshape(height, side, width, side)

@@ -119,7 +119,7 @@ def _halved(fine: AnyArray, join: Callable[[AnyArray, AnyArray], AnyArray]) -> A
 
 def squares_of(view: MapView, rule: Rule, layer: str) -> Iterator[Squares]:
     """The squares of a view, part by part; what lies outside of it counts as unseen."""
-    decided = view.decision(layer, rule.curve.least_drop_m)
+    decided = view.decision(rule.curve.least_drop_m)
     density = view.layer(layer)
     for chunk in squares(whole_squares(view.window, rule.levels[-1]), _CHUNK_CELLS):
         part = chunk.intersect(view.window)

@@ -75,8 +75,8 @@ class Quadtree:
                 f"of {', '.join(DENSITIES)}."
             )
         window = whole_squares(lattice.window(bounds or universal.bounds), rule.levels[-1])
-        layers = tuple(dict.fromkeys((layer, *universal.deciding(cell_m))))
-        with universal.read_blocks(lattice.bounds(window), cell_m, layers=layers, at=at) as blocks:
+        area = lattice.bounds(window)
+        with universal.read_blocks(area, cell_m, layers=[layer], at=at, decide=layer) as blocks:
             return cls._of(blocks, universal.datum, rule, layer)
 
     @classmethod
@@ -90,8 +90,8 @@ class Quadtree:
         near: Near | None = None,
         curve: CostCurve | None = None,
     ) -> Self:
-        """The squares of a view that was read already, with the layers that `MapFile.deciding`
-        names. What lies outside of it counts as unseen."""
+        """The squares of a view that was read already, to decide. What lies outside of it
+        counts as unseen."""
         rule = checked_rule(view.lattice, loss, sides_m, least_seen, near, curve)
         whole = MapBlocks(view.lattice, view.window, iter((view,)))
         return cls._of(whole, view.datum, rule, "density")

@@ -208,7 +208,11 @@ class Pyramid:
         )
         self._connection.executemany(
             "INSERT OR IGNORE INTO gpkg_tile_matrix VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-            schema.zoom_levels(matrices, top),
+            (
+                ("density", zoom, 1 << zoom, 1 << zoom, TILE_CELLS, TILE_CELLS, pixel_m, pixel_m)
+                for zoom in range(top, matrices.base_zoom + 1)
+                for pixel_m in (matrices.pixel_m(zoom),)
+            ),
         )
 
 

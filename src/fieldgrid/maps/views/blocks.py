@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 from fieldgrid.core import ConfigError, Runner
 from fieldgrid.geometry import TILE_CELLS, Lattice, Window, aligned_parts
-from fieldgrid.maps.views.read import Content, Request, read_views, with_levels
+from fieldgrid.maps.views.deciding import read_views
+from fieldgrid.maps.views.read import Content, Request, with_levels
 from fieldgrid.maps.views.view import MapView
 from fieldgrid.maps.writing.sharing import check_known
 

@@ -6,13 +6,14 @@ but for what only the map's own cells can tell: the highest in them, and how muc
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fieldgrid.core import ConfigError, Threads
-from fieldgrid.geometry import Bounds, TileIndex, tile_window
+from fieldgrid.geometry import DROP_CHANNEL, Bounds, TileIndex, tile_window
 from fieldgrid.maps.file.evidence import EvidenceTables
 from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.file.records import FrameRecord
@@ -31,7 +32,6 @@ from fieldgrid.maps.views.base_cells import (
     enlarged,
     follows_from_touched,
 )
-from fieldgrid.maps.views.driven import DrivenWay
 from fieldgrid.maps.views.read import Content, Request
 from fieldgrid.maps.views.sources import (
     CellSource,
@@ -60,18 +60,20 @@ class MapContent:
         """See `Content`."""
         return read_marks(self.evidence.connection)
 
-    def ways(self, width_m: float, request: Request) -> list[DrivenWay]:
-        """Where the drives went near a window of the own cells, in their order."""
-        names = self._names(request)
-        frames = self._frames(request, request.lattice.bounds(request.window))
-        groups = (GROUPS["density"],)
-        cells: dict[str, Cells] = {}
-        if len(names) > 1 and frames:
-            cells = dict(self.session_source(request, groups).by_session(request.window))
-        return [
-            DrivenWay([one for one in frames if one.session == name], cells.get(name), width_m)
-            for name in names
-        ]
+    def tells_of_drops(self) -> bool:
+        """See `Content`."""
+        return "drop" in self.header.groups or self.evidence.has_channel(DROP_CHANNEL)
+
+    def ways(self, request: Request) -> dict[str, list[FrameRecord]]:
+        """See `Content`."""
+        found: dict[str, list[FrameRecord]] = {name: [] for name in self._names(request)}
+        for frame in self._frames(request, request.lattice.bounds(request.window)):
+            found[frame.session].append(frame)
+        return found
+
+    def by_session(self, request: Request) -> Iterator[tuple[str, Cells]]:
+        """See `Content`."""
+        return self.session_source(request, (GROUPS["density"],)).by_session(request.window)
 
     def fill(self, view: MapView, request: Request) -> bool:
         """See `Content`: by the paper's averaging, or from pictures."""

@@ -1,27 +1,29 @@
-"""What cells count as, for whoever plans: free, obstacle or unseen, and where nobody may go.
+"""What cells count as, for whoever decides: free, obstacle or unseen, and where nobody may go.
 
-This is the one place where drops and marks change that, on the map's own cells. Where the ground
-falls away a cell is an obstacle, and what was seen only beyond such an edge is unseen. Marks say
-more than that: a cell that an obstacle mark touches is an obstacle, one that lies in a free mark
-with all of itself is free, unless an obstacle mark touches it, too; one that a keep-out touches is
-kept out of, whatever it is. A point marks the cell in which it lies. Larger cells follow from these
-by the rule of all larger cells.
+This is the one reading of a map that routes, rows, costmaps, squares and exports for robots and
+terminals share. It is made of the map's own cells: what the drives saw; what moved within a drive
+(`views.moved`) and the ground that was driven over (`views.driven`), which are free; drops, which
+are obstacles, and what was seen only beyond one, which is unseen. Marks say more than all that: a
+cell that an obstacle mark touches is an obstacle, one that lies in a free mark with all of itself
+is free, unless an obstacle mark touches it, too; one that a keep-out touches is kept out of,
+whatever it is. A point marks the cell in which it lies. A larger cell is the worst of these in it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Bool, Float32, Float64, Int64, UInt8
+from fieldgrid.core import AnyArray, Bool, Float32, Float64, UInt8
 from fieldgrid.geometry import Lattice, Window, squares
 from fieldgrid.maps.vector.marks import Mark, MarkKind
 
-KEEPOUT, OBSTACLE, FREE = 1, 2, 4
-"""Flags of cells."""
+KEEPOUT, OBSTACLE, FREE, DRIVEN, MOVED = 1, 2, 4, 8, 16
+"""Flags of cells, the reasons why they count as other than what the drives saw: three kinds of
+marks, ground that was driven over, and what moved within a drive."""
 
 _FLAGS = {MarkKind.KEEPOUT: KEEPOUT, MarkKind.OBSTACLE: OBSTACLE, MarkKind.FREE: FREE}
 
@@ -38,53 +40,57 @@ _Edge = Sequence[Float64]
 
 class Decision(NamedTuple):
     """What a cost or an occupancy is made of, arrays of the view's shape: the highest density of
-    the map's own cells in each cell, the share of them that was seen or is marked (0..1, NaN for
-    none; 1 where an obstacle mark is), and where no vehicle may go (None for nowhere)."""
+    the map's own cells in each cell, the share of them that was seen or is marked (0..1), and where
+    no vehicle may go (None for nowhere)."""
 
     worst: UInt8
     seen: Float32
     keepout: Bool | None = None
 
 
-class PartlyFree(NamedTuple):
-    """Cells of a view of which only a part is marked as free [n]: their rows and columns, the worst
-    that the rest of them holds by layer, the share that was seen, what is marked included, and how
-    far the ground falls away in the rest."""
+class Decided(NamedTuple):
+    """What the cells of a view count as, but for how much of a drop is an obstacle: see `Decision`;
+    how far the ground falls away in each, and the flags of any of the map's own cells in it."""
 
-    rows: Int64
-    columns: Int64
-    worst: Mapping[str, UInt8]
+    worst: UInt8
     seen: Float32
     drop_m: Float32
-
-
-class MarkedCells(NamedTuple):
-    """The flags of a view's cells, `FREE` only where all of a cell is, and those partly free."""
-
     flags: UInt8
-    partly: tuple[PartlyFree, ...] = ()
 
-    def decide(
-        self, layer: str, worst: UInt8, seen: Float32, drop_m: Float32, least_drop_m: float
-    ) -> Decision:
-        """What the drives saw, with what people said put in its place."""
+    @classmethod
+    def of_cells(cls, worst: UInt8, seen: Float32, drop_m: Float32, flags: UInt8) -> Decided:
+        """The map's own cells: what the drives saw, with what is said by flags in its place."""
         worst, seen, drop_m = worst.copy(), seen.copy(), drop_m.copy()
-        for part in self.partly:
-            worst[part.rows, part.columns] = part.worst[layer]
-            seen[part.rows, part.columns] = part.seen
-            drop_m[part.rows, part.columns] = part.drop_m
-        for flag, density in ((FREE, 0), (OBSTACLE, 255)):
-            said = (self.flags & flag) > 0
+        worst[(flags & MOVED) > 0] = 0
+        for which, density in ((FREE | DRIVEN, 0), (OBSTACLE, 255)):
+            said = (flags & which) > 0
             worst[said], seen[said], drop_m[said] = density, 1.0, 0.0
-        return with_drops(worst, seen, drop_m, least_drop_m)._replace(
-            keepout=(self.flags & KEEPOUT) > 0
+        return cls(worst, seen, drop_m, flags)
+
+    @classmethod
+    def nothing(cls, shape: tuple[int, int]) -> Decided:
+        """Cells of which nothing is known."""
+        return cls(
+            np.zeros(shape, np.uint8),
+            np.zeros(shape, np.float32),
+            np.zeros(shape, np.float32),
+            np.zeros(shape, np.uint8),
         )
 
+    def put(self, place: Any, of: Decided, part: Any = ...) -> None:
+        """Write a part of others into a place of these."""
+        arrays: Iterable[tuple[AnyArray, AnyArray]] = zip(self, of, strict=True)
+        for mine, theirs in arrays:
+            mine[place] = theirs[part]
 
-def with_drops(worst: UInt8, seen: Float32, drop_m: Float32, least_drop_m: float) -> Decision:
-    """What the drives saw, with an obstacle wherever the ground falls by `least_drop_m` or more."""
-    edge = drop_m >= least_drop_m
-    return Decision(np.where(edge, np.uint8(255), worst), np.where(edge, np.float32(1.0), seen))
+    def decision(self, least_drop_m: float) -> Decision:
+        """It with an obstacle wherever the ground falls by `least_drop_m` or more."""
+        edge = self.drop_m >= least_drop_m
+        return Decision(
+            np.where(edge, np.uint8(255), self.worst),
+            np.where(edge, np.float32(1.0), self.seen),
+            (self.flags & KEEPOUT) > 0,
+        )
 
 
 def deciding(marks: Iterable[Mark]) -> list[Mark]:

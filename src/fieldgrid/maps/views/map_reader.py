@@ -6,12 +6,11 @@ import sqlite3
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from fieldgrid.core import ConfigError, MapError, runner
-from fieldgrid.geometry import DROP_CHANNEL, Bounds, Datum, Trajectory
+from fieldgrid.geometry import Bounds, Datum, Trajectory
 from fieldgrid.maps.file.arrays import Array
 from fieldgrid.maps.file.codec import EncodedChannel
 from fieldgrid.maps.file.database import reading
@@ -26,9 +25,9 @@ from fieldgrid.maps.vector.marks import Mark, read_marks
 from fieldgrid.maps.vector.stored_features import StoredFeatures, read_stored_features
 from fieldgrid.maps.views.change import ChangeView, read_change
 from fieldgrid.maps.views.content import MapContent
-from fieldgrid.maps.views.read import read_views
+from fieldgrid.maps.views.deciding import read_views
 from fieldgrid.maps.views.readable import DrivenMap, Selection
-from fieldgrid.maps.views.view import DECISION_LAYERS, DROP_LAYERS, MapView
+from fieldgrid.maps.views.view import MapView
 from fieldgrid.maps.writing.transform import Transform
 
 if TYPE_CHECKING:
@@ -199,14 +198,15 @@ class MapReader(DrivenMap):
         sessions: Collection[str] | None = None,
         frame_filter: Callable[[FrameRecord], bool] | None = None,
         jobs: int | None = None,
-        driven_m: float = 0.0,
+        decide: str = "",
     ) -> MapView:
         """The universal grid within `bounds` (all of it when not given) as arrays.
 
         `layers` adds to the density: any of `layers.registry.LAYERS`. `at` is a session or a date:
         the map as of then, or `FROM..TO`: of the drives of a season (`sessions_at`); `sessions` are
-        some of them by name. `jobs` threads read it, all cores when not given. The ground along the
-        ways of the drives, `driven_m` wide, is free for `MapView.decision` (`views.driven`).
+        some of them by name. `jobs` threads read it, all cores when not given. `decide` is the
+        layer of densities by which `MapView.decision` says what the cells count as, `density` for
+        most.
 
         With the map's own cell or a whole multiple of it, and its own rule, it comes from the
         stored tiles, of which only those within `bounds` are touched. Anything else is folded
@@ -226,22 +226,12 @@ class MapReader(DrivenMap):
             request = asked.request(self, content)._replace(
                 averaging=averaging,
                 frame_filter=frame_filter,
-                ways=partial(content.ways, driven_m) if driven_m else None,
+                decide=decide,
             )
             if transfer is not None:
                 request = request._replace(transfer=transfer)
             (view,) = read_views(content, request)
         return view
-
-    def deciding(self, cell_m: float | None) -> tuple[str, ...]:
-        """The layers by which cells of this size are free or obstacles, beside the density: what
-        tells of drops, where any drive does, and `DECISION_LAYERS` where they are larger than the
-        map's own."""
-        is_own = self._header.lattice_of(cell_m) == self._header.lattice
-        with reading(self._connection, self.path):
-            tells = "drop" in self._header.groups or self._evidence.has_channel(DROP_CHANNEL)
-        drops = DROP_LAYERS if tells else ()
-        return drops if is_own else (*DECISION_LAYERS, *drops)
 
     def diff(
         self,

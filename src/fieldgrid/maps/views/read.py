@@ -1,17 +1,15 @@
-"""Reading a view of what a map holds, or of what several maps hold together."""
+"""Reading the cells of what a map holds, or of what several maps hold together."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from fieldgrid.core import Bool, Threads, UInt8
+from fieldgrid.core import Threads
 from fieldgrid.geometry import MAX_CELL_M, TILE_CELLS, Lattice, Window, aligned_parts
-from fieldgrid.maps.cost import DENSITIES
 from fieldgrid.maps.file.header import MapHeader
 from fieldgrid.maps.file.records import FrameRecord
 from fieldgrid.maps.layers.blocks import blocks_under
@@ -20,19 +18,8 @@ from fieldgrid.maps.layers.registry import GROUPS, LAYERS, groups_of
 from fieldgrid.maps.layers.window import coarser
 from fieldgrid.maps.transfer import Averaging, Transfer, mean_density
 from fieldgrid.maps.vector.marks import Mark
-from fieldgrid.maps.views.base_cells import enlarged
-from fieldgrid.maps.views.decision import (
-    FREE,
-    KEEPOUT,
-    OBSTACLE,
-    MarkedCells,
-    PartlyFree,
-    deciding,
-    marked_cells,
-)
-from fieldgrid.maps.views.driven import DrivenWay, driven_cells
 from fieldgrid.maps.views.sources import CellSource
-from fieldgrid.maps.views.view import DROP_LAYERS, MapView, empty_view
+from fieldgrid.maps.views.view import MapView, empty_view
 
 _CHUNK_CELLS = 512
 """Stored cells along the side of a square that is worked on at a time: what its channels take fits
@@ -52,9 +39,9 @@ class Request(NamedTuple):
     """Those beside the density."""
     jobs: int | None = None
     """Threads that read it, one a core when not given."""
-    ways: Callable[[Request], list[DrivenWay]] | None = None
-    """Where the drives went near a window of the own cells, in their order; None where the ground
-    under them is as the frames saw it."""
+    decide: str = ""
+    """The layer of densities by which cells are to count as free or obstacles; '' where nobody
+    decides."""
     levels: int = 0
     """Overviews beside it, of cells of 2, 4, ... times the side; the window is of whole ones."""
 
@@ -77,6 +64,15 @@ class Content(Protocol):
     def marks(self) -> tuple[Mark, ...]:
         """The marks that are in force."""
 
+    def tells_of_drops(self) -> bool:
+        """Whether any drive does."""
+
+    def ways(self, request: Request) -> dict[str, list[FrameRecord]]:
+        """The accepted frames near a window of the own cells, by drive, in their order."""
+
+    def by_session(self, request: Request) -> Iterator[tuple[str, Cells]]:
+        """What each drive alone saw of a window of the own cells."""
+
     def fill(self, view: MapView, request: Request) -> bool:
         """Fill an empty view by a shorter way than its channels; False where there is none."""
 
@@ -93,68 +89,7 @@ class Content(Protocol):
         lie along the side of one."""
 
 
-def read_views(content: Content, request: Request) -> list[MapView]:
-    """The view, with the marks that are in force, and what they and the ways of drives decide; and
-    its overviews, of cells alone."""
-    marks = content.marks()
-    view, *overviews = _read(content, request)
-    view = replace(view, marks=marks)
-    # Without ways, base cells are decided by their marks when that is asked for.
-    if request.ways is None and (
-        view.is_base or "seen_share" not in request.layers or not deciding(marks)
-    ):
-        return [view, *overviews]
-    lattice = content.header.lattice
-    by = enlarged((), lattice, request.lattice)
-    flags, partly = np.zeros(request.window.shape, np.uint8), []
-    for chunk in chunks(request.window, by.factor):
-        base = _decided(content, request._replace(lattice=lattice, window=by.under(chunk)))
-        found = flags[request.window.slices_of(chunk)]
-        for flag in (KEEPOUT, OBSTACLE):
-            found |= by.highest(base & np.uint8(flag), chunk)
-        free = (base & FREE) > 0
-        some, rest = (by.highest(one.view(np.uint8), chunk) > 0 for one in (free, ~free))
-        found[some & ~rest] |= np.uint8(FREE)
-        if (some & rest).any():
-            partly.append(_partly_free(content, request, chunk, some & rest))
-    if flags.any() or partly:
-        view = replace(view, marked=MarkedCells(flags, tuple(partly)))
-    return [view, *overviews]
-
-
-def _decided(content: Content, own: Request) -> UInt8:
-    """Flags of the map's own cells of a window: those of marks, and `FREE` where drives went."""
-    flags = marked_cells(content.marks(), own.lattice, own.window)
-    if own.ways is not None:
-        flags[driven_cells(own.ways(own), own.lattice, own.window)] |= np.uint8(FREE)
-    return flags
-
-
-def _partly_free(content: Content, request: Request, chunk: Window, cells: Bool) -> PartlyFree:
-    """What the map's own cells say of those larger ones of which a part is marked as free."""
-    j, i = np.nonzero(cells)
-    i0, j0 = int(i.min()), int(j.min())
-    part = Window(chunk.i0 + i0, chunk.j0 + j0, int(i.max()) - i0 + 1, int(j.max()) - j0 + 1)
-    header = content.header
-    by = enlarged((), header.lattice, request.lattice)
-    names = tuple(name for name in (*DENSITIES, *DROP_LAYERS) if name in request.layers)
-    own = request._replace(lattice=header.lattice, window=by.under(part), layers=names, levels=0)
-    (base,) = _read(content, own)
-    free = (_decided(content, own) & FREE) > 0
-    inside = j - j0, i - i0
-    place = j + chunk.j0 - request.window.j0, i + chunk.i0 - request.window.i0
-    worst = {}
-    for name in ("density", *(name for name in names if name in DENSITIES)):
-        values = np.where(base.observed & ~free, base.layer(name), np.uint8(0))
-        worst[name] = by.highest(values, part)[inside]
-    seen = by.share((base.sure_share > 0.0) | free, part)[inside]
-    # In whole centimetres, as drops are stored.
-    drop_cm = np.rint(100.0 * np.where(free, 0.0, np.minimum(base.drop_m, 2.55)))
-    drop_m = by.highest(drop_cm.astype(np.uint8), part)[inside].astype(np.float32) / 100.0
-    return PartlyFree(*place, worst, seen, drop_m)
-
-
-def _read(content: Content, request: Request) -> list[MapView]:
+def read_cells(content: Content, request: Request) -> list[MapView]:
     """What the drives saw, by the shortest way that gives the same bits, and its overviews."""
     requests = [request.at_level(level) for level in range(request.levels + 1)]
     of = content.header

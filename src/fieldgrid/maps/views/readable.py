@@ -18,8 +18,9 @@ from fieldgrid.maps.layers.registry import check_layers
 from fieldgrid.maps.transfer import check_cell_sizes
 from fieldgrid.maps.vector.marks import Mark
 from fieldgrid.maps.views.blocks import MapBlocks, blocks_of
+from fieldgrid.maps.views.deciding import read_views
 from fieldgrid.maps.views.provenance import Provenance, trace
-from fieldgrid.maps.views.read import Content, Request, read_views
+from fieldgrid.maps.views.read import Content, Request
 from fieldgrid.maps.views.view import MapView
 
 if TYPE_CHECKING:
@@ -67,9 +68,6 @@ class Readable(Protocol):
     def marks(self) -> tuple[Mark, ...]:
         """The marks that are in force."""
 
-    def deciding(self, cell_m: float | None) -> tuple[str, ...]:
-        """The layers by which cells of this size are free or obstacles."""
-
     def content(self) -> AbstractContextManager[Content]:
         """What views are made of, in one state of it."""
 
@@ -82,10 +80,11 @@ class Readable(Protocol):
         at: str | int | None = None,
         jobs: int | None = None,
         sessions: Collection[str] | None = None,
+        decide: str = "",
     ) -> MapView:
         """The cells within bounds as arrays, of all sessions or some; see `MapFile.read`."""
         asked = Selection(bounds, cell_m, at=at, jobs=jobs, beside=layers, sessions=sessions)
-        return asked.view(self)
+        return asked.view(self, decide=decide)
 
     def read_blocks(
         self,
@@ -96,6 +95,7 @@ class Readable(Protocol):
         at: str | int | None = None,
         jobs: int | None = None,
         scheduler: str | Client | None = None,
+        decide: str = "",
     ) -> AbstractContextManager[MapBlocks]:
         """What `read` gives, in views of some million cells, for maps of any size.
 
@@ -106,7 +106,7 @@ class Readable(Protocol):
         are allowed; ClusterError where no scheduler answers or its workers cannot read the map.
         """
         asked = Selection(bounds, cell_m, at=at, jobs=jobs, scheduler=scheduler, beside=layers)
-        return asked.blocks(self)
+        return asked.blocks(self, decide=decide)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +131,11 @@ class Selection:
     def __post_init__(self) -> None:
         check_layers((self.layer, *self.beside))
 
-    def view(self, universal: Readable, layers: Collection[str] = ()) -> MapView:
-        """It as arrays, with `layers` beside the one that is asked for.
+    def view(
+        self, universal: Readable, layers: Collection[str] = (), *, decide: str = ""
+    ) -> MapView:
+        """It as arrays, with `layers` beside the one that is asked for, and what its cells count as
+        by one of densities.
 
         Raises ConfigError for a cell that the evidence cannot fill, and for a part that is too
         large for one view, or is to be read by a cluster.
@@ -143,18 +146,24 @@ class Selection:
                 "--scheduler, or choose a format that goes piece by piece, as geotiff does."
             )
         with universal.content() as content:
-            (view,) = read_views(content, self.request(universal, content, layers))
+            request = self.request(universal, content, layers)._replace(decide=decide)
+            (view,) = read_views(content, request)
         return view
 
     @contextmanager
     def blocks(
-        self, universal: Readable, layers: Collection[str] = (), smallest_px: int | None = None
+        self,
+        universal: Readable,
+        layers: Collection[str] = (),
+        smallest_px: int | None = None,
+        *,
+        decide: str = "",
     ) -> Iterator[MapBlocks]:
         """It in blocks from the north, of one state of the map, however large; layers and errors as
         in `view`. With `smallest_px` it has overviews, until the longer side of one has at most so
         many cells."""
         with runner(1, self.scheduler) as run, universal.content() as content:
-            request = self.request(universal, content, layers)
+            request = self.request(universal, content, layers)._replace(decide=decide)
             if self.scheduler is not None:  # a cluster has a task for each of its threads
                 request = request._replace(jobs=1)
             with blocks_of(content, request, run, smallest_px) as blocks:

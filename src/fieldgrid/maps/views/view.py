@@ -17,12 +17,11 @@ from fieldgrid.maps.layers.registry import LAYERS
 from fieldgrid.maps.transfer import PaperFold, footprint
 from fieldgrid.maps.vector.marks import Mark
 from fieldgrid.maps.views.decision import (
+    Decided,
     Decision,
-    MarkedCells,
     cells_under,
     deciding,
     marked_cells,
-    with_drops,
 )
 
 # A part of a map as a dataset by the CF conventions, in which no cell that nobody saw has a value.
@@ -126,9 +125,6 @@ def _axis(axis: str, direction: str) -> dict[str, str]:
 MAX_CELLS = 400_000_000
 """Cells that a view may have: 800 MB of density and mask."""
 
-DECISION_LAYERS = ("peak", "seen_share")
-"""What decides whether a cell that is larger than the map's own is free, by those in it."""
-
 DROP_LAYERS = ("drop", "sure_share")
 """What makes an obstacle of the edge of a drop, and unseen ground of what lies beyond it."""
 
@@ -142,8 +138,8 @@ class MapView:
 
     0 with `observed` is free ground; without, nothing is known of the cell. `layers` has what
     else was asked for, by name, in arrays of the same shape. `is_base` when the cells are the
-    map's own. All of these are what drives saw; `marks` are what people said of the map, and
-    `decision` is what follows from both. `marked` are larger cells that were read to decide.
+    map's own. All of these are what drives saw; `marks` are what people said of the map. `decided`
+    is what follows from all that is known, where that was asked for: see `decision`.
     """
 
     lattice: Lattice
@@ -154,7 +150,7 @@ class MapView:
     layers: Mapping[str, AnyArray] = field(default_factory=dict)
     is_base: bool = False
     marks: tuple[Mark, ...] = ()
-    marked: MarkedCells | None = None
+    decided: Decided | None = None
 
     @property
     def bounds(self) -> Bounds:
@@ -197,10 +193,6 @@ class MapView:
         """The share of the map's own cells in each that were seen; of the layer `seen_share`."""
         return self.observed.astype(np.float32) if self.is_base else self.layer("seen_share")
 
-    def worst(self, layer: str = "density") -> AnyArray:
-        """What a layer says at its worst in each cell: of the density `peak`."""
-        return self.peak if layer == "density" else self.layer(layer)
-
     @property
     def sure_share(self) -> Float32:
         """`seen_share` without what was seen only beyond the edge of a drop, where that was asked
@@ -217,18 +209,21 @@ class MapView:
             return np.zeros(self.window.shape, dtype=np.float32)
         return np.nan_to_num(self.layer("drop"), nan=0.0)
 
-    def decision(self, layer: str = "density", least_drop_m: float = LEAST_DROP_M) -> Decision:
-        """What the cells count as for a planner, with drops and marks; `layer` is one of densities.
+    def decision(self, least_drop_m: float = LEAST_DROP_M) -> Decision:
+        """What the cells count as for whoever plans, where the view was read to `decide`. Ground
+        that falls by `least_drop_m` is an obstacle.
 
-        It needs the layers that `MapFile.deciding` names: where cells are larger than the map's own
-        `DECISION_LAYERS`, and for drops theirs. Ground that falls by `least_drop_m` is an obstacle.
+        Of a view that was not, and of one that was made, it is what its layers say: `peak` and
+        `seen_share` where cells are larger than the map's own, and those of drops; with marks on
+        the map's own cells.
         """
-        worst, seen, marked = self.worst(layer), self.sure_share, self.marked
-        if marked is None and self.is_base and self.is_marked:
-            marked = MarkedCells(marked_cells(self.marks, self.lattice, self.window))
-        if marked is not None:
-            return marked.decide(layer, worst, seen, self.drop_m, least_drop_m)
-        return with_drops(worst, seen, self.drop_m, least_drop_m)
+        decided = self.decided
+        if decided is None:
+            flags = np.zeros(self.window.shape, np.uint8)
+            if self.is_base and self.is_marked:
+                flags = marked_cells(self.marks, self.lattice, self.window)
+            decided = Decided.of_cells(self.peak, self.sure_share, self.drop_m, flags)
+        return decided.decision(least_drop_m)
 
     @property
     def is_marked(self) -> bool:
