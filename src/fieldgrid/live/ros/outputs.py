@@ -45,7 +45,7 @@ class RosOutputs:
     def begin_with(self, path: Path) -> None:
         """Begin the map so far with a map that the drive is added to."""
         with open_map(path) as universal:
-            view = Selection().view(universal, universal.deciding(None))
+            view = Selection().view(universal, decide="density")
         cells = self._curve.occupancy(*view.decision())
         self._so_far = MapSoFar(view.lattice, view.window, cells)
 

@@ -20,7 +20,7 @@ def publish_map(
 ) -> None:
     """Publish a part of a map. ConfigError for one that is too large for one message."""
     curve = curve or CostCurve()
-    view = selection.view(universal, universal.deciding(selection.cell_m))
+    view = selection.view(universal, decide=selection.layer)
     content = BagContent.of(universal, selection, curve)
     for one in standing_messages(content):
         topic = one.topic
@@ -30,7 +30,7 @@ def publish_map(
             topic = topic.lstrip("/")  # in the namespace of the node
         ros.publish(topic, one.message, latched=True)
     publish_datum(ros, universal.datum, content.start_ns)
-    keepout = view.decision(selection.layer, curve.least_drop_m).keepout
+    keepout = view.decision(curve.least_drop_m).keepout
     mask = np.zeros(view.window.shape, dtype=np.int8)
     if keepout is not None:
         mask[keepout] = OCCUPIED
