@@ -766,12 +766,3 @@ def test_a_gyro_that_begins_late_or_has_a_hole_still_tells_of_the_rest(late: boo
     assert np.isnan(found[0])
     assert np.count_nonzero(~known) in (1, 2, 3)
     assert found[1:][known] == pytest.approx(truth[known], abs=0.05)
-
-
-def test_a_log_whose_heights_run_away_names_the_way_to_use_it() -> None:
-    flat = fixes_of(simulate([Command(30.0, 1.5), *SLALOM], 35.0), 0.2, 0.01)
-    sinking = flat.replace(height_m=flat.height_m - 6.0 * np.arange(len(flat)) / 5.0)
-    with pytest.raises(GnssError, match=r"max_climb_mps of the table pose\.gnss in --config"):
-        estimate_poses(sinking)
-    allowed = PoseSettings.model_validate({"gnss": {"max_climb_mps": 10.0}})
-    assert estimate_poses(sinking, settings=allowed).trajectory.accepted.any()

@@ -231,14 +231,6 @@ def test_a_short_way_does_not_tell_the_turn() -> None:
     assert off.place_sigmas.max() < 3.0
 
 
-def test_seconds_that_the_fixes_count_twice_are_told() -> None:
-    fixes = fixes_of(ROWS, 0.2, 0.01)
-    back = 10_000_000_000 * (np.arange(len(fixes)) >= len(fixes) // 2)
-    fixes = fixes.replace(time_ns=fixes.time_ns - back)
-    found = estimate_poses(fixes, None, DATUM, motion=Motion(poses=slam(ROWS)))
-    assert any("counts 9.8 s twice, at two places" in note for note in found.report.notes)
-
-
 def test_no_fix_and_no_declaration() -> None:
     none = FixColumns.of([])
     with pytest.raises(GnssError, match="declare the frame with --frame-origin"):

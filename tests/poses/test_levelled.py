@@ -110,29 +110,6 @@ def test_the_origin_lies_vertically_below_the_sensor(ground: str) -> None:
     assert np.percentile(np.abs(up + SENSOR_M[2] - way.at(FRAMES_S).sensor_m[:, 2]), 95) < 0.06
 
 
-def test_a_drive_of_two_parts_has_the_attitude_of_both() -> None:
-    way = hike(GROUNDS["hills"], rows())
-    motion = gyro_and(inertial(way))
-    fixes = fixes_over(way, ANTENNA_M)
-    east, north, up = DATUM.to_enu(fixes.lat_deg, fixes.lon_deg, fixes.height_m)
-    later = np.arange(len(fixes)) >= len(fixes) // 3
-    lat, lon, height = DATUM.to_geodetic(east + 25.0 * later, north, up)
-    found = estimate_poses(
-        *(fixes.replace(lat_deg=lat, lon_deg=lon, height_m=height), RIG, DATUM),
-        PoseSettings(max_position_sigma_m=30.0),
-        motion=motion,
-        frame_ns=time_ns(FRAMES_S),
-    )
-    assert any("2 of its 2 parts" in note for note in found.report.notes)
-    assert found.report.attitude is not None
-    at = found.report.attitude.at(time_ns(FRAMES_S))
-    roll, pitch = way.at(FRAMES_S).roll_pitch_deg()
-    assert np.percentile(np.abs(at.roll_deg - roll), 95) < 0.7
-    assert np.percentile(np.abs(at.pitch_deg - pitch), 95) < 0.7
-    poses = [found.trajectory.at(t) for t in time_ns(FRAMES_S).tolist()]
-    assert np.mean([pose.status is Status.OK for pose in poses]) > 0.8
-
-
 def test_without_an_attitude_it_lies_downhill() -> None:
     way = hike(GROUNDS["12° across"], rows(2, 28.0))
     found = estimate(way, Motion())

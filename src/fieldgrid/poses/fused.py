@@ -298,7 +298,7 @@ def _with_axle(found: Fusion) -> Fusion:
     for _ in range(MOST_STEPS):
         declared = known.drive.smoothed.declared
         # Clocks that differ look like a place.
-        if declared.probability(LATE, IMAGES) > 1.0 - LIKELY:
+        if steps is not None and declared.probability(LATE, IMAGES) > 1.0 - LIKELY:
             return found
         told = axle_told(known.axle, declared.off(AHEAD))
         if told is known.axle:

@@ -140,7 +140,7 @@ def test_recorded_headings_are_off_by_one_angle(seed: int, turns: int) -> None:
         turned = constants[model.HEADING_OFFSET] - (heading - circle)
         return [(x[k, PHI] + turned[k], weight[k]) for k in (0, 2)]
 
-    assert_normal_equations(system, residuals, x, np.array([offset, 0.0, 0.0]))
+    assert_normal_equations(system, residuals, x, np.array([offset, 0.0, 0.0, 0.0, 0.0]))
 
 
 @settings(deadline=None, max_examples=25)
@@ -156,7 +156,7 @@ def test_wheels_are_off_by_one_share(seed: int) -> None:
         size = 1.0 + constants[model.WHEEL_SCALE]
         return [(size * x[k, V] - speed[k], weight[k]) for k in (0, 2)]
 
-    constants = np.array([0.0, scale, 0.0])
+    constants = np.array([0.0, scale, 0.0, 0.0, 0.0])
     assert found[[0, 2]] == pytest.approx([r for r, _ in residuals(x, constants)])
     assert_normal_equations(system, residuals, x, constants)
 
@@ -167,27 +167,28 @@ def test_steps_of_a_point_ahead_of_the_axle(seed: int, turns: int) -> None:
     random = np.random.default_rng(seed)
     x, ends = states(seed, 5), np.array([[0, 1], [1, 4], [3, 4]])
     ahead_m, weight = random.normal(), random.uniform(0.5, 3.0, (3, 2))
-    scale = random.normal(0.0, 0.03)
+    scale, yaw = random.normal(0.0, 0.03), random.normal(0.0, 0.1)
 
-    def seen(x: Float64, scale: float) -> Float64:
+    def seen(x: Float64, scale: float, yaw: float) -> Float64:
         """Complex numbers, east + i·north: the heading points along i·exp(-i·phi)."""
         place, heading = x[:, E] + 1j * x[:, N], 1j * np.exp(-1j * x[:, PHI])
         point = place + ahead_m * heading
-        step = (1.0 + scale) * (point[ends[:, 1]] - point[ends[:, 0]]) / heading[ends[:, 0]]
+        looks = heading[ends[:, 0]] * np.exp(-1j * yaw)
+        step = (1.0 + scale) * (point[ends[:, 1]] - point[ends[:, 0]]) / looks
         return np.stack([step.real, -step.imag, np.diff(x[ends, PHI], axis=1)[:, 0]], axis=1)
 
     off = random.uniform(-1.0, 1.0, (3, 3))
-    step = seen(x, scale) - off
+    step = seen(x, scale, yaw) - off
     told = step + np.array([0.0, 0.0, 2.0 * np.pi * turns])
     system = empty(5, ends)
-    found = model.add_steps(system, x, scale, ends, told, weight, ahead_m)
+    found = model.add_steps(system, x, (scale, yaw), ends, told, weight, ahead_m)
     assert found == pytest.approx(off)
 
     def residuals(x: Float64, constants: Float64) -> list[tuple[float, float]]:
-        away = (seen(x, constants[model.CAMERA_SCALE]) - step).ravel().tolist()
+        away = (seen(x, *constants[[model.CAMERA_SCALE, model.CAMERA_YAW]]) - step).ravel().tolist()
         return list(zip(away, weight[:, [0, 0, 1]].ravel().tolist(), strict=True))
 
-    assert_normal_equations(system, residuals, x, np.array([0.0, 0.0, scale]))
+    assert_normal_equations(system, residuals, x, np.array([0.0, 0.0, scale, yaw, 0.0]))
 
 
 # --- what a vehicle can do

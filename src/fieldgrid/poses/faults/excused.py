@@ -16,7 +16,7 @@ import numpy as np
 from fieldgrid.core import Float64, Int64
 from fieldgrid.geometry import Gyro, VehicleGeometry, wrap_deg
 from fieldgrid.poses.drive import DriveEstimate
-from fieldgrid.poses.faults.denied import CLEAR_SIGMAS, DriveContradiction
+from fieldgrid.poses.faults.denied import DriveContradiction
 from fieldgrid.poses.faults.explained import MOST_LEFT, UNTOLD, Correction, Explanation, explanation
 from fieldgrid.poses.faults.gyro.check import MOST_SCALE, apart_deg
 from fieldgrid.poses.fused import Fusion
@@ -114,8 +114,9 @@ def _fitting(
     most_far_off = _far_off(without.drive, noise_m) + MORE_FAR_OFF
 
     def fits(one: Correction) -> bool:
-        is_clear = abs(one.value.value) > CLEAR_SIGMAS * one.value.sigma
-        return one.drive is not None and is_clear and _far_off(one.drive, noise_m) <= most_far_off
+        return (
+            one.drive is not None and one.is_clear and _far_off(one.drive, noise_m) <= most_far_off
+        )
 
     for start in starts:
         tried = explanation(beside, vehicle, *start)

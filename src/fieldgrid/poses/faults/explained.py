@@ -18,6 +18,7 @@ from fieldgrid.geometry import Rig, VehicleGeometry
 from fieldgrid.poses.axle import names_axle, with_antenna_moved
 from fieldgrid.poses.drive import DriveEstimate
 from fieldgrid.poses.faults.denied import (
+    CLEAR_SIGMAS,
     LEAST_DELAY_S,
     LEAST_LEVER_M,
     DriveContradiction,
@@ -53,6 +54,11 @@ class Correction(NamedTuple):
     value: Constant
     left: float
     drive: DriveEstimate | None
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether it is something."""
+        return abs(self.value.value) > CLEAR_SIGMAS * self.value.sigma
 
     def rules_out(self, other: Correction) -> bool:
         """Whether the drive fits this, and not the other."""
@@ -118,6 +124,7 @@ def explained(
     tried = explanation(found._replace(drive=drive), vehicle)
     if tried is None:
         return denied
+    tried = Explanation(*(one if one.is_clear else UNTOLD for one in tried))
     if tried.left > MOST_LEFT:
         # Nothing ahead or late is denied, since neither explains the drive.
         return denied._replace(ahead_m=None, late_s=None, either=False)

@@ -233,6 +233,8 @@ def tested(
     # Nobody knows where fixes that drift were right: any pose may be off by half of the way.
     drift_m = declared.probability(DRIFT) * declared.extent_m(measured.time_s) / 2.0
     moment[of == DRIFT] = moment[:, of == DRIFT] = 0.0
+    if problem.ahead_sigma_m:  # an axle that nobody names moves no antenna
+        moment[AHEAD] = moment[:, AHEAD] = 0.0
     axle_m = np.hypot(sigma(E, moment), sigma(N, moment)) / math.sqrt(2.0)
     moment[:IMAGES] = moment[:, :IMAGES] = 0.0
     antenna_m = np.hypot(sigma(E, moment), sigma(N, moment)) / math.sqrt(2.0)

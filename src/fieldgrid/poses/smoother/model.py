@@ -333,24 +333,6 @@ def _added(
     return off
 
 
-def add_gyro_scale(
-    system: NormalEquations, x: Float64, scale: float, turned: Float64, step_s: Float64
-) -> None:
-    """How the gyro's law of :func:`add_motion`, which takes `turned` [n - 1] times 1 + `scale`,
-    depends on the scale."""
-    at = np.flatnonzero(~np.isnan(turned))
-    turned, step_s = turned[at], step_s[at]
-    off = x[at + 1, PHI] - x[at, PHI] - ((1.0 + scale) * turned - x[at, GYRO] * step_s)
-    scaled = -turned / (GYRO_NOISE**2 * step_s)
-    border = system.border[:, GYRO_SCALE]
-    border[STATES * (at + 1) + PHI] += scaled
-    border[STATES * at + PHI] -= scaled
-    border[STATES * at + GYRO] += scaled * step_s
-    # In their order, whatever NumPy's is.
-    system.corner[GYRO_SCALE, GYRO_SCALE] -= np.cumsum(np.append(0.0, scaled * turned))[-1]
-    system.right_constants[GYRO_SCALE] -= np.cumsum(np.append(0.0, scaled * off))[-1]
-
-
 def add_steps(
     system: NormalEquations,
     x: Float64,

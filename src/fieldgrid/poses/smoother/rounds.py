@@ -206,7 +206,7 @@ def linearized(
     )
     model.add_still(system, x, measured.standing, *(HELD if held else NOT_HELD))
     if turns:
-        model.add_gyro_scale(system, x, gyro, measured.turned_rad, step_s)
+        _add_gyro_scale(system, x, gyro, measured.turned_rad, step_s)
     off = Residuals(
         model.add_fixes(system, x, measured.fix_m, weights.fix, problem.lever_m),
         model.add_headings(system, x, offset, measured.heading_rad, weights.heading),
@@ -237,6 +237,30 @@ def linearized(
         solve(system.shape, system.values, coupling)
         schur = schur - system.border[:, active].T @ coupling
     return Linear(system, log_determinant, active, coupling, schur), off
+
+
+def _add_gyro_scale(
+    system: NormalEquations, x: Float64, scale: float, turned: Float64, step_s: Float64
+) -> None:
+    """How the gyro's law of :func:`model.add_motion`, which takes `turned` [n - 1] times 1 + `scale`,
+    depends on the scale."""
+    at = np.flatnonzero(~np.isnan(turned))
+    turned, step_s = turned[at], step_s[at]
+    off = (
+        x[at + 1, model.PHI]
+        - x[at, model.PHI]
+        - ((1.0 + scale) * turned - x[at, model.GYRO] * step_s)
+    )
+    scaled = -turned / (model.GYRO_NOISE**2 * step_s)
+    border = system.border[:, model.GYRO_SCALE]
+    border[STATES * (at + 1) + model.PHI] += scaled
+    border[STATES * at + model.PHI] -= scaled
+    border[STATES * at + model.GYRO] += scaled * step_s
+    # In their order, whatever NumPy's is.
+    system.corner[model.GYRO_SCALE, model.GYRO_SCALE] -= np.cumsum(np.append(0.0, scaled * turned))[
+        -1
+    ]
+    system.right_constants[model.GYRO_SCALE] -= np.cumsum(np.append(0.0, scaled * off))[-1]
 
 
 def _robust(stated: Weights, off: Residuals) -> Weights:
