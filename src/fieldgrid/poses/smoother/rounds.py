@@ -242,7 +242,7 @@ def linearized(
 def _add_gyro_scale(
     system: NormalEquations, x: Float64, scale: float, turned: Float64, step_s: Float64
 ) -> None:
-    """How the gyro's law of :func:`model.add_motion`, which takes `turned` [n - 1] times 1 + `scale`,
+    """How the law of a gyro, which takes `turned` [n - 1] times 1 + `scale` (`model.add_motion`),
     depends on the scale."""
     at = np.flatnonzero(~np.isnan(turned))
     turned, step_s = turned[at], step_s[at]
