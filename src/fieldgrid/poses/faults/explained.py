@@ -124,7 +124,6 @@ def explained(
     tried = explanation(found._replace(drive=drive), vehicle)
     if tried is None:
         return denied
-    tried = Explanation(*(one if one.is_clear else UNTOLD for one in tried))
     if tried.left > MOST_LEFT:
         # Nothing ahead or late is denied, since neither explains the drive.
         return denied._replace(ahead_m=None, late_s=None, either=False)
