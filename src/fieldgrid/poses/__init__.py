@@ -3,8 +3,9 @@
 * `gnss`: bytes of receivers to fixes: NMEA (the quality of a GGA: `nmea_standard`) and UBX.
 * `gates`: `condition`, which fixes are accepted, and the reasons of the others.
 * `gears`: forward or reverse; `attitude`: roll and pitch against gravity.
-* `smoother`: `smooth`, the banded least-squares estimate of a whole drive.
-* `faults`: what contradicts the drive: clocks, gyros, leaps, the antenna, a camera's yaw.
+* `smoother`: `smooth`, the banded least-squares estimate of a whole drive; `declared`, the evidence
+  of what may be wrong; `slow_error`, how a receiver wanders.
+* `faults`: what is told of that, and what one step does not show: clocks, gyros, leaps.
 * `estimate`: `estimate_poses` runs these steps; `verdict` judges each pose, `report` says why.
 * `external`: poses of another program; `track`: a trajectory as `track.csv`, GPX or GeoJSON.
 
