@@ -203,8 +203,6 @@ def test_a_step_that_lies_is_not_believed() -> None:
     seen = measured_at(drive, 0.02, **columns)
     found = smooth(seen, guess(drive, seen))
     assert heading_error_deg(found, drive).max() < 1.0
-    assert np.hypot(*found.step_off[10, :2]) > 2.0
-    assert abs(found.step_off[10, 2]) > 0.5
 
 
 @pytest.mark.parametrize("ahead_m", [0.0, 1.5])
