@@ -113,7 +113,8 @@ def test_our_own_are_replaced(fieldgrid: Run, make_drive: MakeDrive, tmp_path: P
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_option_is_read(name: str) -> None:
     """A parameter that the code of its command does not name would be ignored."""
-    source = ast.parse(inspect.getsource(import_module(f"fieldgrid.cli.commands.{name}")))
+    module = import_module(f"fieldgrid.cli.commands.{name.replace('-', '_')}")
+    source = ast.parse(inspect.getsource(module))
     (function,) = (
         node for node in source.body if isinstance(node, ast.FunctionDef) and node.name == "command"
     )

@@ -54,7 +54,8 @@ _Float64 = npt.NDArray[np.float64]
 class Control(NamedTuple):
     """Points in the map's plane and on Earth, and what the map has there.
 
-    The density is -1 where nothing was observed, and outside.
+    The density is what the drives saw, `counts_as` what the map's own cells count as for whoever
+    decides; both are -1 where nothing is known, and outside.
     """
 
     east_m: _Float64
@@ -63,12 +64,14 @@ class Control(NamedTuple):
     lon_deg: _Float64
     height_m: _Float64
     density: npt.NDArray[np.int64]
+    counts_as: npt.NDArray[np.int64]
 
     @property
     def occupancy(self) -> npt.NDArray[np.int64]:
-        doubt = np.clip(np.rint(100.0 * (self.density - 50.0) / 51.0), 1, 99)
-        known = np.where(self.density <= 50, 0, np.where(self.density > 100, 100, doubt))
-        return np.where(self.density < 0, -1, known).astype(np.int64)
+        worst = self.counts_as
+        doubt = np.clip(np.rint(100.0 * (worst - 50.0) / 51.0), 1, 99)
+        known = np.where(worst <= 50, 0, np.where(worst > 100, 100, doubt))
+        return np.where(worst < 0, -1, known).astype(np.int64)
 
 
 class Exports(NamedTuple):
@@ -96,21 +99,28 @@ def plane_of(exports: Exports, places: Any, height_m: float | None = None) -> _F
     return np.column_stack([east, north])
 
 
-def said_by(view: MapView, east_m: _Float64, north_m: _Float64) -> npt.NDArray[np.int64]:
-    """The map's own densities, -1 where it has none."""
+def seen_in(view: MapView) -> npt.NDArray[np.int64]:
+    """The densities of cells, -1 where there is none."""
+    return np.where(view.observed, view.density.astype(np.int64), -1)
+
+
+def said_by(
+    view: MapView, cells: npt.NDArray[np.int64], east_m: _Float64, north_m: _Float64
+) -> npt.NDArray[np.int64]:
+    """What cells of the view have at points, -1 outside."""
     column = np.floor(east_m / view.lattice.cell_m).astype(int) - view.window.i0
     row = np.floor(north_m / view.lattice.cell_m).astype(int) - view.window.j0
     inside = (column >= 0) & (row >= 0) & (column < view.window.width) & (row < view.window.height)
     found = np.full(len(column), -1, dtype=np.int64)
     here = row[inside], column[inside]
-    found[inside] = np.where(view.observed[here], view.density[here].astype(np.int64), -1)
+    found[inside] = cells[here]
     return found
 
 
 def control_points(view: MapView) -> tuple[_Float64, _Float64]:
     """East and north of points on both sides of edges, and of some anywhere, 2 m outside too."""
     random, cell_m = np.random.default_rng(11), view.lattice.cell_m
-    seen = np.where(view.observed, view.density.astype(np.int64), -1)
+    seen = seen_in(view)
     east, north = [], []
     for axis in (0, 1):
         rows, columns = np.nonzero(np.diff(seen, axis=axis))
@@ -140,15 +150,18 @@ def exports(two_lanes_map: Path, tmp_path_factory: pytest.TempPathFactory) -> Ex
         for name in SHAPES:
             export_map(universal, folder / name, options={"simplify_m": 0.0})
         export_map(universal, folder / "v.yaml", options={"mode": "raw"})
-        view, track, datum = universal.read(), universal.trajectory("two_lanes"), universal.datum
+        view = universal.read(decide="density")
+        track, datum = universal.trajectory("two_lanes"), universal.datum
     for ending in ("png", "pgw", "prj"):  # without what GDAL alone finds beside it
         shutil.copy(folder / f"v.{ending}", folder / f"world.{ending}")
     east, north = control_points(view)
     lon, lat, height = topocentric(datum).transform(
         east, north, np.zeros(len(east)), direction="INVERSE"
     )
-    density = said_by(view, east, north)
-    return Exports(folder, datum, view, track, Control(east, north, lat, lon, height, density))
+    decision = view.decision()
+    counts = np.where(decision.seen > 0.0, decision.worst.astype(np.int64), -1)
+    said = (said_by(view, cells, east, north) for cells in (seen_in(view), counts))
+    return Exports(folder, datum, view, track, Control(east, north, lat, lon, height, *said))
 
 
 def test_the_points_tell_a_centimetre(exports: Exports) -> None:
@@ -158,6 +171,7 @@ def test_the_points_tell_a_centimetre(exports: Exports) -> None:
         for off_m in (-CENTIMETRE, CENTIMETRE):
             moved = said_by(
                 view,
+                seen_in(view),
                 control.east_m + (off_m if axis else 0.0),
                 control.north_m + (0.0 if axis else off_m),
             )
@@ -165,6 +179,17 @@ def test_the_points_tell_a_centimetre(exports: Exports) -> None:
             assert differ > 0.45, f"{off_m} m {name}: {differ}"
     assert 0.2 < np.mean(control.density < 0) < 0.8
     assert np.mean(control.density > 100) > 0.1
+
+
+def test_the_map_counts_as_what_drives_saw_but_where_one_drove(exports: Exports) -> None:
+    """Nothing moved at these points, so that the vehicle's own way alone makes a difference."""
+    control, track = exports.control, exports.track
+    places = np.column_stack([track.east_m, track.north_m])[track.accepted]
+    points = shapely.points(control.east_m, control.north_m)
+    differ = control.counts_as != control.density
+    assert differ.any()
+    assert (control.counts_as[differ] == 0).all()
+    assert (shapely.distance(points, shapely.LineString(places))[differ] < 0.75).all()
 
 
 # --- Nav2's rules, MCAP and ROS, the planner ------------------------------------------------------
@@ -266,8 +291,8 @@ def test_the_planner(exports: Exports, two_lanes_map: Path) -> None:
     with open_map(two_lanes_map) as universal:
         costmap = Costmap.from_map(universal)
     said = costmap.at_latlon(control.lat_deg, control.lon_deg)
-    np.testing.assert_array_equal(said.known, control.density >= 0)
-    np.testing.assert_array_equal(said.cost == 254, control.density > 100)
+    np.testing.assert_array_equal(said.known, control.counts_as >= 0)
+    np.testing.assert_array_equal(said.cost == 254, control.counts_as > 100)
     np.testing.assert_array_equal(said.cost == 0, control.occupancy == 0)
 
 

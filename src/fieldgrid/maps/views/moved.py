@@ -8,7 +8,6 @@ moved goes with it; what more than half of the drives saw standing stays.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from fieldgrid.core import Bool
@@ -33,6 +32,8 @@ def moved_cells(view: MapView, layer: str) -> Bool:
     moved = view.layer("moved") > 0
     if not moved.any():
         return moved
+    import cv2  # reading a map takes no time for it
+
     obstacle = view.observed & (view.layer(layer) > OBSTACLE_ABOVE)
     side = 2 * round(0.5 * _JOINED_M / view.lattice.cell_m) + 1
     joined = cv2.dilate(obstacle.astype(np.uint8), np.ones((side, side), np.uint8))
