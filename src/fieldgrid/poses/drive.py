@@ -97,6 +97,10 @@ BACK_M = 1.5
 SETTLED_DOUBT = 1e-30
 """So little doubt leaves only the user, whose word no estimate outweighs."""
 
+MOST_STEP_SIGMAS = 8.0
+"""A step of the camera that is off the drive by more says nothing of a slow error, which spreads
+over all steps."""
+
 DRIVEN_M = 0.1
 """A camera that has moved by more was driven."""
 
@@ -198,6 +202,9 @@ def smooth_drive(
     )
     slow = SlowError()
     if not as_stated and measured.sees_turns() and smoothed.wander_nats > CLEAR_NATS:
+        # A camera that is stuck looks like fixes that leap.
+        off = np.abs(smoothed.step_off) / measured.step_sigma[:, [0, 0, 1]]
+        measured = measured.with_steps(off.max(axis=1) < MOST_STEP_SIGMAS)
         slow, smoothed = _wandering(smoothed, measured, axle)
     return _drive(fixes, at, slow.of(measured), found, smoothed, axle, rest > 0.99, slow)
 
@@ -206,7 +213,7 @@ def _wandering(
     known: SmoothedDrive, measured: Measurements, axle: Axle
 ) -> tuple[SlowError, SmoothedDrive]:
     """The slow error of the fixes that makes a drive likeliest, and the drive by it."""
-    drives = {SlowError(): known}
+    drives: dict[SlowError, SmoothedDrive] = {}
 
     def nats(slow: SlowError) -> float:
         if slow not in drives:

@@ -108,9 +108,9 @@ def estimate_poses(
         table = unsure_slope(table, ground, axle.vehicle, turns_seen=drive.turns_seen)
         notes += slope_notes(ground, axle.vehicle)
     # Carried to the grid origin, and judged.
-    table = unsure_declared(
-        _carried(table, axle.vehicle, source), drive, axle.vehicle, checks.denied
-    )
+    table = _carried(table, axle.vehicle, source)
+    if source.kind == "smooth":
+        table = unsure_declared(table, drive, axle.vehicle, checks.denied)
     trajectory = judged(table, log.datum, settings, budget, str(source))
     if lean is not None:
         trajectory = leaning(trajectory, lean, level_grids=level_grids)

@@ -15,9 +15,10 @@ SharedData = Callable[[str], Path]
 def test_the_counts_are_those_of_a_build(shared_data: SharedData, tmp_path: Path) -> None:
     """Of a drive some of whose fixes have no usable pose."""
     drive = shared_data("kitti_2011_09_26_drive_0013_part")
-    found = inspect_recording(drive)
+    strict = {"max_heading_sigma_deg": 0.4}
+    found = inspect_recording(drive, resolve(None, {"pose": strict}))
     assert found.fixes is not None
-    (built,) = build_map([drive], tmp_path / "a.gpkg", resolve(None, {}))
+    (built,) = build_map([drive], tmp_path / "a.gpkg", resolve(None, {"pose": strict}))
     assert (found.fixes.accepted, found.fixes.log.accepted) == (built.fixes_accepted, built.fixes)
     assert built.fixes_accepted < built.fixes
     assert found.fixes.as_dict()["accepted"] == built.fixes_accepted
@@ -25,14 +26,14 @@ def test_the_counts_are_those_of_a_build(shared_data: SharedData, tmp_path: Path
     (lost,) = (one for one in found.findings if one.code == "frames-unusable")
     advised = re.match(r"With --heading (\w+) (\d+) have one\.", lost.remedy)
     assert advised is not None
-    settings = resolve(None, {"pose": {"heading": advised[1]}})
+    settings = resolve(None, {"pose": {"heading": advised[1], **strict}})
     (better,) = build_map([drive], tmp_path / "b.gpkg", settings)
     assert better.used == int(advised[2]) > built.used
 
 
 def test_headings_are_tried_for_a_drive_without_a_pose(shared_data: SharedData) -> None:
     drive = shared_data("kitti_2011_09_26_drive_0013_part")
-    found = inspect_recording(drive, resolve(None, {"pose": {"max_heading_sigma_deg": 0.5}}))
+    found = inspect_recording(drive, resolve(None, {"pose": {"max_heading_sigma_deg": 0.31}}))
     assert found.frames_usable == 0
     assert "no-pose" in {one.code for one in found.findings}
     (lost,) = (one for one in found.findings if one.code == "frames-unusable")

@@ -47,7 +47,7 @@ class SmoothedDrive(NamedTuple):
     `position_sigma_m` is absolute, `relative_sigma_m` that within the receiver's own frame:
     without the slow error that shifts neighbours alike. Both are 1-sigma along one axis.
     `fix_off_m` [n, 2] are how far fixes lie ahead and to the right of where pose, lever and slow
-    error have them.
+    error have them, `step_off` [s, 3] the same of the steps.
 
     `heading_offset`, `camera_yaw_rad` (radians), `wheel_scale`, `camera_scale`, `gyro_scale` are
     the constants; None where nothing measures them. `declared` is what the drive makes of what was
@@ -61,6 +61,7 @@ class SmoothedDrive(NamedTuple):
     relative_sigma_m: Float64
     heading_sigma_rad: Float64
     fix_off_m: Float64
+    step_off: Float64
     heading_offset: Constant | None
     wheel_scale: Constant | None
     camera_scale: Constant | None
@@ -149,6 +150,7 @@ def _with_sigmas(problem: SmoothingProblem, found: Solution, steers: Steering) -
         np.sqrt((np.maximum(relative, 0.0) + unsettled) / 2.0),
         np.sqrt(np.maximum(known.own(phi, phi), 0.0) + turned**2),
         off.fix_m,
+        off.step,
         constants[model.HEADING_OFFSET],
         constants[model.WHEEL_SCALE],
         constants[model.CAMERA_SCALE],

@@ -73,23 +73,24 @@ def check_clock(
     steps = motion.steps
     if steps is None or len(steps.start_ns) < FEWEST_STEPS:
         return ClockFindings()
+    suspect = drive.smoothed.declared.misfit() > SUSPECT_MISFIT or drive.slow != SlowError()
     if drive.slow != SlowError():
-        # One that the fixes do not state may be what a wrong clock looks like.
-        fixed = fixes, drive.time_ns, motion, axle
-        drive = smooth_drive(*fixed, hints=hints, as_stated=True)
+        # A slow error that the fixes do not state may be what steps of other moments look like.
+        alone = fixes, drive.time_ns, motion._replace(steps=None), axle
+        drive = smooth_drive(*alone, hints=hints, as_stated=True)
     search = ClockSearch(drive, steps, axle)
     change = None
-    if drive.smoothed.declared.misfit() > SUSPECT_MISFIT or may_change(search):
+    if suspect or may_change(search):
         change = _change(fixes, steps, axle, hints, recorded)
     near = search.best() if change is None else None
     usual = near.misfit if near is not None else search.misfit(0.0)
     if change is None and usual >= POOR_MISFIT:
         far = min(
-            _far_offsets(fixes, steps, motion.gyro, axle, hints),
+            _far_offsets(fixes, steps, motion.gyro, axle, hints, usual),
             key=lambda one: one.misfit,
             default=None,
         )
-        if far is not None and far.misfit < BETTER_SHARE * usual:
+        if far is not None:
             return ClockFindings(_with_gyro(far, steps, recorded))
     unfit = search.contradiction(near.offset_s if near is not None else 0.0)
     if recorded is not None and turns_with(steps, recorded):
@@ -118,7 +119,12 @@ def _with_gyro(found: ClockOffset | None, steps: Steps, gyro: Gyro | None) -> Cl
 
 
 def _far_offsets(
-    fixes: AcceptedFixes, steps: Steps, gyro: Gyro | None, axle: Axle, hints: GearHints
+    fixes: AcceptedFixes,
+    steps: Steps,
+    gyro: Gyro | None,
+    axle: Axle,
+    hints: GearHints,
+    usual: float,
 ) -> Iterator[ClockOffset]:
     """What the offset is by the fixes alone; by fixes and gyro; by fixes and a gyro that goes
     with the images. Steps of other moments are left out of all three: they would spoil the
@@ -136,7 +142,9 @@ def _far_offsets(
         found.append(by_gyro.far(by_gyro.rough()))
         if rough_s is not None and by_fixes.tells(rough_s):
             found.append(_together(fixes, steps, gyro, rough_s, axle, hints))
-    return (one for one in found if one is not None)
+    # Steps of other moments bend a drive towards them, which fits them better than it should.
+    most = BETTER_SHARE * max(usual, by_fixes.misfit(0.0))
+    return (one for one in found if one is not None and one.misfit < most)
 
 
 def _together(
