@@ -43,7 +43,7 @@ def told(found: Estimate, kind: re.Pattern[str]) -> list[float]:
 
 
 @pytest.mark.parametrize("commands", [ROWS, SLALOM])
-@pytest.mark.parametrize("late_s", [0.4, 1.0, -1.0, 2.0])
+@pytest.mark.parametrize("late_s", [0.4, 1.0, 2.0])
 def test_stamps_that_are_off_are_no_antenna(commands: list[Command], late_s: float) -> None:
     found = estimate(simulate(commands, 35.0), late_s=late_s)
     assert told(found, STAMPED) == [pytest.approx(late_s, abs=0.1)]

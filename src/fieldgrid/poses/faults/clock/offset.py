@@ -26,7 +26,7 @@ from fieldgrid.poses.gears.stations import NO_HINTS, GearHints
 from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, IMAGES, LATE
 from fieldgrid.poses.smoother.slow_error import SlowError
 
-POOR_MISFIT, NEAR_SHARE, BETTER_SHARE = 4.0, 0.5, 0.3
+POOR_MISFIT, NEAR_SHARE, BETTER_SHARE = 4.0, 0.5, 0.45
 """A drive and its camera fit badly when steps are off by more than two usual sigmas; then another
 offset is believed where its misfit is less than these shares, near or far: a drive that repeats
 itself fits somewhat at the offset of one repetition, too."""
@@ -86,7 +86,7 @@ def check_clock(
     usual = near.misfit if near is not None else search.misfit(0.0)
     if change is None and usual >= POOR_MISFIT:
         far = min(
-            _far_offsets(fixes, steps, motion.gyro, axle, hints, usual),
+            _far_offsets(fixes, steps, motion.gyro or recorded, axle, hints, usual),
             key=lambda one: one.misfit,
             default=None,
         )
