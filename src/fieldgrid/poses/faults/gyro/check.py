@@ -115,7 +115,7 @@ def with_trusted_gyro(
     without = motion._replace(gyro=None, inertial=None)
     rest = smooth_drive(fixes, all_ns, without, axle, hints=hints)
     # What the camera confirms without the gyro was spoilt by it.
-    if not wrong and not (rest.turns_seen and not rest.smoothed.declared.contradicts):
+    if not wrong and not (rest.measured.sees_turns() and not rest.smoothed.declared.contradicts):
         return fits
     # One of nearly the right scale may be right where the fixes wander, and any where gears are in
     # doubt.

@@ -171,24 +171,32 @@ def _same(
     noise may make."""
     for k in reversed(range(len(found))):
         last = found[k]
-        if time_s[one.first] - time_s[last.stop - 1] > most_s:
+        begins_s, ends_s = time_s[one.first], time_s[last.stop - 1]
+        if begins_s - ends_s > most_s:
             return None
-        # East and north by which this solution lies beside the way that the motion on both sides
-        # of what lies between makes.
-        end = last.stop - 1
-        early = max(last.first, int(np.searchsorted(time_s, time_s[end] - TORN_S)))
-        late = int(np.searchsorted(time_s, time_s[one.first] + TORN_S, side="right")) - 1
-        pace = [
-            (points_m[b] - points_m[a]) / (time_s[b] - time_s[a])
-            for a, b in ((early, end), (one.first, late))
-            if time_s[b] > time_s[a]  # a log may stamp several fixes alike
-        ]
-        way_m = np.mean(pace, axis=0) * (time_s[one.first] - time_s[end]) if pace else np.zeros(2)
-        across_m = np.asarray(points_m[one.first] - points_m[end] - way_m)
+        early, late = np.searchsorted(time_s, (ends_s - TORN_S, begins_s + TORN_S))
+        before = slice(max(last.first, int(early)), last.stop)
+        across_m = _across_m(points_m, time_s, before, slice(one.first, min(one.stop, int(late))))
         off_m = min(np.hypot(*(one.place_m - last.place_m)), np.hypot(*across_m))
         if off_m <= FREE_SIGMAS * np.sqrt(one.unsure_m2 - last.unsure_m2):
             return k
     return None
+
+
+def _across_m(points_m: Float64, time_s: Float64, before: slice, after: slice) -> Float64:
+    """East and north by which the fixes in the rows `after` lie beside where the motion of both
+    sides leads from those `before`: medians, as a fix or two may be misplaced."""
+    paces = []
+    for rows in (before, after):
+        step_s = np.diff(time_s[rows])[:, None]
+        if len(step_s):
+            # A log may stamp several fixes alike.
+            paces.append(
+                np.median(np.diff(points_m[rows], axis=0) / np.maximum(step_s, 1e-3), axis=0)
+            )
+    pace = np.mean(paces, axis=0) if paces else np.zeros(2)
+    places_m = points_m - pace * time_s[:, None]
+    return np.asarray(np.median(places_m[after], axis=0) - np.median(places_m[before], axis=0))
 
 
 def _away(found: _Solutions, stated_m: Float64) -> tuple[Float64, Float64]:
