@@ -72,7 +72,8 @@ def warm_up(gridder: LocalGridder, *, odometry: bool) -> None:
     loaded then, which takes seconds, and the first frames need not wait for it."""
     seen, _ = stage_frame(_of_level_ground(gridder.rig), gridder, odometry=odometry)
     if seen.features is not None:
-        step(seen.features, seen.features, gridder.rig)
+        moved = seen.features._replace(measured_px=seen.features.measured_px + 1e-6)
+        step(seen.features, moved, gridder.rig)
 
 
 def _of_level_ground(rig: Rig) -> Frame:

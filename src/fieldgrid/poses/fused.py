@@ -55,9 +55,6 @@ from fieldgrid.poses.smoother.declared import AHEAD, IMAGES, LATE, LIKELY
 from fieldgrid.poses.table import ConditionedLog
 from fieldgrid.poses.travel_direction import travel
 
-NO_STEP = 1e-6
-"""Metres and degrees: what the noise of two images moves more than."""
-
 # Wheels whose sign is turned round: they say that a vehicle backs up while it drives forward.
 
 
@@ -110,16 +107,6 @@ def _other_way(wheels: WheelSpeed, steps: Steps) -> tuple[int, int]:
     told = one_way & (np.abs(steps.forward_m) > LEAST_STEP_M)
     other_way = told & (speeds[0] * steps.forward_m < 0.0)
     return int(other_way.sum()), int(told.sum())
-
-
-def _without_hung_images(motion: Motion) -> Motion:
-    """The motion without the steps between images that are the same to the last bit: a camera that
-    hangs says nothing of the vehicle."""
-    steps = motion.steps
-    if steps is None:
-        return motion
-    moved = np.abs([steps.forward_m, steps.right_m, steps.turn_deg]).max(axis=0, initial=0.0)
-    return motion._replace(steps=Steps(*(column[moved > NO_STEP] for column in steps)))
 
 
 # Leaps of a receiver's solution that the estimate of the whole drive denies.
@@ -250,7 +237,7 @@ def fuse(
     A first estimate shows which fixes are strays, whether the gyro fits, where the axle is and how
     the vehicle leans (best at `frame_ns`); whatever was assumed otherwise is estimated again.
     """
-    motion, faulty_gyro = without_faulty_samples(_without_hung_images(motion))
+    motion, faulty_gyro = without_faulty_samples(motion)
     motion, dead_gyro = without_dead_gyro(log.accepted, motion)
     motion, turned_wheels = with_right_wheels(motion)
     gyro = motion.gyro

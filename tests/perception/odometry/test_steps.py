@@ -122,7 +122,7 @@ def solved(result: CameraStep | Refusal) -> CameraStep:
 
 @pytest.mark.parametrize(
     ("forward_m", "right_m", "turn_deg"),
-    [(1.9, 0.0, 0.0), (-1.4, 0.0, 0.0), (0.0, 0.0, 14.0), (0.0, 0.0, 0.0), (1.2, 0.5, -9.0)],
+    [(1.9, 0.0, 0.0), (-1.4, 0.0, 0.0), (0.0, 0.0, 14.0), (0.001, 0.0, 0.0), (1.2, 0.5, -9.0)],
     ids=["forward", "reverse", "turn in place", "standing", "all at once"],
 )
 @pytest.mark.parametrize(
@@ -322,6 +322,11 @@ def test_too_few_points_are_refused() -> None:
     few = Features(*(array[:29] for array in stop))
     assert step(start, few, LOOKING_DOWN) is Refusal.FEW_POINTS
     assert step(few, start, LOOKING_DOWN) is Refusal.FEW_POINTS
+
+
+def test_an_image_that_comes_again_says_nothing_of_the_motion() -> None:
+    start, _ = made_pair(LOOKING_DOWN, vehicle_pose(1.0))
+    assert step(start, start, LOOKING_DOWN) is Refusal.SAME
 
 
 def test_points_that_agree_by_chance_only_are_refused() -> None:

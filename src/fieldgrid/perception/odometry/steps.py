@@ -79,6 +79,7 @@ class Refusal(StrEnum):
     """Why two frames give no step, in words for a report."""
 
     FEW_POINTS = f"fewer than {MIN_FEATURES} points with depth in a frame"
+    SAME = "the second image is the first again"
     NO_MOTION = "the matched points do not determine a motion"
     FEW_AGREE = f"fewer than {MIN_INLIERS} points agree on a motion"
     NOT_IN_VIEW = "few of the points that should be in both images are found in both"
@@ -106,6 +107,8 @@ def _motion(start: Features, stop: Features, rig: Rig) -> RefinedMotion | Refusa
     """The motion of the camera, or why it is not to be believed."""
     if min(len(start.blur_px), len(stop.blur_px)) < MIN_FEATURES:
         return Refusal.FEW_POINTS
+    if np.array_equal(start.measured_px, stop.measured_px):  # noise moves every other image
+        return Refusal.SAME
     camera = rig.camera
     lens = Lens(camera.focal_px, camera.cx_px, camera.cy_px, camera.focal_baseline_px_m)
     matches = match_anywhere(start, stop, rig.mount.rotation(), MAX_STEP_M)
