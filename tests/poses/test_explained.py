@@ -43,7 +43,7 @@ def told(found: Estimate, kind: re.Pattern[str]) -> list[float]:
 
 
 @pytest.mark.parametrize("commands", [ROWS, SLALOM])
-@pytest.mark.parametrize("late_s", [0.4, 1.0, 2.0])
+@pytest.mark.parametrize("late_s", [0.4, 1.0, -1.0, 2.0])
 def test_stamps_that_are_off_are_no_antenna(commands: list[Command], late_s: float) -> None:
     found = estimate(simulate(commands, 35.0), late_s=late_s)
     assert told(found, STAMPED) == [pytest.approx(late_s, abs=0.1)]
@@ -54,10 +54,12 @@ def test_stamps_that_are_off_are_no_antenna(commands: list[Command], late_s: flo
     assert float(offset[1]) == pytest.approx(-late_s, abs=0.1)
 
 
-@pytest.mark.parametrize("ahead_m", [0.8, -0.8])
-def test_an_antenna_elsewhere_is_no_matter_of_stamps(ahead_m: float) -> None:
-    """In a slalom it may as well be the stamps."""
-    found = estimate(simulate(ROWS, 35.0), ahead_m=ahead_m)
+@pytest.mark.parametrize("commands", [ROWS, SLALOM])
+@pytest.mark.parametrize("ahead_m", [0.8, -0.8, 2.0])
+def test_an_antenna_elsewhere_is_no_matter_of_stamps(
+    commands: list[Command], ahead_m: float
+) -> None:
+    found = estimate(simulate(commands, 35.0), ahead_m=ahead_m)
     assert told(found, STAMPED) == []
     assert told(found, PLACED) == [pytest.approx(ahead_m, abs=0.15)]
     assert np.median(found.trajectory.position_sigma_m) == pytest.approx(

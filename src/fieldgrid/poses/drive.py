@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from fieldgrid.poses.gears.stations import (
 from fieldgrid.poses.measured import RecordedHeadings, measurements, with_headings
 from fieldgrid.poses.nodes import Nodes, nodes, seconds
 from fieldgrid.poses.smoother.batch import SmoothedDrive, refine, smooth
+from fieldgrid.poses.smoother.declared import Constant, DeclaredCorrection
 from fieldgrid.poses.smoother.measurements import Measurements
 from fieldgrid.poses.smoother.slow_error import CLEAR_NATS, SlowError, likeliest
 
@@ -104,6 +106,13 @@ over all steps."""
 DRIVEN_M = 0.1
 """A camera that has moved by more was driven."""
 
+MOST_STEPS, SETTLED_SHARE = 8, 0.1
+"""What was declared by metres or seconds too much is settled in two to six steps: the next would
+be smaller than this share of its sigma."""
+
+FARTHEST = 10.0
+"""Metres, and seconds: what leads farther leads nowhere."""
+
 
 class DriveEstimate(NamedTuple):
     """The estimate at n nodes: the middle of the unsteered axle, and what is sure of it.
@@ -168,12 +177,13 @@ def smooth_drive(
     hints: GearHints = NO_HINTS,
     *,
     as_stated: bool = False,
+    near: DriveEstimate | None = None,
 ) -> DriveEstimate:
     """The batch estimate from accepted fixes and the vehicle's own motion.
 
     `all_ns` are the times of all fixes, which get poses too; `recorded` headings have passed their
     comparison with the course. The slow error of the fixes is learnt, unless it is to be
-    `as_stated`.
+    `as_stated`. An estimate `near` this one, with the same nodes and gears, is where it begins.
     """
     at = nodes(fixes.time_ns, all_ns, motion)
     standing = _standing(fixes)
@@ -193,12 +203,20 @@ def smooth_drive(
         np.add.at(change, np.searchsorted(at.time_ns, motion.steps.start_ns[real]), 1)
         np.add.at(change, np.searchsorted(at.time_ns, motion.steps.stop_ns[real], side="right"), -1)
     node_rest = (rest > 0.99) & (np.cumsum(change[:-1]) <= 0)
-    measured = measurements(fixes, at, node_rest, motion, _assigned(at, found)[0], axle.vehicle)
+    gear, _ = _assigned(at, found)
+    measured = measurements(fixes, at, node_rest, motion, gear, axle.vehicle)
     measured = with_headings(measured, fixes, at, recorded)
+    begun = (
+        near is not None
+        and np.array_equal(near.time_ns, at.time_ns)
+        and np.array_equal(_assigned(near.at, near.stations)[0], gear)
+    )
     lever_m, step_ahead_m = axle.frame()
     # Not a name here, nor `*axle.frame()`: either would keep the guess, which `smooth` lets go.
     smoothed = smooth(
-        *(measured, first_guess(fixes, at, found, measured), lever_m, step_ahead_m), axle.sigma_m
+        measured,
+        near.smoothed.state if near and begun else first_guess(fixes, at, found, measured),
+        *(lever_m, step_ahead_m, axle.sigma_m),
     )
     slow = SlowError()
     if not as_stated and measured.sees_turns() and smoothed.wander_nats > CLEAR_NATS:
@@ -243,6 +261,27 @@ def with_recorded(
     measured = with_headings(drive.measured, fixes, drive.at, recorded)
     smoothed = refine(drive.smoothed, measured, *axle.frame(), axle.sigma_m)
     return _drive(fixes, drive.at, measured, found, smoothed, axle, drive.resting, drive.slow)
+
+
+def settled(
+    drive: DriveEstimate,
+    put_right: Callable[[float], DriveEstimate],
+    left: Callable[[DeclaredCorrection], Constant],
+    start: float = 0.0,
+) -> tuple[Constant, DriveEstimate]:
+    """A number that was declared, `put_right` until nothing is `left` to add, since one step of the
+    estimate is not all: by how much it was off, infinitely unsure where that leads nowhere, and
+    the drive then. It begins with a `drive` of which it was put right by `start`."""
+    total, rest = start, left(drive.smoothed.declared)
+    for _ in range(MOST_STEPS):
+        total += rest.value
+        if abs(total) > FARTHEST:
+            return Constant(total, np.inf), drive
+        drive = put_right(total)
+        rest = left(drive.smoothed.declared)
+        if abs(rest.value) < SETTLED_SHARE * rest.sigma:
+            break
+    return Constant(total, float(np.hypot(rest.sigma, rest.value))), drive
 
 
 def _standing(fixes: AcceptedFixes) -> Bool:

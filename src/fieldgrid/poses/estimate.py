@@ -170,7 +170,7 @@ def _checked(
         yaw = camera_yaw(drive.smoothed.camera_yaw_rad, found.motion.steps, found.axle)
     denied = denied_by(drive, declared, clocks)
     if smooth and not drive.turns_seen:
-        denied = with_whole_place(denied, partial(_with_recorded, found, recorded))
+        denied = with_whole_place(denied, drive, partial(_with_recorded, found, recorded))
     elif smooth:
         denied = explained(denied, found, drive, declared)
     excuse = None

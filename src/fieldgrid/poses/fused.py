@@ -32,7 +32,7 @@ from fieldgrid.poses.axle import (
     ways_of,
     with_antenna_moved,
 )
-from fieldgrid.poses.drive import DriveEstimate, smooth_drive
+from fieldgrid.poses.drive import DriveEstimate, settled, smooth_drive
 from fieldgrid.poses.faults.convention import Comparison, compare, turned_around
 from fieldgrid.poses.faults.gyro.check import GyroVerdict, with_trusted_gyro, without_wrong_gyro
 from fieldgrid.poses.faults.gyro.dead_gyro import without_dead_gyro, without_faulty_samples
@@ -67,10 +67,6 @@ TURNED_SHARE = 0.8
 BACKING_SHARE, LEAST_WAY_M = 0.8, 50.0
 """Without a camera: hardly any vehicle backs up over this share of a drive of at least this
 length."""
-
-
-MOST_STEPS = 6
-"""A place of the axle is settled in two or three."""
 
 
 def with_right_wheels(motion: Motion) -> tuple[Motion, str | None]:
@@ -193,6 +189,7 @@ class Fusion(NamedTuple):
             *(new.log.accepted, new.log.fixes.time_ns, new.motion, new.axle),
             hints=new.hints,
             as_stated=as_stated,
+            near=self.drive,
         )
         return new._replace(drive=drive)
 
@@ -286,27 +283,25 @@ def fuse(
 
 
 def _with_axle(found: Fusion) -> Fusion:
-    """The drive with the axle where it shows it, step by step: of an antenna far ahead one step is
-    not all."""
-    known, guess = found, found.axle
-    steps = found.motion.steps
+    """The drive with the axle where it shows it: from where the camera has it, if that is
+    likelier."""
+
+    def moved(ahead_m: float) -> DriveEstimate:
+        axle = with_antenna_moved(found.axle, ahead_m)
+        return found.again(axle=axle, as_stated=True).drive
+
+    begun, start_m, steps = found.drive, 0.0, found.motion.steps
     by_camera = None if steps is None else travel(ways_of(steps)).ahead_m
     if by_camera is not None:
-        begun = found.again(axle=with_antenna_moved(guess, by_camera.value), as_stated=True)
-        known = max(known, begun, key=lambda one: one.drive.smoothed.nats)
-    for _ in range(MOST_STEPS):
-        declared = known.drive.smoothed.declared
-        # Clocks that differ look like a place.
-        if steps is not None and declared.probability(LATE, IMAGES) > 1.0 - LIKELY:
-            return found
-        told = axle_told(known.axle, declared.off(AHEAD))
-        if told is known.axle:
-            return found
-        moved_m = told.frame()[0][1] - known.axle.frame()[0][1]
-        known = found.again(axle=told._replace(sigma_m=guess.sigma_m), as_stated=True)
-        if abs(moved_m) < told.sigma_m:
-            return found.again(axle=told)
-    return found
+        there = moved(by_camera.value)
+        if there.smoothed.nats > begun.smoothed.nats:
+            begun, start_m = there, by_camera.value
+    ahead_m, drive = settled(begun, moved, lambda one: one.off(AHEAD), start_m)
+    # Clocks that differ look like a place.
+    if steps is not None and drive.smoothed.declared.probability(LATE, IMAGES) > 1.0 - LIKELY:
+        return found
+    told = axle_told(found.axle, ahead_m)
+    return found if told is found.axle else found.again(axle=told)
 
 
 def _with_trusted_gyro(

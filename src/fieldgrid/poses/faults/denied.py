@@ -14,7 +14,7 @@ import numpy as np
 from fieldgrid.core import Float64
 from fieldgrid.geometry import Rig, VehicleGeometry
 from fieldgrid.poses.axle import names_axle
-from fieldgrid.poses.drive import DriveEstimate
+from fieldgrid.poses.drive import DriveEstimate, settled
 from fieldgrid.poses.faults.clock.offset import ClockFindings
 from fieldgrid.poses.smoother.declared import (
     AHEAD,
@@ -34,9 +34,6 @@ CLEAR_SIGMAS = 4.0
 
 LEAST_LEVER_M, LEAST_DELAY_S = 0.3, 0.05
 """Smaller contradictions of the antenna's place and of the fixes' stamps are not worth a word."""
-
-MOST_ROUNDS = 10
-"""A wrong place is settled in two to six."""
 
 LEAST_DOUBT_DEG, LEAST_OFF_M = 1.0, 0.1
 """What does not fit together and moves no heading or position by more is not worth a word."""
@@ -105,7 +102,7 @@ def moving_places(drive: DriveEstimate, vehicle: VehicleGeometry | None) -> tupl
 
 
 def with_whole_place(
-    denied: DriveContradiction, placed: Callable[[float], DriveEstimate]
+    denied: DriveContradiction, drive: DriveEstimate, placed: Callable[[float], DriveEstimate]
 ) -> DriveContradiction:
     """The contradiction with the whole distance by which recorded headings have the antenna ahead.
 
@@ -114,14 +111,8 @@ def with_whole_place(
     """
     if denied.ahead_m is None:
         return denied
-    total_m, sigma_m = denied.ahead_m
-    for _ in range(MOST_ROUNDS):
-        value_m, sigma_m = placed(total_m).smoothed.declared.off(AHEAD)
-        total_m += value_m
-        if abs(value_m) < sigma_m:
-            break
-    ahead_m = Constant(total_m, float(np.hypot(sigma_m, value_m)))
-    return denied._replace(ahead_m=ahead_m, off_m=np.maximum(denied.off_m, abs(total_m)))
+    ahead_m, _ = settled(drive, placed, lambda one: one.off(AHEAD))
+    return denied._replace(ahead_m=ahead_m, off_m=np.maximum(denied.off_m, abs(ahead_m.value)))
 
 
 def unsure_declared(

@@ -9,14 +9,13 @@ other does not.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.geometry import Rig, VehicleGeometry
 from fieldgrid.poses.axle import names_axle, with_antenna_moved
-from fieldgrid.poses.drive import DriveEstimate
+from fieldgrid.poses.drive import DriveEstimate, settled
 from fieldgrid.poses.faults.denied import (
     CLEAR_SIGMAS,
     LEAST_DELAY_S,
@@ -31,12 +30,6 @@ from fieldgrid.poses.smoother.declared import (
     Constant,
     DeclaredCorrection,
 )
-
-MOST_STEPS = 8
-"""Clocks that are up to 3 s off are settled in three to six."""
-
-SETTLED_M, SETTLED_S = 0.005, 0.005
-FARTHEST_M, LATEST_S = 10.0, 10.0
 
 MOST_LEFT = 2.5
 """What was wrong leaves no more sigmas once it is put right."""
@@ -55,14 +48,25 @@ class Correction(NamedTuple):
     left: float
     drive: DriveEstimate | None
 
+    @classmethod
+    def of(cls, value: Constant, drive: DriveEstimate) -> Correction:
+        """What a drive leaves that was settled."""
+        known = np.isfinite(value.sigma)
+        return cls(value, drive.smoothed.declared.misfit(), drive) if known else UNTOLD
+
     @property
     def is_clear(self) -> bool:
         """Whether it is something."""
         return abs(self.value.value) > CLEAR_SIGMAS * self.value.sigma
 
     def rules_out(self, other: Correction) -> bool:
-        """Whether the drive fits this, and not the other."""
-        return self.left < MOST_LEFT and other.left**2 - self.left**2 > 2.0 * CLEAR_NATS
+        """Whether the drive fits this, and is clearly less likely by the other."""
+        return self.left < MOST_LEFT and self.nats > other.nats + CLEAR_NATS
+
+    @property
+    def nats(self) -> float:
+        """How likely the drive is by this."""
+        return -np.inf if self.drive is None else self.drive.smoothed.nats
 
 
 UNTOLD = Correction(Constant(0.0, np.inf), np.inf, None)
@@ -158,9 +162,7 @@ def _place(found: Fusion, start_m: float) -> Correction:
         return found.again(axle=with_antenna_moved(found.axle, ahead_m), as_stated=True).drive
 
     first = moved(start_m) if start_m else found.drive
-    return _settled(
-        first, start_m, moved, lambda one: one.off(AHEAD, LATE), (SETTLED_M, FARTHEST_M)
-    )
+    return Correction.of(*settled(first, moved, lambda one: one.off(AHEAD, LATE), start_m))
 
 
 def _delay(found: Fusion, usual_mps: float, start_s: float) -> Correction:
@@ -181,26 +183,4 @@ def _delay(found: Fusion, usual_mps: float, start_s: float) -> Correction:
         return Constant(late_s.value - ahead_m.value / usual_mps, late_s.sigma)
 
     first = stamped(start_s) if start_s else found.drive
-    return _settled(first, start_s, stamped, left_s, (SETTLED_S, LATEST_S))
-
-
-def _settled(
-    drive: DriveEstimate,
-    total: float,
-    put_right: Callable[[float], DriveEstimate],
-    left: Callable[[DeclaredCorrection], Constant],
-    limits: tuple[float, float],
-) -> Correction:
-    """Put one of them right until there is nothing `left` to add, beginning with a drive that has a
-    `total`; infinitely many sigmas are left where that leads nowhere."""
-    least, most = limits
-    for _ in range(MOST_STEPS):
-        total += left(drive.smoothed.declared).value
-        if abs(total) > most:
-            return UNTOLD
-        drive = put_right(total)
-        if abs(left(drive.smoothed.declared).value) < least:
-            break
-    declared = drive.smoothed.declared
-    value = Constant(total, left(declared).sigma)
-    return Correction(value, declared.misfit(), drive)
+    return Correction.of(*settled(first, stamped, left_s, start_s))
