@@ -269,7 +269,9 @@ def fuse(
         found = found.again(log=level, motion=levelled_motion(found.motion, lean), lean=lean)
     # A solution that goes on elsewhere, as the camera sees or the estimate itself.
     steps = found.motion.steps
-    seen = {leap.time_ns: leap for leap in denied_leaps(found.log.accepted, found.drive)}
+    denied = denied_leaps(found.log.accepted, found.drive)
+    # What does not fit together otherwise makes steps, too.
+    seen = {leap.time_ns: leap for leap in denied if not found.drive.smoothed.declared.contradicts}
     if rig is not None:
         by_camera = seen_leaps(found.log.accepted, found.drive, steps, rig.antenna)
         seen |= {leap.time_ns: leap for leap in by_camera}
