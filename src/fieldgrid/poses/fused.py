@@ -299,8 +299,10 @@ def _with_axle(found: Fusion) -> Fusion:
         if there.smoothed.nats > begun.smoothed.nats:
             begun, start_m = there, by_camera.value
     ahead_m, drive = settled(begun, moved, lambda one: one.off(AHEAD), start_m)
-    # Clocks that differ look like a place.
-    if steps is not None and drive.smoothed.declared.probability(LATE, IMAGES) > 1.0 - LIKELY:
+    # Clocks that differ look like a place, and what contradicts it even there is something else.
+    declared = drive.smoothed.declared
+    late = steps is not None and declared.probability(LATE, IMAGES) > 1.0 - LIKELY
+    if late or declared.contradicts:
         return found
     told = axle_told(found.axle, ahead_m)
     return found if told is found.axle else found.again(axle=told)
