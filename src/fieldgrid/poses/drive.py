@@ -232,6 +232,8 @@ def _wandering(
 ) -> tuple[SlowError, SmoothedDrive]:
     """The slow error of the fixes that makes a drive likeliest, and the drive by it."""
     drives: dict[SlowError, SmoothedDrive] = {}
+    if len(measured.step) == len(known.step_off):
+        drives[SlowError()] = known
 
     def nats(slow: SlowError) -> float:
         if slow not in drives:

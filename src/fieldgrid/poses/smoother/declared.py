@@ -67,8 +67,8 @@ EDGE_S = 0.5
 """What bends a turn is unsure for so long before it and after it, too."""
 
 MOST_MISFIT = 4.0
-"""Numbers that are as usual are more sigmas away once in 100,000 drives."""
-
+"""Numbers that are as usual are more sigmas away once in 100,000 drives; with those of a camera,
+once in 1,000."""
 
 SEEN_SIGMAS = 3.0
 """A drift of so many sigmas would be seen."""
