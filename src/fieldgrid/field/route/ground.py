@@ -26,9 +26,6 @@ slopes are alike. They are off alone by what they scatter, one for each patch of
 frames follow the ground."""
 
 _PATCH_M = 0.5
-_SIGMAS = 2.0
-"""A slope counts less so many sigmas: so neither noise nor doubt makes level ground steep."""
-
 _LEAST_KNOWN = 0.5
 """Below this share of the ground under a vehicle with a slope nothing is told."""
 
@@ -58,7 +55,8 @@ class Ground:
     point of a cell to the nearest blocked cell. `density` is the highest of the map's own cells in
     each, 255 where a mark says that there is an obstacle; above `obstacle_above` it is one.
     `rises` [rows, columns, 2] are metres a metre to east and north of the ground that a vehicle
-    covers with its middle in a cell, at least, 0 where not known; empty where no slope matters.
+    covers with its middle in a cell, less their sigma, 0 where not known; empty where no slope
+    matters.
     """
 
     west_m: float
@@ -222,11 +220,12 @@ class Ground:
 
 def _rises(view: MapView, vehicle: Vehicle, margin: int) -> Float32:
     """`Ground.rises` of a view, with some cells around it: means over a disc as large as what the
-    vehicle covers, less their error."""
-    nothing = np.zeros((0, 0, 2), dtype=np.float32)
-    if SLOPE_LAYERS[0] not in view.layers:
-        return nothing
-    rise, falls = np.tan(np.radians(view.layer("slope"))), np.radians(view.layer("aspect"))
+    vehicle covers, less their sigma, so that neither noise nor doubt makes level ground steep."""
+    slope_deg = view.layers.get("slope", np.zeros((0, 0), dtype=np.float32))
+    most_deg = min(vehicle.slope_along_deg, vehicle.slope_across_deg)
+    if not np.fmax.reduce(slope_deg, axis=None, initial=0.0) > most_deg:
+        return np.zeros((0, 0, 2), dtype=np.float32)
+    rise, falls = np.tan(np.radians(slope_deg)), np.radians(view.layer("aspect"))
     known = np.isfinite(rise).astype(np.float32)
     to = np.nan_to_num(np.stack([-rise * np.sin(falls), -rise * np.cos(falls)]))
     area_m2 = float(shapely.Polygon(vehicle.footprint()).area)
@@ -244,10 +243,8 @@ def _rises(view: MapView, vehicle: Vehicle, margin: int) -> Float32:
     scatter = 0.5 * np.maximum(squares - np.square(mean).sum(axis=0), 0.0)
     patches = np.maximum(share * area_m2 / _PATCH_M**2, 1.0)
     size, sigma = np.hypot(*mean), np.sqrt(_LEVEL**2 + scatter / patches)
-    sure = np.maximum(1.0 - _SIGMAS * sigma / np.maximum(size, 1e-6), 0.0)
+    sure = np.maximum(1.0 - sigma / np.maximum(size, 1e-6), 0.0)
     sure[share < _LEAST_KNOWN] = 0.0
-    if not (size * sure).max(initial=0.0) > min(vehicle.most_rises):
-        return nothing
     rises = np.moveaxis(mean * sure, 0, 2).astype(np.float32)
     return np.pad(rises, ((margin, margin), (margin, margin), (0, 0)))
 
