@@ -125,11 +125,11 @@ def find_worked(
 
     left_out = _opened((label > 0) & (times == 0), 2.0 * sigma_m * lattice.cells_per_m)
     missed = outlines(left_out, LEAST_MISSED_M2)
-    lane_of = shapely.STRtree(grounds).nearest([part.representative_point() for part in missed])
+    lane_of = [int(np.argmin(shapely.distance(grounds, part.centroid))) for part in missed]
     cell_m2 = lattice.cell_m**2
     in_all, in_worked, strips = (
-        np.bincount(numbers.ravel(), minlength=len(grounds) + 1)[1:].tolist()
-        for numbers in (label, label[times > 0], lane_of + 1)
+        np.bincount(np.ravel(numbers), minlength=len(grounds) + 1)[1:].tolist()
+        for numbers in (label, label[times > 0], np.array(lane_of, dtype=np.intp) + 1)
     )
     counts = np.bincount(times.ravel())[1:].tolist()
     return Worked(
