@@ -144,6 +144,14 @@ def test_a_turn_is_one_pass(bare: Path, radius_m: float) -> None:
     assert found.again_m2 < 0.03 * found.worked_m2
 
 
+def test_a_jump_aside_works_nothing(bare: Path) -> None:
+    """Nor does a vehicle that stands, whatever gear is told."""
+    start = (0.0, 0.0, 0.0, 1)
+    way = ahead(start, 20.0)
+    add_drive(bare, [start, *way, way[-1], (5.0, 20.0, 0.0, 1)])
+    assert worked(bare, 2.0).worked_m2 == pytest.approx(40.0, rel=0.01)
+
+
 def test_rejected_poses_are_left_out_and_gaps_are_told(bare: Path) -> None:
     start = (0.0, 0.0, 0.0, 1)
     poses = [start, *ahead(start, 20.0)]

@@ -18,7 +18,7 @@ import shapely
 from fieldgrid.core import Bool, ConfigError, Float64, Int32, UInt8
 from fieldgrid.field.rows.ground import polygons_of
 from fieldgrid.field.rows.result import Planting
-from fieldgrid.geometry import MAX_GAP_NS, Bounds, Datum, Feature, Lattice, Trajectory, Window
+from fieldgrid.geometry import MAX_GAP_NS, Datum, Feature, Lattice, Trajectory, Window
 from fieldgrid.maps import Evidence, MapFile
 
 MAX_CELLS = 100_000_000
@@ -114,8 +114,8 @@ def find_worked(
     sigma_m = float(np.median(track.position_sigma_m[track.accepted]))
     grounds = _grounds(planting)
     places = [*grounds, shapely.MultiPoint(way.ends_m.reshape(-1, 2))]
-    around, lattice = Bounds(*shapely.total_bounds(places).tolist()), Lattice(universal.cell_m)
-    while (window := lattice.window(around)).width * window.height > MAX_CELLS:
+    corners, lattice = shapely.total_bounds(places).reshape(2, 2), Lattice(universal.cell_m)
+    while (window := _cells_of(corners, lattice)).width * window.height > MAX_CELLS:
         lattice = Lattice(2.0 * lattice.cell_m)
     times, label = _times(way, lattice, window, width_m), _labels(grounds, lattice, window)
 
@@ -199,8 +199,7 @@ def _times(way: _Way, lattice: Lattice, window: Window, width_m: float) -> UInt8
     last_m = np.full(window.shape, -np.inf, dtype=np.float32)
     driven_m = np.cumsum(way.step_m)
     for k in np.flatnonzero(way.is_worked).tolist():
-        ends = way.ends_m[k : k + 2].reshape(-1, 2)
-        box = lattice.window(Bounds(*ends.min(axis=0).tolist(), *ends.max(axis=0).tolist()))
+        box = _cells_of(way.ends_m[k : k + 2].reshape(-1, 2), lattice)
         east_m, north_m = lattice.centres(box)
         # How far ahead of the line each middle lies, and to its right, at either pose.
         (before, right), (after, right_after) = (
@@ -218,6 +217,12 @@ def _times(way: _Way, lattice: Lattice, window: Window, width_m: float) -> UInt8
         times[place][again] += 1
         last_m[place][hit] = driven_m[k]
     return times
+
+
+def _cells_of(points_m: Float64, lattice: Lattice) -> Window:
+    """The cells of a box about points [n, 2]."""
+    i, j = lattice.index(points_m[:, 0], points_m[:, 1])
+    return Window(int(i.min()), int(j.min()), int(np.ptp(i)) + 1, int(np.ptp(j)) + 1)
 
 
 def _labels(grounds: list[shapely.Geometry], lattice: Lattice, window: Window) -> Int32:
