@@ -51,8 +51,8 @@ class Worked:
     `times_m2` are the square metres that were worked once, twice and so on, `driven_m` the way on
     which they were, and `unknown_m` the distance of accepted poses between which the way is not
     known. `lanes` are those of the planting. `areas` are the outlines of what was worked, by how
-    often; `missed` those of the ground of lanes that was not, by lane, without strips that are
-    narrower than two `sigma_m`, the median standard deviation of the poses.
+    often; `missed` those of the ground of lanes that was not, by lane, but for what is nowhere
+    wider than two `sigma_m`, the median standard deviation of the poses.
     """
 
     datum: Datum
@@ -111,7 +111,8 @@ def find_worked(
             f"Session {session} has no accepted poses between which the vehicle drove forward, so "
             "it worked nothing."
         )
-    sigma_m = float(np.median(track.position_sigma_m[track.accepted]))
+    known = track.position_sigma_m[track.accepted & np.isfinite(track.position_sigma_m)]
+    sigma_m = float(np.median(known)) if len(known) else 0.0
     grounds = _grounds(planting)
     places = [*grounds, shapely.MultiPoint(way.ends_m.reshape(-1, 2))]
     corners, lattice = shapely.total_bounds(places).reshape(2, 2), Lattice(universal.cell_m)
@@ -123,8 +124,8 @@ def find_worked(
         cells = mask.view(np.uint8)
         return polygons_of(Evidence(lattice, window, cells), cells, least_m2)
 
-    left_out = _opened((label > 0) & (times == 0), 2.0 * sigma_m * lattice.cells_per_m)
-    missed = outlines(left_out, LEAST_MISSED_M2)
+    left_out = outlines((label > 0) & (times == 0), LEAST_MISSED_M2)
+    missed = [part for part in left_out if not part.buffer(-sigma_m).is_empty]
     lane_of = [int(np.argmin(shapely.distance(grounds, part.centroid))) for part in missed]
     cell_m2 = lattice.cell_m**2
     in_all, in_worked, strips = (
@@ -154,14 +155,6 @@ def _grounds(planting: Planting) -> list[shapely.Geometry]:
         lane.area.difference(shapely.union_all([canopies[name] for name in lane.rows]))
         for lane in planting.lanes
     ]
-
-
-def _opened(mask: Bool, size_cells: float) -> Bool:
-    """A mask without what no disc of a size fits into."""
-    size = max(1, round(size_cells)) | 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    opened = cv2.morphologyEx(mask.view(np.uint8), cv2.MORPH_OPEN, disc)
-    return np.asarray(opened, np.uint8).view(np.bool_)
 
 
 class _Way(NamedTuple):
