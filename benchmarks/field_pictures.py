@@ -54,7 +54,7 @@ def draw_tracks(out: Path) -> None:
 def draw_routes(universal: MapFile, out: Path) -> None:
     """Draw what routes sweep over what they keep away from."""
     figure = _figure(1)
-    axes = _over_costs(figure, 111, planning_view(universal, Vehicle(), None, None, None))
+    axes = _over_costs(figure, 111, planning_view(universal, None, None, None))
     for colour, start, goal, any_ in ROUTES:
         route = plan_route(universal, start, goal, Vehicle(), allow_unknown=any_)
         print(route.length_m, route.turning_share, route.cusps, route.least_clearance_m)
@@ -67,7 +67,7 @@ def draw_routes(universal: MapFile, out: Path) -> None:
 def draw_coverage(universal: MapFile, out: Path) -> None:
     """Draw the coverage of the map's driven lanes, and that of a field of the benchmark."""
     task = random_field(SEED)
-    view = planning_view(universal, Vehicle(), None, None, None)
+    view = planning_view(universal, None, None, None)
     driven = [lane.id for lane in find_rows(universal).lanes if lane.driven]
     ours = plan_coverage(universal, Vehicle(), lanes=driven, allow_unknown=True)
     other = coverage_in_view(task.view, task.planting, task.vehicle)

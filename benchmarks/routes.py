@@ -100,8 +100,9 @@ def random_task(seed: int, size_m: tuple[float, float] = (20.0, 45.0)) -> Task:
 def faults(route: Route, view: MapView, *, allow_unknown: bool = False) -> str:
     """What is wrong with a route, '' for nothing, by the check that shares nothing with its
     making."""
+    margin_m = 60.0 if allow_unknown else 5.0
     ground = Ground.of(
-        view, CostCurve(), allow_unknown=allow_unknown, margin_m=60.0 if allow_unknown else 5.0
+        view, CostCurve(), route.vehicle, allow_unknown=allow_unknown, margin_m=margin_m
     )
     fault = find_fault(route.path, ground, route.vehicle)
     return "" if fault is None else fault.reason
@@ -112,7 +113,7 @@ def driven_task(seed: int) -> Task | None:
     the start, so that a route exists; None where the vehicle can hardly move."""
     task = random_task(seed)
     vehicle, rng = task.vehicle, np.random.default_rng(seed)
-    ground = Ground.of(task.view, CostCurve(), allow_unknown=False, margin_m=8.0)
+    ground = Ground.of(task.view, CostCurve(), task.vehicle, allow_unknown=False, margin_m=8.0)
     searcher = Searcher(ground, vehicle)
     x, y = task.start[0] - ground.west_m, task.start[1] - ground.south_m
     here = np.array([x, y, math.radians(90.0 - rng.uniform(-180.0, 180.0))])
@@ -141,7 +142,7 @@ def driven_task(seed: int) -> Task | None:
 def least_length_m(task: Task) -> float:
     """No route is shorter: the straight line, and the way of a disc inside the vehicle around what
     is blocked, on eight neighbours, of which a straight line is up to 8.2 % shorter."""
-    ground = Ground.of(task.view, CostCurve(), allow_unknown=False, margin_m=5.0)
+    ground = Ground.of(task.view, CostCurve(), task.vehicle, allow_unknown=False, margin_m=5.0)
     searcher = Searcher(ground, task.vehicle)
     start, goal = (
         SearchPose(place[0] - ground.west_m, place[1] - ground.south_m, 0.0)

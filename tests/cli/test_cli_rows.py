@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
+import xml.etree.ElementTree as ElementTree
+import zipfile
 from pathlib import Path
 
 import cv2
+import geopandas
 import numpy as np
 import pytest
 
@@ -16,7 +19,9 @@ from fieldgrid.geometry import Bounds, Lattice
 from fieldgrid.maps import MapView, open_map
 from tests.cli.conftest import Run
 from tests.field.rows.fields import straight, view_of, write_map
+from tests.field.rows.test_worked import add_drive
 
+POSE = fg.Pose(10**18, 0.0, 0.0, 0.0, 0.0, 0.02, 0.5, 1.0)
 ROWS = straight(4, 30.0, 2.5, 25.0)
 
 
@@ -187,3 +192,79 @@ def test_what_cannot_be_is_one_sentence(
 
 def test_a_spacing_that_is_none_is_a_usage_error(fieldgrid: Run, field: Path) -> None:
     fieldgrid("rows", field, "--spacing", "wide").usage()
+
+
+@pytest.fixture
+def driven(field: Path, tmp_path: Path) -> Path:
+    """The field with a drive up its first lane."""
+    path = tmp_path / "field.gpkg"
+    shutil.copy(field, path)
+    (start, stop), (other, _) = ROWS[0], ROWS[1]
+    middle = 0.5 * (start + other)
+    way = middle + np.linspace(-0.1, 1.1, 60)[:, None] * (stop - start)
+    add_drive(path, [(east, north, 25.0, 1) for east, north in way.tolist()])
+    return path
+
+
+def test_what_a_drive_worked_is_told(fieldgrid: Run, driven: Path) -> None:
+    asked = ("rows", driven, "--worked", "work", "--width", "1.2")
+    told = json.loads(fieldgrid(*asked, "--json").output())
+    assert told["worked_m2"] == pytest.approx(1.2 * 36.0, rel=0.01)
+    assert (told["driven_m"], told["again_m2"]) == (pytest.approx(36.0), 0.0)
+    first, *others = told["lanes"]
+    assert first["share"] == pytest.approx(1.2 / 1.8, abs=0.06)
+    assert [lane["share"] for lane in others] == [0.0, 0.0]
+    assert [lane["missed"] for lane in told["lanes"]] == [2, 1, 1]
+    (block,) = told["blocks"]
+    assert block["missed"] == 4
+    text = fieldgrid(*asked).output()
+    assert text.startswith("worked")
+    for part in ("36.0 m", "43.2 m²", "B1-L1", f"{100.0 * first['share']:.1f} %"):
+        assert part in text
+    behind = json.loads(fieldgrid(*asked, "--behind", "5", "--json").output())
+    assert behind["lanes"][0]["share"] < first["share"] - 0.03
+
+
+def test_what_a_drive_worked_as_polygons(fieldgrid: Run, driven: Path, tmp_path: Path) -> None:
+    asked = ("rows", driven, "--worked", "work", "--width", "1.2", "-o")
+    names = ("worked.geojson", "worked.gpkg", "worked.taskdata.zip")
+    for name in names:
+        assert str(tmp_path / name) in fieldgrid(*asked, tmp_path / name).output()
+    features = json.loads((tmp_path / names[0]).read_text())["features"]
+    assert {one["geometry"]["type"] for one in features} == {"Polygon"}
+    kinds = [one["properties"]["kind"] for one in features]
+    assert (kinds.count("worked"), kinds.count("missed")) == (1, 4)
+    layer = geopandas.read_file(tmp_path / names[1], layer="missed")
+    assert layer["lane"].tolist().count("B1-L1") == 2
+    assert layer.area.sum() == pytest.approx(layer["area_m2"].sum())
+    with zipfile.ZipFile(tmp_path / names[2]) as archive:
+        root = ElementTree.fromstring(archive.read("TASKDATA/TASKDATA.XML"))
+    areas = [one.get("B") for one in root.iterfind("PFD/PLN") if one.get("A") == "8"]
+    assert areas == ["worked 1 x", "missed B1-L1", "missed B1-L1", "missed B1-L2", "missed B1-L3"]
+    refused = fieldgrid(*asked, tmp_path / "worked.osm").sentence()
+    assert "worked.osm ends in none of" in refused
+
+
+def test_work_that_cannot_be_told(fieldgrid: Run, driven: Path, tmp_path: Path) -> None:
+    out = tmp_path / "worked.geojson"
+    said = fieldgrid("rows", driven, "--worked", "june-99", "-o", out).sentence()
+    assert "no session 'june-99'" in said
+    assert "no trajectory" in fieldgrid("rows", driven, "--worked", "june-03").sentence()
+    assert not out.exists()
+    for more in (("--width", "2"), ("--behind", "1")):
+        assert "--worked" in fieldgrid("rows", driven, *more).usage()
+    for more in (("--keep",), ("--agopengps", tmp_path / "north")):
+        assert "leave --worked out" in fieldgrid("rows", driven, "--worked", "work", *more).usage()
+
+
+def test_work_on_a_map_without_rows(fieldgrid: Run, tmp_path: Path) -> None:
+    path = tmp_path / "bare.gpkg"
+    add_drive(path, [(0.0, 0.4 * k, 0.0, 1) for k in range(51)])
+    with open_map(path, writable=True) as universal, universal.add_session("seen") as session:
+        spec = fg.GridSpec(4.0, 4.0, 0.1)
+        seen = np.ones(spec.shape, np.bool_)
+        session.add(fg.LocalGrid(spec, np.zeros(spec.shape, np.uint8), seen), POSE)
+    done = fieldgrid("rows", path, "--worked", "work", "--width", "2")
+    assert done.status == 0
+    assert "40.0 m²" in done.out
+    assert "no rows found" in done.err

@@ -3,7 +3,7 @@
 * `align`: `align_map` lays the drives of a map on each other by what they saw.
 * `changes`: `find_changes`, objects that came or went between two times.
 * `rows`: `find_rows`, a `Planting` of rows and lanes with their gaps (the width of a lane:
-  `ground`), and doubts about them.
+  `ground`), and doubts about them; `find_worked`, what a drive worked of them.
 * `route`: `plan_route` for a `Vehicle`; every `Route` passes an independent check.
 * `coverage`: `plan_coverage`, one way along all lanes, or `Tracks` without rows.
 * `evaluation`: `evaluate`, a map against surveyed or simulated truth.
@@ -70,5 +70,11 @@ if TYPE_CHECKING:
         row_quality as row_quality,
     )
     from fieldgrid.field.rows.result import Lane as Lane, Planting as Planting
+    from fieldgrid.field.rows.worked import (
+        LaneWork as LaneWork,
+        Worked as Worked,
+        find_worked as find_worked,
+        worked_features as worked_features,
+    )
 else:
     __getattr__, __dir__, __all__ = door(__name__, __file__)

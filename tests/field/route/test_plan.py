@@ -137,13 +137,7 @@ def test_random_fields_are_never_touched(block: int) -> None:
         found += 1
         assert_holds(route, task.view)
         assert_ends(route, task)
-        ground = Ground.of(
-            task.view,
-            CostCurve(),
-            allow_unknown=False,
-            margin_m=10.0,
-            clearance_m=task.vehicle.clearance_m,
-        )
+        ground = Ground.of(task.view, CostCurve(), task.vehicle, allow_unknown=False, margin_m=10.0)
         assert find_fault(route.path, ground, task.vehicle) is None
     assert found >= 5
 

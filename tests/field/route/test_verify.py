@@ -24,7 +24,7 @@ def ground(east_m: float = 5.0, north_m: float = 8.0) -> Ground:
     density = np.zeros((100, 100), dtype=np.uint8)
     density[round(north_m / 0.1), round(east_m / 0.1)] = 200
     view = MapView(Lattice(0.1), Window(0, 0, 100, 100), density, density >= 0, DATUM, is_base=True)
-    return Ground.of(view, CostCurve(), allow_unknown=False, margin_m=2.0)
+    return Ground.of(view, CostCurve(), VEHICLE, allow_unknown=False, margin_m=2.0)
 
 
 def eastward(gear: int = 1) -> Path:

@@ -43,7 +43,7 @@ from fieldgrid.maps.layers.window import with_overviews
 from tests.maps.file.maps import DATUM
 
 SPEC = GridSpec(width_m=6.0, length_m=8.0, cell_m=0.1)
-LAYERS = ("ground", "ground_sigma", "slope")
+LAYERS = ("ground", "ground_sigma", "slope", "aspect")
 _Centimetres = npt.NDArray[np.int16]
 Frame = tuple[Pose, _Centimetres | None]
 
@@ -98,6 +98,8 @@ def test_a_hillside_has_its_height_and_slope(tmp_path: Path, heading_deg: float)
     known = np.isfinite(slope)
     assert known.sum() > 0.6 * inside.sum()
     np.testing.assert_allclose(slope[known], math.degrees(math.atan(0.15)), atol=0.8)
+    falls_deg = math.degrees(math.atan2(-rise[0], -rise[1]))
+    np.testing.assert_allclose(view.layer("aspect")[known], falls_deg, atol=6.0)
 
 
 def test_a_surer_frame_counts_for_more(tmp_path: Path) -> None:

@@ -150,7 +150,7 @@ def help_text(text: str) -> str:
     table = "\n".join(f"  {name:{width}}  {end:{wider}}  {says}" for name, end, says in rows)
     listed = f"Formats, by their names and endings:\n\n\b\n{table}"
     layers = "\n".join(
-        f"  {title}:\n      {' '.join(names)}" for title, names in layers_by_subject().items()
+        f"  {title}:\n    {' '.join(names)}" for title, names in layers_by_subject().items()
     )
     return text.format(formats=listed, layers=f"\b\n{layers}")
 

@@ -11,14 +11,24 @@ import typer
 from fieldgrid.cli import options, output, progress
 
 if TYPE_CHECKING:
-    from fieldgrid.field import Planting
+    from fieldgrid.field import Planting, Worked
+    from fieldgrid.maps import MapFile
+
+_WORK = "As worked"
+_TASKDATA = ".taskdata.zip"
+_OF_WORK = ("keep", "truth", "agopengps", "speed_limit")
+"""Options that have no use beside `--worked`."""
 
 
 def command(
     ctx: typer.Context,
     map_: options.MapArgument,
     out: Annotated[
-        Path | None, options.out_file(".geojson, .gpkg, .csv, .kml, .dxf, or .osm for Lanelet2")
+        Path | None,
+        options.out_file(
+            ".geojson, .gpkg, .csv, .kml, .dxf, or .osm for Lanelet2; of --worked also "
+            ".taskdata.zip for a terminal"
+        ),
     ] = None,
     crop: options.CropName = "vineyard",
     spacing: options.Spacing = None,
@@ -54,6 +64,26 @@ def command(
             metavar="FILE", help="Surveyed points, .csv or .geojson, to compare the rows with."
         ),
     ] = None,
+    worked: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SESSION",
+            help="Tell what this drive worked: areas, repeats, shares of the lanes, missed strips.",
+            rich_help_panel=_WORK,
+        ),
+    ] = None,
+    width: Annotated[
+        float,
+        typer.Option(metavar="M", help="Working width of its implement.", rich_help_panel=_WORK),
+    ] = 1.0,
+    behind: Annotated[
+        float,
+        typer.Option(
+            metavar="M",
+            help="How far behind the camera the implement works.",
+            rich_help_panel=_WORK,
+        ),
+    ] = 0.0,
     agopengps: Annotated[
         Path | None,
         typer.Option(
@@ -91,27 +121,39 @@ def command(
         fieldgrid rows vineyard.gpkg -o lanes.osm --speed-limit 5
 
         fieldgrid rows vineyard.gpkg --keep
+
+        fieldgrid rows vineyard.gpkg --worked june-03 --width 1.6 --behind 2.5 -o worked.geojson
     """
+    from fieldgrid.core import ConfigError
     from fieldgrid.field import (
         against_survey,
         check_rows_target,
         crop_named,
         find_rows,
+        find_worked,
         planting_features,
         read_survey,
         write_agopengps,
         write_planting,
     )
+    from fieldgrid.geometry import FEATURE_SUFFIXES
     from fieldgrid.maps import open_map
 
     options.check_scheduler(scheduler, jobs)
     options.refuse(
         keep and at is not None, "--keep", "it is for the map as it is now; leave --at out"
     )
+    if worked is None:
+        options.refuse_idle(ctx, {"width", "behind"}, "it is of the implement of --worked")
+    else:
+        options.refuse_idle(ctx, _OF_WORK, "it is for the rows themselves; leave --worked out")
     if out is None:
         options.refuse_idle(ctx, {"speed_limit"}, "it is for a file with lanes; give --out")
-    else:
+    elif worked is None:
         check_rows_target(out, speed_limit)
+    elif not out.name.lower().endswith((*FEATURE_SUFFIXES, _TASKDATA)):
+        known = ", ".join((*FEATURE_SUFFIXES, _TASKDATA))
+        raise ConfigError(f"{out.name} ends in none of {known}; choose one of them.")
     written = [path for path in (out, agopengps) if path is not None]
     options.check_outputs(written, [map_, *([truth] if truth else [])], overwrite=overwrite)
     low, high = options.spacing(spacing)
@@ -140,6 +182,12 @@ def command(
         )
         if keep:
             universal.keep_features(planting_features(planting), root)
+        if worked is not None:
+            work = find_worked(universal, worked, planting, width, behind)
+            if out is not None:
+                _write_worked(work, out, universal, overwrite=overwrite)
+            _tell_worked(map_, work, out, as_json=as_json)
+            return
     compared = against_survey(planting, survey) if survey is not None else None
     if agopengps is not None:
         write_agopengps(planting, agopengps, overwrite=overwrite)
@@ -166,6 +214,64 @@ def command(
         )
     for file in written:
         output.print_line(f"{file}")
+
+
+def _write_worked(work: Worked, out: Path, universal: MapFile, *, overwrite: bool) -> None:
+    from fieldgrid.export import Selection, TaskdataOptions, export_taskdata
+    from fieldgrid.field import worked_features
+    from fieldgrid.geometry import write_features
+
+    if not out.name.lower().endswith(_TASKDATA):
+        write_features(out, worked_features(work), work.datum, overwrite=overwrite)
+        return
+    areas = [
+        *((f"worked {times} x", area) for times, area in work.areas),
+        *((f"missed {lane}", area) for lane, area in work.missed),
+    ]
+    export_taskdata(
+        universal, out, Selection(), TaskdataOptions(), overwrite=overwrite, areas=areas
+    )
+
+
+def _tell_worked(map_: Path, work: Worked, out: Path | None, *, as_json: bool) -> None:
+    """What a drive worked, as a table or as JSON."""
+    if as_json:
+        told = ("session", "width_m", "behind_m", "sigma_m", "driven_m", "unknown_m", "worked_m2")
+        values = {name: getattr(work, name) for name in (*told, "again_m2", "times_m2")}
+        values["blocks"], values["lanes"] = (
+            [of._asdict() | {"share": of.share} for of in parts]
+            for parts in (work.blocks, work.lanes)
+        )
+        output.print_json({"map": str(map_), **values})
+        return
+    output.print_table(
+        ("worked", ""),
+        (
+            ("session", work.session),
+            ("way", output.number(work.driven_m, 1, "m")),
+            ("way not known", output.number(work.unknown_m, 1, "m")),
+            ("area", output.number(work.worked_m2, 1, "m²")),
+            ("more than once", output.number(work.again_m2, 1, "m²")),
+        ),
+    )
+    if work.lanes:
+        output.print_table(
+            ("of", "ground", "worked", "share", "missed strips"),
+            [
+                (
+                    of.lane or of.block,
+                    output.number(of.ground_m2, 1, "m²"),
+                    output.number(of.worked_m2, 1, "m²"),
+                    output.percent(of.share),
+                    str(of.missed),
+                )
+                for of in (*work.blocks, *work.lanes)
+            ],
+        )
+    else:
+        output.message("no rows found, so that no share of a lane or a block is known")
+    if out is not None:
+        output.print_line(f"{out}")
 
 
 BLOCK_COLUMNS = ("block", "rows", "lanes", "heading", "spacing", "std dev", "parallel to", "bend")

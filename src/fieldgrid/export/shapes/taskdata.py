@@ -9,6 +9,7 @@ ground, not of the land register.
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Sequence
 from decimal import Decimal
 from functools import partial
 from pathlib import Path
@@ -90,15 +91,19 @@ def export_taskdata(
     *,
     overwrite: bool,
     planting: Planting | None = None,
+    areas: Sequence[tuple[str, Any]] = (),
 ) -> Exported:
     """Write a folder with TASKDATA.XML and GRD00001.bin; by convention it is called TASKDATA. With
     a path that ends in .zip that folder is packed into the file, as farm software takes it. The
-    guidance is that of the options, or the lanes of `planting`.
+    guidance is that of the options, or the lanes of `planting`; `areas` are further polygons of the
+    field, metres east and north, with what each is called.
 
     Raises ConfigError when isoxml is not installed, and for a grid that is too large for a
     terminal.
     """
     require("Writing task data", "isoxml", "isoxml")
+    from isoxml.models.base import v4 as iso
+
     obstacles, drives, footprints = feature_layers(
         universal, selection, options, ("obstacle", "trajectory", "footprint")
     )
@@ -118,6 +123,8 @@ def export_taskdata(
 
     groups = drive_groups(drives, universal.datum) if planting is None else lane_groups(planting)
     field = _field(universal, selection.area(universal), obstacles, footprints, groups)
+    for says, shape in areas:
+        field.polygons += polygons(shape, iso.PolygonType.Other, says, universal.datum)
     what = "exported task data"
     if path.suffix.lower() == ".zip":
         names = {f"TASKDATA/{name}" for name in _FILES}

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from fieldgrid.core import kernel, part_of_kernel
-from fieldgrid.field.route.footprint import gap_m
+from fieldgrid.field.route.footprint import gap_m, may_lean
 
 REVERSE_COST = 1.5
 CUSP_M = 3.0
@@ -49,8 +49,9 @@ def step_is_free(  # type: ignore[no-untyped-def]
 
 @kernel
 def first_free_word(  # type: ignore[no-untyped-def]
-    turns, lengths, x, y, yaw, step, hulls, discs, clearance, blocked, to_blocked, cell, samples
-):
+    turns, lengths, x, y, yaw, step, hulls, discs, clearance, blocked, to_blocked, cell, rises,
+    limits, samples,
+):  # fmt: skip
     """Fill `samples` [n, 5] with x, y, yaw, gear, curvature along the first free one of some words
     from a pose; how many, 0 when none is free.
 
@@ -87,7 +88,8 @@ def first_free_word(  # type: ignore[no-untyped-def]
                     angle += turn
                 if gear < 0.0:
                     bx, by, back = px, py, angle
-                if count >= len(samples) or not step_is_free(
+                free = count < len(samples) and may_lean(px, py, angle, cell, rises, limits)
+                if not free or not step_is_free(
                     bx, by, back, hull, hulls, discs, clearance, blocked, to_blocked, cell
                 ):
                     free = False
@@ -190,8 +192,8 @@ def _cell_of(x, y, yaw, move, lattice):  # type: ignore[no-untyped-def]
 @kernel
 def expand(  # type: ignore[no-untyped-def]
     here, goal_x, goal_y, goal_yaws, radius, moves, move_m, arcs, lattice, left, left_cell, hulls,
-    discs, clearance, blocked, to_blocked, cell, states, links, heap, places, table, counters,
-    tried_at,
+    discs, clearance, blocked, to_blocked, cell, rises, limits, states, links, heap, places, table,
+    counters, tried_at,
 ):  # fmt: skip
     """Make the moves from a state (-1 for none), and then from the best one of the queue, until a
     curve from a state to the goal is worth trying; that state, -1 when the queue is empty, -2 when
@@ -244,15 +246,19 @@ def expand(  # type: ignore[no-untyped-def]
                 continue
             # What a step sweeps is looked up last, since it takes longest.
             free = True
-            for k in range(pieces):
-                k += m // 5  # The pose behind a step is the one after it in reverse.
-                ahead, aside = arcs[m, k, 0], arcs[m, k, 1]
-                if not step_is_free(
-                    x + ahead * cos - aside * sin, y + ahead * sin + aside * cos,
-                    yaw + arcs[m, k, 2], m % 5, hulls, discs, clearance, blocked, to_blocked, cell,
-                ):  # fmt: skip
+            bx, by, back = x, y, yaw
+            for k in range(1, pieces + 1):
+                ahead, aside, angle = arcs[m, k, 0], arcs[m, k, 1], yaw + arcs[m, k, 2]
+                px, py = x + ahead * cos - aside * sin, y + ahead * sin + aside * cos
+                if m >= 5:  # The pose behind a step is the one after it in reverse.
+                    bx, by, back = px, py, angle
+                free = may_lean(px, py, angle, cell, rises, limits)
+                if not free or not step_is_free(
+                    bx, by, back, m % 5, hulls, discs, clearance, blocked, to_blocked, cell
+                ):
                     free = False
                     break
+                bx, by, back = px, py, angle
             if not free:
                 continue
             count = counters[COUNT]

@@ -174,10 +174,35 @@ def gap_m(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def gaps_m(poses, corners, discs, reach, blocked, to_blocked, cell, gaps):  # type: ignore[no-untyped-def]
-    """Fill `gaps` [n] with :func:`gap_m` of poses [n, 3]."""
+def may_lean(x, y, yaw, cell, rises, limits):  # type: ignore[no-untyped-def]
+    """Whether the ground under a pose is no steeper along and across it than `limits` say: both in
+    metres a metre, and how far ahead of the pose the ground is looked up.
+
+    Between the middles of cells `rises` [rows, columns, 2], to east and north, change evenly; where
+    there are none, and at the edge of the window, no ground is too steep.
+    """
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    px, py = (x + limits[2] * cos) / cell - 0.5, (y + limits[2] * sin) / cell - 0.5
+    i, j = math.floor(px), math.floor(py)
+    if i < 0 or j < 0 or i + 1 >= rises.shape[1] or j + 1 >= rises.shape[0]:
+        return True
+    east = north = 0.0
+    for b in range(2):
+        for a in range(2):
+            share = abs(1.0 - a - px + i) * abs(1.0 - b - py + j)
+            east += share * rises[j + b, i + a, 0]
+            north += share * rises[j + b, i + a, 1]
+    along, across = abs(east * cos + north * sin), abs(north * cos - east * sin)
+    return along <= limits[0] and across <= limits[1]
+
+
+@kernel
+def gaps_m(  # type: ignore[no-untyped-def]
+    poses, corners, discs, reach, blocked, to_blocked, cell, rises, limits, gaps
+):
+    """Fill `gaps` [n] with :func:`gap_m` of poses [n, 3]; -1 where the ground is too steep, too."""
     for k in range(len(poses)):
-        gaps[k] = gap_m(
-            poses[k, 0], poses[k, 1], poses[k, 2], corners, discs, reach, 0.0, blocked, to_blocked,
-            cell,
-        )  # fmt: skip
+        x, y, yaw = poses[k, 0], poses[k, 1], poses[k, 2]
+        gaps[k] = -1.0
+        if may_lean(x, y, yaw, cell, rises, limits):
+            gaps[k] = gap_m(x, y, yaw, corners, discs, reach, 0.0, blocked, to_blocked, cell)

@@ -10,11 +10,24 @@ import numpy as np
 import shapely
 
 from fieldgrid.core import ConfigError, Float32, Float64, UInt8
+from fieldgrid.field.route.vehicle import Vehicle
 from fieldgrid.maps import LETHAL, UNKNOWN_COST, CostCurve, MapView, decision
 
-FREE, OBSTACLE, UNSEEN, BEYOND, KEEPOUT, OUTSIDE = 0, 1, 2, 3, 4, 5
+FREE, OBSTACLE, UNSEEN, BEYOND, KEEPOUT, OUTSIDE, STEEP = 0, 1, 2, 3, 4, 5, 6
 """Classes of cells; `BEYOND` is outside the lane that a vehicle is confined to, `OUTSIDE` outside
-the boundary of a field."""
+the boundary of a field, `STEEP` too steep whichever way the vehicle heads."""
+
+SLOPE_LAYERS = ("slope", "aspect")
+"""What tells how the ground leans under a vehicle."""
+
+_LEVEL = math.tan(math.radians(0.4))
+"""What all slopes under a vehicle are off together: their error on the rendered drives where the
+slopes are alike. They are off alone by what they scatter, one for each patch of `_PATCH_M` in which
+frames follow the ground."""
+
+_PATCH_M = 0.5
+_LEAST_KNOWN = 0.5
+"""Below this share of the ground under a vehicle with a slope nothing is told."""
 
 MAX_CELLS = 100_000_000
 MAX_SIDE = 40_000
@@ -41,6 +54,9 @@ class Ground:
     `blocked` is 1 where a vehicle must not be. `to_blocked_m` is at most the distance from any
     point of a cell to the nearest blocked cell. `density` is the highest of the map's own cells in
     each, 255 where a mark says that there is an obstacle; above `obstacle_above` it is one.
+    `rises` [rows, columns, 2] are metres a metre to east and north of the ground that a vehicle
+    covers with its middle in a cell, less their sigma, 0 where not known; empty where no slope
+    matters.
     """
 
     west_m: float
@@ -51,22 +67,24 @@ class Ground:
     to_blocked_m: Float32
     density: UInt8
     obstacle_above: int
+    rises: Float32
 
     @classmethod
     def of(
         cls,
         view: MapView,
         curve: CostCurve,
+        vehicle: Vehicle,
         *,
         allow_unknown: bool,
         margin_m: float,
-        clearance_m: float = 0.0,
     ) -> Ground:
-        """The ground of a view, decided as a costmap decides, with `margin_m` of unseen cells
-        around it, but for what is marked there. Unseen cells are blocked but for `allow_unknown`,
-        and but for those within `clearance_m` of what was seen: a footprint that keeps so far from
-        the others keeps off unseen ground, but for its pinholes. Raises ConfigError for more than
-        100 million cells, or 40000 along a side."""
+        """The ground of a view for a vehicle, decided as a costmap decides, with `margin_m` of
+        unseen cells around it, but for what is marked there. Drops that the vehicle does not take
+        are obstacles. Unseen cells are blocked but for `allow_unknown`, and but for those within
+        the clearance of what was seen: a footprint that keeps so far from the others keeps off
+        unseen ground, but for its pinholes. The view has `SLOPE_LAYERS`, or no slope matters.
+        Raises ConfigError for more than 100 million cells, or 40000 along a side."""
         cell_m = 1.0 / view.lattice.cells_per_m
         margin = math.ceil(margin_m / cell_m)
         height, width = view.density.shape
@@ -83,7 +101,7 @@ class Ground:
         inner = cells[inside]
         classes = np.full(256, FREE, dtype=np.uint8)
         classes[LETHAL], classes[UNKNOWN_COST] = OBSTACLE, UNSEEN
-        worst, share, keepout = view.decision(curve.least_drop_m)
+        worst, share, keepout = view.decision(vehicle.step_m)
         inner[:] = classes[curve.cost(worst, share)]
         density[inside] = worst
         if view.marks:
@@ -93,18 +111,22 @@ class Ground:
             cells[(said & decision.KEEPOUT) > 0] = KEEPOUT
         if keepout is not None:
             inner[keepout] = KEEPOUT
+        rises = _rises(view, vehicle, margin)
+        if rises.size:
+            too_steep = np.hypot(*rises.transpose(2, 0, 1)) > math.hypot(*vehicle.most_rises)
+            cells[too_steep & (cells != OBSTACLE) & (cells != KEEPOUT)] = STEEP
         blocked = cells != FREE
         unseen = (cells == UNSEEN).astype(np.uint8)
         if allow_unknown:
             blocked &= unseen == 0
         elif not unseen.all():
             depth = cv2.distanceTransform(unseen, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-            blocked[(unseen > 0) & (depth * cell_m <= clearance_m + 1e-6)] = False
+            blocked[(unseen > 0) & (depth * cell_m <= vehicle.clearance_m + 1e-6)] = False
         bounds = view.bounds
         return cls(
             bounds.west_m - margin * cell_m, bounds.south_m - margin * cell_m, cell_m, cells,
             blocked.view(np.uint8), _to_blocked_m(blocked.view(np.uint8), cell_m),
-            density, curve.obstacle_above,
+            density, curve.obstacle_above, rises,
         )  # fmt: skip
 
     def confined(self, area: shapely.Geometry, beyond: int = BEYOND) -> Ground:
@@ -128,7 +150,7 @@ class Ground:
         to_blocked = _to_blocked_m(blocked, self.cell_m)
         return Ground(
             corner_e, corner_n, self.cell_m, cells, blocked, to_blocked,
-            self.density[part], self.obstacle_above,
+            self.density[part], self.obstacle_above, np.ascontiguousarray(self.rises[part]),
         )  # fmt: skip
 
     @property
@@ -178,7 +200,10 @@ class Ground:
 
     def what_is_at(self, east_m: float, north_m: float) -> str:
         """What blocks the blocked cell that encloses a point, in words."""
-        return _NAMES[int(self.cells[self._cell(east_m, north_m)])]
+        place = self._cell(east_m, north_m)
+        if self.cells[place] == STEEP:
+            return f"a slope of {math.degrees(math.atan(math.hypot(*self.rises[place]))):.1f}°"
+        return _NAMES[int(self.cells[place])]
 
     def is_marked(self, east_m: float, north_m: float) -> bool:
         """Whether a keep-out mark blocks the cell that encloses a point, which may be anywhere."""
@@ -191,6 +216,37 @@ class Ground:
             math.floor((north_m - self.south_m) / self.cell_m),
             math.floor((east_m - self.west_m) / self.cell_m),
         )
+
+
+def _rises(view: MapView, vehicle: Vehicle, margin: int) -> Float32:
+    """`Ground.rises` of a view, with some cells around it: means over a disc as large as what the
+    vehicle covers, less their sigma, so that neither noise nor doubt makes level ground steep."""
+    slope_deg = view.layers.get("slope", np.zeros((0, 0), dtype=np.float32))
+    most_deg = min(vehicle.slope_along_deg, vehicle.slope_across_deg)
+    if not np.fmax.reduce(slope_deg, axis=None, initial=0.0) > most_deg:
+        return np.zeros((0, 0, 2), dtype=np.float32)
+    rise, falls = np.tan(np.radians(slope_deg)), np.radians(view.layer("aspect"))
+    known = np.isfinite(rise).astype(np.float32)
+    to = np.nan_to_num(np.stack([-rise * np.sin(falls), -rise * np.cos(falls)]))
+    area_m2 = float(shapely.Polygon(vehicle.footprint()).area)
+    reach = math.sqrt(area_m2 / math.pi) * view.lattice.cells_per_m
+    side = np.arange(-math.floor(reach), math.floor(reach) + 1)
+    disc = (np.hypot(side, side[:, None]) <= reach).astype(np.float32)
+    disc /= disc.sum()
+
+    def over_disc(values: Float32) -> Float32:
+        return np.asarray(cv2.filter2D(values, cv2.CV_32F, disc, borderType=cv2.BORDER_CONSTANT))
+
+    share = over_disc(known)
+    mean = np.stack([over_disc(one) for one in to]) / np.maximum(share, 1e-6)
+    squares = over_disc(np.square(to).sum(axis=0)) / np.maximum(share, 1e-6)
+    scatter = 0.5 * np.maximum(squares - np.square(mean).sum(axis=0), 0.0)
+    patches = np.maximum(share * area_m2 / _PATCH_M**2, 1.0)
+    size, sigma = np.hypot(*mean), np.sqrt(_LEVEL**2 + scatter / patches)
+    sure = np.maximum(1.0 - sigma / np.maximum(size, 1e-6), 0.0)
+    sure[share < _LEAST_KNOWN] = 0.0
+    rises = np.moveaxis(mean * sure, 0, 2).astype(np.float32)
+    return np.pad(rises, ((margin, margin), (margin, margin), (0, 0)))
 
 
 def _to_blocked_m(blocked: UInt8, cell_m: float) -> Float32:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 
 import numpy as np
 import numpy.typing as npt
 import shapely
 
-from fieldgrid.core import ConfigError, Float64, Int64, NoRouteError, counted, shortened
-from fieldgrid.field.route.ground import Ground
+from fieldgrid.core import ConfigError, Float32, Float64, Int64, NoRouteError, counted, shortened
+from fieldgrid.field.route.ground import SLOPE_LAYERS, Ground
 from fieldgrid.field.route.path import Path
 from fieldgrid.field.route.search import MAX_STATES, Searcher, SearchPose
 from fieldgrid.field.route.vehicle import Vehicle
@@ -106,7 +106,8 @@ def plan_route(
     Places are (east_m, north_m) or (east_m, north_m, heading_deg), metres of the map and degrees
     clockwise from north; without a heading any will do. What the footprint sweeps keeps the
     vehicle's clearance to every obstacle and, but for `allow_unknown`, keeps off ground that was
-    not seen, but for pinholes that are no wider than two clearances. Cells are decided by the map's
+    not seen, but for pinholes that are no wider than two clearances. Ground that is known to be
+    steeper than the vehicle's limits for its heading is not driven. Cells are decided by the map's
     own cells in them, as `CostCurve` says; `cell_m` is their size, by default the smallest multiple
     of the map's own from 0.1 m up.
     `bounds` keeps the route in a part of the map; `at` is a session or a date.
@@ -133,7 +134,7 @@ def planning_view(
     """What :func:`plan_route` reads of a map."""
     own = universal.cell_m
     size = own * max(1, math.ceil(USUAL_CELL_M / own - 1e-9)) if cell_m is None else cell_m
-    return universal.read(bounds, size, at=at, decide="density")
+    return universal.read(bounds, size, layers=SLOPE_LAYERS, at=at, decide="density")
 
 
 def route_in_view(
@@ -228,11 +229,7 @@ def searcher_of(
     around = 2.0 * (vehicle.turning_radius_m + vehicle.reach_m) if allow_unknown else 0.0
     margin = NEAR_M + vehicle.clearance_m + vehicle.reach_m + around
     ground = Ground.of(
-        view,
-        curve or CostCurve(),
-        allow_unknown=allow_unknown,
-        margin_m=margin,
-        clearance_m=vehicle.clearance_m,
+        view, curve or CostCurve(), vehicle, allow_unknown=allow_unknown, margin_m=margin
     )
     return Searcher(ground, vehicle)
 
@@ -254,6 +251,13 @@ def find_way(
         )  # fmt: skip
     found = searcher.search(starts, goals, left_m, max_poses)
     if not len(found.samples):
+        fault = _slope_in_the_way(searcher, starts, goals, left_m, max_poses)
+        if fault is not None:
+            place = fault.east_m, fault.north_m
+            helps = remedy(searcher, [place], "a vehicle that takes steeper ground")
+            raise NoRouteError(
+                f"No way was found {what} but one on which {fault.reason}", *place, helps
+            )
         searched = "no path exists" if found.exhausted else "no path was found in time"
         east, north = found.nearest.x + ground.west_m, found.nearest.y + ground.south_m
         raise NoRouteError(
@@ -265,6 +269,24 @@ def find_way(
             east, north, remedy(searcher, [(east, north)], _OTHER_PLACES),
         )  # fmt: skip
     return found.samples
+
+
+def _slope_in_the_way(
+    searcher: Searcher,
+    starts: list[SearchPose],
+    goals: list[SearchPose],
+    left_m: Float32,
+    max_poses: int,
+) -> Fault | None:
+    """What is too steep on a way that there would be, were all ground level."""
+    ground, vehicle = searcher.ground, searcher.vehicle
+    if not ground.rises.size:
+        return None
+    level = Searcher(replace(ground, rises=ground.rises[:0, :0]), vehicle)
+    samples = level.search(starts, goals, left_m, max_poses).samples
+    if not len(samples):
+        return None
+    return find_fault(Path.of_samples(samples, ground.west_m, ground.south_m), ground, vehicle)
 
 
 def remedy(searcher: Searcher, places_m: Sequence[tuple[float, float]], first: str = "") -> str:

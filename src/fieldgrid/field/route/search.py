@@ -79,7 +79,8 @@ class Searcher:
     def __init__(self, ground: Ground, vehicle: Vehicle) -> None:
         self.ground, self.vehicle, self.shape = ground, vehicle, Shape.of(vehicle)
         shape = self.shape
-        self._ground = (ground.blocked, ground.to_blocked_m, ground.cell_m)
+        limits = np.array([*vehicle.most_rises, vehicle.middle_m])
+        self._ground = (ground.blocked, ground.to_blocked_m, ground.cell_m, ground.rises, limits)
         self._step = (shape.step_m, shape.hulls, shape.discs, shape.clearance_m, *self._ground)
         self._samples = np.zeros((_MAX_SAMPLES, 5))
         self._lattice = min(max(0.15 * vehicle.turning_radius_m, 0.15), 0.5)
@@ -87,7 +88,7 @@ class Searcher:
 
     def gaps_m(self, poses: Float64, reach_m: float) -> Float64:
         """From the footprint to the nearest blocked cell, in poses [n, 3]: lower bounds above
-        `reach_m`, and negative beyond the window."""
+        `reach_m`, and negative beyond the window and where the ground is too steep."""
         gaps = np.empty(len(poses))
         hull, discs = self.shape.hulls[STANDING], self.shape.discs[STANDING]
         gaps_m(np.ascontiguousarray(poses), hull, discs, float(reach_m), *self._ground, gaps)

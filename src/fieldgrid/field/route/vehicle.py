@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from fieldgrid.core import ConfigError, Float64, parse_toml, quoted, shortened
+from fieldgrid.maps import LEAST_DROP_M
 
 MAX_FILE_BYTES = 100_000
 
@@ -24,6 +25,8 @@ class Vehicle:
     `width_m` is its width, `implement_width_m` that of a wider implement behind the axle (0 for
     none). `turning_radius_m` is the least radius of the reference point. `reverse` says whether it
     may drive backwards. `clearance_m` is kept to every obstacle and every unseen place.
+    `slope_along_deg` and `slope_across_deg` are the steepest ground that it stands on, along its
+    way and across it; a drop of `step_m` or more is an obstacle to it.
     """
 
     front_m: float = 1.2
@@ -33,21 +36,26 @@ class Vehicle:
     turning_radius_m: float = 2.0
     reverse: bool = True
     clearance_m: float = 0.1
+    slope_along_deg: float = 20.0
+    slope_across_deg: float = 15.0
+    step_m: float = LEAST_DROP_M
 
     def __post_init__(self) -> None:
         limits = {
             "front_m": (0.05, 50.0), "rear_m": (0.0, 50.0), "width_m": (0.05, 30.0),
             "implement_width_m": (0.0, 60.0), "turning_radius_m": (0.1, 100.0),
-            "clearance_m": (0.0, 10.0),
+            "clearance_m": (0.0, 10.0), "slope_along_deg": (0.1, 80.0),
+            "slope_across_deg": (0.1, 80.0), "step_m": (0.01, 2.5),
         }  # fmt: skip
         for name, (low, high) in limits.items():
             value = getattr(self, name)
+            unit = "degrees" if name.endswith("_deg") else "metres"
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise ConfigError(
-                    f"A vehicle's {name} is a number of metres, not {shortened(repr(value), 60)}."
+                    f"A vehicle's {name} is a number of {unit}, not {shortened(repr(value), 60)}."
                 )
             if not (math.isfinite(value) and low <= value <= high):
-                raise ConfigError(f"A vehicle's {name} of {value} is outside {low}..{high} m.")
+                raise ConfigError(f"A vehicle's {name} of {value} is outside {low}..{high} {unit}.")
         if not isinstance(self.reverse, bool):
             raise ConfigError(
                 f"A vehicle's reverse is true or false, not {shortened(repr(self.reverse), 60)}."
@@ -75,6 +83,17 @@ class Vehicle:
         else:
             corners.append((-self.rear_m, -half))
         return np.array(corners)
+
+    @property
+    def most_rises(self) -> tuple[float, float]:
+        """Metres by which the ground may rise in a metre along the way, and in one across it."""
+        along, across = self.slope_along_deg, self.slope_across_deg
+        return math.tan(math.radians(along)), math.tan(math.radians(across))
+
+    @property
+    def middle_m(self) -> float:
+        """How far the middle of what it covers lies ahead."""
+        return 0.5 * (self.front_m - self.rear_m)
 
     @property
     def reach_m(self) -> float:

@@ -2,7 +2,8 @@
 
 The planner looks steps up in a distance field and holds hulls that were made once against cells.
 Here what the footprint sweeps is built as polygons from each pose to the next, and measured against
-the squares of the blocked cells; curvature and gear are read back from positions and headings.
+the squares of the blocked cells; curvature and gear are read back from positions and headings, and
+slopes along and across the way are looked up by SciPy.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import shapely
+from scipy import ndimage
 
 from fieldgrid.core import Bool
 from fieldgrid.field.route.ground import Ground
@@ -28,6 +30,7 @@ _CHUNK = 40
 _RELATIVE = 1e-3
 _ABSOLUTE = 1e-7
 _ROUNDING_M = 1e-6
+_ROUNDING_DEG = 1e-3
 
 
 class Fault(NamedTuple):
@@ -40,7 +43,11 @@ class Fault(NamedTuple):
 
 def find_fault(path: Path, ground: Ground, vehicle: Vehicle) -> Fault | None:
     """The first fault of a way, None when the vehicle can drive it and keeps its clearance."""
-    return _kinematic_fault(path, vehicle) or _swept_fault(path, ground, vehicle)
+    return (
+        _kinematic_fault(path, vehicle)
+        or _swept_fault(path, ground, vehicle)
+        or _slope_fault(path, ground, vehicle)
+    )
 
 
 def _kinematic_fault(path: Path, vehicle: Vehicle) -> Fault | None:
@@ -99,6 +106,32 @@ def _swept_fault(path: Path, ground: Ground, vehicle: Vehicle) -> Fault | None:
         if len(hit):
             place = boxes[hit[0]].reshape(2, 2).mean(axis=0).tolist()
             return Fault(f"the vehicle comes too near to {ground.what_is_at(*place)}", *place)
+    return None
+
+
+def _slope_fault(path: Path, ground: Ground, vehicle: Vehicle) -> Fault | None:
+    """The steepest place along the way, or across it, that is beyond the vehicle's limit."""
+    if not ground.rises.size:
+        return None
+    sin, cos = np.sin(np.radians(path.heading_deg)), np.cos(np.radians(path.heading_deg))
+    middle_e, middle_n = path.east_m + vehicle.middle_m * sin, path.north_m + vehicle.middle_m * cos
+    cells = np.stack([middle_n - ground.south_m, middle_e - ground.west_m]) / ground.cell_m - 0.5
+    to_east, to_north = (
+        ndimage.map_coordinates(ground.rises[..., k], cells, order=1, output=np.float64)
+        for k in (0, 1)
+    )
+    for which, rise, most_deg in (
+        ("along", to_east * sin + to_north * cos, vehicle.slope_along_deg),
+        ("across", to_east * cos - to_north * sin, vehicle.slope_across_deg),
+    ):
+        slope_deg = np.degrees(np.arctan(np.abs(rise)))
+        k = int(np.argmax(slope_deg))
+        if slope_deg[k] > most_deg + _ROUNDING_DEG:
+            return Fault(
+                f"a slope of {slope_deg[k]:.1f}° {which} the way is over the vehicle's "
+                f"{most_deg:g}°",
+                float(path.east_m[k]), float(path.north_m[k]),
+            )  # fmt: skip
     return None
 
 

@@ -40,7 +40,7 @@ _SUBJECTS = {
     "frames": ("What the frames saw", "density peak max variance count seen_share sure_share"),
     "terrain": (
         "The ground",
-        "ground ground_sigma height slope roughness step drop traversability",
+        "ground ground_sigma height slope aspect roughness step drop traversability",
     ),
     "standing": ("What stands on it", "occupancy max_height clearance"),
     "time": (
@@ -182,6 +182,7 @@ for _layer in (
     ground.GROUND,
     ground.SIGMA,
     ground.SLOPE,
+    ground.ASPECT,
     relief.ROUGHNESS,
     relief.STEP,
     drop.DROP,

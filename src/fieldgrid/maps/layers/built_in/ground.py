@@ -223,9 +223,18 @@ def _mean(cells: Cells, total: str, count: str) -> AnyArray:
     return np.where(known, mean, np.nan)
 
 
+def _rises(cells: Cells) -> tuple[AnyArray, AnyArray]:
+    """The rise of the ground to east and north, in steps of slopes."""
+    return _mean(cells, "rise_east", "rise_parts"), _mean(cells, "rise_north", "rise_parts")
+
+
 def _slope(cells: Cells) -> AnyArray:
-    rises = (_mean(cells, name, "rise_parts") for name in ("rise_east", "rise_north"))
-    return np.degrees(np.arctan(np.hypot(*rises) / _PER_RISE))
+    return np.degrees(np.arctan(np.hypot(*_rises(cells)) / _PER_RISE))
+
+
+def _aspect(cells: Cells) -> AnyArray:
+    east, north = _rises(cells)
+    return np.degrees(np.arctan2(-east, -north))
 
 
 def _agreeing(weight: UInt64, weighted_cm: UInt64) -> UInt64:
@@ -305,4 +314,15 @@ SLOPE = Layer(
     _slope,
     _NAN,
     Colours(palette.STEEP, 0.0, 20.0),
+)
+
+ASPECT = Layer(
+    "aspect",
+    "float32",
+    "°",
+    "direction in which the ground falls, clockwise from north, -180 to 180",
+    _GROUPS,
+    _aspect,
+    _NAN,
+    Colours.of(palette.VALUES, -180.0, 180.0),
 )
