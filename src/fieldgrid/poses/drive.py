@@ -151,11 +151,6 @@ class DriveEstimate(NamedTuple):
         return self.at.fix
 
     @property
-    def turns_seen(self) -> bool:
-        """Whether a gyro or a camera saw how the vehicle turned."""
-        return self.at.has_gyro() or len(self.measured.step) > 0
-
-    @property
     def headings_recorded(self) -> bool:
         """Whether most fixes have a recorded heading that was used."""
         return self.measured.records_headings()

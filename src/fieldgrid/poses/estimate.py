@@ -105,7 +105,8 @@ def estimate_poses(
         table = unsure_lean(table, lean, level_grids=level_grids)
     elif axle.vehicle is not None:
         ground = expected_ground(track_m(log.accepted), 0.0)
-        table = unsure_slope(table, ground, axle.vehicle, turns_seen=drive.turns_seen)
+        seen = drive.measured.sees_turns()
+        table = unsure_slope(table, ground, axle.vehicle, turns_seen=seen)
         notes += slope_notes(ground, axle.vehicle)
     # Carried to the grid origin, and judged.
     table = _carried(table, axle.vehicle, source)
@@ -169,13 +170,12 @@ def _checked(
     if smooth and follows_path:
         yaw = camera_yaw(drive.smoothed.camera_yaw_rad, found.motion.steps, found.axle)
     denied = denied_by(drive, declared, clocks)
-    if smooth and not drive.turns_seen:
-        denied = with_whole_place(denied, drive, partial(_with_recorded, found, recorded))
-    elif smooth:
-        denied = explained(denied, found, drive, declared)
     excuse = None
-    if smooth and not drive.turns_seen and not drive.headings_recorded:
-        excuse = excused(found, declared)
+    if smooth and drive.measured.sees_turns():
+        denied = explained(denied, found, drive, declared)
+    elif smooth:
+        denied = with_whole_place(denied, drive, partial(_with_recorded, found, recorded))
+        excuse = None if drive.headings_recorded else excused(found, declared)
     if excuse is not None:
         denied = excuse.denied
     return _Checks(clocks, yaw, denied, excuse)

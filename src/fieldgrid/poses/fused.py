@@ -257,7 +257,7 @@ def fuse(
         gyro_note=wrong_gyro or trusted.note,
         notes=tuple(note for note in notes if note is not None),
     )
-    if found.drive.turns_seen and not names_axle(rig):
+    if found.drive.measured.sees_turns() and not names_axle(rig):
         found = _with_axle(found)
     # The same of a vehicle that stands level, once its headings have told how it leans.
     rig = found.axle.vehicle
