@@ -43,10 +43,10 @@ from benchmarks.fields import layout
 from benchmarks.planting import DATUM, Planting as Stand, Sight, seen_view
 from fieldgrid.core import Float64, NoRouteError
 from fieldgrid.field import Coverage, Lane, Planting, Vehicle
-from fieldgrid.field.coverage.network import Network
 from fieldgrid.field.coverage.order import best_order
 from fieldgrid.field.coverage.passes import Pass, drive_lane
 from fieldgrid.field.coverage.plan import coverage_in_view
+from fieldgrid.field.coverage.ways import LaneWays
 from fieldgrid.field.route.plan import searcher_of
 from fieldgrid.field.rows.find import rows_of_view
 from fieldgrid.geometry import Lattice, Window, extended, part, resampled
@@ -224,9 +224,9 @@ class Best(NamedTuple):
     searched_m: float
 
 
-def best_of(task: Task) -> Best:
+def best_of(task: Task, *, allow_unknown: bool = False) -> Best:
     """The best order by trying all, on ways that are planned between every two lanes."""
-    searcher = searcher_of(task.view, task.vehicle, allow_unknown=False, curve=None)
+    searcher = searcher_of(task.view, task.vehicle, allow_unknown=allow_unknown, curve=None)
     passes: list[Pass | None] = []
     sizes = []
     for lane in task.planting.lanes:
@@ -239,7 +239,7 @@ def best_of(task: Task) -> Best:
         if both != [None, None]:
             passes += both
             sizes.append(lane.length_m)
-    network = Network(searcher, passes, [], [], lambda done, total: None)
+    network = LaneWays(searcher, passes, [], [], lambda done, total: None)
     costs, lengths, known = network.bounds()
     pairs = [(int(a), int(b)) for a, b in np.argwhere(~known)]
     for pair, cost in zip(pairs, network.costs(pairs, 60_000), strict=True):

@@ -135,8 +135,14 @@ def test_no_lane_at_all(fieldgrid: Run, field: Path) -> None:
 
 def test_lanes_are_for_covering_only(fieldgrid: Run, field: Path) -> None:
     asked = ("route", field, "--from", START, "--to", GOAL)
-    for options in (("--lanes", "B1-L1"), ("--spacing", "1:3"), ("--crop", "orchard")):
-        assert f"for {options[0]}: it is for --cover only" in fieldgrid(*asked, *options).usage()
+    for options, why in (
+        (("--lanes", "B1-L1"), "--cover only"),
+        (("--spacing", "1:3"), "lanes only"),
+        (("--crop", "orchard"), "lanes only"),
+        (("--swaths", "lanes.osm"), "--cover and --survey only"),
+        (("--needs", "needs.kml"), "--survey only"),
+    ):
+        assert f"for {options[0]}: it is for {why}" in fieldgrid(*asked, *options).usage()
     assert "no lane 'B9-L9'" in fieldgrid("route", field, "--cover", "--lanes", "B9-L9").sentence()
     sentence = fieldgrid("route", field, "--cover", "--spacing", "20:30").sentence()
     assert "No lanes were found" in sentence
@@ -211,12 +217,12 @@ def test_tracks_and_lanes_for_terminals_and_lanelet2(
     assert len(lines) > 3
     assert all("F1-T" in name for name in lines)
     fieldgrid(*asked, "--direction", "45", "--swaths", osm, "--speed-limit", "5").output()
-    assert osm.read_text().count("<relation") == len(lines)
+    assert all(osm.read_text().count(f'v="{name}"') == 1 for name in lines)
     assert "swaths" in fieldgrid("export", field, rows, "--guidance", "lanes").output()
     assert set(patterns(rows)) == {"B1-L1", "B1-L2", "B1-L3"}
     wrong = fieldgrid("export", meadow, tmp_path / "no.taskdata.zip", "--guidance", "lanes")
     assert "No lanes were found" in wrong.sentence()
-    assert "for Lanelet2" in fieldgrid(*asked, "--swaths", tmp_path / "t.kml",
+    assert "for networks" in fieldgrid(*asked, "--swaths", tmp_path / "t.kml",
                                        "--speed-limit", "5").sentence()  # fmt: skip
 
 
