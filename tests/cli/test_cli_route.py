@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import shapely
 
@@ -24,6 +25,7 @@ from tests.cli.conftest import Run
 from tests.field.route.test_plan import field as free_field
 from tests.field.rows.fields import straight, view_of, write_map
 
+TRUTH = Path(__file__).parents[2] / "examples" / "two_lanes" / "truth"
 START, GOAL = "1.25,-3,0", "1.25,33"
 
 
@@ -339,3 +341,52 @@ def test_the_example_drive(fieldgrid: Run, two_lanes_map: Path, tmp_path: Path) 
     assert told["length_m"] < 70.0
     ends = ("--from", "-20,42", "--to", "-17,40")
     assert json.loads(fieldgrid(*cover, *ends, "--json").output())["length_m"] < 90.0
+
+
+def test_where_to_drive_next_on_the_example(
+    fieldgrid: Run, two_lanes_map: Path, tmp_path: Path
+) -> None:
+    """Its two lanes were driven: the ones on both sides of them are next, from end to end."""
+    out, needs, folder = tmp_path / "next.csv", tmp_path / "needs.geojson", tmp_path / "agopen"
+    usb = tmp_path / "next.taskdata.zip"
+    asked = ("route", two_lanes_map, "--survey", "-o", out, "--needs", needs, "--swaths", usb,
+             "--agopengps", folder, "--json")  # fmt: skip
+    told = json.loads(fieldgrid(*asked).output())
+    with out.open(newline="") as file:
+        worked = [row for row in csv.DictReader(file) if row["lane"]]
+    way = shapely.MultiPoint([(float(row["east_m"]), float(row["north_m"])) for row in worked])
+    truth = json.loads((TRUTH / "rows.geojson").read_text())["features"]
+    rows = [shapely.LineString(feature["geometry"]["coordinates"]) for feature in truth]
+    for beside, unseen in ((2, 1), (4, 5)):  # the row whose other side was seen, and the next one
+        middle = shapely.LineString(
+            (0.5 * (a + b) for a, b in zip(*(np.array(rows[k].coords) for k in (beside, unseen)),
+                                           strict=True))
+        )  # fmt: skip
+        points = [middle.interpolate(share, normalized=True) for share in np.linspace(0.05, 0.95)]
+        assert max(point.distance(way) for point in points) < 0.6
+    assert {"B1-R1-left", "B1-L3"} <= {lane["lane"] for lane in told["lanes"]}
+    assert told["sees_share"] > 0.8
+    features = json.loads(needs.read_text())["features"]
+    areas = [f["properties"]["area_m2"] for f in features]
+    assert areas == pytest.approx([n["area_m2"] for n in told["needs"]], abs=1e-3)
+    unseen_m2 = {n["lane"]: n["area_m2"] for n in told["needs"] if n["kind"] == "unseen"}
+    assert min(unseen_m2["B1-R1-left"], unseen_m2["B1-L3"]) > 45.0
+    assert {"B1-R1-left", "B1-L3"} <= patterns(usb)
+    assert "B1-R1-left" in (folder / "TrackLines.txt").read_text()
+
+
+def test_from_lane_to_lane(fieldgrid: Run, field: Path, tmp_path: Path) -> None:
+    """From the middle of one to that of another, around the end of the row between."""
+    asked = ("route", field, "--from", "B1-L1", "--to", "B1-L3", "-o", tmp_path / "way.csv")
+    fieldgrid(*asked).output()
+    with (tmp_path / "way.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    ends = [(float(row["east_m"]), float(row["north_m"])) for row in (rows[0], rows[-1])]
+    assert ends[0] == pytest.approx((1.25, 15.0), abs=0.3)
+    assert ends[1] == pytest.approx((6.25, 15.0), abs=0.3)
+    assert "no lane 'B1-L9'" in fieldgrid(*asked[:3], "B1-L9", *asked[4:6]).sentence()
+    assert "is not E,N" in fieldgrid(*asked[:3], "here", *asked[4:6]).usage()
+    both = ("route", field, "--cover", "--survey")
+    assert "leave --cover out" in fieldgrid(*both).usage()
+    wrong = ("route", field, "--survey", "--needs", tmp_path / "needs.osm")
+    assert "ends in none of .geojson" in fieldgrid(*wrong).usage()

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from fieldgrid.core import Bool, ConfigError, Float64
+from fieldgrid.core import Bool, ConfigError
 from fieldgrid.field.coverage.plan import Coverage, Progress, coverage_in_view
 from fieldgrid.field.route.ground import Ground
 from fieldgrid.field.route.plan import planning_view
@@ -49,6 +49,7 @@ _LEAST = 0.05
 _INSET = 0.25
 """Of a spacing, between the end of a row and of the lane beside it."""
 
+_SIDES = ("left", "right")
 _BOTH = 1.5
 """A row that was seen from fewer sides was seen from one."""
 
@@ -190,48 +191,34 @@ def need_features(survey: SurveyPlan) -> list[Feature]:
 
 
 def _lanes_beside(planting: Planting) -> Iterator[Lane]:
-    """The lanes, carried on beside a row whose neighbour may go on, and beside rows without a
-    neighbour."""
+    """The lanes, as long as the longer row beside them where the other one may go on, and those
+    beside rows without a neighbour."""
     rows = {row.id: row for row in planting.rows}
-    bare = {(row.id, side) for row in planting.rows for side in (0, 1)}
-    for lane in planting.lanes:
-        bare -= set(zip(lane.rows, (1, 0), strict=True))
-        pair = [rows[name] for name in lane.rows if name in rows]
-        short, long = sorted(pair, key=lambda row: row.length_m) if len(pair) == 2 else (None, None)
-        if short is None or long is None or all(short.ends_seen):
-            yield lane
-            continue
-        half_m = 0.5 * float(long.line.distance(short.line.interpolate(0.5, normalized=True)))
-        whole = _lane(lane.id, long, half_m if long.id == lane.rows[1] else -half_m, lane.rows)
-        ends_m = [whole.line.project(shapely.Point(lane.line.coords[-end])) for end in (0, 1)]
-        ends_m = [
-            at if seen else far
-            for at, seen, far in zip(ends_m, short.ends_seen, (0.0, whole.length_m), strict=True)
-        ]
-        yield _of_line(whole, part(np.asarray(whole.line.coords), *ends_m), half_m)
     spacing = {block.id: block.spacing_m for block in planting.blocks}
+    bare = {(row.id, side) for row in planting.rows for side in _SIDES}
+    for lane in planting.lanes:
+        bare -= {(lane.rows[0], "right"), (lane.rows[1], "left")}
+        left, right = (rows[name] for name in lane.rows)
+        short, long = (left, right) if left.length_m < right.length_m else (right, left)
+        apart_m = float(long.line.distance(short.line.interpolate(0.5, normalized=True)))
+        away_m = 0.5 * (apart_m if long is right else -apart_m)
+        yield lane if all(short.ends_seen) else _lane(lane.id, lane.rows, long, away_m)
     for name, side in sorted(bare):
         row = rows[name]
-        wide_m = row.spacing_m if math.isfinite(row.spacing_m) else spacing[row.block]
-        if math.isfinite(wide_m):
-            names = ("", name) if side == 0 else (name, "")
-            half_m = 0.5 * wide_m if side == 0 else -0.5 * wide_m
-            yield _lane(f"{name}-{('left', 'right')[side]}", row, half_m, names)
+        apart_m = row.spacing_m if math.isfinite(row.spacing_m) else spacing[row.block]
+        if math.isfinite(apart_m):
+            is_left = side == "left"
+            pair = ("", name) if is_left else (name, "")
+            yield _lane(f"{name}-{side}", pair, row, 0.5 * (apart_m if is_left else -apart_m))
 
 
-def _lane(name: str, row: Row, left_m: float, rows: tuple[str, str]) -> Lane:
+def _lane(name: str, rows: tuple[str, str], row: Row, left_m: float) -> Lane:
     """The lane so far to the left of a row."""
-    inset_m = min(2.0 * _INSET * abs(left_m), 0.25 * row.length_m)
-    line = shapely.get_coordinates(shapely.offset_curve(row.line, left_m))
-    bare = Lane(name, row.block, rows, row.line, shapely.Polygon(), 0.0, math.nan, np.zeros(0),
-                0.0, False)  # fmt: skip
-    return _of_line(bare, part(line, inset_m, row.length_m - inset_m), abs(left_m))
-
-
-def _of_line(lane: Lane, line: Float64, half_m: float) -> Lane:
-    shape = shapely.LineString(line)
-    area = shape.buffer(half_m, cap_style="flat")
-    return lane._replace(line=shape, area=area, length_m=float(shape.length))
+    inset_m = min(2.0 * _INSET * abs(left_m), _INSET * row.length_m)
+    beside = shapely.get_coordinates(shapely.offset_curve(row.line, left_m))
+    line = shapely.LineString(part(beside, inset_m, row.length_m - inset_m))
+    area, size_m = line.buffer(abs(left_m), cap_style="flat"), float(line.length)
+    return Lane(name, row.block, rows, line, area, size_m, math.nan, np.zeros(0), 0.0, False)
 
 
 def _band(row: Row) -> shapely.Polygon:

@@ -50,9 +50,9 @@ class NetworkStrip(NamedTuple):
     left: shapely.LineString
     right: shapely.LineString
     width_m: float
-    clearance_m: float
-    known: float
-    obstacles: tuple[str, ...]
+    clearance_m: float = math.nan
+    known: float = 0.0
+    obstacles: tuple[str, ...] = ()
 
     @property
     def area(self) -> shapely.Polygon:
@@ -98,6 +98,8 @@ class _Drawing:
         self._planting = planting
         self._rows = {row.id: row for row in planting.rows}
         self._walls = shapely.STRtree([row.line for row in planting.rows])
+        faces = [row.line.buffer(row.half_width_m, cap_style="flat") for row in planting.rows]
+        self._solid = shapely.union_all([*faces, *(o.area for o in planting.obstacles)])
         self._things = shapely.STRtree([thing.area for thing in planting.obstacles])
         self._seen = shapely.union_all(
             [*(h.area for h in planting.headlands), *(lane.area for lane in planting.lanes)]
@@ -137,13 +139,9 @@ class _Drawing:
             for end in (0, 1)
         )
         width = lane.clear_width_m if math.isfinite(lane.clear_width_m) else lane.free_width_m
-        mine = tuple(thing.id for thing in self._planting.obstacles if thing.lane == lane.id)
-        self._keep(
-            NetworkStrip(
-                lane.id, lane.id, (ends[0], ends[1]), (False, False), lane.line, bounds[0],
-                bounds[1], width, self._clearance(lane.line), lane.known, mine,
-            )
-        )  # fmt: skip
+        strip = NetworkStrip(lane.id, lane.id, (ends[0], ends[1]), (False, False), lane.line,
+                             bounds[0], bounds[1], width, known=lane.known)  # fmt: skip
+        self._keep(strip)
 
     def _halves_m(self, lane: Lane) -> tuple[float, float]:
         """From the middle of a lane to its left and right row, or to the sides of its ground."""
@@ -208,31 +206,20 @@ class _Drawing:
             for ends_m in (middles, sides[:, 0], sides[:, 1])
         )
         strip = NetworkStrip(
-            name, "", ends, (bool(turned[0]), bool(turned[1])), line, left, right, width_m,
-            self._clearance(line), 0.0, (),
-        )  # fmt: skip
-        area = strip.area
-        known = area.intersection(self._seen).area / max(area.area, 1e-9)
-        hit = np.sort(self._things.query(area, predicate="intersects"))
-        things = tuple(self._planting.obstacles[k].id for k in hit)
-        self._keep(strip._replace(known=known, obstacles=things))
+            name, "", ends, (bool(turned[0]), bool(turned[1])), line, left, right, width_m
+        )
+        known = strip.area.intersection(self._seen).area / max(strip.area.area, 1e-9)
+        self._keep(strip._replace(known=known))
 
     def _keep(self, strip: NetworkStrip) -> None:
-        """Add a strip, and on which side of its nodes it lies: whether that which they face."""
-        self._strips.append(strip)
+        """Add a strip with what stands in it or beside it, and on which side of its nodes it lies:
+        whether that which they face."""
+        hit = np.sort(self._things.query(strip.area, predicate="intersects"))
+        things = tuple(self._planting.obstacles[k].id for k in hit)
+        clearance_m = float(strip.line.distance(self._solid))
+        self._strips.append(strip._replace(clearance_m=clearance_m, obstacles=things))
         for place, node in enumerate(strip.ends):
             self._sides_used[node].add(strip.turned[place] == (place == 1))
-
-    def _clearance(self, line: shapely.LineString) -> float:
-        """From a line to the nearest thing or face of a row."""
-        found = []
-        if len(self._planting.obstacles):
-            thing = self._planting.obstacles[self._things.nearest(line)].area
-            found.append(float(line.distance(thing)))
-        if len(self._planting.rows):
-            row = self._planting.rows[self._walls.nearest(line)]
-            found.append(max(float(line.distance(row.line)) - row.half_width_m, 0.0))
-        return min(found, default=math.nan)
 
     def _width(self, *nodes: int) -> float:
         return float(min(np.hypot(*(self._sides[k][0] - self._sides[k][1])) for k in nodes))
