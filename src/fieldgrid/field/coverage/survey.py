@@ -18,8 +18,7 @@ import shapely
 
 from fieldgrid.core import Bool, ConfigError
 from fieldgrid.field.coverage.plan import Coverage, Progress, coverage_in_view
-from fieldgrid.field.route.ground import Ground
-from fieldgrid.field.route.plan import planning_view
+from fieldgrid.field.route.plan import planning_view, searcher_of
 from fieldgrid.field.route.vehicle import Vehicle
 from fieldgrid.field.rows.crops import Crop
 from fieldgrid.field.rows.find import DEFAULT_HOLE_M, find_rows
@@ -152,7 +151,8 @@ def survey_in_view(
     if not planting.lanes and not planting.rows:
         raise ConfigError("No rows were found in the map; --crop and --spacing say which to seek.")
     beside = replace(planting, lanes=tuple(_lanes_beside(planting)))
-    needs = list(_needs(view, beside, curve or CostCurve(), old_days or {}))
+    vehicle, old_days = vehicle or Vehicle(), old_days or {}
+    needs = list(_needs(view, beside, vehicle, curve or CostCurve(), old_days))
     unknown = {
         lane.id: sum(need.area_m2 for need in needs if need.lane == lane.id)
         for lane in beside.lanes
@@ -226,7 +226,11 @@ def _band(row: Row) -> shapely.Polygon:
 
 
 def _needs(
-    view: MapView, planting: Planting, curve: CostCurve, old_days: Mapping[str, float]
+    view: MapView,
+    planting: Planting,
+    vehicle: Vehicle,
+    curve: CostCurve,
+    old_days: Mapping[str, float],
 ) -> Iterator[Need]:
     """What is not known of the free ground of lanes and headlands, and of rows."""
     evidence = fill_pinholes(Evidence.of(view, curve.obstacle_above), DEFAULT_HOLE_M)
@@ -234,8 +238,9 @@ def _needs(
     is_said = False if view.decided is None else view.decided.flags > 0  # driven over, or marked
     worst, share, _ = view.decision(curve.least_drop_m)
     cost = curve.cost(worst, share)
-    ground = Ground.of(view, curve, allow_unknown=True, margin_m=0.0)
-    weak = ground.blocked != ground.without_weak().blocked
+    ground = searcher_of(view, vehicle, allow_unknown=True, curve=curve).ground
+    margin = (len(ground.cells) - len(seen)) // 2
+    weak = (ground.blocked != ground.without_weak().blocked)[margin:-margin, margin:-margin]
     masks = {
         "once": seen & (view.layer("count") <= 1) & ~np.asarray(is_said),
         "doubtful": ((cost > 0) & (cost < LETHAL)) | weak,
