@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 import shapely
 
-from benchmarks.coverage import Task, best_of
 from benchmarks.planting import Sight
+from benchmarks.survey import shortest_m
 from fieldgrid.core import ConfigError
 from fieldgrid.field import Vehicle
 from fieldgrid.field.coverage.survey import SurveyPlan, need_features, survey_in_view
 from fieldgrid.field.rows.find import rows_of_view
 from fieldgrid.geometry import resampled
-from fieldgrid.maps import MapView, Mark, MarkKind
+from fieldgrid.maps import MapView
 from tests.field.rows.fields import Array, straight, view_of
 
 SMALL = Vehicle(0.8, 0.4, 0.7, turning_radius_m=1.5)
@@ -144,14 +144,8 @@ def test_the_tour_is_hardly_longer_than_the_shortest_that_sees_all() -> None:
         plan = survey_in_view(view, planting, SMALL)
         for middle, was_seen in zip(middles(rows, spacing), lanes, strict=True):
             assert (driven(plan, middle) > 0.85) is not was_seen, (seed, lanes)
-        walls = tuple(
-            Mark(MarkKind.OBSTACLE, tuple(row.line.buffer(row.half_width_m, cap_style="flat")
-                                          .exterior.coords[:-1]))
-            for row in planting.rows
-        )  # fmt: skip
-        task = Task(replace(view, marks=walls), plan.coverage.planting, SMALL, False)
-        shortest_m = best_of(task, allow_unknown=True).length_m
+        least_m = shortest_m(view, planting, plan)
         worked_m = sum(lane.to_m - lane.from_m for lane in plan.coverage.lanes)
         assert plan.coverage.route.length_m > worked_m
-        ratios.append(plan.coverage.route.length_m / shortest_m)
+        ratios.append(plan.coverage.route.length_m / least_m)
     assert max(ratios) <= 1.02

@@ -164,15 +164,20 @@ def survey_in_view(
     needs.sort(key=lambda need: -need.area_m2)
     if not asked:
         raise ConfigError("The ground of all lanes is known; no further drive is needed.")
-    walls = tuple(
-        Mark(MarkKind.OBSTACLE, tuple(_band(row).exterior.coords[:-1])) for row in planting.rows
-    )
     coverage = coverage_in_view(
-        replace(view, marks=(*view.marks, *walls)), replace(beside, lanes=tuple(asked)), vehicle,
+        walled(view, planting), replace(beside, lanes=tuple(asked)), vehicle,
         start=start, goal=goal, allow_unknown=True, curve=curve, progress=progress,
     )  # fmt: skip
     seen = sum(unknown[lane.lane] for lane in coverage.lanes)
     return SurveyPlan(tuple(needs), coverage, float(seen / sums[-1]))
+
+
+def walled(view: MapView, planting: Planting) -> MapView:
+    """A view in which the rows of a planting are obstacles, whatever of them was seen."""
+    marks = [
+        Mark(MarkKind.OBSTACLE, tuple(_band(row).exterior.coords[:-1])) for row in planting.rows
+    ]
+    return replace(view, marks=(*view.marks, *marks))
 
 
 def need_features(survey: SurveyPlan) -> list[Feature]:
