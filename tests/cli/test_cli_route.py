@@ -371,6 +371,12 @@ def test_where_to_drive_next_on_the_example(
     assert areas == pytest.approx([n["area_m2"] for n in told["needs"]], abs=1e-3)
     unseen_m2 = {n["lane"]: n["area_m2"] for n in told["needs"] if n["kind"] == "unseen"}
     assert min(unseen_m2["B1-R1-left"], unseen_m2["B1-L3"]) > 45.0
+    assert "old" not in {need["kind"] for need in told["needs"]}
+    older = ("route", two_lanes_map, "--survey", "--older-than", "30", "--json")
+    told = json.loads(fieldgrid(*older).output())
+    old = {need["lane"] for need in told["needs"] if need["kind"] == "old"}
+    assert {"B1-L1", "B1-L2"} <= old <= {"B1-L1", "B1-L2", "B1-L3", "B1-L4"}
+    assert {"B1-L1", "B1-L2"} <= {lane["lane"] for lane in told["lanes"]}
     assert {"B1-R1-left", "B1-L3"} <= patterns(usb)
     assert "B1-R1-left" in (folder / "TrackLines.txt").read_text()
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import shapely
 
-from benchmarks.planting import Sight
+from benchmarks.planting import DATUM, Sight
 from fieldgrid.core import ConfigError, MapExistsError
 from fieldgrid.field import Planting, network_of, write_planting
 from fieldgrid.field.rows.find import rows_of_view
@@ -174,6 +174,22 @@ def test_nav2_finds_a_way_from_any_lane_to_any_other(tmp_path: Path) -> None:
     # Beside each other: no farther than around the end of the row between.
     way = cheapest(edges, of_lane["B1-L3"].start)[of_lane["B1-L4"].start]
     assert way < 30.0 + 10.0
+
+
+def test_headlands_are_turns_in_degrees(tmp_path: Path) -> None:
+    planting = two_blocks()
+    write_planting(planting, tmp_path / "lanes.geojson")
+    features = json.loads((tmp_path / "lanes.geojson").read_text())["features"]
+    turns = {f["properties"]["id"]: f for f in features if f["properties"]["kind"] == "turn"}
+    strips = [strip for strip in network_of(planting).strips if not strip.lane]
+    assert set(turns) == {strip.id for strip in strips}
+    for strip in strips:
+        told = turns[strip.id]["properties"]
+        assert told["known"] == pytest.approx(strip.known, abs=1e-3)
+        assert told["width_m"] == pytest.approx(strip.width_m, abs=1e-3)
+        places = np.array(turns[strip.id]["geometry"]["coordinates"])
+        east, north, _ = DATUM.to_enu(places[:, 1], places[:, 0], DATUM.height_m)
+        assert np.allclose(np.column_stack([east, north]), strip.line.coords, atol=1e-3)
 
 
 def test_graphs_are_overwritten_when_they_are_ours(tmp_path: Path) -> None:

@@ -207,7 +207,10 @@ def _lanes_beside(planting: Planting) -> Iterator[Lane]:
         short, long = (left, right) if left.length_m < right.length_m else (right, left)
         apart_m = float(long.line.distance(short.line.interpolate(0.5, normalized=True)))
         away_m = 0.5 * (apart_m if long is right else -apart_m)
-        yield lane if all(short.ends_seen) else _lane(lane.id, lane.rows, long, away_m)
+        if not all(short.ends_seen):
+            whole = _lane(lane.id, lane.rows, long, away_m)
+            lane = lane._replace(line=whole.line, area=whole.area, length_m=whole.length_m)
+        yield lane
     for name, side in sorted(bare):
         row = rows[name]
         apart_m = row.spacing_m if math.isfinite(row.spacing_m) else spacing[row.block]

@@ -123,13 +123,26 @@ def check_rows_target(path: Path, speed_limit_kmh: float | None = None) -> None:
 def write_planting(
     planting: Planting, path: Path, *, speed_limit_kmh: float | None = None, overwrite: bool = False
 ) -> None:
-    """Write a planting as .geojson, .gpkg, .csv, .kml or .dxf, by the ending of `path`; its network
-    as .osm for Lanelet2 or as .graph.geojson for Nav2, with a speed limit where one is given.
-    ConfigError is as `check_rows_target` says."""
+    """Write a planting as .geojson, .gpkg, .csv, .kml or .dxf, by the ending of `path`, with the
+    strips of headlands as kind `turn`; its network as .osm for Lanelet2 or as .graph.geojson for
+    Nav2, with a speed limit where one is given. ConfigError is as `check_rows_target` says."""
     check_rows_target(path, speed_limit_kmh)
-    write_network = _NETWORKS.get(_ending(path))
+    network, write_network = network_of(planting), _NETWORKS.get(_ending(path))
     if write_network is not None:
-        network = network_of(planting)
         write_network(network, path, speed_limit_kmh=speed_limit_kmh, overwrite=overwrite)
         return
-    write_features(path, planting_features(planting), planting.datum, overwrite=overwrite)
+    turns = [
+        Feature(
+            "turn",
+            strip.line,
+            {
+                "id": strip.id, "length_m": float(strip.line.length), "width_m": strip.width_m,
+                "clearance_m": strip.clearance_m, "known": strip.known,
+                "obstacles": list(strip.obstacles),
+            },
+        )
+        for strip in network.strips
+        if not strip.lane
+    ]  # fmt: skip
+    found = [*planting_features(planting), *turns]
+    write_features(path, found, planting.datum, overwrite=overwrite)
