@@ -112,7 +112,8 @@ class _Drawing:
         self._sides: list[Float64] = []
         self._at: dict[tuple[str, int], int] = {}
         self._strips: list[NetworkStrip] = []
-        self._sides_used: dict[int, set[bool]] = defaultdict(set)
+        # Of each node, before it is linked: whether it faces its strips, or turns its back to them.
+        self._faced: dict[int, set[bool]] = defaultdict(set)
 
     def network(self) -> LaneNetwork:
         for lane in self._planting.lanes:
@@ -120,8 +121,11 @@ class _Drawing:
         for lane in self._planting.lanes:
             for end in (0, 1):
                 self._add_headland(lane, end)
+        for strip in self._strips:
+            for place, node in enumerate(strip.ends):
+                self._faced[node].add(strip.turned[place] == (place == 1))
         for number, (a, b) in enumerate(self._apart(), 1):
-            self._add(f"link-{number}", (a, b), self._width(a, b), is_link=True)
+            self._add(f"link-{number}", (a, b), self._width(a, b))
         sides = np.array(self._sides).reshape(-1, 2, 2)
         return LaneNetwork(self._planting, sides, tuple(self._strips))
 
@@ -185,9 +189,7 @@ class _Drawing:
             self._sides.append(sides)
         return number
 
-    def _add(
-        self, name: str, ends: tuple[int, int], width_m: float, *, is_link: bool = False
-    ) -> None:
+    def _add(self, name: str, ends: tuple[int, int], width_m: float) -> None:
         """A strip over open ground, that bends from the direction of one node into the other's."""
         sides = np.array([self._sides[k] for k in ends])
         middles = sides.mean(axis=1)
@@ -196,9 +198,9 @@ class _Drawing:
         ahead = (sides[:, 0] - sides[:, 1]) @ np.array([[0.0, -1.0], [1.0, 0.0]])
         ahead /= np.hypot(*ahead.T)[:, None]
         turned = ahead @ chord < 0.0
-        for place, node in enumerate(ends if is_link else ()):
-            if len(self._sides_used[node]) == 1:  # where all others arrive, a link leads on
-                turned[place] = (True not in self._sides_used[node]) == (place == 1)
+        for place, node in enumerate(ends):
+            if len(self._faced[node]) == 1:  # a link leads on from where all others arrive
+                turned[place] = (True not in self._faced[node]) == (place == 1)
         ahead[turned] *= -1.0
         sides[turned] = sides[turned][:, ::-1]
         line, left, right = (
@@ -212,14 +214,11 @@ class _Drawing:
         self._keep(strip._replace(known=known))
 
     def _keep(self, strip: NetworkStrip) -> None:
-        """Add a strip with what stands in it or beside it, and on which side of its nodes it lies:
-        whether that which they face."""
+        """Add a strip with what stands in it or beside it."""
         hit = np.sort(self._things.query(strip.area, predicate="intersects"))
         things = tuple(self._planting.obstacles[k].id for k in hit)
         clearance_m = float(strip.line.distance(self._solid))
         self._strips.append(strip._replace(clearance_m=clearance_m, obstacles=things))
-        for place, node in enumerate(strip.ends):
-            self._sides_used[node].add(strip.turned[place] == (place == 1))
 
     def _width(self, *nodes: int) -> float:
         return float(min(np.hypot(*(self._sides[k][0] - self._sides[k][1])) for k in nodes))
