@@ -20,8 +20,10 @@ beside the best order. A field is made of its number, so 10,000 of them may be p
 
 `python -m benchmarks.coverage layouts [NUMBER...]` covers layouts of real vineyards (all 40 without
 numbers), whose rows are found in made evidence without noise, with a vehicle 0.7 m wide that cannot
-reverse, and prints the share of the lanes that are covered. Parallel tracks over ground without
-rows have a script of their own: `python -m benchmarks.tracks`.
+reverse, and prints the share of the lanes that are covered; `noisy` in the place of `layouts` does
+so with false obstacles and holes in what was seen, and lanes that were driven.
+
+Parallel tracks over ground without rows have a script of their own: `python -m benchmarks.tracks`.
 """
 
 from __future__ import annotations
@@ -43,14 +45,15 @@ from benchmarks.fields import layout
 from benchmarks.planting import DATUM, Planting as Stand, Sight, seen_view
 from fieldgrid.core import Float64, NoRouteError
 from fieldgrid.field import Coverage, Lane, Planting, Vehicle
-from fieldgrid.field.coverage.network import Network
 from fieldgrid.field.coverage.order import best_order
 from fieldgrid.field.coverage.passes import Pass, drive_lane
 from fieldgrid.field.coverage.plan import coverage_in_view
+from fieldgrid.field.coverage.ways import LaneWays
 from fieldgrid.field.route.plan import searcher_of
 from fieldgrid.field.rows.find import rows_of_view
 from fieldgrid.geometry import Lattice, Window, extended, part, resampled
-from fieldgrid.maps import MapView
+from fieldgrid.maps import MapView, Mark, MarkKind
+from fieldgrid.maps.views.driven import WIDTH_M
 
 _CELL_M = 0.2
 
@@ -224,9 +227,9 @@ class Best(NamedTuple):
     searched_m: float
 
 
-def best_of(task: Task) -> Best:
+def best_of(task: Task, *, allow_unknown: bool = False) -> Best:
     """The best order by trying all, on ways that are planned between every two lanes."""
-    searcher = searcher_of(task.view, task.vehicle, allow_unknown=False, curve=None)
+    searcher = searcher_of(task.view, task.vehicle, allow_unknown=allow_unknown, curve=None)
     passes: list[Pass | None] = []
     sizes = []
     for lane in task.planting.lanes:
@@ -239,7 +242,7 @@ def best_of(task: Task) -> Best:
         if both != [None, None]:
             passes += both
             sizes.append(lane.length_m)
-    network = Network(searcher, passes, [], [], lambda done, total: None)
+    network = LaneWays(searcher, passes, [], [], lambda done, total: None)
     costs, lengths, known = network.bounds()
     pairs = [(int(a), int(b)) for a, b in np.argwhere(~known)]
     for pair, cost in zip(pairs, network.costs(pairs, 60_000), strict=True):
@@ -351,27 +354,50 @@ def main(seeds: Sequence[int], exact: int, fewest: int | None) -> None:
             report(found)
 
 
-def over_layouts(numbers: list[int]) -> None:
+def over_layouts(numbers: list[int], *, is_noisy: bool) -> None:
     """Print what of each layout is covered."""
     vehicle = Vehicle(width_m=0.7, turning_radius_m=2.0, reverse=False)
-    sight = Sight(noise_per_m2=0.0, hole_share=0.0, margin_m=12.0, headland_m=12.0)
     covered = lanes = 0
     for number in numbers:
-        known = layout(number)
-        seen = seen_view(Stand(known.rows, 0.35, known.missing), sight, _CELL_M)
-        view = replace(seen, is_base=True)
+        view = layout_view(number, is_noisy=is_noisy)
         planting = rows_of_view(view)
+        if is_noisy:
+            view = driven(view, planting)
         began = time.process_time()
         coverage = coverage_in_view(view, planting, vehicle)
         covered, lanes = covered + len(coverage.lanes), lanes + len(planting.lanes)
         print(
             f"layout {number:2}: {len(coverage.lanes)} of {len(planting.lanes)} lanes covered, "
             f"{coverage.route.length_m:.0f} m, {coverage.turning_share:.1%} of it turning, "
-            f"{time.process_time() - began:.0f} s"
+            f"{time.process_time() - began:.0f} s",
+            flush=True,
         )
         for out in coverage.left_out:
             print(f"    {out.lane}: {out.reason} at {out.east_m:.1f},{out.north_m:.1f}")
     print(f"{covered} of {lanes} lanes covered: {covered / lanes:.2%}", flush=True)
+
+
+def layout_view(number: int, *, is_noisy: bool) -> MapView:
+    """A layout as it is seen: in cells of 0.1 m with false obstacles and holes, or without in cells
+    of 0.2 m."""
+    known = layout(number)
+    noise = (0.05, 0.03, 0.1) if is_noisy else (0.0, 0.0, _CELL_M)
+    sight = Sight(noise_per_m2=noise[0], hole_share=noise[1], margin_m=12.0, headland_m=12.0)
+    seen = seen_view(Stand(known.rows, 0.35, known.missing), sight, noise[2])
+    return replace(seen, is_base=True)
+
+
+def driven(view: MapView, planting: Planting) -> MapView:
+    """The view when the vehicle that saw it went along the middle of each lane and 4 m beyond: the
+    ground that it drove over is free, as free marks are."""
+    ways = [
+        shapely.LineString(extended(np.asarray(lane.line.coords)[:, :2], 4.0, 4.0)).buffer(
+            0.5 * WIDTH_M, cap_style="flat"
+        )
+        for lane in planting.lanes
+    ]
+    free = tuple(Mark(MarkKind.FREE, tuple(way.exterior.coords[:-1])) for way in ways)
+    return replace(view, marks=free)
 
 
 def _spread(values: list[float]) -> str:
@@ -382,8 +408,9 @@ def _spread(values: list[float]) -> str:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["layouts"]:
-        over_layouts([int(number) for number in sys.argv[2:]] or list(range(1, 41)))
+    if sys.argv[1:2] in (["layouts"], ["noisy"]):
+        wanted_ones = [int(number) for number in sys.argv[2:]] or list(range(1, 41))
+        over_layouts(wanted_ones, is_noisy=sys.argv[1] == "noisy")
     else:
         first, _, last = (sys.argv[1:] or ["200"])[0].rpartition(":")
         fewest, _, exact = (sys.argv[2:] or ["4"])[0].rpartition(":")

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         find_rows as find_rows,
         plan_coverage as plan_coverage,
         plan_route as plan_route,
+        plan_survey as plan_survey,
         read_truth as read_truth,
         read_vehicle as read_vehicle,
         undo_alignment as undo_alignment,

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import shapely
 
@@ -24,6 +25,7 @@ from tests.cli.conftest import Run
 from tests.field.route.test_plan import field as free_field
 from tests.field.rows.fields import straight, view_of, write_map
 
+TRUTH = Path(__file__).parents[2] / "examples" / "two_lanes" / "truth"
 START, GOAL = "1.25,-3,0", "1.25,33"
 
 
@@ -135,8 +137,14 @@ def test_no_lane_at_all(fieldgrid: Run, field: Path) -> None:
 
 def test_lanes_are_for_covering_only(fieldgrid: Run, field: Path) -> None:
     asked = ("route", field, "--from", START, "--to", GOAL)
-    for options in (("--lanes", "B1-L1"), ("--spacing", "1:3"), ("--crop", "orchard")):
-        assert f"for {options[0]}: it is for --cover only" in fieldgrid(*asked, *options).usage()
+    for options, why in (
+        (("--lanes", "B1-L1"), "--cover only"),
+        (("--spacing", "1:3"), "lanes only"),
+        (("--crop", "orchard"), "lanes only"),
+        (("--swaths", "lanes.osm"), "--cover and --survey only"),
+        (("--needs", "needs.kml"), "--survey only"),
+    ):
+        assert f"for {options[0]}: it is for {why}" in fieldgrid(*asked, *options).usage()
     assert "no lane 'B9-L9'" in fieldgrid("route", field, "--cover", "--lanes", "B9-L9").sentence()
     sentence = fieldgrid("route", field, "--cover", "--spacing", "20:30").sentence()
     assert "No lanes were found" in sentence
@@ -211,12 +219,12 @@ def test_tracks_and_lanes_for_terminals_and_lanelet2(
     assert len(lines) > 3
     assert all("F1-T" in name for name in lines)
     fieldgrid(*asked, "--direction", "45", "--swaths", osm, "--speed-limit", "5").output()
-    assert osm.read_text().count("<relation") == len(lines)
+    assert all(osm.read_text().count(f'v="{name}"') == 1 for name in lines)
     assert "swaths" in fieldgrid("export", field, rows, "--guidance", "lanes").output()
     assert set(patterns(rows)) == {"B1-L1", "B1-L2", "B1-L3"}
     wrong = fieldgrid("export", meadow, tmp_path / "no.taskdata.zip", "--guidance", "lanes")
     assert "No lanes were found" in wrong.sentence()
-    assert "for Lanelet2" in fieldgrid(*asked, "--swaths", tmp_path / "t.kml",
+    assert "for networks" in fieldgrid(*asked, "--swaths", tmp_path / "t.kml",
                                        "--speed-limit", "5").sentence()  # fmt: skip
 
 
@@ -333,3 +341,58 @@ def test_the_example_drive(fieldgrid: Run, two_lanes_map: Path, tmp_path: Path) 
     assert told["length_m"] < 70.0
     ends = ("--from", "-20,42", "--to", "-17,40")
     assert json.loads(fieldgrid(*cover, *ends, "--json").output())["length_m"] < 90.0
+
+
+def test_where_to_drive_next_on_the_example(
+    fieldgrid: Run, two_lanes_map: Path, tmp_path: Path
+) -> None:
+    """Its two lanes were driven: the ones on both sides of them are next, from end to end."""
+    out, needs, folder = tmp_path / "next.csv", tmp_path / "needs.geojson", tmp_path / "agopen"
+    usb = tmp_path / "next.taskdata.zip"
+    asked = ("route", two_lanes_map, "--survey", "-o", out, "--needs", needs, "--swaths", usb,
+             "--agopengps", folder, "--json")  # fmt: skip
+    told = json.loads(fieldgrid(*asked).output())
+    with out.open(newline="") as file:
+        worked = [row for row in csv.DictReader(file) if row["lane"]]
+    way = shapely.MultiPoint([(float(row["east_m"]), float(row["north_m"])) for row in worked])
+    truth = json.loads((TRUTH / "rows.geojson").read_text())["features"]
+    rows = [shapely.LineString(feature["geometry"]["coordinates"]) for feature in truth]
+    for beside, unseen in ((2, 1), (4, 5)):  # the row whose other side was seen, and the next one
+        middle = shapely.LineString(
+            (0.5 * (a + b) for a, b in zip(*(np.array(rows[k].coords) for k in (beside, unseen)),
+                                           strict=True))
+        )  # fmt: skip
+        points = [middle.interpolate(share, normalized=True) for share in np.linspace(0.05, 0.95)]
+        assert max(point.distance(way) for point in points) < 0.6
+    assert {"B1-R1-left", "B1-L3"} <= {lane["lane"] for lane in told["lanes"]}
+    assert told["sees_share"] > 0.8
+    features = json.loads(needs.read_text())["features"]
+    areas = [f["properties"]["area_m2"] for f in features]
+    assert areas == pytest.approx([n["area_m2"] for n in told["needs"]], abs=1e-3)
+    unseen_m2 = {n["lane"]: n["area_m2"] for n in told["needs"] if n["kind"] == "unseen"}
+    assert min(unseen_m2["B1-R1-left"], unseen_m2["B1-L3"]) > 45.0
+    assert "old" not in {need["kind"] for need in told["needs"]}
+    older = ("route", two_lanes_map, "--survey", "--older-than", "30", "--json")
+    told = json.loads(fieldgrid(*older).output())
+    old = {need["lane"] for need in told["needs"] if need["kind"] == "old"}
+    assert {"B1-L1", "B1-L2"} <= old <= {"B1-L1", "B1-L2", "B1-L3", "B1-L4"}
+    assert {"B1-L1", "B1-L2"} <= {lane["lane"] for lane in told["lanes"]}
+    assert {"B1-R1-left", "B1-L3"} <= patterns(usb)
+    assert "B1-R1-left" in (folder / "TrackLines.txt").read_text()
+
+
+def test_from_lane_to_lane(fieldgrid: Run, field: Path, tmp_path: Path) -> None:
+    """From the middle of one to that of another, around the end of the row between."""
+    asked = ("route", field, "--from", "B1-L1", "--to", "B1-L3", "-o", tmp_path / "way.csv")
+    fieldgrid(*asked).output()
+    with (tmp_path / "way.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    ends = [(float(row["east_m"]), float(row["north_m"])) for row in (rows[0], rows[-1])]
+    assert ends[0] == pytest.approx((1.25, 15.0), abs=0.3)
+    assert ends[1] == pytest.approx((6.25, 15.0), abs=0.3)
+    assert "no lane 'B1-L9'" in fieldgrid(*asked[:3], "B1-L9", *asked[4:6]).sentence()
+    assert "is not E,N" in fieldgrid(*asked[:3], "here", *asked[4:6]).usage()
+    both = ("route", field, "--cover", "--survey")
+    assert "leave --cover out" in fieldgrid(*both).usage()
+    wrong = ("route", field, "--survey", "--needs", tmp_path / "needs.osm")
+    assert "ends in none of .geojson" in fieldgrid(*wrong).usage()

@@ -180,7 +180,6 @@ def test_a_map_without_rows_says_what_to_change(fieldgrid: Run, tmp_path: Path) 
         (["--min-gap", "-1"], "outside 0..1000"),
         (["--truth", "missing.csv"], "There is no survey"),
         (["-o", "rows.shp"], "ends in none of"),
-        (["-o", "rows.graph.geojson"], "a route graph in metres"),
         (["--at", "may"], "may"),
     ],
 )

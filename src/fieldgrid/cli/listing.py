@@ -95,7 +95,7 @@ COMMANDS: dict[str, Entry] = {
     "route": Entry(
         _USE,
         "Plan a route that a vehicle can drive.",
-        "--from --to --cover --crop --vehicle --out --swaths --boundary "
+        "--from --to --cover --survey --crop --vehicle --out --swaths "
         "--allow-unknown --at --overwrite --json",
     ),
     "export": Entry(

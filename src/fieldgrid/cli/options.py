@@ -99,7 +99,9 @@ ObstacleAbove = Annotated[
 SpeedLimit = Annotated[
     float | None,
     typer.Option(
-        metavar="KMH", help="Speed limit of the lanes in .osm, km/h.", rich_help_panel=OUTPUT
+        metavar="KMH",
+        help="Speed limit of the lanes in a network, km/h.",
+        rich_help_panel=OUTPUT,
     ),
 ]
 DatumText = Annotated[

@@ -3,9 +3,11 @@
 * `align`: `align_map` lays the drives of a map on each other by what they saw.
 * `changes`: `find_changes`, objects that came or went between two times.
 * `rows`: `find_rows`, a `Planting` of rows and lanes with their gaps (the width of a lane:
-  `ground`), and doubts about them; `find_worked`, what a drive worked of them.
+  `ground`), and doubts about them; `network_of` its lanes, headlands and turns; `find_worked`,
+  what a drive worked of them.
 * `route`: `plan_route` for a `Vehicle`; every `Route` passes an independent check.
-* `coverage`: `plan_coverage`, one way along all lanes, or `Tracks` without rows.
+* `coverage`: `plan_coverage`, one way along all lanes, or `Tracks` without rows; `plan_survey`,
+  what the lanes of a map lack and a tour that sees it.
 * `evaluation`: `evaluate`, a map against surveyed or simulated truth.
 
 It changes nothing in a map but the transforms of its sessions.
@@ -36,6 +38,11 @@ if TYPE_CHECKING:
     from fieldgrid.field.changes.result import ChangedObject as ChangedObject, Changes as Changes
     from fieldgrid.field.coverage.area import Tracks as Tracks
     from fieldgrid.field.coverage.plan import Coverage as Coverage, plan_coverage as plan_coverage
+    from fieldgrid.field.coverage.survey import (
+        SurveyPlan as SurveyPlan,
+        need_features as need_features,
+        plan_survey as plan_survey,
+    )
     from fieldgrid.field.evaluation.against_survey import (
         WITHIN_M as WITHIN_M,
         evaluate_survey as evaluate_survey,
@@ -64,6 +71,7 @@ if TYPE_CHECKING:
         planting_features as planting_features,
         write_planting as write_planting,
     )
+    from fieldgrid.field.rows.network import LaneNetwork as LaneNetwork, network_of as network_of
     from fieldgrid.field.rows.report import (
         against_survey as against_survey,
         block_quality as block_quality,

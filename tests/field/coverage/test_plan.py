@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
 
-from benchmarks.coverage import best_of, least, points_on_barred, random_field
+from benchmarks.coverage import (
+    best_of,
+    driven,
+    layout_view,
+    least,
+    points_on_barred,
+    random_field,
+)
 from fieldgrid.core import ConfigError, Float64, NoRouteError
 from fieldgrid.field import Coverage, Lane, Planting, Vehicle
 from fieldgrid.field.coverage.passes import drive_lane
 from fieldgrid.field.coverage.plan import coverage_in_view
 from fieldgrid.field.route.plan import searcher_of
+from fieldgrid.field.rows.find import rows_of_view
 from fieldgrid.geometry import project
 from fieldgrid.maps import MapView, Mark, MarkKind
+from fieldgrid.maps.views.decision import marked_cells
 from tests.field.route.test_plan import DATUM, SMALL, assert_holds, at, field, footprints
 
 FORWARD = Vehicle(0.8, 0.4, 0.6, turning_radius_m=1.0, reverse=False, clearance_m=0.1)
@@ -234,3 +244,21 @@ def test_a_map_without_lanes() -> None:
     planting = Planting(DATUM, view.bounds, 0.2, (), (), (), (), (), ())
     with pytest.raises(ConfigError, match="No lanes were found"):
         coverage_in_view(view, planting, SMALL)
+
+
+def test_lanes_that_were_driven_are_covered_whatever_noise_says(
+    shared_data: Callable[[str], Path],
+) -> None:
+    """A layout of a real vineyard, a false obstacle each 20 m² and 3 % of the ground unseen."""
+    shared_data("row_layouts")
+    view = layout_view(7, is_noisy=True)
+    planting = rows_of_view(view)
+    view = driven(view, planting)
+    vehicle = Vehicle(width_m=0.7, turning_radius_m=2.0, reverse=False)
+    coverage = coverage_in_view(view, planting, vehicle)
+    assert len(planting.lanes) > 8
+    assert len(coverage.lanes) >= 0.9 * len(planting.lanes)
+    free = marked_cells(view.marks, view.lattice, view.window) > 0
+    rest = np.where(free, 0, view.density).astype(np.uint8)
+    observed = np.ones_like(view.observed)  # holes may be pinholes
+    assert points_on_barred(coverage, replace(view, density=rest, observed=observed)) == 0

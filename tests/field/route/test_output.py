@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import itertools
 import json
 import math
 import xml.etree.ElementTree as ElementTree
@@ -162,53 +161,7 @@ def test_a_plan_of_waypoints_and_gears(route: Route, tmp_path: Path) -> None:
     assert np.count_nonzero(np.diff(gears)) == route.cusps
 
 
-def test_a_route_graph_is_driven_one_way(route: Route, tmp_path: Path) -> None:
-    """Read as the loader of Nav2's route server reads it: points are nodes, lines are edges from
-    `startid` to `endid`, coordinates are metres of the frame."""
-    names = np.full(len(route.lane), "", dtype="U5")
-    names[10:30] = "B1-L2"
-    write_route(replace(route, lane=names), tmp_path / "route.graph.geojson")
-    graph = json.loads((tmp_path / "route.graph.geojson").read_text())
-    kinds = [feature["geometry"]["type"] for feature in graph["features"]]
-    points = {
-        f["properties"]["id"]: f["geometry"]["coordinates"]
-        for f, kind in zip(graph["features"], kinds, strict=True)
-        if kind == "Point" and f["properties"]["frame"] == "map"
-    }
-    edges = [
-        feature["properties"]
-        for feature, kind in zip(graph["features"], kinds, strict=True)
-        if kind == "LineString"
-    ]
-    ids = [*points, *(edge["id"] for edge in edges)]
-    assert len(set(ids)) == len(ids) == len(kinds)
-    assert all(isinstance(number, int) and number >= 0 for number in ids)
-    # Where it is false, Nav2 leaves out its costmap and its closed edges.
-    assert all(edge["overridable"] is True for edge in edges)
-    following = {edge["startid"]: edge for edge in edges}
-    assert len(following) == len(edges)
-    (node,) = set(following) - {edge["endid"] for edge in edges}
-    walked, gears, lanes = [points[node]], [], []
-    while node in following:
-        edge = following[node]
-        assert edge["cost"] == pytest.approx(
-            math.dist(points[node], points[edge["endid"]]), abs=1e-3
-        )
-        # The loader takes numbers, strings and truth values only.
-        assert all(isinstance(value, int | float | str) for value in edge["metadata"].values())
-        gears.append(edge["metadata"]["gear"])
-        lanes.append(edge["metadata"].get("lane", ""))
-        node = edge["endid"]
-        walked.append(points[node])
-    assert len(walked) == len(points)
-    assert_along(np.array(walked), route)
-    assert np.count_nonzero(np.diff(gears)) == route.cusps
-    assert [lane for lane, _ in itertools.groupby(lanes)][:3] == ["", "B1-L2", ""]
-
-
-@pytest.mark.parametrize(
-    "suffix", [".csv", ".geojson", ".gpx", ".mcap", ".kml", ".plan", ".graph.geojson"]
-)
+@pytest.mark.parametrize("suffix", [".csv", ".geojson", ".gpx", ".mcap", ".kml", ".plan"])
 def test_only_routes_are_overwritten(route: Route, tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"route{suffix}"
     write_route(route, path)
@@ -224,6 +177,8 @@ def test_only_routes_are_overwritten(route: Route, tmp_path: Path, suffix: str) 
 def test_another_ending_is_refused(route: Route, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"route\.xyz ends in none of \.geojson"):
         write_route(route, tmp_path / "route.xyz")
+    with pytest.raises(ConfigError, match=r"--swaths write it"):
+        write_route(route, tmp_path / "route.graph.geojson")
 
 
 def test_figures_read_both_forms(route: Route, tmp_path: Path) -> None:

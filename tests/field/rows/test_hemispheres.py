@@ -124,11 +124,16 @@ def test_lanelets(field: Worked, tmp_path: Path) -> None:
         way.attrib["id"]: np.array([nodes[nd.attrib["ref"]] for nd in way.iter("nd")])
         for way in root.iter("way")
     }
+    lanes = {lane.id for lane in field.planting.lanes}
     for relation in root.iter("relation"):
+        if not lanes & {tag.attrib["v"] for tag in relation.iter("tag")}:
+            continue
+        lanes -= {tag.attrib["v"] for tag in relation.iter("tag")}
         sides = {m.attrib["role"]: ways[m.attrib["ref"]] for m in relation.iter("member")}
         assert bearing_deg(sides["left"]) == pytest.approx(HEADING_DEG, abs=1.5)
         across = bearing_deg(np.array([sides["left"][0], sides["right"][0]]))
         assert across == pytest.approx(HEADING_DEG + 90.0, abs=3.0)
+    assert not lanes
 
 
 def test_routes(field: Worked, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,16 +14,16 @@ from lxml import etree
 
 from benchmarks.planting import DATUM
 from fieldgrid.core import ConfigError, Float64, MapExistsError
-from fieldgrid.field import Planting, write_planting
+from fieldgrid.field import Planting, network_of, write_planting
 from fieldgrid.field.rows.result import Row
 from tests.field.coverage.test_plan import straight_lane
+from tests.field.rows.test_network import two_blocks
 
 LEFT_HALF, RIGHT_HALF = 0.2, 0.5
 
 
-def row(name: str, half_m: float) -> Row:
-    line = shapely.LineString([(0.0, 0.0), (1.0, 0.0)])
-    return Row(name, "B1", line, 1.0, 0.02, 2.0, half_m, 2.0, 1.0, 9, (), 0.0)
+def row(name: str, line: shapely.LineString, half_m: float) -> Row:
+    return Row(name, "B1", line, line.length, 0.02, 2.0, half_m, 2.0, 1.0, 9, (), 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -36,9 +37,9 @@ def planting() -> Planting:
         ),
     )
     rows = tuple(
-        row(lane.rows[side], half)
+        row(lane.rows[side], shapely.offset_curve(lane.line, away), half)
         for lane in lanes
-        for side, half in enumerate((LEFT_HALF, RIGHT_HALF))
+        for side, (away, half) in enumerate(((1.0, LEFT_HALF), (-1.0, RIGHT_HALF)))
     )
     view = shapely.box(0.0, 0.0, 1.0, 1.0).bounds
     return Planting(DATUM, view, 0.2, rows, lanes, (), (), (), ())  # type: ignore[arg-type]
@@ -78,18 +79,17 @@ def by_the_letters(path: Path) -> dict[str, dict[str, Float64]]:
 
 def check(planting: Planting, found: dict[str, dict[str, Float64]]) -> None:
     """Each bound at the face of its own row, to 1 cm, on its own side and the right way round."""
-    assert set(found) == {lane.id for lane in planting.lanes}
+    assert set(found) == {strip.id for strip in network_of(planting).strips}
     for lane in planting.lanes:
         start, ahead = np.array(lane.line.coords[0]), np.array(lane.line.coords[1])
         unit = (ahead - start) / np.hypot(*(ahead - start))
         left = np.array([-unit[1], unit[0]])
-        half = 0.5 * lane.area.area / lane.length_m
         for role, side, face in (("left", 1.0, LEFT_HALF), ("right", -1.0, RIGHT_HALF)):
             bound = found[lane.id][role]
-            assert np.allclose(bound[0], start + side * (half - face) * left, atol=0.01)
+            assert np.allclose(bound[0], start + side * (1.0 - face) * left, atol=0.01)
             assert (bound[-1] - bound[0]) @ unit > 0.0
             away = shapely.distance(lane.line, shapely.points(bound))
-            assert (away >= half - face - 0.01).all()
+            assert (away >= 1.0 - face - 0.01).all()
 
 
 def test_the_letters_of_the_file(planting: Planting, osm: Path) -> None:
@@ -122,15 +122,45 @@ def test_lanelet2_reads_the_same(planting: Planting, osm: Path, lanelet2: Any) -
             lanelet2.traffic_rules.Locations.Germany, lanelet2.traffic_rules.Participants.Vehicle
         )
         assert not rules.isOneWay(lanelet)
-        print("LIMIT", rules.speedLimit(lanelet).speedLimit)
+        assert rules.speedLimit(lanelet).speedLimit == pytest.approx(5.0)
     check(planting, bounds)
+
+
+def test_lanelet2_routes_from_any_lane_to_any_other(tmp_path: Path, lanelet2: Any) -> None:
+    """By its own routing graph, and out of both ends of each."""
+    from lanelet2.core import GPSPoint
+    from lanelet2.io import Origin, loadRobust
+    from lanelet2.projection import LocalCartesianProjector
+
+    planting = two_blocks()
+    write_planting(planting, tmp_path / "lanes.osm")
+    origin = Origin(GPSPoint(DATUM.lat_deg, DATUM.lon_deg, DATUM.height_m))
+    found, problems = loadRobust(str(tmp_path / "lanes.osm"), LocalCartesianProjector(origin))
+    assert list(problems) == []
+    rules = lanelet2.traffic_rules.create(
+        lanelet2.traffic_rules.Locations.Germany, lanelet2.traffic_rules.Participants.Vehicle
+    )
+    graph = lanelet2.routing.RoutingGraph(found, rules)
+    assert list(graph.checkValidity()) == []
+    names = {lane.id for lane in planting.lanes}
+    lanes = [one for one in found.laneletLayer if one.attributes["name"] in names]
+    both = [[one, one.invert()] for one in lanes]
+    assert len(lanes) == len(planting.lanes)
+    for one, back in both:
+        assert graph.following(one)
+        assert graph.previous(one)
+        assert graph.following(back)
+        assert graph.previous(back)
+    for a, b in itertools.permutations(both, 2):
+        ways = [graph.getRoute(start, stop) for start in a for stop in b]
+        assert any(way is not None for way in ways)
 
 
 def test_what_cannot_be_written(planting: Planting, osm: Path, tmp_path: Path) -> None:
     bare = Planting(DATUM, planting.bounds, 0.2, (), (), (), (), (), ())
     with pytest.raises(ConfigError, match="needs lanes"):
         write_planting(bare, tmp_path / "none.osm")
-    with pytest.raises(ConfigError, match="speed limit is for Lanelet2"):
+    with pytest.raises(ConfigError, match="speed limit is for networks"):
         write_planting(planting, tmp_path / "lanes.kml", speed_limit_kmh=5.0)
     with pytest.raises(MapExistsError):
         write_planting(planting, osm)

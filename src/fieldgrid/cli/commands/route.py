@@ -1,26 +1,31 @@
-"""`fieldgrid route`: a way that a vehicle can drive over a map, from place to place or along
-lanes."""
+"""`fieldgrid route`: a way that a vehicle can drive over a map, from place to place, along lanes,
+or to see what the map lacks."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fieldgrid.cli import options, output, progress
+from fieldgrid.cli import options, output, progress, route_report
 from fieldgrid.core import quoted
 
 if TYPE_CHECKING:
-    from fieldgrid.field import Coverage, Route
     from fieldgrid.geometry import Datum
 
-_FORM, _EXAMPLE = "E,N or E,N,HEADING", "12.5,-40 or 12.5,-40,90"
+_FORM = "E,N or E,N,HEADING or a lane"
+_EXAMPLE = "12.5,-40 or 12.5,-40,90 or B1-L2"
 _COVER, _TRACKS = "Along lanes", "Along tracks, with --cover --tracks"
+_LANE = re.compile(r"[A-Z]\d*-\S+")
+_SURVEY = "To see what is not known"
 _OF_TRACKS = {"width", "overlap", "direction", "along", "boundary", "headland_passes"}
 _TASKDATA = (".taskdata", ".taskdata.zip")
 _OF_LANES = {"crop", "spacing"}
-_OF_COVER = {"lanes", "tracks", "agopengps", "swaths", "speed_limit"} | _OF_LANES | _OF_TRACKS
+_OF_COVER = {"lanes", "tracks"} | _OF_TRACKS
+_OF_TOURS = {"agopengps", "swaths", "speed_limit"}
+_OF_SURVEY = {"needs", "older_than"}
 
 
 def command(
@@ -30,15 +35,15 @@ def command(
         str | None,
         typer.Option(
             "--from",
-            metavar="E,N[,HEADING]",
-            help="Start: metres of the map, and degrees clockwise from north.",
+            metavar="E,N[,HEADING]|LANE",
+            help="Start: metres of the map, and degrees clockwise from north; or a lane's middle.",
         ),
     ] = None,
     goal: Annotated[
         str | None,
         typer.Option(
             "--to",
-            metavar="E,N[,HEADING]",
+            metavar="E,N[,HEADING]|LANE",
             help="Goal; without a heading, any heading is accepted.",
         ),
     ] = None,
@@ -106,6 +111,30 @@ def command(
             rich_help_panel=_TRACKS,
         ),
     ] = None,
+    survey: Annotated[
+        bool,
+        typer.Option(
+            "--survey",
+            help="Drive the lanes that see most of what is not known.",
+            rich_help_panel=_SURVEY,
+        ),
+    ] = False,
+    needs: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write what is not known, as areas: .geojson, .gpkg, .csv, .kml, .dxf.",
+            rich_help_panel=_SURVEY,
+        ),
+    ] = None,
+    older_than: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DAYS",
+            help="Drive again where the last drive is older [default: never].",
+            rich_help_panel=_SURVEY,
+        ),
+    ] = None,
     agopengps: Annotated[
         Path | None,
         typer.Option(
@@ -118,14 +147,14 @@ def command(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Write the lanes or tracks: .geojson, .gpkg, .csv, .kml, .dxf, .osm for Lanelet2, "
-            ".taskdata.zip for a terminal.",
+            help="Write the lanes or tracks: .geojson, .gpkg, .csv, .kml, .dxf; their network: "
+            ".osm for Lanelet2, .graph.geojson for Nav2; .taskdata.zip for a terminal.",
             rich_help_panel=options.OUTPUT,
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        options.out_file(".geojson, .csv, .gpx, .mcap, .plan, .graph.geojson, .gpkg, .kml or .dxf"),
+        options.out_file(".geojson, .csv, .gpx, .mcap, .plan, .gpkg, .kml or .dxf"),
     ] = None,
     vehicle: Annotated[
         Path | None,
@@ -165,6 +194,7 @@ def command(
     With --cover the route drives the lanes between rows; --from and --to are then optional. Lanes
     that cannot be covered are listed with the reason, and the exit status is 1; the route of the
     others is written. With --cover --tracks it drives parallel tracks over ground without rows.
+    With --survey it drives lanes and sides of rows that were not seen, over unknown ground.
 
     Examples:
 
@@ -175,6 +205,8 @@ def command(
         fieldgrid route field.gpkg --cover --tracks --width 3 -o work.csv
 
         fieldgrid route field.gpkg --cover --tracks --along edge --swaths x.kml
+
+        fieldgrid route vineyard.gpkg --survey -o next.gpx --needs needs.geojson
     """
     from fieldgrid.core import NoRouteError
     from fieldgrid.export import Selection, TaskdataOptions, export_taskdata
@@ -184,29 +216,43 @@ def command(
         check_route_target,
         check_rows_target,
         crop_named,
+        find_rows,
+        need_features,
+        network_of,
         plan_coverage,
         plan_route,
+        plan_survey,
         read_vehicle,
         write_agopengps,
         write_planting,
         write_route,
     )
-    from fieldgrid.geometry import FREE_UP_TO
+    from fieldgrid.geometry import FEATURE_SUFFIXES, FREE_UP_TO, write_features
     from fieldgrid.maps import CostCurve, open_map, read_datum
 
-    if not cover:
+    places: list[Any] = [_place("--from", start), _place("--to", goal)]
+    is_named = any(isinstance(place, str) for place in places)
+    options.refuse(cover and survey, "--survey", "it has an order of its own; leave --cover out")
+    if not cover and not survey:
         for flag, given in (("--from", start), ("--to", goal)):
             options.refuse(given is None, flag, "it is needed, unless there is --cover")
+        options.refuse_idle(ctx, _OF_TOURS, "it is for --cover and --survey only")
+    if not cover:
         options.refuse_idle(ctx, _OF_COVER, "it is for --cover only")
+        if not survey and not is_named:
+            options.refuse_idle(ctx, _OF_LANES, "it is for lanes only")
     elif tracks:
         options.refuse_idle(ctx, _OF_LANES, "it is for lanes, without --tracks")
+        options.refuse(is_named, "--from", "tracks have no names before they are laid")
     else:
         options.refuse_idle(ctx, _OF_TRACKS, "it is for --tracks only")
-    written = [path for path in (out, swaths, agopengps) if path is not None]
+    if not survey:
+        options.refuse_idle(ctx, _OF_SURVEY, "it is for --survey only")
+    written = [path for path in (out, swaths, agopengps, needs) if path is not None]
     if swaths is None:
         options.refuse_idle(ctx, {"speed_limit"}, "it is for a file with lanes; give --swaths")
-    origin, target = _place("--from", start), _place("--to", goal)
     low, high = options.spacing(spacing)
+    crops = crop_named(crop).changed(min_spacing_m=low, max_spacing_m=high)
     guide = None if along in (None, "edge") else Path(str(along))
     inputs = [path for path in (map_, vehicle, boundary, guide) if path is not None]
     if out is not None:
@@ -215,10 +261,12 @@ def command(
         check_rows_target(swaths, speed_limit)
     elif swaths is not None and speed_limit is not None:
         raise typer.BadParameter("task data cannot hold it", param_hint="--speed-limit")
+    if needs is not None and needs.suffix.lower() not in FEATURE_SUFFIXES:
+        ways = f"{needs.name} ends in none of {', '.join(FEATURE_SUFFIXES)}"
+        raise typer.BadParameter(ways, param_hint="--needs")
     options.check_outputs(written, inputs, overwrite=overwrite)
     driven = Vehicle() if vehicle is None else read_vehicle(vehicle)
     ground: dict[str, Any] = {
-        "allow_unknown": allow_unknown,
         "cell_m": cell,
         "bounds": options.bounds(bounds),
         "curve": CostCurve(
@@ -226,7 +274,7 @@ def command(
         ),
         "at": at,
     }
-    coverage, asked = None, None
+    coverage, found, asked, planting = None, None, None, None
     if tracks:
         datum = read_datum(map_)
         asked = Tracks(
@@ -237,25 +285,37 @@ def command(
             boundary=boundary and _shape(boundary, datum, "Polygon"),
             headland_passes=headland_passes,
         )
+    if is_named:
+        planting = find_rows(
+            map_, crop=crops, bounds=ground["bounds"], obstacle_above=obstacle_above, at=at
+        )
+        network = network_of(planting)
+        places = [network.place(one) if isinstance(one, str) else one for one in places]
     try:
-        if cover:
+        if survey or cover:
             with progress.counting("lanes, and ways between them") as said:
-                coverage = plan_coverage(
-                    map_,
-                    driven,
-                    lanes=None if lanes is None else [name.strip() for name in lanes.split(",")],
-                    start=origin,
-                    goal=target,
-                    crop=crop_named(crop).changed(min_spacing_m=low, max_spacing_m=high),
-                    tracks=asked,
-                    progress=said,
-                    **ground,
-                )
+                tour = {**ground, "start": places[0], "goal": places[1], "crop": crops,
+                        "progress": said}  # fmt: skip
+                if survey:
+                    found = plan_survey(map_, driven, older_than_days=older_than, **tour)
+                    coverage = found.coverage
+                else:
+                    coverage = plan_coverage(
+                        map_,
+                        driven,
+                        lanes=None
+                        if lanes is None
+                        else [name.strip() for name in lanes.split(",")],
+                        planting=planting,
+                        tracks=asked,
+                        allow_unknown=allow_unknown,
+                        **tour,
+                    )
             route = coverage.route
         else:
-            assert origin is not None
-            assert target is not None
-            route = plan_route(map_, origin, target, driven, **ground)
+            route = plan_route(
+                map_, places[0], places[1], driven, allow_unknown=allow_unknown, **ground
+            )
     except NoRouteError as none:
         if as_json:
             output.print_json(
@@ -286,31 +346,34 @@ def command(
             write_planting(
                 coverage.planting, swaths, speed_limit_kmh=speed_limit, overwrite=overwrite
             )
+    if found is not None and needs is not None:
+        write_features(needs, need_features(found), route.datum, overwrite=overwrite)
     if as_json:
-        output.print_json({"map": str(map_), "found": True, **_as_dict(route, coverage, out)})
+        told = route_report.as_dict(route, coverage, found, out)
+        output.print_json({"map": str(map_), "found": True, **told})
     else:
-        _print(route, coverage)
+        route_report.show(route, coverage, found)
         for file in written:
             output.print_line(f"{file}")
-    if coverage is not None and coverage.left_out:
-        first, covered = coverage.left_out[0], sorted(lane.lane for lane in coverage.lanes)
+    if coverage is not None and coverage.left_out and not survey:
+        one, covered = coverage.left_out[0], sorted(lane.lane for lane in coverage.lanes)
         is_one = len(coverage.left_out) == 1
         fewer = "" if headland_passes == 0 else ", or fewer --headland-passes"
         raise NoRouteError(
             f"{len(coverage.left_out)} of {len(coverage.left_out) + len(covered)} lanes "
-            f"{'is' if is_one else 'are'} not covered; of {first.lane}: {first.reason}",
-            first.east_m,
-            first.north_m,
+            f"{'is' if is_one else 'are'} not covered; of {one.lane}: {one.reason}",
+            one.east_m,
+            one.north_m,
             f"{coverage.remedy}; --lanes {','.join(covered)} asks for the others alone"
             if coverage.swaths is None
             else f"the others are driven; {coverage.remedy}{fewer}",
         )
 
 
-def _place(flag: str, text: str | None) -> tuple[float, ...] | None:
-    """The metres and, where it is given, the heading of a place."""
-    if text is None:
-        return None
+def _place(flag: str, text: str | None) -> tuple[float, ...] | str | None:
+    """The metres and, where it is given, the heading of a place, or the name of a lane."""
+    if text is None or _LANE.fullmatch(text):
+        return text
     form = "E,N,HEADING" if text.count(",") == 2 else "E,N"
     try:
         return tuple(options.numbers(flag, text, ",", form, "12.5,-40"))
@@ -329,68 +392,3 @@ def _shape(path: Path, datum: Datum, kind: str) -> Any:
     if len(found) != 1:
         raise ConfigError(f"{path} has {len(found)} shapes of the kind {kind}; give one with one.")
     return found[0]
-
-
-def _print(route: Route, coverage: Coverage | None) -> None:
-    share = route.turning_share if coverage is None else coverage.turning_share
-    summary = [
-        ("length", output.number(route.length_m, 1, "m")),
-        ("turning", output.percent(share, 0)),
-        ("in reverse", output.percent(route.reverse_share, 0)),
-        ("changes of gear", str(route.cusps)),
-        ("least clearance", output.number(route.least_clearance_m, 2, "m")),
-    ]
-    if coverage is not None:
-        count = len(coverage.lanes)
-        what = "lanes covered" if coverage.swaths is None else "tracks driven"
-        summary.append((what, f"{count} of {count + len(coverage.left_out)}"))
-        if coverage.swaths is not None:
-            done = coverage.swaths
-            headings = [block.heading_deg for block in coverage.planting.blocks]
-            summary += [
-                ("heading", ", ".join(output.number(value, 1, "°") for value in headings)),
-                ("worked", output.number(done.worked_m2, 0, "m²")),
-                ("of what can be reached", output.percent(done.worked_m2 / done.reachable_m2, 1)),
-                ("crossing worked ground", output.number(done.crossing_m, 1, "m")),
-            ]
-    output.print_table(("route", ""), summary)
-    if coverage is None:
-        return
-    output.print_table(
-        ("lane", "direction", "from", "to"),
-        [
-            (
-                lane.lane,
-                "against its line" if lane.against else "along its line",
-                output.number(lane.from_m, 1, "m"),
-                output.number(lane.to_m, 1, "m"),
-            )
-            for lane in coverage.lanes
-        ],
-    )
-    for lane in coverage.left_out:  # sentences, which are too long for the column of a table
-        place = f"{lane.east_m:.2f},{lane.north_m:.2f}"
-        output.print_line(f"not covered: {lane.lane}: {lane.reason} at {place}.")
-
-
-def _as_dict(route: Route, coverage: Coverage | None, out: Path | None) -> dict[str, Any]:
-    found: dict[str, Any] = {
-        "length_m": route.length_m,
-        "turning_share": route.turning_share,
-        "reverse_share": route.reverse_share,
-        "gear_changes": route.cusps,
-        "least_clearance_m": route.least_clearance_m,
-        "poses": len(route.east_m),
-        "file": None if out is None else str(out),
-    }
-    if coverage is None:
-        return found
-    swaths = {} if coverage.swaths is None else {"swaths": coverage.swaths._asdict()}
-    return {
-        **found,
-        "turning_share": coverage.turning_share,
-        "lanes": [lane._asdict() for lane in coverage.lanes],
-        **swaths,
-        "left_out": [lane._asdict() for lane in coverage.left_out],
-        "remedy": coverage.remedy,
-    }

@@ -15,9 +15,9 @@ import shapely
 
 from fieldgrid.core import ConfigError, Float64, NoRouteError, quoted
 from fieldgrid.field.coverage.area import Tracks
-from fieldgrid.field.coverage.network import Network
 from fieldgrid.field.coverage.passes import Pass, drive_lane
 from fieldgrid.field.coverage.tracks import TrackLayout, lay_tracks
+from fieldgrid.field.coverage.ways import LaneWays
 from fieldgrid.field.route.ground import OUTSIDE
 from fieldgrid.field.route.path import joined
 from fieldgrid.field.route.plan import (
@@ -201,17 +201,17 @@ def coverage_in_view(
     if laid is not None:  # turns belong there
         around = shapely.box(*searcher.ground.bounds_m).difference(_core(laid, searcher.vehicle))
         headland = Searcher(searcher.ground.confined(around), searcher.vehicle)
-    network = Network(
+    ways = LaneWays(
         searcher, [p for _, passes in driven for p in passes], starts, goals,
         lambda done, total: said(len(asked) + done, len(asked) + total),
         headland,
     )  # fmt: skip
     if driven:
         worth = np.array([_WORTH * lane.length_m for lane, _ in driven])
-        order = network.order(worth)
+        order = ways.order(worth)
         missed = order.left_out(len(driven))
         nodes, cost_m = order.nodes, order.cost - sum(float(worth[k]) for k in missed)
-        left_out += [_unreached(network, nodes, k, driven[k][0]) for k in missed]
+        left_out += [_unreached(ways, nodes, k, driven[k][0]) for k in missed]
     left_out.sort(key=lambda entry: [lane.id for lane in asked].index(entry.lane))
     helps = ""
     if left_out:
@@ -226,7 +226,7 @@ def coverage_in_view(
             f"{no_lane} can be covered; of {omitted.lane}: {omitted.reason}",
             omitted.east_m, omitted.north_m, helps,
         )  # fmt: skip
-    samples = _assembled(network, nodes)
+    samples = _assembled(ways, nodes)
     names = np.array(["", *(lane.id for lane, _ in driven)])
     route = checked_route(
         searcher, samples[:, :5], names[samples[:, 5].astype(np.int64)], view.datum
@@ -297,12 +297,12 @@ def _both_ways(searcher: Searcher, lane: Lane) -> tuple[list[Pass | None], NoRou
     return passes, why if passes == [None, None] else None
 
 
-def _unreached(network: Network, nodes: list[int], k: int, lane: Lane) -> OmittedLane:
+def _unreached(ways: LaneWays, nodes: list[int], k: int, lane: Lane) -> OmittedLane:
     """Why a lane that could be driven is left out."""
-    searcher = network.searcher
-    entries = [p.start for p in network.passes[2 * k : 2 * k + 2] if p is not None]
-    exits = [p.stop for p in (network.passes[node] for node in nodes) if p is not None]
-    origins: list[SearchPose] = network.starts[:1] or exits
+    searcher = ways.searcher
+    entries = [p.start for p in ways.passes[2 * k : 2 * k + 2] if p is not None]
+    exits = [p.stop for p in (ways.passes[node] for node in nodes) if p is not None]
+    origins: list[SearchPose] = ways.starts[:1] or exits
     place = (entries[0].x + searcher.ground.west_m, entries[0].y + searcher.ground.south_m)
     if not any(
         np.isfinite(searcher.distance_left(entry)[searcher.coarse_place(origin)])
@@ -321,15 +321,15 @@ def _unreached(network: Network, nodes: list[int], k: int, lane: Lane) -> Omitte
     return OmittedLane(lane.id, reason, *place)
 
 
-def _assembled(network: Network, nodes: list[int]) -> Float64:
+def _assembled(ways: LaneWays, nodes: list[int]) -> Float64:
     """Rows of x, y, yaw, gear, curvature and the number of the lane that is worked, from 1; 0 where
     none is."""
-    end = len(network.passes)
+    end = len(ways.passes)
     parts: list[tuple[npt.NDArray[np.float64], int]] = []
     for a, b in zip([end, *nodes], [*nodes, end], strict=True):
-        if (a, b) in network.ways:
-            parts.append((network.ways[a, b], 0))
-        passed = network.passes[b] if b < end else None
+        if (a, b) in ways.ways:
+            parts.append((ways.ways[a, b], 0))
+        passed = ways.passes[b] if b < end else None
         if passed is not None:
             parts.append((passed.samples, b // 2 + 1))
     return joined([np.column_stack([p, np.full(len(p), lane)]) for p, lane in parts])

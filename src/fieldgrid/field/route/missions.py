@@ -1,8 +1,5 @@
-"""Routes as programs that drive take them: a mission of QGroundControl, a route graph of Nav2.
-
-Both have straight lines between points: the vertices of each stretch, of which the route is nowhere
-farther than `TOLERANCE_M`.
-"""
+"""Routes as missions of QGroundControl, whose lines between waypoints are straight: the route is
+nowhere farther from them than `TOLERANCE_M`."""
 
 from __future__ import annotations
 
@@ -78,48 +75,3 @@ def mission(route: Route) -> dict[str, Any]:
         "geoFence": {"version": 2, "circles": [], "polygons": []},
         "rallyPoints": {"version": 2, "points": []},
     }  # fmt: skip
-
-
-def route_graph(route: Route) -> dict[str, Any]:
-    """A graph for the route server of Nav2, in metres of the frame `map`: a node a vertex, and an
-    edge in the direction of driving from each to the next, which costs its length."""
-    points = [_vertices(route, poses) for poses, _, _ in stretches(route)]
-    nodes: list[dict[str, Any]] = []
-    edges: list[dict[str, Any]] = []
-    # Ids of nodes and of edges are told apart by no reader.
-    first_edge = sum(len(one) for one in points)
-    for (poses, gear, lane), places in zip(stretches(route), points, strict=True):
-        clearance = round(float(route.clearance_m[poses].min()), 3)
-        about: dict[str, Any] = {"gear": gear, "clearance_m": clearance}
-        about |= {"lane": lane} if lane else {}
-        for place in places.round(4).tolist():
-            if nodes and nodes[-1]["geometry"]["coordinates"] == place:
-                continue
-            nodes.append(_feature("Point", place, {"id": len(nodes), "frame": "map"}))
-            if len(nodes) == 1:
-                continue
-            ends = [node["geometry"]["coordinates"] for node in nodes[-2:]]
-            ids = {
-                "id": first_edge + len(edges),
-                "startid": len(nodes) - 2,
-                "endid": len(nodes) - 1,
-            }
-            costs = {"cost": round(math.dist(*ends), 4), "overridable": True, "metadata": about}
-            edges.append(_feature("LineString", ends, ids | costs))
-    datum = route.datum
-    return {
-        "type": "FeatureCollection",
-        "name": "fieldgrid route graph",
-        "datum": {
-            "lat_deg": datum.lat_deg, "lon_deg": datum.lon_deg, "height_m": datum.height_m,
-        },
-        "features": [*nodes, *edges],
-    }  # fmt: skip
-
-
-def _feature(kind: str, coordinates: Any, properties: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "type": "Feature",
-        "properties": properties,
-        "geometry": {"type": kind, "coordinates": coordinates},
-    }

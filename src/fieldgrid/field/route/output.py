@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 
 from fieldgrid.core import ConfigError, mentions, replacing
-from fieldgrid.field.route.missions import mission, route_graph, stretches
+from fieldgrid.field.route.missions import mission, stretches
 from fieldgrid.field.route.plan import Route
 from fieldgrid.geometry import Feature, wrap_deg, write_features, yaw_from_heading_rad
 from fieldgrid.poses import gpx_track
@@ -21,8 +21,7 @@ from fieldgrid.recordings import MAP, McapWriter, datum_message, path_message
 COLUMNS = ("east_m", "north_m", "heading_deg", "gear", "curvature_1pm", "clearance_m", "lane")
 """Of route.csv. `lane` is empty where no lane is worked."""
 
-GRAPH = ".graph.geojson"
-SUFFIXES = (".geojson", GRAPH, ".csv", ".gpx", ".mcap", ".plan", ".gpkg", ".kml", ".dxf")
+SUFFIXES = (".geojson", ".csv", ".gpx", ".mcap", ".plan", ".gpkg", ".kml", ".dxf")
 """What the name of a route may end in."""
 
 _GPX_NAME = "fieldgrid route"
@@ -30,7 +29,6 @@ _MARKS = {
     ".csv": ",".join(COLUMNS),
     ".gpx": _GPX_NAME,
     ".plan": '"groundStation": "fieldgrid"',
-    GRAPH: '"name": "fieldgrid route graph"',
 }
 """What a file that fieldgrid has written begins with, more or less."""
 
@@ -41,6 +39,11 @@ def check_route_target(path: Path) -> None:
     """Raise ConfigError for a name that is none of a route."""
     if path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"{path.name} ends in none of {', '.join(SUFFIXES)}; choose one of them.")
+    if path.name.lower().endswith(".graph.geojson"):
+        raise ConfigError(
+            f"{path.name} is the name of a route graph, and that is a network of lanes, not a "
+            "route: `fieldgrid rows -o` and --swaths write it."
+        )
 
 
 def write_route(route: Route, path: Path, *, overwrite: bool = False) -> None:
@@ -49,12 +52,11 @@ def write_route(route: Route, path: Path, *, overwrite: bool = False) -> None:
     `.csv` has a row a pose; `.geojson`, `.gpkg`, `.kml` and `.dxf` a line for each stretch in one
     gear and one lane; `.gpx` a segment for each stretch in one gear; `.mcap` one nav_msgs/Path on
     `/route`, whose poses are those of the vehicle, in reverse too, and the datum. `.plan` is for
-    QGroundControl and `.graph.geojson` for Nav2, as `missions` has them. Raises
-    ConfigError for another ending, MapExistsError for a file that may not be overwritten,
-    MapWriteError where it cannot be written.
+    QGroundControl. Raises ConfigError for another ending, MapExistsError for a file that may not be
+    overwritten, MapWriteError where it cannot be written.
     """
     check_route_target(path)
-    suffix = GRAPH if path.name.lower().endswith(GRAPH) else path.suffix.lower()
+    suffix = path.suffix.lower()
     if suffix in _FEATURES:
         write_features(path, route_features(route), route.datum, overwrite=overwrite)
         return
@@ -101,7 +103,7 @@ def write_route(route: Route, path: Path, *, overwrite: bool = False) -> None:
                 )
             )  # fmt: skip
         else:
-            json.dump(mission(route) if suffix == ".plan" else route_graph(route), file, indent=1)
+            json.dump(mission(route), file, indent=1)
 
 
 def route_features(route: Route) -> list[Feature]:

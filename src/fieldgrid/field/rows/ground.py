@@ -206,7 +206,7 @@ def stray_cells(
     no part, and their share of all obstacle cells of blocks."""
     inside = np.zeros(evidence.cells.shape, dtype=np.uint8)
     for block in blocks:
-        _fill(inside, evidence, block)
+        fill(inside, evidence, block)
     inside &= evidence.cells == OBSTACLE
     every = int(np.count_nonzero(inside))
     inside &= ~canopy
@@ -241,11 +241,12 @@ def canopies(evidence: Evidence, rows: list[MeasuredRow]) -> UInt8:
             shape = shapely.LineString(line).buffer(
                 row.half_width_m + _CANOPY_MARGIN_M, cap_style="round" if end else "flat"
             )
-            _fill(mask, evidence, shape)
+            fill(mask, evidence, shape)
     return mask
 
 
-def _fill(mask: UInt8, evidence: Evidence, shape: shapely.Polygon, value: int = 1) -> None:
+def fill(mask: UInt8, evidence: Evidence, shape: shapely.Polygon, value: int = 1) -> None:
+    """Set the cells of a mask under a shape, without its holes."""
     west, south = evidence.origin_m
     ring = (np.asarray(shape.exterior.coords) - (west, south)) * evidence.lattice.cells_per_m
     cv2.fillPoly(mask, [np.floor(ring).astype(np.int32)], value)
@@ -257,9 +258,9 @@ def find_headlands(
     """Seen free ground beside blocks, up to `reach_m` from them, without narrow strips."""
     beside = np.zeros(evidence.cells.shape, dtype=np.uint8)
     for block in blocks:
-        _fill(beside, evidence, shapely.Polygon(block.buffer(reach_m).exterior))
+        fill(beside, evidence, shapely.Polygon(block.buffer(reach_m).exterior))
     for block in blocks:
-        _fill(beside, evidence, block, 0)
+        fill(beside, evidence, block, 0)
     beside &= evidence.cells == FREE
     size = max(1, round(_OPEN_M / evidence.cell_m)) | 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))

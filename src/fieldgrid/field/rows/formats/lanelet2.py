@@ -1,97 +1,89 @@
-"""Lanes as a map of Lanelet2: XML of OpenStreetMap, a lanelet a lane.
+"""A network as a map of Lanelet2: XML of OpenStreetMap, a lanelet a strip.
 
 Nodes have degrees and the height above the ellipsoid, and `local_x`, `local_y` in metres of the
-datum's plane. That plane is the one of Lanelet2's LocalCartesianProjector at the datum.
+datum's plane. That plane is the one of Lanelet2's LocalCartesianProjector at the datum. Strips that
+meet share the nodes at which their bounds end, by which Lanelet2 knows what follows what.
 """
 
 from __future__ import annotations
 
 import itertools
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-import shapely
 
-from fieldgrid.core import ConfigError, mentions, replacing
-from fieldgrid.field.rows.result import Planting
+from fieldgrid.core import ConfigError, Float64, mentions, replacing
+from fieldgrid.field.rows.network import LaneNetwork
 
 _GENERATOR = "fieldgrid"
-_TOLERANCE_M = 0.005
-_LEAST_HALF_M = 0.05
 
 
 def write_lanelet2(
-    planting: Planting, path: Path, *, speed_limit_kmh: float | None = None, overwrite: bool = False
+    network: LaneNetwork,
+    path: Path,
+    *,
+    speed_limit_kmh: float | None = None,
+    overwrite: bool = False,
 ) -> None:
-    """Write a lanelet for each lane, whose bounds are the faces of the rows beside it, or the sides
-    of the swath of a track; both ways may be driven.
+    """Write a lanelet for each strip, that may be driven both ways. The bounds of a lane are the
+    faces of the rows beside it, or the sides of the swath of a track.
 
     Raises ConfigError without lanes, MapExistsError for a file that may not be overwritten,
     MapWriteError where it cannot be written.
     """
-    if not planting.lanes:
+    if not network.strips:
         raise ConfigError("A map of Lanelet2 needs lanes, and none was found; see --crop.")
     root = ElementTree.Element("osm", version="0.6", generator=_GENERATOR)
     ways: list[ElementTree.Element] = []
     relations: list[ElementTree.Element] = []
     ids = itertools.count(1)
-    kind = {"type": "road_border"} if planting.rows else {"type": "virtual"}
-    faces = {row.id: row.half_width_m for row in planting.rows}
-    for lane in planting.lanes:
-        bounds = {}
-        half_m = 0.5 * lane.area.area / lane.length_m
-        found = []
-        for side, row in zip((1.0, -1.0), lane.rows, strict=True):
-            away = max(half_m - faces.get(row, 0.0), _LEAST_HALF_M)
-            beside = shapely.offset_curve(lane.line, side * away, join_style="mitre")
-            longest = max(shapely.get_parts(beside), key=lambda part: part.length)
-            found.append(longest.simplify(_TOLERANCE_M))
-        for role, line in zip(("left", "right"), found, strict=True):
-            nodes = _add_nodes(root, planting, line, ids)
-            way = _element("way", next(ids), kind)
-            for place, node in enumerate(nodes):
-                way.insert(place, ElementTree.Element("nd", ref=node))
-            ways.append(way)
-            bounds[role] = way.attrib["id"]
+    datum = network.planting.datum
+
+    def nodes(places: Float64) -> Iterator[str]:
+        """Add points as nodes; their ids."""
+        lat, lon, ele = datum.to_geodetic(places[:, 0], places[:, 1], np.zeros(len(places)))
+        for place, *degrees, height in zip(
+            places.tolist(), lat.tolist(), lon.tolist(), ele.tolist(), strict=True
+        ):
+            tags = {"ele": f"{height:.4f}"}
+            tags |= {f"local_{axis}": f"{v:.4f}" for axis, v in zip("xy", place, strict=True)}
+            node = _element("node", next(ids), tags)
+            for name, value in zip(("lat", "lon"), degrees, strict=True):
+                node.set(name, f"{value:.11f}")
+            root.append(node)
+            yield node.attrib["id"]
+
+    shared = np.array(list(nodes(network.sides_m.reshape(-1, 2)))).reshape(-1, 2)
+    for strip in network.strips:
+        borders = strip.lane and network.planting.rows
         tags = {
             "type": "lanelet", "subtype": "road", "location": "nonurban", "one_way": "no",
-            "name": lane.id,
+            "name": strip.id,
         }  # fmt: skip
         if speed_limit_kmh is not None:
             tags["speed_limit"] = f"{speed_limit_kmh:g} km/h"
         relation = _element("relation", next(ids), tags)
-        for place, (role, way_id) in enumerate(bounds.items()):
-            relation.insert(place, ElementTree.Element("member", type="way", ref=way_id, role=role))
+        for place, (role, line) in enumerate((("left", strip.left), ("right", strip.right))):
+            first, last = (
+                shared[node, place ^ turned]
+                for node, turned in zip(strip.ends, strip.turned, strict=True)
+            )
+            way = _element("way", next(ids), {"type": "road_border" if borders else "virtual"})
+            inner = nodes(np.asarray(line.coords)[1:-1, :2])
+            for k, ref in enumerate([first, *inner, last]):
+                way.insert(k, ElementTree.Element("nd", ref=ref))
+            ways.append(way)
+            member = ElementTree.Element("member", type="way", ref=way.attrib["id"], role=role)
+            relation.insert(place, member)
         relations.append(relation)
     root.extend([*ways, *relations])
     ElementTree.indent(root)
     ours = partial(mentions, mark=b'generator="fieldgrid"')
     with replacing(path, overwrite=overwrite, ours=ours, what="a map of Lanelet2") as draft:
         ElementTree.ElementTree(root).write(draft, encoding="utf-8", xml_declaration=True)
-
-
-def _add_nodes(
-    root: ElementTree.Element,
-    planting: Planting,
-    line: shapely.LineString,
-    ids: itertools.count[int],
-) -> list[str]:
-    """Add the points of a line as nodes; their ids."""
-    places = shapely.get_coordinates(line)
-    degrees = planting.datum.to_geodetic(places[:, 0], places[:, 1], np.zeros(len(places)))
-    found = []
-    for (east, north), lat, lon, height in zip(
-        places.tolist(), *(v.tolist() for v in degrees), strict=True
-    ):
-        tags = {"ele": f"{height:.4f}", "local_x": f"{east:.4f}", "local_y": f"{north:.4f}"}
-        node = _element("node", next(ids), tags)
-        node.set("lat", f"{lat:.11f}")
-        node.set("lon", f"{lon:.11f}")
-        root.append(node)
-        found.append(node.attrib["id"])
-    return found
 
 
 def _element(kind: str, number: int, tags: dict[str, str]) -> ElementTree.Element:

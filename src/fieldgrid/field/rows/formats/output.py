@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from fieldgrid.core import ConfigError
+from fieldgrid.field.rows.formats.graph import write_graph
 from fieldgrid.field.rows.formats.lanelet2 import write_lanelet2
+from fieldgrid.field.rows.network import network_of
 from fieldgrid.field.rows.result import Block, Gap, Headland, Lane, Obstacle, Planting
 from fieldgrid.geometry import FEATURE_SUFFIXES, Feature, write_features
 
-OSM = ".osm"
+_NETWORKS = {".graph.geojson": write_graph, ".osm": write_lanelet2}
 _MAX_LIMIT_KMH = 200.0
 
 _ENDS = {
@@ -93,22 +95,25 @@ def _rests_on(found: Block | Gap | Headland | Lane | Obstacle) -> dict[str, Any]
     return {"sigma_m": found.sigma_m, "cells": found.cells, "sessions": found.sessions}
 
 
+def _ending(path: Path) -> str:
+    name = path.name.lower()
+    return next((ending for ending in _NETWORKS if name.endswith(ending)), path.suffix.lower())
+
+
 def check_rows_target(path: Path, speed_limit_kmh: float | None = None) -> None:
     """Raise ConfigError for a name that is none of a planting, a speed limit that no road has, and
     one for a file that cannot hold it."""
-    ending = path.suffix.lower()
-    if path.name.lower().endswith(".graph.geojson"):
-        raise ConfigError(
-            f"{path.name} is the name of a route graph in metres, and rows are written in degrees; "
-            "`fieldgrid route -o` writes such graphs, and rows take another name."
-        )
-    if ending not in (*FEATURE_SUFFIXES, OSM):
-        known = ", ".join((*FEATURE_SUFFIXES, OSM))
-        raise ConfigError(f"{path.name} ends in none of {known}; choose one of them.")
+    ending = _ending(path)
+    known = (*FEATURE_SUFFIXES, *_NETWORKS)
+    if ending not in known:
+        raise ConfigError(f"{path.name} ends in none of {', '.join(known)}; choose one of them.")
     if speed_limit_kmh is None:
         return
-    if ending != OSM:
-        raise ConfigError(f"A speed limit is for Lanelet2, and {path.name} does not end in {OSM}.")
+    if ending not in _NETWORKS:
+        raise ConfigError(
+            f"A speed limit is for networks, and {path.name} ends in none of "
+            f"{', '.join(_NETWORKS)}."
+        )
     if not 0.0 < speed_limit_kmh <= _MAX_LIMIT_KMH:
         raise ConfigError(
             f"A speed limit of {speed_limit_kmh:g} km/h is outside 0..{_MAX_LIMIT_KMH:g} km/h."
@@ -118,11 +123,26 @@ def check_rows_target(path: Path, speed_limit_kmh: float | None = None) -> None:
 def write_planting(
     planting: Planting, path: Path, *, speed_limit_kmh: float | None = None, overwrite: bool = False
 ) -> None:
-    """Write a planting as .geojson, .gpkg, .csv, .kml or .dxf, by the ending of `path`; as .osm its
-    lanes for Lanelet2, with a speed limit where one is given. ConfigError is as `check_rows_target`
-    says."""
+    """Write a planting as .geojson, .gpkg, .csv, .kml or .dxf, by the ending of `path`, with the
+    strips of headlands as kind `turn`; its network as .osm for Lanelet2 or as .graph.geojson for
+    Nav2, with a speed limit where one is given. ConfigError is as `check_rows_target` says."""
     check_rows_target(path, speed_limit_kmh)
-    if path.suffix.lower() == OSM:
-        write_lanelet2(planting, path, speed_limit_kmh=speed_limit_kmh, overwrite=overwrite)
+    network, write_network = network_of(planting), _NETWORKS.get(_ending(path))
+    if write_network is not None:
+        write_network(network, path, speed_limit_kmh=speed_limit_kmh, overwrite=overwrite)
         return
-    write_features(path, planting_features(planting), planting.datum, overwrite=overwrite)
+    turns = [
+        Feature(
+            "turn",
+            strip.line,
+            {
+                "id": strip.id, "length_m": float(strip.line.length), "width_m": strip.width_m,
+                "clearance_m": strip.clearance_m, "known": strip.known,
+                "obstacles": list(strip.obstacles),
+            },
+        )
+        for strip in network.strips
+        if not strip.lane
+    ]  # fmt: skip
+    found = [*planting_features(planting), *turns]
+    write_features(path, found, planting.datum, overwrite=overwrite)

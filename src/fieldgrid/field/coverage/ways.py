@@ -46,7 +46,7 @@ _CURVES_WITHIN = 12.0
 """Turning radii within which a curve says more of a way than its distance does."""
 
 
-class Network:
+class LaneWays:
     """Passes along lanes, each in both directions, and what it costs to drive from one to another:
     metres, those in reverse and changes of gear counted for more, as in any route.
 
