@@ -12,7 +12,9 @@ from tests.simulated import DATUM, SLALOM, Command, fixes_of, gyro_of, simulate,
 MOVING = [*SLALOM, Command(8.0, 1.0), *SLALOM]
 
 
-@pytest.mark.parametrize(("by_s", "noise_m"), [(1.0, 0.02), (-1.0, 0.02), (1.5, 0.02), (1.0, 0.1), (-1.0, 0.1)])
+@pytest.mark.parametrize(
+    ("by_s", "noise_m"), [(1.0, 0.02), (-1.0, 0.02), (1.5, 0.02), (1.0, 0.1), (-1.0, 0.1)]
+)
 def test_a_clock_that_is_set_within_a_drive_is_found(by_s: float, noise_m: float) -> None:
     """Stamps of the second half are later; the step and the samples in between are lost."""
     drive, by_ns = simulate(MOVING, 20.0, speed_mps=1.2), round(by_s * 1e9)

@@ -26,8 +26,8 @@ def command(
     out: Annotated[
         Path | None,
         options.out_file(
-            ".geojson, .gpkg, .csv, .kml, .dxf, or .osm for Lanelet2; of --worked also "
-            ".taskdata.zip for a terminal"
+            ".geojson, .gpkg, .csv, .kml, .dxf, .osm for Lanelet2, .graph.geojson for Nav2; of "
+            "--worked also .taskdata.zip for a terminal"
         ),
     ] = None,
     crop: options.CropName = "vineyard",
