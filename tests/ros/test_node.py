@@ -107,7 +107,8 @@ def odometry_to(publisher: Any, time_ns: int) -> None:
 def occupancy_of(path: Path, **asked: Any) -> tuple[npt.NDArray[np.int8], Any]:
     """What a map comes to as an occupancy grid, and where it lies."""
     with open_map(path) as universal:
-        view = Selection(**asked).view(universal, universal.deciding(asked.get("cell_m")))
+        selection = Selection(**asked)
+        view = selection.view(universal, decide=selection.layer)
     return CostCurve().occupancy(*view.decision()), view.bounds
 
 

@@ -8,13 +8,12 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 
-from fieldgrid.geometry import GridSpec, Tilt
+from fieldgrid.geometry import GridSpec, LocalGrid
 from fieldgrid.live.kept.kept_drive import PushedDrive
-from fieldgrid.live.kept.points import GridInput
 from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.maps import StagedFrame, StageFile, stage
-from fieldgrid.perception import CodedDepth, LocalGridder, OriginTrack, Refusal
-from fieldgrid.pipeline import BadFrame, Progress, StagedDrive, StepOutcome, carried, side_by_side
+from fieldgrid.perception import FrameGround, LocalGridder, OriginTrack, Refusal
+from fieldgrid.pipeline import BadFrame, Progress, StagedDrive, StepOutcome, grid_of, side_by_side
 from fieldgrid.poses import Attitude
 
 NO_POINTS = "its points were not kept, and how the vehicle leaned was not known while driving"
@@ -50,7 +49,7 @@ def gridded_again(
         tilt = None if attitude is None else attitude.tilt_at(was.time_ns)
         seen = kept.points_of(frame, gridder)
         if seen is not None:
-            return _again(was, seen, gridder, tilt, way), False
+            return _again(was, *grid_of(seen, was.time_ns, gridder, tilt, way)), False
         return was if frame.is_level == (tilt is not None) else None, True
 
     found: list[StepOutcome] = []
@@ -83,13 +82,7 @@ def gridded_again(
     return made_again, notes, len(drive.frames) - len(found)
 
 
-def _again(
-    was: StagedFrame, seen: GridInput, gridder: LocalGridder, tilt: Tilt | None, way: OriginTrack
-) -> StagedFrame:
-    if isinstance(seen, CodedDepth):
-        grid, ground = gridder.from_coded(seen, tilt)
-    else:
-        grid, ground = gridder.from_cloud(carried(seen, was.time_ns, gridder.rig, way), tilt)
+def _again(was: StagedFrame, grid: LocalGrid, ground: FrameGround) -> StagedFrame:
     return stage(
         grid,
         was.frame_id,

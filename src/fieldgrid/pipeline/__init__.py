@@ -78,9 +78,11 @@ if TYPE_CHECKING:
     )
     from fieldgrid.pipeline.staging.parts import left_behind as left_behind
     from fieldgrid.pipeline.staging.perception import (
+        GridInput as GridInput,
         Perception as Perception,
-        carried as carried,
+        StepOutcome as StepOutcome,
         follows_camera as follows_camera,
+        grid_of as grid_of,
         local_grid as local_grid,
         perceive_frame as perceive_frame,
         side_by_side as side_by_side,
@@ -88,10 +90,9 @@ if TYPE_CHECKING:
     )
     from fieldgrid.pipeline.staging.rig_config import rig_from_config as rig_from_config
     from fieldgrid.pipeline.staging.shares import (
+        FrameStager as FrameStager,
         StagedDrive as StagedDrive,
-        StepOutcome as StepOutcome,
         encoded as encoded,
-        stage_frame as stage_frame,
     )
     from fieldgrid.pipeline.targets import (
         check_names as check_names,

@@ -42,7 +42,7 @@ from fieldgrid.pipeline.staging.parts import (
     settle_left_behind,
 )
 from fieldgrid.pipeline.staging.remote import packed, place_of
-from fieldgrid.pipeline.staging.shares import stage_frames
+from fieldgrid.pipeline.staging.shares import moved_m, stage_frames
 from fieldgrid.pipeline.staging.staging import Processes, ShareResult, Staging, Workers
 from fieldgrid.pipeline.targets import check_names, check_output, made_map, opened_map
 from fieldgrid.recordings import DriveOptions, Recording, open_drive
@@ -298,7 +298,7 @@ class _Build:
                 for number, looked in enumerate(looks, first):
                     parts.add(number, looked)
                     parts.check_bad(self.skip_bad)
-                    drive.tell(looked.moved_m)
+                    drive.tell(moved_m(looked.found))
 
     def _take(self, drive: _DriveBuild, result: ShareResult) -> None:
         """Keep a share that another process has staged, or leave its drive out."""
@@ -316,7 +316,7 @@ class _Build:
                 drive.began_s = time.perf_counter() - staged.took_s
             for number, looked in enumerate(staged.frames, share.first):
                 drive.parts.add(number, looked)
-                drive.tell(looked.moved_m)
+                drive.tell(moved_m(looked.found))
             drive.parts.check_bad(self.skip_bad)
         except DRIVE_ERRORS as error:
             self._fail(drive, error)

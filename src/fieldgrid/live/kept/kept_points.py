@@ -13,9 +13,10 @@ import numpy as np
 
 from fieldgrid.core import shortened
 from fieldgrid.live.given import GIVEN_ROWS
-from fieldgrid.live.kept.points import GridInput, packed
+from fieldgrid.live.kept.points import packed
 from fieldgrid.live.pose.sensor_rows import Rows
 from fieldgrid.perception import Sweep
+from fieldgrid.pipeline import GridInput
 
 UNTOLD_NS = 60_000_000_000
 """The time from the first frame on, by stamps and by the clock of the machine, for which points

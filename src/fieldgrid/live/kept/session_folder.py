@@ -34,7 +34,7 @@ from fieldgrid.live.kept.kept_drive import (
     read_drive,
 )
 from fieldgrid.live.kept.kept_points import KeptPoints
-from fieldgrid.live.kept.points import GridInput, unpacked
+from fieldgrid.live.kept.points import unpacked
 from fieldgrid.live.options import POINTS_GB
 from fieldgrid.live.pose.sensor_rows import Rows, check_time, fix_to_json, motion_of, rows_to_json
 from fieldgrid.live.pushed import PushedSource
@@ -42,6 +42,7 @@ from fieldgrid.maps import StagedFrame, unwritable
 from fieldgrid.perception import LocalGridder, Sweep
 from fieldgrid.pipeline import (
     Blob,
+    GridInput,
     Journal,
     JournalFrames,
     KeptFrame,

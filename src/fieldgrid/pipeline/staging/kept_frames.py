@@ -23,7 +23,7 @@ from fieldgrid.maps import (
 from fieldgrid.perception import CameraStep, Refusal
 from fieldgrid.pipeline.report import StageTimes
 from fieldgrid.pipeline.staging.journal import Blob, Journal, JournalRecord
-from fieldgrid.pipeline.staging.shares import StepOutcome
+from fieldgrid.pipeline.staging.perception import StepOutcome
 
 FRAME = "frame"
 """The kind of the records of frames."""

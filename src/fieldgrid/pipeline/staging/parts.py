@@ -7,7 +7,6 @@ on, so frames are found again only by a build that would make the same.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -16,7 +15,6 @@ from typing import NamedTuple
 
 from fieldgrid.core import Closing, ConfigError, FieldgridError, MapError, RecordingError, holding
 from fieldgrid.maps import unwritable
-from fieldgrid.perception import CameraStep
 from fieldgrid.pipeline.report import BadFrame, StageTimes
 from fieldgrid.pipeline.staging.journal import JournalRecord, read_journal
 from fieldgrid.pipeline.staging.kept_frames import (
@@ -28,7 +26,7 @@ from fieldgrid.pipeline.staging.kept_frames import (
     kept_frame,
     work_folder,
 )
-from fieldgrid.pipeline.staging.shares import FrameOutcome, StagedDrive
+from fieldgrid.pipeline.staging.shares import FrameOutcome, StagedDrive, moved_m
 
 SHARE_FRAMES = 16
 """Frames that a process stages at a time. The frame before them is looked at twice, and what an end
@@ -118,8 +116,7 @@ class DriveParts(Closing):
             frame, times = kept_frame(record)
             self.done.add(frame.number)
             self._times.add(times)
-            if isinstance(frame.found, CameraStep):
-                self.moved_m += math.hypot(frame.found.forward_m, frame.found.right_m)
+            self.moved_m += moved_m(frame.found)
 
     def add(self, number: int, looked: FrameOutcome) -> None:
         """Keep what became of a frame. MapWriteError on a full disk."""
