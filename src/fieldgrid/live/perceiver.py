@@ -18,7 +18,7 @@ from fieldgrid.live.pose.running_tilt import TellTilt
 from fieldgrid.live.pose.sensor_rows import check_time
 from fieldgrid.live.pose.stamps import OFF_S, Stamps
 from fieldgrid.live.results import LiveEvent, LiveGrid, LiveResult, What
-from fieldgrid.perception import CameraStep, FrameGround, LocalGridder, OriginTrack
+from fieldgrid.perception import CameraStep, FrameGround, LocalGridder, OriginTrack, Refusal
 from fieldgrid.pipeline import FrameStager, Perception, StageTimes, StepOutcome, encoded
 from fieldgrid.recordings import Frame, StereoFrame
 
@@ -257,8 +257,9 @@ class Perceiver:
                 seen.is_level,
             )
         )
-        # No step leads over a frame that the disk refused.
-        return self._keep(seen, None if self._disk_full else found, times)
+        if self._disk_full and found is not None:
+            found = Refusal.LOST  # no step leads over a frame that the disk refused
+        return self._keep(seen, found, times)
 
     def _keep(self, seen: Perception, found: StepOutcome, times: StageTimes) -> int | None:
         """Keep a frame, to which the camera's step from the last one that is kept was `found`."""

@@ -68,8 +68,8 @@ if TYPE_CHECKING:
     )
     from fieldgrid.pipeline.staging.kept_frames import (
         FRAME as FRAME,
-        JournalFrames as JournalFrames,
         KeptFrame as KeptFrame,
+        KeptFrames as KeptFrames,
         drop_journal as drop_journal,
         held_journal as held_journal,
         keep_frame as keep_frame,

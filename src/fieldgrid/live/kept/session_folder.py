@@ -23,9 +23,8 @@ from fieldgrid.core import (
     holding,
     quoted,
 )
-from fieldgrid.geometry import Fix, GridSpec, StereoCamera
+from fieldgrid.geometry import Fix, GridSpec
 from fieldgrid.live.given import GIVEN_ROWS, NO_POSES, body_poses
-from fieldgrid.live.kept.frame_names import told_apart
 from fieldgrid.live.kept.kept_drive import (
     PushedDrive,
     SessionStart,
@@ -44,8 +43,8 @@ from fieldgrid.pipeline import (
     Blob,
     GridInput,
     Journal,
-    JournalFrames,
     KeptFrame,
+    KeptFrames,
     StagedDrive,
     StageTimes,
     StepOutcome,
@@ -106,7 +105,7 @@ class SessionFolder(Closing):
                 )
             self.journal.append("begin", about.to_json())
             self.journal.sync()
-            drive = read_drive(self.journal) or PushedDrive(about)
+            drive = read_drive(self.journal) or PushedDrive(about, KeptFrames(self.journal))
         if about is not None and (other := about.differs_in(drive.about)):
             raise ConfigError(
                 f"{self.folder} holds the session {quoted(drive.about.name)}, which was ended "
@@ -223,19 +222,7 @@ class SessionFolder(Closing):
     def staged(self) -> StagedDrive:
         """The frames, as a build has them of its drive."""
         drive = self.read()
-        names = told_apart([frame.entry.frame_id for frame in drive.frames])
-        entries = [
-            frame.entry if name == frame.entry.frame_id else frame.entry._replace(frame_id=name)
-            for frame, name in zip(drive.frames, names, strict=True)
-        ]
-        is_pair = isinstance(drive.about.rig.sensor, StereoCamera)
-        return StagedDrive(
-            JournalFrames(self.journal, entries),
-            entries,
-            [frame.found if is_pair else None for frame in drive.frames],
-            [bad for _, bad in drive.bad],
-            drive.times,
-        )
+        return drive.frames.staged([bad for _, bad in drive.bad], drive.times)
 
     def recording(self, drive: PushedDrive) -> Recording:
         """What was read as a recording, with the pairs that were kept for its frames.
@@ -278,7 +265,8 @@ class SessionFolder(Closing):
 
     def forget(self) -> None:
         """Hold no more in memory than what the session was begun with, however long it lasts."""
-        self.drive, self._is_forgotten = PushedDrive(self.drive.about), True
+        self.drive = PushedDrive(self.drive.about, KeptFrames(self.journal))
+        self._is_forgotten = True
 
     def remove(self) -> None:
         """Remove it: the drive is in the map, or is given up. Files of others stay."""

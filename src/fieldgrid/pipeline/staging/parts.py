@@ -19,7 +19,7 @@ from fieldgrid.pipeline.report import BadFrame, StageTimes
 from fieldgrid.pipeline.staging.journal import JournalRecord, read_journal
 from fieldgrid.pipeline.staging.kept_frames import (
     FRAME,
-    JournalFrames,
+    KeptFrames,
     drop_journal,
     held_journal,
     keep_frame,
@@ -157,18 +157,17 @@ class DriveParts(Closing):
 
     def staged(self) -> StagedDrive:
         """The whole drive, once no frame is missing."""
-        records = (one for one in self._journal.records() if one.kind == FRAME)
-        frames = {frame.number: frame for frame, _ in map(kept_frame, records)}
-        if len(frames) + len(self._bad) < self._count:
+        found = KeptFrames(self._journal)
+        for record in self._journal.records():
+            if record.kind == FRAME:
+                found.append(kept_frame(record)[0])
+        rows = {frame.number: row for row, frame in enumerate(found)}
+        if len(rows) + len(self._bad) < self._count:
             raise MapError(f"The staged frames in {self.path} cannot be read back; check the disk.")
-        kept = [frames[number] for number in sorted(frames)]
-        return StagedDrive(
-            JournalFrames(self._journal, [frame.entry for frame in kept]),
-            [frame.entry for frame in kept],
-            [frame.found for frame in kept],
-            [self._bad[number] for number in sorted(self._bad)],
-            self._times,
-        )
+        kept = KeptFrames(self._journal)
+        for number in sorted(rows):
+            kept.append(found[rows[number]])
+        return kept.staged([self._bad[number] for number in sorted(self._bad)], self._times)
 
     def remove(self) -> None:
         """Remove the frames of a drive that is given up."""

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import NamedTuple, Protocol
 
 from fieldgrid.core import RecordingError
@@ -74,13 +75,13 @@ class StagedDrive:
 
     frames: StagedFrames
     entries: Sequence[StageEntry]
-    found: list[StepOutcome] = field(default_factory=list)
+    found: Sequence[StepOutcome]
     bad: list[BadFrame] = field(default_factory=list)
     times: StageTimes = field(default_factory=StageTimes)
 
     def steps(self) -> tuple[Steps, Counter[str]]:
         """The camera's steps, and why there is none between other neighbours."""
-        found = [one for one in self.found[1:] if one is not None]
+        found = [one for one in islice(self.found, 1, None) if one is not None]
         refused = Counter(one.value for one in found if isinstance(one, Refusal))
         return steps_of([entry.time_ns for entry in self.entries], found), refused
 
@@ -91,7 +92,8 @@ Tell = Callable[[float], None]
 
 def collect(looks: Iterable[FrameOutcome], file: StageFile, tell: Tell) -> StagedDrive:
     """Write frames to a file as they come."""
-    staged = StagedDrive(file, file.entries)
+    found = list[StepOutcome]()
+    staged = StagedDrive(file, file.entries, found)
     for looked in looks:
         start = time.thread_time()
         staged.times.add(looked.times)
@@ -100,7 +102,7 @@ def collect(looks: Iterable[FrameOutcome], file: StageFile, tell: Tell) -> Stage
         if looked.bad is not None:
             staged.bad.append(looked.bad)
         else:
-            staged.found.append(looked.found)
+            found.append(looked.found)
         staged.times.map_s += time.thread_time() - start
         tell(moved_m(looked.found))
     return staged
