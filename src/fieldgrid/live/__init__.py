@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from fieldgrid.live.ros.head import Head as Head
     from fieldgrid.live.ros.node import RosNode as RosNode
     from fieldgrid.live.ros.place import RobotFrames as RobotFrames
-    from fieldgrid.live.ros.serving import PathCheck as PathCheck, publish_map as publish_map
+    from fieldgrid.live.ros.serving import MapServer as MapServer
     from fieldgrid.live.ros.session import RosSession as RosSession
     from fieldgrid.live.ros.so_far import MapSoFar as MapSoFar
     from fieldgrid.live.ros.stream import RosStream as RosStream
