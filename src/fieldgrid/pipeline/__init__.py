@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from fieldgrid.pipeline.mounting.figure import mount_figure as mount_figure
     from fieldgrid.pipeline.mounting.writing import write_estimate as write_estimate
     from fieldgrid.pipeline.poses import (
-        attitude_of_grids as attitude_of_grids,
         cell_budget as cell_budget,
         estimate_drive as estimate_drive,
         estimate_trajectory as estimate_trajectory,
@@ -68,8 +67,10 @@ if TYPE_CHECKING:
     )
     from fieldgrid.pipeline.staging.kept_frames import (
         FRAME as FRAME,
+        JournalFrames as JournalFrames,
         KeptFrame as KeptFrame,
         KeptFrames as KeptFrames,
+        StagedDrive as StagedDrive,
         drop_journal as drop_journal,
         held_journal as held_journal,
         keep_frame as keep_frame,
@@ -91,7 +92,6 @@ if TYPE_CHECKING:
     from fieldgrid.pipeline.staging.rig_config import rig_from_config as rig_from_config
     from fieldgrid.pipeline.staging.shares import (
         FrameStager as FrameStager,
-        StagedDrive as StagedDrive,
         encoded as encoded,
     )
     from fieldgrid.pipeline.targets import (

@@ -77,7 +77,7 @@ class LongDrive:
         self.name, self.rig, self.datum_hint = "long", self._of.rig, self._of.datum_hint
         self.gnss_source, self.notes, self.losses = self._of.gnss_source, (), ()
         self.pose_name = self._of.pose_name
-        self.frame_count = frame_count
+        self.frame_count, self.source = frame_count, self
         self.images = Alive()
         self.drawn = 0
 

@@ -117,7 +117,7 @@ class PushedDrive:
     """What was pushed, as it is read back."""
 
     about: SessionStart
-    frames: KeptFrames
+    frames: KeptFrames = field(default_factory=KeptFrames)
     fixes: FixColumns = field(default_factory=lambda: FixColumns.of_rows(()))
     parts: dict[str, list[Rows]] = field(default_factory=dict)
     bad: list[tuple[int, BadFrame]] = field(default_factory=list)
@@ -175,7 +175,7 @@ def read_drive(journal: Journal) -> PushedDrive | None:
     if (start := next(starts, None)) is None:
         return None
     try:
-        drive = PushedDrive(SessionStart.from_json(start), KeptFrames(journal))
+        drive = PushedDrive(SessionStart.from_json(start), KeptFrames())
         fixes, columns = list[Fix](), list[FixColumns]()
         for record in journal.records():
             kind, value, blobs, _ = record
@@ -203,7 +203,7 @@ def read_drive(journal: Journal) -> PushedDrive | None:
                 drive.damaged_bytes += value
         drive.fixes = FixColumns.joined([*columns, FixColumns.of_rows(fixes)])
         names = told_apart([frame.entry.frame_id for frame in drive.frames])
-        frames, drive.frames = drive.frames, KeptFrames(journal)
+        frames, drive.frames = drive.frames, KeptFrames()
         for frame, name in zip(frames, names, strict=True):
             drive.frames.append(frame._replace(entry=frame.entry._replace(frame_id=name)))
     except (KeyError, ValueError, TypeError, IndexError) as error:

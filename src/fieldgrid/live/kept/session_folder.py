@@ -43,8 +43,8 @@ from fieldgrid.pipeline import (
     Blob,
     GridInput,
     Journal,
+    JournalFrames,
     KeptFrame,
-    KeptFrames,
     StagedDrive,
     StageTimes,
     StepOutcome,
@@ -105,7 +105,7 @@ class SessionFolder(Closing):
                 )
             self.journal.append("begin", about.to_json())
             self.journal.sync()
-            drive = read_drive(self.journal) or PushedDrive(about, KeptFrames(self.journal))
+            drive = read_drive(self.journal) or PushedDrive(about)
         if about is not None and (other := about.differs_in(drive.about)):
             raise ConfigError(
                 f"{self.folder} holds the session {quoted(drive.about.name)}, which was ended "
@@ -222,7 +222,8 @@ class SessionFolder(Closing):
     def staged(self) -> StagedDrive:
         """The frames, as a build has them of its drive."""
         drive = self.read()
-        return drive.frames.staged([bad for _, bad in drive.bad], drive.times)
+        bad, frames = [bad for _, bad in drive.bad], JournalFrames(self.journal, drive.frames)
+        return StagedDrive(frames, drive.frames, bad, drive.times)
 
     def recording(self, drive: PushedDrive) -> Recording:
         """What was read as a recording, with the pairs that were kept for its frames.
@@ -265,7 +266,7 @@ class SessionFolder(Closing):
 
     def forget(self) -> None:
         """Hold no more in memory than what the session was begun with, however long it lasts."""
-        self.drive = PushedDrive(self.drive.about, KeptFrames(self.journal))
+        self.drive = PushedDrive(self.drive.about)
         self._is_forgotten = True
 
     def remove(self) -> None:

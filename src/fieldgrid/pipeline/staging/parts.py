@@ -19,14 +19,16 @@ from fieldgrid.pipeline.report import BadFrame, StageTimes
 from fieldgrid.pipeline.staging.journal import JournalRecord, read_journal
 from fieldgrid.pipeline.staging.kept_frames import (
     FRAME,
+    JournalFrames,
     KeptFrames,
+    StagedDrive,
     drop_journal,
     held_journal,
     keep_frame,
     kept_frame,
     work_folder,
 )
-from fieldgrid.pipeline.staging.shares import FrameOutcome, StagedDrive, moved_m
+from fieldgrid.pipeline.staging.shares import FrameOutcome, moved_m
 
 SHARE_FRAMES = 16
 """Frames that a process stages at a time. The frame before them is looked at twice, and what an end
@@ -44,17 +46,11 @@ class Share(NamedTuple):
     last: int
 
 
-class PartsInfo(NamedTuple):
-    """What is staged of a drive as it is found without its recording: its journal, and its name."""
-
-    path: Path
-    name: str
-
-
-def left_behind(out: Path) -> list[PartsInfo]:
-    """The drives of which a build of `out` that has ended left staged frames; not those of a build
-    that still runs. The journals of builds that were killed before their first frame go."""
-    found = []
+def left_behind(out: Path) -> dict[Path, str]:
+    """The drives of which a build of `out` that has ended left staged frames, their names by their
+    journals; not those of a build that still runs. The journals of builds that were killed before
+    their first frame go."""
+    found = {}
     for path in sorted(work_folder(out).glob("*.build")):
         try:
             # A build that begins at this moment does not hold its journal yet.
@@ -63,11 +59,11 @@ def left_behind(out: Path) -> list[PartsInfo]:
                 records = read_journal(path) if is_free else iter(())
                 kinds = {record.kind: record for record in records}
                 if FRAME in kinds or BAD in kinds:
-                    found.append(PartsInfo(path, str(kinds[BEGIN].value)))
+                    found[path] = str(kinds[BEGIN].value)
                 elif is_free and is_old:
                     drop_journal(path)
         except (OSError, FieldgridError, KeyError):
-            found.append(PartsInfo(path, "a drive"))
+            found[path] = "a drive"
     return found
 
 
@@ -75,13 +71,13 @@ def settle_left_behind(out: Path, resume: bool | None) -> None:
     """Refuse to build where an earlier build has left staged frames, unless told what to do."""
     left = left_behind(out)
     if left and resume is None:
-        names = ", ".join(about.name for about in left[:3]) + (", ..." if len(left) > 3 else "")
+        names = ", ".join([*left.values()][:3]) + (", ..." if len(left) > 3 else "")
         raise ConfigError(
             f"{work_folder(out)} holds staged frames of a build that was ended ({names}); give "
             "--resume with the command that it was to go on, or --no-resume to remove them."
         )
-    for about in left if resume is False else ():
-        drop_journal(about.path)
+    for path in left if resume is False else ():
+        drop_journal(path)
 
 
 class DriveParts(Closing):
@@ -157,17 +153,18 @@ class DriveParts(Closing):
 
     def staged(self) -> StagedDrive:
         """The whole drive, once no frame is missing."""
-        found = KeptFrames(self._journal)
+        found = KeptFrames()
         for record in self._journal.records():
             if record.kind == FRAME:
                 found.append(kept_frame(record)[0])
         rows = {frame.number: row for row, frame in enumerate(found)}
         if len(rows) + len(self._bad) < self._count:
             raise MapError(f"The staged frames in {self.path} cannot be read back; check the disk.")
-        kept = KeptFrames(self._journal)
+        kept = KeptFrames()
         for number in sorted(rows):
             kept.append(found[rows[number]])
-        return kept.staged([self._bad[number] for number in sorted(self._bad)], self._times)
+        bad = [self._bad[number] for number in sorted(self._bad)]
+        return StagedDrive(JournalFrames(self._journal, kept), kept, bad, self._times)
 
     def remove(self) -> None:
         """Remove the frames of a drive that is given up."""

@@ -8,17 +8,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
-from dataclasses import dataclass, field
-from itertools import islice
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from fieldgrid.core import RecordingError
-from fieldgrid.geometry import Rig, Steps, Tilt
-from fieldgrid.maps import StagedFrame, StagedFrames, StageEntry, StageFile, stage
-from fieldgrid.perception import CameraStep, LocalGridder, OriginTrack, Refusal, features, steps_of
+from fieldgrid.geometry import Rig, Tilt
+from fieldgrid.maps import StagedFrame, stage
+from fieldgrid.perception import CameraStep, LocalGridder, OriginTrack, features
 from fieldgrid.pipeline.report import BadFrame, StageTimes
 from fieldgrid.pipeline.staging.perception import (
     CameraMotion,
@@ -30,21 +27,14 @@ from fieldgrid.pipeline.staging.perception import (
     taken_ns,
 )
 from fieldgrid.poses import Attitude
-from fieldgrid.recordings import CloudFrame, Frame
-
-
-class FrameProvider(Protocol):
-    """Where frames come from: a recording, or its source, which can be pickled."""
-
-    def frames(self, start: int, stop: int) -> Iterator[Frame]:
-        """Frames number `start` to before `stop`, unread."""
+from fieldgrid.recordings import CloudFrame, Frame, FrameSource
 
 
 class DriveWork(NamedTuple):
     """All that it takes to stage the frames of a drive: every `every`-th, `total` in all. `way` is
     the vehicle's, by which sweeps are carried to their stamps, None where that is not to be."""
 
-    frames: FrameProvider
+    frames: FrameSource
     total: int
     gridder: LocalGridder
     attitude: Attitude | None
@@ -67,45 +57,6 @@ class FrameOutcome(NamedTuple):
     found: StepOutcome
     bad: BadFrame | None
     times: StageTimes
-
-
-@dataclass(slots=True)
-class StagedDrive:
-    """The frames of a drive, or of a share of it, staged in order, without those that are bad."""
-
-    frames: StagedFrames
-    entries: Sequence[StageEntry]
-    found: Sequence[StepOutcome]
-    bad: list[BadFrame] = field(default_factory=list)
-    times: StageTimes = field(default_factory=StageTimes)
-
-    def steps(self) -> tuple[Steps, Counter[str]]:
-        """The camera's steps, and why there is none between other neighbours."""
-        found = [one for one in islice(self.found, 1, None) if one is not None]
-        refused = Counter(one.value for one in found if isinstance(one, Refusal))
-        return steps_of([entry.time_ns for entry in self.entries], found), refused
-
-
-Tell = Callable[[float], None]
-"""Is told of each frame that is done, with how far the camera went since the one before, metres."""
-
-
-def collect(looks: Iterable[FrameOutcome], file: StageFile, tell: Tell) -> StagedDrive:
-    """Write frames to a file as they come."""
-    found = list[StepOutcome]()
-    staged = StagedDrive(file, file.entries, found)
-    for looked in looks:
-        start = time.thread_time()
-        staged.times.add(looked.times)
-        if looked.staged is not None:
-            file.append(looked.staged)
-        if looked.bad is not None:
-            staged.bad.append(looked.bad)
-        else:
-            found.append(looked.found)
-        staged.times.map_s += time.thread_time() - start
-        tell(moved_m(looked.found))
-    return staged
 
 
 class FrameStager:
