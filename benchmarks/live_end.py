@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.live_long import DATUM, SPEED_MPS, START_NS, imu, vehicle
+from benchmarks.live_long import DATUM, START_NS, imu, vehicle
 from fieldgrid.core import BuildSettings, Quality
 from fieldgrid.geometry import Fix, GridSpec, LeverArm, LocalGrid, Mount, Rig, StereoCamera
 from fieldgrid.live import finish, finish_session
@@ -78,11 +78,11 @@ def write_journal(out: Path, seconds: int, *, has_imu: bool) -> int:
     """The journal of a session for a map; its number of frames."""
     spec, random = GridSpec.of(SETTINGS.grid), np.random.default_rng(0)
     grid = LocalGrid(spec, np.zeros(spec.shape, np.uint8), np.ones(spec.shape, np.bool_))
-    seen, count = stage(grid, "", 0), 0
+    seen, count, before = stage(grid, "", 0), 0, (0.0, 0.0, 0.0)
     with session_folder.SessionFolder(out, SessionStart("long", RIG, SETTINGS, DATUM)) as kept:
         for at_s in np.arange(seconds * GYRO_HZ) / GYRO_HZ:
             time_ns, tick = START_NS + round(1e9 * at_s), round(at_s * GYRO_HZ)
-            east_m, north_m, _, rate_rad_s = vehicle(float(at_s))
+            east_m, north_m, heading_rad, rate_rad_s = vehicle(float(at_s))
             noise = random.normal(0.0, 0.01, 3)
             kept.add_rows("gyro", rows_of("gyro", time_ns, rate_rad_s + 0.1 * noise[0]))
             if has_imu:
@@ -92,14 +92,25 @@ def write_journal(out: Path, seconds: int, *, has_imu: bool) -> int:
                 fix = Fix(time_ns, *map(float, place), Quality.RTK_FIXED, 14, sigma_m=0.02)
                 kept.add_fix(fix)
             if tick % (GYRO_HZ // FRAME_HZ) == 0:
-                turn_deg = math.degrees(rate_rad_s) / FRAME_HZ + noise[0]
-                way = SPEED_MPS / FRAME_HZ + 0.2 * noise[1], 0.1 * noise[2], turn_deg
-                found = CameraStep(*way, 0.005, 0.05, 0.0, 0.0, 0.0, 0.1, 100) if count else None
+                found = step(before, (east_m, north_m, heading_rad), noise) if count else None
+                before = east_m, north_m, heading_rad
                 images = {"images": (f"{count}/left",), "images_sha256": (f"{count:064x}",)}
                 frame = replace(seen, frame_id=f"{count:06d}", time_ns=time_ns, **images)
                 keep_frame(kept.journal, count, frame, found, StageTimes(), (False, False))
                 count += 1
     return count
+
+
+def step(
+    start: tuple[float, float, float], stop: tuple[float, float, float], noise: np.ndarray
+) -> CameraStep:
+    """The camera's step between two places, metres east and north, and heading in radians."""
+    east_m, north_m, turn_rad = np.subtract(stop, start)
+    sine, cosine = math.sin(start[2]), math.cos(start[2])
+    forward_m = east_m * sine + north_m * cosine + 0.2 * noise[0]
+    right_m = east_m * cosine - north_m * sine + 0.1 * noise[1]
+    turn_deg = (math.degrees(turn_rad) + 180.0) % 360.0 - 180.0 + noise[2]
+    return CameraStep(forward_m, right_m, turn_deg, 0.005, 0.05, 0.0, 0.0, 0.0, 0.1, 100)
 
 
 if __name__ == "__main__":

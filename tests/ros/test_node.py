@@ -341,7 +341,7 @@ def check_paths(other: OtherNode) -> None:
 
     assert is_clear((-4.0, -3.0), (-4.0, 4.0))
     assert not is_clear((-4.0, 0.0), (0.0, 0.0))
-    other.wait(lambda: other.heard["/plan_blocked_at"])
+    other.wait(lambda: other.heard["/plan_blocked_at"] and len(other.heard["/plan_clearance"]) > 1)
     assert other.heard["/plan_blocked_at"][0].point.x == pytest.approx(-3.5, abs=0.25)
     assert other.heard["/plan_clearance"][0].data == pytest.approx(1.0, abs=0.25)
     assert other.heard["/plan_clearance"][1].data == 0.0
