@@ -54,7 +54,8 @@ def main() -> None:
         out = Path(folder) / "map.gpkg"
         count = write_journal(out, round(3600.0 * chosen.hours), has_imu=chosen.imu)
         print(f"{count} frames")
-        report = finish_session(out)
+        # Two hours of steps that are too good show a jump that is not there.
+        report = finish_session(out, {"checks": {"accept": ["clock-jump"]}})
         print(f"the map of {report.used} frames: {most_mb():.0f} MB")
 
 

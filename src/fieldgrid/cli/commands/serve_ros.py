@@ -41,8 +41,10 @@ def command(
     """
     from fieldgrid.export import SpeedOptions
     from fieldgrid.live import MapServer, RosNode
-    from fieldgrid.maps import Selection
+    from fieldgrid.maps import Selection, open_map
 
+    with open_map(map_):
+        pass  # what is wrong with it is said before ROS is asked for
     part = Selection(options.bounds(bounds), cell, at=at)
     speed = SpeedOptions(slow_percent=slow_percent, slow_within_m=slow_within)
     with ended_by_signals() as stop, RosNode() as ros:
