@@ -54,7 +54,7 @@ def main() -> None:
         out = Path(folder) / "map.gpkg"
         count = write_journal(out, round(3600.0 * chosen.hours), has_imu=chosen.imu)
         print(f"{count} frames")
-        # Two hours of steps that are too good show a jump that is not there.
+        # Two hours of these steps are taken for a jump of a clock, which there is not.
         report = finish_session(out, {"checks": {"accept": ["clock-jump"]}})
         print(f"the map of {report.used} frames: {most_mb():.0f} MB")
 
