@@ -6,6 +6,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +20,7 @@ from fieldgrid.maps import create_map, open_map
 from fieldgrid.perception import LocalGridder
 from fieldgrid.pipeline import build_map
 from fieldgrid.pipeline.session import session_config
-from fieldgrid.pipeline.staging.perception import perceive
+from fieldgrid.pipeline.staging.perception import perceive_frame, side_by_side
 from fieldgrid.recordings import DriveOptions, open_recording
 
 SLOW_S = 10.0
@@ -94,7 +95,11 @@ def with_true_poses() -> Evaluation:
             universal.add_session("truth", config=config) as session,
         ):
             for perceived, true in zip(
-                perceive(drive.frames(), gridder, os.cpu_count() or 1), truth.poses, strict=True
+                side_by_side(
+                    partial(perceive_frame, gridder=gridder), drive.frames(), os.cpu_count() or 1
+                ),
+                truth.poses,
+                strict=True,
             ):
                 pose = Pose(
                     true.time_ns, true.east_m, true.north_m, 0.0, true.heading_deg, 0.0, 0.0, 0.0

@@ -12,6 +12,7 @@ import re
 import tempfile
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,7 +26,7 @@ from fieldgrid.geometry import Pose
 from fieldgrid.maps import create_map, open_map
 from fieldgrid.perception import LocalGridder
 from fieldgrid.pipeline.session import session_config
-from fieldgrid.pipeline.staging.perception import perceive
+from fieldgrid.pipeline.staging.perception import perceive_frame, side_by_side
 from fieldgrid.recordings import Image, Recording, StereoFrame, open_recording
 
 VINEYARD = DATA / "vineyard_two_lanes"
@@ -111,7 +112,9 @@ def _score(name: str, drive: Recording, times_ns: Collection[int]) -> Scores:
             create_map(out, truth.datum) as universal,
             universal.add_session("truth", config=config) as session,
         ):
-            for perceived in perceive(frames, gridder, os.cpu_count() or 1):
+            for perceived in side_by_side(
+                partial(perceive_frame, gridder=gridder), frames, os.cpu_count() or 1
+            ):
                 at = true[perceived.frame.time_ns]
                 pose = Pose(at.time_ns, at.east_m, at.north_m, 0.0, at.heading_deg, 0.0, 0.0, 0.0)
                 session.add(perceived.grid, pose, frame_id=perceived.frame.frame_id)

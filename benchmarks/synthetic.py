@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
 from benchmarks import EXAMPLE
 from fieldgrid.geometry import Datum, GridSpec, LocalGrid, Pose
 from fieldgrid.perception import LocalGridder
-from fieldgrid.pipeline.staging.perception import perceive
+from fieldgrid.pipeline.staging.perception import perceive_frame, side_by_side
 from fieldgrid.recordings import open_recording
 
 DATUM = Datum(41.65, -4.72, 787.4)
@@ -23,7 +23,12 @@ def real_grids(width_m: float = 10.0, length_m: float = 15.0) -> tuple[LocalGrid
     """The local grids of the example's frames."""
     with open_recording(EXAMPLE, "gnss_rtk.nmea") as recording:
         gridder = LocalGridder(recording.rig, GridSpec(width_m, length_m))
-        return tuple(perceived.grid for perceived in perceive(recording.frames(), gridder, 2))
+        return tuple(
+            perceived.grid
+            for perceived in side_by_side(
+                partial(perceive_frame, gridder=gridder), recording.frames(), 2
+            )
+        )
 
 
 def pose_at(east_m: float, north_m: float, heading_deg: float, k: int) -> Pose:

@@ -19,7 +19,6 @@ from typing import Any
 import pytest
 
 from fieldgrid.core import StereoSettings
-from fieldgrid.live import perceiver
 from fieldgrid.perception import features, step, stereo, vertical_shifts
 from fieldgrid.pipeline import poses, repose
 from fieldgrid.pipeline.checks import doubt
@@ -40,7 +39,7 @@ KEPT_BYTES = 200 << 20
 
 USES: tuple[tuple[Callable[..., Any], tuple[object, ...]], ...] = (
     (features, (doubt, frame_probe, frame_pass, perception, staging)),
-    (step, (perceiver, perception)),
+    (step, (perception,)),
     (vertical_shifts, (measures,)),
     (smooth, (drive,)),
     (refine, (clock_search, drive)),

@@ -38,11 +38,12 @@ from fieldgrid.live import (
     replay,
 )
 from fieldgrid.live.kept.session_folder import SessionFolder
-from fieldgrid.live.perceiver import PerceivedFrame, encoded, perceive_frame
+from fieldgrid.live.perceiver import PerceivedFrame
 from fieldgrid.live.pose.poser import Poser
 from fieldgrid.maps import StagedFrame, open_map
 from fieldgrid.perception import CameraStep
-from fieldgrid.pipeline import Journal, Perception, build_map, read_journal
+from fieldgrid.pipeline import Journal, Perception, build_map, encoded, perceive_frame, read_journal
+from fieldgrid.pipeline.staging import shares
 from fieldgrid.recordings import Frame, Recording, open_recording
 from tests.conftest import make_small_drive
 from tests.live.making import Told, begin, drive_live
@@ -159,7 +160,7 @@ def test_of_frames_that_wait_the_oldest_is_dropped(
         assert free.wait(60)
         return perceive_frame(*arguments, **options)
 
-    monkeypatch.setattr(perceiver, "perceive_frame", slow)
+    monkeypatch.setattr(shares, "perceive_frame", slow)
     out = tmp_path / "m.gpkg"
     with open_recording(short_drive) as recording:
         frames = list(recording.frames())
@@ -197,7 +198,7 @@ def test_frames_that_are_perceived_beside_each_other_are_kept_in_order(
 
         return perceive_frame(frame, *arguments, gridded=gridded, **options)
 
-    monkeypatch.setattr(perceiver, "perceive_frame", uneven)
+    monkeypatch.setattr(shares, "perceive_frame", uneven)
     out = tmp_path / "m.gpkg"
     with open_recording(short_drive) as recording, begin(recording, out, on_result=told) as live:
         replay(live, recording, rate=None)
@@ -254,7 +255,7 @@ def test_the_camera_is_followed_over_a_frame_that_a_full_disk_refused(
         live.stop()
     assert {name: frame.step for name, frame in passed.items()} == whole
     with SessionFolder(out, None) as kept:
-        found = kept.staged().found
+        found = [one.found for one in kept.staged().kept]
     assert isinstance(whole["000023"], CameraStep)
     assert found[1] == whole["000021"]
     assert found[2] != whole["000023"]  # over 3 m the images have too little in common

@@ -16,7 +16,7 @@ from tests.scenes import depth_rig, lidar_rig, paper_rig
 
 KERNELS_LEFT = """
 import sys
-from fieldgrid.pipeline import stage_frame
+from fieldgrid.pipeline import perceive_frame
 from fieldgrid.geometry import GridSpec
 from fieldgrid.core.kernels import Kernel
 from fieldgrid.live.pushed import warm_up
@@ -42,7 +42,7 @@ with open_recording(sys.argv[1], gnss="gnss_rtk.nmea") as recording:
     for fix in list(recording.fixes())[:100]:
         trailing.add_fix(fix)
     trailing.estimate(trailing.newest_ns)
-    first, second = (stage_frame(f, gridder, odometry=True)[0] for f in recording.frames(0, 2))
+    first, second = (perceive_frame(f, gridder, odometry=True) for f in recording.frames(0, 2))
     step(first.features, second.features, recording.rig)
 """
 

@@ -13,7 +13,7 @@ from typing import Any
 import rclpy
 from mcap.reader import make_reader
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 PATIENCE_S = 120.0
 
@@ -48,8 +48,12 @@ class OtherNode:
         self._context.shutdown()
 
     def hear(self, topic: str, type_: str, *, latched: bool = False) -> None:
-        """Subscribe as RViz does: to a map as to something that is latched."""
-        qos = QoSProfile(depth=1000, durability=DurabilityPolicy(1 if latched else 2))
+        """Subscribe as displays of RViz do: reliably, to a map as to something that is latched."""
+        qos = QoSProfile(
+            depth=5,
+            durability=DurabilityPolicy(1 if latched else 2),
+            reliability=ReliabilityPolicy.RELIABLE,
+        )
 
         def take(message: Any) -> None:
             self.heard[topic].append(message)

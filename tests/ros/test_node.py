@@ -107,7 +107,8 @@ def odometry_to(publisher: Any, time_ns: int) -> None:
 def occupancy_of(path: Path, **asked: Any) -> tuple[npt.NDArray[np.int8], Any]:
     """What a map comes to as an occupancy grid, and where it lies."""
     with open_map(path) as universal:
-        view = Selection(**asked).view(universal, universal.deciding(asked.get("cell_m")))
+        selection = Selection(**asked)
+        view = selection.view(universal, decide=selection.layer)
     return CostCurve().occupancy(*view.decision()), view.bounds
 
 
@@ -188,7 +189,9 @@ def test_a_map_is_served_with_its_keepouts(tmp_path: Path) -> None:
     shed = Mark(MarkKind.KEEPOUT, corners, "shed")
     with open_map(path, writable=True) as universal:
         universal.add_marks([shed])
+    whole, bounds = occupancy_of(path, bounds=Bounds(-5.0, -6.0, 10.0, 8.0), cell_m=0.25)
     order = ("serve-ros", path, "--cell", "0.25", "--bounds", "-5", "-6", "10", "8")
+    order += ("--slow-percent", "40", "--slow-within", "0.5")
     with OtherNode() as other, running(*order) as process:
         info = "nav2_msgs/msg/CostmapFilterInfo"
         other.hear("/keepout_costmap_filter_info", info, latched=True)
@@ -200,12 +203,15 @@ def test_a_map_is_served_with_its_keepouts(tmp_path: Path) -> None:
             other.hear(topic, GRID, latched=True)
         other.hear("/datum/point", "geographic_msgs/msg/GeoPoint", latched=True)
         other.hear("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
-        other.wait(lambda: len([one for one in other.heard.values() if one]) == 5)
+        for kind, type_ in (("costmap_filter_info", info), ("filter_mask", GRID)):
+            other.hear(f"/speed_{kind}", type_, latched=True)
+        other.wait(lambda: len([one for one in other.heard.values() if one]) == 7)
+        check_speeds(other)
         check_paths(other)
+        (grid,), (mask,) = other.heard["/map"], other.heard[told.filter_mask_topic]
+        check_marks(other, path)
         process.send_signal(signal.SIGINT)
     assert process.returncode == 0
-    (grid,), (mask,) = other.heard["/map"], other.heard[told.filter_mask_topic]
-    whole, bounds = occupancy_of(path, bounds=Bounds(-5.0, -6.0, 10.0, 8.0), cell_m=0.25)
     assert np.array_equal(cells(grid), whole)
     assert mask.info == grid.info
     corner = mask.info.origin.position
@@ -217,6 +223,97 @@ def test_a_map_is_served_with_its_keepouts(tmp_path: Path) -> None:
     assert (min(centres[1]), max(centres[1])) == pytest.approx((-4.875, -3.125))
     (placed,) = other.heard["/tf_static"][0].transforms
     assert (placed.header.frame_id, placed.child_frame_id) == ("earth", "map")
+
+
+def value_at(mask: Any, x: float, y: float) -> int | None:
+    """What a mask says of a place: `worldToMap` of nav2_util, and `getMaskData` of Nav2's filters
+    (nav2_costmap_2d, CostmapFilter)."""
+    info, corner = mask.info, mask.info.origin.position
+    if x < corner.x or y < corner.y:
+        return None
+    i, j = int((x - corner.x) / info.resolution), int((y - corner.y) / info.resolution)
+    return mask.data[j * info.width + i] if i < info.width and j < info.height else None
+
+
+def keepout_cost(mask: Any, x: float, y: float) -> int:
+    """The cost of a place by Nav2's keepout filter (`CostmapFilter::getMaskCost`), 255 where it
+    changes nothing."""
+    value = value_at(mask, x, y)
+    return 255 if value is None or value == -1 else round(value * 254 / 100)
+
+
+def speed_limit(told: Any, mask: Any, x: float, y: float) -> float:
+    """The limit at a place by Nav2's speed filter (`SpeedFilter::getSpeedLimitAtPose`), percent; 0
+    for none. It refuses what it cannot use."""
+    assert told.type == 1
+    value = value_at(mask, x, y)
+    assert value is not None
+    assert value != -1, "unknown is invalid for this filter"
+    if value == 0:
+        return 0.0
+    limit = value * told.multiplier + told.base
+    assert 0.0 <= limit <= 100.0
+    return float(limit)
+
+
+def check_speeds(other: OtherNode) -> None:
+    """The stem of the F is at -3 m east, and nothing stands west of it."""
+    (told,), (mask,) = (
+        other.heard[f"/speed_{kind}"] for kind in ("costmap_filter_info", "filter_mask")
+    )
+    assert told.filter_mask_topic == "/speed_filter_mask"
+    assert (mask.header.frame_id, mask.info) == ("map", other.heard["/map"][0].info)
+    keepouts = other.heard["/keepout_filter_mask"][0]
+    assert keepout_cost(keepouts, 8.0, -4.0) == 254
+    assert keepout_cost(keepouts, -4.0, 0.0) == 0
+    assert speed_limit(told, mask, 8.0, -4.0) == pytest.approx(40.0)
+    assert speed_limit(told, mask, -3.0, 0.0) == pytest.approx(40.0)
+    assert speed_limit(told, mask, -4.2, 0.0) == 0.0
+
+    assert {speed_limit(told, mask, *at) for at in places_of(mask)} == {0.0, 40.0}
+
+
+def places_of(mask: Any) -> Iterator[tuple[float, float]]:
+    """The middles of its cells."""
+    info, corner = mask.info, mask.info.origin.position
+    for j, i in np.ndindex(info.height, info.width):
+        yield corner.x + info.resolution * (i + 0.5), corner.y + info.resolution * (j + 0.5)
+
+
+def check_marks(other: OtherNode, path: Path) -> None:
+    """Three clicks, as of RViz's tool, are a keep-out of the map; two are none."""
+    clicks = other.publisher("/clicked_point", "geometry_msgs/msg/PointStamped")
+    other.wait(clicks.get_subscription_count)
+    other.hear("/clicked_polygon", "geometry_msgs/msg/PolygonStamped", latched=True)
+    shown = other.heard["/clicked_polygon"]
+
+    def click(*corners: tuple[float, float], frame: str = "map") -> None:
+        for corner in corners:
+            point = type_of("geometry_msgs/msg/PointStamped")()
+            point.header.frame_id = frame
+            point.point.x, point.point.y = corner
+            clicks.publish(point)
+        if frame == "map":
+            other.wait(lambda: shown and len(shown[-1].polygon.points) == len(corners))
+
+    masks, topic = other.heard["/keepout_filter_mask"], "/mark_keepout"
+    assert not other.call(topic).success
+    click((0.0, 0.0), (1.0, 1.0))
+    click((2.0, 0.0), frame="odom")
+    answer = other.call(topic)
+    assert (answer.success, "2 corners" in answer.message) == (False, True)
+    assert keepout_cost(masks[-1], 6.0, 6.0) == 0
+    click((5.0, 5.0), (7.0, 5.0), (7.0, 7.0), (5.0, 7.0))
+    answer = other.call(topic)
+    assert answer.success, answer.message
+    other.wait(lambda: keepout_cost(masks[-1], 6.0, 6.0) == 254)
+    with open_map(path) as universal:
+        marks = universal.marks()
+    assert [mark.kind for mark in marks] == [MarkKind.KEEPOUT] * 2
+    assert marks[-1].corners == ((5.0, 5.0), (7.0, 5.0), (7.0, 7.0), (5.0, 7.0))
+    before = len(masks)
+    assert other.call("/save").success
+    other.wait(lambda: len(masks) > before)
 
 
 def check_paths(other: OtherNode) -> None:
@@ -244,7 +341,7 @@ def check_paths(other: OtherNode) -> None:
 
     assert is_clear((-4.0, -3.0), (-4.0, 4.0))
     assert not is_clear((-4.0, 0.0), (0.0, 0.0))
-    other.wait(lambda: other.heard["/plan_blocked_at"])
+    other.wait(lambda: other.heard["/plan_blocked_at"] and len(other.heard["/plan_clearance"]) > 1)
     assert other.heard["/plan_blocked_at"][0].point.x == pytest.approx(-3.5, abs=0.25)
     assert other.heard["/plan_clearance"][0].data == pytest.approx(1.0, abs=0.25)
     assert other.heard["/plan_clearance"][1].data == 0.0

@@ -27,9 +27,9 @@ _DROPS_S = 5.0
 
 def open_feed_at(text: str, watch: Watch) -> Feed:
     """The feed at an address, which tells what it has to say through the session."""
-    from fieldgrid.live import open_feed
+    from fieldgrid.live import Feed, parse_feed
 
-    feed = open_feed(text, watch.tell)
+    feed = Feed(*parse_feed(text), watch.tell)
     host, port = feed.address
     output.message(f"the costmap is sent to every client of tcp://{host}:{port}")
     return feed

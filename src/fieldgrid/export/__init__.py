@@ -37,6 +37,11 @@ if TYPE_CHECKING:
         occupancy_grid as occupancy_grid,
         variances as variances,
     )
+    from fieldgrid.export.robots.speed import (
+        SPEED_FILTER as SPEED_FILTER,
+        SpeedOptions as SpeedOptions,
+        speed_mask as speed_mask,
+    )
     from fieldgrid.export.shapes.guidance import TaskdataOptions as TaskdataOptions
     from fieldgrid.export.shapes.taskdata import export_taskdata as export_taskdata
     from fieldgrid.export.stac import write_stac as write_stac

@@ -45,13 +45,12 @@ if TYPE_CHECKING:
     from fieldgrid.live.ros.head import Head as Head
     from fieldgrid.live.ros.node import RosNode as RosNode
     from fieldgrid.live.ros.place import RobotFrames as RobotFrames
-    from fieldgrid.live.ros.serving import PathCheck as PathCheck, publish_map as publish_map
+    from fieldgrid.live.ros.serving import MapServer as MapServer
     from fieldgrid.live.ros.session import RosSession as RosSession
     from fieldgrid.live.ros.so_far import MapSoFar as MapSoFar
     from fieldgrid.live.ros.stream import RosStream as RosStream
     from fieldgrid.live.servers.address import parse_server_address as parse_server_address
-    from fieldgrid.live.servers.feed import Feed as Feed
-    from fieldgrid.live.servers.feeds import open_feed as open_feed, parse_feed as parse_feed
+    from fieldgrid.live.servers.feed import Feed as Feed, parse_feed as parse_feed
     from fieldgrid.live.servers.foxglove import FoxgloveServer as FoxgloveServer
     from fieldgrid.live.servers.live_state import LiveState as LiveState
     from fieldgrid.live.servers.page import LivePage as LivePage

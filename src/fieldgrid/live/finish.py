@@ -28,7 +28,6 @@ from fieldgrid.perception import OriginTrack
 from fieldgrid.pipeline import (
     Progress,
     SessionReport,
-    attitude_of_grids,
     build_map,
     check_names,
     check_output,
@@ -36,6 +35,7 @@ from fieldgrid.pipeline import (
     opened_map,
     prepared,
 )
+from fieldgrid.poses import levelling_attitude
 from fieldgrid.recordings import DriveOptions, Recording, open_drive
 
 NOT_LEVELLED = (
@@ -246,7 +246,7 @@ def _placed(
     session, estimate = prepared(
         *(recording, settings, datum, about.name), skips_bad=True, levels=levels
     )
-    told = attitude_of_grids(recording, estimate)
+    told = levelling_attitude(estimate.report.attitude)
     if told is not None and not levels:
         session.report.notes += (NOT_LEVELLED,)
     way, datum = OriginTrack.of(estimate.trajectory), datum or estimate.trajectory.datum

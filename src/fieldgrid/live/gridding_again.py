@@ -8,13 +8,12 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 
-from fieldgrid.geometry import GridSpec, Tilt
+from fieldgrid.geometry import GridSpec, LocalGrid
 from fieldgrid.live.kept.kept_drive import PushedDrive
-from fieldgrid.live.kept.points import GridInput
 from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.maps import StagedFrame, StageFile, stage
-from fieldgrid.perception import CodedDepth, LocalGridder, OriginTrack, Refusal
-from fieldgrid.pipeline import BadFrame, Progress, StagedDrive, StepOutcome, carried, side_by_side
+from fieldgrid.perception import FrameGround, LocalGridder, OriginTrack, Refusal
+from fieldgrid.pipeline import BadFrame, KeptFrames, Progress, StagedDrive, grid_of, side_by_side
 from fieldgrid.poses import Attitude
 
 NO_POINTS = "its points were not kept, and how the vehicle leaned was not known while driving"
@@ -50,46 +49,40 @@ def gridded_again(
         tilt = None if attitude is None else attitude.tilt_at(was.time_ns)
         seen = kept.points_of(frame, gridder)
         if seen is not None:
-            return _again(was, seen, gridder, tilt, way), False
+            return _again(was, *grid_of(seen, was.time_ns, gridder, tilt, way)), False
         return was if frame.is_level == (tilt is not None) else None, True
 
-    found: list[StepOutcome] = []
+    again = KeptFrames()
     bad, as_driven, notes = list(staged.bad), 0, tuple[str, ...]()
     with closing(side_by_side(make, range(len(drive.frames)), os.cpu_count() or 1)) as all_made:
         lost = False
-        frames = zip(all_made, staged.entries, staged.found, strict=True)
-        for done, ((made, is_as_driven), entry, step) in enumerate(frames, start=1):
+        frames = zip(all_made, drive.frames, strict=True)
+        for done, ((made, is_as_driven), frame) in enumerate(frames, start=1):
             if progress is not None:
                 progress(Progress(drive.about.name, done, len(drive.frames)))
             if made is None:
-                bad.append(BadFrame(entry.frame_id, NO_POINTS))
+                bad.append(BadFrame(frame.entry.frame_id, NO_POINTS))
                 lost = True
                 continue
             as_driven += is_as_driven
-            file.append(made)
             # No step leads over a frame that is left out.
-            found.append(Refusal.NOT_COMPARED if lost and step is not None else step)
+            found = Refusal.NOT_COMPARED if lost and frame.found is not None else frame.found
+            again.append(frame._replace(entry=file.entries[file.append(made)], found=found))
             lost = False
-    made_again = replace(staged, frames=file, entries=file.entries, found=found, bad=bad)
     if as_driven:
         known = ["the attitude"] if attitude is not None else []
         known += ["the motion"] if is_swept else []
         notes = (
-            f"The points of {as_driven} of {len(found)} frames were not kept to the end: their "
+            f"The points of {as_driven} of {len(again)} frames were not kept to the end: their "
             f"grids are as they were made while driving, by {' and '.join(known)} known then. A "
             "build from a recording (fieldgrid build RECORDING) makes them by the data of the "
             "whole drive.",
         )
-    return made_again, notes, len(drive.frames) - len(found)
+    made_again = replace(staged, frames=file, kept=again, bad=bad)
+    return made_again, notes, len(drive.frames) - len(again)
 
 
-def _again(
-    was: StagedFrame, seen: GridInput, gridder: LocalGridder, tilt: Tilt | None, way: OriginTrack
-) -> StagedFrame:
-    if isinstance(seen, CodedDepth):
-        grid, ground = gridder.from_coded(seen, tilt)
-    else:
-        grid, ground = gridder.from_cloud(carried(seen, was.time_ns, gridder.rig, way), tilt)
+def _again(was: StagedFrame, grid: LocalGrid, ground: FrameGround) -> StagedFrame:
     return stage(
         grid,
         was.frame_id,

@@ -11,7 +11,6 @@ from typing import NamedTuple, Protocol
 
 from fieldgrid.core import Closing, FieldgridError
 from fieldgrid.geometry import Fix
-from fieldgrid.live.pose.sensor_rows import Rows
 from fieldgrid.live.results import What
 from fieldgrid.live.session import Live
 from fieldgrid.pipeline import explanation
@@ -60,7 +59,8 @@ class InputSource(Protocol):
 
 
 class Intake:
-    """What one source has of the session: where to push, and what to tell."""
+    """What one source has of the session: where to push, and what to tell. Rows and poses go to the
+    session (`live`) itself."""
 
     def __init__(
         self,
@@ -72,41 +72,27 @@ class Intake:
     ) -> None:
         self.pauses, self.stop = pauses, stop
         self.has_ended = False
-        self._live, self._source, self._clocks = live, source, clocks
+        self.live, self._source, self._clocks = live, source, clocks
         self._lost = ""
         self._pause_s = pauses.first_s
 
     def push_fix(self, fix: Fix) -> None:
         """Take a fix that came just now."""
-        self._live.push_fix(fix)
+        self.live.push_fix(fix)
         self._compare(self._clocks.fix(fix.time_ns))
 
     def push_frame(self, frame: Frame, *, wait: bool = False) -> None:
         """Take a frame that came just now."""
-        self._live.push_frame(frame, wait=wait)
-        self._compare(self._clocks.frame(frame.time_ns + self._live.rig.image_time_offset_ns))
-
-    def drain(self) -> None:
-        """Wait until all frames that were taken are perceived."""
-        self._live.drain()
-
-    def push_rows(self, part: str, rows: Rows) -> None:
-        """Take rows of a sensor that came just now."""
-        self._live.push_rows(part, rows)
-
-    def push_pose(
-        self, time_ns: int, position_m: list[float], quaternion_xyzw: list[float]
-    ) -> None:
-        """Take a pose that came just now. ConfigError for one that cannot be taken."""
-        self._live.push_pose(time_ns, position_m, quaternion_xyzw)
+        self.live.push_frame(frame, wait=wait)
+        self._compare(self._clocks.frame(frame.time_ns + self.live.rig.image_time_offset_ns))
 
     def _compare(self, problem: str) -> None:
         if problem:
-            self._live.tell(What.INPUT, problem)
+            self.live.tell(What.INPUT, problem)
 
     def tell(self, text: str) -> None:
         """Say something about the source."""
-        self._live.tell(What.INPUT, f"{self._source.name} {text}")
+        self.live.tell(What.INPUT, f"{self._source.name} {text}")
 
     def arrived(self) -> None:
         """Something came: the source is there."""

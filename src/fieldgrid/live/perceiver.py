@@ -7,6 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
 
@@ -17,16 +18,9 @@ from fieldgrid.live.pose.running_tilt import TellTilt
 from fieldgrid.live.pose.sensor_rows import check_time
 from fieldgrid.live.pose.stamps import OFF_S, Stamps
 from fieldgrid.live.results import LiveEvent, LiveGrid, LiveResult, What
-from fieldgrid.perception import (
-    CameraStep,
-    Features,
-    FrameGround,
-    LocalGridder,
-    OriginTrack,
-    step,
-)
-from fieldgrid.pipeline import Perception, StageTimes, StepOutcome, encoded, perceive_frame
-from fieldgrid.recordings import CloudFrame, Frame, StereoFrame
+from fieldgrid.perception import CameraStep, FrameGround, LocalGridder, OriginTrack, Refusal
+from fieldgrid.pipeline import FrameStager, Perception, StageTimes, StepOutcome, encoded
+from fieldgrid.recordings import Frame, StereoFrame
 
 WORKERS = 2
 """Frames that are perceived at a time: one thread does not keep up with 10 Hz beside the poses."""
@@ -80,9 +74,15 @@ class Perceiver:
         way: Callable[[int], OriginTrack | None],
         tilt: TellTilt,
     ) -> None:
-        self._kept, self._gridder, self._odometry = kept, gridder, odometry
+        self._kept, self._gridder = kept, gridder
         self._most, self._tell, self._pass_on = most_waiting, tell, pass_on
-        self._way, self._tilt, self._stamps = way, tilt, stamps
+        self._stamps = stamps
+        self._stager = FrameStager(
+            gridder,
+            odometry=odometry,
+            tilt=lambda time_ns: tilt(time_ns) if kept.points.is_levelling else None,
+            way=way,
+        )
         self._pushing = threading.Lock()
         self._held: list[tuple[Frame, str]] = []
         self._refuted = 0
@@ -90,9 +90,6 @@ class Perceiver:
         self._changed = threading.Condition()
         self._closed = False
         self._taken = self._done = 0
-        # Of the frame before, and of the last one that is kept: a full disk refuses frames.
-        self._last: Features | None = None
-        self._last_kept: Features | None = None
         self._newest_ns = kept.newest_frame_ns
         # The last frame before the restart, pushed again, is looked at for the step from it.
         self._again_ns = kept.newest_frame_ns if odometry else None
@@ -100,12 +97,7 @@ class Perceiver:
         self.dropped = kept.drive.dropped
         self.late = 0
         self._disk_full = False
-        self._threads = [
-            threading.Thread(target=self._run, name="fieldgrid-perception", daemon=True)
-            for _ in range(WORKERS)
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._workers = ThreadPoolExecutor(WORKERS, "fieldgrid-perception")
 
     def push(self, frame: Frame, *, wait: bool) -> bool:
         """Let a frame be perceived; False where it is not, since it is not newer than the one
@@ -148,7 +140,7 @@ class Perceiver:
         time_ns = self._time_ns(frame)
         dropped = None
         with self._changed:
-            is_again = time_ns == self._again_ns and self._last is None
+            is_again = time_ns == self._again_ns
             newest_ns = self._newest_ns if self._newest_ns is not None else time_ns - 1
             is_late = time_ns <= newest_ns and not is_again
             if not is_late:
@@ -159,6 +151,8 @@ class Perceiver:
                 if len(self._queue) >= self._most:
                     dropped = self._queue.popleft().frame
                     self.dropped += 1
+                else:
+                    self._workers.submit(self._next)
                 self._queue.append(_QueuedFrame(frame, time.monotonic(), is_again))
                 self._newest_ns, self._again_ns = time_ns, None
                 self._changed.notify_all()
@@ -201,56 +195,32 @@ class Perceiver:
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        for thread in self._threads:
-            thread.join()
+        self._workers.shutdown()
 
-    def _run(self) -> None:
-        """Stage frames beside the other threads, and do what follows when it is their turn."""
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._queue or self._closed)
-                if not self._queue:
-                    return
-                waiting, turn = self._queue.popleft(), self._taken
-                self._taken += 1
-                self._changed.notify_all()
-            problem, looked, pair = None, None, None
-            try:
-                looked = self._look(waiting, turn)
-            except Exception as error:  # noqa: BLE001 - one frame does not end the mapping
-                problem = error
+    def _next(self) -> None:
+        """Look at the frame that waits longest beside the other workers, and do what follows when
+        it is its turn."""
+        with self._changed:
+            waiting, turn = self._queue.popleft(), self._taken
+            self._taken += 1
+            self._changed.notify_all()
+        frame, problem, number = waiting.frame, None, None
+        try:
+            seen = self._stager.look(frame, partial(self._gridded, waiting, turn))
             self._await(turn)
-            try:
-                if looked is not None:
-                    pair = self._finish(waiting, *looked)
-            except Exception as error:  # noqa: BLE001 - as above
-                problem = error
-            if problem is not None:
-                reason = str(problem) if isinstance(problem, FieldgridError) else repr(problem)
-                frame = waiting.frame
-                self._kept.journal.append("bad", [frame.time_ns, frame.frame_id, reason])
-                text = f"Frame {frame.frame_id} cannot be used: {reason}"
-                self._tell(LiveEvent(What.FRAME_BAD, text, self._time_ns(frame)))
-            with self._changed:
-                self._done += 1
-                self._changed.notify_all()
-            if pair is not None:
-                self._keep_pair(pair, waiting.frame)
-
-    def _look(self, waiting: _QueuedFrame, turn: int) -> tuple[Perception, bool]:
-        """Perceive a frame, beside others; also whether its grid is level."""
-        frame, kept = waiting.frame, self._kept
-        time_ns = self._time_ns(frame)
-        tilt = self._tilt(time_ns) if kept.points.is_levelling else None
-        seen = perceive_frame(
-            frame,
-            self._gridder,
-            odometry=self._odometry,
-            tilt=tilt,
-            way=self._way(time_ns) if isinstance(frame, CloudFrame) else None,
-            gridded=partial(self._gridded, waiting, turn),
-        )
-        return seen, tilt is not None
+            number = self._finish(waiting, seen)
+        except Exception as error:  # noqa: BLE001 - one frame does not end the mapping
+            problem = str(error) if isinstance(error, FieldgridError) else repr(error)
+            self._await(turn)
+        if problem is not None:
+            self._kept.journal.append("bad", [frame.time_ns, frame.frame_id, problem])
+            text = f"Frame {frame.frame_id} cannot be used: {problem}"
+            self._tell(LiveEvent(What.FRAME_BAD, text, self._time_ns(frame)))
+        with self._changed:
+            self._done += 1
+            self._changed.notify_all()
+        if number is not None:
+            self._keep_pair(number, frame)
 
     def _await(self, turn: int) -> None:
         """Wait until all frames before are kept."""
@@ -269,47 +239,35 @@ class Perceiver:
             latency_s = time.monotonic() - waiting.pushed_s
             self._tell(LiveGrid(frame.frame_id, time_ns, grid, ground.refined, latency_s))
 
-    def _finish(self, waiting: _QueuedFrame, seen: Perception, is_level: bool) -> int | None:
+    def _finish(self, waiting: _QueuedFrame, seen: Perception) -> int | None:
         """Pass a frame on, and then keep it: no window waits until it is encoded and written. Its
         number where its images are to be kept, too."""
+        found, times = self._stager.follow(seen)
         if waiting.is_again:
-            self._last = self._last_kept = seen.features
             return None
-        start = time.thread_time()
-        found = live = self._step(self._last_kept, seen)
-        if self._last is not self._last_kept:
-            live = self._step(self._last, seen)
-        self._last = seen.features
-        odometry_s = seen.odometry_s + time.thread_time() - start
         self._pass_on(
             PerceivedFrame(
                 waiting.frame.frame_id,
                 self._time_ns(waiting.frame),
                 seen.grid.guarded(seen.ground.drops_cm),
                 seen.ground.refined,
-                live if isinstance(live, CameraStep) else None,
+                found if isinstance(found, CameraStep) else None,
                 waiting.pushed_s,
                 seen.sources_sha256,
-                is_level,
+                seen.is_level,
             )
         )
-        times = StageTimes(seen.decode_s, seen.match_s, seen.grid_s, odometry_s)
-        return self._keep(seen, is_level, found, times)
+        if self._disk_full and found is not None:
+            found = Refusal.LOST  # no step leads over a frame that the disk refused
+        return self._keep(seen, found, times)
 
-    def _step(self, last: Features | None, seen: Perception) -> StepOutcome:
-        if last is None or seen.features is None:
-            return None
-        return step(last, seen.features, self._gridder.rig)
-
-    def _keep(
-        self, seen: Perception, is_level: bool, found: StepOutcome, times: StageTimes
-    ) -> int | None:
+    def _keep(self, seen: Perception, found: StepOutcome, times: StageTimes) -> int | None:
         """Keep a frame, to which the camera's step from the last one that is kept was `found`."""
         kept, frame, number = self._kept, seen.frame, None
         time_ns = self._time_ns(frame)
         try:
             staged = encoded(seen, self._gridder.rig)
-            number = kept.add_frame(staged, found, times, seen.seen, is_level=is_level)
+            number = kept.add_frame(staged, found, times, seen.seen, is_level=seen.is_level)
         except MapWriteError as error:
             if not self._disk_full:
                 text = f"{error} Frames are not kept until there is room; the mapping goes on."
@@ -320,7 +278,6 @@ class Perceiver:
             if self._disk_full:
                 text = "The disk takes frames again."
                 self._tell(LiveEvent(What.DISK, text, time_ns))
-            self._last_kept = seen.features
             self.frames += 1
         self._disk_full = number is None
         while kept.points.warnings:

@@ -12,7 +12,7 @@ import numpy as np
 from fieldgrid.core import Float32, Float64, RecordingError
 from fieldgrid.geometry import DepthCamera, Rig, StereoCamera
 from fieldgrid.perception import LocalGridder, Sweep, step
-from fieldgrid.pipeline import stage_frame
+from fieldgrid.pipeline import encoded, perceive_frame
 from fieldgrid.recordings import CloudFrame, DepthFrame, Frame, StereoFrame
 
 _WALL_M = 30.0
@@ -70,7 +70,8 @@ class PushedImage(PushedSource):
 def warm_up(gridder: LocalGridder, *, odometry: bool) -> None:
     """Stage a frame of level ground with noise on it: what a frame goes through is compiled or
     loaded then, which takes seconds, and the first frames need not wait for it."""
-    seen, _ = stage_frame(_of_level_ground(gridder.rig), gridder, odometry=odometry)
+    seen = perceive_frame(_of_level_ground(gridder.rig), gridder, odometry=odometry)
+    encoded(seen, gridder.rig)
     if seen.features is not None:
         moved = seen.features._replace(measured_px=seen.features.measured_px + 1e-6)
         step(seen.features, moved, gridder.rig)

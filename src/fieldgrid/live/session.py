@@ -15,7 +15,6 @@ from fieldgrid.core import BuildSettings, Closing, ConfigError, Overrides, Recor
 from fieldgrid.geometry import Datum, Fix, GridSpec, Rig
 from fieldgrid.live.finish import check_begin, finish
 from fieldgrid.live.given import GIVEN_ROWS, check_body, check_order, pose_rows
-from fieldgrid.live.kept.disk_state import DiskState
 from fieldgrid.live.kept.frame_names import highest_number
 from fieldgrid.live.kept.kept_drive import SessionStart
 from fieldgrid.live.kept.session_folder import SessionFolder
@@ -88,7 +87,7 @@ class Live(Closing):
         self._fixes, self._bad = len(drive.fixes), len(drive.bad)
         self._rows = {part: sum(len(r.time_ns) for r in all_) for part, all_ in drive.parts.items()}
         self._heard_ns = 0
-        self._disk = DiskState(self._kept.folder)
+        self._is_full, self._lost = False, 0
         self.is_resumed = self._kept.is_resumed
         self.newest_frame_ns = self._kept.newest_frame_ns
         """The time of the last frame that is kept, by the receiver's clock; None without."""
@@ -372,8 +371,19 @@ class Live(Closing):
             self._kept.sync()
 
     def _note_disk(self, taken: bool, time_ns: int) -> None:
-        if text := self._disk.changed(taken=taken, lost=self._kept.journal.lost):
-            self._tell(LiveEvent(What.DISK, text, time_ns))
+        """Tell when the disk takes what is pushed no more, or again; under the lock."""
+        if taken != self._is_full:
+            return
+        self._is_full = not taken
+        lost, self._lost = self._kept.journal.lost - self._lost, self._kept.journal.lost
+        records = f" {lost} records did not fit into memory meanwhile and are lost." if lost else ""
+        text = f"The disk takes what is pushed again.{records}"
+        if not taken:
+            text = (
+                f"The disk of {self.folder} takes nothing: what is pushed waits in memory and is "
+                "lost with a kill; free some space there."
+            )
+        self._tell(LiveEvent(What.DISK, text, time_ns))
 
     def _tell(self, result: LiveResult) -> None:
         if isinstance(result, LiveEvent) and result.what is What.FRAME_BAD:

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from fieldgrid.pipeline.mounting.figure import mount_figure as mount_figure
     from fieldgrid.pipeline.mounting.writing import write_estimate as write_estimate
     from fieldgrid.pipeline.poses import (
-        attitude_of_grids as attitude_of_grids,
         cell_budget as cell_budget,
         estimate_drive as estimate_drive,
         estimate_trajectory as estimate_trajectory,
@@ -70,6 +69,8 @@ if TYPE_CHECKING:
         FRAME as FRAME,
         JournalFrames as JournalFrames,
         KeptFrame as KeptFrame,
+        KeptFrames as KeptFrames,
+        StagedDrive as StagedDrive,
         drop_journal as drop_journal,
         held_journal as held_journal,
         keep_frame as keep_frame,
@@ -78,9 +79,11 @@ if TYPE_CHECKING:
     )
     from fieldgrid.pipeline.staging.parts import left_behind as left_behind
     from fieldgrid.pipeline.staging.perception import (
+        GridInput as GridInput,
         Perception as Perception,
-        carried as carried,
+        StepOutcome as StepOutcome,
         follows_camera as follows_camera,
+        grid_of as grid_of,
         local_grid as local_grid,
         perceive_frame as perceive_frame,
         side_by_side as side_by_side,
@@ -88,10 +91,8 @@ if TYPE_CHECKING:
     )
     from fieldgrid.pipeline.staging.rig_config import rig_from_config as rig_from_config
     from fieldgrid.pipeline.staging.shares import (
-        StagedDrive as StagedDrive,
-        StepOutcome as StepOutcome,
+        FrameStager as FrameStager,
         encoded as encoded,
-        stage_frame as stage_frame,
     )
     from fieldgrid.pipeline.targets import (
         check_names as check_names,

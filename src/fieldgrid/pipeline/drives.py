@@ -42,7 +42,7 @@ from fieldgrid.pipeline.staging.parts import (
     settle_left_behind,
 )
 from fieldgrid.pipeline.staging.remote import packed, place_of
-from fieldgrid.pipeline.staging.shares import stage_frames
+from fieldgrid.pipeline.staging.shares import moved_m, stage_frames
 from fieldgrid.pipeline.staging.staging import Processes, ShareResult, Staging, Workers
 from fieldgrid.pipeline.targets import check_names, check_output, made_map, opened_map
 from fieldgrid.recordings import DriveOptions, Recording, open_drive
@@ -122,8 +122,7 @@ def build_map(
             datum = datum or read_datum(build.out)
             universal = opened.enter_context(opened_map(build.out, settings, datum, patience))
         taken = [info.name for info in universal.sessions()] if append or is_there else []
-        names = [drive.name for drive in build.drives if not drive.error]
-        check_names(names, () if resume else taken)
+        check_names([one.name for one in build.drives if not one.error], () if resume else taken)
         if scheduler is not None:
             from fieldgrid.core import connected  # late: few builds have a cluster
 
@@ -204,10 +203,11 @@ class _Build:
             key = part_key(session, datum)
             drive.parts = held.enter_context(DriveParts(self.out, key, drive.name, session.total))
             self.staged.append(drive.parts.path)
-        stale = [about for about in left_behind(self.out) if about.path not in self.staged]
+        left = left_behind(self.out)
+        stale = [path for path in left if path not in self.staged]
         if resume and stale:
             raise ConfigError(
-                f"The staged frames of {stale[0].name} in {stale[0].path} "
+                f"The staged frames of {left[stale[0]]} in {stale[0]} "
                 "are of other inputs or settings than this command's, so they cannot be used; "
                 "repeat the command that made them, or remove that file."
             )
@@ -255,7 +255,7 @@ class _Build:
             drive.tell(parts.moved_m, len(parts.done))
         if self.staging is not None:
             place = None if self.client is None else place_of(drive.recording.path)
-            work = packed(drive.session.work(drive.recording.source), place)
+            work = packed(drive.session.work(), place)
             self.staging.add(drive.number, work, place, parts.missing())
 
     def _finish(
@@ -298,7 +298,7 @@ class _Build:
                 for number, looked in enumerate(looks, first):
                     parts.add(number, looked)
                     parts.check_bad(self.skip_bad)
-                    drive.tell(looked.moved_m)
+                    drive.tell(moved_m(looked.found))
 
     def _take(self, drive: _DriveBuild, result: ShareResult) -> None:
         """Keep a share that another process has staged, or leave its drive out."""
@@ -316,7 +316,7 @@ class _Build:
                 drive.began_s = time.perf_counter() - staged.took_s
             for number, looked in enumerate(staged.frames, share.first):
                 drive.parts.add(number, looked)
-                drive.tell(looked.moved_m)
+                drive.tell(moved_m(looked.found))
             drive.parts.check_bad(self.skip_bad)
         except DRIVE_ERRORS as error:
             self._fail(drive, error)

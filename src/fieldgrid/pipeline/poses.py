@@ -38,13 +38,11 @@ from fieldgrid.pipeline.checks.shifts import Span, explanation, shift_to_overlap
 from fieldgrid.pipeline.checks.stuck import REPEATED
 from fieldgrid.poses import (
     WIDEST_S,
-    Attitude,
     ClockChange,
     ClockOffset,
     ErrorBudget,
     Estimate,
     estimate_poses,
-    levelling_attitude,
     off_sentence,
 )
 from fieldgrid.recordings import Drive, Recording, no_fixes
@@ -95,12 +93,6 @@ def estimate_drive(
         frame_ns=frame_ns,
         level_grids=level_grids,
     )
-
-
-def attitude_of_grids(drive: Drive, estimate: Estimate) -> Attitude | None:
-    """The attitude that makes the local grids of a drive level, by its `estimate`; None where they
-    are square to the ground."""
-    return levelling_attitude(estimate.report.attitude)
 
 
 def _check_reach(drive: Drive, datum: Datum, places: FixColumns | FrameOrigin) -> None:

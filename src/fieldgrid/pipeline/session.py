@@ -56,7 +56,6 @@ from fieldgrid.pipeline.checks.sensor_yaw import doubted_sensor_yaw, sensor_yaw,
 from fieldgrid.pipeline.checks.stuck import StuckCamera
 from fieldgrid.pipeline.inputs import Inputs, to_arrays
 from fieldgrid.pipeline.poses import (
-    attitude_of_grids,
     check_images,
     check_poses,
     doubted_clock,
@@ -69,16 +68,14 @@ from fieldgrid.pipeline.poses import (
     settle,
 )
 from fieldgrid.pipeline.report import BadFrame, Progress, SessionReport
+from fieldgrid.pipeline.staging.kept_frames import StagedDrive, collect
 from fieldgrid.pipeline.staging.perception import follows_camera
 from fieldgrid.pipeline.staging.shares import (
     DriveWork,
-    FrameProvider,
-    StagedDrive,
-    collect,
     stage_frames,
 )
 from fieldgrid.pipeline.targets import check_names, is_in_map
-from fieldgrid.poses import GIVEN, Attitude, Estimate
+from fieldgrid.poses import GIVEN, Attitude, Estimate, levelling_attitude
 from fieldgrid.recordings import Recording
 
 BAD_KEPT = 1000
@@ -131,7 +128,7 @@ def prepared(
     check_images(recording, trajectory)
     if recording.pose_name or not follows_camera(recording.rig, settings):
         check_poses(recording, trajectory)
-    attitude = attitude_of_grids(recording, estimate) if levels else None
+    attitude = levelling_attitude(estimate.report.attitude) if levels else None
     session = NewSession(
         recording, settings, attitude, name, every, skips_bad=skips_bad, known=trajectory
     )
@@ -201,11 +198,10 @@ class NewSession:
             ),
         )
 
-    def work(self, frames: FrameProvider | None = None) -> DriveWork:
-        """What it takes to stage the frames, which are read from the recording itself unless
-        given."""
+    def work(self) -> DriveWork:
+        """What it takes to stage the frames; it can be pickled."""
         return DriveWork(
-            frames or self.recording,
+            self.recording.source,
             self.total,
             self._gridder,
             self._attitude,
@@ -221,8 +217,7 @@ class NewSession:
         check_cell_sizes(universal.cell_m, self._gridder.spec.cell_m)
         check_names([self.name], [info.name for info in universal.sessions()])
         images = tuple(probed_images(self.recording, self.every))
-        doubted = doubted_rows(self.recording, self.every, images)
-        self.report.notes += settle(doubted, self.settings)
+        self.report.notes += settle(doubted_rows(self.recording, self.every, images), self.settings)
         self.report.notes += tuple(image_notes(self.recording, images))
 
     def add(self, universal: MapFile, staged: StagedDrive) -> None:
@@ -230,7 +225,7 @@ class NewSession:
         recording, settings, report = self.recording, self.settings, self.report
         report.stages.add(staged.times)
         report.bad = tuple(staged.bad)
-        if not staged.entries:
+        if not staged.kept:
             raise RecordingError(
                 f"None of the {self.total} frames of {self.name} can be read. "
                 f"First: {staged.bad[0].reason}"
@@ -243,7 +238,7 @@ class NewSession:
         found = sum(entry.ground_found for entry in staged.entries)
         if not found and (readings := format_hints(recording, self._gridder, self.every)):
             raise CalibrationError(
-                f"No ground was found in the {len(staged.entries)} frames of {self.name}, so "
+                f"No ground was found in the {len(staged.kept)} frames of {self.name}, so "
                 f"heights above it are not known. {hint_sentence(readings)}"
             )
         report.notes += settle(doubted_cameras(recording, report, found, self.every), settings)
@@ -294,7 +289,7 @@ class NewSession:
         if not is_in_map(universal, self.name, staged):
             check_names([self.name], taken)
         self.report.notes += ("The drive was in the map already.",)
-        self.report.frames = len(staged.entries)
+        self.report.frames = len(staged.kept)
 
     def _estimated(self, datum: Datum, steps: Steps | None) -> Trajectory:
         recording, report = self.recording, self.report

@@ -8,6 +8,7 @@ import weakref
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from fieldgrid.geometry import FixColumns, Motion
 from fieldgrid.maps import open_map
 from fieldgrid.perception import LocalGridder
 from fieldgrid.pipeline import SessionReport, add_recording, estimate_trajectory
-from fieldgrid.pipeline.staging.perception import perceive
+from fieldgrid.pipeline.staging.perception import perceive_frame, side_by_side
 from fieldgrid.recordings import Frame, Image, ImageSource, StereoFrame, Stream, open_recording
 from tests.conftest import TWO_LANES
 
@@ -76,7 +77,7 @@ class LongDrive:
         self.name, self.rig, self.datum_hint = "long", self._of.rig, self._of.datum_hint
         self.gnss_source, self.notes, self.losses = self._of.gnss_source, (), ()
         self.pose_name = self._of.pose_name
-        self.frame_count = frame_count
+        self.frame_count, self.source = frame_count, self
         self.images = Alive()
         self.drawn = 0
 
@@ -169,7 +170,9 @@ def test_a_slow_reader_of_perceived_frames_is_waited_for(jobs: int) -> None:
             drawn.release()
             yield frame
 
-    for perceived in perceive(frames(), LocalGridder(drive.rig), jobs):
+    for perceived in side_by_side(
+        partial(perceive_frame, gridder=LocalGridder(drive.rig)), frames(), jobs
+    ):
         grids.watch(perceived.grid.density)
         # Slow: all that may be drawn before this one is taken has been drawn.
         while drive.drawn < min(len(order) + jobs + 1, drive.frame_count):

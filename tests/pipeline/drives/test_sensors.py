@@ -6,7 +6,7 @@ import csv
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import cv2
@@ -31,7 +31,7 @@ from fieldgrid.pipeline import (
     visual_odometry,
 )
 from fieldgrid.pipeline.checks.format_hints import format_hints
-from fieldgrid.pipeline.staging.perception import perceive
+from fieldgrid.pipeline.staging.perception import perceive_frame, side_by_side
 from fieldgrid.recordings import DepthFrame, DriveOptions, Recording, open_recording
 from tests.conftest import TWO_LANES, make_small_drive
 from tests.remembered import worked_out_once
@@ -228,7 +228,11 @@ def test_a_depth_image_of_another_size_is_named(drives: dict[str, Path], tmp_pat
         with pytest.raises(CalibrationError, match=rf"{path.name} has 320 x 240 px"):
             local_grid(frame, recording.rig)
         with pytest.raises(CalibrationError, match=rf"{path.name} has 320 x 240 px"):
-            list(perceive([frame], LocalGridder(recording.rig), 1))
+            list(
+                side_by_side(
+                    partial(perceive_frame, gridder=LocalGridder(recording.rig)), [frame], 1
+                )
+            )
 
 
 def test_depths_have_no_visual_odometry(drives: dict[str, Path]) -> None:

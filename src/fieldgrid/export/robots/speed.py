@@ -1,6 +1,6 @@
 """Where a vehicle is to be slow: a mask for Nav2's speed filter, in percent of its highest speed.
 
-The filter takes `BASE + MULTIPLIER * value` for the limit, and 0 for none.
+The filter takes base + multiplier * value for the limit, and 0 for none.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from fieldgrid.export.options import CurveOptions
 from fieldgrid.export.route_file import read_poses
 from fieldgrid.maps import OCCUPIED, UNKNOWN_OCCUPANCY, MapView
 
-BASE, MULTIPLIER = 100.0, -1.0
 FILTER_INFO, FILTER_MASK = "/speed_filter_info", "/speed_filter_mask"
-_PERCENT_OF_HIGHEST = 1
+
+SPEED_FILTER = 1, 100.0, -1.0
+"""Type, base and multiplier of a filter whose limits are percent of the highest speed."""
 
 
 class SpeedOptions(CurveOptions):
@@ -91,6 +92,7 @@ def speed_mask(
 
 def filter_parameters(mask: str) -> dict[str, Any]:
     """Parameters of the two servers of Nav2 that the filter listens to."""
+    type_, base, multiplier = SPEED_FILTER
     return {
         "speed_filter_mask_server": {
             "ros__parameters": {
@@ -99,8 +101,8 @@ def filter_parameters(mask: str) -> dict[str, Any]:
         },
         "speed_costmap_filter_info_server": {
             "ros__parameters": {
-                "type": _PERCENT_OF_HIGHEST, "filter_info_topic": FILTER_INFO,
-                "mask_topic": FILTER_MASK, "base": BASE, "multiplier": MULTIPLIER,
+                "type": type_, "filter_info_topic": FILTER_INFO,
+                "mask_topic": FILTER_MASK, "base": base, "multiplier": multiplier,
             }
         },
     }  # fmt: skip

@@ -9,6 +9,7 @@ from typing import Any
 
 from fieldgrid.core import BuildSettings, MapError
 from fieldgrid.geometry import Datum, Fix, FixColumns, Rig
+from fieldgrid.live.kept.frame_names import told_apart
 from fieldgrid.live.pose.sensor_rows import Rows, fix_from_json, joined, rows_from_json
 from fieldgrid.perception import Refusal
 from fieldgrid.pipeline import (
@@ -18,6 +19,7 @@ from fieldgrid.pipeline import (
     Blob,
     Journal,
     KeptFrame,
+    KeptFrames,
     StageTimes,
     kept_frame,
     rig_from_config,
@@ -115,9 +117,9 @@ class PushedDrive:
     """What was pushed, as it is read back."""
 
     about: SessionStart
+    frames: KeptFrames = field(default_factory=KeptFrames)
     fixes: FixColumns = field(default_factory=lambda: FixColumns.of_rows(()))
     parts: dict[str, list[Rows]] = field(default_factory=dict)
-    frames: list[KeptFrame] = field(default_factory=list)
     bad: list[tuple[int, BadFrame]] = field(default_factory=list)
     pairs: dict[int, tuple[Blob, ...]] = field(default_factory=dict)
     """The images by which the cameras are checked, PNG, by the numbers of their frames."""
@@ -173,7 +175,7 @@ def read_drive(journal: Journal) -> PushedDrive | None:
     if (start := next(starts, None)) is None:
         return None
     try:
-        drive = PushedDrive(SessionStart.from_json(start))
+        drive = PushedDrive(SessionStart.from_json(start), KeptFrames())
         fixes, columns = list[Fix](), list[FixColumns]()
         for record in journal.records():
             kind, value, blobs, _ = record
@@ -200,6 +202,10 @@ def read_drive(journal: Journal) -> PushedDrive | None:
             elif kind == DAMAGED:
                 drive.damaged_bytes += value
         drive.fixes = FixColumns.joined([*columns, FixColumns.of_rows(fixes)])
+        names = told_apart([frame.entry.frame_id for frame in drive.frames])
+        frames, drive.frames = drive.frames, KeptFrames()
+        for frame, name in zip(frames, names, strict=True):
+            drive.frames.append(frame._replace(entry=frame.entry._replace(frame_id=name)))
     except (KeyError, ValueError, TypeError, IndexError) as error:
         if isinstance(error, MapError):
             raise

@@ -13,9 +13,10 @@ import numpy as np
 
 from fieldgrid.core import shortened
 from fieldgrid.live.given import GIVEN_ROWS
-from fieldgrid.live.kept.points import GridInput, packed
+from fieldgrid.live.kept.points import packed
 from fieldgrid.live.pose.sensor_rows import Rows
 from fieldgrid.perception import Sweep
+from fieldgrid.pipeline import GridInput
 
 UNTOLD_NS = 60_000_000_000
 """The time from the first frame on, by stamps and by the clock of the machine, for which points
@@ -66,7 +67,7 @@ class KeptPoints:
         self._since_ns = time.monotonic_ns()
         self.is_levelling = is_levelling
         self._is_needed = False
-        self._is_refused, self._least_free = False, RESERVE_BYTES
+        self._is_refused = False
         self.warnings: deque[str] = deque()
         """What the user must know."""
 
@@ -108,7 +109,7 @@ class KeptPoints:
         """So many bytes of points were taken by the disk."""
         self._held += size
         if self._is_refused and size:
-            self._is_refused, self._least_free = False, RESERVE_BYTES
+            self._is_refused = False
             self.warnings.append(_AGAIN)
 
     def refused(self, why: str) -> None:
@@ -120,10 +121,11 @@ class KeptPoints:
     def _lacks_room(self) -> bool:
         """Whether grids, sensor data and map need what is free on the disk."""
         is_short = False
+        # Otherwise it would be told at each file that comes and goes.
+        least_bytes = AGAIN_BYTES if self._is_refused else RESERVE_BYTES
         with suppress(OSError):  # a disk that does not tell may refuse them, too
-            is_short = shutil.disk_usage(self._folder).free < self._least_free
+            is_short = shutil.disk_usage(self._folder).free < least_bytes
         if is_short:
-            self._least_free = AGAIN_BYTES  # it is not told at each file that comes and goes
             least = f"less than {RESERVE_BYTES / 1e9:g} GB free"
             self.refused(f"The disk of {self._folder} has {least}")
         return is_short

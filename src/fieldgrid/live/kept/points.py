@@ -16,9 +16,7 @@ import numpy as np
 
 from fieldgrid.core import AnyArray, UnfoldBudget, parse_json, quoted
 from fieldgrid.perception import CodedDepth, LocalGridder, Sweep
-
-GridInput = CodedDepth | Sweep
-"""What a grid is made of: an image of depths, or points."""
+from fieldgrid.pipeline import GridInput
 
 _HEAD = Struct("<I")
 """How long the JSON is that is before the data."""

@@ -23,9 +23,8 @@ from fieldgrid.core import (
     holding,
     quoted,
 )
-from fieldgrid.geometry import Fix, GridSpec, StereoCamera
+from fieldgrid.geometry import Fix, GridSpec
 from fieldgrid.live.given import GIVEN_ROWS, NO_POSES, body_poses
-from fieldgrid.live.kept.frame_names import told_apart
 from fieldgrid.live.kept.kept_drive import (
     PushedDrive,
     SessionStart,
@@ -34,7 +33,7 @@ from fieldgrid.live.kept.kept_drive import (
     read_drive,
 )
 from fieldgrid.live.kept.kept_points import KeptPoints
-from fieldgrid.live.kept.points import GridInput, unpacked
+from fieldgrid.live.kept.points import unpacked
 from fieldgrid.live.options import POINTS_GB
 from fieldgrid.live.pose.sensor_rows import Rows, check_time, fix_to_json, motion_of, rows_to_json
 from fieldgrid.live.pushed import PushedSource
@@ -42,6 +41,7 @@ from fieldgrid.maps import StagedFrame, unwritable
 from fieldgrid.perception import LocalGridder, Sweep
 from fieldgrid.pipeline import (
     Blob,
+    GridInput,
     Journal,
     JournalFrames,
     KeptFrame,
@@ -222,19 +222,8 @@ class SessionFolder(Closing):
     def staged(self) -> StagedDrive:
         """The frames, as a build has them of its drive."""
         drive = self.read()
-        names = told_apart([frame.entry.frame_id for frame in drive.frames])
-        entries = [
-            frame.entry if name == frame.entry.frame_id else frame.entry._replace(frame_id=name)
-            for frame, name in zip(drive.frames, names, strict=True)
-        ]
-        is_pair = isinstance(drive.about.rig.sensor, StereoCamera)
-        return StagedDrive(
-            JournalFrames(self.journal, entries),
-            entries,
-            [frame.found if is_pair else None for frame in drive.frames],
-            [bad for _, bad in drive.bad],
-            drive.times,
-        )
+        bad, frames = [bad for _, bad in drive.bad], JournalFrames(self.journal, drive.frames)
+        return StagedDrive(frames, drive.frames, bad, drive.times)
 
     def recording(self, drive: PushedDrive) -> Recording:
         """What was read as a recording, with the pairs that were kept for its frames.
@@ -277,7 +266,8 @@ class SessionFolder(Closing):
 
     def forget(self) -> None:
         """Hold no more in memory than what the session was begun with, however long it lasts."""
-        self.drive, self._is_forgotten = PushedDrive(self.drive.about), True
+        self.drive = PushedDrive(self.drive.about)
+        self._is_forgotten = True
 
     def remove(self) -> None:
         """Remove it: the drive is in the map, or is given up. Files of others stay."""

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-from fieldgrid.core import Closing, ConfigError
+from fieldgrid.core import Closing, ConfigError, FieldgridError
 from fieldgrid.recordings import Connection, Message, encoded
 
 _QUIET = ("--ros-args", "--disable-stdout-logs")
@@ -96,6 +96,20 @@ class RosNode(Closing):
             *(kind, topic, lambda data: take(Message(connection, time.time_ns(), data)), qos),
             raw=True,
         )
+
+    def serve(self, name: str, answer: Callable[[], str]) -> None:
+        """Offer a service without arguments (std_srvs/Trigger), whose answer is a text, or the
+        sentence of a FieldgridError."""
+        from std_srvs.srv import Trigger
+
+        def called(_: Any, response: Any) -> Any:
+            try:
+                response.message, response.success = answer(), True
+            except FieldgridError as error:
+                response.message = str(error)
+            return response
+
+        self.node.create_service(Trigger, name, called)
 
     def publish(self, topic: str, message: Any, *, latched: bool = False) -> bool:
         """Send a message of ours; whoever comes later gets the last one that was `latched`. False

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from fieldgrid.core import Closing, RecordingError
 from fieldgrid.live.intake import Sources
@@ -17,11 +16,11 @@ from fieldgrid.live.ros.head import Head
 from fieldgrid.live.ros.node import RosNode
 from fieldgrid.live.ros.outputs import RosOutputs
 from fieldgrid.live.ros.place import RobotFrames
-from fieldgrid.live.ros.serving import publish_map
+from fieldgrid.live.ros.serving import MapServer
 from fieldgrid.live.ros.stream import RosStream
 from fieldgrid.live.session import Live
 from fieldgrid.live.sources.mcap_stream import FIXES
-from fieldgrid.maps import Selection, open_map
+from fieldgrid.maps import Selection
 from fieldgrid.recordings import (
     TF,
     TF_STATIC,
@@ -53,8 +52,9 @@ class RosSession(Closing):
         self._out, self._options, self._tell = out, options, tell
         self._ros = RosNode(arguments)
         self._outputs: RosOutputs | None = None
-        self._is_asked, self._is_done, self._is_made = threading.Event(), threading.Event(), False
-        self._serve_saving()
+        self._is_asked, self._is_done = threading.Event(), threading.Event()
+        self._server: MapServer | None = None
+        self._ros.serve("save", self._save)
 
     def wait(self, stop: threading.Event) -> Recording:
         """The head of the drive, with all but its frames. RecordingError where none began."""
@@ -94,9 +94,7 @@ class RosSession(Closing):
     def finished(self, stop: threading.Event) -> None:
         """Publish the map that was made; where it was asked for with `save`, serve it until the
         event is set."""
-        with open_map(self._out) as universal:
-            publish_map(self._ros, universal, Selection())
-        self._is_made = True
+        self._server = MapServer(self._ros, self._out, Selection())
         self._is_done.set()
         if self._is_asked.is_set():
             stop.wait()
@@ -106,14 +104,10 @@ class RosSession(Closing):
         self._is_done.set()
         self._ros.close()
 
-    def _serve_saving(self) -> None:
-        from std_srvs.srv import Trigger
-
-        def save(_: Any, answer: Any) -> Any:
-            self._is_asked.set()
-            self._is_done.wait()
-            answer.success = self._is_made
-            answer.message = f"the map is {self._out}" if self._is_made else "no map was made"
-            return answer
-
-        self._ros.node.create_service(Trigger, "save", save)
+    def _save(self) -> str:
+        was_made = self._is_done.is_set()
+        self._is_asked.set()
+        self._is_done.wait()
+        if self._server is None:
+            raise RecordingError("No map was made.")
+        return self._server.publish() if was_made else f"the map is {self._out}"

@@ -38,7 +38,7 @@ class RosStream(McapStream):
                 continue
             intake.arrived()
             if self._is_behind and not len(self._head):
-                intake.drain()
+                intake.live.drain()
                 self._is_behind = len(self._head) > 0
             connection, role = message.connection, self._head.roles.get(message.topic, "")
             if connection.type in TF:

@@ -14,10 +14,11 @@ import struct
 import threading
 import time
 from collections.abc import Callable
+from urllib.parse import urlsplit
 
 import numpy as np
 
-from fieldgrid.core import Closing, Float32
+from fieldgrid.core import Closing, ConfigError, Float32, quoted
 from fieldgrid.live.results import LiveWindow
 from fieldgrid.view import listen
 
@@ -34,6 +35,20 @@ STUCK_S = 5.0
 """Time after which a client is dropped that takes nothing of a window."""
 
 _ASKED_BYTES = 4096
+
+
+def parse_feed(text: str) -> tuple[str, int]:
+    """Host and port of `tcp://HOST:PORT`; ConfigError for other addresses."""
+    try:
+        parts = urlsplit(text)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host, port, parts = None, None, urlsplit("")
+    if parts.scheme != "tcp" or not host or port is None or parts.path.strip("/") or parts.query:
+        raise ConfigError(
+            f"{quoted(text)} is no feed; give a TCP address, such as tcp://127.0.0.1:PORT."
+        )
+    return host, port
 
 
 def encode_window(window: LiveWindow, number: int) -> bytes:

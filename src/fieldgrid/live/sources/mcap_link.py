@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from fieldgrid.live.intake import Intake
-from fieldgrid.live.sources.links import Link, LinkEndedError
+from fieldgrid.live.sources.links import Link
 
 POLL_S = 0.25
 
 
 class LinkDoneError(Exception):
-    """The session ends, or the stream does."""
+    """The session ends."""
 
 
 class LinkBytes:
@@ -18,19 +18,14 @@ class LinkBytes:
     def __init__(self, link: Link, intake: Intake) -> None:
         self._link, self._intake = link, intake
         self._held = bytearray()
-        self.has_ended = False
 
     def read(self, count: int) -> bytes:
-        """The next `count` bytes; LinkDoneError where there are no more."""
+        """The next `count` bytes; LinkDoneError where the session ends before, LinkEndedError where
+        the stream does."""
         while len(self._held) < count:
             if self._intake.stop.is_set():
                 raise LinkDoneError
-            try:
-                data = self._link.read(POLL_S)
-            except LinkEndedError:
-                self.has_ended = True
-                raise LinkDoneError from None
-            if data:
+            if data := self._link.read(POLL_S):
                 self._intake.arrived()
             self._held += data
         taken = bytes(self._held[:count])

@@ -18,7 +18,7 @@ from fieldgrid.geometry import Fix
 from fieldgrid.live.intake import Intake, SourceEndedError
 from fieldgrid.live.pose.sensor_rows import Rows, rows_of
 from fieldgrid.live.sources.imu_stream import ImuStream
-from fieldgrid.live.sources.links import open_link, parse_address
+from fieldgrid.live.sources.links import LinkEndedError, open_link, parse_address
 from fieldgrid.live.sources.mcap_link import LinkBytes, LinkDoneError
 from fieldgrid.live.sources.moments import Waiting, together
 from fieldgrid.live.sources.orientation_stream import ATTITUDE, RECORDED, OrientationStream
@@ -154,8 +154,9 @@ class McapStream:
                     )
                     self._read(reader.records, intake)
             except LinkDoneError:
-                if stream.has_ended:
-                    raise SourceEndedError("has ended.") from None
+                return
+            except LinkEndedError:
+                raise SourceEndedError("has ended.") from None
             except (McapError, ValueError, RuntimeError) as error:
                 raise RecordingError(f"what comes is no MCAP: {shortened(repr(error))}") from error
 
@@ -344,7 +345,7 @@ class McapStream:
 
     def _push_motion(self, made: list[tuple[str, Rows]], intake: Intake) -> None:
         for part, rows in made:
-            intake.push_rows(part, rows)
+            intake.live.push_rows(part, rows)
         for note in (*self._imu.notes, *self._leans.notes):
             self._say(intake, note)
 
@@ -352,7 +353,7 @@ class McapStream:
         said = decode(message)
         speed_mps = float(said.twist.twist.linear.x)
         if np.isfinite(speed_mps):
-            intake.push_rows("wheels", rows_of("wheels", time_ns, speed_mps))
+            intake.live.push_rows("wheels", rows_of("wheels", time_ns, speed_mps))
         self._push_motion(self._leans.take("odometry", said, time_ns, said.child_frame_id), intake)
 
     def _attitude(self, message: Message, time_ns: int, intake: Intake) -> None:
@@ -377,7 +378,9 @@ class McapStream:
         pose = found.pose if message.connection.type == ODOMETRY else found
         p, q = pose.position, pose.orientation
         assert self._poses is not None
-        intake.push_pose(time_ns + self._poses.offset_ns, [p.x, p.y, p.z], [q.x, q.y, q.z, q.w])
+        intake.live.push_pose(
+            time_ns + self._poses.offset_ns, [p.x, p.y, p.z], [q.x, q.y, q.z, q.w]
+        )
 
     def _say(self, intake: Intake, text: str) -> None:
         """Tell something, each thing once."""

@@ -52,8 +52,7 @@ def coverage(
     disparity_sigma_px: float,
 ) -> ExpectedMap | None:
     """What grids of frames at these times, offset included, would cover; None without a pose."""
-    poses = map(trajectory.at, images_ns.tolist())
-    used = [pose for pose in poses if pose.status is Status.OK]
+    used = [pose for pose in map(trajectory.at, images_ns.tolist()) if pose.status is Status.OK]
     if not used:
         return None
     east_m = np.array([pose.east_m for pose in used])

@@ -11,9 +11,14 @@ import numpy as np
 
 from fieldgrid.core import CalibrationError, FieldgridError
 from fieldgrid.geometry import Steps, StereoCamera
-from fieldgrid.perception import Features, FrameGround, LocalGridder, features
+from fieldgrid.perception import Features, FrameGround, LocalGridder, features, steps_of
 from fieldgrid.pipeline.inspection.measures import ImageMeasures, PairMeasures
-from fieldgrid.pipeline.staging.perception import CameraMotion, perceive_frame, side_by_side
+from fieldgrid.pipeline.staging.perception import (
+    CameraMotion,
+    StepOutcome,
+    perceive_frame,
+    side_by_side,
+)
 from fieldgrid.recordings import Frame, Recording
 
 Tell = Callable[[int, int], None]
@@ -93,9 +98,9 @@ def look_at(
 
     offset_ns = recording.rig.image_time_offset_ns
     motions = [CameraMotion(recording.rig) for _ in runs]
+    times_ns, steps = [list[int]() for _ in runs], [list[StepOutcome]() for _ in runs]
     looks: list[PairMeasures] = []
     grounds: list[FrameGround] = []
-    followed = 0
     unread: list[UnreadFrame] = []
     chosen = ((k, frame) for k, frame in enumerate(recording.frames()) if k in run_of or k in close)
     with closing(side_by_side(work, chosen, os.cpu_count() or 1)) as made:
@@ -106,21 +111,20 @@ def look_at(
                 unread.append(found)
                 continue
             if found.features is not None:  # what is made of the frames comes in their order
-                motions[run_of[wanted[done]]].add(found.time_ns + offset_ns, found.features)
-                followed += 1
+                run = run_of[wanted[done]]
+                times_ns[run].append(found.time_ns + offset_ns)
+                steps[run].append(motions[run].add(found.features))
             if found.ground is not None:
                 grounds.append(found.ground)
             if found.look is not None:
                 looks.append(found.look)
-    steps = None
-    if motions:
-        parts = zip(*(motion.steps() for motion in motions), strict=True)
-        steps = Steps(*(np.concatenate(columns) for columns in parts))
+    tried = [[one for one in run if one is not None] for run in steps]
+    parts = zip(*map(steps_of, times_ns, tried), strict=True)
     return FramePass(
         looks=tuple(looks),
         grounds=tuple(grounds),
         unread=tuple(unread),
-        steps=steps,
-        tried=sum(motion.tried for motion in motions),
-        followed=followed,
+        steps=Steps(*(np.concatenate(columns) for columns in parts)) if runs else None,
+        tried=sum(map(len, tried)),
+        followed=sum(map(len, steps)),
     )

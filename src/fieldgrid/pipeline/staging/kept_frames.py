@@ -6,24 +6,32 @@ that is still driven.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import marshal
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from fieldgrid.core import MapError, holding
+from fieldgrid.geometry import Steps
 from fieldgrid.maps import (
     StagedFrame,
+    StagedFrames,
     StageEntry,
+    StageFile,
     damaged_frame,
     frame_of_record,
     frame_record,
 )
-from fieldgrid.perception import CameraStep, Refusal
-from fieldgrid.pipeline.report import StageTimes
+from fieldgrid.perception import CameraStep, Refusal, steps_of
+from fieldgrid.pipeline.report import BadFrame, StageTimes
 from fieldgrid.pipeline.staging.journal import Blob, Journal, JournalRecord
-from fieldgrid.pipeline.staging.shares import StepOutcome
+from fieldgrid.pipeline.staging.perception import StepOutcome
+from fieldgrid.pipeline.staging.shares import FrameOutcome, moved_m
 
 FRAME = "frame"
 """The kind of the records of frames."""
@@ -93,21 +101,84 @@ def kept_frame(record: JournalRecord) -> tuple[KeptFrame, StageTimes]:
     return KeptFrame(number, entry, found_from_json(found), points, *flags), StageTimes(**times)
 
 
+class KeptFrames(Sequence[KeptFrame]):
+    """Frames of a journal, packed: objects take four times as much, which counts on long drives."""
+
+    def __init__(self) -> None:
+        self._rows: list[bytes] = []
+
+    def append(self, frame: KeptFrame) -> None:
+        """Put a frame behind the others."""
+        number, entry, found, points, *flags = frame
+        row = number, tuple(entry), found_to_json(found), points and tuple(points), *flags
+        self._rows.append(marshal.dumps(row))
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, index: Any) -> Any:
+        number, entry, found, points, *flags = marshal.loads(self._rows[index])
+        found, points = found_from_json(found), points and Blob(*points)
+        return KeptFrame(number, StageEntry(*entry), found, points, *flags)
+
+
 @dataclass(frozen=True, slots=True)
 class JournalFrames:
-    """Staged frames of a journal, by their place among the `entries`, and with the names there."""
+    """Staged frames of a journal by their place among those that are kept, and with their names."""
 
     journal: Journal
-    entries: Sequence[StageEntry]
+    kept: Sequence[KeptFrame]
 
     def __getitem__(self, index: int) -> StagedFrame:
         """A frame; MapError when it was damaged since it was written."""
-        entry = self.entries[index]
+        entry = self.kept[index].entry
         record = self.journal.at(entry.start)
         cells = None if record is None else self.journal.read(record.blobs[0])
         if record is None or cells is None:
             raise damaged_frame(entry)
         return replace(frame_of_record(record.value[1], cells), frame_id=entry.frame_id)
+
+
+@dataclass(slots=True)
+class StagedDrive:
+    """The frames of a drive that are staged, in order, without those that are bad; `kept` says of
+    each what is known without reading its cells."""
+
+    frames: StagedFrames
+    kept: Sequence[KeptFrame]
+    bad: list[BadFrame] = field(default_factory=list)
+    times: StageTimes = field(default_factory=StageTimes)
+
+    @property
+    def entries(self) -> Iterator[StageEntry]:
+        """Name, time and more of each frame."""
+        return (frame.entry for frame in self.kept)
+
+    def steps(self) -> tuple[Steps, Counter[str]]:
+        """The camera's steps, and why there is none between other neighbours."""
+        found = [one.found for one in islice(self.kept, 1, None) if one.found is not None]
+        refused = Counter(one.value for one in found if isinstance(one, Refusal))
+        return steps_of([entry.time_ns for entry in self.entries], found), refused
+
+
+def collect(
+    looks: Iterable[FrameOutcome], file: StageFile, tell: Callable[[float], None]
+) -> StagedDrive:
+    """Write frames to a file as they come. `tell` is told of each how far the camera went since the
+    one before, metres."""
+    kept = list[KeptFrame]()
+    staged = StagedDrive(file, kept)
+    for looked in looks:
+        start = time.thread_time()
+        staged.times.add(looked.times)
+        if looked.staged is not None:
+            number = file.append(looked.staged)
+            kept.append(KeptFrame(number, file.entries[number], looked.found))
+        if looked.bad is not None:
+            staged.bad.append(looked.bad)
+        staged.times.map_s += time.thread_time() - start
+        tell(moved_m(looked.found))
+    return staged
 
 
 def found_to_json(found: StepOutcome) -> Any:

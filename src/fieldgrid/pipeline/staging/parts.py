@@ -7,7 +7,6 @@ on, so frames are found again only by a build that would make the same.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -16,19 +15,20 @@ from typing import NamedTuple
 
 from fieldgrid.core import Closing, ConfigError, FieldgridError, MapError, RecordingError, holding
 from fieldgrid.maps import unwritable
-from fieldgrid.perception import CameraStep
 from fieldgrid.pipeline.report import BadFrame, StageTimes
 from fieldgrid.pipeline.staging.journal import JournalRecord, read_journal
 from fieldgrid.pipeline.staging.kept_frames import (
     FRAME,
     JournalFrames,
+    KeptFrames,
+    StagedDrive,
     drop_journal,
     held_journal,
     keep_frame,
     kept_frame,
     work_folder,
 )
-from fieldgrid.pipeline.staging.shares import FrameOutcome, StagedDrive
+from fieldgrid.pipeline.staging.shares import FrameOutcome, moved_m
 
 SHARE_FRAMES = 16
 """Frames that a process stages at a time. The frame before them is looked at twice, and what an end
@@ -46,17 +46,11 @@ class Share(NamedTuple):
     last: int
 
 
-class PartsInfo(NamedTuple):
-    """What is staged of a drive as it is found without its recording: its journal, and its name."""
-
-    path: Path
-    name: str
-
-
-def left_behind(out: Path) -> list[PartsInfo]:
-    """The drives of which a build of `out` that has ended left staged frames; not those of a build
-    that still runs. The journals of builds that were killed before their first frame go."""
-    found = []
+def left_behind(out: Path) -> dict[Path, str]:
+    """The drives of which a build of `out` that has ended left staged frames, their names by their
+    journals; not those of a build that still runs. The journals of builds that were killed before
+    their first frame go."""
+    found = {}
     for path in sorted(work_folder(out).glob("*.build")):
         try:
             # A build that begins at this moment does not hold its journal yet.
@@ -65,11 +59,11 @@ def left_behind(out: Path) -> list[PartsInfo]:
                 records = read_journal(path) if is_free else iter(())
                 kinds = {record.kind: record for record in records}
                 if FRAME in kinds or BAD in kinds:
-                    found.append(PartsInfo(path, str(kinds[BEGIN].value)))
+                    found[path] = str(kinds[BEGIN].value)
                 elif is_free and is_old:
                     drop_journal(path)
         except (OSError, FieldgridError, KeyError):
-            found.append(PartsInfo(path, "a drive"))
+            found[path] = "a drive"
     return found
 
 
@@ -77,13 +71,13 @@ def settle_left_behind(out: Path, resume: bool | None) -> None:
     """Refuse to build where an earlier build has left staged frames, unless told what to do."""
     left = left_behind(out)
     if left and resume is None:
-        names = ", ".join(about.name for about in left[:3]) + (", ..." if len(left) > 3 else "")
+        names = ", ".join([*left.values()][:3]) + (", ..." if len(left) > 3 else "")
         raise ConfigError(
             f"{work_folder(out)} holds staged frames of a build that was ended ({names}); give "
             "--resume with the command that it was to go on, or --no-resume to remove them."
         )
-    for about in left if resume is False else ():
-        drop_journal(about.path)
+    for path in left if resume is False else ():
+        drop_journal(path)
 
 
 class DriveParts(Closing):
@@ -118,8 +112,7 @@ class DriveParts(Closing):
             frame, times = kept_frame(record)
             self.done.add(frame.number)
             self._times.add(times)
-            if isinstance(frame.found, CameraStep):
-                self.moved_m += math.hypot(frame.found.forward_m, frame.found.right_m)
+            self.moved_m += moved_m(frame.found)
 
     def add(self, number: int, looked: FrameOutcome) -> None:
         """Keep what became of a frame. MapWriteError on a full disk."""
@@ -160,18 +153,18 @@ class DriveParts(Closing):
 
     def staged(self) -> StagedDrive:
         """The whole drive, once no frame is missing."""
-        records = (one for one in self._journal.records() if one.kind == FRAME)
-        frames = {frame.number: frame for frame, _ in map(kept_frame, records)}
-        if len(frames) + len(self._bad) < self._count:
+        found = KeptFrames()
+        for record in self._journal.records():
+            if record.kind == FRAME:
+                found.append(kept_frame(record)[0])
+        rows = {frame.number: row for row, frame in enumerate(found)}
+        if len(rows) + len(self._bad) < self._count:
             raise MapError(f"The staged frames in {self.path} cannot be read back; check the disk.")
-        kept = [frames[number] for number in sorted(frames)]
-        return StagedDrive(
-            JournalFrames(self._journal, [frame.entry for frame in kept]),
-            [frame.entry for frame in kept],
-            [frame.found for frame in kept],
-            [self._bad[number] for number in sorted(self._bad)],
-            self._times,
-        )
+        kept = KeptFrames()
+        for number in sorted(rows):
+            kept.append(found[rows[number]])
+        bad = [self._bad[number] for number in sorted(self._bad)]
+        return StagedDrive(JournalFrames(self._journal, kept), kept, bad, self._times)
 
     def remove(self) -> None:
         """Remove the frames of a drive that is given up."""

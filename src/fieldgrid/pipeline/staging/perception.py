@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from collections.abc import Callable, Generator, Iterable
@@ -33,6 +32,12 @@ _T = TypeVar("_T")
 _Item = TypeVar("_Item")
 
 
+GridInput = CodedDepth | Sweep
+"""What a grid is made of: an image of depths, or the points of a cloud as they were read."""
+
+StepOutcome = CameraStep | Refusal | None
+"""The camera's step to a frame, or why there is none; None for the first and without odometry."""
+
 GridListener = Callable[[LocalGrid, FrameGround], None]
 """Is told of a frame's grid as soon as it is made, before the rest of what is perceived."""
 
@@ -40,31 +45,22 @@ GridListener = Callable[[LocalGrid, FrameGround], None]
 class Perception(NamedTuple):
     """One frame after perception, before it meets its pose; seconds by stage.
 
-    `seen` is what the grid was made of: an image of depths, or the points of a cloud as they were
-    read. `features` are those of visual odometry, None when it was not asked for. Only pairs are
+    `seen` is what the grid was made of. `is_level` is whether the grid's columns are vertical.
+    `features` are those of visual odometry, None when it was not asked for. Only pairs are
     matched: of other frames `match_s` is 0.
     """
 
     frame: Frame
-    seen: CodedDepth | Sweep
+    seen: GridInput
     grid: LocalGrid
     ground: FrameGround
+    is_level: bool
     features: Features | None
     sources_sha256: tuple[str, ...]
     decode_s: float
     match_s: float
     grid_s: float
     odometry_s: float
-
-
-def perceive(
-    frames: Iterable[Frame],
-    gridder: LocalGridder,
-    jobs: int,
-) -> Generator[Perception, None, None]:
-    """Local grids of frames, in order, `jobs` at a time; few more are ever held in memory. Close it
-    when it is not taken to its end: its threads end then."""
-    return side_by_side(partial(perceive_frame, gridder=gridder), frames, jobs)
 
 
 def taken_ns(frame: Frame, rig: Rig) -> int:
@@ -93,53 +89,31 @@ def follows_camera(rig: Rig, settings: BuildSettings) -> bool:
 
 
 class CameraMotion:
-    """Visual odometry over a drive: give it the frames in order, and take the steps.
-
-    `distance_m` is the distance that the camera has moved until now.
-    """
+    """Visual odometry: give it the features of frames in their order."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
         self._last: Features | None = None
-        self._times_ns: list[int] = []
-        self._found: list[CameraStep | Refusal] = []
-        self.distance_m = 0.0
 
-    def add(self, time_ns: int, seen: Features) -> CameraStep | Refusal | None:
-        """The next frame, taken at `time_ns` by the receiver's clock; returns the step to it from
-        the frame before, None for the first."""
-        found: CameraStep | Refusal | None = None
-        if self._last is not None:
-            found = step(self._last, seen, self._rig)
-            self._found.append(found)
-            if isinstance(found, CameraStep):
-                self.distance_m += math.hypot(found.forward_m, found.right_m)
-        self._times_ns.append(time_ns)
-        self._last = seen
-        return found
-
-    @property
-    def tried(self) -> int:
-        """How many pairs of neighbours there were."""
-        return len(self._found)
-
-    def steps(self) -> Steps:
-        """The steps between the frames that were given."""
-        return steps_of(self._times_ns, self._found)
+    def add(self, seen: Features | None) -> StepOutcome:
+        """The step to a frame from the one before; None for the first and without odometry."""
+        before, self._last = self._last, seen
+        return None if before is None or seen is None else step(before, seen, self._rig)
 
 
 def visual_odometry(recording: Recording, jobs: int | None = None) -> Steps:
     """The steps of the camera from frame to frame of a recording; reads all of its images."""
-    motion = CameraMotion(recording.rig)
-    camera, offset_ns = recording.rig.camera, recording.rig.image_time_offset_ns
+    rig, motion = recording.rig, CameraMotion(recording.rig)
+    times_ns, found = list[int](), list[StepOutcome]()
 
     def look(frame: Frame) -> tuple[int, Features]:
-        return frame.time_ns, features(camera, *frame.images())
+        return taken_ns(frame, rig), features(rig.camera, *frame.images())
 
     with closing(side_by_side(look, recording.frames(), jobs or os.cpu_count() or 1)) as looks:
         for time_ns, seen in looks:
-            motion.add(time_ns + offset_ns, seen)
-    return motion.steps()
+            times_ns.append(time_ns)
+            found.append(motion.add(seen))
+    return steps_of(times_ns, [one for one in found if one is not None])
 
 
 def side_by_side(
@@ -166,65 +140,61 @@ class _Stages:
         odometry: bool,
         tilt: Tilt | None,
         way: OriginTrack | None,
-        gridded: GridListener | None,
+        tell: GridListener | None,
     ) -> None:
         self._frame, self._gridder, self._odometry = frame, gridder, odometry
-        self._tilt, self._way, self._tell = tilt, way, gridded or (lambda *_: None)
+        self._tilt, self._way, self._tell = tilt, way, tell
         self._start = time.thread_time()
 
     def pair(self, left: Image, right: Image) -> Perception:
         """What a pair gives: it is matched, gridded and, if that is wanted, its features are
         found."""
-        gridder, hashes = self._gridder, self._hashes()
-        decoded = time.thread_time()
+        gridder, decoded = self._gridder, time.thread_time()
         coded = gridder.coded(*gridder.matcher.disparity(left, right))
-        matched = time.thread_time()
-        grid, ground = gridder.from_coded(coded, self._tilt)
-        gridded = time.thread_time()
-        self._tell(grid, ground)
-        seen = features(gridder.rig.camera, left, right) if self._odometry else None
-        done = time.thread_time()
-        return Perception(
-            self._frame,
-            coded,
-            grid,
-            ground,
-            seen,
-            hashes,
-            decoded - self._start,
-            matched - decoded,
-            gridded - matched,
-            done - gridded,
-        )
+        look = partial(features, gridder.rig.camera, left, right) if self._odometry else None
+        return self._made(coded, decoded, time.thread_time(), look)
 
     def depth(self, depth_m: Float32) -> Perception:
         """What an image of depths gives."""
         decoded = time.thread_time()
-        coded = self._gridder.coded_depth(depth_m)
-        return self._gridded(coded, self._gridder.from_coded(coded, self._tilt), decoded)
+        return self._made(self._gridder.coded_depth(depth_m), decoded, decoded)
 
     def cloud(self, sweep: Sweep) -> Perception:
         """What a cloud gives, its points as they lay at its stamp where that is known."""
-        decoded, rig = time.thread_time(), self._gridder.rig
-        points_m = carried(sweep, taken_ns(self._frame, rig), rig, self._way)
-        return self._gridded(sweep, self._gridder.from_cloud(points_m, self._tilt), decoded)
+        decoded = time.thread_time()
+        return self._made(sweep, decoded, decoded)
 
-    def _gridded(
-        self, seen: CodedDepth | Sweep, made: tuple[LocalGrid, FrameGround], decoded: float
+    def _made(
+        self,
+        seen: GridInput,
+        decoded: float,
+        matched: float,
+        look: Callable[[], Features] | None = None,
     ) -> Perception:
-        grid_s = time.thread_time() - decoded
-        self._tell(*made)
-        hashes, decode_s = self._hashes(), decoded - self._start
-        return Perception(self._frame, seen, *made, None, hashes, decode_s, 0.0, grid_s, 0.0)
+        frame, gridder, tilt = self._frame, self._gridder, self._tilt
+        grid, ground = grid_of(seen, taken_ns(frame, gridder.rig), gridder, tilt, self._way)
+        done = time.thread_time()
+        if self._tell is not None:
+            self._tell(grid, ground)
+        hashes = tuple(source.sha256() for source in frame.sources)
+        hashed = time.thread_time()
+        found = None if look is None else look()
+        odometry_s = 0.0 if look is None else time.thread_time() - hashed
+        spent = decoded - self._start, matched - decoded, done - matched, odometry_s
+        return Perception(frame, seen, grid, ground, tilt is not None, found, hashes, *spent)
 
-    def _hashes(self) -> tuple[str, ...]:
-        return tuple(source.sha256() for source in self._frame.sources)
 
-
-def carried(sweep: Sweep, time_ns: int, rig: Rig, way: OriginTrack | None) -> Float32:
-    """The points [n, 3] of a sweep as they lay at its stamp by the vehicle's `way`, where that and
-    their times are known."""
-    return sweep.points_m if way is None else way.carried(sweep, time_ns, rig.mount.rotation())
+def grid_of(
+    seen: GridInput, time_ns: int, gridder: LocalGridder, tilt: Tilt | None, way: OriginTrack | None
+) -> tuple[LocalGrid, FrameGround]:
+    """The grid of what a frame saw, and its ground. With the vehicle's `tilt` the columns are
+    vertical; by its `way` the points of a sweep lie as they did at its stamp `time_ns`."""
+    if isinstance(seen, CodedDepth):
+        return gridder.from_coded(seen, tilt)
+    points_m, rotation = seen.points_m, gridder.rig.mount.rotation()
+    if way is not None:
+        points_m = way.carried(seen, time_ns, rotation)
+    return gridder.from_cloud(points_m, tilt)
 
 
 @lru_cache(maxsize=8)

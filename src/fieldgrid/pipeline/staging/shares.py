@@ -6,44 +6,35 @@ step to its first frame, so shares that are staged apart are what one run over t
 
 from __future__ import annotations
 
+import math
 import time
-from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
-from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from fieldgrid.core import RecordingError
-from fieldgrid.geometry import Rig, Steps, Tilt
-from fieldgrid.maps import StagedFrame, StagedFrames, StageEntry, StageFile, stage
-from fieldgrid.perception import CameraStep, LocalGridder, OriginTrack, Refusal, features, steps_of
+from fieldgrid.geometry import Rig, Tilt
+from fieldgrid.maps import StagedFrame, stage
+from fieldgrid.perception import CameraStep, LocalGridder, OriginTrack, features
 from fieldgrid.pipeline.report import BadFrame, StageTimes
 from fieldgrid.pipeline.staging.perception import (
     CameraMotion,
+    GridListener,
     Perception,
+    StepOutcome,
     perceive_frame,
     side_by_side,
     taken_ns,
 )
 from fieldgrid.poses import Attitude
-from fieldgrid.recordings import Frame
-
-StepOutcome = CameraStep | Refusal | None
-"""The camera's step to a frame, or why there is none; None for the first and without odometry."""
-
-
-class FrameProvider(Protocol):
-    """Where frames come from: a recording, or its source, which can be pickled."""
-
-    def frames(self, start: int, stop: int) -> Iterator[Frame]:
-        """Frames number `start` to before `stop`, unread."""
+from fieldgrid.recordings import CloudFrame, Frame, FrameSource
 
 
 class DriveWork(NamedTuple):
     """All that it takes to stage the frames of a drive: every `every`-th, `total` in all. `way` is
     the vehicle's, by which sweeps are carried to their stamps, None where that is not to be."""
 
-    frames: FrameProvider
+    frames: FrameSource
     total: int
     gridder: LocalGridder
     attitude: Attitude | None
@@ -60,52 +51,52 @@ class DriveWork(NamedTuple):
 
 
 class FrameOutcome(NamedTuple):
-    """What became of a frame: staged, or left out since it is bad. `moved_m` is how far the camera
-    went since the frame before."""
+    """What became of a frame: staged, or left out since it is bad."""
 
     staged: StagedFrame | None
     found: StepOutcome
     bad: BadFrame | None
-    moved_m: float
     times: StageTimes
 
 
-@dataclass(slots=True)
-class StagedDrive:
-    """The frames of a drive, or of a share of it, staged in order, without those that are bad."""
+class FrameStager:
+    """What becomes of the frames of a drive, in a build as in a live session: they are looked at
+    side by side, in any thread, and then followed in their order.
 
-    frames: StagedFrames
-    entries: Sequence[StageEntry]
-    found: list[StepOutcome] = field(default_factory=list)
-    bad: list[BadFrame] = field(default_factory=list)
-    times: StageTimes = field(default_factory=StageTimes)
+    `tilt` and `way` tell how the vehicle leans at the time of a frame, and how it goes then; None
+    where that is not known.
+    """
 
-    def steps(self) -> tuple[Steps, Counter[str]]:
-        """The camera's steps, and why there is none between other neighbours."""
-        found = [one for one in self.found[1:] if one is not None]
-        refused = Counter(one.value for one in found if isinstance(one, Refusal))
-        return steps_of([entry.time_ns for entry in self.entries], found), refused
+    def __init__(
+        self,
+        gridder: LocalGridder,
+        *,
+        odometry: bool,
+        tilt: Callable[[int], Tilt | None],
+        way: Callable[[int], OriginTrack | None],
+    ) -> None:
+        self._gridder, self._odometry = gridder, odometry
+        self._tilt, self._way = tilt, way
+        self.motion = CameraMotion(gridder.rig)
 
+    def look(self, frame: Frame, gridded: GridListener | None = None) -> Perception:
+        """Read and perceive a frame; RecordingError where it cannot be read."""
+        time_ns = taken_ns(frame, self._gridder.rig)
+        return perceive_frame(
+            frame,
+            self._gridder,
+            odometry=self._odometry,
+            tilt=self._tilt(time_ns),
+            way=self._way(time_ns) if isinstance(frame, CloudFrame) else None,
+            gridded=gridded,
+        )
 
-Tell = Callable[[float], None]
-"""Is told of each frame that is done, with how far the camera went since the one before, metres."""
-
-
-def collect(looks: Iterable[FrameOutcome], file: StageFile, tell: Tell) -> StagedDrive:
-    """Write frames to a file as they come."""
-    staged = StagedDrive(file, file.entries)
-    for looked in looks:
+    def follow(self, seen: Perception) -> tuple[StepOutcome, StageTimes]:
+        """The camera's step to the next frame, and what that took in all."""
         start = time.thread_time()
-        staged.times.add(looked.times)
-        if looked.staged is not None:
-            file.append(looked.staged)
-        if looked.bad is not None:
-            staged.bad.append(looked.bad)
-        else:
-            staged.found.append(looked.found)
-        staged.times.map_s += time.thread_time() - start
-        tell(looked.moved_m)
-    return staged
+        found = self.motion.add(seen.features)
+        odometry_s = seen.odometry_s + time.thread_time() - start
+        return found, StageTimes(seen.decode_s, seen.match_s, seen.grid_s, odometry_s)
 
 
 def stage_frames(
@@ -116,39 +107,33 @@ def stage_frames(
 
     Raises RecordingError for a frame that cannot be read, unless the work skips those.
     """
-    motion = CameraMotion(work.gridder.rig) if work.odometry else None
-    if motion is not None:
-        _begin(work, first, motion)
+    stager = FrameStager(
+        work.gridder,
+        odometry=work.odometry,
+        tilt=lambda time_ns: None if work.attitude is None else work.attitude.tilt_at(time_ns),
+        way=lambda _: work.way,
+    )
+    if work.odometry:
+        _begin(work, first, stager.motion)
 
     def look(frame: Frame) -> tuple[Perception, StagedFrame] | BadFrame:
-        attitude, time_ns = work.attitude, taken_ns(frame, work.gridder.rig)
-        tilt = None if attitude is None else attitude.tilt_at(time_ns)
         try:
-            return stage_frame(frame, work.gridder, odometry=work.odometry, tilt=tilt, way=work.way)
+            seen = stager.look(frame)
         except RecordingError as problem:
             if not work.skips_bad:
                 raise
             return BadFrame(frame.frame_id, str(problem))
+        return seen, encoded(seen, work.gridder.rig)
 
     # A traceback that somebody keeps would keep its threads.
     with closing(side_by_side(look, work.taken(first, last), jobs)) as looks:
         for looked in looks:
             if isinstance(looked, BadFrame):
-                yield FrameOutcome(None, None, looked, 0.0, StageTimes())
-                continue
-            seen, staged = looked
-            start, found, moved_m = time.thread_time(), None, 0.0
-            if motion is not None and seen.features is not None:
-                before_m = motion.distance_m
-                found = motion.add(staged.time_ns, seen.features)
-                moved_m = motion.distance_m - before_m
-            times = StageTimes(
-                seen.decode_s,
-                seen.match_s,
-                seen.grid_s,
-                seen.odometry_s + time.thread_time() - start,
-            )
-            yield FrameOutcome(staged, found, None, moved_m, times)
+                yield FrameOutcome(None, None, looked, StageTimes())
+            else:
+                seen, staged = looked
+                found, times = stager.follow(seen)
+                yield FrameOutcome(staged, found, None, times)
 
 
 def _begin(work: DriveWork, first: int, motion: CameraMotion) -> None:
@@ -156,26 +141,17 @@ def _begin(work: DriveWork, first: int, motion: CameraMotion) -> None:
     for number in range(first - 1, -1, -1):
         (frame,) = work.taken(number, number + 1)
         try:
-            seen = features(work.gridder.rig.camera, *frame.images())
+            motion.add(features(work.gridder.rig.camera, *frame.images()))
         except RecordingError:
             if not work.skips_bad:
                 raise
-            continue
-        motion.add(taken_ns(frame, work.gridder.rig), seen)
-        return
+        else:
+            return
 
 
-def stage_frame(
-    frame: Frame,
-    gridder: LocalGridder,
-    *,
-    odometry: bool,
-    tilt: Tilt | None = None,
-    way: OriginTrack | None = None,
-) -> tuple[Perception, StagedFrame]:
-    """One frame, read, perceived and encoded here; RecordingError where it cannot be read."""
-    seen = perceive_frame(frame, gridder, odometry=odometry, tilt=tilt, way=way)
-    return seen, encoded(seen, gridder.rig)
+def moved_m(found: StepOutcome) -> float:
+    """How far the camera went in a step, metres; 0 where there is none."""
+    return math.hypot(found.forward_m, found.right_m) if isinstance(found, CameraStep) else 0.0
 
 
 def encoded(seen: Perception, rig: Rig) -> StagedFrame:
