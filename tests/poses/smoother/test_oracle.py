@@ -347,10 +347,15 @@ def car() -> Case:
     return Case(drive, measured_at(drive, 0.05, gyro_bias_dps=0.3, bias_m=0.1))
 
 
-SOME = reverse_with_a_gyro, stop_with_wheels_and_headings, everything, fixed_and_float
+SOME = (
+    antenna_aside,
+    reverse_with_a_gyro,
+    stop_with_wheels_and_headings,
+    everything,
+    fixed_and_float,
+)
 OTHERS = (
     positions_alone,
-    antenna_aside,
     reverse_with_a_camera,
     rows_with_a_slow_error,
     outliers,
