@@ -84,7 +84,7 @@ def test_how_fixes_depend_on_lever_and_clock(seed: int) -> None:
     assert right[:3] == pytest.approx(-jacobian.T @ (w * away(0.0, 0.0, 0.0)), rel=1e-4, abs=1e-4)
     # The coupling is with the states that add_fixes has.
     system = empty(3)
-    model.add_fixes(system, x, fix, weight, lever)
+    model.add_fixes(system, x, model.fixes_off(x, fix, weight, lever), weight, lever)
     full = dense(system)[: x.size, : x.size]
     for k in (0, 2):
         # A place farther east is the same as one axis' share of an antenna elsewhere.

@@ -115,7 +115,8 @@ def test_fixes_with_lever_and_slow_error(seed: int) -> None:
         return found
 
     system = empty(n)
-    off = model.add_fixes(system, x, fix, weight, np.array(lever))
+    off = model.fixes_off(x, fix, weight, np.array(lever))
+    model.add_fixes(system, x, off, weight, np.array(lever))
     assert_normal_equations(system, residuals, x)
     expected = -np.array([r for r, _ in residuals(x, UNKNOWN)]).reshape(3, 2)
     assert off[[0, 1, 3]] == pytest.approx(expected)
@@ -133,7 +134,8 @@ def test_recorded_headings_are_off_by_one_angle(seed: int, turns: int) -> None:
     heading, weight = x[:, PHI] + offset - off + circle, np.array([1.0, 0.0, 2.5])
     heading[1] = np.nan
     system = empty(3)
-    found = model.add_headings(system, x, offset, heading, weight)
+    found = model.headings_off(x, offset, heading, weight)
+    model.add_headings(system, found, weight)
     assert found == pytest.approx([off[0], 0.0, off[2]])
 
     def residuals(x: Float64, constants: Float64) -> list[tuple[float, float]]:
@@ -150,7 +152,8 @@ def test_wheels_are_off_by_one_share(seed: int) -> None:
     x, scale = states(seed, 3), random.normal(0.0, 0.1)
     speed, weight = random.normal(0.0, 2.0, 3), np.array([1.0, 0.0, 2.5])
     system = empty(3)
-    found = model.add_speeds(system, x, scale, speed, weight)
+    found = model.speeds_off(x, scale, speed, weight)
+    model.add_speeds(system, x, scale, found, weight)
 
     def residuals(x: Float64, constants: Float64) -> list[tuple[float, float]]:
         size = 1.0 + constants[model.WHEEL_SCALE]
@@ -181,7 +184,8 @@ def test_steps_of_a_point_ahead_of_the_axle(seed: int, turns: int) -> None:
     step = seen(x, scale, yaw) - off
     told = step + np.array([0.0, 0.0, 2.0 * np.pi * turns])
     system = empty(5, ends)
-    found = model.add_steps(system, x, (scale, yaw), ends, told, weight, ahead_m)
+    index, slope, found = model.step_rows(x, (scale, yaw), ends, told, ahead_m)
+    model.add_rows(system, index, slope, found, weight[:, [0, 0, 1]].copy())
     assert found == pytest.approx(off)
 
     def residuals(x: Float64, constants: Float64) -> list[tuple[float, float]]:

@@ -25,6 +25,7 @@ from fieldgrid.poses.smoother.rounds import (
     converged,
     inverse,
     linearized,
+    residuals,
     stated_weights,
 )
 from fieldgrid.poses.smoother.slow_error import wander_nats
@@ -125,7 +126,8 @@ def refine(
 
 def _with_sigmas(problem: SmoothingProblem, found: Solution, steers: Steering) -> SmoothedDrive:
     """The estimate with its sigmas; where it has not settled, what still changes counts too."""
-    linear, off = linearized(problem, found.x, found.constants, found.weights, held=False)
+    linear = linearized(problem, found.x, found.constants, found.weights, held=False)
+    off = residuals(problem, found.x, found.constants, found.weights)
     declared, unsure = tested(problem, found, linear)
     nats = TOLD_SHARE * likelihood_by(linear) + declared.nats()
     known = Covariances.of(linear)

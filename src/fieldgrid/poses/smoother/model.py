@@ -87,7 +87,7 @@ LAW_STATES = np.array([[*law, *[0] * (STATES - len(law))] for law in _LAWS])
 
 
 @kernel
-def _add_rows(system, index, slope, residual, weight):  # type: ignore[no-untyped-def]
+def add_rows(system, index, slope, residual, weight):  # type: ignore[no-untyped-def]
     """Weighted residuals [n, m] with their slopes [n, m, k] into the normal equations. They are of
     the unknowns `index` [n, k], those beyond the states of constants."""
     shape, values, right, border, corner, right_constants, total = system
@@ -253,31 +253,35 @@ def _add_start(pair, side, x, k):  # type: ignore[no-untyped-def]
             side[state] -= weight * x[k, state]
 
 
-def add_fixes(
-    system: NormalEquations, x: Float64, fix_en: Float64, weight: Float64, lever: Float64
-) -> Float64:
-    """Positions of the antenna, `lever` = (right, ahead) of the axle: fix = point + slow error.
-
-    `weight` [n, 2] is that along the heading and across it; rows without a fix have weight 0.
-    Returns how far each fix lies ahead and to the right of where it should be [n, 2].
+def fixes_off(x: Float64, fix_en: Float64, weight: Float64, lever: Float64) -> Float64:
+    """How far each fix lies ahead and to the right of where it should be [n, 2], 0 where there is
+    none (a `weight` [n, 2] of 0): positions of the antenna, `lever` = (right, ahead) of the axle;
+    fix = point + slow error.
     """
     at = np.flatnonzero(weight[:, 0] > 0.0)
     here = x[at]
     sin, cos = np.sin(here[:, PHI]), np.cos(here[:, PHI])
     east = here[:, E] + lever[0] * cos + lever[1] * sin + here[:, BIAS_E] - fix_en[at, 0]
     north = here[:, N] - lever[0] * sin + lever[1] * cos + here[:, BIAS_N] - fix_en[at, 1]
+    off = np.zeros((len(weight), 2))
+    off[at, 0], off[at, 1] = -(east * sin + north * cos), -(east * cos - north * sin)
+    return off
+
+
+def add_fixes(
+    system: NormalEquations, x: Float64, off: Float64, weight: Float64, lever: Float64
+) -> None:
+    """Fixes that are `off` by :func:`fixes_off`, `weight` [n, 2] along the heading and across."""
+    at = np.flatnonzero(weight[:, 0] > 0.0)
+    sin, cos = np.sin(x[at, PHI]), np.cos(x[at, PHI])
     index = STATES * at[:, None] + np.array([E, N, PHI, BIAS_E, BIAS_N])
-    slope, residual = np.empty((len(at), 2, 5)), np.empty((len(at), 2))
+    slope = np.empty((len(at), 2, 5))
     # The axes are held while the antenna turns about the axle.
     for axis, (a, b, turned) in enumerate(((sin, cos, -lever[0]), (cos, -sin, lever[1]))):
         slope[:, axis, 0] = slope[:, axis, 3] = a
         slope[:, axis, 1] = slope[:, axis, 4] = b
         slope[:, axis, 2] = turned
-        residual[:, axis] = east * a + north * b
-    _add_rows(system, index, slope, residual, weight[at])
-    off = np.zeros((len(weight), 2))
-    off[at] = -residual
-    return off
+    add_rows(system, index, slope, -off[at], weight[at])
 
 
 def add_still(
@@ -298,22 +302,28 @@ def add_still(
     total[0] = np.cumsum(np.append(total[0], squared))[-1]  # in their order, whatever NumPy's is
 
 
-def add_headings(
-    system: NormalEquations, x: Float64, offset: float, heading: Float64, weight: Float64
-) -> Float64:
-    """Recorded headings [n], which are off by one constant. Returns the residuals."""
+def headings_off(x: Float64, offset: float, heading: Float64, weight: Float64) -> Float64:
+    """Residuals of recorded headings [n], which are off by one constant."""
     off = np.where(weight > 0.0, x[:, PHI] + offset - heading, 0.0)
-    off -= 2.0 * np.pi * np.rint(off / (2.0 * np.pi))
-    return _added(system, (PHI, HEADING_OFFSET), off, (1.0, np.ones(len(off))), weight)
+    return np.asarray(off - 2.0 * np.pi * np.rint(off / (2.0 * np.pi)))
+
+
+def add_headings(system: NormalEquations, off: Float64, weight: Float64) -> None:
+    """Recorded headings that are `off` by :func:`headings_off`."""
+    _added(system, (PHI, HEADING_OFFSET), off, (1.0, np.ones(len(off))), weight)
+
+
+def speeds_off(x: Float64, scale: float, speed: Float64, weight: Float64) -> Float64:
+    """Residuals of signed speeds [n] by wheels, whose size is off by one share."""
+    return np.where(weight > 0.0, (1.0 + scale) * x[:, V] - speed, 0.0)
 
 
 def add_speeds(
-    system: NormalEquations, x: Float64, scale: float, speed: Float64, weight: Float64
-) -> Float64:
-    """Signed speeds [n] by wheels, whose size is off by one share. Returns the residuals."""
+    system: NormalEquations, x: Float64, scale: float, off: Float64, weight: Float64
+) -> None:
+    """Signed speeds that are `off` by :func:`speeds_off`."""
     own = np.ascontiguousarray(x[:, V])
-    off = np.where(weight > 0.0, (1.0 + scale) * own - speed, 0.0)
-    return _added(system, (V, WHEEL_SCALE), off, (1.0 + scale, own), weight)
+    _added(system, (V, WHEEL_SCALE), off, (1.0 + scale, own), weight)
 
 
 def _added(
@@ -322,41 +332,25 @@ def _added(
     off: Float64,
     slopes: tuple[float, Float64],
     weight: Float64,
-) -> Float64:
+) -> None:
     """Residuals [n] `of` one state of each node and a constant."""
     at = np.flatnonzero(weight > 0.0)
     if len(at):  # most drives have none
         index = np.stack([STATES * at + of[0], np.full(len(at), len(system.right) + of[1])]).T
         slope = np.stack([np.full(len(at), slopes[0]), slopes[1][at]]).T
         rows = index.copy(), slope.reshape(-1, 1, 2).copy(), off[at, None], weight[at, None]
-        _add_rows(system, *rows)
-    return off
-
-
-def add_steps(
-    system: NormalEquations,
-    x: Float64,
-    constants: tuple[float, float],
-    ends: Int64,
-    moved: Float64,
-    weight: Float64,
-    ahead_m: float,
-) -> Float64:
-    """Relative motions `moved` [s, 3] = (forward, right, turn) of a point `ahead_m` of the axle
-    between the nodes `ends` [s, 2], `weight` [s, 2] of distance and turn; by the `constants` all
-    distances are too long by one share, and are seen from a heading farther right by one angle.
-    Returns residuals [s, 3].
-    """
-    index, slope, off = step_rows(x, constants, ends, moved, ahead_m)
-    _add_rows(system, index, slope, off, weight[:, [0, 0, 1]].copy())
-    return off
+        add_rows(system, *rows)
 
 
 def step_rows(
     x: Float64, constants: tuple[float, float], ends: Int64, moved: Float64, ahead_m: float
 ) -> tuple[Int64, Float64, Float64]:
-    """The unknowns [s, 8] that relative motions depend on (place and heading of both nodes, the
-    two constants), the slopes [s, 3, 8] and the residuals [s, 3], as in :func:`add_steps`."""
+    """Relative motions `moved` [s, 3] = (forward, right, turn) of a point `ahead_m` of the axle
+    between the nodes `ends` [s, 2]; by the `constants` all distances are too long by one share, and
+    are seen from a heading farther right by one angle. Returns the unknowns [s, 8] that they depend
+    on (place and heading of both nodes, the two constants), the slopes [s, 3, 8] and the residuals
+    [s, 3].
+    """
     scale, yaw = constants
     start, stop, size = x[ends[:, 0]], x[ends[:, 1]], 1.0 + scale
     sin_b, cos_b = np.sin(stop[:, PHI]), np.cos(stop[:, PHI])

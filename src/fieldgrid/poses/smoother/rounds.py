@@ -132,12 +132,12 @@ def converged(
     enough: float = 1.0,
 ) -> Solution:
     """Rounds of least squares until nothing moves by more than `enough` times the usual, each
-    with the weights of the one before."""
+    with the weights of the residuals that the one before has left."""
     found = Solution(start, constants, weights, 0, np.zeros_like(start))
     for rounds in range(1, MOST_ROUNDS + 1):
-        linear, off = linearized(problem, found.x, found.constants, found.weights)
-        found = improved(problem, found, linear, off)
-        del linear, off  # a long drive's equations are large, and the next round makes its own
+        linear = linearized(problem, found.x, found.constants, found.weights)
+        found = improved(problem, found, linear)
+        del linear  # a long drive's equations are large, and the next round makes its own
         moved_m = np.abs(found.last_change[:, : model.PHI]).max(axis=1)
         turned = np.abs(found.last_change[:, model.PHI])
         settled = (moved_m < enough * ENOUGH_M) & (turned < enough * ENOUGH_RAD)
@@ -148,9 +148,7 @@ def converged(
     return found
 
 
-def improved(
-    problem: SmoothingProblem, found: Solution, linear: Linear, off: Residuals
-) -> Solution:
+def improved(problem: SmoothingProblem, found: Solution, linear: Linear) -> Solution:
     """One round: the solution of the linear equations, whose right side becomes it, and the
     weights for the next."""
     system, active = linear.system, linear.active
@@ -165,13 +163,24 @@ def improved(
     # A first guess may be far off: no node turns by more than a radian a round.
     shrink = max(1.0, float(np.abs(change[:, model.PHI]).max()))
     moved = change / shrink if shrink > 1.0 else change
+    x, constants = found.x + moved, found.constants + turn / shrink
     stated = stated_weights(problem.measured, found.weights.steering)
-    return Solution(
-        found.x + moved,
-        found.constants + turn / shrink,
-        _robust(stated, off),
-        found.rounds + 1,
-        change,
+    weights = _robust(stated, residuals(problem, x, constants, stated))
+    return Solution(x, constants, weights, found.rounds + 1, change)
+
+
+def residuals(
+    problem: SmoothingProblem, x: Float64, constants: Float64, weights: Weights
+) -> Residuals:
+    """How far each measurement that counts is off at a state."""
+    measured = problem.measured
+    offset, wheels, scale, yaw, _ = constants
+    ends, moved = measured.step_nodes, measured.step
+    return Residuals(
+        model.fixes_off(x, measured.fix_m, weights.fix, problem.lever_m),
+        model.headings_off(x, offset, measured.heading_rad, weights.heading),
+        model.speeds_off(x, wheels, measured.speed_mps, weights.speed),
+        model.step_rows(x, (scale, yaw), ends, moved, problem.step_ahead_m)[2],
     )
 
 
@@ -182,16 +191,16 @@ def linearized(
     weights: Weights,
     *,
     held: bool = True,
-) -> tuple[Linear, Residuals]:
-    """The factored normal equations about a state, and how far each measurement is off. `held` for
-    a round to come, not for sigmas. What an earlier call gave for this problem is overwritten."""
+) -> Linear:
+    """The factored normal equations about a state. `held` for a round to come, not for sigmas.
+    What an earlier call gave for this problem is overwritten."""
     measured = problem.measured
     seen = len(measured.step) > 0
     turns = np.isfinite(measured.turned_rad).any()
     given = (weights.heading > 0.0).any(), (weights.speed > 0.0).any(), seen, seen, turns
     active = np.flatnonzero(np.array(given, dtype=np.bool_))
     system = empty_system(problem.shape, problem.values, coupled=active.size > 0)
-    offset, wheels, scale, yaw, gyro = constants
+    _, wheels, scale, yaw, gyro = constants
     step_s = np.diff(measured.time_s)
     model.add_motion(
         system,
@@ -207,20 +216,13 @@ def linearized(
     model.add_still(system, x, measured.standing, *(HELD if held else NOT_HELD))
     if turns:
         _add_gyro_scale(system, x, gyro, measured.turned_rad, step_s)
-    off = Residuals(
-        model.add_fixes(system, x, measured.fix_m, weights.fix, problem.lever_m),
-        model.add_headings(system, x, offset, measured.heading_rad, weights.heading),
-        model.add_speeds(system, x, wheels, measured.speed_mps, weights.speed),
-        model.add_steps(
-            system,
-            x,
-            (scale, yaw),
-            measured.step_nodes,
-            measured.step,
-            weights.step,
-            problem.step_ahead_m,
-        ),
-    )
+    off = residuals(problem, x, constants, weights)
+    model.add_fixes(system, x, off.fix_m, weights.fix, problem.lever_m)
+    model.add_headings(system, off.heading_rad, weights.heading)
+    model.add_speeds(system, x, wheels, off.speed_mps, weights.speed)
+    steps = measured.step_nodes, measured.step, problem.step_ahead_m
+    rows = model.step_rows(x, (scale, yaw), *steps)
+    model.add_rows(system, *rows, weights.step[:, [0, 0, 1]].copy())
     sigmas = *model.SCALE_SIGMAS, model.CAMERA_YAW_SIGMA, model.GYRO_SCALE_SIGMA
     prior = 1.0 / np.array([measured.heading_offset_sigma_rad, *sigmas]) ** 2
     # What is usual of a constant has outliers, too.
@@ -236,7 +238,7 @@ def linearized(
         coupling = system.border[:, active]
         solve(system.shape, system.values, coupling)
         schur = schur - system.border[:, active].T @ coupling
-    return Linear(system, log_determinant, active, coupling, schur), off
+    return Linear(system, log_determinant, active, coupling, schur)
 
 
 def _add_gyro_scale(

@@ -132,12 +132,12 @@ def adapted(problem: SmoothingProblem, found: Solution, steering: Steering) -> S
     inside = outside = bent[exits] * model.CURVATURE_SIGMA
     found = found._replace(weights=found.weights._replace(steering=hidden))
     for _ in range(ADAPTATIONS):
-        linear, off = linearized(problem, found.x, found.constants, found.weights)
+        linear = linearized(problem, found.x, found.constants, found.weights)
         curvature = found.x[:, k]
-        found = improved(problem, found, linear, off)
+        found = improved(problem, found, linear)
         known = Covariances.of(linear)
         own, onward = known.own(k, k), known.with_before(k, k)
-        del linear, off, known  # large, and the next round makes its own
+        del linear, known  # large, and the next round makes its own
         seen = local_steering(
             *(curvature, own, onward), measured.time_s, steering.noise, unseen.between
         )
@@ -221,8 +221,9 @@ def log_likelihood(problem: SmoothingProblem, near: Solution, steering: Steering
     """Of the measurements under a steering, every drive around its solution considered: Laplace's
     approximation, up to a constant."""
     solution = adapted(problem, near, steering)
-    linear, _ = linearized(problem, solution.x, solution.constants, solution.weights, held=False)
-    return likelihood_by(linear)
+    return likelihood_by(
+        linearized(problem, solution.x, solution.constants, solution.weights, held=False)
+    )
 
 
 def likelihood_by(linear: Linear) -> float:
