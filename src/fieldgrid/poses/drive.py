@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +21,6 @@ from fieldgrid.poses.gears.stations import (
 from fieldgrid.poses.measured import RecordedHeadings, measurements, with_headings
 from fieldgrid.poses.nodes import Nodes, nodes, seconds
 from fieldgrid.poses.smoother.batch import SmoothedDrive, refine, smooth
-from fieldgrid.poses.smoother.declared import Constant, DeclaredCorrection
 from fieldgrid.poses.smoother.measurements import Measurements
 from fieldgrid.poses.smoother.slow_error import CLEAR_NATS, SlowError, likeliest
 
@@ -105,13 +103,6 @@ over all steps."""
 
 DRIVEN_M = 0.1
 """A camera that has moved by more was driven."""
-
-MOST_STEPS, SETTLED_SHARE = 8, 0.1
-"""What was declared by metres or seconds too much is settled in two to six steps: the next would
-be smaller than this share of its sigma."""
-
-FARTHEST = 10.0
-"""Metres, and seconds: what leads farther leads nowhere."""
 
 
 class DriveEstimate(NamedTuple):
@@ -258,27 +249,6 @@ def with_recorded(
     measured = with_headings(drive.measured, fixes, drive.at, recorded)
     smoothed = refine(drive.smoothed, measured, *axle.frame(), axle.sigma_m)
     return _drive(fixes, drive.at, measured, found, smoothed, axle, drive.resting, drive.slow)
-
-
-def settled(
-    drive: DriveEstimate,
-    put_right: Callable[[float], DriveEstimate],
-    left: Callable[[DeclaredCorrection], Constant],
-    start: float = 0.0,
-) -> tuple[Constant, DriveEstimate]:
-    """A number that was declared, `put_right` until nothing is `left` to add, since one step of the
-    estimate is not all: by how much it was off, infinitely unsure where that leads nowhere, and
-    the drive then. It begins with a `drive` of which it was put right by `start`."""
-    total, rest = start, left(drive.smoothed.declared)
-    for _ in range(MOST_STEPS):
-        total += rest.value
-        if abs(total) > FARTHEST:
-            return Constant(total, np.inf), drive
-        drive = put_right(total)
-        rest = left(drive.smoothed.declared)
-        if abs(rest.value) < SETTLED_SHARE * rest.sigma:
-            break
-    return Constant(total, float(np.hypot(rest.sigma, rest.value))), drive
 
 
 def _standing(fixes: AcceptedFixes) -> Bool:

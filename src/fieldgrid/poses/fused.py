@@ -32,7 +32,7 @@ from fieldgrid.poses.axle import (
     ways_of,
     with_antenna_moved,
 )
-from fieldgrid.poses.drive import DriveEstimate, settled, smooth_drive
+from fieldgrid.poses.drive import DriveEstimate, smooth_drive
 from fieldgrid.poses.faults.convention import Comparison, compare, turned_around
 from fieldgrid.poses.faults.gyro.check import GyroVerdict, with_trusted_gyro, without_wrong_gyro
 from fieldgrid.poses.faults.gyro.dead_gyro import without_dead_gyro, without_faulty_samples
@@ -51,6 +51,7 @@ from fieldgrid.poses.levelled import (
     tells_attitude,
 )
 from fieldgrid.poses.measured import turn_back, wheel_speed_at
+from fieldgrid.poses.settled import settled
 from fieldgrid.poses.smoother.declared import AHEAD, IMAGES, LATE, LIKELY
 from fieldgrid.poses.table import ConditionedLog
 from fieldgrid.poses.travel_direction import travel

@@ -14,8 +14,9 @@ import numpy as np
 from fieldgrid.core import Float64
 from fieldgrid.geometry import Rig, VehicleGeometry
 from fieldgrid.poses.axle import names_axle
-from fieldgrid.poses.drive import DriveEstimate, settled
+from fieldgrid.poses.drive import DriveEstimate
 from fieldgrid.poses.faults.clock.offset import ClockFindings
+from fieldgrid.poses.settled import settled
 from fieldgrid.poses.smoother.declared import (
     AHEAD,
     ASIDE,

@@ -15,7 +15,7 @@ import numpy as np
 
 from fieldgrid.geometry import Rig, VehicleGeometry
 from fieldgrid.poses.axle import names_axle, with_antenna_moved
-from fieldgrid.poses.drive import DriveEstimate, settled
+from fieldgrid.poses.drive import DriveEstimate
 from fieldgrid.poses.faults.denied import (
     CLEAR_SIGMAS,
     LEAST_DELAY_S,
@@ -23,6 +23,7 @@ from fieldgrid.poses.faults.denied import (
     DriveContradiction,
 )
 from fieldgrid.poses.fused import Fusion
+from fieldgrid.poses.settled import settled
 from fieldgrid.poses.smoother.declared import (
     AHEAD,
     LATE,
