@@ -8,7 +8,6 @@ gyro whose axes or unit are wrong fits nothing that is put right.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,12 +20,8 @@ from fieldgrid.poses.faults.explained import MOST_LEFT, UNTOLD, Correction, Expl
 from fieldgrid.poses.faults.gyro.check import MOST_SCALE, apart_deg
 from fieldgrid.poses.fused import Fusion
 
-STARTS = (0.0, 1.5, -1.5)
-"""Where putting right begins, metres or seconds: a mistake of 2 or 3 bends the first estimate so
-much that no step leads there from 0."""
-
 MOST_NODES = 3_000
-"""Of a longer drive the part that turns most is tried first, since there are up to 50 estimates."""
+"""Of a longer drive the part that turns most is tried first, since there are up to 16 estimates."""
 
 FAR_OFF, MORE_FAR_OFF = 5.0, 0.01
 """A fix that lies beside the drive by this multiple of its noise does not fit it. With a gyro that
@@ -59,10 +54,10 @@ def excused(found: Fusion, vehicle: VehicleGeometry | None) -> GyroExcuse | None
     part = _most_turning(found)
     if _is_of_other_size(part, gyro):
         return None
-    tried = next(_fitting(part, gyro, vehicle, [(one, one) for one in STARTS]), None)
+    tried = _fitting(part, gyro, vehicle, (0.0, 0.0))
     if tried is not None and part is not found:
-        begun = [one.value.value if one.drive is not None else None for one in tried]
-        tried = next(_fitting(found, gyro, vehicle, [(begun[0], begun[1])]), None)
+        place, delay = (one.value.value if one.drive is not None else None for one in tried)
+        tried = _fitting(found, gyro, vehicle, (place, delay))
     if tried is None:
         return None
     either = ((tried.is_place, tried.place), (tried.is_late, tried.delay))
@@ -102,14 +97,16 @@ def _fitting(
     without: Fusion,
     gyro: Gyro,
     vehicle: VehicleGeometry | None,
-    starts: Sequence[tuple[float | None, float | None]],
-) -> Iterator[Explanation]:
+    start: tuple[float | None, float | None],
+) -> Explanation | None:
     """What explains the gyro, of place and stamps that the fixes fit as well as the drive without
-    it; each from its start on."""
+    it, from where they start."""
     beside = without.again(motion=without.motion._replace(gyro=gyro), as_stated=True)
     if not beside.drive.measured.sees_turns():
-        return
-    most_left = max(MOST_LEFT, LEFT_SHARE * beside.drive.smoothed.declared.misfit())
+        return None
+    tried = explanation(beside, vehicle, *start)
+    if tried is None:
+        return None
     noise_m = without.log.accepted.noise.across_m
     most_far_off = _far_off(without.drive, noise_m) + MORE_FAR_OFF
 
@@ -118,12 +115,9 @@ def _fitting(
             one.drive is not None and one.is_clear and _far_off(one.drive, noise_m) <= most_far_off
         )
 
-    for start in starts:
-        tried = explanation(beside, vehicle, *start)
-        if tried is not None:
-            told = Explanation(*(one if fits(one) else UNTOLD for one in tried))
-            if told.left <= most_left:
-                yield told
+    told = Explanation(*(one if fits(one) else UNTOLD for one in tried))
+    most_left = max(MOST_LEFT, LEFT_SHARE * beside.drive.smoothed.declared.misfit())
+    return told if told.left <= most_left else None
 
 
 def _far_off(drive: DriveEstimate, noise_m: Float64) -> float:
