@@ -615,7 +615,7 @@ def work_on(here: Path) -> DriveWork:
     with open_drive(here, DriveOptions()) as opened:
         recording = opened.recording()
         session, _ = prepared(recording, BuildSettings(), None, "june")
-        return session.work(recording.source)
+        return session.work()
 
 
 def test_a_worker_fetches_the_files_of_its_frames_only(
