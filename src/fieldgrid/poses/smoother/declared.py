@@ -225,7 +225,7 @@ def tested(
 
     def sigma(axis: int, of: Float64) -> Float64:
         by = response[:, axis]
-        return np.asarray(np.sqrt(np.maximum(((by @ of) * by).sum(axis=1), 0.0)))
+        return np.asarray(np.sqrt(np.maximum(np.einsum("na,ab,nb->n", by, of, by), 0.0)))
 
     near_s = np.linspace(-EDGE_S, EDGE_S, 9)
     at = np.searchsorted(measured.time_s, measured.time_s + near_s[:, None], side="right") - 1
@@ -255,13 +255,14 @@ def _told(
     border, beside, corner, right = couplings(problem, found, of)
     followed = border.copy()
     solve(linear.system.shape, linear.system.values, followed)
-    right = right - followed.T @ linear.system.right
-    information = corner - border.T @ followed
+    # Not by BLAS, whose sums are in another order where another thread uses it, too.
+    right = right - np.einsum("sa,s->a", followed, linear.system.right)
+    information = corner - np.einsum("sa,sb->ab", border, followed)
     if len(linear.active):
-        aside = linear.coupling.T @ border - beside[linear.active]
+        aside = np.einsum("sc,sa->ca", linear.coupling, border) - beside[linear.active]
         constants = inverse(linear.schur) @ aside
         information = information - aside.T @ constants
-        followed += linear.coupling @ constants
+        followed += np.einsum("sc,ca->sa", linear.coupling, constants)
     return followed, information, right
 
 
