@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import chain, combinations
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -48,7 +48,7 @@ USUAL_SIGMAS = np.array([0.05, 0.05, 0.02, 0.02, SLIP_ANGLE, 0.0])
 """How far off they usually are: a place that was measured, the stamps of two clocks, tyres. Fixes
 drift as much as they state."""
 
-WRONG_SIGMAS = np.array([1.0, 1.0, 0.5, 0.5, SLIP_ANGLE, 1.0])
+WRONG_SIGMAS = np.array([1.0, 1.0, 0.5, 0.5, SLIP_ANGLE, 0.3])
 """How far off they are where they are wrong."""
 
 WRONG_NATS = math.log(0.02)
@@ -120,8 +120,9 @@ class DeclaredCorrection(NamedTuple):
         probability."""
         may = ASIDE, AHEAD, LATE, IMAGES, DRIFT
         told = [k for k in may if self.information[self.of == k].any()]
-        choices = chain.from_iterable(combinations(told, k) for k in range(len(told) + 1))
-        every = [self.hypothesis(wrong) for wrong in choices]
+        # Numbers that do not fit together are not all as usual.
+        sizes = range(int(bool(told) and self.contradicts), len(told) + 1)
+        every = [self.hypothesis(wrong) for k in sizes for wrong in combinations(told, k)]
         nats = np.array([one.nats for one in every])
         shares = np.exp(nats - nats.max())
         return list(zip(every, (shares / shares.sum()).tolist(), strict=True))
