@@ -37,11 +37,12 @@ def test_headings_know_of_fixes_that_drift_beside_the_turns_of_a_gyro(size_m: fl
         assert np.median(sigma_deg) < 1.0
 
 
+@pytest.mark.parametrize("drives", [6, pytest.param(40, marks=pytest.mark.long)])
 @pytest.mark.parametrize("by", ["gyro", "camera"])
-def test_bursts_of_bias_of_a_fixed_solution_are_covered(by: str) -> None:
+def test_bursts_of_bias_of_a_fixed_solution_are_covered(by: str, drives: int) -> None:
     """Of 0.4 m for 5 to 20 s, while the receiver states a centimetre."""
     within = []
-    for seed in range(6):
+    for seed in range(drives):
         random = np.random.default_rng(seed)
         drive = simulate(SLALOM * 3, 40.0)
         fixes = fixes_of(drive, 0.2, 0.008, seed=seed)
