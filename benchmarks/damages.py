@@ -30,6 +30,7 @@ from fieldgrid.geometry import Status
 from fieldgrid.maps import open_map
 from fieldgrid.pipeline import build_map
 from fieldgrid.recordings import DriveOptions
+from tests.told import warnings
 
 LOG = sys.argv[1] if len(sys.argv) > 1 else "gnss_rtk.nmea"
 DRIVE = Path(sys.argv[2]) if len(sys.argv) > 2 else EXAMPLE
@@ -409,7 +410,7 @@ def report(
         yield (
             f"{name:36}{score.used:4d}/{score.frames}{score.within:6d}/{score.used}"
             f"{score.most_m:8.2f} m{score.sigma_m:7.3f} m{100 * score.precision:9.1f} %  "
-            f"{' '.join(built.notes)}"
+            f"{' '.join(map(str, warnings(built)))}"
         )
 
 

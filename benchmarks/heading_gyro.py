@@ -18,6 +18,7 @@ from fieldgrid.geometry import Carrier, FixColumns, Gyro, Motion, wrap_deg
 from fieldgrid.poses import estimate_poses
 from fieldgrid.poses.report import PoseReport
 from tests.simulated import DATUM, K_TURN, SLALOM, Command, Drive, fixes_of, gyro_of, simulate
+from tests.told import codes
 
 ROWS = [
     *(Command(20.0, 1.5), Command(6.3, 1.0, 0.5), Command(20.0, 1.5), Command(6.3, 1.0, -0.5)),
@@ -138,7 +139,7 @@ def _gyro(drive: Drive, wrong: Wrong) -> Gyro | None:
 def _done(report: PoseReport) -> str:
     if not np.isfinite(report.gyro_bias_dps):
         return "dropped"
-    return "scaled" if any("was taken out" in note for note in report.notes) else "kept"
+    return "scaled" if "gyro-scale" in codes(report) else "kept"
 
 
 def _line(receiver: str, wrong: Wrong, found: list[Outcome]) -> str:

@@ -21,7 +21,6 @@ from benchmarks.random_drives import (
     DATUM,
     GRADES,
     RATES_HZ,
-    SAID_ANYWAY,
     VEHICLES,
     Case,
     driven,
@@ -34,6 +33,7 @@ from fieldgrid.core import GnssError, Quality
 from fieldgrid.geometry import Gyro
 from fieldgrid.poses import estimate_poses
 from tests.simulated import time_ns
+from tests.told import warnings
 
 SIZES = {"none": (0.0, 0.0), "stamps": (0.2, 3.0), "antenna ahead": (0.4, 2.5)}
 """Seconds or metres."""
@@ -92,7 +92,7 @@ def told(seed: int, gyro: tuple[float, float] = (1.0, 0.0)) -> Told:
         found = estimate_poses(fixes, rig(), DATUM, motion=motion)
     except GnssError:
         return Told(mistake, "doubt", np.nan, 0.0)
-    notes = [note for note in found.report.notes if not note.startswith(SAID_ANYWAY)]
+    notes = [str(one) for one in warnings(found.report)]
     track = found.trajectory
     used = found.fix_row[track.accepted[found.fix_row]]
     true_s = (track.time_ns[used] - time_ns(np.zeros(1))[0]) / 1e9

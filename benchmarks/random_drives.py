@@ -33,9 +33,10 @@ from fieldgrid.geometry import (
     WheelSpeed,
     wrap_deg,
 )
-from fieldgrid.poses import NO_AXLE, SLOW_ERRORS, estimate_poses
+from fieldgrid.poses import estimate_poses
 from fieldgrid.poses.faults.unseen import UnseenFault
 from tests.simulated import DATUM, Command, Drive, gyro_of, simulate, steps_of, time_ns
+from tests.told import warnings
 
 MOST_BEYOND = 0.05
 """A drive is wrong when more of its accepted poses are beyond three sigma."""
@@ -288,9 +289,6 @@ def _scaled(steps: Steps, size: float) -> Steps:
 
 # --- what its poses say
 
-SAID_ANYWAY = (NO_AXLE, SLOW_ERRORS)
-"""Notes that are no warning of what is looked for."""
-
 
 def found(seed: int) -> Found:
     """The poses of a case beside its truth."""
@@ -304,7 +302,7 @@ def found(seed: int) -> Found:
     except GnssError as problem:
         return Found(case, 0.0, *6 * (nothing,), (str(problem),))
     track, report = estimate.trajectory, estimate.report
-    notes = tuple(note for note in report.notes if not note.startswith(SAID_ANYWAY))
+    notes = tuple(map(str, warnings(report)))
     used = estimate.fix_row[track.accepted[estimate.fix_row]]
     accepted = float(track.accepted[estimate.fix_row].mean())
     if not len(used):

@@ -24,6 +24,7 @@ from fieldgrid.geometry import Datum, FixColumns, Gyro, Motion, Rig, wrap_deg
 from fieldgrid.poses import estimate_poses
 from fieldgrid.recordings import open_recording
 from tests.simulated import DATUM, fixes_of, gyro_of, pivoting
+from tests.told import warnings
 
 SECOND = 1_000_000_000
 MOVING_MPS, STANDING_MPS = 0.2, 0.05
@@ -319,8 +320,8 @@ def line(name: str, one: Known) -> Iterator[str]:
             f"{percent(place, 1):>8}{np.nan if offset is None else offset.median_sigmas:>8.2f}"
         )
     yield start
-    for note in found.report.notes:
-        yield f"        - {note}"
+    for one in warnings(found.report):
+        yield f"        - {one}"
     summary = found.report.conditioning
     yield f"        = {summary.as_dict()}"
 

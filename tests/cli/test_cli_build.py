@@ -205,7 +205,9 @@ def test_rejected_frames_are_told_by_reason(
     text = fieldgrid("build", drive, "-o", out, *flags).output()
     assert re.search(r"^frames used +3 of 5$", text, re.MULTILINE)
     assert re.search(r"^rejected 2: no usable pose for \d+\.\d\d s around it: ", text, re.MULTILINE)
-    assert re.search(r"^note: gnss_sf1.nmea: 6 damaged sentences skipped\.$", text, re.MULTILINE)
+    assert re.search(
+        r"^info note: gnss_sf1.nmea: 6 damaged sentences skipped\.$", text, re.MULTILINE
+    )
 
 
 def test_reasons_that_differ_in_numbers_are_counted_together() -> None:
@@ -355,7 +357,7 @@ FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "left and right swapped": (
         swap_sides,
-        r"with left and right exchanged, so the two are swapped, .*; swap the two folders",
+        r"with left and right exchanged, so the two are swapped, .* Swap the two folders",
     ),
     "several logs": (
         lambda drive: shutil.copy(TWO_LANES / "gnss" / "gnss_sf1.nmea", drive / "gnss"),

@@ -27,7 +27,7 @@ KEYS = {
     *("forward_s", "reverse_s", "standing_s"),
     *("reversals", "heading_sigma_deg", "position_sigma_m", "conditioning", "recorded_heading"),
     *("clock_offset", "clock_change", "camera_contradiction", "camera_yaw"),
-    *("gyro_bias_dps", "fix_offset", "camera_scale", "wheel_scale", "notes"),
+    *("gyro_bias_dps", "fix_offset", "camera_scale", "wheel_scale", "findings"),
     *("attitude", "georeference", "unseen"),
 }
 
@@ -67,8 +67,8 @@ def test_the_table_of_a_recording(fieldgrid: Run, out: Path) -> None:
     assert re.search(r"^rejected \d+: HDOP \d+(\.\d+)? > 4$", text, re.MULTILINE)
     assert re.search(r"^datum: .* 41\.65, -4\.72, 787\.4$", text, re.MULTILINE)
     assert re.search(r"^gyro bias +-?\d\.\d{3} °/s$", text, re.MULTILINE)
-    assert "note: gnss_sf1.nmea: 6 damaged sentences skipped." in lines
-    unseen = next(line for line in lines if line.startswith("unseen: "))
+    assert "info note: gnss_sf1.nmea: 6 damaged sentences skipped." in lines
+    unseen = next(line for line in lines if line.startswith("info unseen: "))
     assert "farther left or right than declared or a receiver that drifts slowly" in unseen
 
 
@@ -132,7 +132,9 @@ def test_json_is_one_object_and_nothing_else(fieldgrid: Run, out: Path) -> None:
     assert sum(reason["fixes"] for reason in result["reasons"]) == result["rejected"]
     assert result["reversals"] == 2
     assert result["heading_sigma_deg"]["median"] < result["heading_sigma_deg"]["p95"]
-    assert "gnss_sf1.nmea: 6 damaged sentences skipped." in result["notes"]
+    assert "gnss_sf1.nmea: 6 damaged sentences skipped." in [
+        one["message"] for one in result["findings"]
+    ]
 
 
 def test_a_drive_of_which_no_pose_can_be_used_exits_with_1(
@@ -145,7 +147,7 @@ def test_a_drive_of_which_no_pose_can_be_used_exits_with_1(
     result = fieldgrid("track", log, "-o", out)
     assert result.status == 1
     assert "No pose can be used, mostly because: heading unknown" in result.out
-    assert "log while the vehicle drives, or record its heading" in result.out
+    assert "Log while the vehicle drives, or record its heading" in result.out
     assert {row["status"] for row in rows(out)} == {"rejected"}
 
 
@@ -352,7 +354,7 @@ def test_given_poses(fieldgrid: Run, out: Path) -> None:
     text = fieldgrid("track", TWO_LANES, "-o", out, *rtk, "--poses", tum).output()
     assert re.search(r"^heading of the poses' frame \(fixes\) +\d\d\.\d\d ± 0\.\d\d °$", text, re.M)
     assert re.search(r"^poses minus 437 fixes, median / 95 % / most +0\.0\d\d / ", text, re.M)
-    assert "note: The poses are 437 of track.tum, body axes flu, frame z up." in text
+    assert "info note: The poses are 437 of track.tum, body axes flu, frame z up." in text
     again = out.with_name("again.tum")
     frame = ("--frame-origin", "41.65,-4.72,787.4", "--frame-heading", "90")
     told = fieldgrid("track", TWO_LANES, "-o", again, *rtk, "--poses", tum, *frame, "--json")

@@ -16,7 +16,6 @@ import pytest
 
 from fieldgrid.core import (
     BuildSettings,
-    CalibrationError,
     ConfigError,
     GnssError,
     MapExistsError,
@@ -500,7 +499,7 @@ def test_an_end_that_is_refused_keeps_the_drive_and_says_how_to_finish_it(
         for frame in recording.frames():
             left, right = frame.images()
             live.push_pair(left, np.roll(right, 5, axis=0), frame.time_ns, wait=True)
-        with pytest.raises(CalibrationError, match="--accept vertical-misalignment") as told:
+        with pytest.raises(RecordingError, match="--accept vertical-misalignment") as told:
             live.close()
     assert f"The drive is kept in {live_folder(out)}" in str(told.value)
     assert "--finish" in str(told.value)

@@ -83,7 +83,7 @@ def test_a_session_whose_beginning_is_damaged_goes_on(
         assert live.counts.frames == 6
         assert live.counts.fixes == len(recording.fixes())
         report = live.finish()
-    (note,) = report.notes
+    (note,) = (one.message for one in report.findings if one.code == "note")
     assert "journal were damaged" in note
     with open_map(out) as ours, open_map(built) as theirs:
         assert [f.pose for f in ours.frames("drive")] == [f.pose for f in theirs.frames("drive")]

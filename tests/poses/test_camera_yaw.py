@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fieldgrid.geometry import Carrier, Motion, Steps
-from fieldgrid.poses import estimate_poses, yaw_notes
-from fieldgrid.poses.faults.camera_yaw import CameraYaw
+from fieldgrid.poses import estimate_poses
+from fieldgrid.poses.faults.camera_yaw import CameraYaw, yaw_findings
 from tests.simulated import DATUM, SLALOM, Command, Drive, fixes_of, simulate, steps_of
 
 ROWS = [Command(20.0, 1.5), *SLALOM, Command(20.0, 1.5), Command(10.0, -1.0), Command(20.0, 1.5)]
@@ -42,7 +42,7 @@ def test_a_camera_that_looks_aside_is_measured(drive: Drive, yaw_deg: float, see
     assert found.sigma_deg < 0.3
     assert found.is_off == (yaw_deg != 0.0)
     assert found.turned_deg == 0.0
-    assert len(list(yaw_notes(found))) == (yaw_deg != 0.0)
+    assert len(list(yaw_findings(found))) == (yaw_deg != 0.0)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.7])
@@ -54,7 +54,7 @@ def test_a_camera_that_is_pushed_is_told(drive: Drive, share: float) -> None:
     found = seen(drive, mixed)
     assert found is not None
     assert 1.0 < found.turned_deg < 3.0
-    assert len(list(yaw_notes(found))) == 1
+    assert len(list(yaw_findings(found))) == 1
 
 
 def test_without_steps_there_is_none(drive: Drive) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from fieldgrid.core import Severity
 from fieldgrid.geometry import LeverArm, Motion, Steps
 from fieldgrid.poses import estimate_poses
 from tests.scenes import paper_rig
@@ -22,6 +23,7 @@ from tests.simulated import (
     simulate,
     steps_of,
 )
+from tests.told import codes
 
 WEAVING = [*SLALOM, Command(4.0, 0.5), *SLALOM[1:]]
 UNREPEATED = [*SLALOM, *K_TURN, *SLALOM[:4]]
@@ -49,13 +51,15 @@ def test_late_images_are_found(late_s: float) -> None:
 
 def test_the_note_names_the_setting() -> None:
     drive = simulate(WEAVING, 20.0, speed_mps=1.5)
-    (note,) = (n for n in report(drive, 0.5).notes if "image_time_offset_s" in n)
-    told = re.search(r"stamped \+(0\.\d{3}) s ± 0\.0\d\d s .* add -(0\.\d{3}) to image_time", note)
+    (found,) = (one for one in report(drive, 0.5).findings if one.code == "clock-offset")
+    assert found.severity is Severity.ERROR
+    told = re.search(r"stamped \+(0\.\d{3}) s ± 0\.0\d\d s .*; at 1\.\d m/s", found.message)
+    remedy = re.search(r"^Add -(0\.\d{3}) to --time-offset, or to image_time", found.remedy)
     assert told is not None
-    assert told[1] == told[2]
+    assert remedy is not None
+    assert told[1] == remedy[1]
     assert float(told[1]) == pytest.approx(0.5, abs=0.05)
-    assert "image_time_offset_s in recording.toml, or to --time-offset" in note
-    assert not any("image_time_offset_s" in n for n in report(drive, 0.0).notes)
+    assert "clock-offset" not in codes(report(drive, 0.0))
 
 
 @pytest.mark.parametrize(
@@ -98,8 +102,8 @@ def test_fixes_of_another_clock_than_images_and_gyro_are_told(late_s: float) -> 
     assert told.clock.gyro_too
     assert told.clock.offset_s == pytest.approx(-late_s, abs=3.0 * told.clock.sigma_s)
     assert told.clock.sigma_s < 0.05
-    (note,) = (n for n in told.notes if "gnss_time_offset_s" in n)
-    moved = re.search(r"add (-?\d+\.\d+) to gnss_time_offset_s .* or to --gnss-offset", note)
+    (note,) = (one.remedy for one in told.findings if one.code == "clock-offset")
+    moved = re.search(r"add (-?\d+\.\d+) to --gnss-offset, or to gnss_time_offset_s", note)
     assert moved is not None
     assert float(moved[1]) == pytest.approx(late_s, abs=0.1)
     # A gyro of the receiver's clock says that it is the images.

@@ -16,6 +16,7 @@ from fieldgrid.poses.faults.explained import Explanation, explanation
 from fieldgrid.poses.fused import Fusion
 from tests.scenes import paper_rig
 from tests.simulated import Command, Drive, fixes_of, gyro_of, simulate, time_ns
+from tests.told import codes
 
 DATUM = Datum(39.5, -1.1, 700.0)
 TIGHT = [
@@ -99,8 +100,7 @@ def test_nothing_excuses_a_gyro_that_is_wrong(size: float, gyro_s: float) -> Non
     """It is upside down, of a wrong unit, of another time."""
     drive = simulate(TIGHT, 35.0)
     found = estimate(drive, size=size, gyro_s=gyro_s)
-    (note,) = found.report.notes
-    assert WRONG in note
+    assert codes(found.report) == ["gyro-unused"]
     assert within(found, drive) == (1.0, 1.0)
     assert found.trajectory.accepted.mean() > 0.8
 
@@ -132,8 +132,8 @@ def test_of_a_log_alone_headings_are_as_unsure_and_the_gyro_stays_named() -> Non
     """Its positions are those of the antenna, wherever that sits."""
     drive = simulate(TIGHT, 35.0)
     found = estimate(drive, ahead_m=-2.2, vehicle=Carrier(0.0))
-    (note,) = found.report.notes
-    assert WRONG in note
+    assert codes(found.report) == ["gyro-unused"]
+    (note,) = (str(one) for one in found.report.findings if one.code == "gyro-unused")
     assert "how far the antenna sits ahead of the axle" in note
     assert within(found, drive)[1] == 1.0
     assert np.median(found.trajectory.position_sigma_m) < 0.1

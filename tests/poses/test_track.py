@@ -13,7 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fieldgrid.core import DatumError, FieldgridError, MapExistsError, MapWriteError, publish
+from fieldgrid.core import (
+    DatumError,
+    FieldgridError,
+    MapExistsError,
+    MapWriteError,
+    info,
+    publish,
+)
 from fieldgrid.geometry import Datum, Fix, FixColumns, Status, Trajectory
 from fieldgrid.poses import Estimate, estimate_poses, summarise_track, write_track
 from fieldgrid.poses.faults.convention import Comparison
@@ -67,7 +74,9 @@ def report() -> PoseReport:
     fixes = FixColumns.of_rows(log_of(30))
     verdicts = condition(fixes)
     summary = summarise(fixes, verdicts)
-    return PoseReport(summary, None, None, None, float("nan"), None, None, None, ("A remark.",))
+    return PoseReport(
+        summary, None, None, None, float("nan"), None, None, None, (info("x", "A remark."),)
+    )
 
 
 def trajectory(**changes: Any) -> Trajectory:
@@ -240,7 +249,7 @@ def test_json_holds_it_all() -> None:
     assert found["datum"] == {"lat_deg": 41.65, "lon_deg": -4.72, "height_m": 787.4}
     assert found["recorded_heading"]["offset_deg"] == 1.5
     assert found["gyro_bias_dps"] == 0.2
-    assert found["notes"] == ["A remark."]
+    assert [one["message"] for one in found["findings"]] == ["A remark."]
     assert found["heading_sigma_deg"].keys() == {"median", "p95"}
 
 

@@ -17,8 +17,8 @@ from fieldgrid.geometry import (
     VehicleGeometry,
     WheelSpeed,
 )
-from fieldgrid.poses import SLOW_ERRORS, Estimate, estimate_poses, unseen_sentence
-from fieldgrid.poses.faults.unseen import UnseenFault
+from fieldgrid.poses import Estimate, estimate_poses
+from fieldgrid.poses.faults.unseen import UnseenFault, unseen_findings
 from tests.scenes import paper_rig
 from tests.simulated import (
     DATUM,
@@ -107,7 +107,8 @@ def test_a_drive_that_never_turns_shows_no_antenna() -> None:
     ],
 )
 def test_a_sentence_names_them(faults: tuple[UnseenFault, ...], words: str) -> None:
-    assert words in unseen_sentence(faults)
+    (told,) = unseen_findings(faults)
+    assert words in told.message
 
 
 # --- how sure a receiver can be
@@ -163,7 +164,7 @@ def level_camera() -> Motion:
 
 
 def slow_notes(found: Estimate) -> list[str]:
-    return [note for note in found.report.notes if note.startswith(SLOW_ERRORS)]
+    return [str(one) for one in found.report.findings if one.code == "accuracy"]
 
 
 @pytest.mark.parametrize(
@@ -200,7 +201,7 @@ def test_fixed_ambiguities_leave_a_centimetre_and_a_half(
 
 def test_it_is_reported_with_its_remedy() -> None:
     (note,) = slow_notes(stating(0.1, Quality.DIFFERENTIAL))
-    assert "differential fixes state 0.1 m in the median and count as 0.25 m; if" in note
+    assert "differential fixes state 0.1 m in the median and count as 0.25 m. If" in note
     assert "give --accuracy METRES" in note
     for sigma_m, quality, accuracy_m in (
         (0.3, Quality.DIFFERENTIAL, None),

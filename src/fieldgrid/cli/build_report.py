@@ -50,7 +50,7 @@ def report_session(report: SessionReport, *, rate: bool = True) -> None:
 
 def report_remarks(report: Any) -> None:
     """Why frames have no pose, which are left out, and what else there is to say of a drive."""
-    from fieldgrid.core import grouped_reasons
+    from fieldgrid.core import grouped_reasons, in_order
 
     for count, example in grouped_reasons(report.reasons):
         output.report_line(f"rejected {count}: {example}")
@@ -59,5 +59,5 @@ def report_remarks(report: Any) -> None:
         output.report_line(f"left out frame {one.frame_id}: {one.reason}")
     if len(bad) > _BAD_SHOWN:
         output.report_line(f"left out {len(bad) - _BAD_SHOWN} more frames; --json lists them all")
-    for note in report.notes:
-        output.report_line(f"note: {note}")
+    for finding in in_order(report.findings):
+        output.report_finding(finding)

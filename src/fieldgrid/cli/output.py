@@ -18,7 +18,7 @@ from typing import Any
 import typer
 
 from fieldgrid.cli.groups import option
-from fieldgrid.core import printable
+from fieldgrid.core import Finding, printable
 
 _TIMES = ("time_ns", "start_ns", "stop_ns")
 """How the keys of times end in JSON; `..._offset_ns` is none."""
@@ -147,6 +147,20 @@ def report_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title
     """A table about the work."""
     if not _quiet:
         print_table(columns, rows, title=title)
+
+
+def print_finding(finding: Finding) -> None:
+    """A finding on standard output: its severity, its code, the sentence and what to do."""
+    print(_finding(finding))
+
+
+def report_finding(finding: Finding) -> None:
+    """The same, where reports go."""
+    report_line(_finding(finding))
+
+
+def _finding(finding: Finding) -> str:
+    return f"{severity(finding.severity.value)} {finding.code}: {printable(finding.whole())}"
 
 
 def severity(word: str) -> str:

@@ -73,6 +73,14 @@ if TYPE_CHECKING:
         shortened as shortened,
     )
     from fieldgrid.core.file_locks import let_go as let_go, lock as lock, lock_within as lock_within
+    from fieldgrid.core.findings import (
+        Finding as Finding,
+        Severity as Severity,
+        error as error,
+        in_order as in_order,
+        info as info,
+        warning as warning,
+    )
     from fieldgrid.core.input_limits import (
         UnfoldBudget as UnfoldBudget,
         bounded_lines as bounded_lines,

@@ -14,11 +14,14 @@ from fieldgrid.core import (
     BuildSettings,
     ConfigError,
     FieldgridError,
+    Finding,
     MapExistsError,
     MapWriteError,
     Overrides,
     first_problem,
+    info,
     quoted,
+    warning,
 )
 from fieldgrid.live.gridding_again import gridded_again
 from fieldgrid.live.kept.kept_drive import PushedDrive, SessionStart, live_folder, live_journal
@@ -38,10 +41,11 @@ from fieldgrid.pipeline import (
 from fieldgrid.poses import levelling_attitude
 from fieldgrid.recordings import DriveOptions, Recording, open_drive
 
-NOT_LEVELLED = (
+NOT_LEVELLED = info(
+    "not-levelled",
     "The drive has roll and pitch, but the points of its frames were not kept, so its grids are "
-    "perpendicular to the ground ahead. They are placed by the full attitude; for level grids, "
-    "build the drive from a recording (fieldgrid build RECORDING)."
+    "perpendicular to the ground ahead. They are placed by the full attitude.",
+    "For level grids, build the drive from a recording (fieldgrid build RECORDING).",
 )
 
 AT_THE_END = frozenset({"pose", "checks"})
@@ -188,9 +192,9 @@ def finish(
             sentence = str(error).removesuffix(".")
             raise type(error)(f"{sentence}. {kept.what_is_kept(ways)}") from error
         if left_out:
-            report.notes += (_still_kept(kept, left_out, _NO_POINTS),)
+            report.findings += (_still_kept(kept, left_out, _NO_POINTS),)
         if drive.unreadable:
-            report.notes += (_still_kept(kept, drive.unreadable, _NO_GRIDS),)
+            report.findings += (_still_kept(kept, drive.unreadable, _NO_GRIDS),)
         if not (left_out or drive.unreadable):
             kept.remove()
     report.wall_s = time.perf_counter() - started
@@ -211,16 +215,17 @@ _NO_POINTS = "their points are not there and it was not known while driving how 
 _NO_GRIDS = "their grids were damaged on the disk, which should be checked"
 
 
-def _still_kept(kept: SessionFolder, left_out: int, why: str) -> str:
+def _still_kept(kept: SessionFolder, left_out: int, why: str) -> Finding:
     """The remark on a drive that is in the map without some of its frames."""
     name = kept.drive.about.name
     first = f"remove {kept.out}"
     if kept.drive.about.append:
         first = f"remove the session from it (fieldgrid sessions {kept.out} --remove {name})"
-    return (
-        f"{left_out} frames are left out of the map, since {why}. "
+    return warning(
+        "frames-left-out",
+        f"{left_out} frames are left out of the map, since {why}.",
         f"The drive stays in {kept.folder}: with a recording, {first} and run fieldgrid live "
-        f"-o {kept.out} --finish-from RECORDING; without one, --discard removes what is kept."
+        f"-o {kept.out} --finish-from RECORDING; without one, --discard removes what is kept.",
     )
 
 
@@ -238,7 +243,7 @@ def _placed(
     datum, taken = about.datum, list[str]()
     if out.exists():
         with open_map(out) as existing:
-            taken = [info.name for info in existing.sessions()]
+            taken = [one.name for one in existing.sessions()]
             datum = datum or existing.datum
     if about.name not in taken:
         check_target(out, about)
@@ -248,13 +253,13 @@ def _placed(
     )
     told = levelling_attitude(estimate.report.attitude)
     if told is not None and not levels:
-        session.report.notes += (NOT_LEVELLED,)
+        session.report.findings += (NOT_LEVELLED,)
     way, datum = OriginTrack.of(estimate.trajectory), datum or estimate.trajectory.datum
     del estimate  # of a long drive there is no room for two
     with StageFile(out) as file:
         attitude = told if levels else None
-        staged, notes, left_out = gridded_again(kept, drive, file, attitude, way, progress)
-        session.report.notes += notes
+        staged, again, left_out = gridded_again(kept, drive, file, attitude, way, progress)
+        session.report.findings += again
         with (
             opened_map(out, settings, datum, patience)
             if out.exists()

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 
+from fieldgrid.core import Finding, warning
 from fieldgrid.geometry import GridSpec, LocalGrid
 from fieldgrid.live.kept.kept_drive import PushedDrive
 from fieldgrid.live.kept.session_folder import SessionFolder
@@ -26,12 +27,12 @@ def gridded_again(
     attitude: Attitude | None,
     way: OriginTrack,
     progress: Callable[[Progress], None] | None = None,
-) -> tuple[StagedDrive, tuple[str, ...], int]:
+) -> tuple[StagedDrive, tuple[Finding, ...], int]:
     """The frames of a session, of what was read of it, with grids that are level by the `attitude`,
     perpendicular to the ground ahead where that is None, of sweeps carried by the vehicle's `way`;
     those that had to be made again are in the `file`. `progress` is called after each of them.
 
-    Returns them with remarks for the report, and the number of frames that are left out, since
+    Returns them with findings for the report, and the number of frames that are left out, since
     their points are not there to make them as the others are."""
     staged = kept.staged()
     is_swept = any(frame.is_timed for frame in drive.frames)
@@ -53,7 +54,7 @@ def gridded_again(
         return was if frame.is_level == (tilt is not None) else None, True
 
     again = KeptFrames()
-    bad, as_driven, notes = list(staged.bad), 0, tuple[str, ...]()
+    bad, as_driven, findings = list(staged.bad), 0, tuple[Finding, ...]()
     with closing(side_by_side(make, range(len(drive.frames)), os.cpu_count() or 1)) as all_made:
         lost = False
         frames = zip(all_made, drive.frames, strict=True)
@@ -72,14 +73,16 @@ def gridded_again(
     if as_driven:
         known = ["the attitude"] if attitude is not None else []
         known += ["the motion"] if is_swept else []
-        notes = (
+        told = warning(
+            "points-lost",
             f"The points of {as_driven} of {len(again)} frames were not kept to the end: their "
-            f"grids are as they were made while driving, by {' and '.join(known)} known then. A "
-            "build from a recording (fieldgrid build RECORDING) makes them by the data of the "
+            f"grids are as they were made while driving, by {' and '.join(known)} known then.",
+            "A build from a recording (fieldgrid build RECORDING) makes them by the data of the "
             "whole drive.",
         )
+        findings = (told,)
     made_again = replace(staged, frames=file, kept=again, bad=bad)
-    return made_again, notes, len(drive.frames) - len(again)
+    return made_again, findings, len(drive.frames) - len(again)
 
 
 def _again(was: StagedFrame, grid: LocalGrid, ground: FrameGround) -> StagedFrame:

@@ -13,7 +13,7 @@ from fieldgrid.core import Closing, FieldgridError
 from fieldgrid.geometry import Fix
 from fieldgrid.live.results import What
 from fieldgrid.live.session import Live
-from fieldgrid.pipeline import explanation
+from fieldgrid.poses import explanation
 from fieldgrid.recordings import Frame
 
 JOIN_S = 6.0

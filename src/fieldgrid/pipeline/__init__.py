@@ -20,7 +20,6 @@ from fieldgrid.core.doors import door
 
 if TYPE_CHECKING:
     from fieldgrid.pipeline.checks.sensor_yaw import sensor_yaw as sensor_yaw
-    from fieldgrid.pipeline.checks.shifts import explanation as explanation
     from fieldgrid.pipeline.checks.stuck import REPEATED as REPEATED, StuckCamera as StuckCamera
     from fieldgrid.pipeline.convert.frames import Images as Images
     from fieldgrid.pipeline.convert.writing import convert_recording as convert_recording

@@ -27,10 +27,8 @@ from fieldgrid.core import (
 )
 from fieldgrid.geometry import Datum
 from fieldgrid.maps import MapFile, Patience, kept_groups, read_datum
-from fieldgrid.pipeline.checks.doubt import doubted_cell
-from fieldgrid.pipeline.poses import (
-    settle,
-)
+from fieldgrid.pipeline.checks.doubt import cell_findings
+from fieldgrid.pipeline.poses import settled
 from fieldgrid.pipeline.report import DRIVE_ERRORS, PartlyBuiltError, Progress, SessionReport
 from fieldgrid.pipeline.session import NewSession, ProgressReporter, prepared
 from fieldgrid.pipeline.staging.kept_frames import drop_journal, work_folder
@@ -189,7 +187,7 @@ class _Build:
                     every=self.every,
                     skips_bad=self.skip_bad > 0,
                 )
-                settle(doubted_cell(estimate.trajectory, self.settings), self.settings)
+                settled(cell_findings(estimate.trajectory, self.settings), self.settings)
                 datum = datum or estimate.trajectory.datum
             except FieldgridError as error:
                 self._fail(drive, error)

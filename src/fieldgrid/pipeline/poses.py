@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import NamedTuple
+from collections.abc import Iterable
 
 import numpy as np
 
 from fieldgrid.core import (
     BuildSettings,
-    CalibrationError,
     ConfigError,
     DatumError,
-    FieldgridError,
+    Finding,
     FrameOrigin,
     GnssError,
     Int64,
     RecordingError,
-    StopCode,
+    Severity,
     commonest_reason,
+    info,
     utc_text,
+    warning,
 )
 from fieldgrid.geometry import (
     MAX_DISTANCE_M,
@@ -34,22 +35,16 @@ from fieldgrid.geometry import (
     Trajectory,
 )
 from fieldgrid.perception import reliable_range_m
-from fieldgrid.pipeline.checks.shifts import Span, explanation, shift_to_overlap
 from fieldgrid.pipeline.checks.stuck import REPEATED
 from fieldgrid.poses import (
-    WIDEST_S,
-    ClockChange,
-    ClockOffset,
     ErrorBudget,
     Estimate,
+    Span,
     estimate_poses,
-    off_sentence,
+    explanation,
+    shift_to_overlap,
 )
 from fieldgrid.recordings import Drive, Recording, no_fixes
-
-ASKEW_DEG = 2.0
-"""A camera that looks so far aside puts what is 7 m away by a cell of the paper elsewhere. Less
-than that a vehicle may slip on a slope, which looks the same."""
 
 USUAL_BUDGET_M = 0.25
 """How far off a cell at the far end of a grid may be when nothing is asked: the paper's cell."""
@@ -124,10 +119,6 @@ def estimate_trajectory(
     return estimate_drive(recording, settings, datum, steps).trajectory
 
 
-MISPLACED_M = 0.25
-"""A clock that moves the drive by more than this makes a wrong map: it is the paper's cell."""
-
-
 def cell_budget(rig: Rig, settings: BuildSettings) -> ErrorBudget:
     """How far off a cell may be where the local grid's farthest points land."""
     asked = settings.pose.cell_budget_m
@@ -183,136 +174,26 @@ def _offset_words(recording: Recording, fixed: Span, shift_s: float) -> str:
     return _IMAGE_OFFSET.format(f"{recording.rig.image_time_offset_ns / 1e9 + shift_s:.10g}")
 
 
-class BuildDoubt(NamedTuple):
-    """What stops a build unless it is accepted."""
-
-    code: StopCode
-    error: FieldgridError
-
-
-def settle(doubted: BuildDoubt | None, settings: BuildSettings) -> tuple[str, ...]:
-    """A note about a doubt that the settings accept, none where there is no doubt; else its error
-    is raised, and says how to accept it."""
-    if doubted is None:
-        return ()
-    if doubted.code in settings.checks.accept:
-        return (f"Accepted {doubted.code}: {doubted.error}",)
-    sentence = str(doubted.error).removesuffix(".")
-    raise type(doubted.error)(f"{sentence}; to build nevertheless, give --accept {doubted.code}.")
+def told_of(drive: Drive) -> list[Finding]:
+    """What those who read a drive found out, and what of it was lost."""
+    return [
+        *(warning("losses", loss, "Copy or record it again.") for loss in drive.losses),
+        *(info("note", note) for note in drive.notes),
+    ]
 
 
-def doubted_clock(recording: Recording, estimate: Estimate) -> BuildDoubt | None:
-    """The doubt about stamps of images that are certainly wrong, by more than a map can bear."""
-    clock, trajectory = estimate.report.clock, estimate.trajectory
-    if clock is None or not clock.is_certain:
-        return None
-    far_m = abs(clock.offset_s) * usual_speed_mps(trajectory)
-    if far_m <= MISPLACED_M and abs(clock.offset_s) <= WIDEST_S:
-        return None
-    why = explanation(clock.offset_s, int(trajectory.time_ns[0]))
-    error = GnssError(
-        f"The images of {recording.name} are stamped {-clock.offset_s:+.2f} s ± "
-        f"{clock.sigma_s:.2f} s against the fixes, as {clock.steps} steps of the camera show"
-        f"{f' ({why})' if why else ''}{misplaced(clock.offset_s, trajectory, ', and ')}; "
-        f"{clock_remedy(recording, clock)}"
-    )
-    return BuildDoubt(StopCode.CLOCK_OFFSET, error)
-
-
-def doubted_jump(recording: Recording, estimate: Estimate) -> BuildDoubt | None:
-    """The doubt about images, gyro or fixes whose clock changes at some instant."""
-    change = estimate.report.clock_change
-    if change is None:
-        return None
-    return BuildDoubt(StopCode.CLOCK_JUMP, _change_error(recording, change))
-
-
-def _change_error(recording: Recording, change: ClockChange) -> RecordingError:
-    whose, beside, sign, option = (
-        ("fixes", "images and gyro", 1.0, "--gnss-offset")
-        if change.gyro_too
-        else ("images", "fixes", -1.0, "--time-offset")
-    )
-    return RecordingError(
-        f"The {whose} of {recording.name} are stamped {sign * change.before_s:+.2f} s against the "
-        f"{beside} up to {utc_text(change.time_ns)} and {sign * change.after_s:+.2f} s from there "
-        f"on, as {change.steps} visual odometry steps show: a clock was set during the drive, two "
-        "clocks drift apart, or images were lost and their stamps given to the next ones; split "
-        f"the drive there into two recordings, and give {option} for the one that is off."
-    )
-
-
-def doubted_frames(recording: Recording, estimate: Estimate) -> BuildDoubt | None:
-    """The doubt about images and fixes that are of other moments, which no single offset
-    explains."""
-    found = estimate.report.contradiction
-    if found is None or not found.is_certain:
-        return None
-    told = (
-        f"{found.off} of {found.steps} visual odometry steps of {recording.name} do not match the "
-        "fixes, and no clock offset explains it"
-    )
-    apart_ns = np.diff(recording.frame_times_ns())
-    # Not those of a camera that is triggered each so many seconds.
-    whole_seconds = (apart_ns % 1_000_000_000 == 0).all() and len(np.unique(apart_ns)) > 1
-    if found.gyro_too:
-        why = (
-            "The gyro agrees with the images, so the fixes are of another drive, of another clock, "
-            "or far less accurate than reported; check the log, and if it is the clock, give "
-            "--gnss-offset."
-        )
-    elif whole_seconds:
-        why = (
-            "The images are stamped in whole seconds, so each is up to a second late; let the "
-            "recorder write milliseconds, or take the stamps from the files' names or times if "
-            "those have them."
-        )
-    else:
-        why = (
-            "The images are not in the order of their stamps, some are missing or have wrong "
-            "stamps, or their clock is seconds off; check the order in frames.csv (as text, 10 "
-            "comes before 2), the recorder, and the clock of the computer."
-        )
-    return BuildDoubt(StopCode.FRAMES_MISPLACED, RecordingError(f"{told}. {why}"))
-
-
-def doubted_yaw(recording: Recording, estimate: Estimate) -> BuildDoubt | None:
-    """The doubt about a camera that certainly looks elsewhere than declared, by `ASKEW_DEG` or
-    more: the map would be wrong."""
-    yaw = estimate.report.camera_yaw
-    if yaw is None or not yaw.is_off or abs(yaw.off_deg) < ASKEW_DEG:
-        return None
-    return BuildDoubt(
-        StopCode.CAMERA_YAW,
-        CalibrationError(
-            f"{off_sentence(yaw)}; measure the mounting with `fieldgrid mount --write`, or correct "
-            "camera_yaw_deg in mounting.json."
-        ),
-    )
-
-
-def clock_remedy(recording: Recording, clock: ClockOffset) -> str:
-    """What to give so that images and fixes are of one clock, with what is declared already."""
-    if clock.gyro_too:
-        whole_s = recording.log.moved_ns / 1e9 - clock.offset_s
-        return f"the gyro goes with the images: {_GNSS_OFFSET.format(f'{whole_s:.3f}')}."
-    whole_s = recording.rig.image_time_offset_ns / 1e9 + clock.offset_s
-    return f"{_IMAGE_OFFSET.format(f'{whole_s:.3f}')}."
-
-
-def usual_speed_mps(trajectory: Trajectory) -> float:
-    """The median speed of a drive while it moves."""
-    speed = np.abs(trajectory.speed_mps[trajectory.accepted])
-    return float(np.median(speed[speed > 0.1])) if (speed > 0.1).any() else 0.0
-
-
-def misplaced(offset_s: float, trajectory: Trajectory, before: str) -> str:
-    """How far images of another time are from their places, after the words `before`; nothing
-    where no usable pose tells how fast the drive was."""
-    speed_mps = usual_speed_mps(trajectory)
-    if speed_mps == 0.0:
-        return ""
-    return f"{before}at {speed_mps:.1f} m/s that is {abs(offset_s) * speed_mps:.2f} m"
+def settled(findings: Iterable[Finding], settings: BuildSettings) -> tuple[Finding, ...]:
+    """What is told of a build that goes on. Raises RecordingError for the first error; one that the
+    settings accept becomes a warning."""
+    told = []
+    for one in findings:
+        if one.severity is not Severity.ERROR:
+            told.append(one)
+        elif one.code in settings.checks.accept:
+            told.append(warning(one.code, f"Accepted {one.code}: {one.message}"))
+        else:
+            raise RecordingError(one.whole())
+    return tuple(told)
 
 
 def check_poses(recording: Recording, trajectory: Trajectory) -> None:

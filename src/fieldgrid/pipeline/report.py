@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
-from fieldgrid.core import DatumError, FieldgridError, GnssError, RecordingError
+from fieldgrid.core import DatumError, FieldgridError, Finding, GnssError, RecordingError
 
 DRIVE_ERRORS = (RecordingError, GnssError, DatumError)
 """Errors that say something of one drive; others end the build."""
@@ -86,8 +86,13 @@ class SessionReport:
     denied_share: float | None = None
     opposed_share: float | None = None
     bad: tuple[BadFrame, ...] = ()
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     stages: StageTimes = field(default_factory=StageTimes)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The findings as sentences."""
+        return tuple(map(str, self.findings))
 
     @property
     def frames_per_s(self) -> float:
@@ -101,6 +106,6 @@ class SessionReport:
             "reasons": dict(self.reasons.most_common()),
             "camera_refusal_reasons": dict(self.camera_refusal_reasons.most_common()),
             "bad": [bad._asdict() for bad in self.bad],
-            "notes": list(self.notes),
+            "findings": [one.as_dict() for one in self.findings],
             "frames_per_s": self.frames_per_s,
         }

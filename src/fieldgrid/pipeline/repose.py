@@ -11,7 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import ValidationError
 
-from fieldgrid.core import BuildSettings, ConfigError, FieldgridError, quoted, shortened
+from fieldgrid.core import (
+    BuildSettings,
+    ConfigError,
+    FieldgridError,
+    Finding,
+    info,
+    quoted,
+    shortened,
+)
 from fieldgrid.geometry import GridSpec, Lidar, Pose, Rig, Status, Trajectory, wrap_deg
 from fieldgrid.maps import MapFile, Patience, SessionInfo, open_map
 from fieldgrid.perception import OriginTrack, Sweep
@@ -42,11 +50,15 @@ class ReposeReport:
     moved_m: tuple[float, float] | None
     turned_deg: tuple[float, float] | None
     reasons: Mapping[str, int]
-    notes: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        return {**asdict(self), "reasons": dict(self.reasons), "notes": list(self.notes)}
+        return {
+            **asdict(self),
+            "reasons": dict(self.reasons),
+            "findings": [one.as_dict() for one in self.findings],
+        }
 
 
 def repose_map(
@@ -116,18 +128,18 @@ def _repose(
             pose = replace(pose, status=Status.REJECTED, reason=no_ground(rig))
         camera, after[frame.frame_id] = camera.judged(frame.images_sha256, pose)
     config = {**session.config, "settings": settings.model_dump(mode="json")}
-    notes = estimate.report.notes
+    findings = estimate.report.findings
     if isinstance(rig.sensor, Lidar):
         driven = universal.trajectory(session.name, as_driven=True)
         used_ns = [pose.time_ns for pose in after.values() if pose.status is Status.OK]
-        notes += (_of_sweeps(driven, estimate.trajectory, used_ns, settings),)
+        findings += (_of_sweeps(driven, estimate.trajectory, used_ns, settings),)
     universal.repose(session.name, after, estimate.trajectory, config)
-    return _report(session.name, before, after, estimate, notes)
+    return _report(session.name, before, after, estimate, findings)
 
 
 def _of_sweeps(
     old: Trajectory, new: Trajectory, frame_ns: list[int], settings: BuildSettings
-) -> str:
+) -> Finding:
     """What the new poses change of the motion within a sweep, whose points the map does not have
     any more."""
     ways = OriginTrack.of(old), OriginTrack.of(new)
@@ -141,9 +153,10 @@ def _of_sweeps(
     end = "which is less than half a cell"
     if off_m > cell_m / 2.0:
         end = "so build the drive again to have them there"
-    return (
+    return info(
+        "sweep",
         f"The points of a sweep stay where they were put by the poses of before; by the new ones "
-        f"the last of {SWEEP_S} s would lie up to {off_m:.3f} m elsewhere, {end}."
+        f"the last of {SWEEP_S} s would lie up to {off_m:.3f} m elsewhere, {end}.",
     )
 
 
@@ -191,7 +204,7 @@ def _report(
     before: Mapping[str, Pose],
     after: Mapping[str, Pose],
     estimate: Estimate,
-    notes: tuple[str, ...],
+    findings: tuple[Finding, ...],
 ) -> ReposeReport:
     used = [key for key, pose in after.items() if pose.status is Status.OK]
     both = [(before[k], after[k]) for k in used if before[k].status is Status.OK]
@@ -208,7 +221,7 @@ def _report(
         moved_m=_middle_and_most(moved),
         turned_deg=_middle_and_most(turned),
         reasons=Counter(p.reason for p in after.values() if p.status is not Status.OK),
-        notes=notes,
+        findings=findings,
     )
 
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import BuildSettings, CalibrationError, RecordingError
+from fieldgrid.core import BuildSettings, CalibrationError, RecordingError, info
 from fieldgrid.geometry import Datum, GridSpec, Rig, Status, Steps, StereoCamera, Trajectory
 from fieldgrid.maps import (
     MapFile,
@@ -28,44 +28,37 @@ from fieldgrid.maps import (
 )
 from fieldgrid.perception import LocalGridder, OriginTrack
 from fieldgrid.pipeline.checks.agreement import (
-    agreement_notes,
+    agreement_findings,
     denied_share,
-    opposed_notes,
+    opposed_findings,
     opposed_share,
 )
-from fieldgrid.pipeline.checks.camera_scale import (
-    camera_scale,
-    doubted_scale,
-    scale_notes,
-    tells_heights,
-)
+from fieldgrid.pipeline.checks.camera_scale import camera_scale, scale_findings, tells_heights
 from fieldgrid.pipeline.checks.contradictions import FramePose
 from fieldgrid.pipeline.checks.doubt import (
-    camera_notes,
-    doubted_cameras,
-    doubted_rows,
+    after_findings,
+    camera_findings,
     has_sweeps,
-    image_notes,
+    misalignment,
     probed_images,
-    sensor_notes,
-    sweep_notes,
+    row_findings,
+    sensor_findings,
+    sweep_findings,
 )
 from fieldgrid.pipeline.checks.format_hints import format_hints, hint_sentence
-from fieldgrid.pipeline.checks.mirrored import doubted_mirror
-from fieldgrid.pipeline.checks.sensor_yaw import doubted_sensor_yaw, sensor_yaw, sensor_yaw_notes
+from fieldgrid.pipeline.checks.mirrored import mirror_findings
+from fieldgrid.pipeline.checks.sensor_yaw import sensor_yaw, sensor_yaw_findings
 from fieldgrid.pipeline.checks.stuck import StuckCamera
 from fieldgrid.pipeline.inputs import Inputs, to_arrays
+from fieldgrid.pipeline.inspection.images import image_findings
 from fieldgrid.pipeline.poses import (
     check_images,
     check_poses,
-    doubted_clock,
-    doubted_frames,
-    doubted_jump,
-    doubted_yaw,
     estimate_drive,
     no_ground,
     none_usable,
-    settle,
+    settled,
+    told_of,
 )
 from fieldgrid.pipeline.report import BadFrame, Progress, SessionReport
 from fieldgrid.pipeline.staging.kept_frames import StagedDrive, collect
@@ -190,11 +183,10 @@ class NewSession:
         self.report = SessionReport(
             session=self.name,
             max_range_m=self._gridder.max_range_m,
-            notes=(
-                *recording.losses,
-                *recording.notes,
-                *sensor_notes(recording, settings, self._gridder.max_range_m),
-                *sweep_notes(recording, every, is_carried=self._way is not None),
+            findings=(
+                *told_of(recording),
+                *sensor_findings(recording, settings, self._gridder.max_range_m),
+                *sweep_findings(recording, every, is_carried=self._way is not None),
             ),
         )
 
@@ -217,8 +209,9 @@ class NewSession:
         check_cell_sizes(universal.cell_m, self._gridder.spec.cell_m)
         check_names([self.name], [info.name for info in universal.sessions()])
         images = tuple(probed_images(self.recording, self.every))
-        self.report.notes += settle(doubted_rows(self.recording, self.every, images), self.settings)
-        self.report.notes += tuple(image_notes(self.recording, images))
+        rows = misalignment(self.recording, images)
+        found = (*row_findings(self.recording, self.every, rows), *image_findings(images))
+        self.report.findings += settled(found, self.settings)
 
     def add(self, universal: MapFile, staged: StagedDrive) -> None:
         """Add the session to the map, with the frames that were staged."""
@@ -241,7 +234,8 @@ class NewSession:
                 f"No ground was found in the {len(staged.kept)} frames of {self.name}, so "
                 f"heights above it are not known. {hint_sentence(readings)}"
             )
-        report.notes += settle(doubted_cameras(recording, report, found, self.every), settings)
+        unfit = camera_findings(recording, report, found, self.every)
+        report.findings += settled(unfit, settings)
         trajectory = self._estimated(universal.datum, steps)
         report.heading_source = trajectory.heading_source
         with universal.add_session(
@@ -269,14 +263,16 @@ class NewSession:
         ) as session:
             accepted = _place(staged, session, trajectory, recording.rig, report)
             report.denied_share = denied_share(staged.frames, accepted)
-            report.notes += tuple(agreement_notes(report.denied_share, recording.rig))
             report.opposed_share = opposed_share(staged.frames, accepted)
-            report.notes += tuple(opposed_notes(report.opposed_share, report.position_sigma_m))
-            if not report.camera_steps:  # which tell it better
-                found_yaw = sensor_yaw(staged.frames, accepted)
-                report.notes += settle(doubted_sensor_yaw(found_yaw, recording.rig), settings)
-                report.notes += tuple(sensor_yaw_notes(found_yaw, recording.rig))
-            report.notes += tuple(camera_notes(recording, report))
+            # Steps of the camera tell its yaw better.
+            yaw = None if report.camera_steps else sensor_yaw(staged.frames, accepted)
+            told = (
+                *agreement_findings(report.denied_share, recording.rig),
+                *opposed_findings(report.opposed_share, report.position_sigma_m),
+                *sensor_yaw_findings(yaw, recording.rig),
+                *after_findings(recording, report),
+            )
+            report.findings += settled(told, settings)
             placed = time.perf_counter()
         report.stages.map_s += time.perf_counter() - placed
 
@@ -288,7 +284,7 @@ class NewSession:
             return
         if not is_in_map(universal, self.name, staged):
             check_names([self.name], taken)
-        self.report.notes += ("The drive was in the map already.",)
+        self.report.findings += (info("in-map", "The drive was in the map already."),)
         self.report.frames = len(staged.kept)
 
     def _estimated(self, datum: Datum, steps: Steps | None) -> Trajectory:
@@ -298,16 +294,17 @@ class NewSession:
             recording, self.settings, datum, steps, level_grids=self._attitude is not None
         )
         report.stages.pose_s += time.perf_counter() - start
-        report.notes += estimate.report.notes
         report.fixes = len(estimate.fix_row)
         report.fixes_accepted = int(estimate.trajectory.accepted[estimate.fix_row].sum())
-        report.notes += settle(doubted_mirror(recording, estimate.trajectory, steps), self.settings)
-        heights = tells_heights(recording.fixes())
-        scale = camera_scale(steps, estimate.trajectory, heights_told=heights)
-        for doubted in (doubted_jump, doubted_clock, doubted_frames, doubted_yaw):
-            report.notes += settle(doubted(recording, estimate), self.settings)
-        report.notes += settle(doubted_scale(scale, recording.rig), self.settings)
-        report.notes += scale_notes(scale, recording.rig)
+        scale = camera_scale(
+            steps, estimate.trajectory, heights_told=tells_heights(recording.fixes())
+        )
+        told = (
+            *mirror_findings(recording, estimate.trajectory, steps),
+            *estimate.report.findings,
+            *scale_findings(scale, recording.rig),
+        )
+        report.findings += settled(told, self.settings)
         check_poses(recording, estimate.trajectory)
         return estimate.trajectory
 

@@ -5,20 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from fieldgrid.core import BuildSettings, ConfigError
+from fieldgrid.core import BuildSettings, ConfigError, Finding, warning
 from fieldgrid.geometry import Carrier, Datum
-from fieldgrid.pipeline.poses import estimate_drive
+from fieldgrid.pipeline.poses import estimate_drive, told_of
 from fieldgrid.poses import Estimate
 from fieldgrid.recordings import DriveOptions, open_drive
 
 
 class TrackedDrive(NamedTuple):
-    """An estimate with the name of its drive, its log, and the remarks of those who read it."""
+    """An estimate with the name of its drive, its log, and all findings."""
 
     name: str
     gnss_source: str
     estimate: Estimate
-    notes: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def track_drive(
@@ -42,8 +42,10 @@ def track_drive(
                 f"{path} has a mounting, which tells where the antenna sits and what a recorded "
                 "heading means; write it there, and leave --antenna-ahead and --heading-offset out."
             )
-        notes = (*drive.losses, *drive.notes)
+        findings = told_of(drive)
         if drive.rig is None and drive.refusal is not None:
-            notes = (f"The poses are those of the antenna: {drive.refusal}", *notes)
+            why = f"The poses are those of the antenna: {drive.refusal}"
+            findings.insert(0, warning("antenna-poses", why))
         estimate = estimate_drive(drive, settings, datum, carrier=carrier)
-        return TrackedDrive(drive.name, drive.gnss_source, estimate, notes)
+        findings += estimate.report.findings
+        return TrackedDrive(drive.name, drive.gnss_source, estimate, tuple(findings))

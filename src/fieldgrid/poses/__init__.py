@@ -22,15 +22,12 @@ if TYPE_CHECKING:
     from fieldgrid.poses.attitude.attitude import Attitude as Attitude
     from fieldgrid.poses.estimate import estimate_poses as estimate_poses
     from fieldgrid.poses.external.poses import GIVEN as GIVEN
-    from fieldgrid.poses.faults.camera_yaw import (
-        off_sentence as off_sentence,
-        yaw_notes as yaw_notes,
-    )
-    from fieldgrid.poses.faults.clock.change import ClockChange as ClockChange
-    from fieldgrid.poses.faults.clock.search import WIDEST_S as WIDEST_S, ClockOffset as ClockOffset
-    from fieldgrid.poses.faults.unseen import (
-        SLOW_ERRORS as SLOW_ERRORS,
-        unseen_sentence as unseen_sentence,
+    from fieldgrid.poses.faults.camera_yaw import ASKEW_DEG as ASKEW_DEG
+    from fieldgrid.poses.faults.clock.search import ClockOffset as ClockOffset
+    from fieldgrid.poses.faults.clock.shifts import (
+        Span as Span,
+        explanation as explanation,
+        shift_to_overlap as shift_to_overlap,
     )
     from fieldgrid.poses.gates.summary import ConditioningSummary as ConditioningSummary
     from fieldgrid.poses.gates.verdict import Gate as Gate
@@ -46,11 +43,7 @@ if TYPE_CHECKING:
         levelling_attitude as levelling_attitude,
         tells_attitude as tells_attitude,
     )
-    from fieldgrid.poses.report import (
-        NO_AXLE as NO_AXLE,
-        Estimate as Estimate,
-        clock_notes as clock_notes,
-    )
+    from fieldgrid.poses.report import Estimate as Estimate
     from fieldgrid.poses.track.formats import gpx_track as gpx_track
     from fieldgrid.poses.track.table import (
         Spread as Spread,

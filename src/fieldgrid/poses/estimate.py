@@ -7,7 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import ConfigError, Float64, GnssError, Int64, PoseSettings
+from fieldgrid.core import (
+    ConfigError,
+    Finding,
+    Float64,
+    GnssError,
+    Int64,
+    PoseSettings,
+    info,
+    warning,
+)
 from fieldgrid.geometry import (
     Datum,
     FixColumns,
@@ -32,9 +41,10 @@ from fieldgrid.poses.faults.denied import (
 from fieldgrid.poses.faults.excused import GyroExcuse, excused
 from fieldgrid.poses.faults.explained import explained
 from fieldgrid.poses.faults.unseen import (
+    accuracy_findings,
     unseen_faults,
+    unseen_findings,
     unseen_of_given,
-    unsure_notes,
     unsure_receiver,
 )
 from fieldgrid.poses.fused import Fusion, conditioned, fuse
@@ -42,9 +52,9 @@ from fieldgrid.poses.gates.conditioning import condition
 from fieldgrid.poses.gates.summary import summarise
 from fieldgrid.poses.levelled import leaning, tells_attitude, track_m, unsure_lean
 from fieldgrid.poses.measured import RecordedHeadings
-from fieldgrid.poses.report import Estimate, PoseReport, drive_notes, fix_offset
+from fieldgrid.poses.report import Estimate, PoseReport, drive_findings, fix_offset
 from fieldgrid.poses.settings import HeadingSource, heading_source
-from fieldgrid.poses.slope import slope_notes, unsure_slope
+from fieldgrid.poses.slope import slope_findings, unsure_slope
 from fieldgrid.poses.table import PoseTable, pose_table
 from fieldgrid.poses.verdict import ErrorBudget, judged
 
@@ -82,9 +92,10 @@ def estimate_poses(
     # Which fixes a vehicle can have driven through, and one estimate of all that was measured.
     found = fuse(conditioned(fixes, settings, datum), rig, motion, settings, frame_ns)
     # A recorded heading joins once the drive has shown what it means.
-    recorded_deg, comparison, notes = _recorded(found, source, settings)
+    recorded_deg, comparison, findings = _recorded(found, source, settings)
     if motion.poses is not None:
-        notes.append(f"The given poses were not used, since headings shall be {source}.")
+        told = f"The given poses were not used, since headings shall be {source}."
+        findings.append(info("poses-unused", told))
     log, axle, lean = found.log, found.axle, found.lean
     recorded = RecordedHeadings(recorded_deg)
     if comparison is not None:
@@ -107,7 +118,7 @@ def estimate_poses(
         ground = expected_ground(track_m(log.accepted), 0.0)
         seen = drive.measured.sees_turns()
         table = unsure_slope(table, ground, axle.vehicle, turns_seen=seen)
-        notes += slope_notes(ground, axle.vehicle)
+        findings += slope_findings(ground, axle.vehicle)
     # Carried to the grid origin, and judged.
     table = _carried(table, axle.vehicle, source)
     if source.kind == "smooth":
@@ -116,7 +127,8 @@ def estimate_poses(
     if lean is not None:
         trajectory = leaning(trajectory, lean, level_grids=level_grids)
     # A contradiction by a gyro that is excused says itself why the gyro was left out.
-    silent = found.gyro_note is None or (checks.excused is not None and checks.denied.clear)
+    silent = found.gyro_finding is None or (checks.excused is not None and checks.denied.clear)
+    unseen = unseen_faults(drive, rig, smooth=source.kind == "smooth")
     report = PoseReport(
         conditioning=summarise(log.fixes, log.verdicts),
         attitude=None if lean is None else lean.attitude,
@@ -129,16 +141,17 @@ def estimate_poses(
         offset=fix_offset(log.accepted, drive.offset_m),
         camera_scale=drive.smoothed.camera_scale,
         wheel_scale=drive.smoothed.wheel_scale,
-        unseen=unseen_faults(drive, rig, smooth=source.kind == "smooth"),
-        notes=(
-            *(() if silent else (found.gyro_note,)),
-            *(*found.notes, *notes),
-            *(unsure_notes(log.accepted) if settings.accuracy_m is None else ()),
-            *drive_notes(
+        unseen=unseen,
+        findings=(
+            *(() if silent else (found.gyro_finding,)),
+            *(*found.findings, *findings),
+            *(accuracy_findings(log.accepted) if settings.accuracy_m is None else ()),
+            *drive_findings(
                 *(drive, log.accepted, rig, axle, checks.denied),
-                *(source, settings, checks.clocks.offset, checks.yaw),
-                *(trajectory, fix_row),
+                *(source, settings, checks.clocks, checks.yaw),
+                *(trajectory, fix_row, frame_ns),
             ),
+            *unseen_findings(unseen),
         ),
     )
     return Estimate(trajectory, fix_row, report, table.gear_doubt)
@@ -203,14 +216,14 @@ def _of_given(
 ) -> Estimate:
     """The estimate of a drive whose poses another program made."""
     assert motion.poses is not None
-    log, notes = None, []
+    log, findings = None, list[Finding]()
     origin = settings.frame_origin
     try:
         log = conditioned(fixes, settings, datum)
         datum = log.datum
     except GnssError as problem:
         if origin is not None and len(fixes):
-            notes.append(str(problem))
+            findings.append(warning("fixes", str(problem)))
         elif origin is None and len(fixes):
             raise
     if datum is None and origin is not None:
@@ -230,6 +243,7 @@ def _of_given(
         offset = fix_offset(pairs.fixes, offset_m)
     ordered = fixes.in_order()
     judged_fixes = (ordered, condition(ordered)) if log is None else (log.fixes, log.verdicts)
+    unseen = unseen_of_given(placed.trajectory, found, rig)
     report = PoseReport(
         conditioning=summarise(*judged_fixes),
         attitude=placed.attitude,
@@ -239,16 +253,16 @@ def _of_given(
         offset=offset,
         camera_scale=None,
         wheel_scale=None,
-        notes=(*notes, *placed.notes),
+        findings=(*findings, *placed.findings, *unseen_findings(unseen)),
         georeference=found,
-        unseen=unseen_of_given(placed.trajectory, found, rig),
+        unseen=unseen,
     )
     return Estimate(placed.trajectory, placed.fix_row, report, placed.gear_doubt)
 
 
 def _recorded(
     fused: Fusion, source: HeadingSource, settings: PoseSettings
-) -> tuple[Float64, Comparison | None, list[str]]:
+) -> tuple[Float64, Comparison | None, list[Finding]]:
     """Headings of the vehicle that were recorded with the accepted fixes, NaN where none can be
     used; raises when they contradict the drive."""
     rig, recorded = fused.axle.vehicle, fused.recorded_deg()
@@ -260,8 +274,8 @@ def _recorded(
         return recorded, None, []
     found = fused.compared()
     if found is None:
-        note = "The drive is too short to compare the recorded heading with its course."
-        return recorded, None, [note]
+        told = "The drive is too short to compare the recorded heading with its course."
+        return recorded, None, [info("heading-recorded", told)]
     note, remedy = "", "use --heading smooth"
     if found.course:
         note = (
@@ -278,7 +292,7 @@ def _recorded(
     if note:
         if source.kind == "recorded":
             raise GnssError(note.replace(", and was not used", f"; {remedy}"))
-        return np.full_like(recorded, np.nan), found, [note]
+        return np.full_like(recorded, np.nan), found, [warning("heading-recorded", note)]
     if found.is_denied(settings.max_heading_offset_deg):
         sentence = (
             f"The recorded heading {found.diagnosis()} (seen at {found.compared} fixes, "
@@ -287,23 +301,26 @@ def _recorded(
         )
         if source.kind in ("smooth", "recorded"):
             raise GnssError(f"{sentence}, or use --heading course.")
-        return np.full_like(recorded, np.nan), found, [f"{sentence}. It was not used."]
-    notes = []
+        told = f"{sentence}. It was not used."
+        return np.full_like(recorded, np.nan), found, [warning("heading-recorded", told)]
+    findings = []
     if abs(found.offset_deg) > CLEAR_OFFSET_DEG:
-        notes = [
+        told = (
             f"The recorded heading is {found.offset_deg:+.2f}° ± {found.offset_sigma_deg:.2f}° off "
             "the course of the drive; taken out."
-        ]
+        )
+        findings.append(warning("heading-recorded", told))
     used = np.asarray(wrap_deg(recorded - found.offset_deg))
     # Of a few the robust estimate makes nothing by itself.
     if found.flipped > (FEW_TURNED_SHARE if source.kind == "smooth" else 0.0):
         around = fused.turned_around(found)
         used[around] = np.nan
-        notes.append(
+        told = (
             f"The recorded heading is the other way round at {np.count_nonzero(around)} of "
             f"{np.count_nonzero(np.isfinite(recorded))} fixes, and was not used there."
         )
-    return used, found, notes
+        findings.append(warning("heading-recorded", told))
+    return used, found, findings
 
 
 def _carried(table: PoseTable, rig: VehicleGeometry | None, source: HeadingSource) -> PoseTable:

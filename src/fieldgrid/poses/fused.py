@@ -7,11 +7,12 @@ attitude is not what was assumed.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Bool, Float64, Int64, PoseSettings
+from fieldgrid.core import Bool, Finding, Float64, Int64, PoseSettings, warning
 from fieldgrid.geometry import (
     Datum,
     FixColumns,
@@ -43,7 +44,6 @@ from fieldgrid.poses.faults.stray import MOST_ROUNDS, stray_fixes
 from fieldgrid.poses.gates.conditioning import condition
 from fieldgrid.poses.gears.stations import GearHints, gear_hints
 from fieldgrid.poses.levelled import (
-    DENIED_IMU,
     Lean,
     find_lean,
     levelled_fixes,
@@ -70,8 +70,8 @@ BACKING_SHARE, LEAST_WAY_M = 0.8, 50.0
 length."""
 
 
-def with_right_wheels(motion: Motion) -> tuple[Motion, str | None]:
-    """The motion with the wheels as the camera has them, and a sentence where their sign is, or
+def with_right_wheels(motion: Motion) -> tuple[Motion, Finding | None]:
+    """The motion with the wheels as the camera has them, and a finding where their sign is, or
     may be, turned round; None otherwise."""
     wheels, steps = motion.wheels, motion.steps
     if wheels is None or not turn_back(wheels):
@@ -81,18 +81,21 @@ def with_right_wheels(motion: Motion) -> tuple[Motion, str | None]:
         if other_way < TURNED_SHARE * told:
             return motion, None
         turned = wheels._replace(speed_mps=-wheels.speed_mps)
-        return motion._replace(wheels=turned), (
+        return motion._replace(wheels=turned), warning(
+            "wheels-turned",
             f"The wheels go the other way than the camera in {other_way} of {told} steps: the sign "
-            "of their speed was turned round. Correct it where it is recorded."
+            "of their speed was turned round.",
+            "Correct it where it is recorded.",
         )
     way_m = wheels.speed_mps[:-1] * np.diff(wheels.time_ns) / 1e9
     whole_m, back_m = float(np.nansum(np.abs(way_m))), float(-np.nansum(np.minimum(way_m, 0.0)))
     if whole_m < LEAST_WAY_M or back_m < BACKING_SHARE * whole_m:
         return motion, None
-    return motion, (
+    return motion, warning(
+        "wheels-turned",
         f"By its wheels the vehicle backs up over {back_m:.0f} of {whole_m:.0f} m. If it drives "
-        "forward, the sign of their speed is turned round, and headings with it: correct it where "
-        "it is recorded."
+        "forward, the sign of their speed is turned round, and headings with it.",
+        "Correct it where it is recorded.",
     )
 
 
@@ -168,8 +171,8 @@ def denied_leaps(fixes: AcceptedFixes, drive: DriveEstimate) -> tuple[SeenLeap, 
 class Fusion(NamedTuple):
     """A drive, and what it was estimated from: fixes and motion, of a vehicle that stands level
     where `lean` tells its attitude; its axle, and the gears that are known. `gyro` is the one that
-    was recorded, used or not, `trusted` what became of it, and `gyro_note` says why it was changed
-    or left out. `notes` say which other sensors were changed or left out."""
+    was recorded, used or not, `trusted` what became of it, and `gyro_finding` says why it was
+    changed or left out. `findings` say which other sensors were changed or left out."""
 
     log: ConditionedLog
     drive: DriveEstimate
@@ -179,8 +182,8 @@ class Fusion(NamedTuple):
     gyro: Gyro | None
     trusted: GyroVerdict
     lean: Lean | None = None
-    gyro_note: str | None = None
-    notes: tuple[str, ...] = ()
+    gyro_finding: Finding | None = None
+    findings: tuple[Finding, ...] = ()
 
     def again(self, *, as_stated: bool = False, **changes: Any) -> Fusion:
         """The drive estimated again, with other fixes, motion or axle, and with the slow error of
@@ -252,11 +255,11 @@ def fuse(
         drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     # A gyro that contradicts the drive; of one that fits, where an undeclared axle is.
     trusted = _with_trusted_gyro(drive, log, motion, axle, hints, frame_ns)
-    notes = (faulty_gyro, dead_gyro, turned_wheels)
+    findings = (faulty_gyro, dead_gyro, turned_wheels)
     found = Fusion(
         *(log, trusted.drive, trusted.motion, axle, hints, gyro, trusted),
-        gyro_note=wrong_gyro or trusted.note,
-        notes=tuple(note for note in notes if note is not None),
+        gyro_finding=wrong_gyro or trusted.finding,
+        findings=tuple(one for one in findings if one is not None),
     )
     if found.drive.measured.sees_turns() and not names_axle(rig):
         found = _with_axle(found)
@@ -264,7 +267,7 @@ def fuse(
     rig = found.axle.vehicle
     axes = _stated_axes(found, settings)
     lean, unused = find_lean(log.accepted, found.drive, found.motion, rig, frame_ns, axes)
-    found = found._replace(notes=(*found.notes, *unused))
+    found = found._replace(findings=(*found.findings, *unused))
     if lean is not None:
         level = log._replace(accepted=levelled_fixes(log.accepted, lean))
         found = found.again(log=level, motion=levelled_motion(found.motion, lean), lean=lean)
@@ -322,18 +325,19 @@ def _with_trusted_gyro(
     levelled by this very IMU, too."""
     at_ns = log.fixes.time_ns
     trusted = with_trusted_gyro(drive, log.accepted, at_ns, motion, axle, hints)
-    if trusted.note is None or not tells_attitude(motion, at_ns):
+    if trusted.finding is None or not tells_attitude(motion, at_ns):
         return trusted
-    lean, notes = find_lean(log.accepted, drive, motion, axle.vehicle, frame_ns)
+    lean, findings = find_lean(log.accepted, drive, motion, axle.vehicle, frame_ns)
     if lean is None and trusted.motion.inertial is None:
         # Nothing looks at this IMU again.
-        why = [note for note in notes if note.startswith(DENIED_IMU)]
-        return trusted._replace(note=" ".join([trusted.note, *why]))
+        why = [str(one) for one in findings if one.code == "accelerometer-unused"]
+        remedy = " ".join([trusted.finding.remedy, *why])
+        return trusted._replace(finding=replace(trusted.finding, remedy=remedy))
     if lean is None:
         return trusted
     fixes, level = levelled_fixes(log.accepted, lean), levelled_motion(motion, lean)
     again = smooth_drive(fixes, at_ns, level, axle, hints=hints)
-    if with_trusted_gyro(again, fixes, at_ns, level, axle, hints).note is not None:
+    if with_trusted_gyro(again, fixes, at_ns, level, axle, hints).finding is not None:
         return trusted
     return GyroVerdict(again, motion, np.zeros(len(again.time_ns)))
 

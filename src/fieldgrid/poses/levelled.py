@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64, Int64
+from fieldgrid.core import Finding, Float64, Int64, warning
 from fieldgrid.geometry import (
     Gyro,
     Inertial,
@@ -48,9 +48,6 @@ MOST_TRIED = 1000
 TWICE, CLEARLY, FITTING = 0.5, 0.75, 0.6
 """An IMU is mounted as it fits best, where it fits twice as well there, or fits clearly better and
 is then no more than this number of sigmas off."""
-
-DENIED_IMU = "The accelerometer contradicts"
-"""How a note on such an IMU begins."""
 
 
 class Lean(NamedTuple):
@@ -109,22 +106,25 @@ def find_lean(
     rig: VehicleGeometry | None,
     frame_ns: Int64 | None,
     stated: Sequence[AxisTilt] = (),
-) -> tuple[Lean | None, tuple[str, ...]]:
-    """The lean of a drive whose heading is known, None where nothing tells it, and notes on what
+) -> tuple[Lean | None, tuple[Finding, ...]]:
+    """The lean of a drive whose heading is known, None where nothing tells it, and findings on what
     was not used for it. `stated` are the axes whose rise the receiver states."""
     if not isinstance(rig, Rig) or len(fixes.time_ns) < 2:
         return None, ()
     recorded = (*_axes_of(motion), *stated)
     axes = [axis for axis in recorded if axis.is_known(fixes.time_ns)]
     few = {axis.body for axis in recorded} - {axis.body for axis in axes}
-    notes = [
-        f"Roll and pitch by the {body} are recorded at less than half of the fixes, and were not "
-        "used."
+    findings = [
+        warning(
+            "tilt-unused",
+            f"Roll and pitch by the {body} are recorded at less than half of the fixes, and were "
+            "not used.",
+        )
         for body in sorted(few)
     ]
     seen = motion.steps is not None and bool(np.isfinite(motion.steps.up_m).any())
     if not (seen or axes or _feels_force(motion)):
-        return None, tuple(notes)
+        return None, tuple(findings)
     # Headings of all nodes: in a hole of the fixes gyro or camera saw how the vehicle turned.
     heading_deg = np.degrees(drive.smoothed.state[:, 2])
     track = AntennaTrack(
@@ -139,20 +139,20 @@ def find_lean(
     said, sensed = (track, antenna_m - sensor_m, frame_ns, motion.steps, axes), motion.inertial
     attitude = estimate_attitude(*said, sensed=sensed)
     if sensed is not None and (denial := _imu_denial(*said[:2], sensed, attitude.push_misfit)):
-        notes.append(denial)
+        findings.append(denial)
         attitude, sensed = estimate_attitude(*said), None
     elif not math.isnan(attitude.push_misfit):
         attitude = attitude.if_late(drive.smoothed.declared.unsure_late_s)
-    notes += attitude.notes
+    findings += attitude.findings
     if not (seen or attitude.bodies or (sensed is not None and sensed.feels_force())):
-        return None, tuple(notes)
+        return None, tuple(findings)
     axle_m = np.array([0.0, axle_forward_m(rig), 0.0])
-    return Lean(attitude, antenna_m, axle_m, sensor_m, sensed is not None), tuple(notes)
+    return Lean(attitude, antenna_m, axle_m, sensor_m, sensed is not None), tuple(findings)
 
 
 def _imu_denial(
     track: AntennaTrack, antenna_m: Float64, sensed: Inertial, misfit: float
-) -> str | None:
+) -> Finding | None:
     """What is wrong with an IMU that contradicts the fixes, and what to do; None if nothing is."""
     if not misfit > SUSPECT_PUSH_MISFIT:
         return None
@@ -170,16 +170,18 @@ def _imu_denial(
     left_deg = min(fits, key=lambda deg: fits[deg])
     if fits[left_deg] < max(TWICE * fits[0], min(CLEARLY * fits[0], FITTING)):
         side = "left" if left_deg < 180 else "right"
-        remedy = f"it fits turned by about {min(left_deg, 360 - left_deg)}° to the {side}: "
+        remedy = f"It fits turned by about {min(left_deg, 360 - left_deg)}° to the {side}: "
         axes = f"correct imu_axes, from flu to {('flu', 'lbu', 'bru', 'rfu')[left_deg // 90]}"
         remedy += "mount it square to the vehicle" if left_deg % 90 else axes
     elif misfit > MOST_PUSH_MISFIT:
-        remedy = "check imu_axes, and the stamps of the IMU"
+        remedy = "Check imu_axes, and the stamps of the IMU"
     else:
         return None
-    return (
-        f"{DENIED_IMU} the motion of the fixes by {misfit:.1f} sigmas and was not used for roll "
-        f"and pitch; {remedy}."
+    return warning(
+        "accelerometer-unused",
+        f"The accelerometer contradicts the motion of the fixes by {misfit:.1f} sigmas and was not "
+        "used for roll and pitch.",
+        f"{remedy}.",
     )
 
 

@@ -8,18 +8,29 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64, Int64, PoseSettings, commonest_reason, utc_text
+from fieldgrid.core import (
+    Finding,
+    Float64,
+    Int64,
+    PoseSettings,
+    commonest_reason,
+    info,
+    utc_text,
+    warning,
+)
 from fieldgrid.geometry import Rig, Trajectory, VehicleGeometry, wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes, fix_offsets
 from fieldgrid.poses.attitude.attitude import Attitude
 from fieldgrid.poses.axle import Axle, names_axle
 from fieldgrid.poses.drive import DriveEstimate
 from fieldgrid.poses.external.georeference import Georeference
-from fieldgrid.poses.faults.camera_yaw import CameraYaw, yaw_notes
+from fieldgrid.poses.faults.camera_yaw import CameraYaw, yaw_findings
 from fieldgrid.poses.faults.clock.change import ClockChange
+from fieldgrid.poses.faults.clock.offset import ClockFindings
 from fieldgrid.poses.faults.clock.search import ClockOffset, MotionContradiction
+from fieldgrid.poses.faults.clock.told import clock_findings
 from fieldgrid.poses.faults.convention import Comparison
-from fieldgrid.poses.faults.denied import DriveContradiction, denied_notes
+from fieldgrid.poses.faults.denied import DriveContradiction, denied_findings
 from fieldgrid.poses.faults.leaps.seams import LEAP_S
 from fieldgrid.poses.faults.unseen import UnseenFault
 from fieldgrid.poses.gates.summary import ConditioningSummary
@@ -33,8 +44,6 @@ GOOD_FIX_M = 0.05
 LEAST_DRIFT_M, DRIFT_TIMES = 0.2, 3.0
 """A drift of less than this, or than this multiple of the stated error, is not reported: the camera
 itself makes as much."""
-
-NO_AXLE = "Nothing says how far the antenna sits ahead of the axle that does not steer"
 
 
 class FixOffset(NamedTuple):
@@ -61,7 +70,7 @@ class PoseReport:
     wheels are too long. As the camera's motion has it, `clock` is the time offset between images
     and fixes, `clock_change` where that offset changes, `contradiction` how much of the motion no
     offset explains, `camera_yaw` where the camera looks. `unseen` are faults that the drive
-    would not show: its sigmas do not cover them.
+    would not show: its sigmas do not cover them. `findings` tell all of it to people.
     """
 
     conditioning: ConditioningSummary
@@ -72,12 +81,17 @@ class PoseReport:
     offset: FixOffset | None
     camera_scale: Constant | None
     wheel_scale: Constant | None
-    notes: tuple[str, ...]
+    findings: tuple[Finding, ...]
     georeference: Georeference | None = None
     contradiction: MotionContradiction | None = None
     clock_change: ClockChange | None = None
     camera_yaw: CameraYaw | None = None
     unseen: tuple[UnseenFault, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The findings as sentences."""
+        return tuple(map(str, self.findings))
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON; what is unknown is null."""
@@ -109,7 +123,7 @@ class PoseReport:
             "camera_yaw": None if self.camera_yaw is None else self.camera_yaw._asdict(),
             "gyro_bias_dps": None if np.isnan(bias) else bias,
             "unseen": [str(fault) for fault in self.unseen],
-            "notes": list(self.notes),
+            "findings": [one.as_dict() for one in self.findings],
         }
 
 
@@ -140,7 +154,7 @@ def fix_offset(fixes: AcceptedFixes, offset_m: Float64) -> FixOffset:
     )
 
 
-def drive_notes(
+def drive_findings(
     drive: DriveEstimate,
     fixes: AcceptedFixes,
     rig: VehicleGeometry | None,
@@ -148,37 +162,38 @@ def drive_notes(
     denied: DriveContradiction,
     source: HeadingSource,
     settings: PoseSettings,
-    clock: ClockOffset | None,
+    clocks: ClockFindings,
     yaw: CameraYaw | None,
     trajectory: Trajectory,
     fix_row: Int64,
-) -> Iterator[str]:
-    """Remarks on a drive, a sentence each; `rig` as it was declared."""
-    yield from _constant_note(source, drive, settings)
+    frame_ns: Int64 | None,
+) -> Iterator[Finding]:
+    """What is told of a drive; `rig` as it was declared."""
+    yield from clock_findings(clocks, fixes, frame_ns)
+    yield from yaw_findings(yaw)
+    yield from _of_constant(source, drive, settings)
     # That the gears that the user knows are those of another time.
     first_ns, last_ns = (int(ns) for ns in fixes.time_ns[[0, -1]])
     spans = settings.gear_spans
     if spans and all(one.stop_ns < first_ns or one.start_ns > last_ns for one in spans):
-        yield (
+        yield warning(
+            "gears-elsewhere",
             "The known gears are all of a time before or after this drive, and were not used; "
-            f"their times are UTC, and it lasts from {utc_text(first_ns)} to {utc_text(last_ns)}."
+            f"their times are UTC, and it lasts from {utc_text(first_ns)} to {utc_text(last_ns)}.",
         )
     if len(leaps_ns(fixes)):
-        yield leap_note(fixes)
-    yield from _drift_note(drive)
-    yield from clock_notes(clock)
-    if yaw is not None:
-        yield from yaw_notes(yaw)
+        yield _leaps(fixes)
+    yield from _drift(drive)
     if not names_axle(rig):
         yield _no_axle(rig, axle)
-    yield from denied_notes(drive, denied)
+    yield from denied_findings(drive, denied)
     if not trajectory.accepted.any():
-        yield _remedy(trajectory, fix_row, fixes, settings)
+        yield _no_pose(trajectory, fix_row, fixes, settings)
 
 
-def _constant_note(
+def _of_constant(
     source: HeadingSource, drive: DriveEstimate, settings: PoseSettings
-) -> Iterator[str]:
+) -> Iterator[Finding]:
     """A heading given by hand beside that of the drive."""
     moving = (drive.gear != 0) & (drive.heading_sigma_deg < settings.max_heading_sigma_deg)
     if source.kind != "constant" or not moving.any():
@@ -186,9 +201,10 @@ def _constant_note(
     off = np.abs(wrap_deg(drive.heading_deg[moving] - source.constant_deg))
     share = float(np.mean(off > 10.0))
     if share >= 0.1:
-        yield (
+        yield warning(
+            "heading-constant",
             f"The constant heading {source.constant_deg:g}° is more than 10° off the drive's own "
-            f"in {100.0 * share:.0f} % of it (median {np.median(off):.0f}°)."
+            f"in {100.0 * share:.0f} % of it (median {np.median(off):.0f}°).",
         )
 
 
@@ -197,20 +213,22 @@ def leaps_ns(fixes: AcceptedFixes) -> Int64:
     return fixes.time_ns[fixes.lasting_s <= LEAP_S]
 
 
-def leap_note(fixes: AcceptedFixes) -> str:
+def _leaps(fixes: AcceptedFixes) -> Finding:
     """That the receiver's solution leaps, and what its positions count as."""
     leaps = leaps_ns(fixes)
     first_s = (leaps[0] - fixes.time_ns[0]) / 1e9
     often = "once" if len(leaps) == 1 else f"{len(leaps)} times"
-    return (
+    return warning(
+        "leaps",
         f"The receiver's solution leaps {often} by more than it states (first {first_s:.0f} s "
         "after the start), and nothing tells which side is right: its positions count as good to "
-        f"{np.median(fixes.sigma_m):.2f} m. If you know, keep that side alone: --until or --from "
-        f"{utc_text(int(leaps[0]) + 1, 'ms')}."
+        f"{np.median(fixes.sigma_m):.2f} m.",
+        "If you know, keep that side alone: --until or --from "
+        f"{utc_text(int(leaps[0]) + 1, 'ms')}.",
     )
 
 
-def _drift_note(drive: DriveEstimate) -> Iterator[str]:
+def _drift(drive: DriveEstimate) -> Iterator[Finding]:
     """That the slow error of the fixes is larger than they state."""
     declared, larger = drive.smoothed.declared, drive.slow.larger > 0
     stated_m = float(np.median(drive.measured.bias_m)) / drive.slow.factor
@@ -221,49 +239,39 @@ def _drift_note(drive: DriveEstimate) -> Iterator[str]:
         extent_m = float(np.hypot(*np.ptp(drive.smoothed.state[:, 6:], axis=0)))
     if extent_m > max(LEAST_DRIFT_M, DRIFT_TIMES * stated_m):
         by = "camera" if len(drive.measured.step) else "gyro"
-        yield (
+        yield warning(
+            "drift",
             f"By the {by} the fixes drift by about {extent_m:.1f} m within the drive, more than "
             "they state, and nothing shows where they are right: positions count as good to "
-            f"{max(drive.slow.factor * stated_m, extent_m / 2.0):.1f} m. Check the receiver's base "
-            "station and corrections, and how cameras and IMU are mounted: one that is tilted or "
-            "was pushed looks the same."
+            f"{max(drive.slow.factor * stated_m, extent_m / 2.0):.1f} m.",
+            "Check the receiver's base station and corrections, and how cameras and IMU are "
+            "mounted: one that is tilted or was pushed looks the same.",
         )
 
 
-def clock_notes(clock: ClockOffset | None) -> Iterator[str]:
-    """That the images are stamped otherwise than the fixes."""
-    if clock is not None and clock.is_certain:
-        remedy = (
-            f"and the gyro with them; if so, add {-clock.offset_s:.3f} to gnss_time_offset_s in "
-            "recording.toml, or to --gnss-offset."
-            if clock.gyro_too
-            else f"if so, add {clock.offset_s:.3f} to image_time_offset_s in recording.toml, or to "
-            "--time-offset."
-        )
-        yield (
-            f"The images seem stamped {-clock.offset_s:+.3f} s ± {clock.sigma_s:.3f} s against the "
-            f"fixes{',' if clock.gyro_too else ';'} {remedy}"
-        )
-
-
-def _no_axle(rig: VehicleGeometry | None, axle: Axle) -> str:
+def _no_axle(rig: VehicleGeometry | None, axle: Axle) -> Finding:
     """That nobody says where the axle is, and what that means."""
     remedy = "Say it with --antenna-ahead METRES."
     if isinstance(rig, Rig):
         remedy = "Declare camera_mid_from_rear_axle_ground_flu_m in mounting.json."
+    turns = "a metre is 11° at a radius of 5 m"
     if axle.told:
         (_, ahead_m), _ = axle.frame()
-        return f"{NO_AXLE}; by the drive it is {ahead_m:.2f} m ± {axle.sigma_m:.2f} m. {remedy}"
-    turns = "a metre is 11° at a radius of 5 m"
-    if isinstance(rig, Rig):
-        return f"{NO_AXLE}, so headings are unsure in turns: {turns}. {remedy}"
-    taken = "it is taken to be above it. Ahead of it, headings are off in turns"
-    return f"{NO_AXLE}; {taken}: {turns}. {remedy}"
+        means = f"; by the drive it is {ahead_m:.2f} m ± {axle.sigma_m:.2f} m"
+    elif isinstance(rig, Rig):
+        means = f", so headings are unsure in turns: {turns}"
+    else:
+        means = f"; it is taken to be above it. Ahead of it, headings are off in turns: {turns}"
+    return info(
+        "axle-unknown",
+        f"Nothing says how far the antenna sits ahead of the axle that does not steer{means}.",
+        remedy,
+    )
 
 
-def _remedy(
+def _no_pose(
     trajectory: Trajectory, fix_row: Int64, fixes: AcceptedFixes, settings: PoseSettings
-) -> str:
+) -> Finding:
     """What to declare for poses of a refused drive to be used. The reasons are those of the poses
     at fixes, as everywhere; there may be more between them."""
     commonest = commonest_reason([trajectory.reason[row] for row in fix_row])
@@ -293,4 +301,8 @@ def _remedy(
     if len(leaps_ns(fixes)):
         # What is declared of the fixes does not tell which solution was right.
         advice = "keep the part on one side of a leap alone"
-    return f"No pose can be used, mostly because: {commonest}; {advice}."
+    return warning(
+        "no-pose",
+        f"No pose can be used, mostly because: {commonest}.",
+        f"{advice[0].upper()}{advice[1:]}.",
+    )

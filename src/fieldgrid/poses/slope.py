@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from fieldgrid.core import Finding, warning
 from fieldgrid.geometry import VehicleGeometry
 from fieldgrid.poses.attitude.ground import ExpectedGround
 from fieldgrid.poses.table import PoseTable
@@ -36,7 +37,7 @@ def _off_m(ground: ExpectedGround, rig: VehicleGeometry) -> float:
     return float(abs(rig.antenna.up_m) * ground.slope / np.sqrt(2.0))
 
 
-def slope_notes(ground: ExpectedGround, rig: VehicleGeometry) -> Iterator[str]:
+def slope_findings(ground: ExpectedGround, rig: VehicleGeometry) -> Iterator[Finding]:
     """A word on a slope that matters."""
     slope_deg = np.degrees(np.arctan(ground.slope))
     if not rig.antenna.up_m or slope_deg <= TOLD_DEG:
@@ -46,7 +47,9 @@ def slope_notes(ground: ExpectedGround, rig: VehicleGeometry) -> Iterator[str]:
     if ground.unseen > ground.slope / np.sqrt(2.0):
         told = "This drive does not show how steep the ground is across its way (8° are usual)"
         remedy = "Drive another row beside it, record an accelerometer, or map with images."
-    yield (
+    yield warning(
+        "lean-unknown",
         f"{told}, and nothing tells how the vehicle leans: its positions may be "
-        f"{_off_m(ground, rig):.2f} m off. {remedy}"
+        f"{_off_m(ground, rig):.2f} m off.",
+        remedy,
     )

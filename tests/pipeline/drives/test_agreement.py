@@ -16,9 +16,9 @@ from fieldgrid.geometry import GridSpec, LocalGrid, Pose
 from fieldgrid.maps import StagedFrame, stage, to_universal
 from fieldgrid.pipeline.checks.agreement import (
     PAIRS,
-    agreement_notes,
+    agreement_findings,
     denied_share,
-    opposed_notes,
+    opposed_findings,
     opposed_share,
 )
 from tests.pipeline.drives.making import WITHOUT_CAMERA, MakeDrive, build
@@ -118,13 +118,13 @@ def test_one_lane_has_no_other(lanes: slice) -> None:
 
 
 def test_lanes_that_contradict_are_told_of_sure_poses() -> None:
-    (note,) = opposed_notes(0.31, 0.02)
-    assert note.startswith(
+    (told,) = opposed_findings(0.31, 0.02)
+    assert told.message.startswith(
         "In lanes driven in opposite directions, frames of one lane call 31 % of the other's "
         "obstacle cells"
     )
     for share, sigma_m in ((None, 0.02), (0.07, 0.02), (0.31, 0.3), (0.31, None)):
-        assert not list(opposed_notes(share, sigma_m))
+        assert not list(opposed_findings(share, sigma_m))
 
 
 def test_an_antenna_on_the_wrong_side_is_told(make_drive: MakeDrive, tmp_path: Path) -> None:
@@ -184,7 +184,7 @@ def test_noisy_images_are_told(make_drive: MakeDrive, tmp_path: Path) -> None:
 
 def test_lidars_are_not_told_of_images() -> None:
     camera, lidar = depth_rig(), lidar_rig(1000.0)
-    assert list(agreement_notes(0.02, camera))
-    assert not list(agreement_notes(0.012, camera))
-    assert not list(agreement_notes(None, camera))
-    assert not list(agreement_notes(0.02, lidar))
+    assert list(agreement_findings(0.02, camera))
+    assert not list(agreement_findings(0.012, camera))
+    assert not list(agreement_findings(None, camera))
+    assert not list(agreement_findings(0.02, lidar))

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldgrid.core import StopCode
+from fieldgrid.core import Severity
 from fieldgrid.geometry import Steps, Trajectory
 from fieldgrid.pipeline.checks.camera_scale import (
     camera_scale,
-    doubted_scale,
-    scale_notes,
+    scale_findings,
     tells_heights,
 )
 from fieldgrid.poses import estimate_poses
@@ -47,21 +46,21 @@ def test_a_scale_is_no_surer_than_calibration_and_fixes(stated_m: float, least: 
 
 
 @pytest.mark.parametrize(
-    ("by", "notes", "stops"), [(0.98, 0, False), (1.04, 1, False), (0.92, 0, True)]
+    ("by", "severities"),
+    [(0.98, []), (1.04, [Severity.WARNING]), (0.92, [Severity.ERROR])],
 )
 def test_a_baseline_that_is_wrong_is_told_and_stops_a_build_from_a_twentieth(
-    by: float, notes: int, stops: bool
+    by: float, severities: list[Severity]
 ) -> None:
     found = camera_scale(scaled(by), driven(), heights_told=True)
     assert found is not None
     assert found.ratio == pytest.approx(by, abs=0.01)
-    assert len(scale_notes(found, RIG)) == notes
-    doubted = doubted_scale(found, RIG)
-    assert (doubted is not None) == stops
-    if doubted is not None:
-        assert doubted.code is StopCode.SCALE
+    told = list(scale_findings(found, RIG))
+    assert [one.severity for one in told] == severities
+    if told:
+        assert told[0].code == "scale"
         right_m = RIG.camera.baseline_m / found.ratio
-        assert f"a baseline of {right_m:.4f} m instead of" in str(doubted.error)
+        assert f"A baseline of {right_m:.4f} m instead of" in told[0].remedy
 
 
 def test_a_way_up_a_slope_is_longer_than_its_plan() -> None:

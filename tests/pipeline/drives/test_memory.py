@@ -189,4 +189,4 @@ def test_reasons_are_counted() -> None:
     assert report.frames_per_s == 0.0
     as_dict = report.as_dict()
     assert as_dict["reasons"] == {"a": 2, "b": 1}
-    assert as_dict["notes"] == []
+    assert as_dict["findings"] == []

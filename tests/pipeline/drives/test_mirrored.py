@@ -8,9 +8,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from fieldgrid.core import Float64, StopCode
+from fieldgrid.core import Float64, Severity
 from fieldgrid.geometry import Datum, Gyro, Motion, Status, Steps, Trajectory
-from fieldgrid.pipeline.checks.mirrored import doubted_mirror
+from fieldgrid.pipeline.checks.mirrored import mirror_findings
 from fieldgrid.recordings import Recording
 
 COUNT = 60
@@ -68,24 +68,23 @@ def drive(gyro_deg: Float64 | None = None) -> Recording:
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 def test_a_way_that_the_camera_saw_is_believed(sense: float, hole: bool) -> None:
     trajectory = way(sense * TURN_DEG, 41.65, -4.72)
-    assert doubted_mirror(drive(), trajectory, steps(sense, hole)) is None
+    assert not list(mirror_findings(drive(), trajectory, steps(sense, hole)))
 
 
 def test_a_straight_way_tells_nothing() -> None:
     straight = steps()._replace(turn_deg=np.zeros(COUNT))
-    assert doubted_mirror(drive(), way(np.zeros(COUNT), 41.65, 4.72), straight) is None
+    assert not list(mirror_findings(drive(), way(np.zeros(COUNT), 41.65, 4.72), straight))
 
 
 def test_nothing_is_said_without_a_camera() -> None:
-    assert doubted_mirror(drive(), way(-TURN_DEG, 41.65, 4.72), None) is None
+    assert not list(mirror_findings(drive(), way(-TURN_DEG, 41.65, 4.72), None))
 
 
 @pytest.mark.parametrize("hole", [False, True])
 def test_a_longitude_without_its_sign(hole: bool) -> None:
-    found = doubted_mirror(drive(TURN_DEG), way(-TURN_DEG, 41.65, 4.72), steps(hole=hole))
-    assert found is not None
-    assert found.code is StopCode.MIRRORED
-    said = str(found.error)
+    (found,) = mirror_findings(drive(TURN_DEG), way(-TURN_DEG, 41.65, 4.72), steps(hole=hole))
+    assert (found.code, found.severity) == ("mirrored", Severity.ERROR)
+    said = str(found)
     assert "m apart, and 0.00 m with left and right exchanged" in said
     assert "the gyro turns as the camera does" in said
     assert "latitude 41.650000, longitude 4.720000" in said
@@ -93,13 +92,13 @@ def test_a_longitude_without_its_sign(hole: bool) -> None:
 
 
 def test_images_that_were_flipped() -> None:
-    found = doubted_mirror(drive(-TURN_DEG), way(-TURN_DEG, 41.65, -4.72), steps())
-    assert found is not None
-    assert "the images were flipped" in str(found.error)
+    (found,) = mirror_findings(drive(-TURN_DEG), way(-TURN_DEG, 41.65, -4.72), steps())
+    assert "the images were flipped" in str(found)
 
 
 def test_latitude_and_longitude_exchanged() -> None:
-    found = doubted_mirror(drive(TURN_DEG), way(TURN_DEG, -4.72, 41.65, exchanged=True), steps())
-    assert found is not None
-    assert "0.00 m with latitude and longitude exchanged" in str(found.error)
-    assert "--columns lat=COLUMN,lon=COLUMN" in str(found.error)
+    (found,) = mirror_findings(
+        drive(TURN_DEG), way(TURN_DEG, -4.72, 41.65, exchanged=True), steps()
+    )
+    assert "0.00 m with latitude and longitude exchanged" in str(found)
+    assert "--columns lat=COLUMN,lon=COLUMN" in str(found)

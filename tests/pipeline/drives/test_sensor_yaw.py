@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fieldgrid.core import CalibrationError, StopCode
+from fieldgrid.core import RecordingError, Severity, error
 from fieldgrid.geometry import GridSpec, LocalGrid, Pose
 from fieldgrid.maps import StagedFrame, stage, to_universal
 from fieldgrid.pipeline import sensor_yaw
-from fieldgrid.pipeline.checks.sensor_yaw import SensorYaw, doubted_sensor_yaw, sensor_yaw_notes
+from fieldgrid.pipeline.checks.sensor_yaw import SensorYaw, sensor_yaw_findings
 from tests.pipeline.drives.making import WITHOUT_CAMERA, MakeDrive, build
 from tests.scenes import depth_rig, lidar_rig
 
@@ -93,9 +93,8 @@ def test_what_agrees_only_in_a_mirror_is_told() -> None:
     found = sensor_yaw(*frames_between_walls(mirrored=True))
     assert found is not None
     assert found.is_mirrored
-    doubted = doubted_sensor_yaw(found, lidar_rig(1000.0))
-    assert doubted is not None
-    assert doubted.code is StopCode.MIRRORED
+    (told,) = sensor_yaw_findings(found, lidar_rig(1000.0))
+    assert told == error("mirrored", told.message, told.remedy)
     as_it_is = sensor_yaw(*frames_between_walls())
     assert as_it_is is not None
     assert not as_it_is.is_mirrored
@@ -123,16 +122,13 @@ def test_frames_that_look_back_are_not_compared() -> None:
 def test_a_yaw_is_told_by_its_size() -> None:
     camera, lidar = depth_rig(), lidar_rig(1000.0)
     for found in (None, SensorYaw(0.9, 0.1), SensorYaw(1.9, 0.6)):
-        assert doubted_sensor_yaw(found, camera) is None
-        assert not list(sensor_yaw_notes(found, camera))
-    (note,) = sensor_yaw_notes(SensorYaw(-1.5, 0.1), camera)
-    assert "the camera points 1.5° ± 0.1° farther left than declared" in note
-    assert doubted_sensor_yaw(SensorYaw(-1.5, 0.1), camera) is None
-    doubted = doubted_sensor_yaw(SensorYaw(2.5, 0.1), lidar)
-    assert doubted is not None
-    assert doubted.code is StopCode.CAMERA_YAW
-    assert "the lidar points 2.5° ± 0.1° farther right" in str(doubted.error)
-    assert not list(sensor_yaw_notes(SensorYaw(2.5, 0.1), lidar))
+        assert not list(sensor_yaw_findings(found, camera))
+    (told,) = sensor_yaw_findings(SensorYaw(-1.5, 0.1), camera)
+    assert (told.code, told.severity) == ("camera-yaw", Severity.WARNING)
+    assert "the camera points 1.5° ± 0.1° farther left than declared" in told.message
+    (told,) = sensor_yaw_findings(SensorYaw(2.5, 0.1), lidar)
+    assert (told.code, told.severity) == ("camera-yaw", Severity.ERROR)
+    assert "the lidar points 2.5° ± 0.1° farther right" in told.message
 
 
 def test_a_build_without_the_cameras_steps_is_stopped(
@@ -143,6 +139,6 @@ def test_a_build_without_the_cameras_steps_is_stopped(
     said = json.loads(mounting.read_text())
     mounting.write_text(json.dumps(said | {"camera_yaw_deg": 3.0}))
     out = tmp_path / "askew.gpkg"
-    with pytest.raises(CalibrationError, match=r"points [23]\.\d° ± .* farther left.*--accept"):
+    with pytest.raises(RecordingError, match=r"points [23]\.\d° ± .* farther left.*--accept"):
         build([drive], out, settings=WITHOUT_CAMERA)
     assert not out.exists()

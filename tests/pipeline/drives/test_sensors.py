@@ -215,7 +215,7 @@ def test_nobody_says_how_the_error_of_depths_grows(drives: dict[str, Path], tmp_
     )
     report = built(folder, tmp_path / "map.gpkg", {})
     assert report.max_range_m == 15.0
-    assert any("depths are used up to 15 m; add the baseline" in note for note in report.notes)
+    assert any(one.code == "depth-range" and "up to 15 m" in one.message for one in report.findings)
 
 
 def test_a_depth_image_of_another_size_is_named(drives: dict[str, Path], tmp_path: Path) -> None:

@@ -84,14 +84,14 @@ def test_poses_that_are_estimated_again_say_what_they_do_to_sweeps(
     out = tmp_path / "map.gpkg"
     shutil.copy(timed[1], out)
     (report,) = repose_map(out)
-    (note,) = (note for note in report.notes if "sweep" in note)
-    assert "up to 0.000 m elsewhere, which is less than half a cell" in note
+    (told,) = (one.message for one in report.findings if one.code == "sweep")
+    assert "up to 0.000 m elsewhere, which is less than half a cell" in told
     with open_map(out) as universal:
         (session,) = universal.sessions()
         track = universal.trajectory(session.name, as_driven=True)
     straight = replace(track, heading_deg=np.zeros(len(track)))
-    note = _of_sweeps(track, straight, track.time_ns[5:-5].tolist(), resolve(None, SETTINGS))
-    found = re.search(r"up to ([\d.]+) m elsewhere, so build the drive again", note)
+    told = _of_sweeps(track, straight, track.time_ns[5:-5].tolist(), resolve(None, SETTINGS))
+    found = re.search(r"up to ([\d.]+) m elsewhere, so build the drive again", told.message)
     assert found
     # 0.06 rad, 15 m ahead, and the way of a tenth of a second in another direction.
     assert 0.9 < float(found[1]) < 1.6

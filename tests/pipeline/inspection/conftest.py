@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from fieldgrid.core import Severity
 from fieldgrid.pipeline import Inspection
-from fieldgrid.pipeline.inspection.findings import Severity
 from tests.pipeline.inspection.broken import copy_of
 
 Make = Callable[..., Path]

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from fieldgrid.core import BuildSettings, FieldgridError
+from fieldgrid.core import BuildSettings, FieldgridError, Severity
 from fieldgrid.maps import open_map
 from fieldgrid.pipeline import (
     Inspection,
@@ -21,7 +21,6 @@ from fieldgrid.pipeline import (
     estimate_mount,
     inspect_recording,
 )
-from fieldgrid.pipeline.inspection.findings import Severity
 from fieldgrid.recordings import DriveOptions
 from tests.conftest import TWO_LANES
 from tests.pipeline.inspection.broken import (
@@ -136,7 +135,7 @@ def test_thirty_milliseconds(drive: Make, moved_s: float, log: str) -> None:
     assert found.clock.offset_s == pytest.approx(-moved_s, abs=0.005)
     assert found.clock.sigma_s < 0.01
     _, remedy = finding(found, "clock-offset")
-    assert f"--time-offset {found.clock.offset_s:.3f} or image_time_offset_s = " in remedy
+    assert f"Add {found.clock.offset_s:.3f} to --time-offset, or to image_time" in remedy
 
 
 def test_two_seconds_are_an_error_without_a_gyro_too(drive: Make) -> None:
@@ -166,7 +165,7 @@ def test_gps_time_for_utc(drive: Make, moved_s: float, gps: str) -> None:
     message, remedy = finding(found, "clock-offset")
     assert re.search(r"; at 1\.\d m/s that is \d+\.\d\d m\.$", message)
     assert f"GPS time is {abs(moved_s):.0f} s ahead of UTC, so the {gps} carry GPS time" in message
-    assert f"--time-offset {-moved_s:.3f}" in remedy
+    assert f"Add {-moved_s:.3f} to --time-offset" in remedy
 
 
 def test_fixes_alone_in_gps_time(drive: Make) -> None:
@@ -180,7 +179,7 @@ def test_fixes_alone_in_gps_time(drive: Make) -> None:
     message, remedy = finding(found, "clock-offset")
     assert "the fixes carry GPS time" in message
     told = re.match(
-        r"The gyro goes with the images: give --gnss-offset (\S+) or gnss_time_offset_s = ", remedy
+        r"The gyro goes with the images: add (\S+) to --gnss-offset, or to gnss_time", remedy
     )
     assert told is not None
     assert abs(float(told[1]) + 18.0) < 0.05
@@ -395,7 +394,7 @@ def test_a_forgotten_lever_arm(drive: Make) -> None:
     change_mounting(folder, gnss_antenna_from_camera_mid_flu_m=[0, 0, 0])
     # The gyro of the turn, where these frames are, contradicts it: poses are refused there.
     found = inspect_recording(folder)
-    assert serious(found) == {"lever-arm-zero", "poses"}
+    assert serious(found) == {"lever-arm-zero", "antenna-place"}
     change_mounting(folder, gnss_antenna_from_camera_mid_flu_m=None)
     found = inspect_recording(folder)
     assert not found.builds
@@ -482,13 +481,11 @@ def test_a_build_fails_where_the_inspection_says_so(
         assert not [note for note in build().notes if "Accepted" in note]
         return
     code = ACCEPTED.get(fault)
-    hint = rf"; to build nevertheless, give --accept {code}\.$" if code else None
+    hint = rf" To build nevertheless, give --accept {code}\.$" if code else None
     with pytest.raises(FieldgridError, match=hint):
         build()
     assert not (tmp_path / "map.gpkg").exists()
     if fault in ("clock", "rows"):  # of the others no frame is of use
-        _, remedy = finding(found, str(code))
-        assert remedy.endswith(f"To build nevertheless, give --accept {code}.")
         assert [note for note in build(str(code)).notes if f"Accepted {code}: " in note]
         with open_map(tmp_path / "map.gpkg") as universal:
             (session,) = universal.sessions()
@@ -511,7 +508,6 @@ def test_a_longitude_without_its_minus_stops_a_build(drive: Make) -> None:
     message, remedy = finding(found, "mirrored")
     assert "with left and right exchanged, and the gyro turns as the camera does" in message
     assert "longitude 4.72" in remedy or "longitude 4.72" in message
-    assert "--accept mirrored" in remedy
 
 
 def test_a_camera_that_looks_aside_stops_a_build(drive: Make) -> None:
@@ -523,7 +519,6 @@ def test_a_camera_that_looks_aside_stops_a_build(drive: Make) -> None:
     message, remedy = finding(found, "camera-yaw")
     assert "3.0° ± 0.1° farther left than declared" in message
     assert "`fieldgrid mount --write`" in remedy
-    assert "--accept camera-yaw" in remedy
 
 
 def test_an_imu_that_is_mounted_sideways_is_left_out(drive: Make) -> None:
@@ -532,8 +527,8 @@ def test_an_imu_that_is_mounted_sideways_is_left_out(drive: Make) -> None:
     change_mounting(folder, imu_axes="lbu")
     found = inspect_recording(folder)
     assert found.builds
-    assert serious(found) == {"poses"}
-    message = " ".join(finding(found, "poses"))
+    assert serious(found) == {"accelerometer-unused"}
+    message = " ".join(finding(found, "accelerometer-unused"))
     assert "turned by about 90° to the right" in message
     assert "from flu to rfu" in message
 
@@ -543,8 +538,8 @@ def test_what_a_build_notes_of_the_poses_is_told(drive: Make) -> None:
     folder = drive()
     change_mounting(folder, gnss_antenna_from_camera_mid_flu_m=[-0.45, -0.78, 0.35])
     found = inspect_recording(folder)
-    assert serious(found) == {"poses"}
-    message, remedy = finding(found, "poses")
+    assert serious(found) == {"antenna-place"}
+    message, remedy = finding(found, "antenna-place")
     assert re.search(
         r"the antenna sits 0\.\d\d m ± 0\.\d\d m farther left than mounting\.json", message
     )
@@ -560,8 +555,8 @@ def test_images_that_are_stamped_in_whole_seconds_stop_a_build(drive: Make) -> N
     table.write_text("\n".join(",".join(row) for row in [head, *rows]) + "\n")
     found = inspect_recording(folder)
     assert not found.builds
-    message, _ = finding(found, "frames-misplaced")
-    assert "stamped in whole seconds" in message
+    _, remedy = finding(found, "frames-misplaced")
+    assert "stamped in whole seconds" in remedy
 
 
 def test_images_in_another_order_than_their_stamps_stop_a_build(drive: Make) -> None:
@@ -580,4 +575,3 @@ def test_images_in_another_order_than_their_stamps_stop_a_build(drive: Make) -> 
     assert "frames-misplaced" in codes(found, Severity.ERROR)
     _, remedy = finding(found, "frames-misplaced")
     assert "frames.csv" in remedy
-    assert "--accept frames-misplaced" in remedy

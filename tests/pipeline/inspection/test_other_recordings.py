@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fieldgrid.core import Severity
 from fieldgrid.pipeline import inspect_recording
 from fieldgrid.pipeline.inspection import drive as sampling
-from fieldgrid.pipeline.inspection.findings import Severity
 from fieldgrid.recordings import DriveOptions, open_recording
 from tests.conftest import TWO_LANES
 from tests.pipeline.inspection.broken import FEW, RTK

@@ -65,7 +65,7 @@ def test_a_wrong_baseline_shows_in_the_ways(scale: float) -> None:
     assert found.scale.ratio == pytest.approx(scale, abs=0.01)
     assert found.course_off_deg is None
     said = remarks(found, drive.rig)
-    assert [f"a baseline of {0.2 / scale:.2f}" in sentence for sentence in said] == (
+    assert [f"A baseline of {0.2 / scale:.2f}" in sentence for sentence in said] == (
         [] if scale == 1.0 else [True]
     )
 

@@ -178,7 +178,7 @@ def test_a_frame_that_leans_is_told_where_the_vehicle_turns() -> None:
     seen = score(way, found, frames)
     assert seen.percentile(95) < 0.4
     assert seen.within_3_sigma() == 1.0
-    assert found.notes == ()
+    assert found.findings == ()
 
 
 def test_the_frame_of_odometry_is_not_that_of_antennas() -> None:
@@ -207,9 +207,9 @@ def test_an_axis_that_contradicts_the_imu_is_named_and_not_used() -> None:
     sensed = inertial(way)
     alone = estimate_attitude(track_of(way), ARM_M, wanted_ns=FRAMES, sensed=sensed)
     found = estimate_attitude(track_of(way), ARM_M, wanted_ns=FRAMES, sensed=sensed, axes=[wrong])
-    (note,) = found.notes
-    assert note.startswith("The pitch is ")
-    assert "heading_offset_deg" in note
+    (told,) = found.findings
+    assert told.code == "tilt-unused"
+    assert told.message.startswith("The pitch is ")
     for one, other in pairwise((alone[:7], found[:7])):
         assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
@@ -220,7 +220,7 @@ def test_antennas_said_to_point_backward_are_named() -> None:
     found = estimate_attitude(
         track_of(way), ARM_M, wanted_ns=FRAMES, sensed=inertial(way), axes=[wrong]
     )
-    assert len(found.notes) == 1
+    assert len(found.findings) == 1
 
 
 def test_an_axis_that_contradicts_takes_its_body_along() -> None:
@@ -233,12 +233,12 @@ def test_an_axis_that_contradicts_takes_its_body_along() -> None:
     track = track_of(way)
     alone = estimate_attitude(track, ARM_M, wanted_ns=FRAMES)
     found = estimate_attitude(track, ARM_M, wanted_ns=FRAMES, axes=[ahead, right])
-    assert len(found.notes) == 1
+    assert len(found.findings) == 1
     assert np.array_equal(found.pitch_deg, alone.pitch_deg)
     # Of another body it would be used.
     other = ahead._replace(body="orientation")
     apart = estimate_attitude(track, ARM_M, wanted_ns=FRAMES, axes=[other, right])
-    assert len(apart.notes) == 1
+    assert len(apart.findings) == 1
     assert not np.array_equal(apart.pitch_deg, alone.pitch_deg)
 
 
@@ -248,7 +248,7 @@ def test_wrong_ambiguities_of_a_while_do_not_matter() -> None:
     found = estimate_attitude(
         track_of(CRESTS), ARM_M, wanted_ns=FRAMES, sensed=inertial(CRESTS), axes=[wrong]
     )
-    assert found.notes == ()
+    assert found.findings == ()
     seen = score(CRESTS, found, FRAMES)
     assert seen.percentile(95) < 0.2
     assert seen.within_3_sigma() == 1.0

@@ -10,7 +10,6 @@ import typer
 
 from fieldgrid.cli import options, output, progress
 from fieldgrid.cli.drive_options import Drive, Span
-from fieldgrid.core import printable
 
 if TYPE_CHECKING:
     from fieldgrid.pipeline import Inspection, StreamSummary
@@ -75,9 +74,7 @@ def _print(found: Inspection, figure: Path | None) -> None:
         output.print_table(columns, [_stream_row(stream) for stream in found.streams])
     output.print_line("")
     for finding in found.findings:
-        remedy = f" {finding.remedy}" if finding.remedy else ""
-        severity = output.severity(finding.severity.value)
-        print(f"{severity} {finding.code}: {printable(finding.message + remedy)}")
+        output.print_finding(finding)
     verdict = "a build would succeed" if found.builds else "a build would fail"
     output.print_line(f"inspect {found.path or found.name}: {verdict}")
     if figure is not None:

@@ -140,7 +140,7 @@ def command(
                 "drive": tracked.name,
                 "gnss": tracked.gnss_source,
                 **values,
-                "notes": [*tracked.notes, *values["notes"]],
+                "findings": [one.as_dict() for one in tracked.findings],
             }
         )
     else:
@@ -155,7 +155,7 @@ def command(
 def _report(
     out: Path | None, figure: Path | None, drive: TrackedDrive, summary: TrackSummary
 ) -> None:
-    from fieldgrid.poses import unseen_sentence
+    from fieldgrid.core import in_order
 
     output.report_table(
         ("", ""),
@@ -168,10 +168,8 @@ def _report(
         count = sum(count for count, _ in more)
         reasons = "another reason" if len(more) == 1 else f"{len(more)} other reasons"
         output.report_line(f"rejected {count}: for {reasons}")
-    for note in (*drive.notes, *summary.report.notes):
-        output.report_line(f"note: {note}")
-    if summary.report.unseen:
-        output.report_line(f"unseen: {unseen_sentence(summary.report.unseen)}")
+    for finding in in_order(drive.findings):
+        output.report_finding(finding)
     if out is not None:
         output.report_line(f"track {out}")
     if figure is not None:

@@ -12,6 +12,7 @@ from functools import cache
 
 import numpy as np
 
+from fieldgrid.core import Finding, warning
 from fieldgrid.geometry import Lidar, Rig
 from fieldgrid.maps import StagedFrames
 from fieldgrid.pipeline.checks.contradictions import FramePose, SeenCells, following, opposed
@@ -72,28 +73,30 @@ def opposed_share(frames: StagedFrames, placed: Sequence[FramePose]) -> float | 
     return denied / cells if cells >= FEWEST_OPPOSED else None
 
 
-def agreement_notes(share: float | None, rig: Rig) -> Iterator[str]:
-    """What a build says of frames that do not agree; a lidar sees the same thing with few points,
+def agreement_findings(share: float | None, rig: Rig) -> Iterator[Finding]:
+    """That frames do not agree; a lidar sees the same thing with few points,
     or with none."""
     if share is None or share <= DENIED_WARN or isinstance(rig.sensor, Lidar):
         return
-    yield (
+    yield warning(
+        "frames-disagree",
         "In three of four pairs of frames, taken some metres apart, the other frame calls more "
         f"than {100.0 * share:.1f} % of a frame's obstacle cells free (good images: at most "
-        "0.6 %), so the map has false obstacles. Check the images for noise, strong "
-        "compression, dirt and rain; record them with more light and less gain, without lossy "
-        "compression."
+        "0.6 %), so the map has false obstacles.",
+        "Check the images for noise, strong compression, dirt and rain; record them with more "
+        "light and less gain, without lossy compression.",
     )
 
 
-def opposed_notes(share: float | None, position_sigma_m: float | None) -> Iterator[str]:
-    """What a build says of lanes that contradict each other more than their receiver lets them."""
+def opposed_findings(share: float | None, position_sigma_m: float | None) -> Iterator[Finding]:
+    """That lanes contradict each other more than their receiver lets them."""
     is_sure = position_sigma_m is not None and position_sigma_m <= SURE_M
     if share is None or share <= OPPOSED_WARN or not is_sure:
         return
-    yield (
+    yield warning(
+        "lanes-disagree",
         f"In lanes driven in opposite directions, frames of one lane call {100.0 * share:.0f} % of "
         "the other's obstacle cells free (with RTK and a correct mounting at most 3 %), so the two "
-        "lanes place the row between them differently. Check the lateral position of the antenna "
-        "in the mounting, then camera_yaw_deg."
+        "lanes place the row between them differently.",
+        "Check the lateral position of the antenna in the mounting, then camera_yaw_deg.",
     )

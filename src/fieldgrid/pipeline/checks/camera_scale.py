@@ -8,13 +8,13 @@ sideways since they were calibrated, make all distances of the grids longer or s
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import CalibrationError, Float64, StopCode
+from fieldgrid.core import Finding, Float64, StopCode, error, warning
 from fieldgrid.geometry import DepthCamera, FixColumns, Rig, Status, Steps, StereoCamera, Trajectory
-from fieldgrid.pipeline.poses import BuildDoubt
 
 SCALE_WARN, SCALE_ERROR, CLEAR_SIGMAS = 0.03, 0.05, 4.0
 """How far the camera's way may be off that of the fixes before it is told, and before it stops a
@@ -110,37 +110,23 @@ def _slope(place_m: Float64) -> Float64:
     return np.asarray((after_m - before_m) / np.maximum(ends_m[1] - ends_m[0], CLIMB_OVER_M / 2.0))
 
 
-def scale_told(scale: CameraScale, rig: Rig) -> str:
-    """A sentence on a scale that is off, and what to do about it; it has its end."""
-    told = (
-        f"The camera measures {scale.ratio:.3f} ± {scale.sigma:.3f} times the distance of the "
-        f"fixes (over {scale.distance_m:.0f} m), and so do the grids"
-    )
+def scale_findings(scale: CameraScale | None, rig: Rig) -> Iterator[Finding]:
+    """That the camera's way is certainly not that of the fixes, and with it the distances of the
+    grids."""
     sensor = rig.sensor
-    if not isinstance(sensor, StereoCamera):
-        return f"{told}; check the unit of the depth images and the focal length of the camera."
-    return (
-        f"{told}; a baseline of {sensor.baseline_m / scale.ratio:.4f} m instead of "
-        f"{sensor.baseline_m:.4f} m would agree: check it (P[3] = -f·b of the right camera, "
-        "stereo_baseline_m) and the focal length, or calibrate the pair again if the cameras have "
-        "moved relative to each other."
+    if scale is None or not scale.is_off or not isinstance(sensor, StereoCamera | DepthCamera):
+        return
+    remedy = "Check the unit of the depth images and the focal length of the camera."
+    if isinstance(sensor, StereoCamera):
+        remedy = (
+            f"A baseline of {sensor.baseline_m / scale.ratio:.4f} m instead of "
+            f"{sensor.baseline_m:.4f} m would agree: check it (P[3] = -f·b of the right camera, "
+            "stereo_baseline_m) and the focal length, or calibrate the pair again if the cameras "
+            "have moved relative to each other."
+        )
+    yield (error if scale.stops else warning)(
+        StopCode.SCALE.value,
+        f"The camera measures {scale.ratio:.3f} ± {scale.sigma:.3f} times the distance of the "
+        f"fixes (over {scale.distance_m:.0f} m), and so do the grids.",
+        remedy,
     )
-
-
-def scale_notes(scale: CameraScale | None, rig: Rig) -> tuple[str, ...]:
-    """The remark on a camera's way that differs from that of the fixes by less than stops a
-    build."""
-    if scale is None or not scale.is_off or scale.stops or not _has_scale(rig):
-        return ()
-    return (scale_told(scale, rig),)
-
-
-def doubted_scale(scale: CameraScale | None, rig: Rig) -> BuildDoubt | None:
-    """The doubt about distances of the grids that are certainly wrong by a twentieth and more."""
-    if scale is None or not scale.stops or not _has_scale(rig):
-        return None
-    return BuildDoubt(StopCode.SCALE, CalibrationError(scale_told(scale, rig)))
-
-
-def _has_scale(rig: Rig) -> bool:
-    return isinstance(rig.sensor, StereoCamera | DepthCamera)

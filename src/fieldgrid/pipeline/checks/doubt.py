@@ -15,25 +15,26 @@ import numpy as np
 
 from fieldgrid.core import (
     BuildSettings,
-    CalibrationError,
-    ConfigError,
     FieldgridError,
+    Finding,
     RecordingError,
+    Severity,
     StopCode,
     commonest_reason,
+    error,
+    info,
+    warning,
 )
 from fieldgrid.geometry import DepthCamera, Lidar, StereoCamera, Trajectory
 from fieldgrid.perception import (
     FEWEST_TIMES,
-    SHIFT_ERROR_PX,
     Misalignment,
     drive_misalignment,
     features,
 )
-from fieldgrid.pipeline.inspection.findings import Severity
-from fieldgrid.pipeline.inspection.images import image_findings, misalignment_findings
+from fieldgrid.pipeline.inspection.images import misalignment_findings
 from fieldgrid.pipeline.inspection.measures import ImageMeasures
-from fieldgrid.pipeline.poses import BuildDoubt, no_ground
+from fieldgrid.pipeline.poses import no_ground
 from fieldgrid.pipeline.report import SessionReport
 from fieldgrid.recordings import CloudFrame, Frame, Recording
 
@@ -56,54 +57,58 @@ HINT_SHARE = 0.05
 """Ground that is missing in more of the frames than this deserves a remark."""
 
 
-def doubted_cameras(
+def camera_findings(
     recording: Recording, report: SessionReport, ground: int, every: int
-) -> BuildDoubt | None:
-    """The doubt that a drive which was perceived is of its calibration's cameras.
+) -> Iterator[Finding]:
+    """That a drive which was perceived is not of its calibration's cameras.
 
     `ground` counts the frames in which the ground was found.
     """
     frames = len(range(0, recording.frame_count, every))
     is_pair = isinstance(recording.rig.sensor, StereoCamera)
     if is_pair and 2 * ground < frames and swapped(recording, every):
-        return _swapped(recording.name)
-    tried = report.camera_steps + report.camera_refusals
-    blind = tried >= FEWEST_STEPS and report.camera_steps < STEP_SHARE * tried
-    if blind and ground < GROUND_SHARE * frames:
-        error = CalibrationError(
+        yield SWAPPED
+    elif _is_blind(report) and ground < GROUND_SHARE * frames:
+        tried = report.camera_steps + report.camera_refusals
+        yield error(
+            StopCode.CAMERAS_UNFIT.value,
             f"Only {ground} of {frames} frames of {recording.name} show the ground, and only "
             f"{report.camera_steps} of {tried} visual odometry steps can be estimated, so the "
-            "images do not fit the calibration; give the calibration of these cameras, and check "
-            "that the pairs are rectified, synchronised, and not swapped left and right."
+            "images do not fit the calibration.",
+            "Give the calibration of these cameras, and check that the pairs are rectified, "
+            "synchronised, and not swapped left and right.",
         )
-        return BuildDoubt(StopCode.CAMERAS_UNFIT, error)
-    return None
 
 
-def _swapped(name: str) -> BuildDoubt:
-    error = CalibrationError(
-        f"The pairs of {name} show depth only with left and right exchanged, so the two are "
-        "swapped, or the calibration is of other cameras; swap the two folders or the two columns "
-        "of frames.csv, or give the calibration of these cameras."
-    )
-    return BuildDoubt(StopCode.CAMERAS_SWAPPED, error)
+SWAPPED = error(
+    StopCode.CAMERAS_SWAPPED.value,
+    "The pairs show depth only with left and right exchanged, so the two are swapped, or the "
+    "calibration is of other cameras.",
+    "Swap the two folders or the two columns of frames.csv, or give the calibration of these "
+    "cameras.",
+)
 
 
-def doubted_cell(trajectory: Trajectory, settings: BuildSettings) -> BuildDoubt | None:
-    """The doubt about cells that may be centimetres given as metres: of a metre or more, and fewer
-    than `FEWEST_CELLS` across the drive."""
+def _is_blind(report: SessionReport) -> bool:
+    """Whether hardly a step of the camera could be told."""
+    tried = report.camera_steps + report.camera_refusals
+    return tried >= FEWEST_STEPS and report.camera_steps < STEP_SHARE * tried
+
+
+def cell_findings(trajectory: Trajectory, settings: BuildSettings) -> Iterator[Finding]:
+    """That cells may be centimetres given as metres: of a metre or more, and fewer than
+    `FEWEST_CELLS` across the drive."""
     cell_m, ok = settings.universal_cell_m, trajectory.accepted
     if cell_m < 1.0 or not ok.any():
-        return None
+        return
     way_m = max(np.ptp(trajectory.east_m[ok]), np.ptp(trajectory.north_m[ok]))
     cells = math.ceil((way_m + 2.0 * settings.grid.length_m) / cell_m)
-    if cells >= FEWEST_CELLS:
-        return None
-    error = ConfigError(
-        f"Cells of {cell_m:g} m leave at most {cells} of them across this drive; --cell is in "
-        f"metres: for {cell_m:g} cm give --cell {cell_m / 100.0:g}."
-    )
-    return BuildDoubt(StopCode.COARSE_CELLS, error)
+    if cells < FEWEST_CELLS:
+        yield error(
+            StopCode.COARSE_CELLS.value,
+            f"Cells of {cell_m:g} m leave at most {cells} of them across this drive.",
+            f"--cell is in metres: for {cell_m:g} cm give --cell {cell_m / 100.0:g}.",
+        )
 
 
 def probed_images(recording: Recording, every: int) -> Iterator[ImageMeasures]:
@@ -117,34 +122,19 @@ def probed_images(recording: Recording, every: int) -> Iterator[ImageMeasures]:
             yield ImageMeasures.of(*frame.images(), camera)
 
 
-def doubted_rows(
-    recording: Recording, every: int, images: Sequence[ImageMeasures]
-) -> BuildDoubt | None:
-    """The doubt about pairs whose rows do not match, by the `images` of some, or whose sides are
-    swapped where they do not."""
-    found = _misalignment(recording, images)
-    if found is None or found.residual_px <= SHIFT_ERROR_PX:
-        return None
-    if swapped(recording, every):  # what matches then, does by chance
-        return _swapped(recording.name)
-    error = CalibrationError(
-        f"The right images of {recording.name} are {found.median_px:+.1f} pixels lower than the "
-        f"left ones ({found.matches} matches in {found.pairs} of {len(images)} pairs), but stereo "
-        "matching needs equal rows; calibrate the pair again, or give the rectification of these "
-        "images."
-    )
-    return BuildDoubt(StopCode.VERTICAL_MISALIGNMENT, error)
+def row_findings(
+    recording: Recording, every: int, rows: Misalignment | None
+) -> tuple[Finding, ...]:
+    """What is wrong with the `rows` of pairs, or that their sides are swapped: what matches then,
+    does by chance."""
+    found = tuple(misalignment_findings(rows))
+    if any(one.severity is Severity.ERROR for one in found) and swapped(recording, every):
+        return (SWAPPED,)
+    return found
 
 
-def image_notes(recording: Recording, images: Sequence[ImageMeasures]) -> Iterator[str]:
-    """The warnings of an inspection about some of the pairs."""
-    found = _misalignment(recording, images)
-    for one in (*image_findings(images), *misalignment_findings(found)):
-        if one.severity is Severity.WARNING:
-            yield f"{one.message} {one.remedy}"
-
-
-def _misalignment(recording: Recording, images: Sequence[ImageMeasures]) -> Misalignment | None:
+def misalignment(recording: Recording, images: Sequence[ImageMeasures]) -> Misalignment | None:
+    """How far the rows of left and right are apart, by the images of some pairs."""
     camera = recording.rig.sensor
     if not isinstance(camera, StereoCamera):
         return None
@@ -153,10 +143,8 @@ def _misalignment(recording: Recording, images: Sequence[ImageMeasures]) -> Misa
     )
 
 
-def camera_notes(recording: Recording, report: SessionReport) -> Iterator[str]:
+def after_findings(recording: Recording, report: SessionReport) -> Iterator[Finding]:
     """What to look at in calibration and mounting after a build that went through."""
-    tried = report.camera_steps + report.camera_refusals
-    blind = tried >= FEWEST_STEPS and report.camera_steps < STEP_SHARE * tried
     rig, mount = recording.rig, recording.rig.mount
     missing = report.reasons[no_ground(rig)]
     if missing > HINT_SHARE * report.frames:
@@ -164,30 +152,37 @@ def camera_notes(recording: Recording, report: SessionReport) -> Iterator[str]:
         fits = ""
         if report.camera_steps > report.camera_refusals:
             fits = " Visual odometry succeeded, so the calibration fits."
-        yield (
-            f"No ground was found in {missing} of {report.frames} frames.{fits} Check the {what}'s "
-            f"height of {mount.height_m:g} m and tilt of {mount.tilt_deg:g}° in the mounting."
+        yield warning(
+            "ground-missing",
+            f"No ground was found in {missing} of {report.frames} frames.{fits}",
+            f"Check the {what}'s height of {mount.height_m:g} m and tilt of {mount.tilt_deg:g}° in "
+            "the mounting; `fieldgrid mount` measures them.",
         )
-    if blind:
+    if _is_blind(report):
+        tried = report.camera_steps + report.camera_refusals
         reason = commonest_reason(report.camera_refusal_reasons.elements())
-        yield (
+        yield warning(
+            "steps-missing",
             f"Only {report.camera_steps} of {tried} visual odometry steps succeeded, mostly "
-            f"because: {reason}. Unless the frames are metres apart or show little, check the "
-            "calibration, and that the pairs are rectified and synchronised."
+            f"because: {reason}.",
+            "Unless the frames are metres apart or show little, check the calibration, and that "
+            "the pairs are rectified and synchronised.",
         )
 
 
-def sensor_notes(
+def sensor_findings(
     recording: Recording, settings: BuildSettings, max_range_m: float
-) -> Iterator[str]:
+) -> Iterator[Finding]:
     """What a build does without for want of a pair, or of what is known of its depths."""
     sensor = recording.rig.sensor
     if settings.pose.uses_camera and not isinstance(sensor, StereoCamera):
-        yield "There are no stereo pairs, so there is no visual odometry."
+        yield info("no-pairs", "There are no stereo pairs, so there is no visual odometry.")
     if isinstance(sensor, DepthCamera) and sensor.baseline_m is None:
-        yield (
+        yield warning(
+            "depth-range",
             "The growth of the depth error with range is unknown, so depths are used up to "
-            f"{max_range_m:g} m; add the baseline to their calibration, or give --max-range."
+            f"{max_range_m:g} m.",
+            "Add the baseline to their calibration, or give --max-range.",
         )
 
 
@@ -196,7 +191,7 @@ def has_sweeps(recording: Recording) -> bool:
     return isinstance(recording.rig.sensor, Lidar)
 
 
-def sweep_notes(recording: Recording, every: int, *, is_carried: bool) -> Iterator[str]:
+def sweep_findings(recording: Recording, every: int, *, is_carried: bool) -> Iterator[Finding]:
     """What becomes of the motion within a sweep, by one of the clouds that can be read."""
     if not has_sweeps(recording):
         return
@@ -209,21 +204,22 @@ def sweep_notes(recording: Recording, every: int, *, is_carried: bool) -> Iterat
         if after_s is None and len(points_m) < FEWEST_TIMES:
             continue
         if after_s is None:
-            yield (
+            told = (
                 "The clouds have no usable times of their points, or are corrected already, so the "
                 "vehicle's motion within a sweep is not corrected."
             )
         elif is_carried:
-            yield (
+            told = (
                 f"The points of a sweep ({np.ptp(after_s):.3f} s) are corrected for the vehicle's "
                 "motion within it."
             )
         else:
-            yield (
+            told = (
                 "The points of the clouds have times, but the vehicle's trajectory is known only "
                 "after the drive, so live grids are not corrected for the motion within a sweep; "
                 "to correct it, build the drive from a recording."
             )
+        yield info("sweep", told)
         return
 
 

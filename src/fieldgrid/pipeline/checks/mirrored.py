@@ -7,15 +7,15 @@ or gear explains what is left: a map of it is wrong everywhere and says so nowhe
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.core import GnssError, Int64, StopCode
+from fieldgrid.core import Finding, Int64, StopCode, error
 from fieldgrid.geometry import Gyro, Steps, Trajectory
-from fieldgrid.pipeline.poses import BuildDoubt
 from fieldgrid.recordings import Recording, how_to_say
 
 MOST_STEPS = 200
@@ -34,16 +34,16 @@ straight way fits both ways alike."""
 Path = npt.NDArray[np.complex128]
 
 
-def doubted_mirror(
+def mirror_findings(
     recording: Recording, trajectory: Trajectory, steps: Steps | None
-) -> BuildDoubt | None:
-    """The doubt about fixes that turn left where the camera turns right, over the whole drive."""
+) -> Iterator[Finding]:
+    """That the fixes turn left where the camera turns right, over the whole drive."""
     off = None if steps is None else _misfit(steps, trajectory)
     if steps is None or off is None:
-        return None
+        return
     as_is_m, mirrored_m, exchanged_m = off
     if as_is_m < OFF_M or min(mirrored_m, exchanged_m) > SHARE * as_is_m:
-        return None
+        return
     told = (
         "The path of the fixes is a mirror image of the camera's path: the two are "
         f"{as_is_m:.2f} m apart"
@@ -52,24 +52,25 @@ def doubted_mirror(
     first = f"latitude {datum.lat_deg:.6f}, longitude {datum.lon_deg:.6f}"
     gyro = recording.motion().gyro
     if exchanged_m < mirrored_m:
-        why = (
-            f", and {exchanged_m:.2f} m with latitude and longitude exchanged; the drive is at "
-            f"{first}: if that is not the field, exchange the two; for a table, name "
-            f"its columns: {how_to_say(lat='COLUMN', lon='COLUMN')}"
+        why = f", and {exchanged_m:.2f} m with latitude and longitude exchanged."
+        remedy = (
+            f"The drive is at {first}: if that is not the field, exchange the two; for a table, "
+            f"name its columns: {how_to_say(lat='COLUMN', lon='COLUMN')}."
         )
     elif gyro is not None and _turns_against(steps, gyro):
         why = (
             f", and {mirrored_m:.2f} m with left and right exchanged, and the gyro turns as "
-            "the fixes do, so the images were flipped: store them as the camera sees"
+            "the fixes do, so the images were flipped."
         )
+        remedy = "Store the images as the camera sees."
     else:
         as_too = "" if gyro is None else ", and the gyro turns as the camera does"
-        why = (
-            f", and {mirrored_m:.2f} m with left and right exchanged{as_too}; the drive is at "
-            f"{first}: if that is not the field, a sign (a minus, a W or an S) was lost in the "
-            "log: put it before each longitude or latitude"
+        why = f", and {mirrored_m:.2f} m with left and right exchanged{as_too}."
+        remedy = (
+            f"The drive is at {first}: if that is not the field, a sign (a minus, a W or an S) was "
+            "lost in the log: put it before each longitude or latitude."
         )
-    return BuildDoubt(StopCode.MIRRORED, GnssError(f"{told}{why}."))
+    yield error(StopCode.MIRRORED.value, f"{told}{why}", remedy)
 
 
 def _misfit(steps: Steps, trajectory: Trajectory) -> tuple[float, float, float] | None:

@@ -15,11 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import CalibrationError, Float64, StopCode
+from fieldgrid.core import Finding, Float64, StopCode, error, warning
 from fieldgrid.geometry import Lidar, Pose, Rig, wrap_deg
 from fieldgrid.maps import StagedFrames
 from fieldgrid.pipeline.checks.contradictions import FramePose, SeenCells, following
-from fieldgrid.pipeline.poses import ASKEW_DEG, BuildDoubt
+from fieldgrid.poses import ASKEW_DEG
 
 APART_M, ALIKE_DEG, PAIRS = (4.0, 9.0), 30.0, 120
 """How far apart two frames are taken that are compared, within what of each other they look, and
@@ -41,13 +41,6 @@ BLOCKS = 8
 CLEAR_SIGMAS, TOLD_DEG = 4.0, 1.2
 """A yaw is told when it is by more than both. Of rendered drives whose sensor looks where it is
 declared to, 0.6 deg at most are found, by what stands on one side alone 0.3."""
-
-
-MIRRORED = (
-    "The frames agree on obstacle positions only with left and right exchanged, so they are "
-    "mirrored; store them as the sensor sees: images from left to right, clouds in right-handed "
-    "axes, such as x forward, y left, z up."
-)
 
 
 class SensorYaw(NamedTuple):
@@ -86,34 +79,27 @@ def sensor_yaw(frames: StagedFrames, placed: Sequence[FramePose]) -> SensorYaw |
     return None
 
 
-def doubted_sensor_yaw(found: SensorYaw | None, rig: Rig) -> BuildDoubt | None:
-    """The doubt about a sensor that certainly looks elsewhere than declared, by `ASKEW_DEG` or
-    more, or that sees left what is right."""
-    if found is None:
-        return None
-    if found.is_mirrored:
-        return BuildDoubt(StopCode.MIRRORED, CalibrationError(MIRRORED))
-    if found.is_off and abs(found.off_deg) >= ASKEW_DEG:
-        return BuildDoubt(StopCode.CAMERA_YAW, CalibrationError(_sentence(found, rig)))
-    return None
-
-
-def sensor_yaw_notes(found: SensorYaw | None, rig: Rig) -> Iterator[str]:
-    """The remark on a sensor whose yaw is off by less than what stops a build."""
-    if found is not None and found.is_off and doubted_sensor_yaw(found, rig) is None:
-        yield _sentence(found, rig)
-
-
-def _sentence(found: SensorYaw, rig: Rig) -> str:
-    what = "lidar" if isinstance(rig.sensor, Lidar) else "camera"
-    side = "right" if found.off_deg > 0.0 else "left"
-    return (
-        f"Frames of the same places show that the {what} points {abs(found.off_deg):.1f}° ± "
-        f"{found.sigma_deg:.1f}° farther {side} than declared, which shifts obstacles by "
-        f"{100.0 * math.radians(abs(found.off_deg)):.0f} cm per metre of range; measure its yaw "
-        "and correct camera_yaw_deg in mounting.json, or, if headings are recorded or given, "
-        "their offset."
-    )
+def sensor_yaw_findings(found: SensorYaw | None, rig: Rig) -> Iterator[Finding]:
+    """That a sensor certainly looks elsewhere than declared, or sees left what is right."""
+    if found is not None and found.is_mirrored:
+        yield error(
+            StopCode.MIRRORED.value,
+            "The frames agree on obstacle positions only with left and right exchanged, so they "
+            "are mirrored.",
+            "Store them as the sensor sees: images from left to right, clouds in right-handed "
+            "axes, such as x forward, y left, z up.",
+        )
+    elif found is not None and found.is_off:
+        what = "lidar" if isinstance(rig.sensor, Lidar) else "camera"
+        side = "right" if found.off_deg > 0.0 else "left"
+        yield (error if abs(found.off_deg) >= ASKEW_DEG else warning)(
+            StopCode.CAMERA_YAW.value,
+            f"Frames of the same places show that the {what} points {abs(found.off_deg):.1f}° ± "
+            f"{found.sigma_deg:.1f}° farther {side} than declared, which shifts obstacles by "
+            f"{100.0 * math.radians(abs(found.off_deg)):.0f} cm per metre of range.",
+            "Measure its yaw and correct camera_yaw_deg in mounting.json, or, if headings are "
+            "recorded or given, their offset.",
+        )
 
 
 def _counts(pairs: Sequence[tuple[FramePose, FramePose]], seen: Mapping[int, SeenCells]) -> Float64:

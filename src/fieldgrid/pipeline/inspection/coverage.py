@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64, Int64
+from fieldgrid.core import Finding, Float64, Int64, info, warning
 from fieldgrid.geometry import GridSpec, Rig, Status, StereoCamera, Trajectory
-from fieldgrid.pipeline.inspection.findings import Finding, info, warning
 
 COUNT_CELL_M = 0.5
 """The covered area is counted in cells of this size."""

@@ -6,27 +6,30 @@ Each step gives the report with what it has found out, and adds to the findings.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from fieldgrid.core import BuildSettings, FieldgridError, Float64, Int64, StopCode
-from fieldgrid.geometry import GridSpec, Steps, StereoCamera, Trajectory
-from fieldgrid.perception import LocalGridder, drive_misalignment
-from fieldgrid.pipeline.checks.camera_scale import (
-    camera_scale,
-    doubted_scale,
-    scale_notes,
-    tells_heights,
+from fieldgrid.core import (
+    BuildSettings,
+    FieldgridError,
+    Finding,
+    Float64,
+    Int64,
+    StopCode,
+    error,
+    info,
+    warning,
 )
-from fieldgrid.pipeline.checks.doubt import doubted_cameras
+from fieldgrid.geometry import GridSpec, Steps
+from fieldgrid.perception import LocalGridder
+from fieldgrid.pipeline.checks.camera_scale import camera_scale, scale_findings, tells_heights
+from fieldgrid.pipeline.checks.doubt import camera_findings, misalignment, row_findings
 from fieldgrid.pipeline.checks.format_hints import format_hints, hint_sentence
-from fieldgrid.pipeline.checks.mirrored import doubted_mirror
-from fieldgrid.pipeline.checks.shifts import explanation
+from fieldgrid.pipeline.checks.mirrored import mirror_findings
 from fieldgrid.pipeline.inspection.coverage import coverage, coverage_findings
-from fieldgrid.pipeline.inspection.findings import Finding, error, info, warning
 from fieldgrid.pipeline.inspection.fixes import (
     pose_findings,
     rejections,
@@ -37,39 +40,17 @@ from fieldgrid.pipeline.inspection.fixes import (
 from fieldgrid.pipeline.inspection.frame_pass import FramePass, Tell, look_at
 from fieldgrid.pipeline.inspection.images import (
     image_findings,
-    misalignment_findings,
     texture_findings,
     unread_findings,
 )
-from fieldgrid.pipeline.inspection.refusals import noted, refusal
+from fieldgrid.pipeline.inspection.refusals import noted
 from fieldgrid.pipeline.inspection.report import Inspection
 from fieldgrid.pipeline.inspection.rigs import mount_findings
 from fieldgrid.pipeline.mounting.estimate import measure_mount
-from fieldgrid.pipeline.poses import (
-    MISPLACED_M,
-    BuildDoubt,
-    check_images,
-    check_poses,
-    clock_remedy,
-    doubted_frames,
-    doubted_jump,
-    doubted_yaw,
-    estimate_drive,
-    misplaced,
-    usual_speed_mps,
-)
+from fieldgrid.pipeline.poses import check_images, check_poses, estimate_drive
 from fieldgrid.pipeline.report import SessionReport
 from fieldgrid.pipeline.staging.perception import follows_camera
-from fieldgrid.poses import (
-    NO_AXLE,
-    SLOW_ERRORS,
-    WIDEST_S,
-    ClockOffset,
-    Estimate,
-    clock_notes,
-    unseen_sentence,
-    yaw_notes,
-)
+from fieldgrid.poses import Estimate
 from fieldgrid.recordings import Drive, Recording
 
 # Which frames an inspection looks at: a few over the whole drive closely, and stretches of
@@ -127,22 +108,13 @@ def clock_unknown(followed: int) -> Finding:
     )
 
 
-def clock_findings(
-    clock: ClockOffset, recording: Recording, trajectory: Trajectory
-) -> Iterator[Finding]:
-    """The finding that the images' clock is certainly off by more than the recording declares."""
-    far_m = abs(clock.offset_s) * usual_speed_mps(trajectory)
-    why = explanation(clock.offset_s, int(trajectory.time_ns[0]))
-    wrong = far_m > MISPLACED_M or abs(clock.offset_s) > WIDEST_S
-    remedy = clock_remedy(recording, clock)
-    yield (error if wrong else warning)(
-        StopCode.CLOCK_OFFSET.value,
-        f"The images are stamped {-clock.offset_s:+.3f} ± {clock.sigma_s:.3f} s against the fixes, "
-        f"by {clock.steps} steps of the camera{f' ({why})' if why else ''}"
-        f"{misplaced(clock.offset_s, trajectory, '; ')}.",
-        remedy[0].upper() + remedy[1:],
-    )
-
+_OF_CAMERA = {
+    StopCode.CLOCK_OFFSET,
+    StopCode.CLOCK_JUMP,
+    StopCode.FRAMES_MISPLACED,
+    StopCode.CAMERA_YAW,
+}
+"""What the camera tells of a drive whose poses cannot be used, too: the rest may follow from it."""
 
 GROUND_SHARE = 0.7
 """Ground is found in nearly all frames of a sensor that is mounted as its mounting says."""
@@ -156,26 +128,9 @@ def with_fixes(found: Inspection, estimate: Estimate, drive: Drive) -> Inspectio
     return replace(found, fixes=summary, trajectory=estimate.trajectory)
 
 
-def pose_notes(estimate: Estimate) -> Iterator[Finding]:
-    """What a build notes of the poses, but for what has findings of its own."""
-    report = estimate.report
-    if not estimate.trajectory.accepted.any():
-        return
-    own = {*clock_notes(report.clock)}
-    if report.camera_yaw is not None:
-        own.update(yaw_notes(report.camera_yaw))
-    for note in report.notes:
-        if note not in own and not note.startswith(NO_AXLE):
-            kind = info if note.startswith(SLOW_ERRORS) else warning
-            yield _with_remedy(kind, "poses", note)
-    if report.unseen:
-        yield info("unseen", unseen_sentence(report.unseen))
-
-
-def _with_remedy(kind: Callable[[str, str, str], Finding], code: str, note: str) -> Finding:
-    """A note of a build, whose remedy follows a semicolon."""
-    what, _, remedy = note.partition("; ")
-    return kind(code, f"{what.removesuffix('.')}.", remedy[:1].upper() + remedy[1:])
+def told_of_poses(estimate: Estimate) -> tuple[Finding, ...]:
+    """What is told of poses of which some can be used."""
+    return estimate.report.findings if estimate.trajectory.accepted.any() else ()
 
 
 def with_frames(
@@ -238,12 +193,8 @@ def _looked(
     images = [look.images for look in seen.looks]
     findings += image_findings(images)
     findings += texture_findings(seen.looks)
-    rows, camera = None, recording.rig.sensor
-    if isinstance(camera, StereoCamera):
-        rows = drive_misalignment(
-            [image.shifts for image in images], (camera.width_px, camera.height_px)
-        )
-        findings += misalignment_findings(rows)
+    rows = misalignment(recording, images)
+    findings += row_findings(recording, every, rows)
     if not seen.unread and looked:
         findings += _camera_findings(recording, gridder, seen, every)
     return seen, replace(
@@ -264,9 +215,9 @@ def _camera_findings(
     ground = sum(one.refined for one in seen.grounds)
     steps = 0 if seen.steps is None else len(seen.steps.start_ns)
     report = SessionReport(recording.name, camera_steps=steps, camera_refusals=seen.tried - steps)
-    doubted = doubted_cameras(recording, report, ground, every)
-    if doubted is not None:
-        yield refusal(doubted.error, doubted.code)
+    unfit = list(camera_findings(recording, report, ground, every))
+    yield from unfit
+    if unfit:
         return
     if ground == 0:
         readings = format_hints(recording, gridder, every)
@@ -304,29 +255,25 @@ def _with_poses(
         clock = with_camera.report.clock
     off = clock is not None and clock.is_certain
     apart = any(finding.code == "no-overlap" for finding in findings)
-    by_way, mirrored = None, None
+    by_way, mirrored = None, list[Finding]()
     if with_camera is not None:
-        mirrored = doubted_mirror(recording, with_camera.trajectory, seen.steps)
-    if mirrored is not None:  # what else the camera contradicts follows from that
-        findings += _refusals(mirrored)
-    elif seen.steps is not None:
+        mirrored += mirror_findings(recording, with_camera.trajectory, seen.steps)
+    findings += mirrored
+    # What else the camera contradicts follows from that.
+    if seen.steps is not None and not mirrored:
         off_ns = round(clock.offset_s * 1e9) if clock is not None and off else 0
         heights = tells_heights(recording.fixes())
         track = fixes_alone.trajectory
         by_way = camera_scale(seen.steps, track, off_ns, heights_told=heights)
-        findings += _refusals(doubted_scale(by_way, recording.rig))
-        notes = scale_notes(by_way, recording.rig)
-        findings += [_with_remedy(warning, StopCode.SCALE.value, note) for note in notes]
-    if with_camera is not None and mirrored is None:
-        _told_by_camera(recording, with_camera, findings)
-    if clock is not None and off:
-        findings += clock_findings(clock, recording, fixes_alone.trajectory)
-    elif clock is None and seen.followed and not (apart or (by_way is not None and by_way.is_off)):
+        findings += scale_findings(by_way, recording.rig)
+    if clock is None and seen.followed and not (apart or (by_way is not None and by_way.is_off)):
         findings.append(clock_unknown(seen.followed))
     # With a wrong clock the camera's motion would be laid beside that of other moments.
     estimate = fixes_alone if with_camera is None or off else with_camera
-    if mirrored is None and not off:
-        findings += pose_notes(estimate)
+    if with_camera is not None and not mirrored:
+        findings += [one for one in with_camera.report.findings if one.code in _OF_CAMERA]
+    if not (mirrored or off):
+        findings += told_of_poses(estimate)
     track = estimate.trajectory
     at_fixes = estimate.fix_row[track.accepted[estimate.fix_row]]
     found = replace(
@@ -378,20 +325,3 @@ def _with_map(
         told += sync_findings(found.sync)
     findings += told if clocks_agree else []
     return found
-
-
-def _refusals(*doubts: BuildDoubt | None) -> list[Finding]:
-    return [refusal(one.error, one.code.value) for one in doubts if one is not None]
-
-
-def _told_by_camera(recording: Recording, estimate: Estimate, findings: list[Finding]) -> None:
-    """A clock that is set, images of other moments than stamped, a camera that looks elsewhere."""
-    askew = doubted_yaw(recording, estimate)
-    findings += _refusals(
-        doubted_jump(recording, estimate),
-        doubted_frames(recording, estimate),
-        askew,
-    )
-    yaw = estimate.report.camera_yaw
-    if yaw is not None and askew is None:
-        findings += [warning(StopCode.CAMERA_YAW.value, note) for note in yaw_notes(yaw)]

@@ -13,14 +13,16 @@ from fieldgrid.core import (
     Bool,
     BuildSettings,
     FieldgridError,
+    Finding,
     Float64,
     Int64,
     Quality,
     commonest_reason,
     grouped_reasons,
+    info,
+    warning,
 )
 from fieldgrid.geometry import MAX_GAP_NS, NOT_SAID, FixColumns, Status, Steps, Trajectory
-from fieldgrid.pipeline.inspection.findings import Finding, info, warning
 from fieldgrid.pipeline.poses import estimate_drive
 from fieldgrid.poses import ConditioningSummary, Gate
 from fieldgrid.recordings import Recording

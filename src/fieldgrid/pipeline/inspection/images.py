@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fieldgrid.core import StopCode
+from fieldgrid.core import Finding, StopCode, error, warning
 from fieldgrid.perception import EXPOSURE_RATIO, SHIFT_ERROR_PX, Misalignment
-from fieldgrid.pipeline.inspection.findings import Finding, error, warning
 from fieldgrid.pipeline.inspection.frame_pass import UnreadFrame
 from fieldgrid.pipeline.inspection.measures import ImageMeasures, PairMeasures
 

@@ -12,16 +12,17 @@ from fieldgrid.core import (
     FieldgridError,
     NoFramesError,
     RecordingError,
+    error,
+    in_order,
 )
-from fieldgrid.pipeline.inspection.drive import pose_notes, with_fixes, with_frames
-from fieldgrid.pipeline.inspection.findings import error, in_order, info, warning
+from fieldgrid.pipeline.inspection.drive import told_of_poses, with_fixes, with_frames
 from fieldgrid.pipeline.inspection.fixes import fix_findings
 from fieldgrid.pipeline.inspection.frame_pass import Tell
 from fieldgrid.pipeline.inspection.refusals import noted, refusal, refusals
 from fieldgrid.pipeline.inspection.report import Inspection
 from fieldgrid.pipeline.inspection.rigs import rig_findings
 from fieldgrid.pipeline.inspection.streams import stream_findings, summarise_stream
-from fieldgrid.pipeline.poses import estimate_drive
+from fieldgrid.pipeline.poses import estimate_drive, told_of
 from fieldgrid.recordings import Drive, DriveOptions, Recording, Stream, open_drive
 
 
@@ -73,7 +74,7 @@ def _inspected(
         rig=drive.rig,
     )
     findings = [
-        *(warning("losses", loss, "Copy or record it again.") for loss in drive.losses),
+        *told_of(drive),
         *stream_findings(streams),
         *([] if drive.rig is None else rig_findings(drive.rig)),
     ]
@@ -98,15 +99,14 @@ def _inspected(
         with noted(findings):
             estimate = estimate_drive(drive, settings)
             found = with_fixes(found, estimate, drive)
-            findings += pose_notes(estimate)
+            findings += told_of_poses(estimate)
     else:
         times_ns = recording.frame_times_ns()
         found = with_frames(recording, settings, found, findings, tell)
     if found.fixes is not None:
         findings += fix_findings(found.fixes)
-    findings += [info("note", note) for note in drive.notes]
     return replace(
         found,
         duration_s=float(times_ns.max() - times_ns.min()) / 1e9 if len(times_ns) else None,
-        findings=in_order(list(dict.fromkeys(findings))),
+        findings=in_order(findings),
     )

@@ -9,11 +9,12 @@ from fieldgrid.core import (
     CalibrationError,
     ConfigError,
     FieldgridError,
+    Finding,
     GnssError,
     LackingError,
     RecordingError,
+    error,
 )
-from fieldgrid.pipeline.inspection.findings import Finding, error
 
 _CODES: tuple[tuple[type[FieldgridError], str], ...] = (
     (CalibrationError, "calibration"),

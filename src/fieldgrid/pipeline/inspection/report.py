@@ -7,11 +7,11 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from fieldgrid.core import Finding, Severity
 from fieldgrid.geometry import Rig, Trajectory
 from fieldgrid.perception import Misalignment
 from fieldgrid.pipeline.checks.camera_scale import CameraScale
 from fieldgrid.pipeline.inspection.coverage import ExpectedMap
-from fieldgrid.pipeline.inspection.findings import Finding, Severity
 from fieldgrid.pipeline.inspection.fixes import FixSummary, Sync
 from fieldgrid.pipeline.inspection.measures import PairMeasures
 from fieldgrid.pipeline.inspection.streams import StreamSummary

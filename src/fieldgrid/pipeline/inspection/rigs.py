@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from fieldgrid.core import MeasuredValue
+from fieldgrid.core import Finding, MeasuredValue, warning
 from fieldgrid.geometry import DepthCamera, Lidar, Rig, Sensor, StereoCamera
 from fieldgrid.pipeline.checks.camera_scale import CameraScale
-from fieldgrid.pipeline.inspection.findings import Finding, info, warning
 from fieldgrid.pipeline.mounting.estimate import HEIGHT, ROLL, TILT, MountEstimate
 
 LOWEST_M, HIGHEST_M = 0.3, 6.0
@@ -47,13 +46,6 @@ def rig_findings(rig: Rig) -> Iterator[Finding]:
             "camera-height",
             f"A camera height of {height_m:g} m above ground is unusual.",
             "Check camera_height_above_ground_m in mounting.json; it is in metres.",
-        )
-    if rig.rear_axle_forward_m is None:
-        yield info(
-            "axle-unknown",
-            "The mounting does not name the non-steering axle; it is assumed below the antenna.",
-            "Add camera_mid_from_rear_axle_ground_flu_m; an error of a metre turns headings by 11° "
-            "at a turning radius of 5 m.",
         )
     yield from _lens_findings(rig.sensor)
 

@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64
-from fieldgrid.pipeline.inspection.findings import Finding, info, warning
+from fieldgrid.core import Finding, Float64, info, warning
 from fieldgrid.recordings import MAX_OFFSET_S, Stream
 
 APART_S = 0.1

@@ -17,7 +17,7 @@ from fieldgrid.geometry import Rig, Steps
 from fieldgrid.pipeline.checks.camera_scale import (
     CameraScale,
     camera_scale,
-    scale_told,
+    scale_findings,
     tells_heights,
 )
 from fieldgrid.pipeline.poses import estimate_drive
@@ -73,10 +73,8 @@ def check_against_gnss(
 
 def remarks(check: GnssCheck, rig: Rig) -> list[str]:
     """What of a check a reader should know, a sentence each."""
-    said = []
-    scale, course = check.scale, check.course_off_deg
-    if scale is not None and scale.is_off:
-        said.append(scale_told(scale, rig))
+    said = [str(one) for one in scale_findings(check.scale, rig)]
+    course = check.course_off_deg
     if course is not None and abs(course.value) > 0.5 and abs(course.off(0.0)) > WRONG_SIGMAS:
         said.append(
             f"The course is {course.value:+.2f}° off the recorded heading, so that heading's zero "

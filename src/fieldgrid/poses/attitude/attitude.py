@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64, Int64
+from fieldgrid.core import Finding, Float64, Int64
 from fieldgrid.geometry import R_level_vehicle, Tilt
 from fieldgrid.poses.attitude.axes import AxisTilt
 
@@ -21,7 +21,7 @@ class Attitude(NamedTuple):
     Pitch is positive with the nose up, roll with the right side down. `heading_deg` is that of the
     same estimate, without a jump at 360°, and `up_m` the height of the sensor, LTP metres.
     `push_misfit` is how many sigmas the accelerometer is from the motion of the fixes, root mean
-    square; NaN without one. `bodies` are those of the recorded axes that were used, and `notes`
+    square; NaN without one. `bodies` are those of the recorded axes that were used, and `findings`
     name what contradicts the rest of the drive and was not.
     """
 
@@ -33,7 +33,7 @@ class Attitude(NamedTuple):
     heading_deg: Float64
     up_m: Float64
     push_misfit: float = math.nan
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     bodies: frozenset[str] = frozenset()
 
     def as_dict(self) -> dict[str, float]:
@@ -60,7 +60,7 @@ class Attitude(NamedTuple):
         late = np.degrees(TERRAIN_NOISE_RAD[0]) * np.sqrt(np.maximum(late_ns, 0) / 1e9)
         roll_sigma, pitch_sigma = np.hypot(roll_sigma, late), np.hypot(pitch_sigma, late)
         said = time_ns, roll, pitch, roll_sigma, pitch_sigma, heading, up
-        return Attitude(*said, self.push_misfit, self.notes, self.bodies)
+        return Attitude(*said, self.push_misfit, self.findings, self.bodies)
 
     def if_late(self, late_s: float) -> Attitude:
         """The attitude by sensors whose stamps may be `late_s` late: as unsure as a vehicle leans

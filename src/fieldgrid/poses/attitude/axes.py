@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64, Int64, Quality
+from fieldgrid.core import Finding, Float64, Int64, Quality, warning
 from fieldgrid.geometry import FixColumns, Orientation, RecordedTilt
 
 BASELINE_MOUNT_SIGMA_DEG, IMU_MOUNT_SIGMA_DEG = 1.0, 1.0
@@ -153,22 +153,26 @@ def axes_of_fixes(fixes: FixColumns, offset_deg: float) -> tuple[AxisTilt, ...]:
 
 def agreed(
     axes: Sequence[AxisTilt], others: Sequence[tuple[Float64, Float64]]
-) -> tuple[tuple[AxisTilt, ...], tuple[str, ...]]:
-    """The `axes` that agree with `others`, and notes on those that do not.
+) -> tuple[tuple[AxisTilt, ...], tuple[Finding, ...]]:
+    """The `axes` that agree with `others`, and findings on those that do not.
     `others` is the rise of each axis at its own instants by the rest of the drive with its sigma,
     degrees, [n] each. An axis that contradicts takes all of its body along:
     the roll of an IMU that is mounted backward shows it before its pitch does."""
-    notes, denied = [], set()
+    findings, denied = [], set()
     for axis, (rise_deg, sigma_deg) in zip(axes, others, strict=True):
         off_deg = axis.rise_deg - rise_deg
         lasting_deg = np.hypot(axis.mount_sigma_deg, axis.frame_sigma_deg)
         away = np.abs(off_deg) / np.hypot(np.hypot(axis.sigma_deg, sigma_deg), lasting_deg)
         if np.percentile(away, 68.0) > CONTRADICTED_SIGMAS:
             denied.add(axis.body)
-            notes.append(
-                f"The {axis.source} is {np.median(off_deg):+.1f}° (half of it more than "
-                f"{np.median(np.abs(off_deg)):.1f}°) off what the rest of the drive tells, so roll "
-                f"and pitch by the {axis.body} were not used; see that heading_offset_deg says "
-                "where the antennas point, or imu_axes how the IMU sits."
+            findings.append(
+                warning(
+                    "tilt-unused",
+                    f"The {axis.source} is {np.median(off_deg):+.1f}° (half of it more than "
+                    f"{np.median(np.abs(off_deg)):.1f}°) off what the rest of the drive tells, so "
+                    f"roll and pitch by the {axis.body} were not used.",
+                    "See that heading_offset_deg says where the antennas point, or imu_axes how "
+                    "the IMU sits.",
+                )
             )
-    return tuple(axis for axis in axes if axis.body not in denied), tuple(notes)
+    return tuple(axis for axis in axes if axis.body not in denied), tuple(findings)

@@ -58,15 +58,15 @@ def estimate_attitude(
 
     `antenna_m` [3] is the antenna as seen from the sensor, in the vehicle's axes (right, forward,
     up). `wanted_ns` are instants at which the attitude must be known as exactly as may be: those
-    of images. `axes` that contradict the rest of the drive are left out, which the notes tell. The
-    same input gives the same bits.
+    of images. `axes` that contradict the rest of the drive are left out, which the findings tell.
+    The same input gives the same bits.
     """
     wanted = np.zeros(0, dtype=np.int64) if wanted_ns is None else wanted_ns
     said = track, antenna_m, wanted, sensed, steps if steps and len(steps.start_ns) else None
     attitude = _estimate(*said, ())
-    kept, notes = agreed(axes, [attitude.rise_at(axis) for axis in axes])
+    kept, findings = agreed(axes, [attitude.rise_at(axis) for axis in axes])
     attitude = _estimate(*said, kept) if kept else attitude
-    return attitude._replace(notes=notes, bodies=frozenset(axis.body for axis in kept))
+    return attitude._replace(findings=findings, bodies=frozenset(axis.body for axis in kept))
 
 
 def _estimate(

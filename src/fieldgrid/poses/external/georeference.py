@@ -9,11 +9,12 @@ The scale is not free: it is only measured, to tell poses that are not metric.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64, GnssError, Int64
+from fieldgrid.core import Finding, Float64, GnssError, Int64, info, warning
 from fieldgrid.geometry import R_enu_level, wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes
 
@@ -84,16 +85,25 @@ class Georeference(NamedTuple):
         turned_m = np.radians(self.frame_heading_sigma_deg) * away_m
         return np.asarray(np.hypot(self.place_sigma_m, turned_m))
 
-    def note(self) -> str:
-        """The transform in a sentence."""
+    def findings(self) -> Iterator[Finding]:
+        """The transform, and that the poses have another scale than the fixes."""
         heading = f"{self.frame_heading_deg:.2f}°"
-        if self.by == "declared":
-            return f"The frame of the poses is declared: its forward axis heads {heading}."
-        return (
-            f"The frame of the poses lies by {self.fixes} fixes: its forward axis heads {heading} "
-            f"± {self.frame_heading_sigma_deg:.2f}°, residuals {self.residual_median_m:.3f} m "
-            f"(median), {self.residual_p95_m:.3f} m (95 %), {self.residual_most_m:.3f} m (most)."
-        )
+        told = f"The frame of the poses is declared: its forward axis heads {heading}."
+        if self.by != "declared":
+            told = (
+                f"The frame of the poses lies by {self.fixes} fixes: its forward axis heads "
+                f"{heading} ± {self.frame_heading_sigma_deg:.2f}°, residuals "
+                f"{self.residual_median_m:.3f} m (median), {self.residual_p95_m:.3f} m (95 %), "
+                f"{self.residual_most_m:.3f} m (most)."
+            )
+        yield info("poses-frame", told)
+        off = self.scale - 1.0
+        if abs(off) > max(0.01, CLEAR_SIGMAS * self.scale_sigma):
+            yield warning(
+                "poses-scale",
+                f"The fixes' way is {100.0 * off:+.1f} % ± {100.0 * self.scale_sigma:.1f} % longer "
+                "than that of the poses; the scale was not changed.",
+            )
 
 
 class Pairs(NamedTuple):

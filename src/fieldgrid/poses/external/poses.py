@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from fieldgrid.core import (
     Bool,
     ConfigError,
+    Finding,
     Float64,
     GateLimits,
     GnssError,
@@ -18,6 +18,7 @@ from fieldgrid.core import (
     Quality,
     commonest_reason,
     utc_text,
+    warning,
 )
 from fieldgrid.geometry import (
     MAX_GAP_NS,
@@ -36,14 +37,13 @@ from fieldgrid.poses.accepted import fix_offsets
 from fieldgrid.poses.attitude.attitude import Attitude
 from fieldgrid.poses.attitude.axes import RECORDED
 from fieldgrid.poses.external.georeference import (
-    CLEAR_SIGMAS,
     Georeference,
     Pairs,
     by_fixes,
     declared,
 )
 from fieldgrid.poses.external.motion import Chords, chords_of, course_off_heading_deg, resting
-from fieldgrid.poses.faults.unseen import unsure_fit_m, unsure_notes
+from fieldgrid.poses.faults.unseen import accuracy_findings, unsure_fit_m
 from fieldgrid.poses.gates.conditioning import condition
 from fieldgrid.poses.gates.verdict import Gate
 from fieldgrid.poses.table import ConditionedLog, PoseTable
@@ -88,7 +88,7 @@ class PlacedPoses(NamedTuple):
     georeference: Georeference
     attitude: Attitude | None
     pairs: Pairs | None
-    notes: tuple[str, ...]
+    findings: tuple[Finding, ...]
     gear_doubt: Float64
 
 
@@ -112,10 +112,10 @@ def place_poses(
     pairs = _pairs(rows, log, rig)
     # Where the frame lies, and whether the body's forward axis is the vehicle's.
     found = _georeference(poses, pairs, log, datum, settings)
-    unsure: tuple[str, ...] = ()
+    unsure: tuple[Finding, ...] = ()
     if pairs is not None and found.by != "declared" and settings.accuracy_m is None:
         sigma_m = float(np.hypot(found.place_sigma_m, unsure_fit_m(pairs.fixes)))
-        found, unsure = found._replace(place_sigma_m=sigma_m), tuple(unsure_notes(pairs.fixes))
+        found, unsure = found._replace(place_sigma_m=sigma_m), tuple(accuracy_findings(pairs.fixes))
     chords = chords_of(rows.poses)
     aside_deg = course_off_heading_deg(chords, settings)
     # A row a pose, carried to the grid origin and judged; beside them the fixes that have none.
@@ -126,14 +126,26 @@ def place_poses(
     table = _jumping(table, datum, settings.gnss)
     table, fix_row = _with_other_fixes(table, rows.fix, log)
     trajectory = judged(table, datum, settings, budget, GIVEN)
-    notes = [*_notes(found, aside_deg), *unsure]
-    if not trajectory.accepted.any():
-        notes.append(
-            f"No pose can be used, mostly because: {commonest_reason(trajectory.reason)}; say how "
-            "good the fixes are with --accuracy METRES, or leave --poses out, so that poses are "
-            "estimated from fixes and motion."
+    findings = [*found.findings(), *unsure]
+    if abs(aside_deg) > CLEAR_OFFSET_DEG:
+        told = (
+            f"The vehicle moves {aside_deg:+.1f}° off the forward axis of the poses where it "
+            "drives straight; that is in the sigma of their heading."
         )
-    return PlacedPoses(trajectory, fix_row, found, attitude, pairs, tuple(notes), table.gear_doubt)
+        remedy = "Check the camera's yaw, or the axes of the body."
+        findings.append(warning("poses-aside", told, remedy))
+    if not trajectory.accepted.any():
+        findings.append(
+            warning(
+                "no-pose",
+                f"No pose can be used, mostly because: {commonest_reason(trajectory.reason)}.",
+                "Say how good the fixes are with --accuracy METRES, or leave --poses out, so that "
+                "poses are estimated from fixes and motion.",
+            )
+        )
+    return PlacedPoses(
+        trajectory, fix_row, found, attitude, pairs, tuple(findings), table.gear_doubt
+    )
 
 
 def _with_fixes(poses: GivenPoses, log: ConditionedLog | None) -> GivenRows:
@@ -382,19 +394,3 @@ def _with_other_fixes(
     fix_row = np.empty(len(log.fixes), dtype=np.int64)
     fix_row[fix[fix >= 0]] = np.flatnonzero(fix >= 0)
     return whole.rows(order), fix_row
-
-
-def _notes(found: Georeference, aside_deg: float) -> Iterator[str]:
-    yield found.note()
-    if abs(aside_deg) > CLEAR_OFFSET_DEG:
-        yield (
-            f"The vehicle moves {aside_deg:+.1f}° off the forward axis of the poses where it "
-            "drives straight; that is in the sigma of their heading. Check the camera's yaw, or "
-            "the axes of the body."
-        )
-    off = found.scale - 1.0
-    if abs(off) > max(0.01, CLEAR_SIGMAS * found.scale_sigma):
-        yield (
-            f"The fixes' way is {100.0 * off:+.1f} % ± {100.0 * found.scale_sigma:.1f} % longer "
-            "than that of the poses; the scale was not changed."
-        )

@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from fieldgrid.core import Finding, StopCode, error, warning
 from fieldgrid.geometry import Steps
 from fieldgrid.poses.axle import Axle, ways_of
 from fieldgrid.poses.smoother.declared import Constant
@@ -20,6 +21,9 @@ from fieldgrid.poses.travel_direction import Ways, travel
 CLEAR_SIGMAS, LEAST_DEG = 4.0, 0.5
 """A yaw is off when it is by more than both; half a degree is what a mounting is measured to."""
 
+ASKEW_DEG = 2.0
+"""A camera that looks so far aside puts what is 7 m away by a cell of the paper elsewhere. Less
+than that a vehicle may slip on a slope, which looks the same."""
 
 LEAST_TURN_DEG = 1.0
 """In the last third of a drive a camera looks elsewhere if by this, and by as many sigmas."""
@@ -59,29 +63,29 @@ def camera_yaw(off: Constant | None, steps: Steps | None, axle: Axle) -> CameraY
     return found._replace(turned_deg=turned_deg) if is_clear else found
 
 
-def yaw_notes(yaw: CameraYaw) -> Iterator[str]:
+def yaw_findings(yaw: CameraYaw | None) -> Iterator[Finding]:
     """That the camera looks elsewhere than declared, or was moved, and what to do about it."""
+    if yaw is None:
+        return
+    if yaw.is_off and (abs(yaw.off_deg) >= ASKEW_DEG or not yaw.turned_deg):
+        yield (error if abs(yaw.off_deg) >= ASKEW_DEG else warning)(
+            StopCode.CAMERA_YAW.value,
+            f"By its own motion the camera looks {abs(yaw.off_deg):.1f}° ± {yaw.sigma_deg:.1f}° "
+            f"{_side(yaw.off_deg)} than declared, and what it sees is misplaced by "
+            f"{100.0 * math.radians(abs(yaw.off_deg)):.0f} cm in 1 m. A vehicle that slips "
+            "sideways on a slope looks the same.",
+            "Measure the mounting with `fieldgrid mount --write`, or correct camera_yaw_deg in "
+            "mounting.json.",
+        )
     if yaw.turned_deg:
-        yield (
+        yield warning(
+            "camera-moved",
             f"By its own motion the camera looks {abs(yaw.turned_deg):.1f}° {_side(yaw.turned_deg)}"
             " at the end of the drive than at its beginning: it was moved, or the vehicle slips "
-            "sideways on a slope. If it was moved, cut the drive there, and measure the mounting "
-            "of each part with `fieldgrid mount`."
+            "sideways on a slope.",
+            "If it was moved, cut the drive there, and measure the mounting of each part with "
+            "`fieldgrid mount`.",
         )
-    elif yaw.is_off:
-        yield (
-            f"{off_sentence(yaw)}; measure it with `fieldgrid mount`, and correct camera_yaw_deg "
-            "in mounting.json. A vehicle that slips sideways on a slope looks the same."
-        )
-
-
-def off_sentence(yaw: CameraYaw) -> str:
-    """That the camera looks elsewhere than declared, without an end."""
-    return (
-        f"By its own motion the camera looks {abs(yaw.off_deg):.1f}° ± {yaw.sigma_deg:.1f}° "
-        f"{_side(yaw.off_deg)} than declared, and what it sees is misplaced by "
-        f"{100.0 * math.radians(abs(yaw.off_deg)):.0f} cm in 1 m"
-    )
 
 
 def _side(by_deg: float) -> str:

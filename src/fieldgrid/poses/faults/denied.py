@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64
+from fieldgrid.core import Finding, Float64, warning
 from fieldgrid.geometry import Rig, VehicleGeometry
 from fieldgrid.poses.axle import names_axle
 from fieldgrid.poses.drive import DriveEstimate
@@ -136,49 +136,51 @@ def unsure_declared(
     )
 
 
-def denied_notes(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[str]:
-    """A sentence on each thing that is denied, or one on what does not fit together."""
-    yield from _denied_notes(drive, denied)
-    if denied.gyro_unused and denied.clear:
-        yield (
-            "The gyro fits the drive only once that is corrected, so it was not used; headings "
-            "count as unsure by what it would change."
-        )
-
-
-def _denied_notes(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[str]:
+def denied_findings(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[Finding]:
+    """A finding on each thing that is denied, or one on what does not fit together."""
+    until = "Until then positions count as that unsure."
     if denied.either and denied.ahead_m is not None and denied.late_s is not None:
         (ahead_m, _), (late_s, _) = denied.ahead_m, denied.late_s
-        yield (
+        yield warning(
+            "antenna-or-stamps",
             f"By the drive the antenna sits {abs(ahead_m):.2f} m farther "
             f"{'ahead' if ahead_m > 0.0 else 'back'} than mounting.json says, or the fixes are "
             f"stamped {abs(late_s):.2f} s {'late' if late_s > 0.0 else 'early'} against the gyro: "
-            f"each would explain it. Measure the place, or add {-late_s:.2f} to --gnss-offset if "
-            "the stamps are wrong. Until then positions count as that unsure."
+            "each would explain it.",
+            f"Measure the place, or add {-late_s:.2f} to --gnss-offset if the stamps are wrong. "
+            f"{until}",
         )
-        return
-    for one, more, less in (
-        (denied.ahead_m, "farther ahead", "farther back"),
-        (denied.right_m, "farther right", "farther left"),
-    ):
-        if one is not None:
-            way = more if one.value > 0.0 else less
-            yield (
-                f"By the drive the antenna sits {abs(one.value):.2f} m ± {one.sigma:.2f} m {way} "
-                "than mounting.json says; measure its place and correct it. Until then positions "
-                "count as that unsure."
+    else:
+        for one, more, less in (
+            (denied.ahead_m, "farther ahead", "farther back"),
+            (denied.right_m, "farther right", "farther left"),
+        ):
+            if one is not None:
+                way = more if one.value > 0.0 else less
+                yield warning(
+                    "antenna-place",
+                    f"By the drive the antenna sits {abs(one.value):.2f} m ± {one.sigma:.2f} m "
+                    f"{way} than mounting.json says.",
+                    f"Measure its place and correct it. {until}",
+                )
+        if (delay := denied.late_s) is not None:
+            late = "late" if delay.value > 0.0 else "early"
+            by = ["gyro"] if denied.gyro_unused else _turn_sensors(drive)
+            yield warning(
+                "fixes-stamped",
+                f"By the drive the fixes are stamped {abs(delay.value):.2f} s ± {delay.sigma:.2f} "
+                f"s {late} against {' and '.join(f'the {one}' for one in by)}.",
+                f"Look at how they were logged, or add {-delay.value:.2f} to --gnss-offset. Until "
+                "then positions count as unsure by what is driven in that time.",
             )
-    if (delay := denied.late_s) is not None:
-        late = "late" if delay.value > 0.0 else "early"
-        by = ["gyro"] if denied.gyro_unused else _turn_sensors(drive)
-        yield (
-            f"By the drive the fixes are stamped {abs(delay.value):.2f} s ± {delay.sigma:.2f} s "
-            f"{late} against {' and '.join(f'the {one}' for one in by)}; "
-            f"look at how they were logged, or add {-delay.value:.2f} to --gnss-offset. Until then "
-            "positions count as unsure by what is driven in that time."
+        if drive.smoothed.declared.contradicts and not denied.clear and drive.measured.sees_turns():
+            yield from _unfit(drive, denied)
+    if denied.gyro_unused and denied.clear:
+        yield warning(
+            "gyro-unused",
+            "The gyro fits the drive only once that is corrected, so it was not used; headings "
+            "count as unsure by what it would change.",
         )
-    if drive.smoothed.declared.contradicts and not denied.clear and drive.measured.sees_turns():
-        yield from _unfit_note(drive, denied)
 
 
 def _turn_sensors(drive: DriveEstimate) -> list[str]:
@@ -187,7 +189,7 @@ def _turn_sensors(drive: DriveEstimate) -> list[str]:
     return [name for has, name in seen if has]
 
 
-def _unfit_note(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[str]:
+def _unfit(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[Finding]:
     """That something does not fit together, and what would explain it alone."""
     found, unsure = drive.smoothed.declared, drive.smoothed.unsure
     moving = drive.gear != 0
@@ -207,8 +209,9 @@ def _unfit_note(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[st
     check = " or ".join(alone[k] for k in explains)
     positions = f", and positions {most_m:.2f} m" if most_m > LEAST_OFF_M else ""
     *first, last = ("Fixes", "antenna", *_turn_sensors(drive))
-    yield (
+    yield warning(
+        "contradiction",
         f"{', '.join(first)} and {last} do not fit together by {found.misfit():.0f} sigmas, so "
-        f"headings may be up to {most_deg:.1f}° off{positions}. Check "
-        f"{check or 'the place of the antenna and the stamps'}."
+        f"headings may be up to {most_deg:.1f}° off{positions}.",
+        f"Check {check or 'the place of the antenna and the stamps'}.",
     )

@@ -13,7 +13,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from fieldgrid.core import Float64, Quality
+from fieldgrid.core import Finding, Float64, Quality, info
 from fieldgrid.geometry import Rig, Trajectory, VehicleGeometry, least_sigma_m, position_sigma_m
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.axle import names_axle
@@ -32,9 +32,6 @@ they are at least this share. No map shows the half centimetre of RTK."""
 
 _NEARLY_ALL = 0.95
 """What may be declared of all fixes is named where this share of them is of one quality."""
-
-SLOW_ERRORS = "A receiver's own figure does not contain its slow errors"
-"""How the note on such fixes begins."""
 
 ONE_WAY = 0.9
 """A vehicle whose unit headings have a mean of this length heads one way: what is the same in its
@@ -114,11 +111,12 @@ def _is_told(one: Constant, per_unit_m: float = 1.0) -> bool:
     return CLEAR_SIGMAS * one.sigma * per_unit_m < FAR_M
 
 
-def unseen_sentence(faults: Sequence[UnseenFault]) -> str:
-    """What the faults that a drive would not show mean for its sigmas, for people."""
-    *others, last = (_WORDS[fault] for fault in faults)
-    named = f"{', '.join(others)} or {last}" if others else last
-    return f"This drive would not show {named}; no sigma covers that."
+def unseen_findings(faults: Sequence[UnseenFault]) -> Iterator[Finding]:
+    """What the faults that a drive would not show mean for its sigmas."""
+    if faults:
+        *others, last = (_WORDS[fault] for fault in faults)
+        named = f"{', '.join(others)} or {last}" if others else last
+        yield info("unseen", f"This drive would not show {named}; no sigma covers that.")
 
 
 def unsure_receiver(table: PoseTable, fixes: AcceptedFixes) -> PoseTable:
@@ -141,8 +139,8 @@ def unsure_fit_m(fixes: AcceptedFixes) -> float:
     return float(np.sqrt(np.average(_missing_m2(fixes), weights=1.0 / fixes.sigma_m**2)))
 
 
-def unsure_notes(fixes: AcceptedFixes) -> Iterator[str]:
-    """What the report says of fixes that count as much less sure than stated."""
+def accuracy_findings(fixes: AcceptedFixes) -> Iterator[Finding]:
+    """That fixes count as much less sure than stated."""
     least_m, believed_m = _least_m(fixes), _believed_m(fixes)
     raised = (least_m > _CLEARLY * believed_m) & (least_m > believed_m + _VISIBLY_M)
     for quality in map(Quality, np.unique(fixes.quality[raised])):
@@ -152,10 +150,12 @@ def unsure_notes(fixes: AcceptedFixes) -> Iterator[str]:
         stated_m, counts_m = np.median([fixes.stated_m[these], least_m[these]], axis=1)
         # A declared accuracy is that of all fixes: it would spoil the others of a mixed log.
         alone = np.mean(fixes.quality == quality) >= _NEARLY_ALL
-        remedy = "; if yours is known to be surer, as with PPP, give --accuracy METRES"
-        yield (
-            f"{SLOW_ERRORS}: {int(these.sum())} {quality.label} fixes state {stated_m:.3g} m in "
-            f"the median and count as {counts_m:.3g} m{remedy if alone else ''}."
+        yield info(
+            "accuracy",
+            "A receiver's own figure does not contain its slow errors: "
+            f"{int(these.sum())} {quality.label} fixes state {stated_m:.3g} m in the median and "
+            f"count as {counts_m:.3g} m.",
+            "If yours is known to be surer, as with PPP, give --accuracy METRES." if alone else "",
         )
 
 

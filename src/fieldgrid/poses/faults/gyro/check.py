@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64, Int64
+from fieldgrid.core import Finding, Float64, Int64, warning
 from fieldgrid.geometry import Inertial, Motion, wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.axle import Axle
@@ -38,8 +38,8 @@ NEAR_S = 2.0
 """Two headings that cross agree for a moment; how far they are apart is the most around it."""
 
 CHECK = (
-    "was not used: check imu_axes (it may be upside down), its unit (rad/s), its stamps and how "
-    "far the antenna sits ahead of the axle."
+    "Check imu_axes (it may be upside down), its unit (rad/s), its stamps and how far the antenna "
+    "sits ahead of the axle."
 )
 
 GEARS_UNSURE = f"Or the gears are wrong, which are in doubt: {TELL_GEARS}."
@@ -53,14 +53,14 @@ class GyroVerdict(NamedTuple):
     drive: DriveEstimate
     motion: Motion
     unsure_deg: Float64
-    note: str | None = None
+    finding: Finding | None = None
 
     def unsure_at(self, time_ns: Int64) -> Float64:
         """By how much headings are unsure at other instants, degrees."""
         return np.asarray(np.interp(time_ns, self.drive.time_ns, self.unsure_deg))
 
 
-def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, str | None]:
+def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, Finding | None]:
     """The motion without a gyro that turns otherwise than the path, or of which the drive does not
     show which way it turns, as its accelerometer does not either; and what was wrong with it."""
     gyro = motion.gyro
@@ -71,22 +71,24 @@ def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, st
         apart_s, side = (
             (before_s, "ends {} before") if before_s > 0.0 else (-after_s, "begins {} after")
         )
-        note = (
-            f"The gyro {side.format(f'{apart_s:.1f} s')} the fixes, so it was not used. If their "
-            "clocks differ, give --gnss-offset, or time_zone where the log has local time."
+        found = warning(
+            "gyro-unused",
+            f"The gyro {side.format(f'{apart_s:.1f} s')} the fixes, so it was not used.",
+            "If their clocks differ, give --gnss-offset, or time_zone where the log has local "
+            "time.",
         )
-        return motion._replace(gyro=None, inertial=None), note
+        return motion._replace(gyro=None, inertial=None), found
     sense = gyro_sense(fixes, motion.steps, gyro)
     if sense.is_wrong:
-        note = f"The path turns the other way than the gyro: the gyro {CHECK}"
+        why = "The path turns the other way than the gyro, so the gyro was not used."
     elif sense.is_unknown and not _feels_up(motion.inertial):
-        note = (
+        why = (
             "The fixes do not show that the vehicle turns as its gyro does, be they too few or too "
-            f"noisy in turns, or the gyro another: it {CHECK}"
+            "noisy in turns, or the gyro another, so it was not used."
         )
     else:
         return motion, None
-    return motion._replace(gyro=None, inertial=None), note
+    return motion._replace(gyro=None, inertial=None), warning("gyro-unused", why, CHECK)
 
 
 def _feels_up(sensed: Inertial | None) -> bool:
@@ -106,7 +108,7 @@ def with_trusted_gyro(
 ) -> GyroVerdict:
     """The drive with a gyro that fits, or without one."""
     found, scale = drive.smoothed.declared, drive.smoothed.gyro_scale
-    fits = GyroVerdict(drive, motion, np.zeros(len(drive.time_ns)), _scale_note(scale))
+    fits = GyroVerdict(drive, motion, np.zeros(len(drive.time_ns)), _scale_finding(scale))
     wrong = scale is not None and abs(scale.value) > MOST_SCALE
     if scale is None or not (wrong or found.contradicts):
         return fits
@@ -121,22 +123,24 @@ def with_trusted_gyro(
     # doubt.
     wanders = float(np.median(fixes.sigma_m)) > STEADY_M
     moves, either = drive.gear != 0, wanders and abs(scale.value) < PLAUSIBLE_SCALE
-    note = f"The gyro contradicts the drive and {CHECK}"
+    remedy = CHECK
     if moves.any() and float(np.mean(drive.doubt[moves] > DOUBT)) > DOUBTFUL_SHARE:
         either = True
-        note += f" {GEARS_UNSURE}"
-    return GyroVerdict(rest, without, apart_deg(rest, drive) * float(either), note)
+        remedy = f"{CHECK} {GEARS_UNSURE}"
+    told = warning("gyro-unused", "The gyro contradicts the drive and was not used.", remedy)
+    return GyroVerdict(rest, without, apart_deg(rest, drive) * float(either), told)
 
 
-def _scale_note(scale: Constant | None) -> str | None:
+def _scale_finding(scale: Constant | None) -> Finding | None:
     """That a gyro turns too much or too little."""
     if scale is None or abs(scale.value) < max(NOTED_SCALE, NOTED_SIGMAS * scale.sigma):
         return None
     size = "small" if scale.value > 0.0 else "large"
-    return (
+    return warning(
+        "gyro-scale",
         f"The turns of the gyro are {100.0 * abs(scale.value):.1f} % ± "
-        f"{100.0 * scale.sigma:.1f} % too {size} beside the drive; that was taken out. Calibrate "
-        "its scale."
+        f"{100.0 * scale.sigma:.1f} % too {size} beside the drive; that was taken out.",
+        "Calibrate its scale.",
     )
 
 

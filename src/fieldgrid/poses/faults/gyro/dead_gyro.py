@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fieldgrid.core import Bool, Float64, Int64
+from fieldgrid.core import Bool, Finding, Float64, Int64, warning
 from fieldgrid.geometry import Gyro, Inertial, Motion
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.faults.gyro.sense import course_lines
@@ -31,8 +31,8 @@ FEWEST_SAMPLES = 2
 """Of fewer samples a gyro tells no turn."""
 
 
-def without_faulty_samples(motion: Motion) -> tuple[Motion, str | None]:
-    """The motion without samples of its gyro that are spoilt or stuck, and a sentence on them, None
+def without_faulty_samples(motion: Motion) -> tuple[Motion, Finding | None]:
+    """The motion without samples of its gyro that are spoilt or stuck, and a finding on them, None
     where there are none. Those of a whole IMU are left out of it, too."""
     gyro = motion.gyro
     if gyro is None or len(gyro.time_ns) < 2:
@@ -58,8 +58,8 @@ def without_faulty_samples(motion: Motion) -> tuple[Motion, str | None]:
         )
         if wrong.any()
     ]
-    note = f"Of {len(faulty)} samples of the gyro {' and '.join(said)}; they were left out."
-    return without_samples(motion, faulty), note
+    told = f"Of {len(faulty)} samples of the gyro {' and '.join(said)}; they were left out."
+    return without_samples(motion, faulty), warning("gyro-samples", told)
 
 
 def without_samples(motion: Motion, faulty: Bool) -> Motion:
@@ -89,9 +89,9 @@ FEWEST_LINES, IN_A_ROW, OFF_RAD = 6, 3, np.radians(30.0)
 are off, since between two rows of a field there are no more; and by how much they are off."""
 
 
-def without_dead_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, str | None]:
+def without_dead_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, Finding | None]:
     """The motion without the samples of its gyro during which it said the same and the path turned
-    otherwise, and a sentence on them, None where there are none."""
+    otherwise, and a finding on them, None where there are none."""
     gyro = motion.gyro
     if gyro is None or len(gyro.time_ns) < 2:
         return motion, None
@@ -109,7 +109,7 @@ def without_dead_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, str
             dead_s += float(time_s[last] - time_s[first])
     if not dead.any():
         return motion, None
-    return without_samples(motion, dead), _note(gyro, dead, dead_s)
+    return without_samples(motion, dead), _told(gyro, dead, dead_s)
 
 
 def _turns(line_rad: Float64, line_s: Float64, rate_rad_s: float) -> bool:
@@ -123,16 +123,20 @@ def _turns(line_rad: Float64, line_s: Float64, rate_rad_s: float) -> bool:
     return bool((np.convolve(off, np.ones(IN_A_ROW), "valid") == IN_A_ROW).any())
 
 
-def _note(gyro: Gyro, dead: Bool, dead_s: float) -> str:
+def _told(gyro: Gyro, dead: Bool, dead_s: float) -> Finding:
     """What was left out, and what to look at."""
     if dead.all():
         rate_dps = float(np.degrees(gyro.rate_rad_s[0]))
-        return (
+        return warning(
+            "gyro-unused",
             f"The gyro says {rate_dps:z.3g}°/s throughout while the path turns, so it was not "
-            "used: check the driver of the IMU and the column or topic of its rates."
+            "used.",
+            "Check the driver of the IMU and the column or topic of its rates.",
         )
     first_s = (gyro.time_ns[np.flatnonzero(dead)[0]] - gyro.time_ns[0]) / 1e9
-    return (
+    return warning(
+        "gyro-samples",
         f"The gyro says the same for {dead_s:.0f} s (first {first_s:.0f} s after its start) while "
-        "the path turns otherwise; these samples were left out. Check the driver of the IMU."
+        "the path turns otherwise; these samples were left out.",
+        "Check the driver of the IMU.",
     )

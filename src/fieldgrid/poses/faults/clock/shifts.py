@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from fieldgrid.poses import leap_seconds
+from fieldgrid.poses.gnss.gps_time import leap_seconds
 
 LEAPS_S, ZONES_S = 0.5, 5.0
 """An offset is one of GPS time, or of a time zone, when it is so near to it."""

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fieldgrid.pipeline import explanation
-from fieldgrid.pipeline.checks.shifts import Span, shift_to_overlap
-from fieldgrid.poses import leap_seconds
+from fieldgrid.poses import Span, explanation, leap_seconds, shift_to_overlap
 
 S = 1_000_000_000
 IN_2011, IN_2024 = 1_308_133_815 * S, 1_717_000_000 * S
