@@ -11,7 +11,7 @@ coverage of each and prints
   rows in them, lanes that are wide enough, and headlands in which the vehicle can turn about;
 * for fields of up to `EXACT` lanes (default 4; ten take minutes, 0 is for none) the cost and the
   length beside those of the best order, found by planning the way between every two lanes;
-* on the same ways, what the local search for more than ten lanes makes of them;
+* on the same ways, what the local search makes of them;
 * processor time.
 
 With `FEWEST:EXACT`, as in `0:200 5:10`, only fields with so many lanes are planned, all of them
@@ -249,7 +249,7 @@ def best_of(task: Task, *, allow_unknown: bool = False) -> Best:
         costs[pair], lengths[pair] = cost, network.lengths_m.get(pair, math.inf)
     lengths[~np.isfinite(costs)] = math.inf
     worth = 1000.0 * np.array(sizes)
-    order = best_order(costs, np.ones(costs.shape, np.bool_), worth, lambda _: [], exact_up_to=0)
+    order = best_order(costs, np.ones(costs.shape, np.bool_), worth, lambda _: [])
     lost = worth.sum() - sum(worth[node // 2] for node in order.nodes)
     return Best(least(costs, worth), least(lengths, worth), order.cost - lost)
 

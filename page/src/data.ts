@@ -136,6 +136,7 @@ export interface Cell {
   east_m: number;
   north_m: number;
   bounds: Bounds;
+  verdict: string;
   values: Record<string, number | null>;
   frames: SeenBy[];
 }

@@ -794,6 +794,24 @@ def test_a_sheet_has_all_three(two_lanes_map: Path, tmp_path: Path) -> None:
     assert picture.shape[1] > picture.shape[0] > 800
 
 
+def test_driven_ground_is_tinted_where_it_does_not_look_free(
+    two_lanes_map: Path, tmp_path: Path
+) -> None:
+    """About the first frame, which nobody saw; a view that was not read to decide says nothing."""
+    with open_map(two_lanes_map) as universal:
+        first = next(iter(universal.frames())).pose
+        east, north = round(first.east_m), round(first.north_m)
+        place = Bounds(east - 3.0, north - 3.0, east + 3.0, north + 3.0)
+        told, plain = universal.read(place, decide="density"), universal.read(place)
+    driven = ~told.observed & (told.decision().seen > 0)
+    assert driven.sum() > 500
+    images = [figures.universal_grid(one).axes[0].get_images() for one in (told, plain)]
+    assert [len(of) for of in images] == [2, 1]
+    tint = np.ma.getmaskarray(images[0][1].get_array())
+    np.testing.assert_array_equal(~tint & ~told.observed, driven)
+    assert not (~tint & told.observed & (told.density <= 50)).any()
+
+
 def test_rows_of_the_example_run_from_south_west_to_north_east(
     two_lanes_map: Path, tmp_path: Path
 ) -> None:

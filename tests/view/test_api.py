@@ -191,6 +191,15 @@ def test_why_a_cell_is_what_it_is(server: Server, vineyard: Path) -> None:
     assert {frame["session"] for frame in only["frames"]} <= {1}
     nowhere = server.json("/api/maps/0/cell?east=4000&north=4000")
     assert (nowhere["values"], nowhere["frames"]) == ({}, [])
+    assert (found["verdict"], nowhere["verdict"]) == ("Obstacle", "Never seen")
+
+
+def test_why_says_what_a_cell_counts_as(server: Server, vineyard: Path) -> None:
+    """Ground below the first frame, which no frame saw, was driven over."""
+    with open_map(vineyard) as universal:
+        pose = next(iter(universal.frames())).pose
+    found = server.json(f"/api/maps/0/cell?east={pose.east_m}&north={pose.north_m}")
+    assert (found["verdict"], found["values"]) == ("Free: driven over", {})
 
 
 def test_the_track_of_a_drive(server: Server, vineyard: Path) -> None:

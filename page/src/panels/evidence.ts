@@ -38,7 +38,7 @@ export class EvidencePanel {
   showMarks(marks: Mark[]): void {
     if (!marks.length) return;
     const list = el("ul", { id: "marked" }, ...marks.map((mark) => el("li", {}, described(mark))));
-    this.element.querySelector("#verdict")?.after(el("p", {}, "The drives say so; people marked it as:"), list);
+    this.element.querySelector("#verdict")?.after(el("p", {}, "People marked it as:"), list);
   }
 
   showPose(row: Row, tracks: Tracks): void {
@@ -76,18 +76,16 @@ export class EvidencePanel {
   }
 
   show(cell: Cell): void {
-    const { values, frames } = cell;
-    const density = values.density;
-    const verdict = this.verdict(density);
+    const { verdict, values, frames } = cell;
     const sessions = new Set(frames.map((frame) => frame.session));
     this.begin(
-      el("p", { id: "verdict", class: verdict === "Obstacle" ? "obstacle" : "" }, verdict),
+      el("p", { id: "verdict", class: verdict.startsWith("Obstacle") ? "obstacle" : "" }, verdict),
       frames.length
         ? el("p", {}, `Seen by ${plural(frames.length, "frame")} of ${plural(sessions.size, "session")}; ${frames.filter((f) => f.obstacle).length} of them saw an obstacle.`)
         : el("p", {}, "No frame that is switched on saw this cell."),
       this.where(cell),
     );
-    if (density !== undefined) this.element.append(...this.tables(values));
+    if (values.density !== undefined) this.element.append(...this.tables(values));
     if (frames.length) this.element.append(this.frames(cell));
   }
 

@@ -13,8 +13,17 @@ from typing import Any
 import numpy as np
 
 from fieldgrid.core import CalibrationError
-from fieldgrid.geometry import OBSTACLE_ABOVE, Bounds, DepthCamera, Lidar, Pose, Rig, StereoCamera
-from fieldgrid.maps import LAYERS, DrivenMap, SessionInfo, to_local
+from fieldgrid.geometry import (
+    FREE_UP_TO,
+    OBSTACLE_ABOVE,
+    Bounds,
+    DepthCamera,
+    Lidar,
+    Pose,
+    Rig,
+    StereoCamera,
+)
+from fieldgrid.maps import LAYERS, DrivenMap, MapView, SessionInfo, decision, to_local
 
 _NEAREST_M = 0.1
 """A point nearer to the camera's plane than this has no place in its image."""
@@ -32,11 +41,14 @@ def explain(
     chosen = [one for one in found.contributions if sessions is None or one.session in sessions]
     bounds = found.bounds
     rigs = {name: _rig(infos[name][1]) for name in {one.session for one in chosen}}
+    names = [name for name in LAYERS if name != "density"]
+    view = universal.read(bounds, layers=names, sessions=sessions, decide="density")
     return {
         "east_m": east_m,
         "north_m": north_m,
         "bounds": list(bounds),
-        "values": _values(universal, bounds, sessions),
+        "verdict": _verdict(view),
+        "values": _values(view),
         "frames": [
             {
                 "frame_id": one.frame_id,
@@ -62,15 +74,24 @@ def explain(
     }
 
 
-def _values(
-    universal: DrivenMap, bounds: Bounds, sessions: Collection[str] | None
-) -> dict[str, float | None]:
-    """What each layer says of the cell; empty where it was not observed."""
-    names = [name for name in LAYERS if name != "density"]
-    view = universal.read(bounds, layers=names, sessions=sessions)
+def _verdict(view: MapView) -> str:
+    """What a cell counts as for whoever decides, with the reason where it is not what the drives
+    saw."""
+    decided, (worst, seen, _) = view.decided, view.decision()
+    assert decided is not None  # it was read to decide
+    what = "Obstacle" if worst[0, 0] > OBSTACLE_ABOVE else "In doubt"
+    what = "Free" if worst[0, 0] <= FREE_UP_TO else what
+    why = [said for flag, said in decision.REASONS.items() if decided.flags[0, 0] & flag]
+    if worst[0, 0] > decided.worst[0, 0]:
+        why.append("the ground falls away")
+    return f"{what if seen[0, 0] else 'Never seen'}{': ' if why else ''}{', '.join(why)}"
+
+
+def _values(view: MapView) -> dict[str, float | None]:
+    """What each layer says of a cell; empty where it was not observed."""
     if not view.observed[0, 0]:
         return {}
-    values = {name: float(view.layer(name)[0, 0]) for name in ("density", *names)}
+    values = {name: float(view.layer(name)[0, 0]) for name in ("density", *view.layers)}
     values["sigma"] = math.sqrt(max(values["variance"], 0.0))
     return {name: _known(value) for name, value in values.items()}
 

@@ -19,6 +19,7 @@ from fieldgrid.geometry import GROUND_CHANNEL, Pose
 from fieldgrid.maps import MapView, open_map
 from tests.field.coverage.test_plan import planted
 from tests.field.route.test_plan import SMALL, at, field
+from tests.field.rows.fields import write_map
 from tests.maps.file.maps import DATUM
 from tests.maps.layers.test_ground import grid, hillside
 
@@ -210,3 +211,18 @@ def test_a_drop_is_an_obstacle_to_a_vehicle_that_does_not_take_it() -> None:
     with pytest.raises(NoRouteError, match="stopped by an obstacle"):
         route_in_view(view, *ends, SMALL)
     assert route_in_view(view, *ends, replace(SMALL, step_m=0.31)).length_m < 15.1
+
+
+@pytest.mark.parametrize("steep", [False, True])
+def test_weak_cells_are_named_where_their_ground_is_not_too_steep(
+    tmp_path: Path, steep: bool
+) -> None:
+    view = field(obstacles=[(10.0, 0.0, 10.2, 4.0), (10.0, 6.0, 10.2, 10.0)])
+    view.density[25, 50] = 130
+    with open_map(write_map(tmp_path / "gap.gpkg", view)) as universal:
+        hill = tilted(view, 18.0, 0.0, np.s_[:, 70:80] if steep else np.s_[:5, 70:80])
+        with pytest.raises(NoRouteError) as refused:
+            route_in_view(
+                hill, at(5, 5, 90), at(17, 5, 90), replace(SMALL, width_m=1.2), universal=universal
+            )
+    assert ("fieldgrid mark" in str(refused.value)) == (not steep)

@@ -205,7 +205,11 @@ def _view(
         cell_m = universal.cell_m * times
     layers, rule = () if layer == "density" else (layer,), Averaging(averaging)
     if not isinstance(universal, Farm):
-        return universal.read(bounds, cell_m, layers=layers, averaging=rule, sessions=sessions)
+        # Larger cells take long to decide, and show none.
+        decide = layer if layer == "density" and cell_m == universal.cell_m else ""
+        return universal.read(
+            bounds, cell_m, layers=layers, averaging=rule, sessions=sessions, decide=decide
+        )
     options.refuse(
         rule is Averaging.PAPER, "--averaging", "it is of one map; several are joined by the mean"
     )

@@ -26,8 +26,8 @@ from fieldgrid.export.figures.page import (
 )
 from fieldgrid.export.figures.relief import draw_relief
 from fieldgrid.field import ChangedObject
-from fieldgrid.geometry import Bounds, Feature
-from fieldgrid.maps import LAYERS, MEANING, Change, ChangeView, MapView, Mark, MarkKind
+from fieldgrid.geometry import FREE_UP_TO, Bounds, Feature
+from fieldgrid.maps import LAYERS, MEANING, Change, ChangeView, MapView, Mark, MarkKind, decision
 
 # What people said of places, drawn over a map.
 
@@ -41,8 +41,11 @@ SAYS = {
 _HATCH = {MarkKind.KEEPOUT: "///", MarkKind.OBSTACLE: "xx"}
 
 
-def draw_marks(axes: Axes, marks: Sequence[Mark], bounds: Bounds) -> None:
-    """Draw the marks that lie within bounds, with their names and a legend of their kinds."""
+def draw_marks(
+    axes: Axes, marks: Sequence[Mark], bounds: Bounds, others: Sequence[Patch] = ()
+) -> None:
+    """Draw the marks that lie within bounds, with their names and a legend of their kinds, and of
+    `others` that were drawn."""
     inside = [
         mark
         for mark in marks
@@ -73,7 +76,7 @@ def draw_marks(axes: Axes, marks: Sequence[Mark], bounds: Bounds) -> None:
                 clip_on=True,
                 bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
             )
-    handles = [
+    handles = [*others] + [
         Line2D([], [], linestyle="none", marker="D", color=palette.MARKS[kind], label=SAYS[kind])
         if kind is MarkKind.PLACE
         else Patch(
@@ -85,6 +88,32 @@ def draw_marks(axes: Axes, marks: Sequence[Mark], bounds: Bounds) -> None:
     if handles:
         axes.legend(handles=handles, loc="upper left", fontsize="small")
 
+
+def draw_counted(axes: Axes, view: MapView) -> list[Patch]:
+    """Tint what counts as free for whoever decides, and does not look so: ground that was driven
+    over, and things that moved. Returns what a legend says of it, nothing where there is none, or
+    where the view was not read to decide."""
+    if view.decided is None:
+        return []
+    is_said = (view.decided.flags & (decision.DRIVEN | decision.MOVED)) > 0
+    shown = is_said & (view.decided.worst == 0) & ~(view.observed & (view.density <= FREE_UP_TO))
+    if not shown.any():
+        return []
+    colour, bounds = palette.MARKS[MarkKind.FREE], view.bounds
+    axes.imshow(
+        np.ma.masked_array(shown, mask=~shown),
+        extent=(bounds.west_m, bounds.east_m, bounds.south_m, bounds.north_m),
+        cmap=ListedColormap([colour]),
+        alpha=_TINT,
+        origin="lower",
+        interpolation="none",
+        interpolation_stage="data",
+        aspect="equal",
+    )
+    return [Patch(facecolor=colour, alpha=_TINT, label="free: driven over, or moved")]
+
+
+_TINT = 0.45
 
 # Rows and what lies between them, drawn over a map.
 
@@ -193,7 +222,7 @@ def draw_grid(
     if route is not None:
         axes.plot(route[:, 0], route[:, 1], color="white", linewidth=3.4)
         axes.plot(route[:, 0], route[:, 1], color=ROUTE, linewidth=1.8, label="route")
-    draw_marks(axes, view.marks, bounds)
+    draw_marks(axes, view.marks, bounds, draw_counted(axes, view) if layer == "density" else ())
     # What leaves the part that is drawn does not widen it.
     axes.set(xlim=(bounds.west_m, bounds.east_m), ylim=(bounds.south_m, bounds.north_m))
     name_axes(axes, title or f"universal grid, cells of {view.lattice.cell_m * 100:g} cm")

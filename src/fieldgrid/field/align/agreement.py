@@ -6,57 +6,16 @@ submaps, and the best is believed only when nothing apart from it comes near.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
-from fieldgrid.core import Float64, kernel
+from fieldgrid.core import Float64
 from fieldgrid.field.align.network import FREEDOM
 from fieldgrid.field.align.ridge import along_ridge
 from fieldgrid.field.align.score import Scores
-
-# Sums of pictures that are each shifted by parts of a cell.
-
-
-def shifted_sums(pictures: Float64, rows: Float64, columns: Float64) -> Float64:
-    """The sums [t, h, w] of pictures [p, h, w], each shifted by `rows` and `columns` [t, p] cells:
-    between cells linear, and 0 beyond the outermost."""
-    total = np.zeros((len(rows), *pictures.shape[1:]))
-    add_shifted(
-        *(np.ascontiguousarray(one, dtype=np.float64) for one in (pictures, rows, columns)), total
-    )
-    return total
-
-
-@kernel
-def add_shifted(pictures, rows, columns, total):  # type: ignore[no-untyped-def]
-    """Add to `total` [t, h, w] the pictures as :func:`shifted_sums` has it."""
-    count, height, width = pictures.shape
-    for t in range(len(total)):
-        for p in range(count):
-            down, right = math.floor(rows[t, p]), math.floor(columns[t, p])
-            part_down, part_right = rows[t, p] - down, columns[t, p] - right
-            for j in range(height):
-                # The cell above which this one lies, and by how much of a cell.
-                y = j - rows[t, p]
-                if y < 0.0 or y > height - 1:
-                    continue
-                high, low = j - down, max(j - down - 1, 0)
-                high = min(high, height - 1)
-                for i in range(width):
-                    x = i - columns[t, p]
-                    if x < 0.0 or x > width - 1:
-                        continue
-                    far, near = min(i - right, width - 1), max(i - right - 1, 0)
-                    upper = pictures[p, high, far] * (1.0 - part_right)
-                    upper += pictures[p, high, near] * part_right
-                    lower = pictures[p, low, far] * (1.0 - part_right)
-                    lower += pictures[p, low, near] * part_right
-                    total[t, j, i] += upper * (1.0 - part_down) + lower * part_down
-
 
 WEIGHT = 40.0
 """How much the log-posterior falls for shifts whose agreement, a cell, is none beside the best: a
@@ -129,10 +88,16 @@ def agree(
     turns = turns if np.radians(MOST_TURN_DEG) * extent_m > cell_m / 4.0 else np.zeros(1)
 
     # A clockwise turn of b moves it there by turn · (north, -east).
-    by = np.radians(turns)[:, None, None] * np.stack([away[:, 0], -away[:, 1]]) / cell_m
+    by = np.radians(turns)[:, None, None] * (away * (1.0, -1.0)) / cell_m
 
-    def together(of_pairs: Sequence[Float64], turns: slice = slice(None)) -> Float64:
-        return shifted_sums(np.array(of_pairs), *(by[turns, k] for k in (0, 1)))
+    def together(of_pairs: Sequence[Float64], by: Float64 = by) -> Float64:
+        """The sums for each turn, of what its places were moved by: linear between cells."""
+        return np.array(
+            [
+                sum(ndimage.shift(of, to, order=1) for of, to in zip(of_pairs, turn, strict=True))
+                for turn in by
+            ]
+        )
 
     agreement = together(likelihoods)
     cells = together([one.independent for one in found])
@@ -150,7 +115,7 @@ def agree(
     score = posterior.max(axis=0) - posterior.max()
     rivals = _rivals(score, axis, shift)
     alike = _rivals(evidence.max(axis=0) - evidence[turn, j, i], axis, shift)
-    (sharp,) = together([one.independent * one.by_cell for one in found], slice(turn, turn + 1))
+    (sharp,) = together([one.independent * one.by_cell for one in found], by[[turn]])
     along = along_ridge(sharp / np.maximum(cells[turn], 1.0), axis, shift)
     # Of the best shift itself: where rows repeat, the way from row to row may look like a ridge.
     doubt = _doubt(float(agreement[turn, j, i]), shift, rivals, most_m)

@@ -21,43 +21,6 @@ from fieldgrid.core import Complex64, Float32, Float64
 from fieldgrid.field.align.submaps import SubmapImage
 from fieldgrid.geometry import Window
 
-# Cubic splines through the cells of an array, read at the crossings of rows and columns.
-
-
-PAD = 12
-"""Cells that are added beyond each border, with the values at the border;
-`scipy.ndimage.map_coordinates` adds as many."""
-
-
-def between_cells(values: Float64, rows: Float64, columns: Float64) -> Float64:
-    """The cubic spline [m, n] through `values` [h, w] at places along either axis [m], [n], in
-    cells.
-
-    It equals `scipy.ndimage.map_coordinates` with `mode="nearest"`. As the places are crossings of
-    rows and columns, two products of matrices give it in a quarter of the time.
-    """
-    padded = np.pad(values, PAD, mode="edge")
-    coefficients = ndimage.spline_filter(padded, order=3, mode="nearest")
-    along_rows, along_columns = (
-        _weights(places, count) for places, count in zip((rows, columns), padded.shape, strict=True)
-    )
-    return np.asarray(along_rows @ coefficients @ along_columns.T)
-
-
-def _weights(places: Float64, count: int) -> Float64:
-    """What each coefficient counts for each place [m, count]."""
-    at = np.clip(places + PAD, 1.0, count - 3.0)
-    first = np.floor(at).astype(np.intp)
-    t = at - first
-    weights = np.zeros((len(at), count))
-    every = np.arange(len(at))
-    weights[every, first - 1] = (1.0 - t) ** 3 / 6.0
-    weights[every, first] = 2.0 / 3.0 - t**2 * (2.0 - t) / 2.0
-    weights[every, first + 1] = 2.0 / 3.0 - (1.0 - t) ** 2 * (1.0 + t) / 2.0
-    weights[every, first + 2] = t**3 / 6.0
-    return weights
-
-
 LEAST_SHARE = 0.25
 """Shifts at which less than this share of the smaller picture lies on the other are not told."""
 
@@ -225,9 +188,10 @@ def peak(found: Scores, near_m: Float64) -> tuple[Float64, Float64]:
     # Three sigmas of the weight, read every quarter of a cell.
     at = np.arange(-3.0 * NEAR_M, 3.0 * NEAR_M, found.cell_m / FINER)
     east, north = ((near + at - axis[0]) / found.cell_m for near in near_m)
+    places = np.meshgrid(north, east, indexing="ij")
     j, i = (round((float(at_m) - axis[0]) / found.cell_m) for at_m in (near_m[1], near_m[0]))
     cells = found.independent[np.clip(j, 0, len(axis) - 1), np.clip(i, 0, len(axis) - 1)]
-    fine = cells * between_cells(found.by_cell, north, east)
+    fine = cells * ndimage.map_coordinates(found.by_cell, places, mode="nearest")
     fine = fine - 0.5 * (at[:, None] ** 2 + at[None, :] ** 2) / NEAR_M**2
     weight = np.exp(fine - fine.max())
     weight /= weight.sum()
@@ -267,7 +231,8 @@ def turn_peak(
             return 0.0, 0.0
         j, i = np.unravel_index(int(near.by_cell.argmax()), near.by_cell.shape)
         around = np.linspace(-1.0, 1.0, 2 * FINER + 1)
-        tops.append(float(between_cells(near.by_cell, j + around, i + around).max()))
+        places = np.meshgrid(j + around, i + around, indexing="ij")
+        tops.append(float(ndimage.map_coordinates(near.by_cell, places, mode="nearest").max()))
     cells = float(straight.independent[straight.reach, straight.reach])
     tops = [cells * top for top in tops]
     curvature = (tops[0] - 2.0 * tops[1] + tops[2]) / PROBE_DEG**2

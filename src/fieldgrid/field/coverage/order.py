@@ -16,9 +16,6 @@ import numpy as np
 
 from fieldgrid.core import Bool, Float64, Int64, kernel, part_of_kernel
 
-EXACT_UP_TO = 10
-"""Things whose best order is found by dynamic programming; more are ordered by local search."""
-
 _EFFORT = 9_000_000
 """Of the local search: it restarts so often, over the cube of the number of things."""
 
@@ -43,14 +40,13 @@ def best_order(
     worth: Float64,
     look_up: Callable[[list[tuple[int, int]]], list[float]],
     *,
-    exact_up_to: int = EXACT_UP_TO,
     enough: int | None = None,
 ) -> VisitOrder:
     """The best order by costs that are looked up as they are needed, for pairs of nodes.
 
     `costs` are lower bounds but where `known`; both are filled in. An order whose costs are all
-    known is the best one, since no other can become cheaper: exactly so up to `exact_up_to` things,
-    and as far as the local search finds it above. After `enough` costs were looked up, what is not
+    known is the best one, since no other can become cheaper, as far as a local search finds it.
+    After `enough` costs were looked up, what is not
     known is shunned: it is taken for dearer, so that the order is made of what is known, as far as
     that leaves nothing out.
     """
@@ -58,14 +54,11 @@ def best_order(
     sequence, thorough = np.arange(count), min(max(_EFFORT // count**3, 3), 400)
     kicks, looked_up = 1, 0
     while True:
-        if count <= exact_up_to:
-            order = _exact(costs, worth)
-        else:
-            visit(sequence, costs, worth, np.int64(kicks))
-            order = directed(sequence, costs, worth)
+        visit(sequence, costs, worth, np.int64(kicks))
+        order = directed(sequence, costs, worth)
         ends = [len(costs) - 1, *order.nodes, len(costs) - 1]
         missing = [(a, b) for a, b in itertools.pairwise(ends) if not known[a, b]]
-        if not missing and (count <= exact_up_to or kicks == thorough):
+        if not missing and kicks == thorough:
             return order
         # Costs first; the search is thorough when those that it needs are known.
         kicks = 1 if missing else thorough
@@ -75,46 +68,6 @@ def best_order(
         if enough is not None and looked_up >= enough:
             costs[~known] *= _SHUNNED
             enough = None
-
-
-def _exact(costs: Float64, worth: Float64) -> VisitOrder:
-    """By Held, M. and Karp, R. M. (1962), Journal of the SIAM 10, 196-210, over things and
-    directions."""
-    n = len(worth)
-    best = np.full((1 << n, 2 * n), np.inf)
-    before = np.full((1 << n, 2 * n), -1, dtype=np.int64)
-    held_karp(costs, best, before)
-    left_out = np.array([[not mask >> k & 1 for k in range(n)] for mask in range(1 << n)]) @ worth
-    ending = best + costs[: 2 * n, -1] + left_out[:, None]
-    mask, node = (int(v) for v in np.unravel_index(np.argmin(ending), ending.shape))
-    cost, nodes = float(ending[mask, node]), []
-    if not cost < worth.sum():
-        return VisitOrder([], float(worth.sum()))
-    while node >= 0:
-        nodes.append(node)
-        mask, node = mask & ~(1 << node // 2), int(before[mask, node])
-    return VisitOrder(nodes[::-1], cost)
-
-
-@kernel
-def held_karp(costs, best, before):  # type: ignore[no-untyped-def]
-    """Fill the least cost of having visited a set of things, a bit each, and standing at a node,
-    and the node before that."""
-    nodes = len(costs) - 1
-    for node in range(nodes):
-        best[1 << (node >> 1), node] = costs[nodes, node]
-    for mask in range(1, len(best)):
-        for a in range(nodes):
-            if not np.isfinite(best[mask, a]):
-                continue
-            for b in range(nodes):
-                bit = 1 << (b >> 1)
-                if mask & bit:
-                    continue
-                cost = best[mask, a] + costs[a, b]
-                if cost < best[mask | bit, b]:
-                    best[mask | bit, b] = cost
-                    before[mask | bit, b] = a
 
 
 def directed(sequence: Int64, costs: Float64, worth: Float64) -> VisitOrder:

@@ -125,8 +125,8 @@ def plan_coverage(
     """A route along all lanes of a map, or those named, over seen free ground; with `tracks` along
     parallel tracks that are laid over that ground, and passes around it and its obstacles.
 
-    Each lane is driven from end to end once, in an order and a direction that make turning short:
-    the best ones for up to ten lanes, by local search for more. `start` and `goal` are places as
+    Each lane is driven from end to end once, in an order and a direction that make turning short,
+    by local search. `start` and `goal` are places as
     `plan_route` takes them; without them the route begins and ends at a lane. The
     lanes are those of `planting`, or of what `find_rows` finds of `crop`. The rest
     is as in `plan_route`, to which the ways between lanes keep.

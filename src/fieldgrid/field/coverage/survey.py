@@ -295,8 +295,7 @@ def _inside(evidence: Evidence, mask: Bool, area: shapely.Geometry) -> shapely.G
     if within is None:
         return shapely.Polygon()
     inner = Evidence(evidence.lattice, within, np.zeros(within.shape, np.uint8))
-    for one in shapely.get_parts(area):
-        fill(inner.cells, inner, one)
+    fill(inner.cells, inner, area)
     inner.cells[:] &= mask[evidence.window.slices_of(within)]
     shapes = polygons_of(inner, inner.cells, evidence.cell_m**2)
     return shapely.union_all(shapes).intersection(area)

@@ -34,7 +34,7 @@ from fieldgrid.geometry import MAX_DISTANCE_M, Datum
 
 ROW, AREA = "row", "area"
 
-MOST_FEATURES = 200_000
+MOST_FEATURES, MOST_CORNERS = 200_000, 1_000_000
 
 _LATITUDE = ("latdeg", "lat", "latitude")
 _LONGITUDE = ("londeg", "lon", "long", "lng", "longitude")
@@ -122,10 +122,11 @@ def _few(things: Iterable[SurveyFeature]) -> Iterator[SurveyFeature]:
 
 
 def _geojson(text: str, datum: Datum) -> Iterable[SurveyFeature]:
+    if text.count("[") > MOST_CORNERS:
+        raise _SurveyError(f"it has over {MOST_CORNERS} corners; simplify it.")
     try:
         for number, feature in enumerate(parse_json(text)["features"], 1):
             properties = feature.get("properties") or {}
-            _check_size(feature["geometry"])
             shape = shapely.geometry.shape(feature["geometry"])
             kind = str(properties.get("kind") or "obstacle").strip().lower()
             name = str(properties.get("id") or feature.get("id") or number)
@@ -144,20 +145,6 @@ def _geojson(text: str, datum: Datum) -> Iterable[SurveyFeature]:
         ) from error
     except shapely.errors.ShapelyError as error:
         raise _SurveyError(f"it has a broken geometry ({error}).") from error
-
-
-def _check_size(geometry: Any) -> None:
-    """Refuse a geometry of more corners than anybody has surveyed."""
-    within, corners = [geometry.get("coordinates", ())], 0
-    while within:
-        part = within.pop()
-        if isinstance(part, list) and part and isinstance(part[0], list):
-            corners += len(part)
-            if corners > MOST_FEATURES:
-                raise _SurveyError(f"a feature has over {MOST_FEATURES} corners; simplify it.")
-            within += part
-    for inner in geometry.get("geometries", ()):
-        _check_size(inner)
 
 
 def _in_plane(shape: Any, datum: Datum) -> Any:

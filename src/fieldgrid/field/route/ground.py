@@ -194,6 +194,11 @@ class Ground:
         return replace(self, blocked=blocked, to_blocked_m=_to_blocked_m(blocked, self.cell_m))
 
     @property
+    def level(self) -> Ground:
+        """It as if no slope mattered."""
+        return replace(self, rises=self.rises[:0, :0])
+
+    @property
     def is_unseen_blocked(self) -> bool:
         """Whether ground that was not seen is in the way."""
         return bool(((self.cells == UNSEEN) & (self.blocked > 0)).any())

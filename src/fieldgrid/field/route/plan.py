@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -16,7 +16,7 @@ from fieldgrid.field.route.ground import SLOPE_LAYERS, Ground
 from fieldgrid.field.route.path import Path
 from fieldgrid.field.route.search import MAX_STATES, Searcher, SearchPose
 from fieldgrid.field.route.vehicle import Vehicle
-from fieldgrid.field.route.verify import Fault, find_fault, swept_hulls
+from fieldgrid.field.route.verify import Fault, find_fault, slope_fault, swept_hulls
 from fieldgrid.geometry import Bounds, Datum, wrap_deg, yaw_from_heading_rad
 from fieldgrid.maps import CostCurve, MapFile, MapView, open_map
 
@@ -137,6 +137,10 @@ def planning_view(
     return universal.read(bounds, size, layers=SLOPE_LAYERS, at=at, decide="density")
 
 
+class _TooSteepError(NoRouteError):
+    """There would be a way, were all ground level."""
+
+
 def route_in_view(
     view: MapView,
     start: tuple[float, ...],
@@ -168,6 +172,8 @@ def route_in_view(
 
     try:
         samples = way(searcher)
+    except _TooSteepError:
+        raise
     except NoRouteError as none:
         helps = weak_cells(searcher, way, universal)
         if not helps:
@@ -180,17 +186,21 @@ def weak_cells(
     searcher: Searcher, way: Callable[[Searcher], Float64], universal: MapFile | None
 ) -> str:
     """The weak obstacle cells that stand alone on a way that would be free without them, the frames
-    that saw them and the marks that free them; '' where that does not help."""
+    that saw them and the marks that free them; '' where that does not help, or the shortest such
+    way is too steep."""
     ground, vehicle = searcher.ground, searcher.vehicle
     without = ground.without_weak()
     j, i = np.nonzero(ground.blocked != without.blocked)
     if universal is None or not len(j):
         return ""
     try:
-        samples = way(Searcher(without, vehicle))
+        samples = way(Searcher(without.level, vehicle))
     except NoRouteError:
         return ""
-    hulls, bulge_m = swept_hulls(Path.of_samples(samples, ground.west_m, ground.south_m), vehicle)
+    path = Path.of_samples(samples, ground.west_m, ground.south_m)
+    if slope_fault(path, ground, vehicle) is not None:
+        return ""
+    hulls, bulge_m = swept_hulls(path, vehicle)
     west, south = ground.west_m + i * ground.cell_m, ground.south_m + j * ground.cell_m
     boxes = shapely.box(west, south, west + ground.cell_m, south + ground.cell_m)
     _, met = shapely.STRtree(boxes).query(hulls, "dwithin", vehicle.clearance_m + bulge_m)
@@ -255,7 +265,7 @@ def find_way(
         if fault is not None:
             place = fault.east_m, fault.north_m
             helps = remedy(searcher, [place], "a vehicle that takes steeper ground")
-            raise NoRouteError(
+            raise _TooSteepError(
                 f"No way was found {what} but one on which {fault.reason}", *place, helps
             )
         searched = "no path exists" if found.exhausted else "no path was found in time"
@@ -282,11 +292,10 @@ def _slope_in_the_way(
     ground, vehicle = searcher.ground, searcher.vehicle
     if not ground.rises.size:
         return None
-    level = Searcher(replace(ground, rises=ground.rises[:0, :0]), vehicle)
-    samples = level.search(starts, goals, left_m, max_poses).samples
+    samples = Searcher(ground.level, vehicle).search(starts, goals, left_m, max_poses).samples
     if not len(samples):
         return None
-    return find_fault(Path.of_samples(samples, ground.west_m, ground.south_m), ground, vehicle)
+    return slope_fault(Path.of_samples(samples, ground.west_m, ground.south_m), ground, vehicle)
 
 
 def remedy(searcher: Searcher, places_m: Sequence[tuple[float, float]], first: str = "") -> str:

@@ -46,7 +46,7 @@ def find_fault(path: Path, ground: Ground, vehicle: Vehicle) -> Fault | None:
     return (
         _kinematic_fault(path, vehicle)
         or _swept_fault(path, ground, vehicle)
-        or _slope_fault(path, ground, vehicle)
+        or slope_fault(path, ground, vehicle)
     )
 
 
@@ -109,7 +109,7 @@ def _swept_fault(path: Path, ground: Ground, vehicle: Vehicle) -> Fault | None:
     return None
 
 
-def _slope_fault(path: Path, ground: Ground, vehicle: Vehicle) -> Fault | None:
+def slope_fault(path: Path, ground: Ground, vehicle: Vehicle) -> Fault | None:
     """The steepest place along the way, or across it, that is beyond the vehicle's limit."""
     if not ground.rises.size:
         return None

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import shapely
 
-from fieldgrid.core import Bool, Float64, Int64, UInt8
+from fieldgrid.core import Bool, Float64, Int32, Int64, UInt8
 from fieldgrid.field.rows.blocks import LaneLine
 from fieldgrid.field.rows.measuring.measure import MeasuredRow
 from fieldgrid.geometry import part
@@ -245,11 +245,12 @@ def canopies(evidence: Evidence, rows: list[MeasuredRow]) -> UInt8:
     return mask
 
 
-def fill(mask: UInt8, evidence: Evidence, shape: shapely.Polygon, value: int = 1) -> None:
-    """Set the cells of a mask under a shape, without its holes."""
-    west, south = evidence.origin_m
-    ring = (np.asarray(shape.exterior.coords) - (west, south)) * evidence.lattice.cells_per_m
-    cv2.fillPoly(mask, [np.floor(ring).astype(np.int32)], value)
+def fill(mask: UInt8 | Int32, evidence: Evidence, shape: shapely.Geometry, value: int = 1) -> None:
+    """Set the cells that polygons touch, those in their holes included."""
+    for one in shapely.get_parts(shape):
+        ring = shapely.get_coordinates(one.exterior) - evidence.origin_m
+        corners = np.floor(ring * evidence.lattice.cells_per_m).astype(np.int32)
+        cv2.fillPoly(mask, [corners], value)
 
 
 def find_headlands(

@@ -11,12 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 import shapely
 
-from fieldgrid.core import Bool, ConfigError, Float64, Int32, UInt8
-from fieldgrid.field.rows.ground import polygons_of
+from fieldgrid.core import Bool, ConfigError, Float64, UInt8
+from fieldgrid.field.rows.ground import fill, polygons_of
 from fieldgrid.field.rows.result import Planting
 from fieldgrid.geometry import MAX_GAP_NS, Datum, Feature, Lattice, Trajectory, Window
 from fieldgrid.maps import Evidence, MapFile
@@ -118,11 +117,14 @@ def find_worked(
     corners, lattice = shapely.total_bounds(places).reshape(2, 2), Lattice(universal.cell_m)
     while (window := _cells_of(corners, lattice)).width * window.height > MAX_CELLS:
         lattice = Lattice(2.0 * lattice.cell_m)
-    times, label = _times(way, lattice, window, width_m), _labels(grounds, lattice, window)
+    times, label = _times(way, lattice, window, width_m), np.zeros(window.shape, dtype=np.int32)
+    evidence = Evidence(lattice, window, times)
+    for number, ground in enumerate(grounds, 1):
+        # Cells on an outline are filled, too.
+        fill(label, evidence, ground.buffer(-0.5 * lattice.cell_m), number)
 
     def outlines(mask: Bool, least_m2: float = 0.0) -> list[shapely.Polygon]:
-        cells = mask.view(np.uint8)
-        return polygons_of(Evidence(lattice, window, cells), cells, least_m2)
+        return polygons_of(evidence, mask.view(np.uint8), least_m2)
 
     left_out = outlines((label > 0) & (times == 0), LEAST_MISSED_M2)
     missed = [part for part in left_out if not part.buffer(-sigma_m).is_empty]
@@ -216,18 +218,6 @@ def _cells_of(points_m: Float64, lattice: Lattice) -> Window:
     """The cells of a box about points [n, 2]."""
     i, j = lattice.index(points_m[:, 0], points_m[:, 1])
     return Window(int(i.min()), int(j.min()), int(np.ptp(i)) + 1, int(np.ptp(j)) + 1)
-
-
-def _labels(grounds: list[shapely.Geometry], lattice: Lattice, window: Window) -> Int32:
-    """The cells of a window by the number of the ground, from 1, in which their middles lie."""
-    label = np.zeros(window.shape, dtype=np.int32)
-    for number, ground in enumerate(grounds, 1):
-        # Cells on an outline are filled, too.
-        inner = ground.buffer(-0.5 * lattice.cell_m)
-        for part in getattr(inner, "geoms", [inner]):
-            ring = np.asarray(part.exterior.coords) * lattice.cells_per_m - (window.i0, window.j0)
-            cv2.fillPoly(label, [np.rint(ring - 0.5).astype(np.int32)], number)
-    return label
 
 
 def worked_features(worked: Worked) -> list[Feature]:

@@ -25,6 +25,15 @@ KEEPOUT, OBSTACLE, FREE, DRIVEN, MOVED = 1, 2, 4, 8, 16
 """Flags of cells, the reasons why they count as other than what the drives saw: three kinds of
 marks, ground that was driven over, and what moved within a drive."""
 
+REASONS = {
+    KEEPOUT: "kept out of by a mark",
+    OBSTACLE: "marked as an obstacle",
+    FREE: "marked as free",
+    DRIVEN: "driven over",
+    MOVED: "moved within a drive",
+}
+"""The flags in words."""
+
 _FLAGS = {MarkKind.KEEPOUT: KEEPOUT, MarkKind.OBSTACLE: OBSTACLE, MarkKind.FREE: FREE}
 
 _ROUNDING = 1e-6
