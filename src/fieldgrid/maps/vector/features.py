@@ -119,16 +119,13 @@ def _insert(
     columns = _COLUMNS[layer]
     places = ", ?" * (columns.count(",") + 1)
     is_point = GEOMETRIES[layer] == "POINT"
+    insert = f"INSERT INTO {layer} (geom, {columns}) VALUES (?{places})"
     corners = array("d")
-
-    def rows() -> Iterator[tuple[Any, ...]]:
-        for place, attributes in features:
-            geometry = encode_point(*place[0]) if is_point else encode_polygon(place)
-            if geometry is not None:
-                corners.extend(chain.from_iterable(place))
-            yield (geometry, *attributes)
-
-    connection.executemany(f"INSERT INTO {layer} (geom, {columns}) VALUES (?{places})", rows())
+    for place, attributes in features:
+        geometry = encode_point(*place[0]) if is_point else encode_polygon(place)
+        connection.execute(insert, (geometry, *attributes))
+        if geometry is not None:
+            corners.extend(chain.from_iterable(place))
     if corners:
         east, north = np.array(corners).reshape(-1, 2).T
         bounds = Bounds(*(float(v) for v in (east.min(), north.min(), east.max(), north.max())))
