@@ -138,7 +138,7 @@ class Feed(LoopServer):
         self._newest: LiveWindow | None = None
         self._number = 0
         self._encoded = b""
-        self._clients: list[_FeedClient] = []
+        self._clients = set[_FeedClient]()
         self._thread.start()
 
     def put(self, window: LiveWindow) -> None:
@@ -171,12 +171,11 @@ class Feed(LoopServer):
             self.tell(f"The feed has {MOST_CLIENTS} clients already; one more was refused.")
             client.transport.abort()
             return
-        self._clients.append(client)
+        self._clients.add(client)
         if self._newest is None and self._encoded:
             client.offer(self._encoded)
         self._send()
 
     def left(self, client: _FeedClient) -> None:
         """A client has gone."""
-        if client in self._clients:
-            self._clients.remove(client)
+        self._clients.discard(client)
