@@ -292,7 +292,7 @@ def test_who_never_ends_a_handshake_does_not_delay_the_end(
     said: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("fieldgrid.live.servers.foxglove._CLOSE_S", 0.05)
-    monkeypatch.setattr("fieldgrid.live.servers.foxglove._PATIENCE_S", 3.0)
+    monkeypatch.setattr("fieldgrid.live.servers.loop_server._PATIENCE_S", 3.0)
     served = FoxgloveServer(port=0)
     with socket.create_connection(served.address) as client:
         client.sendall(said)

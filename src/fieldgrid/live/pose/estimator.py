@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import threading
+import math
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 from fieldgrid.core import FieldgridError
@@ -40,40 +41,26 @@ class Estimator:
 
     def __init__(self, give: Callable[[EstimateResult], None]) -> None:
         self._give = give
-        self._changed = threading.Condition()
-        self._asked: EstimateInputs | None = None
-        self._is_busy = self._closed = False
-        self._thread = threading.Thread(target=self._run, name="fieldgrid-estimates", daemon=True)
-        self._thread.start()
+        self._thread = ThreadPoolExecutor(1, "fieldgrid-estimates")
+        self._rested_s = 0.0
 
     @property
     def is_free(self) -> bool:
         """Whether it takes a question now."""
-        return not self._is_busy
+        return time.monotonic() >= self._rested_s
 
     def ask(self, asked: EstimateInputs) -> None:
         """Let it make an estimate; only when it is free."""
-        with self._changed:
-            self._asked, self._is_busy = asked, True
-            self._changed.notify()
+        self._rested_s = math.inf
+        self._thread.submit(self._make, asked)
+
+    def _make(self, asked: EstimateInputs) -> None:
+        start_s = time.thread_time()
+        made = estimate_now(asked)
+        took_s = time.thread_time() - start_s
+        self._rested_s = time.monotonic() + took_s * (1.0 / MOST_SHARE - 1.0)
+        self._give(made)
 
     def close(self) -> None:
         """End it, with the estimate that is being made."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify()
-        self._thread.join()
-
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._asked is not None or self._closed)
-                asked, self._asked = self._asked, None
-            if asked is None:
-                return
-            start_s = time.thread_time()
-            self._give(estimate_now(asked))
-            took_s = time.thread_time() - start_s
-            with self._changed:
-                self._changed.wait_for(lambda: self._closed, took_s * (1.0 / MOST_SHARE - 1.0))
-                self._is_busy = False
+        self._thread.shutdown()

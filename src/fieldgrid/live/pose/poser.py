@@ -103,7 +103,7 @@ class Poser:
         self._told: set[int] = set()
         self._refused_ns: dict[Gate, int] = {}
         self._newest: PerceivedFrame | None = None
-        self._doubt: str | None = None
+        self._code: WindowDoubt | None = None
         self._is_advised = False
         self._pose: Pose | None = None
         self._gear = 0
@@ -273,10 +273,10 @@ class Poser:
         self._window.settle(settled)
         if self._trailing.datum is not None:
             self._show(self._trailing.datum, moving, doubt, code)
-        if bool(doubt) != bool(self._doubt) or self._doubt is None:
+        if code != self._code:
             how = f"is not to be trusted: {doubt}" if doubt else "can be trusted."
             self._say(What.POSE, f"The window around the vehicle {how}")
-        self._doubt = doubt
+        self._code = code
 
     def _pose_now(self, track: Trajectory) -> tuple[Pose, int, str]:
         return pose_now(track, self._latest, self._trailing.newest_ns, self._trailing.told_ns)

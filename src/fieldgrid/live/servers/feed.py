@@ -6,21 +6,17 @@ older windows, and is dropped when it takes nothing of one for long; nobody wait
 
 from __future__ import annotations
 
-import contextlib
+import asyncio
 import math
-import selectors
-import socket
 import struct
-import threading
-import time
 from collections.abc import Callable
 from urllib.parse import urlsplit
 
 import numpy as np
 
-from fieldgrid.core import Closing, ConfigError, Float32, quoted
+from fieldgrid.core import ConfigError, Float32, quoted
 from fieldgrid.live.results import LiveWindow
-from fieldgrid.view import listen
+from fieldgrid.live.servers.loop_server import LoopServer
 
 MAGIC, VERSION = b"FGWN", 1
 HEADER = struct.Struct("<4sHHIIq3d3d2I6d2I")
@@ -33,8 +29,6 @@ AGE_UNIT_S, SIGMA_UNIT_M = 0.01, 0.001
 MOST_CLIENTS = 16
 STUCK_S = 5.0
 """Time after which a client is dropped that takes nothing of a window."""
-
-_ASKED_BYTES = 4096
 
 
 def parse_feed(text: str) -> tuple[str, int]:
@@ -82,34 +76,56 @@ def whole_units(values: Float32, unit: float, most: int) -> Float32:
     return scaled
 
 
-class _FeedClient:
-    """A client: what is being sent to it, and the window that waits behind that."""
+class _FeedClient(asyncio.Protocol):
+    """A client: a window is on its way to it, and the newest one waits behind that."""
 
-    def __init__(self, connection: socket.socket) -> None:
-        self.connection = connection
-        self.sending = memoryview(b"")
-        self.waiting = b""
-        self.moved_s = time.monotonic()
-        self.is_gone = False
+    transport: asyncio.Transport
+
+    def __init__(self, feed: Feed) -> None:
+        self._feed, self._waiting = feed, b""
+        self._watching: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self.transport = transport
+        transport.set_write_buffer_limits(0)
+        self._feed.joined(self)
+
+    def connection_lost(self, error: Exception | None) -> None:
+        self.resume_writing()
+        self._feed.left(self)
 
     def offer(self, data: bytes) -> None:
         """Send a window next, in the place of one that still waits."""
-        if not self.sending:
-            self.sending, self.moved_s = memoryview(data), time.monotonic()
+        if self._watching is None:
+            self.transport.write(data)
         else:
-            self.waiting = data
+            self._waiting = data
 
-    def send(self) -> None:
-        """Send what the client takes now; OSError where it is gone."""
-        with contextlib.suppress(BlockingIOError):
-            while self.sending:
-                self.sending = self.sending[self.connection.send(self.sending) :]
-                self.moved_s = time.monotonic()
-                if not self.sending and self.waiting:
-                    self.sending, self.waiting = memoryview(self.waiting), b""
+    def pause_writing(self) -> None:
+        """Not all of a window is taken yet."""
+        left = self.transport.get_write_buffer_size()
+        loop = asyncio.get_running_loop()
+        self._watching = loop.call_later(STUCK_S, self._watch, left)
+
+    def resume_writing(self) -> None:
+        """All is taken."""
+        if self._watching is not None:
+            self._watching.cancel()
+        self._watching, waiting, self._waiting = None, self._waiting, b""
+        if waiting and not self.transport.is_closing():
+            self.transport.write(waiting)
+
+    def _watch(self, left: int) -> None:
+        """Leave it where it took nothing since so many bytes were left."""
+        if self.transport.get_write_buffer_size() < left:
+            self.pause_writing()
+        else:
+            self._feed.tell("A client of the feed does not read; it was dropped.")
+            self.transport.abort()
 
 
-class Feed(Closing):
+class Feed(LoopServer):
     """Serves windows to any number of clients, up to 16, in a thread of its own.
 
     Whoever reaches the port gets them: `host` is that of this machine unless the network is to see
@@ -117,112 +133,49 @@ class Feed(Closing):
     """
 
     def __init__(self, host: str, port: int, tell: Callable[[str], None] | None = None) -> None:
-        self._tell = tell or (lambda _: None)
-        self._listening = listen(host, port)
-        self.address: tuple[str, int] = self._listening.getsockname()[:2]
-        self._waker, self._woken = socket.socketpair()
-        self._waker.setblocking(False)
-        self._lock = threading.Lock()
+        super().__init__(host, port, "fieldgrid-feed")
+        self.tell = tell or (lambda _: None)
         self._newest: LiveWindow | None = None
-        self._is_new = self._is_closed = False
         self._number = 0
         self._encoded = b""
-        self._clients: list[_FeedClient] = []
-        self._thread = threading.Thread(target=self._run, name="fieldgrid-feed", daemon=True)
+        self._clients = set[_FeedClient]()
         self._thread.start()
 
     def put(self, window: LiveWindow) -> None:
         """Send a window to all who listen; it never blocks."""
-        with self._lock:
-            self._newest, self._is_new = window, True
-            self._number += 1
-        self._wake()
+        self._call(self._take, window)
 
-    def close(self) -> None:
-        """Leave all clients."""
-        if not self._is_closed:
-            self._is_closed = True
-            self._wake()
-            self._thread.join()
+    async def _serve(self) -> None:
+        served = await self._loop.create_server(lambda: _FeedClient(self), sock=self._listening)
+        await self._closing.wait()
+        served.close()
+        for client in self._clients:
+            client.transport.abort()
+        await asyncio.sleep(0)  # in which they are closed
 
-    def _wake(self) -> None:
-        with contextlib.suppress(OSError):  # full, and it wakes anyway; or closed
-            self._waker.send(b"\0")
+    def _take(self, window: LiveWindow) -> None:
+        self._newest = window
+        self._number += 1
+        self._loop.call_soon(self._send)  # behind newer ones that are there already
 
-    def _run(self) -> None:
-        with selectors.DefaultSelector() as selector:
-            selector.register(self._listening, selectors.EVENT_READ)
-            selector.register(self._woken, selectors.EVENT_READ)
-            while not self._is_closed:
-                for key, events in selector.select(STUCK_S / 2.0):
-                    if key.fileobj is self._listening:
-                        self._accept(selector)
-                    elif key.fileobj is self._woken:
-                        self._woken.recv(_ASKED_BYTES)
-                        # A window that nobody takes is not encoded.
-                        if self._clients and self._encode():
-                            for client in self._clients:
-                                client.offer(self._encoded)
-                    else:
-                        self._serve(key.data, events)
-                self._settle(selector)
+    def _send(self) -> None:
+        """Send the newest window, unless that is done; one that nobody takes is not encoded."""
+        if self._clients and self._newest is not None:
+            self._encoded, self._newest = encode_window(self._newest, self._number), None
             for client in self._clients:
-                client.connection.close()
-        for one in (self._listening, self._waker, self._woken):
-            one.close()
+                client.offer(self._encoded)
 
-    def _accept(self, selector: selectors.BaseSelector) -> None:
-        try:
-            connection, _ = self._listening.accept()
-        except OSError:
-            return  # it has gone again
+    def joined(self, client: _FeedClient) -> None:
+        """A client is there."""
         if len(self._clients) >= MOST_CLIENTS:
-            self._tell(f"The feed has {MOST_CLIENTS} clients already; one more was refused.")
-            connection.close()
+            self.tell(f"The feed has {MOST_CLIENTS} clients already; one more was refused.")
+            client.transport.abort()
             return
-        connection.setblocking(False)
-        client = _FeedClient(connection)
-        selector.register(connection, selectors.EVENT_READ, client)
-        self._clients.append(client)
-        others = self._clients if self._encode() else [client]
-        for one in others if self._encoded else ():
-            one.offer(self._encoded)
+        self._clients.add(client)
+        if self._newest is None and self._encoded:
+            client.offer(self._encoded)
+        self._send()
 
-    def _encode(self) -> bool:
-        """Encode the newest window, unless that is done; whether it was not."""
-        with self._lock:
-            newest, number, is_new = self._newest, self._number, self._is_new
-            self._is_new = False
-        if is_new and newest is not None:
-            self._encoded = encode_window(newest, number)
-        return is_new
-
-    def _serve(self, client: _FeedClient, events: int) -> None:
-        """Hear that a client has gone; what it sends is not read as anything."""
-        if events & selectors.EVENT_READ:
-            try:
-                client.is_gone = not client.connection.recv(_ASKED_BYTES)
-            except BlockingIOError:
-                pass
-            except OSError:
-                client.is_gone = True
-
-    def _settle(self, selector: selectors.BaseSelector) -> None:
-        """Send what can be sent, and drop who is gone or takes nothing."""
-        for client in tuple(self._clients):
-            try:
-                client.send()
-            except OSError:
-                client.is_gone = True
-            is_stuck = bool(client.sending) and time.monotonic() - client.moved_s > STUCK_S
-            if client.is_gone or is_stuck:
-                if is_stuck:
-                    self._tell("A client of the feed does not read; it was dropped.")
-                selector.unregister(client.connection)
-                client.connection.close()
-                self._clients.remove(client)
-                continue
-            wanted = selectors.EVENT_READ
-            if client.sending:
-                wanted |= selectors.EVENT_WRITE
-            selector.modify(client.connection, wanted, client)
+    def left(self, client: _FeedClient) -> None:
+        """A client has gone."""
+        self._clients.discard(client)

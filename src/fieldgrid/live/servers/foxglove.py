@@ -22,11 +22,12 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from fieldgrid.core import Closing, ConfigError, parse_json, shortened
+from fieldgrid.core import ConfigError, parse_json, shortened
 from fieldgrid.export import foxglove_messages as messages
 from fieldgrid.geometry import Pose, Status
 from fieldgrid.live.results import LiveEvent, LiveGrid, LivePose, LiveResult, LiveWindow, What
-from fieldgrid.view import LOOPBACK, listen
+from fieldgrid.live.servers.loop_server import LoopServer
+from fieldgrid.view import LOOPBACK
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -53,7 +54,6 @@ _ORIGINS = (
 _MOST_ASKED_BYTES = 65_536
 _DATA = struct.Struct("<BIQ")
 _DATA_OP = 1
-_PATIENCE_S = 10.0
 _CLOSE_S = 2.0
 """Time after which a client that does not read is cut off at the end."""
 
@@ -124,7 +124,7 @@ class _FoxgloveClient:
         return None if channel is None else (channel, self._newest.pop(channel))
 
 
-class FoxgloveServer(Closing):
+class FoxgloveServer(LoopServer):
     """Serves Foxglove, in a thread of its own, until it is closed.
 
     Give it results with `take`, which never blocks. Whoever reaches the port gets the messages:
@@ -148,19 +148,14 @@ class FoxgloveServer(Closing):
                 "Foxglove needs libraries that are not installed; run: "
                 "pip install 'fieldgrid[foxglove]'."
             ) from error
+        super().__init__(host, port, "fieldgrid-foxglove")
         self._session, self._tell = session, tell or (lambda _: None)
-        self._listening = listen(host, port)
-        self.address: tuple[str, int] = self._listening.getsockname()[:2]
         self._clients: list[_FoxgloveClient] = []
         self._latest: dict[int, _EncodedMessage] = {}
         self._path: deque[Pose] = deque(maxlen=MOST_PATH)
         self._fixes_ns: frozenset[int] = frozenset()
         self._is_trusted = False
         self._left = 0
-        self._loop = asyncio.new_event_loop()
-        self._closing = asyncio.Event()
-        self._is_closed = False
-        self._thread = threading.Thread(target=self._run, name="fieldgrid-foxglove", daemon=True)
         self._thread.start()
 
     @property
@@ -202,28 +197,13 @@ class FoxgloveServer(Closing):
             COSTMAP, time_ns, lambda: messages.cost_grid(costmap.costs, bounds, cell_m, time_ns)
         )
 
-    def close(self) -> None:
-        """Leave all clients."""
-        if not self._is_closed:
-            self._is_closed = True
-            self._loop.call_soon_threadsafe(self._closing.set)
-            self._thread.join(_PATIENCE_S)
-
     def _put(self, channel: int, time_ns: int, make: Callable[[], messages.EncodedMessage]) -> None:
-        if not self._is_closed:
-            self._loop.call_soon_threadsafe(self._offer, channel, _EncodedMessage(time_ns, make))
+        self._call(self._offer, channel, _EncodedMessage(time_ns, make))
 
     def _offer(self, channel: int, message: _EncodedMessage) -> None:
         self._latest[channel] = message
         for client in self._clients:
             client.offer(channel, message)
-
-    def _run(self) -> None:
-        try:
-            self._loop.run_until_complete(self._serve())
-        finally:
-            self._loop.close()
-            self._listening.close()
 
     async def _serve(self) -> None:
         from websockets.asyncio.server import serve

@@ -6,7 +6,7 @@ import json
 import math
 import sqlite3
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -215,11 +215,12 @@ def loader(connection: sqlite3.Connection, frame: int) -> Callable[[], tuple[Enc
     return fetch
 
 
-def frames_of(connection: sqlite3.Connection, session_id: int) -> list[FrameRecord]:
-    """The stored frames of a session, ordered by time and frame_id."""
+def frames_of(connection: sqlite3.Connection, session_id: int) -> Iterator[FrameRecord]:
+    """The stored frames of a session, ordered by time and frame_id; they are not to be changed
+    meanwhile."""
     query = f"{FRAME_SQL} WHERE f.session_id = ? ORDER BY f.time_ns, f.frame_id"
-    rows = connection.execute(query, (session_id,)).fetchall()
-    return [frame_record(row, loader(connection, row[0])) for row in rows]
+    for row in connection.execute(query, (session_id,)):
+        yield frame_record(row, loader(connection, row[0]))
 
 
 def _driven_near(near: Bounds, width_m: Any, length_m: Any, transform: Any) -> Bounds:

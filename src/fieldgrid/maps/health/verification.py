@@ -197,7 +197,7 @@ class _FrameCheck(PickledByArguments):
 
     def __init__(self, subject: Subject, session_id: int) -> None:
         self._of = subject, session_id
-        self.records = frames_of(subject.connection, session_id)
+        self.records = list(frames_of(subject.connection, session_id))
 
     def __call__(self, number: int) -> str:
         """What is wrong with a frame; empty when it is as it was stored."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import sqlite3
-from collections.abc import Iterable, Iterator
+from array import array
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -39,10 +41,10 @@ def show_session(
     connection: sqlite3.Connection,
     session_id: int,
     name: str,
-    frames: list[FrameRecord],
+    frames: Callable[[], Iterable[FrameRecord]],
     track: Trajectory | None,
 ) -> None:
-    """Put the features of a session into the layers."""
+    """Put the features of a session into the layers; `frames` reads its frames each time."""
     _insert(connection, session_id, "trajectory", _fixes(name, track))
     positions = (
         (
@@ -52,10 +54,10 @@ def show_session(
                 frame.pose.heading_deg, frame.quality, frame.pose.status, frame.pose.reason,
             ),
         )
-        for frame in frames
+        for frame in frames()
     )  # fmt: skip
     _insert(connection, session_id, "frame_position", positions)
-    _insert(connection, session_id, "footprint", _footprints(frames))
+    _insert(connection, session_id, "footprint", _footprints(frames()))
     announce_extents(connection)
 
 
@@ -83,7 +85,7 @@ def _fixes(name: str, track: Trajectory | None) -> Iterator[_Feature]:
         yield (place,), (name, *row, *verdict)
 
 
-def _footprints(frames: list[FrameRecord]) -> Iterator[_Feature]:
+def _footprints(frames: Iterable[FrameRecord]) -> Iterator[_Feature]:
     for frame in frames:
         half_m, length_m = frame.spec.width_m / 2.0, frame.spec.length_m
         x = np.array([-half_m, half_m, half_m, -half_m])
@@ -117,15 +119,15 @@ def _insert(
     columns = _COLUMNS[layer]
     places = ", ?" * (columns.count(",") + 1)
     is_point = GEOMETRIES[layer] == "POINT"
-    rows, corners = [], list[tuple[float, float]]()
+    insert = f"INSERT INTO {layer} (geom, {columns}) VALUES (?{places})"
+    corners = array("d")
     for place, attributes in features:
         geometry = encode_point(*place[0]) if is_point else encode_polygon(place)
-        rows.append((geometry, *attributes))
+        connection.execute(insert, (geometry, *attributes))
         if geometry is not None:
-            corners += place
-    connection.executemany(f"INSERT INTO {layer} (geom, {columns}) VALUES (?{places})", rows)
+            corners.extend(chain.from_iterable(place))
     if corners:
-        east, north = np.array(corners).T
+        east, north = np.array(corners).reshape(-1, 2).T
         bounds = Bounds(*(float(v) for v in (east.min(), north.min(), east.max(), north.max())))
         connection.execute(
             "INSERT INTO fieldgrid_extent VALUES (?, ?, ?, ?, ?, ?)", (session_id, layer, *bounds)

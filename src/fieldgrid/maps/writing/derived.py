@@ -55,7 +55,7 @@ def show_features(
     hide_session(connection, session_id, metadata.name)
     track = metadata.trajectory
     placed = None if track is None else metadata.transform.trajectory(track)
-    frames = frames_of(evidence or connection, session_id)
+    frames = partial(frames_of, evidence or connection, session_id)
     show_session(connection, session_id, metadata.name, frames, placed)
 
 
@@ -125,7 +125,7 @@ def _check_as_stored(
     """Raise MapError where anything of a session but the cells of its frames is not as it was
     stored: another program may have changed its poses, or taken frames out."""
     row = connection.execute(f"{SESSION_SQL} WHERE id = ?", (session_id,)).fetchone()
-    records = frames_of(connection, session_id)
+    records = list(frames_of(connection, session_id))
     check_session(connection, path, datum, session_info(row), records)
     for record in records:
         if not is_row_as_written(record):

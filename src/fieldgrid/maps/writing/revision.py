@@ -160,7 +160,7 @@ def repose(
                 "UPDATE fieldgrid_session SET config = ? WHERE id = ?",
                 (metadata.config, session_id),
             )
-        records = frames_of(connection, session_id)
+        records = list(frames_of(connection, session_id))
         frames = [record.frame_id for record in records]
         missing = [frame for frame in frames if frame not in poses]
         if missing:

@@ -219,7 +219,7 @@ def tested(
     information = np.sqrt(np.outer(share, share)) * information
     declared = DeclaredCorrection(of, information, share * right, usual)
     moment = declared.second_moment()
-    response = -followed.reshape(-1, STATES, len(of))
+    response = np.negative(followed, out=followed).reshape(-1, STATES, len(of))
     # Headings in the clock of the fixes.
     if len(measured.time_s) > 1:
         response[:, PHI, LATE] -= np.gradient(found.x[:, PHI], measured.time_s)
@@ -263,6 +263,7 @@ def _told(
         aside = np.einsum("sc,sa->ca", linear.coupling, border) - beside[linear.active]
         constants = inverse(linear.schur) @ aside
         information = information - aside.T @ constants
+        del border  # as large as what follows, of a long drive
         followed += np.einsum("sc,ca->sa", linear.coupling, constants)
     return followed, information, right
 
