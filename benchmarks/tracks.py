@@ -77,10 +77,16 @@ def random_field(seed: int) -> Task:
     )
     inner = shapely.Polygon(outline + origin).buffer(-0.5)
     is_drawn = rng.random() < 0.5 and isinstance(inner, shapely.Polygon) and inner.area > 50.0
+    bend, way = rng.uniform(-0.3, 0.3), np.linspace(-0.5, 0.5, 20)[:, None]
+    turn = rng.uniform(0.0, 2.0 * math.pi)
+    ahead, left = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    curve = origin + middle + size * (way * ahead + bend * way**2 * left)
+    kind = rng.integers(0, 5)
     tracks = Tracks(
         width_m=wide,
         overlap_m=float(rng.choice([0.0, 0.1 * wide])),
-        direction_deg=float(rng.uniform(0.0, 360.0)) if rng.random() < 0.5 else None,
+        direction_deg=float(rng.uniform(0.0, 360.0)) if kind == 0 else None,
+        along="edge" if kind == 1 else shapely.LineString(curve) if kind == 2 else None,
         boundary=inner if is_drawn else None,
         headland_passes=None if rng.random() < 0.8 else int(rng.integers(0, 4)),
     )

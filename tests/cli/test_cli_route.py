@@ -182,7 +182,10 @@ def test_tracks_over_ground_without_rows(fieldgrid: Run, meadow: Path, tmp_path:
     assert "F1-T1" in (folder / "TrackLines.txt").read_text()
     # An inner boundary about the thing.
     assert (folder / "Boundary.txt").read_text().count("False") == 2
-    told = json.loads(fieldgrid(*asked, "--json").output())
+    # Beside the same line as a file, and as JSON.
+    (tmp_path / "line.csv").write_text("east_m,north_m\n102,-46\n112,-45\n")
+    along = fieldgrid(*asked, "--along", tmp_path / "line.csv", "--json").output()
+    told = json.loads(along)
     assert told["swaths"]["worked_m2"] > 0.8 * told["swaths"]["reachable_m2"]
     assert "--tracks" in fieldgrid("route", meadow, "--cover").sentence()
 
@@ -236,11 +239,11 @@ def test_options_of_tracks_that_cannot_be(fieldgrid: Run, meadow: Path, tmp_path
     cover = ("route", meadow, "--cover")
     assert "for --width: it is for --tracks only" in fieldgrid(*cover, "--width", "2").usage()
     assert "for --crop: it is for lanes" in fieldgrid(*cover, "--tracks", "--crop", "x").usage()
-    gone, text, large = (tmp_path / f"{name}.geojson" for name in ("gone", "text", "far"))
+    gone, text, large = tmp_path / "gone.csv", tmp_path / "text.geojson", tmp_path / "far.geojson"
     text.write_text("no")
     large.write_text('{"type": "Point", "coordinates": [500000, 4600000]}')
     for flag, value, words in (
-        ("--boundary", gone, "gone.geojson cannot be read"),
+        ("--along", gone, "gone.csv cannot be read"),
         ("--boundary", text, "is no GeoJSON in longitude and latitude"),
         ("--boundary", large, "not in longitude and latitude"),
         ("--overlap", "0.9", "over half of the working width"),

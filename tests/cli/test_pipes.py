@@ -27,6 +27,7 @@ MakeDrive = Callable[..., Path]
         ("show MAP -o out.png --route PIPE.csv", "it is a pipe or a device"),
         ("export MAP out.yaml --slow-percent 40 --slow-turns PIPE", "it is a pipe or a device"),
         ("route MAP --cover --tracks --boundary PIPE -o out.csv", "it is a pipe or a device"),
+        ("route MAP --cover --tracks --along PIPE -o out.csv", "it is a pipe or a device"),
         ("route MAP --cover --vehicle PIPE -o out.csv", "There is no vehicle file"),
     ],
 )

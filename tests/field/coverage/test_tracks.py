@@ -126,6 +126,30 @@ def test_without_a_direction_the_longest_tracks_are_taken() -> None:
     assert all(abs(heading - 90.0) < 1.0 for heading in found)
 
 
+def test_tracks_run_beside_a_curve() -> None:
+    """An arc of 30 m about a point in the south; each track is as far from it all along."""
+    turn = np.linspace(-0.4, 0.4, 30)
+    arc = np.column_stack([110.0 + 30.0 * np.sin(turn), -76.0 + 30.0 * np.cos(turn)])
+    view = field((20.0, 16.0))
+    lanes = laid(view, Tracks(2.0, along=shapely.LineString(arc), headland_passes=1))
+    tracks = [lane.line for lane in lanes if "-T" in lane.id]
+    assert len(tracks) > 4
+    for line in tracks:
+        radii = np.hypot(*(shapely.get_coordinates(line) - (110.0, -76.0)).T)
+        assert np.ptp(radii) < 0.12
+    middle = [float(np.hypot(*(shapely.get_coordinates(t)[0] - (110.0, -76.0)))) for t in tracks]
+    steps = np.round((np.array(middle) - 30.0) / 2.0, 1)
+    assert np.allclose(steps, np.round(steps), atol=0.06)
+    # Left of the arc, which runs east, is north.
+    assert middle[0] > middle[-1]
+
+
+def test_tracks_beside_the_longest_edge() -> None:
+    view = field((20.0, 14.0), unseen=[(0.0, 0.0, 20.0, 2.0)])
+    found = headings(laid(view, Tracks(2.0, along="edge", headland_passes=1)), "T")
+    assert all(min(abs(h - 90.0), abs(h - 270.0)) < 1.0 for h in found)
+
+
 def test_no_corner_leaves_the_boundary() -> None:
     boundary = shapely.Polygon([at(2.0, 2.0), at(17.0, 3.0), at(15.0, 12.0), at(4.0, 11.0)],
                                [[at(8.0, 6.0), at(10.0, 6.0), at(10.0, 8.0)]])  # fmt: skip
@@ -162,11 +186,13 @@ def test_random_fields(seed: int) -> None:
 
 def test_what_cannot_be_asked() -> None:
     view = field((10.0, 8.0))
+    line = shapely.LineString([(0.0, 0.0), (1.0, 0.0)])
     bow = shapely.Polygon([(0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0)])
     for wrong, words in (
         ({"width_m": 0.0}, "width_m of tracks of 0"),
         ({"overlap_m": math.nan}, "overlap_m"),
         ({"headland_passes": -1}, "headland_passes"),
+        ({"direction_deg": 10.0, "along": line}, "give one of the two"),
         ({"boundary": bow}, "boundary of the tracks is no boundary: Self-intersection"),
     ):
         with pytest.raises(ConfigError, match=words):

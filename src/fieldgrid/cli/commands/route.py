@@ -20,7 +20,7 @@ _EXAMPLE = "12.5,-40 or 12.5,-40,90 or B1-L2"
 _COVER, _TRACKS = "Along lanes", "Along tracks, with --cover --tracks"
 _LANE = re.compile(r"[A-Z]\d*-\S+")
 _SURVEY = "To see what is not known"
-_OF_TRACKS = {"width", "overlap", "direction", "boundary", "headland_passes"}
+_OF_TRACKS = {"width", "overlap", "direction", "along", "boundary", "headland_passes"}
 _TASKDATA = (".taskdata", ".taskdata.zip")
 _OF_LANES = {"crop", "spacing"}
 _OF_COVER = {"lanes", "tracks"} | _OF_TRACKS
@@ -84,6 +84,14 @@ def command(
         typer.Option(
             metavar="DEG",
             help="Heading of the tracks, clockwise from north [default: the shortest].",
+            rich_help_panel=_TRACKS,
+        ),
+    ] = None,
+    along: Annotated[
+        str | None,
+        typer.Option(
+            metavar="edge|FILE",
+            help="Follow the longest edge, or a line: .geojson, .csv.",
             rich_help_panel=_TRACKS,
         ),
     ] = None,
@@ -196,7 +204,7 @@ def command(
 
         fieldgrid route field.gpkg --cover --tracks --width 3 -o work.csv
 
-        fieldgrid route field.gpkg --cover --tracks --direction 37 --swaths x.kml
+        fieldgrid route field.gpkg --cover --tracks --along edge --swaths x.kml
 
         fieldgrid route vineyard.gpkg --survey -o next.gpx --needs needs.geojson
     """
@@ -245,7 +253,8 @@ def command(
         options.refuse_idle(ctx, {"speed_limit"}, "it is for a file with lanes; give --swaths")
     low, high = options.spacing(spacing)
     crops = crop_named(crop).changed(min_spacing_m=low, max_spacing_m=high)
-    inputs = [path for path in (map_, vehicle, boundary) if path is not None]
+    guide = None if along in (None, "edge") else Path(str(along))
+    inputs = [path for path in (map_, vehicle, boundary, guide) if path is not None]
     if out is not None:
         check_route_target(out)
     if swaths is not None and not swaths.name.lower().endswith(_TASKDATA):
@@ -272,7 +281,8 @@ def command(
             width_m=width,
             overlap_m=overlap,
             direction_deg=direction,
-            boundary=boundary and _polygon(boundary, datum),
+            along="edge" if along == "edge" else guide and _shape(guide, datum, "LineString"),
+            boundary=boundary and _shape(boundary, datum, "Polygon"),
             headland_passes=headland_passes,
         )
     if is_named:
@@ -373,12 +383,12 @@ def _place(flag: str, text: str | None) -> tuple[float, ...] | str | None:
         ) from None
 
 
-def _polygon(path: Path, datum: Datum) -> Any:
-    """The one polygon that a file has."""
+def _shape(path: Path, datum: Datum, kind: str) -> Any:
+    """The one shape of a kind that a file has."""
     from fieldgrid.core import ConfigError
     from fieldgrid.geometry import read_shapes
 
-    found = [shape for shape in read_shapes(path, datum) if shape.geom_type == "Polygon"]
+    found = [shape for shape in read_shapes(path, datum) if shape.geom_type == kind]
     if len(found) != 1:
-        raise ConfigError(f"{path} has {len(found)} polygons; give a file with one.")
+        raise ConfigError(f"{path} has {len(found)} shapes of the kind {kind}; give one with one.")
     return found[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -25,13 +26,15 @@ class Tracks:
 
     `width_m` is the working width (None for the vehicle's with its implement), of which `overlap_m`
     is worked twice. Tracks are straight with the heading `direction_deg` (None for the one that
-    takes the least driving). `boundary` encloses the ground, which is else all that was seen.
+    takes the least driving), or run beside `along`: a line in metres of the map, or "edge", the
+    longest side of the ground. `boundary` encloses the ground, which is else all that was seen.
     `headland_passes` are driven around it (None for as many as a turn takes).
     """
 
     width_m: float | None = None
     overlap_m: float = 0.0
     direction_deg: float | None = None
+    along: shapely.LineString | Literal["edge"] | None = None
     boundary: shapely.Polygon | None = None
     headland_passes: int | None = None
 
@@ -44,10 +47,12 @@ class Tracks:
         ):
             if value is not None and not (math.isfinite(value) and low <= value <= high):
                 raise ConfigError(f"A {name} of tracks of {value} is outside {low:g}..{high:g}.")
-        shape = self.boundary
-        if shape is not None and (shape.is_empty or not shape.is_valid):
-            why = "it is empty" if shape.is_empty else shapely.is_valid_reason(shape)
-            raise ConfigError(f"The boundary of the tracks is no boundary: {why}; draw it anew.")
+        if self.direction_deg is not None and self.along is not None:
+            raise ConfigError("Tracks have a direction or run along a line; give one of the two.")
+        for what, shape in (("line", self.along), ("boundary", self.boundary)):
+            if isinstance(shape, shapely.Geometry) and (shape.is_empty or not shape.is_valid):
+                why = "it is empty" if shape.is_empty else shapely.is_valid_reason(shape)
+                raise ConfigError(f"The {what} of the tracks is no {what}: {why}; draw it anew.")
 
     def widths_m(self, work_width_m: float) -> tuple[float, float]:
         """The working width, and the distance between tracks. ConfigError for too much overlap."""

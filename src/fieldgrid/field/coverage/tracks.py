@@ -226,28 +226,64 @@ class _TrackField:
                 continue
             shapely.prepare(part)
             for line in self._lines(part):
-                pieces = self._drivable.free_parts(line, 0.0, part)
+                margin_m = 0.0 if len(line) == 2 else CURVE_MARGIN_M
+                pieces = self._drivable.free_parts(line, margin_m, part)
                 number += bool(pieces)
                 for k, piece in enumerate(pieces, 1):
                     yield self._lane(f"T{number}" + (f".{k}" if len(pieces) > 1 else ""), piece)
 
     def _lines(self, part: shapely.Polygon) -> Iterator[Float64]:
-        """Straight lines beside each other that cover a part, and reach beyond it."""
+        """Lines beside each other that cover a part, and reach beyond it."""
         corners = shapely.get_coordinates(part)
         reach_m = float(np.hypot(*np.ptp(corners, axis=0))) + self.wide_m
-        if math.isnan(self.heading_deg):
-            asked = self.asked.direction_deg
-            self.heading_deg = self._best_heading() if asked is None else asked % 360.0
-        phi, middle = math.radians(self.heading_deg), corners.mean(axis=0)
-        along, left = np.array([[math.sin(phi), math.cos(phi)], [-math.cos(phi), math.sin(phi)]])
-        shifts = _spaced((corners - middle) @ left, self.wide_m, self.step_m)
+        base = self._guide()
+        if base is None:
+            if math.isnan(self.heading_deg):
+                asked = self.asked.direction_deg
+                self.heading_deg = self._best_heading() if asked is None else asked % 360.0
+            along = np.array(
+                [math.sin(math.radians(self.heading_deg)), math.cos(math.radians(self.heading_deg))]
+            )
+            middle = corners.mean(axis=0)
+            base = np.array([middle - reach_m * along, middle + reach_m * along])
+        else:
+            out = base[-1] - base[0]
+            self.heading_deg = math.degrees(math.atan2(out[0], out[1])) % 360.0
+            base = extended(base, reach_m, reach_m)
+        line = shapely.LineString(base)
+        if len(base) > 2:
+            # Tracks beside a curve keep their distance from it, wherever the ground begins.
+            left = project(corners, base)[1]
+            first, last = (math.ceil(v / self.step_m - 0.5) for v in (left.max(), left.min()))
+            shifts = self.step_m * np.arange(first, last - 1, -1)
+        else:
+            shifts = _spaced(project(corners, base)[1], self.wide_m, self.step_m)
         if len(shifts) > _MOST_LINES:
             raise ConfigError(
                 f"The ground takes {len(shifts)} tracks, more than {_MOST_LINES}; give a larger "
                 "working width or smaller --bounds."
             )
         for shift in shifts.tolist():
-            yield middle + shift * left + np.array([[-reach_m], [reach_m]]) * along
+            beside = shapely.offset_curve(line, shift, quad_segs=16) if shift else line
+            for one in shapely.get_parts(beside):
+                found = shapely.get_coordinates(one)
+                if len(found) > 1:
+                    yield found
+
+    def _guide(self) -> Float64 | None:
+        """The line beside which tracks run, straight where it hardly bends."""
+        along = self.asked.along
+        if along is None:
+            return None
+        if isinstance(along, shapely.LineString):
+            line = shapely.get_coordinates(along)
+        else:
+            sides = self._sides("", self._shell, (0.0,))
+            if not sides:
+                return None
+            line = shapely.get_coordinates(max(sides, key=lambda side: side.length_m).line)
+        is_straight = np.abs(project(line, line[[0, -1]])[1]).max() <= STRAIGHT_M
+        return line[[0, -1]] if is_straight else resampled(line, 0.5)
 
     def _best_heading(self) -> float:
         """The heading of straight tracks that take the least driving, half a circle of turn for
