@@ -96,9 +96,10 @@ def plain_properties(feature: Feature) -> dict[str, Any]:
 
 
 def read_shapes(path: Path, datum: Datum) -> list[Any]:
-    """The geometries of a GeoJSON in longitude and latitude, in the datum's plane.
+    """The geometries of a GeoJSON in longitude and latitude, in the datum's plane; of a CSV with
+    the columns east_m and north_m one line through its points.
 
-    Raises ConfigError for a file that is none, or is too large.
+    Raises ConfigError for a file that is neither, or is too large.
     """
     import shapely
 
@@ -111,14 +112,20 @@ def read_shapes(path: Path, datum: Datum) -> list[Any]:
     try:
         check_document(file_bytes(path), path, ConfigError)
         text = path.read_text(encoding="utf-8-sig")
+        if path.suffix.lower() == ".csv":
+            rows = [(row["east_m"], row["north_m"]) for row in csv.DictReader(text.splitlines())]
+            return [shapely.LineString(np.array(rows, dtype=np.float64))]
         found = shapely.get_parts(shapely.force_2d(shapely.from_geojson(text))).tolist()
         return [shapely.transform(shape, turned) for shape in found]
     except ConfigError:
         raise
     except OSError as error:
         raise ConfigError(f"{path} cannot be read ({error.strerror}); check its name.") from error
-    except (ValueError, shapely.errors.ShapelyError) as error:
-        raise ConfigError(f"{path} is no GeoJSON in longitude and latitude ({error}).") from error
+    except (ValueError, KeyError, csv.Error, shapely.errors.ShapelyError) as error:
+        raise ConfigError(
+            f"{path} is no GeoJSON in longitude and latitude, nor a CSV with the columns east_m "
+            f"and north_m ({error})."
+        ) from error
 
 
 def _plain(value: Any, key: str = "") -> Any:
