@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple
 
 from fieldgrid.core import FieldgridError
@@ -52,7 +52,8 @@ class Estimator:
     def ask(self, asked: EstimateInputs) -> None:
         """Let it make an estimate; only when it is free."""
         self._rested_s = math.inf
-        self._thread.submit(self._make, asked)
+        # What is no FieldgridError is a defect, and is logged.
+        self._thread.submit(self._make, asked).add_done_callback(Future.result)
 
     def _make(self, asked: EstimateInputs) -> None:
         start_s = time.thread_time()
