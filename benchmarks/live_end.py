@@ -80,7 +80,8 @@ def write_journal(out: Path, seconds: int, *, has_imu: bool) -> int:
     spec, random = GridSpec.of(SETTINGS.grid), np.random.default_rng(0)
     grid = LocalGrid(spec, np.zeros(spec.shape, np.uint8), np.ones(spec.shape, np.bool_))
     seen, count, before = stage(grid, "", 0), 0, (0.0, 0.0, 0.0)
-    with session_folder.SessionFolder(out, SessionStart("long", RIG, SETTINGS, DATUM)) as kept:
+    about = SessionStart("long", RIG, SETTINGS, DATUM)
+    with session_folder.SessionFolder(out, about, points_gb=0.0) as kept:
         for at_s in np.arange(seconds * GYRO_HZ) / GYRO_HZ:
             time_ns, tick = START_NS + round(1e9 * at_s), round(at_s * GYRO_HZ)
             east_m, north_m, heading_rad, rate_rad_s = vehicle(float(at_s))

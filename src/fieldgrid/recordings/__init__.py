@@ -18,11 +18,14 @@ from typing import TYPE_CHECKING
 from fieldgrid.core.doors import door
 
 if TYPE_CHECKING:
-    from fieldgrid.recordings.bag.listeners import Numbers as Numbers, lean_of as lean_of
+    from fieldgrid.recordings.bag.listeners import (
+        Numbers as Numbers,
+        lean_of as lean_of,
+        sensed_by as sensed_by,
+    )
     from fieldgrid.recordings.bag.motion import (
         LEAST_STEP_NS as LEAST_STEP_NS,
         ODOMETRY_FRAME_SIGMA_DEG as ODOMETRY_FRAME_SIGMA_DEG,
-        OPTICAL_AXES as OPTICAL_AXES,
         TAKEN as TAKEN,
         Untold as Untold,
         axes_of as axes_of,
@@ -50,7 +53,6 @@ if TYPE_CHECKING:
     from fieldgrid.recordings.bag.transforms import (
         FrameTransform as FrameTransform,
         Transforms as Transforms,
-        imu_rotation as imu_rotation,
         is_optical as is_optical,
         optical as optical,
         told as told,
@@ -208,7 +210,6 @@ if TYPE_CHECKING:
         MotionFiles as MotionFiles,
         MotionSeries as MotionSeries,
         check_axes as check_axes,
-        directions as directions,
         gravity_unit_mps2 as gravity_unit_mps2,
         inertial_of as inertial_of,
     )

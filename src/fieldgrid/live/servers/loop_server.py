@@ -39,8 +39,8 @@ class LoopServer(Closing):
             self._listening.close()
 
     def _call(self, work: Callable[..., Any], *given: Any) -> None:
-        """Let the loop do something, from any thread."""
-        if not self._is_closed:
+        """Let the loop do something, from any thread; nothing once it has ended."""
+        if not (self._is_closed or self._loop.is_closed()):
             self._loop.call_soon_threadsafe(work, *given)
 
     def close(self) -> None:

@@ -10,18 +10,16 @@ import numpy as np
 from fieldgrid.core import CalibrationError, Float64, Int64
 from fieldgrid.live.pose.sensor_rows import Rows, rows_of
 from fieldgrid.recordings import (
-    AXES,
-    OPTICAL_AXES,
     R_VEHICLE_FLU,
+    TAKEN,
     MotionSeries,
     Transforms,
-    directions,
+    axes_of,
     felt_upward,
     gravity_unit_mps2,
-    imu_rotation,
     inertial_of,
-    is_optical,
     rate_about,
+    sensed_by,
     turns_across,
 )
 
@@ -78,13 +76,10 @@ class ImuStream:
 
     def take(self, message: Any, time_ns: int) -> list[tuple[str, Rows]]:
         """Rows, by their parts, that are known with the next message, of `sensor_msgs/Imu`."""
-        if message.angular_velocity_covariance[:1].tolist() == [-1.0]:  # by its definition: no gyro
+        sensed = np.array(sensed_by(message))
+        if np.isnan(sensed[:3]).all():
             return []
-        rates, forces = message.angular_velocity, message.linear_acceleration
-        felt = (forces.x, forces.y, forces.z)
-        if message.linear_acceleration_covariance[:1].tolist() == [-1.0]:
-            felt = (np.nan, np.nan, np.nan)
-        self._held.append((time_ns, np.array([rates.x, rates.y, rates.z, *felt])))
+        self._held.append((time_ns, sensed))
         if self._axes is None:
             self._frame = str(message.header.frame_id)
             if len(self._held) < HELD and time_ns - self._held[0][0] < HELD_NS:
@@ -93,18 +88,15 @@ class ImuStream:
 
     def check_transforms(self) -> None:
         """Note transforms that came after the axes were decided, and say others."""
-        if self._axes is not None and self._said == AXES:
-            R_flu_imu, used = self._by_transforms(), self._axes.R_vehicle_imu
-            is_used = (
-                R_flu_imu is not None
-                and used is not None
-                and np.array_equal(R_VEHICLE_FLU @ R_flu_imu, used)
+        if self._axes is None:
+            return
+        (R_flu_imu, told), used = self._sits(), self._axes.R_vehicle_imu
+        is_used = used is not None and np.array_equal(R_VEHICLE_FLU @ R_flu_imu, used)
+        if told != TAKEN and not is_used:
+            self._note(
+                "has a static transform of the IMU that came after its first messages, and is "
+                "not used; record /tf_static from the start, or say imu_axes in mounting.json."
             )
-            if R_flu_imu is not None and not is_used:
-                self._note(
-                    "has a static transform of the IMU that came after its first messages, and is "
-                    "not used; record /tf_static from the start, or say imu_axes in mounting.json."
-                )
 
     def finish(self) -> list[tuple[str, Rows]]:
         """The rows of all messages that are held."""
@@ -121,26 +113,21 @@ class ImuStream:
         )
         return made + self._inertial(self._axes, held)
 
-    def _by_transforms(self) -> Float64 | None:
-        """From its axes to forward, left, up [3, 3]; None where no static transform tells it."""
+    def _sits(self) -> tuple[Float64, str]:
+        """From its axes to forward, left, up, and how that is known, as of a bag."""
         try:
-            return imu_rotation(self._frame, self._transforms)
+            return axes_of(self._transforms, self._said, self._frame)
         except CalibrationError as problem:
             self._note(f"has transforms that do not say how the IMU sits: {problem}")
-            return None
+            return axes_of(Transforms(), self._said, self._frame)
 
     def _note(self, text: str) -> None:
         if text not in self.notes:
             self.notes.append(text)
 
     def _decided(self, times_ns: Int64, sensed: Float64) -> _ImuAxes:
-        R_flu_imu = self._by_transforms() if self._said == AXES else None
-        is_taken = R_flu_imu is None and self._said == AXES and not is_optical(self._frame)
-        if R_flu_imu is None:
-            is_named = self._said == AXES and is_optical(self._frame)
-            axes = OPTICAL_AXES if is_named else self._said
-            R_flu_imu = np.array(directions(axes), dtype=np.float64).T
-        if is_taken and (felt := felt_upward(sensed[:, 3:])) is not None:
+        R_flu_imu, told = self._sits()
+        if told == TAKEN and (felt := felt_upward(sensed[:, 3:])) is not None:
             self.notes.append(
                 "has an IMU that does not lie flat: it is taken as turned so that gravity is felt "
                 f"upward, along {felt.astype(int).tolist()}, and roll and pitch are not used; say "

@@ -157,8 +157,8 @@ def lean_of(message: Any) -> tuple[float, float, float, float]:
     )
 
 
-def _sensed(message: Any) -> tuple[float, ...]:
-    """Rates about the axes of an IMU, rad/s, forces along them, m/s², and how it leans."""
+def sensed_by(message: Any) -> tuple[float, ...]:
+    """Rates about the axes of an IMU, rad/s, and forces along them, m/s²; NaN where it has none."""
     rates, forces = message.angular_velocity, message.linear_acceleration
     turning, felt = (rates.x, rates.y, rates.z), (forces.x, forces.y, forces.z)
     # By the definition of the message there is then no gyro, or no accelerometer.
@@ -166,7 +166,7 @@ def _sensed(message: Any) -> tuple[float, ...]:
         turning = (math.nan, math.nan, math.nan)
     if message.linear_acceleration_covariance[:1].tolist() == [-1.0] or not any(felt):
         felt = (math.nan, math.nan, math.nan)
-    return (*turning, *felt, *lean_of(message))
+    return (*turning, *felt)
 
 
 NumberTable = Mapping[str, tuple[int, Callable[[Any], tuple[float, ...]]]]
@@ -174,7 +174,7 @@ NumberTable = Mapping[str, tuple[int, Callable[[Any], tuple[float, ...]]]]
 
 _ROWS: NumberTable = {
     FIX: (5, _fix),
-    IMU: (10, _sensed),
+    IMU: (10, lambda message: (*sensed_by(message), *lean_of(message))),
     ODOMETRY: (5, lambda message: (message.twist.twist.linear.x, *lean_of(message))),
     POSE: (4, lean_of),
     SURE_POSE: (4, lean_of),
