@@ -243,15 +243,24 @@ def best_of(task: Task, *, allow_unknown: bool = False) -> Best:
             passes += both
             sizes.append(lane.length_m)
     network = LaneWays(searcher, passes, [], [], lambda done, total: None)
-    costs, lengths, known = network.bounds()
+    costs, known = network.bounds()
     pairs = [(int(a), int(b)) for a, b in np.argwhere(~known)]
     for pair, cost in zip(pairs, network.costs(pairs, 60_000), strict=True):
-        costs[pair], lengths[pair] = cost, network.lengths_m.get(pair, math.inf)
-    lengths[~np.isfinite(costs)] = math.inf
+        costs[pair] = cost
+    lengths = np.full(costs.shape, math.inf)
+    for a, b in np.argwhere(np.isfinite(costs)).tolist():
+        after = passes[b] if b < len(passes) else None
+        ways = [network.ways.get((a, b)), None if after is None else after.samples]
+        lengths[a, b] = sum(driven_m(way) for way in ways if way is not None)
     worth = 1000.0 * np.array(sizes)
     order = best_order(costs, np.ones(costs.shape, np.bool_), worth, lambda _: [])
     lost = worth.sum() - sum(worth[node // 2] for node in order.nodes)
     return Best(least(costs, worth), least(lengths, worth), order.cost - lost)
+
+
+def driven_m(samples: Float64) -> float:
+    """Metres of a way, forward and in reverse."""
+    return float(np.hypot(*np.diff(samples[:, :2], axis=0).T).sum())
 
 
 def least(costs: Float64, worth: Float64) -> float:

@@ -212,13 +212,13 @@ def test_random_fields() -> None:
         assert not (task.is_open and coverage.left_out)
 
 
-def test_an_order_is_no_longer_for_being_cheaper() -> None:
-    """In this field of the benchmark the cheapest order is 3.8 % longer than the shortest."""
+def test_no_order_is_cheaper() -> None:
+    """In this field of the benchmark it is 3.8 % longer than the shortest."""
     task = random_field(80)
     coverage, best = coverage_in_view(task.view, task.planting, task.vehicle), best_of(task)
     assert not coverage.left_out
-    assert 0.999 * best.length_m < coverage.route.length_m < 1.02 * best.length_m
-    assert 0.999 * best.cost_m < coverage.cost_m < 1.1 * best.cost_m
+    assert coverage.cost_m == pytest.approx(best.cost_m, rel=1e-3)
+    assert 0.999 * best.length_m < coverage.route.length_m < 1.05 * best.length_m
 
 
 def test_the_recursion_of_the_benchmark() -> None:

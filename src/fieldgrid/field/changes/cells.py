@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from fieldgrid.core import Bool, Float32, Float64, Int16, Int64, UInt8
+from fieldgrid.core import Bool, Float32, Float64, Int16, Int64
 from fieldgrid.field.changes.observations import FrameObserver
 from fieldgrid.geometry import Lattice, Window
-from fieldgrid.maps import FREE, OBSTACLE, UNSEEN, Change, Evidence, fill_pinholes
+from fieldgrid.maps import FREE, OBSTACLE, UNSEEN, Evidence, fill_pinholes
 
 SQUARE_CELLS = 1024
 """Side of the squares that are worked on at a time; one takes some 60 MB."""
@@ -101,9 +101,7 @@ def changed_cells(
 
 def surroundings(window: Window, lattice: Lattice) -> Window:
     """A window and what lies within `MARGIN_M` of it."""
-    margin = math.ceil(MARGIN_M * lattice.cells_per_m)
-    i0, j0, width, height = window
-    return Window(i0 - margin, j0 - margin, width + 2 * margin, height + 2 * margin)
+    return window.grown(math.ceil(MARGIN_M * lattice.cells_per_m))
 
 
 def seen_by(drives: SideDrives, lattice: Lattice, window: Window) -> SideCells:
@@ -185,14 +183,3 @@ def _distance_m(within: Bool, lattice: Lattice) -> Float32:
         return np.full(within.shape, MARGIN_M, dtype=np.float32)
     away_m: Float64 = ndimage.distance_transform_edt(within) * lattice.cell_m
     return np.minimum(away_m, MARGIN_M).astype(np.float32)
-
-
-def squares(window: Window, change: UInt8, kinds: Sequence[Change]) -> Iterator[Window]:
-    """The squares of a window that hold a change of one of some kinds, by the `change` of each cell
-    [row, column]; square by square, so that no further array of the window is made."""
-    side = SQUARE_CELLS
-    for j0 in range(window.j0 // side * side, window.j0 + window.height, side):
-        for i0 in range(window.i0 // side * side, window.i0 + window.width, side):
-            part = window.intersect(Window(i0, j0, side, side))
-            if part is not None and np.isin(change[window.slices_of(part)], kinds).any():
-                yield part

@@ -5,18 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+import numpy as np
+
 from fieldgrid.core import ConfigError
 from fieldgrid.field.changes.cells import (
+    SQUARE_CELLS,
     CellChanges,
     changed_cells,
-    squares,
     surroundings,
 )
 from fieldgrid.field.changes.objects import described, things_of, votes_of, with_moved
 from fieldgrid.field.changes.observations import observers
 from fieldgrid.field.changes.relative_sigmas import RelativeSigma, relative_sigmas
 from fieldgrid.field.changes.result import ChangedObject, ChangeKind, Changes
-from fieldgrid.geometry import Bounds
+from fieldgrid.geometry import Bounds, aligned_parts
 from fieldgrid.maps import Change, MapFile
 
 SIGMAS, GROWTH_M, MOVED_M, MIN_AREA_M2, MIN_CONFIDENCE = 3.0, 0.4, 3.0, 0.05, 0.5
@@ -61,7 +63,12 @@ def find_changes(
         if not (math.isfinite(value) and 0.0 <= value <= most):
             raise ConfigError(f"A {what} of {value} is outside 0..{most:g}.")
     view = universal.diff(from_, to, bounds, cell_m)
-    places = list(squares(view.window, view.change, (Change.APPEARED, Change.VANISHED)))
+    kinds = Change.APPEARED, Change.VANISHED
+    places = [
+        place
+        for place in aligned_parts(view.window, SQUARE_CELLS, SQUARE_CELLS)
+        if np.isin(view.change[view.window.slices_of(place)], kinds).any()
+    ]
     beside: Mapping[str, RelativeSigma] = {}
     if position_sigma_m is None and places:
         beside = relative_sigmas(universal, view.before, view.after)
@@ -85,11 +92,11 @@ def find_changes(
     found = list[ChangedObject]()
     if parts:
         appeared, vanished = (CellChanges.joined(cells) for cells in zip(*parts, strict=True))
-        for cells, kinds, sides in (
+        for cells, became, sides in (
             (appeared, (ChangeKind.APPEARED, ChangeKind.GROWN), (after, before)),
             (vanished, (ChangeKind.VANISHED, ChangeKind.CUT_BACK), (before, after)),
         ):
-            things = things_of(cells, kinds, view.lattice, growth_m, min_area_m2)
+            things = things_of(cells, became, view.lattice, growth_m, min_area_m2)
             stood = votes_of(things, sides[0], view.lattice, [t.cells.stood for t in things])
             freed = votes_of(things, sides[1], view.lattice, [t.cells.freed for t in things])
             found += [

@@ -23,14 +23,13 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.special import betainc
 
 from fieldgrid.core import Int16, Int64
 from fieldgrid.field.changes.cells import CellChanges, SideDrives
 from fieldgrid.field.changes.result import ChangedObject, ChangeKind
+from fieldgrid.field.rows.measuring.neighbours import linked_parts
 from fieldgrid.geometry import Datum, Lattice, Window
 
 SIDE_BY_SIDE = 2.5
@@ -106,11 +105,7 @@ def _connected(cells: CellChanges, among: Int64) -> Iterator[Int64]:
         return
     places = np.column_stack([cells.i[among], cells.j[among]])
     pairs = cKDTree(places).query_pairs(SIDE_BY_SIDE, output_type="ndarray")
-    graph = coo_matrix(
-        (np.ones(len(pairs), dtype=np.bool_), (pairs[:, 0], pairs[:, 1])),
-        shape=(among.size, among.size),
-    )
-    _, label = connected_components(graph, directed=False)
+    label = linked_parts(pairs, among.size)
     order = np.argsort(label, kind="stable")
     yield from np.split(among[order], np.flatnonzero(np.diff(label[order])) + 1)
 

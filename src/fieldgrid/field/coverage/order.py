@@ -118,6 +118,16 @@ def _cost(sequence, costs, worth, total):  # type: ignore[no-untyped-def]
     return best
 
 
+@part_of_kernel
+def _turned(sequence, low, high, by, found):  # type: ignore[no-untyped-def]
+    """Write a sequence of which a part begins `by` places later, with what was before that behind
+    it; 0 reverses the part."""
+    for k in range(len(sequence)):
+        found[k] = sequence[k]
+    for k in range(high - low):
+        found[low + k] = sequence[low + (k + by) % (high - low) if by else high - 1 - k]
+
+
 @kernel
 def visit(sequence, costs, worth, kicks):  # type: ignore[no-untyped-def]
     """Improve a sequence by reversing and moving parts of it; then break it up at random places, so
@@ -126,9 +136,8 @@ def visit(sequence, costs, worth, kicks):  # type: ignore[no-untyped-def]
     total = 0.0
     for k in range(n):
         total += worth[k]
-    best, now = sequence.copy(), sequence.copy()
-    trial = np.empty(n, dtype=np.int64)
-    least = _cost(best, costs, worth, total)
+    now, trial = sequence.copy(), np.empty(n, dtype=np.int64)
+    least = _cost(sequence, costs, worth, total)
     seed = np.uint64(12345)
     for _ in range(kicks):
         cost = _cost(now, costs, worth, total)
@@ -140,21 +149,8 @@ def visit(sequence, costs, worth, kicks):  # type: ignore[no-untyped-def]
                     for j in range(i + 1 if size == 0 else 0, n if size == 0 else n - size + 1):
                         if size > 0 and (j == i or i + size > n):
                             continue
-                        for k in range(n):
-                            trial[k] = now[k]
-                        if size == 0:
-                            for k in range(i, j + 1):
-                                trial[k] = now[i + j - k]
-                        elif j > i:
-                            for k in range(i, j):
-                                trial[k] = now[k + size]
-                            for k in range(size):
-                                trial[j + k] = now[i + k]
-                        else:
-                            for k in range(i - 1, j - 1, -1):
-                                trial[k + size] = now[k]
-                            for k in range(size):
-                                trial[j + k] = now[i + k]
+                        high = max(i, j) + max(size, 1)
+                        _turned(now, min(i, j), high, size if j > i else i - j, trial)
                         other = _cost(trial, costs, worth, total)
                         if other < cost - 1e-9:
                             cost, is_better = other, True
@@ -163,18 +159,11 @@ def visit(sequence, costs, worth, kicks):  # type: ignore[no-untyped-def]
         if cost < least - 1e-9:
             least = cost
             for k in range(n):
-                best[k] = now[k]
+                sequence[k] = now[k]
         # A double bridge: A B C D becomes A C B D.
         cuts = np.empty(3, dtype=np.int64)
         for k in range(3):
             seed = seed * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
             cuts[k] = np.int64((seed >> np.uint64(33)) % np.uint64(n + 1))
         cuts.sort()
-        for k in range(n):
-            now[k] = best[k]
-        for k in range(cuts[2] - cuts[1]):
-            now[cuts[0] + k] = best[cuts[1] + k]
-        for k in range(cuts[1] - cuts[0]):
-            now[cuts[0] + cuts[2] - cuts[1] + k] = best[cuts[0] + k]
-    for k in range(n):
-        sequence[k] = best[k]
+        _turned(sequence, cuts[0], cuts[2], max(cuts[1] - cuts[0], 1), now)

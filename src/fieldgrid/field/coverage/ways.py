@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -35,12 +34,6 @@ _MOST_FAILED = 8
 """Ways from the end of a track, or to it, that are searched for in vain before it is taken to have
 none but those that were found: where a vehicle hardly turns, others take minutes to fail, too."""
 
-_LONGER = 1.02
-"""The largest length of an order that costs less, in lengths of the shortest order."""
-
-_SHARES = (4.0, 2.0, 1.0, 0.5, 0.25)
-"""Of the costs, beside the lengths, in the search for such an order."""
-
 _DISTANCE_BYTES = 200_000_000
 _CURVES_WITHIN = 12.0
 """Turning radii within which a curve says more of a way than its distance does."""
@@ -71,19 +64,17 @@ class LaneWays:
         self._starts = [*([] if one is None else [one.stop] for one in passes), starts]
         self._goals = [*([] if one is None else [one.start] for one in passes), goals]
         self.ways: dict[tuple[int, int], Float64] = {}
-        self.lengths_m: dict[tuple[int, int], float] = {}
         self._doubtful: dict[tuple[int, int], None] = {}
         self._failed_from: Counter[int] = Counter()
         self._failed_to: Counter[int] = Counter()
         self._cut_off: dict[int, Float64] = {}
         self._left: dict[tuple[int, bool], Float32] = {}
 
-    def bounds(self) -> tuple[Float64, Float64, Bool]:
-        """Lower bounds of the costs from node to node, of tracks what they cost usually, and of the
-        lengths, the second pass included, and which of them are known."""
+    def bounds(self) -> tuple[Float64, Bool]:
+        """Lower bounds of the costs from node to node, of tracks what they cost usually, the second
+        pass included, and which of them are known."""
         count = len(self.passes)
         costs = np.full((count + 1, count + 1), np.inf)
-        lengths = costs.copy()
         known = np.zeros(costs.shape, dtype=np.bool_)
         for b in range(count + 1):
             goals = self._goals[b]
@@ -91,7 +82,6 @@ class LaneWays:
                 continue
             after = self.passes[b] if b < count else None
             size = 0.0 if after is None else driven_cost(after.samples)
-            size_m = 0.0 if after is None else _length_m(after.samples)
             left = self._distance(b) if goals else None
             for a in range(count + 1):
                 starts = self._starts[a]
@@ -99,13 +89,12 @@ class LaneWays:
                 if a == b or is_same_lane or (a < count and not starts):
                     continue
                 if left is None or not starts:
-                    costs[a, b], lengths[a, b], known[a, b] = size, size_m, True
+                    costs[a, b], known[a, b] = size, True
                     continue
                 way = self._bound(starts, goals, left, (a < count) + (b < count))
                 costs[a, b] = size + (way if self._headland is None else _USUALLY * way)
-                lengths[a, b] = size_m + self._bound(starts, goals, left, 0)
         known |= ~np.isfinite(costs)
-        return costs, lengths, known
+        return costs, known
 
     def costs(self, pairs: list[tuple[int, int]], max_poses: int = _MAX_POSES) -> list[float]:
         """The costs from node to node by ways that are planned; inf where none is found."""
@@ -117,9 +106,8 @@ class LaneWays:
 
     def order(self, worth: Float64) -> VisitOrder:
         """The best order of the lanes, each of which has a `worth`. Where lanes are left out, the
-        nearest ways from and to them of which the search was cut short are searched for longer. An
-        order of lanes is hardly longer than the shortest one, though it may cost less."""
-        costs, lengths, known = self.bounds()
+        nearest ways from and to them of which the search was cut short are searched for longer."""
+        costs, known = self.bounds()
         bounds = costs.copy()
         enough = None if self._headland is None else _ENOUGH * len(worth)
         order = best_order(costs, known, worth, self.costs, enough=enough)
@@ -131,44 +119,7 @@ class LaneWays:
             costs[pair] = cost
         if pairs:
             order = best_order(costs, known, worth, self.costs, enough=enough)
-        # What never reverses costs what it is long.
-        if self._headland is not None or not self.searcher.vehicle.reverse:
-            return order
-        for pair in zip(*np.nonzero(known & np.isfinite(costs)), strict=True):
-            lengths[pair] = self.lengths_m.get(pair, lengths[pair])
-        lengths[known & ~np.isfinite(costs)] = np.inf
-        return self._short_enough(order, costs, lengths, known, worth)
-
-    def _short_enough(
-        self, order: VisitOrder, costs: Float64, lengths: Float64, known: Bool, worth: Float64
-    ) -> VisitOrder:
-        """The order, or one that costs more where that is much longer than the shortest one."""
-
-        def best(share: float) -> VisitOrder:
-            def mixed(pair: tuple[int, int]) -> float:
-                return float(lengths[pair] + share * costs[pair] if share else lengths[pair])
-
-            def look_up(pairs: list[tuple[int, int]]) -> list[float]:
-                for pair, cost in zip(pairs, self.costs(pairs), strict=True):
-                    costs[pair], lengths[pair] = cost, self.lengths_m.get(pair, math.inf)
-                return [mixed(pair) for pair in pairs]
-
-            both = lengths + share * costs if share else lengths.copy()
-            nodes = best_order(both, known, worth, look_up).nodes
-            left_out = worth.sum() - sum(float(worth[node // 2]) for node in nodes)
-            return VisitOrder(nodes, float(left_out) + self._sum(nodes, costs))
-
-        shortest = best(0.0)
-        most_m = _LONGER * self._sum(shortest.nodes, lengths)
-        for share in (math.inf, *_SHARES):
-            found = order if share == math.inf else best(share)
-            if self._sum(found.nodes, lengths) <= most_m:
-                return found
-        return shortest
-
-    def _sum(self, nodes: list[int], values: Float64) -> float:
-        end = len(self.passes)
-        return float(sum(values[pair] for pair in itertools.pairwise((end, *nodes, end))))
+        return order
 
     def _cost(self, a: int, b: int, max_poses: int) -> float:
         starts, goals = self._starts[a], self._goals[b]
@@ -200,8 +151,6 @@ class LaneWays:
         before, after = (self.passes[k] if k < len(self.passes) else None for k in (a, b))
         # The last step of the pass before tells whether the gear changes after it.
         parts = [] if before is None else [before.samples[-2:]]
-        self.lengths_m[a, b] = _length_m(samples)
-        self.lengths_m[a, b] += 0.0 if after is None else _length_m(after.samples)
         ways = [*parts, samples, *([] if after is None else [after.samples])]
         return driven_cost(joined(ways)) - sum(driven_cost(part) for part in parts)
 
@@ -238,10 +187,6 @@ class LaneWays:
             anyhow = radius * min(_length(word) for word in words(*pose, reverse=True))
             shortest = min(shortest, anyhow + changes * CUSP_M)
         return max(bound, shortest)
-
-
-def _length_m(samples: Float64) -> float:
-    return float(np.hypot(*np.diff(samples[:, :2], axis=0).T).sum())
 
 
 def _length(word: Word) -> float:

@@ -16,11 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from fieldgrid.core import ConfigError, Float64, quoted
+from fieldgrid.field.rows.measuring.neighbours import linked_parts
 from fieldgrid.field.rows.result import Lane, Planting
 from fieldgrid.geometry import normals
 
@@ -227,8 +226,7 @@ class _Drawing:
         """Pairs of nodes that join what is apart, by the shortest lines that cross no row."""
         places = np.array([side.mean(axis=0) for side in self._sides]).reshape(-1, 2)
         ends = np.array([strip.ends for strip in self._strips]).reshape(-1, 2)
-        links = coo_array((np.ones(len(ends)), ends.T), shape=(len(places),) * 2)
-        _, label = connected_components(links, directed=False)
+        label = linked_parts(ends, len(places))
         while label.any():
             inside, outside = np.flatnonzero(label == 0), np.flatnonzero(label)
             count = min(_NEIGHBOURS, len(inside))
