@@ -140,8 +140,10 @@ def _solutions(
         lasted_s = float(time_s[stop[k] - 1] - time_s[first[k]]) + period_s
         place = place_m[k] + shift_m
         one = _Stretch(int(first[k]), int(stop[k]), lasted_s, place, float(unsure_m2[k]))
-        # After a leap a drive goes on elsewhere, or with what was before an excursion.
-        before = _same(found, one, points_m, time_s, BRIEF_S + period_s)
+        # After a leap a drive goes on elsewhere, or with what was before an excursion. What the
+        # estimate saw leap does not come back so soon.
+        is_seen = one.first in seen
+        before = None if is_seen else _same(found, one, points_m, time_s, BRIEF_S + period_s)
         if before is None:
             found.append(one)
         else:
