@@ -37,6 +37,7 @@ from fieldgrid.poses.faults.gyro.check import GyroVerdict, with_trusted_gyro, wi
 from fieldgrid.poses.faults.gyro.dead_gyro import without_dead_gyro, without_faulty_samples
 from fieldgrid.poses.faults.stray import MOST_ROUNDS, stray_fixes
 from fieldgrid.poses.gates.conditioning import condition
+from fieldgrid.poses.gates.single import check_single
 from fieldgrid.poses.gears.stations import GearHints, gear_hints
 from fieldgrid.poses.levelled import (
     DENIED_IMU,
@@ -293,7 +294,8 @@ def conditioned(
     fixes: FixColumns, settings: PoseSettings, datum: Datum | None = None
 ) -> ConditionedLog:
     """Fixes in order of time with what the settings declare of them, judged, and the accepted
-    ones in the plane. Raises GnssError when none can be used."""
+    ones in the plane. Raises GnssError when none can be used, or they are of two logs."""
+    check_single(fixes)
     fixes = fixes.in_order()
     if settings.quality is not None:
         fixes = fixes.replace(quality=np.full(len(fixes), settings.quality, dtype=np.int64))
