@@ -51,3 +51,8 @@ def test_two_parts_of_a_drive_in_the_wrong_order_are_one_drive() -> None:
     middle = len(FIXES) // 2
     rows = np.r_[middle : len(FIXES), 0:middle]
     assert used(FIXES[rows]) == used(FIXES)
+
+
+def test_a_row_that_comes_late_is_put_in_order() -> None:
+    rows = [*range(20), *range(21, 50), 20, *range(50, len(FIXES))]
+    assert used(FIXES[np.array(rows)]) == used(FIXES)

@@ -37,7 +37,7 @@ def check_single(fixes: FixColumns) -> None:
     if len(back) != 1:
         return
     before, after = np.split(time_ns, back + 1)
-    if np.any(before < after.max()) and np.sum(before > after.min()) > 1:
+    if np.sum((after > before.min()) & (after < before.max())) > 1:
         raise GnssError(
             f"The stamps of the log go back by {(before[-1] - after[0]) / 1e9:.1f} s at "
             f"{utc_text(int(before[-1]))} and run through that time again: a clock was set, or the "
