@@ -65,6 +65,10 @@ def spoilt(gyro: Gyro) -> Gyro:
     return gyro._replace(rate_rad_s=rate)
 
 
+def in_degrees(gyro: Gyro) -> Gyro:
+    return gyro._replace(rate_rad_s=np.degrees(gyro.rate_rad_s))
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [
@@ -73,6 +77,7 @@ def spoilt(gyro: Gyro) -> Gyro:
         (dead_from(0.2, 0.0), "the same"),
         (dead_from(0.7, 0.0), "the same"),
         (spoilt, "3 turn faster than 360°/s and 100 repeat"),
+        (in_degrees, "which no vehicle does"),
     ],
 )
 def test_what_a_gyro_cannot_mean_is_left_out(change: Callable[[Gyro], Gyro], told: str) -> None:

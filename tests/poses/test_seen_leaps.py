@@ -67,9 +67,9 @@ def test_positions_know_of_a_leap_that_the_camera_sees(
     off_m, sigma_m = off_and_sigma(found := estimated(drive, fixes), drive)
     assert (off_m <= 3.44 * sigma_m).mean() > 0.98
     assert any("solution leaps once" in note for note in found.report.notes)
-    # It is the camera that tells.
+    # Over a hole it is the camera that tells.
     blind = estimated(drive, fixes, seen=False)
-    assert not any("leaps" in note for note in blind.report.notes)
+    assert not hole_s or not any("leaps" in note for note in blind.report.notes)
 
 
 def test_a_long_drive_is_looked_at_as_closely() -> None:

@@ -62,4 +62,6 @@ def test_bursts_of_bias_of_a_fixed_solution_are_covered(by: str, drives: int) ->
         inside = apart_m < 3.44 * found.position_sigma_m
         within.append(float(inside[found.accepted].mean()) if found.accepted.any() else 1.0)
     assert np.median(within) > 0.99
-    assert min(within) > 0.8  # of 40 drives by a gyro the worst has 0.83
+    # Along the path a vehicle may have gone faster, as far as a gyro tells: of 40 one is 0.89.
+    assert np.mean(np.array(within) > 0.9) >= 0.95
+    assert min(within) > 0.85

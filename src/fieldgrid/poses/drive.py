@@ -11,6 +11,8 @@ from fieldgrid.geometry import Motion, wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.axle import Axle
 from fieldgrid.poses.faults.leaps.leaps import holes
+from fieldgrid.poses.faults.leaps.seams import SeenLeap
+from fieldgrid.poses.faults.leaps.told import told_leaps
 from fieldgrid.poses.gears.stations import (
     NO_HINTS,
     GearHints,
@@ -111,7 +113,7 @@ class DriveEstimate(NamedTuple):
     `fix` [n] is the accepted fix at a node or -1; `gear` +1, -1, 0 at rest; `doubt` the
     probability that it is the other one. `offset_m` [accepted fixes, 2] is how far east and north
     of each fix the antenna is estimated. `smoothed` are the states and constants behind it,
-    and `slow` is what the drive shows of the fixes' slow error.
+    and `slow` is what the drive shows of the fixes' slow error, `leaps` where it leaps.
     """
 
     at: Nodes
@@ -130,6 +132,7 @@ class DriveEstimate(NamedTuple):
     resting: Bool
     offset_m: Float64
     slow: SlowError
+    leaps: tuple[SeenLeap, ...]
 
     @property
     def time_ns(self) -> Int64:
@@ -204,13 +207,14 @@ def smooth_drive(
         near.smoothed.state if near and begun else first_guess(fixes, at, found, measured),
         *(lever_m, step_ahead_m, axle.sigma_m),
     )
+    leaps = () if as_stated else told_leaps(smoothed, measured, at, fixes, axle)
     slow = SlowError()
     if not as_stated and measured.sees_turns() and smoothed.wander_nats > CLEAR_NATS:
         # A camera that is stuck looks like fixes that leap.
         off = np.abs(smoothed.step_off) / measured.step_sigma[:, [0, 0, 1]]
         measured = measured.with_steps(off.max(axis=1) < MOST_STEP_SIGMAS)
         slow, smoothed = _wandering(smoothed, measured, axle)
-    return _drive(fixes, at, slow.of(measured), found, smoothed, axle, rest > 0.99, slow)
+    return _drive(fixes, at, slow.of(measured), found, smoothed, axle, rest > 0.99, slow, leaps)
 
 
 def _wandering(
@@ -248,7 +252,10 @@ def with_recorded(
         return smooth_drive(fixes, drive.time_ns, motion, axle, recorded, hints)
     measured = with_headings(drive.measured, fixes, drive.at, recorded)
     smoothed = refine(drive.smoothed, measured, *axle.frame(), axle.sigma_m)
-    return _drive(fixes, drive.at, measured, found, smoothed, axle, drive.resting, drive.slow)
+    return _drive(
+        *(fixes, drive.at, measured, found, smoothed, axle),
+        *(drive.resting, drive.slow, drive.leaps),
+    )
 
 
 def _standing(fixes: AcceptedFixes) -> Bool:
@@ -274,6 +281,7 @@ def _drive(
     axle: Axle,
     rested: Bool,
     slow: SlowError,
+    leaps: tuple[SeenLeap, ...],
 ) -> DriveEstimate:
     assigned, doubt = _assigned(at, found)
     east, north, heading, speed = smoothed.state[:, :4].T
@@ -321,6 +329,7 @@ def _drive(
         resting,
         offset_m,
         slow,
+        leaps,
     )
 
 

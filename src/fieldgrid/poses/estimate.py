@@ -108,10 +108,11 @@ def estimate_poses(
     if settings.accuracy_m is None:
         table = unsure_receiver(table, log.accepted)
     if source.kind == "smooth":
-        unsure_deg = found.trusted.unsure_at(table.time_ns)
-        if checks.excused is not None:
-            unsure_deg = np.hypot(unsure_deg, checks.excused.unsure_at(table.time_ns))
-        table = table._replace(heading_sigma_deg=np.hypot(table.heading_sigma_deg, unsure_deg))
+        gyros = [(found.trusted.drive.time_ns, found.trusted.unsure_deg)]
+        gyros += [checks.excused[1:]] if checks.excused is not None else []
+        for node_ns, unsure_deg in gyros:
+            unsure_deg = np.interp(table.time_ns, node_ns, unsure_deg)
+            table = table._replace(heading_sigma_deg=np.hypot(table.heading_sigma_deg, unsure_deg))
     if lean is not None:
         table = unsure_lean(table, lean, level_grids=level_grids)
     elif axle.vehicle is not None:
@@ -174,7 +175,8 @@ def _checked(
     """What a drive, with its recorded headings, says of the vehicle that was declared."""
     # A gyro of another clock than the fixes is not used, and yet tells that of the images.
     clocks = check_clock(
-        drive, found.log.accepted, found.motion, found.axle, found.hints, recorded=found.gyro
+        *(found.unleapt or drive, found.log.accepted, found.motion, found.axle, found.hints),
+        recorded=found.gyro,
     )
     smooth = source.kind == "smooth"
     # Where a heading is recorded, a vehicle that slips sideways does not look where it goes.

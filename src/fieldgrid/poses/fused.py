@@ -6,7 +6,6 @@ attitude is not what was assumed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -23,7 +22,7 @@ from fieldgrid.geometry import (
     WheelSpeed,
     nose_heading_deg,
 )
-from fieldgrid.poses.accepted import AcceptedFixes, accepted_fixes, datum_of
+from fieldgrid.poses.accepted import accepted_fixes, datum_of
 from fieldgrid.poses.attitude.axes import AxisTilt, axes_of_fixes
 from fieldgrid.poses.axle import (
     Axle,
@@ -37,11 +36,9 @@ from fieldgrid.poses.drive import DriveEstimate, smooth_drive
 from fieldgrid.poses.faults.convention import Comparison, compare, turned_around
 from fieldgrid.poses.faults.gyro.check import GyroVerdict, with_trusted_gyro, without_wrong_gyro
 from fieldgrid.poses.faults.gyro.dead_gyro import without_dead_gyro, without_faulty_samples
-from fieldgrid.poses.faults.leaps.leaps import holes
-from fieldgrid.poses.faults.leaps.seams import LEAST_M, SeenLeap
-from fieldgrid.poses.faults.leaps.seen import seen_leaps
 from fieldgrid.poses.faults.stray import MOST_ROUNDS, stray_fixes
 from fieldgrid.poses.gates.conditioning import condition
+from fieldgrid.poses.gates.single import check_single
 from fieldgrid.poses.gears.stations import GearHints, gear_hints
 from fieldgrid.poses.levelled import (
     Lean,
@@ -109,70 +106,12 @@ def _other_way(wheels: WheelSpeed, steps: Steps) -> tuple[int, int]:
     return int(other_way.sum()), int(told.sum())
 
 
-# Leaps of a receiver's solution that the estimate of the whole drive denies.
-#
-# Multipath moves a solution by a metre from one fix to the next, for some seconds. Where a vehicle
-# could have driven that far, no gate sees it. But the estimate goes on as vehicles do, through the
-# fixes on both sides, so that the step stands out in what the fixes differ from it.
-
-
-CLEAR_SIGMAS, STATED_SIGMAS = 10.0, 3.0
-"""Least size of a leap in sigmas of the steps of this drive, and in sigmas that fixes state."""
-
-ALONE_SHARE = 0.5
-"""The steps beside a leap differ from the estimate by no more than this share of it: what is spread
-over several steps is rather an error of the estimate, of a gear say."""
-
-SIZE_SHARE = 0.1
-"""The size of a leap is known to this share: the estimate is drawn over to it."""
-
-FEWEST_STEPS = 20
-"""Of fewer steps it is not known what is usual."""
-
-NORMAL_MAD = 1.4826
-LEAST_SIGMA_M = 1e-3
-
-
-def denied_leaps(fixes: AcceptedFixes, drive: DriveEstimate) -> tuple[SeenLeap, ...]:
-    """Where the step from one accepted fix to the next is far from that of the drive's estimate,
-    and those beside it are not."""
-    if len(fixes.time_ns) < FEWEST_STEPS:
-        return ()
-    phi = np.radians(drive.heading_deg[np.flatnonzero(drive.fix >= 0)])[1:]
-    east, north = -np.diff(drive.offset_m, axis=0).T
-    off_m = np.stack(
-        [east * np.sin(phi) + north * np.cos(phi), east * np.cos(phi) - north * np.sin(phi)]
-    )
-    hole = holes(np.diff(fixes.time_ns) / 1e9)
-    if np.count_nonzero(~hole) < FEWEST_STEPS:
-        return ()
-    # Along the path steps differ by the stamps, too.
-    usual_m = np.maximum(NORMAL_MAD * np.median(np.abs(off_m[:, ~hole]), axis=1), LEAST_SIGMA_M)
-    size_m = np.hypot(*off_m)
-    stated_m = np.hypot(fixes.sigma_m[1:], fixes.sigma_m[:-1])
-    large = np.hypot(*(off_m / usual_m[:, None])) > CLEAR_SIGMAS
-    large &= (size_m > np.maximum(LEAST_M, STATED_SIGMAS * stated_m)) & ~hole
-    beside_m = np.pad(size_m, 1)
-    large &= np.maximum(beside_m[:-2], beside_m[2:]) < ALONE_SHARE * size_m
-    drawn_m = np.pad(np.stack([east, north]), ((0, 0), (1, 1)))
-    leap_m = np.stack([east, north]) - (drawn_m[:, :-2] + drawn_m[:, 2:]) / 2.0
-    noise_m = float(np.hypot(*usual_m))
-    return tuple(
-        SeenLeap(
-            int(fixes.time_ns[k + 1]),
-            float(leap_m[0, k]),
-            float(leap_m[1, k]),
-            float(np.hypot(noise_m, SIZE_SHARE * size_m[k])),
-        )
-        for k in np.flatnonzero(large).tolist()
-    )
-
-
 class Fusion(NamedTuple):
     """A drive, and what it was estimated from: fixes and motion, of a vehicle that stands level
     where `lean` tells its attitude; its axle, and the gears that are known. `gyro` is the one that
     was recorded, used or not, `trusted` what became of it, and `gyro_finding` says why it was
-    changed or left out. `findings` say which other sensors were changed or left out."""
+    changed or left out. `findings` say which other sensors were changed or left out.
+    `unleapt` is the drive as if its fixes did not leap, which a clock that is set looks like."""
 
     log: ConditionedLog
     drive: DriveEstimate
@@ -184,6 +123,7 @@ class Fusion(NamedTuple):
     lean: Lean | None = None
     gyro_finding: Finding | None = None
     findings: tuple[Finding, ...] = ()
+    unleapt: DriveEstimate | None = None
 
     def again(self, *, as_stated: bool = False, **changes: Any) -> Fusion:
         """The drive estimated again, with other fixes, motion or axle, and with the slow error of
@@ -251,7 +191,9 @@ def fuse(
         if not (more := stray_fixes(drive, log)):
             break
         strays |= more
-        log = conditioned_again(log, settings, strays)
+        verdicts = condition(log.fixes, settings.gnss, strays)
+        accepted = accepted_fixes(log.fixes, verdicts, log.datum)
+        log = log._replace(verdicts=verdicts, accepted=accepted)
         drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     # A gyro that contradicts the drive; of one that fits, where an undeclared axle is.
     trusted = _with_trusted_gyro(drive, log, motion, axle, hints, frame_ns)
@@ -271,17 +213,10 @@ def fuse(
     if lean is not None:
         level = log._replace(accepted=levelled_fixes(log.accepted, lean))
         found = found.again(log=level, motion=levelled_motion(found.motion, lean), lean=lean)
-    # A solution that goes on elsewhere, as the camera sees or the estimate itself.
-    steps = found.motion.steps
-    denied = denied_leaps(found.log.accepted, found.drive)
-    # What does not fit together otherwise makes steps, too.
-    seen = {leap.time_ns: leap for leap in denied if not found.drive.smoothed.declared.contradicts}
-    if rig is not None:
-        by_camera = seen_leaps(found.log.accepted, found.drive, steps, rig.antenna)
-        seen |= {leap.time_ns: leap for leap in by_camera}
-    if seen:
-        leaps = [seen[time_ns] for time_ns in sorted(seen)]
-        unsure = accepted_fixes(log.fixes, log.verdicts, log.datum, leaps)
+    # A solution that goes on elsewhere.
+    if found.drive.leaps:
+        found = found._replace(unleapt=found.drive)
+        unsure = accepted_fixes(log.fixes, log.verdicts, log.datum, found.drive.leaps)
         if lean is not None:
             unsure = levelled_fixes(unsure, lean)
         found = found.again(log=log._replace(accepted=unsure))
@@ -345,17 +280,6 @@ def _with_trusted_gyro(
 def _stated_axes(found: Fusion, settings: PoseSettings) -> tuple[AxisTilt, ...]:
     """The axes whose rise the receiver states beside its heading. Where they point is what the
     heading shows: none, where it is none of the vehicle or was not compared with the drive."""
-    offset_deg = _heading_offset_deg(found, settings)
-    if offset_deg is None:
-        return ()
-    rig = found.axle.vehicle
-    declared_deg = (rig and rig.heading_offset_deg) or 0.0
-    return axes_of_fixes(found.log.fixes[found.log.verdicts.ok], declared_deg + offset_deg)
-
-
-def _heading_offset_deg(found: Fusion, settings: PoseSettings) -> float | None:
-    """What recorded headings have more than the nose; None where they are none of the vehicle or
-    were not compared with the drive."""
     heading = found.compared()
     if (
         heading is None
@@ -363,15 +287,19 @@ def _heading_offset_deg(found: Fusion, settings: PoseSettings) -> float | None:
         or heading.flips
         or heading.is_denied(settings.max_heading_offset_deg)
     ):
-        return None
-    return heading.offset_deg
+        return ()
+    rig = found.axle.vehicle
+    declared_deg = (rig and rig.heading_offset_deg) or 0.0
+    used = found.log.fixes[found.log.verdicts.ok]
+    return axes_of_fixes(used, declared_deg + heading.offset_deg)
 
 
 def conditioned(
     fixes: FixColumns, settings: PoseSettings, datum: Datum | None = None
 ) -> ConditionedLog:
     """Fixes in order of time with what the settings declare of them, judged, and the accepted
-    ones in the plane. Raises GnssError when none can be used."""
+    ones in the plane. Raises GnssError when none can be used, or they are of two logs."""
+    check_single(fixes)
     fixes = fixes.in_order()
     if settings.quality is not None:
         fixes = fixes.replace(quality=np.full(len(fixes), settings.quality, dtype=np.int64))
@@ -381,11 +309,3 @@ def conditioned(
     datum = datum or datum_of(fixes, verdicts)
     accepted = accepted_fixes(fixes, verdicts, datum)
     return ConditionedLog(fixes, verdicts, datum, accepted)
-
-
-def conditioned_again(
-    log: ConditionedLog, settings: PoseSettings, strays: Mapping[int, str]
-) -> ConditionedLog:
-    """The log judged again without the fixes `strays`, as in `condition`."""
-    verdicts = condition(log.fixes, settings.gnss, strays)
-    return log._replace(verdicts=verdicts, accepted=accepted_fixes(log.fixes, verdicts, log.datum))

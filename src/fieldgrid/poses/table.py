@@ -9,7 +9,7 @@ import numpy as np
 from fieldgrid.core import Bool, Float64, Int64, PoseSettings, Quality
 from fieldgrid.geometry import MAX_GAP_NS, Datum, FixColumns, VehicleGeometry, wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes, fix_offsets
-from fieldgrid.poses.drive import DriveEstimate
+from fieldgrid.poses.drive import REST_MPS, DriveEstimate
 from fieldgrid.poses.gates.verdict import Verdicts
 from fieldgrid.poses.gears.course import (
     NOISE_SHARE,
@@ -26,9 +26,6 @@ from fieldgrid.poses.settings import HeadingSource
 
 CONSTANT_SIGMA_DEG = 1.0
 """What a heading given by hand is taken to be good for."""
-
-STANDING_MPS = 0.1
-"""Below this speed, as the receiver measured it, a vehicle stands and its positions wander."""
 
 JUMP_SIGMAS, JUMP_DEG = 4.0, 5.0
 """A nose does not turn faster than its tightest turn by more than this."""
@@ -52,7 +49,7 @@ def course_heading(
     baseline_m = settings.baseline_m or default_baseline_m(fixes.sigma_m)
     step_m = max(STATION_M, 2.0 * NOISE_SHARE * float(np.median(fixes.sigma_m)))
     points = fixes.points_m()
-    at = stations(points, part, fixes.speed_mps < STANDING_MPS, step_m)
+    at = stations(points, part, fixes.speed_mps < REST_MPS, step_m)
     east_m, north_m = points[at].T
     up_m = 0.0 if rig is None else rig.antenna.up_m
     found = course(east_m, north_m, fixes.sigma_m[at], part[at], baseline_m, up_m)

@@ -207,6 +207,7 @@ class Way:
         self.kept = random.uniform(0.1, 1.0, n - 1)
         self.steering = random.uniform(0.01, 0.1, n - 1)
         self.bias_m, self.bias_s = random.uniform(0.1, 1.0, n), random.uniform(20.0, 300.0, n)
+        self.leap_m2 = random.uniform(0.0, 1.0, n - 1) * (random.random(n - 1) < 0.3)
         told = random.random(n - 1) < 0.7 if gyro else np.zeros(n - 1, np.bool_)
         self.turned = np.where(told, random.normal(size=n - 1), np.nan)
         self.seen, self.standing = np.ones(n - 1, np.bool_), random.random(n) < 0.4
@@ -221,6 +222,7 @@ class Way:
             self.steering,
             self.bias_m,
             self.bias_s,
+            self.leap_m2,
             self.turned,
             self.seen,
             self.standing,
@@ -241,7 +243,7 @@ class Way:
         # Of the variances of both ends, and their covariance: what the first tells of the second.
         covariance = np.exp(-h / self.bias_s[k]) * min(one, two) ** 2
         slope = covariance / one**2
-        left = two**2 - slope * covariance
+        left = two**2 - slope * covariance + self.leap_m2[k]
         found = [(b[s] - slope * a[s], 1.0 / left) for s in (model.BIAS_E, model.BIAS_N)]
         found.append((b[GYRO] - a[GYRO], 1.0 / (model.GYRO_BIAS_NOISE**2 * h)))
         if np.isfinite(self.turned[k]):
@@ -337,7 +339,7 @@ def test_a_slow_error_has_the_sigma_that_is_stated_at_each_time(seed: int, growt
     """However the stated sigma changes, and the same said forward and backward in time."""
     n, way = 30, Way(seed, 30, gyro=False)
     way.bias_m = np.geomspace(0.1, 0.1 * growth, n)
-    way.step_s = np.full(n - 1, 5.0)
+    way.step_s, way.leap_m2 = np.full(n - 1, 5.0), np.zeros(n - 1)
     covariance = np.linalg.inv(dense(way.system(np.zeros((n, STATES))))[: n * STATES, : n * STATES])
     east = np.sqrt(np.diag(covariance)[model.BIAS_E :: STATES])
     assert east == pytest.approx(way.bias_m, rel=1e-3)

@@ -40,10 +40,6 @@ class GyroExcuse(NamedTuple):
     time_ns: Int64
     unsure_deg: Float64
 
-    def unsure_at(self, time_ns: Int64) -> Float64:
-        """By how much headings are unsure at other instants, degrees."""
-        return np.asarray(np.interp(time_ns, self.time_ns, self.unsure_deg))
-
 
 def excused(found: Fusion, vehicle: VehicleGeometry | None) -> GyroExcuse | None:
     """What excuses the gyro that the drive was estimated without; None where nothing does. A

@@ -8,13 +8,7 @@ import numpy as np
 
 from fieldgrid.core import Float64
 from fieldgrid.poses.smoother import model
-from fieldgrid.poses.smoother.declared import (
-    TOLD_SHARE,
-    Constant,
-    DeclaredCorrection,
-    Unsure,
-    tested,
-)
+from fieldgrid.poses.smoother.declared import Constant, DeclaredCorrection, Unsure, tested
 from fieldgrid.poses.smoother.equations import CONSTANTS
 from fieldgrid.poses.smoother.measurements import Measurements
 from fieldgrid.poses.smoother.rounds import (
@@ -25,10 +19,11 @@ from fieldgrid.poses.smoother.rounds import (
     converged,
     inverse,
     linearized,
+    outlier_nats,
     residuals,
     stated_weights,
 )
-from fieldgrid.poses.smoother.slow_error import wander_nats
+from fieldgrid.poses.smoother.slow_error import TOLD_SHARE, LeapOdds, SlowChanges
 from fieldgrid.poses.smoother.steering import (
     Steering,
     adapted,
@@ -53,7 +48,8 @@ class SmoothedDrive(NamedTuple):
     `heading_offset`, `camera_yaw_rad` (radians), `wheel_scale`, `camera_scale`, `gyro_scale` are
     the constants; None where nothing measures them. `declared` is what the drive makes of what was
     declared, and `unsure` what that does to poses. `nats` is how likely the measurements are, and
-    `wander_nats` by how much likelier they would be with a slow error that changes more.
+    `wander_nats` by how much likelier they would be with a slow error that changes more, or by
+    `leaps`.
     `steering` is the change of the curvature that was learnt, and `steers` how the vehicle steers.
     """
 
@@ -72,6 +68,7 @@ class SmoothedDrive(NamedTuple):
     unsure: Unsure
     nats: float
     wander_nats: float
+    leaps: LeapOdds
     steering: CurvatureChange
     steers: Steering
     rounds: int
@@ -129,8 +126,9 @@ def _with_sigmas(problem: SmoothingProblem, found: Solution, steers: Steering) -
     linear = linearized(problem, found.x, found.constants, found.weights, held=False)
     off = residuals(problem, found.x, found.constants, found.weights)
     declared, unsure = tested(problem, found, linear)
-    nats = TOLD_SHARE * likelihood_by(linear) + declared.nats()
+    nats = TOLD_SHARE * (likelihood_by(linear) + outlier_nats(problem, found)) + declared.nats()
     known = Covariances.of(linear)
+    slow = SlowChanges.of(problem.measured, found.x, known)
     east, north, phi = model.E, model.N, model.PHI
     relative = sum(
         known.own(axis, axis) + 2.0 * known.own(axis, bias) + known.own(bias, bias)
@@ -161,7 +159,8 @@ def _with_sigmas(problem: SmoothingProblem, found: Solution, steers: Steering) -
         declared,
         unsure,
         nats,
-        wander_nats(problem.measured, found.x, known),
+        slow.wander_nats(),
+        slow.leaps(problem.measured, off),
         found.weights.steering,
         steers,
         found.rounds,

@@ -34,6 +34,7 @@ from fieldgrid.poses.smoother.model import (
     step_rows,
 )
 from fieldgrid.poses.smoother.rounds import Linear, SmoothingProblem, Solution, inverse
+from fieldgrid.poses.smoother.slow_error import TOLD_SHARE
 
 ASIDE, AHEAD, LATE, IMAGES, SLIP, DRIFT = range(6)
 """The antenna's place to the right and ahead, metres; the delay of the fixes, and what the stamps
@@ -59,9 +60,6 @@ SURVIVING = 0.05
 
 LIKELY = 0.9
 """What is said to be wrong is so by this probability at least."""
-
-TOLD_SHARE = 0.5
-"""Of what a drive tells, what counts: the noise of its fixes is known to a third."""
 
 EDGE_S = 0.5
 """What bends a turn is unsure for so long before it and after it, too."""

@@ -17,6 +17,12 @@ LEAST_SEEN_SHARE = 0.5
 and of a log that ended early, the antenna was 3 m aside by six sigmas."""
 
 
+LEAP_M = 0.5
+"""By how much a receiver's solution leaps along an axis, 1-sigma."""
+
+NOWHERE = np.zeros(0, dtype=np.int64)
+
+
 class Measurements(NamedTuple):
     """Measurements at n nodes, ordered by `time_s`; NaN where there is none.
 
@@ -30,7 +36,8 @@ class Measurements(NamedTuple):
     `step_nodes` [s, 2] are the start and the end of relative motions, `step` [s, 3] = forward,
     right (metres in the vehicle frame at the start) and clockwise turn (rad), `step_sigma`
     [s, 2] the sigma of the distance along one axis and of the turn. `heading_offset_sigma_rad` is
-    how far recorded headings may be off by one angle.
+    how far recorded headings may be off by one angle. `leapt` [l] are the nodes after which the
+    receiver's solution goes on elsewhere.
     """
 
     time_s: Float64
@@ -49,6 +56,7 @@ class Measurements(NamedTuple):
     step: Float64
     step_sigma: Float64
     heading_offset_sigma_rad: float = MOUNTING_SIGMA_RAD
+    leapt: Int64 = NOWHERE
 
     def part(self, start: int, stop: int) -> Measurements:
         """What was measured from node `start` to before node `stop`."""
@@ -57,10 +65,11 @@ class Measurements(NamedTuple):
         columns: dict[str, Any] = {
             name: column[start : stop - (name in between)]
             for name, column in self._asdict().items()
-            if isinstance(column, np.ndarray) and not name.startswith("step")
+            if isinstance(column, np.ndarray) and not name.startswith(("step", "leapt"))
         }
         return self._replace(
             **columns,
+            leapt=self.leapt[(self.leapt >= start) & (self.leapt < stop - 1)] - start,
             step_nodes=self.step_nodes[inside] - start,
             step=self.step[inside],
             step_sigma=self.step_sigma[inside],
@@ -86,6 +95,12 @@ class Measurements(NamedTuple):
             step=self.step[kept],
             step_sigma=self.step_sigma[kept],
         )
+
+    def leap_m2(self) -> Float64:
+        """By how much leaps raise the variance of the slow error's change [n - 1]."""
+        variance = np.zeros(max(len(self.time_s) - 1, 0))
+        variance[self.leapt] = LEAP_M**2
+        return variance
 
     def sees_turns(self) -> bool:
         """Whether a gyro or a camera saw how the vehicle turned, over most of the drive."""

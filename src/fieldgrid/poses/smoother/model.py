@@ -118,12 +118,12 @@ def add_rows(system, index, slope, residual, weight):  # type: ignore[no-untyped
 
 
 @kernel
-def add_motion(system, x, step_s, kept, steering, bias_m, bias_s, turned, seen, standing):  # type: ignore[no-untyped-def]
+def add_motion(system, x, step_s, kept, steering, bias_m, bias_s, leap_m2, turned, seen, standing):  # type: ignore[no-untyped-def]
     """The vehicle's own laws between neighbouring nodes, and its gyro [n - 1] (NaN: none), in place
     of whatever the matrix held: to clear a large one takes as long as this.
 
     Of the curvature the share `kept` [n - 1] goes on over each step, and what joins has the
-    variance `steering` [n - 1]. Over a hole
+    variance `steering` [n - 1]. Slow errors leap with the variance `leap_m2` [n - 1]. Over a hole
     (`seen` is False) only the gyro and the drifts go on. Of the weights only those of the steering
     and of the slow error enter the sum of their logarithms: the others are the same whatever is
     learnt.
@@ -156,7 +156,7 @@ def add_motion(system, x, step_s, kept, steering, bias_m, bias_s, turned, seen, 
             # is said forward and backward in time, and at each node it has the stated sigma.
             correlation = np.exp(-h / bias_s[k]) * min(one, two) / max(one, two)
             slope[0, 0] = slope[1, 0] = -correlation * two / one
-            variance[0] = variance[1] = two**2 * (1.0 - correlation**2)
+            variance[0] = variance[1] = two**2 * (1.0 - correlation**2) + leap_m2[k]
             total[1] -= 2.0 * np.log(variance[0])
             slope[2, 0], variance[2] = -1.0, GYRO_BIAS_NOISE**2 * h
             gyro = not np.isnan(turned[k])

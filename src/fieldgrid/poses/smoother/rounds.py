@@ -209,6 +209,7 @@ def linearized(
         *weights.steering,
         measured.bias_m,
         measured.bias_s,
+        measured.leap_m2(),
         (1.0 + gyro) * measured.turned_rad,
         measured.seen,
         measured.standing,
@@ -281,6 +282,17 @@ def _robust(stated: Weights, off: Residuals) -> Weights:
         stated.step * np.stack([distance, turn], axis=1),
         stated.steering,
     )
+
+
+def outlier_nats(problem: SmoothingProblem, found: Solution) -> float:
+    """How likely it is that fixes and steps err by as much more than they state as their weights
+    say: the prior of the weights, of which Student's distribution is made."""
+    stated, weights = stated_weights(problem.measured, found.weights.steering), found.weights
+    known = stated.fix[:, 0] > 0.0
+    fix = weights.fix[known, 0] / stated.fix[known, 0]
+    shares = np.concatenate([fix, (weights.step / stated.step).ravel()])
+    terms = np.log(shares) + 1.0 - shares
+    return OUTLIER_FREEDOM / 2.0 * float(np.cumsum(np.append(0.0, terms))[-1])
 
 
 def inverse(symmetric: Float64) -> Float64:

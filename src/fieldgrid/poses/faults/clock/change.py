@@ -11,10 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.core import Float64, Int64
-from fieldgrid.poses.faults.clock.search import ClockSearch
-
-WIDEST_S, APART_S = 2.5, 0.05
-"""Offsets are tried up to the widest, this far apart."""
+from fieldgrid.poses.faults.clock.search import COARSE_S, WIDEST_S, ClockSearch
 
 LEAST_CHANGE_S = 0.15
 """A smaller change is not told: at walking pace it is 15 cm."""
@@ -73,8 +70,8 @@ def found_change(search: ClockSearch) -> ClockChange | None:
 
 def _two_offsets(search: ClockSearch) -> ClockChange | None:
     """The best two offsets and where one follows the other; None with too few steps."""
-    count = round(WIDEST_S / APART_S)
-    offsets_s = APART_S * np.arange(-count, count + 1, dtype=np.float64)
+    count = round(WIDEST_S / COARSE_S)
+    offsets_s = COARSE_S * np.arange(-count, count + 1, dtype=np.float64)
     steps, squared = search.by_step(offsets_s)
     count = len(steps.start_ns)
     if count < 2 * FEWEST_ON_A_SIDE:

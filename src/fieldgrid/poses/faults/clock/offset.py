@@ -136,10 +136,11 @@ def _far_offsets(
 
     by_fixes = search(None)
     rough_s = by_fixes.rough()
-    found = [by_fixes.far(rough_s)]
+    found = [None if rough_s is None else by_fixes.best(rough_s)]
     if gyro is not None:
         by_gyro = search(gyro)
-        found.append(by_gyro.far(by_gyro.rough()))
+        near_s = by_gyro.rough()
+        found.append(None if near_s is None else by_gyro.best(near_s))
         if rough_s is not None and by_fixes.tells(rough_s):
             found.append(_together(fixes, steps, gyro, rough_s, axle, hints))
     # Steps of other moments bend a drive towards them, which fits them better than it should.

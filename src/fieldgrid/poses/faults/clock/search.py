@@ -196,10 +196,6 @@ class ClockSearch:
         lead = min(beside) - self.misfit(offset_s)
         return lead * len(self._inside(offset_s, 0.0).start_ns) > CLEAR_LEAD
 
-    def far(self, rough_s: float | None) -> ClockOffset | None:
-        """The best offset near where the steps fit best; None when there is no clear one."""
-        return None if rough_s is None else self.best(rough_s)
-
     def _in_metres(self, steps: Steps, offset_s: float) -> Steps:
         """Steps of which most are as long as those of the drive."""
         long = np.abs(steps.forward_m) > LEAST_STEP_M

@@ -55,10 +55,6 @@ class GyroVerdict(NamedTuple):
     unsure_deg: Float64
     finding: Finding | None = None
 
-    def unsure_at(self, time_ns: Int64) -> Float64:
-        """By how much headings are unsure at other instants, degrees."""
-        return np.asarray(np.interp(time_ns, self.drive.time_ns, self.unsure_deg))
-
 
 def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, Finding | None]:
     """The motion without a gyro that turns otherwise than the path, or of which the drive does not

@@ -12,6 +12,7 @@ import numpy as np
 from fieldgrid.core import Bool, Finding, Float64, Int64, warning
 from fieldgrid.geometry import Gyro, Inertial, Motion
 from fieldgrid.poses.accepted import AcceptedFixes
+from fieldgrid.poses.faults.gyro.check import CHECK
 from fieldgrid.poses.faults.gyro.sense import course_lines
 
 # Samples of a gyro that no vehicle makes: a sensor that is stuck, a word that was spoilt.
@@ -38,7 +39,15 @@ def without_faulty_samples(motion: Motion) -> tuple[Motion, Finding | None]:
     if gyro is None or len(gyro.time_ns) < 2:
         return motion, None
     wild = np.abs(gyro.rate_rad_s) > MOST_RATE_RAD_S
-    wild &= bool(wild.mean() < FEW)
+    if wild.mean() > FEW:
+        told = warning(
+            "gyro-unused",
+            f"The gyro turns faster than {np.degrees(MOST_RATE_RAD_S):.0f}°/s in "
+            f"{100.0 * wild.mean():.0f} % of its samples, which no vehicle does, so it was not "
+            "used.",
+            CHECK,
+        )
+        return motion._replace(gyro=None, inertial=None), told
     # Runs of equal values that last, of a gyro that is not used to say the same twice.
     first, last = runs_of_equal_rates(gyro.rate_rad_s)
     long = (gyro.time_ns[last] - gyro.time_ns[first]) / 1e9 > STUCK_S
