@@ -40,14 +40,14 @@ def without_faulty_samples(motion: Motion) -> tuple[Motion, Finding | None]:
         return motion, None
     wild = np.abs(gyro.rate_rad_s) > MOST_RATE_RAD_S
     if wild.mean() > FEW:
-        told = warning(
+        wrong_unit = warning(
             "gyro-unused",
             f"The gyro turns faster than {np.degrees(MOST_RATE_RAD_S):.0f}°/s in "
             f"{100.0 * wild.mean():.0f} % of its samples, which no vehicle does, so it was not "
             "used.",
             CHECK,
         )
-        return motion._replace(gyro=None, inertial=None), told
+        return motion._replace(gyro=None, inertial=None), wrong_unit
     # Runs of equal values that last, of a gyro that is not used to say the same twice.
     first, last = runs_of_equal_rates(gyro.rate_rad_s)
     long = (gyro.time_ns[last] - gyro.time_ns[first]) / 1e9 > STUCK_S
