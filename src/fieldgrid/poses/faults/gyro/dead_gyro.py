@@ -42,7 +42,7 @@ def without_faulty_samples(motion: Motion) -> tuple[Motion, str | None]:
     if wild.mean() > FEW:
         return motion._replace(gyro=None, inertial=None), (
             f"The gyro turns faster than {np.degrees(MOST_RATE_RAD_S):.0f}°/s in "
-            f"{100.0 * wild.mean():.0f} % of its samples, which no vehicle does: it {CHECK}"
+            f"{100.0 * wild.mean():.0f} % of its samples, which no vehicle does, so it {CHECK}"
         )
     # Runs of equal values that last, of a gyro that is not used to say the same twice.
     first, last = runs_of_equal_rates(gyro.rate_rad_s)
