@@ -36,7 +36,7 @@ def report() -> Iterator[str]:
     """A line for each denial, and their count."""
     random = np.random.default_rng(SEED)
     made = refused = denied = 0
-    by_camera = np.zeros(8, dtype=np.int64)
+    by_camera = np.zeros(7, dtype=np.int64)
     for name, logs in RENDERED:
         if not (DATA / name).exists():
             yield f"{name}: absent"

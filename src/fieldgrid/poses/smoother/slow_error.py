@@ -102,7 +102,7 @@ class LeapOdds(NamedTuple):
         before, after = _fixes_around(time_s[:-1], fix_s)
         first = np.searchsorted(time_s, np.minimum(before, time_s[:-1] - APART_S))
         stop = np.searchsorted(time_s, np.maximum(after, time_s[1:] + APART_S), side="right") - 1
-        at = np.flatnonzero(self.nats > 0.0)
+        at = np.flatnonzero((self.nats > 0.0) & (before < after))
         most = [first[k] + np.argmax(self.nats[first[k] : stop[k]]) for k in at.tolist()]
         return np.asarray(at[at == np.array(most, dtype=np.int64)])
 
