@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.core import Bool, Float64, Int64
-from fieldgrid.poses.faults.leaps.leaps import leaps, usual_period_s
+from fieldgrid.poses.faults.leaps.leaps import TORN_S, leaps, usual_period_s
 
 LEAST_M = 0.1
 """A smaller leap is none."""
@@ -142,7 +142,9 @@ def _solutions(
         one = _Stretch(int(first[k]), int(stop[k]), lasted_s, place, float(unsure_m2[k]))
         # After a leap a drive goes on elsewhere, or with what was before an excursion. What the
         # estimate saw leap does not come back so soon.
-        before = None if one.first in seen else _same(found, one, time_s, BRIEF_S + period_s)
+        before = (
+            None if one.first in seen else _same(found, one, points_m, time_s, BRIEF_S + period_s)
+        )
         if before is None:
             found.append(one)
         else:
@@ -164,17 +166,40 @@ def _solutions(
     )
 
 
-def _same(found: list[_Stretch], one: _Stretch, time_s: Float64, most_s: float) -> int | None:
+def _same(
+    found: list[_Stretch], one: _Stretch, points_m: Float64, time_s: Float64, most_s: float
+) -> int | None:
     """Which of the stretches before `one`, that ended no longer ago, is of the same solution: by
-    the leaps on the way it lies no farther off than a vehicle and noise may make."""
+    the leaps on the way or by the motion on both sides it lies no farther off than a vehicle and
+    noise may make."""
     for k in reversed(range(len(found))):
         last = found[k]
-        if time_s[one.first] - time_s[last.stop - 1] > most_s:
+        begins_s, ends_s = time_s[one.first], time_s[last.stop - 1]
+        if begins_s - ends_s > most_s:
             return None
-        off_m = np.hypot(*(one.place_m - last.place_m))
+        early, late = np.searchsorted(time_s, (ends_s - TORN_S, begins_s + TORN_S))
+        before = slice(max(last.first, int(early)), last.stop)
+        across_m = _across_m(points_m, time_s, before, slice(one.first, min(one.stop, int(late))))
+        off_m = min(np.hypot(*(one.place_m - last.place_m)), np.hypot(*across_m))
         if off_m <= FREE_SIGMAS * np.sqrt(one.unsure_m2 - last.unsure_m2):
             return k
     return None
+
+
+def _across_m(points_m: Float64, time_s: Float64, before: slice, after: slice) -> Float64:
+    """East and north by which the fixes in the rows `after` lie beside where the motion of both
+    sides leads from those `before`: medians, as a fix or two may be misplaced."""
+    paces = []
+    for rows in (before, after):
+        step_s = np.diff(time_s[rows])[:, None]
+        if len(step_s):
+            # A log may stamp several fixes alike.
+            paces.append(
+                np.median(np.diff(points_m[rows], axis=0) / np.maximum(step_s, 1e-3), axis=0)
+            )
+    pace = np.mean(paces, axis=0) if paces else np.zeros(2)
+    places_m = points_m - pace * time_s[:, None]
+    return np.asarray(np.median(places_m[after], axis=0) - np.median(places_m[before], axis=0))
 
 
 def _away(found: _Solutions, stated_m: Float64) -> tuple[Float64, Float64]:
