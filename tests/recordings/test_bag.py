@@ -154,9 +154,9 @@ def test_a_bag_without_images_is_tracked_by_its_fixes_and_motion(
     tracked = track_drive(path, carrier=Carrier(ahead_m=0.2))
     assert tracked.gnss_source == "/fix"
     assert len(tracked.estimate.fix_row) == 989
-    assert any("no pair of a left" in note for note in tracked.notes)
+    assert any("no pair of a left" in one.message for one in tracked.findings)
     # The IMU lies on its side, which nothing says but what it feels.
-    assert any("gravity is felt upward, along [0, 1, 0]" in note for note in tracked.notes)
+    assert any("gravity is felt upward, along [0, 1, 0]" in one.message for one in tracked.findings)
     # The others have headings that are too unsure: the gyro shows that the fixes drift smoothly by
     # more than they state.
     assert tracked.estimate.trajectory.accepted[tracked.estimate.fix_row].sum() > 600
@@ -213,7 +213,7 @@ def test_the_mounting_of_a_file_has_its_name_or_lies_in_its_folder(mcap: Path) -
     with pytest.raises(CalibrationError, match="fieldgrid mount"):
         open_recording(mcap)
     tracked = track_drive(mcap)
-    assert any("fieldgrid mount" in note for note in tracked.notes)
+    assert any("fieldgrid mount" in one.message for one in tracked.findings)
     assert tracked.estimate.trajectory.accepted.any()
 
 

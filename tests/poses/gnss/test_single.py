@@ -56,3 +56,9 @@ def test_two_parts_of_a_drive_in_the_wrong_order_are_one_drive() -> None:
 def test_a_row_that_comes_late_is_put_in_order() -> None:
     rows = [*range(20), *range(21, 50), 20, *range(50, len(FIXES))]
     assert used(FIXES[np.array(rows)]) == used(FIXES)
+
+
+def test_a_few_stamps_that_are_minutes_ahead_refuse_no_log() -> None:
+    at = np.arange(len(FIXES))
+    ahead_ns = 300_000_000_000 * ((at >= 40) & (at < 45))
+    assert used(FIXES.replace(time_ns=FIXES.time_ns + ahead_ns)) > 0.45
