@@ -37,10 +37,11 @@ def check_single(fixes: FixColumns) -> None:
     if len(back) != 1:
         return
     before, after = np.split(time_ns, back + 1)
-    again_ns = before.max() - after.min()
-    # A few stamps that are wrong cover little of that time.
-    covered_ns = np.sum(before > after.min()) * np.median(np.abs(np.diff(time_ns)))
-    if np.sum(after < before.max()) > 1 and covered_ns > again_ns / 2.0:
+    begins_ns, ends_ns = max(before.min(), after.min()), min(before.max(), after.max())
+    # A few stamps that are wrong, or come late, cover little of that time.
+    period_ns = np.median(np.abs(np.diff(time_ns)))
+    rows = min(int(np.sum((part > begins_ns) & (part < ends_ns))) for part in (before, after))
+    if rows * period_ns > max(ends_ns - begins_ns, 0) / 2.0:
         raise GnssError(
             f"The stamps of the log go back by {(before[-1] - after[0]) / 1e9:.1f} s at "
             f"{utc_text(int(before[-1]))} and run through that time again: a clock was set, or the "
