@@ -60,4 +60,4 @@ def report_remarks(report: Any) -> None:
     if len(bad) > _BAD_SHOWN:
         output.report_line(f"left out {len(bad) - _BAD_SHOWN} more frames; --json lists them all")
     for finding in in_order(report.findings):
-        output.report_finding(finding)
+        output.report_line(output.finding_line(finding))

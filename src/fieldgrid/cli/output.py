@@ -149,17 +149,8 @@ def report_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title
         print_table(columns, rows, title=title)
 
 
-def print_finding(finding: Finding) -> None:
-    """A finding on standard output: its severity, its code, the sentence and what to do."""
-    print(_finding(finding))
-
-
-def report_finding(finding: Finding) -> None:
-    """The same, where reports go."""
-    report_line(_finding(finding))
-
-
-def _finding(finding: Finding) -> str:
+def finding_line(finding: Finding) -> str:
+    """A finding on a line: its severity, its code, the sentence and what to do."""
     return f"{severity(finding.severity.value)} {finding.code}: {printable(finding.whole())}"
 
 

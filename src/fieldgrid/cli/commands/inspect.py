@@ -74,7 +74,7 @@ def _print(found: Inspection, figure: Path | None) -> None:
         output.print_table(columns, [_stream_row(stream) for stream in found.streams])
     output.print_line("")
     for finding in found.findings:
-        output.print_finding(finding)
+        print(output.finding_line(finding))
     verdict = "a build would succeed" if found.builds else "a build would fail"
     output.print_line(f"inspect {found.path or found.name}: {verdict}")
     if figure is not None:

@@ -169,7 +169,7 @@ def _report(
         reasons = "another reason" if len(more) == 1 else f"{len(more)} other reasons"
         output.report_line(f"rejected {count}: for {reasons}")
     for finding in in_order(drive.findings):
-        output.report_finding(finding)
+        output.report_line(output.finding_line(finding))
     if out is not None:
         output.report_line(f"track {out}")
     if figure is not None:
