@@ -85,7 +85,8 @@ def measure_fixes(hours: float = 4.0) -> tuple[float, float]:
         log = folder / "drive.nmea"
         lines = (folder / "gnss" / "rtk.nmea").read_bytes().splitlines(keepends=True)
         log.write_bytes(b"".join(line for line in lines if b"GST" not in line))
-        track = ["-m", "fieldgrid", "track", str(log), "-o", str(folder / "track.csv"), "-q"]
+        out = ["-o", str(folder / "track.csv"), "--overwrite", "-q"]
+        track = ["-m", "fieldgrid", "track", str(log), *out]
         used_by(track)  # the first compiles
         used = used_by(track)
         assert not used.said, used.said

@@ -16,6 +16,7 @@ from fieldgrid.core import (
     ConfigError,
     FieldgridError,
     Finding,
+    Severity,
     info,
     quoted,
     shortened,
@@ -128,7 +129,11 @@ def _repose(
             pose = replace(pose, status=Status.REJECTED, reason=no_ground(rig))
         camera, after[frame.frame_id] = camera.judged(frame.images_sha256, pose)
     config = {**session.config, "settings": settings.model_dump(mode="json")}
-    findings = estimate.report.findings
+    # What would stop a build stops no new poses of a drive that is in the map.
+    findings = tuple(
+        replace(one, severity=Severity.WARNING) if one.severity is Severity.ERROR else one
+        for one in estimate.report.findings
+    )
     if isinstance(rig.sensor, Lidar):
         driven = universal.trajectory(session.name, as_driven=True)
         used_ns = [pose.time_ns for pose in after.values() if pose.status is Status.OK]

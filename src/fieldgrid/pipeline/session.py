@@ -234,8 +234,7 @@ class NewSession:
                 f"No ground was found in the {len(staged.kept)} frames of {self.name}, so "
                 f"heights above it are not known. {hint_sentence(readings)}"
             )
-        unfit = camera_findings(recording, report, found, self.every)
-        report.findings += settled(unfit, settings)
+        report.findings += settled(camera_findings(recording, report, found, self.every), settings)
         trajectory = self._estimated(universal.datum, steps)
         report.heading_source = trajectory.heading_source
         with universal.add_session(

@@ -109,10 +109,12 @@ def estimate_poses(
         table = unsure_receiver(table, log.accepted)
     if source.kind == "smooth":
         gyros = [(found.trusted.drive.time_ns, found.trusted.unsure_deg)]
-        gyros += [checks.excused[1:]] if checks.excused is not None else []
+        if checks.excused is not None:
+            gyros.append((checks.excused.time_ns, checks.excused.unsure_deg))
         for node_ns, unsure_deg in gyros:
-            unsure_deg = np.interp(table.time_ns, node_ns, unsure_deg)
-            table = table._replace(heading_sigma_deg=np.hypot(table.heading_sigma_deg, unsure_deg))
+            by_gyro_deg = np.interp(table.time_ns, node_ns, unsure_deg)
+            sigma_deg = np.hypot(table.heading_sigma_deg, by_gyro_deg)
+            table = table._replace(heading_sigma_deg=sigma_deg)
     if lean is not None:
         table = unsure_lean(table, lean, level_grids=level_grids)
     elif axle.vehicle is not None:

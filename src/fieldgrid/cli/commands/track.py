@@ -132,14 +132,13 @@ def command(
         )
     summary = summarise_track(tracked.estimate)
     if as_json:
-        values = summary.as_dict()
         output.print_json(
             {
                 "track": None if out is None else str(out),
                 "figure": None if figure is None else str(figure),
                 "drive": tracked.name,
                 "gnss": tracked.gnss_source,
-                **values,
+                **summary.as_dict(),
                 "findings": [one.as_dict() for one in tracked.findings],
             }
         )
