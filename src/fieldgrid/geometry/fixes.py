@@ -94,6 +94,7 @@ class Fix(NamedTuple):
     pitch_deg: float | None = None
     roll_deg: float | None = None
     tilt_sigma_deg: float | None = None
+    stamp_sigma_s: float | None = None
 
     @property
     def position_sigma_m(self) -> float:
@@ -120,7 +121,8 @@ class FixColumns:
     between the antennas. `course_deg` is where the antenna moves, as the receiver says it. These
     angles are degrees clockwise from north, (-180, 180]. `pitch_deg` is by how much the axis that
     `heading_deg` is of rises (of two antennas the way from the first to the second), `roll_deg` by
-    how much its right side is down, `tilt_sigma_deg` the 1-sigma error of both.
+    how much its right side is down, `tilt_sigma_deg` the 1-sigma error of both. `stamp_sigma_s` is
+    how far the stamp may be off the clock of the gyro: 0 of a receiver and a gyro in one unit.
 
     What a source does not say is NaN, or `NOT_SAID` (-1) among integers. Columns are not to be
     written to. An integer as index gives a row (:class:`Fix`); a slice, a mask or an array of
@@ -144,6 +146,7 @@ class FixColumns:
     pitch_deg: Float64
     roll_deg: Float64
     tilt_sigma_deg: Float64
+    stamp_sigma_s: Float64
 
     def __post_init__(self) -> None:
         for name, column in self.columns().items():

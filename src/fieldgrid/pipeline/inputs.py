@@ -31,7 +31,7 @@ Arrays = dict[str, npt.NDArray[np.generic]]
 _LATER = frozenset({"steps.up_m", "steps.roll_deg", "steps.pitch_deg", "steps.tilt_sigma_deg"})
 """Columns that sessions of earlier versions do not have: they are NaN."""
 
-_IF_SAID = ("pitch_deg", "roll_deg", "tilt_sigma_deg")
+_IF_SAID = ("pitch_deg", "roll_deg", "tilt_sigma_deg", "stamp_sigma_s")
 """Columns of fixes that few logs say something in, and that are kept where they do."""
 
 _Part = TypeVar("_Part", Gyro, WheelSpeed, Steps, Inertial, RecordedTilt, GivenPoses, Orientation)

@@ -44,6 +44,7 @@ class AcceptedFixes(NamedTuple):
     speed_mps: Float64
     recorded_deg: Float64
     recorded_sigma_deg: Float64
+    stamp_sigma_s: Float64
     disputed: Bool
 
     def points_m(self) -> Float64:
@@ -92,6 +93,7 @@ def accepted_fixes(
         used.speed_mps,
         np.asarray(wrap_deg(used.heading_deg)),
         np.where(np.isnan(heading_sigma), UNSTATED_HEADING_SIGMA_DEG, heading_sigma),
+        used.stamp_sigma_s,
         np.diff(before, prepend=0) > 0,
     )
 

@@ -98,6 +98,7 @@ def measurements(
         step_nodes=ends,
         step=step,
         step_sigma=step_sigma,
+        one_clock=bool((fixes.stamp_sigma_s == 0.0).all()),
     )
 
 

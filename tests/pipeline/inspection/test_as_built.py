@@ -8,6 +8,9 @@ from pathlib import Path
 
 from fieldgrid.core import resolve
 from fieldgrid.pipeline import build_map, inspect_recording
+from fieldgrid.poses import estimate_poses
+from fieldgrid.recordings import open_recording
+from tests.told import codes
 
 SharedData = Callable[[str], Path]
 
@@ -38,3 +41,14 @@ def test_headings_are_tried_for_a_drive_without_a_pose(shared_data: SharedData) 
     assert "no-pose" in {one.code for one in found.findings}
     (lost,) = (one for one in found.findings if one.code == "frames-unusable")
     assert lost.remedy.startswith("With --heading recorded 78 have one.")
+
+
+def test_fixes_that_wander_have_no_wrong_stamps_in_the_unit_of_their_gyro(
+    shared_data: SharedData,
+) -> None:
+    """Without its images, which would show the way, a road drive is tracked all the same."""
+    drive = shared_data("kitti_2011_09_26_drive_0013_part")
+    with open_recording(drive) as recording:
+        found = estimate_poses(recording.fixes(), recording.rig, motion=recording.motion())
+    assert found.trajectory.accepted.all()
+    assert codes(found.report) == []

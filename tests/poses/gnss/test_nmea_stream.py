@@ -41,7 +41,7 @@ def stream(*chunks: bytes, **settings: int) -> list[Fix]:
 
 def test_the_log_of_these_tests_is_read_whole() -> None:
     assert len(FIXES) == 12
-    said = ("heading_sigma_deg", "roll_deg", "tilt_sigma_deg")
+    said = ("heading_sigma_deg", "roll_deg", "tilt_sigma_deg", "stamp_sigma_s")
     assert all(None not in fix._replace(**dict.fromkeys(said, 0.0)) for fix in FIXES)
 
 

@@ -372,7 +372,7 @@ def test_a_part_is_what_was_seen_there(one: int, two: int, every: int) -> None:
     between = {"turned_rad", "seen"}
     for name, column in part._asdict().items():
         whole = getattr(seen, name)
-        if isinstance(whole, float):
+        if isinstance(whole, float | bool):
             assert column == whole
             continue
         assert column.dtype == whole.dtype

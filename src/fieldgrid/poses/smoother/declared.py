@@ -210,6 +210,7 @@ def tested(
     turned = measured.sees_turns() or measured.records_headings()
     share = np.full(len(of), TOLD_SHARE)
     share[[AHEAD, LATE]] *= turned
+    share[LATE] *= not measured.one_clock
     share[ASIDE] *= turned and measured.sees_speed()
     usual = USUAL_SIGMAS[of]
     usual[AHEAD] = max(usual[AHEAD], problem.ahead_sigma_m)

@@ -37,7 +37,7 @@ class Measurements(NamedTuple):
     right (metres in the vehicle frame at the start) and clockwise turn (rad), `step_sigma`
     [s, 2] the sigma of the distance along one axis and of the turn. `heading_offset_sigma_rad` is
     how far recorded headings may be off by one angle. `leapt` [l] are the nodes after which the
-    receiver's solution goes on elsewhere.
+    receiver's solution goes on elsewhere. With `one_clock` gyro and fixes have the same one.
     """
 
     time_s: Float64
@@ -57,6 +57,7 @@ class Measurements(NamedTuple):
     step_sigma: Float64
     heading_offset_sigma_rad: float = MOUNTING_SIGMA_RAD
     leapt: Int64 = NOWHERE
+    one_clock: bool = False
 
     def part(self, start: int, stop: int) -> Measurements:
         """What was measured from node `start` to before node `stop`."""

@@ -70,6 +70,7 @@ def oxts_fixes(time_ns: Int64, rows: Float64) -> FixColumns:
         speed_mps=np.hypot(value["vf"], value["vl"]),
         heading_deg=heading_from_yaw_rad(value["yaw"]),
         heading_sigma_deg=_HEADING_SIGMA_DEG,
+        stamp_sigma_s=0.0,
     )
 
 
