@@ -34,27 +34,28 @@ from fieldgrid.poses.faults.clock.offset import ClockFindings, check_clock
 from fieldgrid.poses.faults.convention import FEW_TURNED_SHARE, Comparison
 from fieldgrid.poses.faults.denied import (
     DriveContradiction,
+    declared_doubt,
     denied_by,
-    unsure_declared,
     with_whole_place,
 )
 from fieldgrid.poses.faults.excused import GyroExcuse, excused
 from fieldgrid.poses.faults.explained import explained
 from fieldgrid.poses.faults.unseen import (
     accuracy_findings,
+    receiver_doubt,
     unseen_faults,
     unseen_findings,
     unseen_of_given,
-    unsure_receiver,
 )
 from fieldgrid.poses.fused import Fusion, conditioned, fuse
 from fieldgrid.poses.gates.conditioning import condition
 from fieldgrid.poses.gates.summary import summarise
-from fieldgrid.poses.levelled import leaning, tells_attitude, track_m, unsure_lean
+from fieldgrid.poses.levelled import lean_doubt, leaning, tells_attitude, track_m
 from fieldgrid.poses.measured import RecordedHeadings
 from fieldgrid.poses.report import Estimate, PoseReport, drive_findings, fix_offset
 from fieldgrid.poses.settings import HeadingSource, heading_source
-from fieldgrid.poses.slope import slope_findings, unsure_slope
+from fieldgrid.poses.sigmas import Doubt, as_unsure
+from fieldgrid.poses.slope import slope_doubt, slope_findings
 from fieldgrid.poses.table import PoseTable, pose_table
 from fieldgrid.poses.verdict import ErrorBudget, judged
 
@@ -105,27 +106,24 @@ def estimate_poses(
     checks = _checked(found, drive, rig, source, recorded)
     # A row for each fix and each instant between, as unsure as all of that makes it.
     table, fix_row = pose_table(source, log, drive, recorded_deg, axle.vehicle, settings)
+    at_ns, doubts = table.time_ns, list[Doubt]()
     if settings.accuracy_m is None:
-        table = unsure_receiver(table, log.accepted)
-    if source.kind == "smooth":
-        gyros = [(found.trusted.drive.time_ns, found.trusted.unsure_deg)]
-        if checks.excused is not None:
-            gyros.append((checks.excused.time_ns, checks.excused.unsure_deg))
-        for node_ns, unsure_deg in gyros:
-            by_gyro_deg = np.interp(table.time_ns, node_ns, unsure_deg)
-            sigma_deg = np.hypot(table.heading_sigma_deg, by_gyro_deg)
-            table = table._replace(heading_sigma_deg=sigma_deg)
+        doubts.append(receiver_doubt(at_ns, log.accepted))
     if lean is not None:
-        table = unsure_lean(table, lean, level_grids=level_grids)
+        doubts.append(lean_doubt(at_ns, lean, level_grids=level_grids))
     elif axle.vehicle is not None:
         ground = expected_ground(track_m(log.accepted), 0.0)
         seen = drive.measured.sees_turns()
-        table = unsure_slope(table, ground, axle.vehicle, turns_seen=seen)
+        doubts.append(slope_doubt(ground, axle.vehicle, turns_seen=seen))
         findings += slope_findings(ground, axle.vehicle)
-    # Carried to the grid origin, and judged.
-    table = _carried(table, axle.vehicle, source)
     if source.kind == "smooth":
-        table = unsure_declared(table, drive, axle.vehicle, checks.denied)
+        doubts.append(declared_doubt(at_ns, drive, axle.vehicle, checks.denied))
+        gyros = [(found.trusted.drive.time_ns, found.trusted.unsure_deg)]
+        if checks.excused is not None:
+            gyros.append((checks.excused.time_ns, checks.excused.unsure_deg))
+        doubts += [Doubt(heading_deg=np.interp(at_ns, *gyro)) for gyro in gyros]
+    # Carried to the grid origin, and judged.
+    table = as_unsure(_carried(table, axle.vehicle, source), doubts)
     trajectory = judged(table, log.datum, settings, budget, str(source))
     if lean is not None:
         trajectory = leaning(trajectory, lean, level_grids=level_grids)
@@ -292,6 +290,11 @@ def _recorded(
             "The recorded heading turns around during the drive, and was not used: it is "
             f"{found.offset_deg:z.0f}° off the nose at the {found.compared} fixes where that is "
             f"known best, and the other way round at {100.0 * found.flipped:.0f} % of all."
+        )
+    elif found.scatters:
+        note = (
+            f"The recorded heading scatters by {found.scatter_deg:.0f}° about that of the drive, "
+            "so that one of the two is wrong, and was not used."
         )
     if note:
         if source.kind == "recorded":

@@ -285,6 +285,7 @@ def _stated_axes(found: Fusion, settings: PoseSettings) -> tuple[AxisTilt, ...]:
         heading is None
         or heading.course
         or heading.flips
+        or heading.scatters
         or heading.is_denied(settings.max_heading_offset_deg)
     ):
         return ()

@@ -94,7 +94,7 @@ def judged(
         north_m=table.north_m,
         up_m=table.up_m,
         heading_deg=table.heading_deg,
-        position_sigma_m=np.hypot(table.position_sigma_m, table.offset_m / np.sqrt(2.0)),
+        position_sigma_m=table.position_sigma_m,
         heading_sigma_deg=table.heading_sigma_deg,
         speed_mps=table.speed_mps,
         gear=table.gear,

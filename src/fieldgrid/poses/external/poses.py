@@ -46,6 +46,7 @@ from fieldgrid.poses.external.motion import Chords, chords_of, course_off_headin
 from fieldgrid.poses.faults.unseen import accuracy_findings, unsure_fit_m
 from fieldgrid.poses.gates.conditioning import condition
 from fieldgrid.poses.gates.verdict import Gate
+from fieldgrid.poses.sigmas import Doubt, as_unsure
 from fieldgrid.poses.table import ConditionedLog, PoseTable
 from fieldgrid.poses.verdict import ErrorBudget, judged
 
@@ -275,18 +276,22 @@ def _table(
     )
     beyond_m = np.sqrt(max(scatter_m**2 - slow_m**2, 0.0))
     turned_deg = wander_deg * np.sqrt(1.0 + alone_m / DRIFT_M)
-    heading_sigma = np.hypot(found.frame_heading_sigma_deg, turned_deg)
+    doubts = (
+        Doubt(found.sigma_m(place), heading_deg=found.frame_heading_sigma_deg),
+        Doubt(scatter_m, beyond_m),
+        Doubt(drifted_m, drifted_m, turned_deg),
+    )
     still = resting(chords)
     speed = np.where(still, 0.0, chords.ahead_m / chords.seconds)
-    return PoseTable(
+    table = PoseTable(
         poses.time_ns,
         place[:, 0],
         place[:, 1],
         poses.z_m + found.up_m,
         np.asarray(wrap_deg(poses.heading_deg + found.frame_heading_deg - 90.0)),
-        heading_sigma,
-        np.linalg.norm([found.sigma_m(place), np.full(n, scatter_m), drifted_m], axis=0),
-        np.hypot(beyond_m, drifted_m),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
         speed,
         np.sign(speed).astype(np.int64),
         np.zeros(n),
@@ -297,6 +302,7 @@ def _table(
         [""] * n,
         remark,
     )
+    return as_unsure(table, doubts)
 
 
 def _ends(offset_m: Float64, stated_m: Float64) -> tuple[Float64, Float64]:

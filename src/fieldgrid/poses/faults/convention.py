@@ -54,6 +54,11 @@ class Comparison(NamedTuple):
         """Whether it is the other way round in most of the drive than where it was compared."""
         return self.flipped > 0.5
 
+    @property
+    def scatters(self) -> bool:
+        """Whether the two are so far apart here and there that one of them is none."""
+        return self.offset_sigma_deg > SURE_DEG
+
     def is_denied(self, most_offset_deg: float) -> bool:
         """Whether the drive denies what is declared of the heading."""
         return self.mirrored or abs(self.offset_deg) > most_offset_deg

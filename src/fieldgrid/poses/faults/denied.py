@@ -11,12 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Finding, Float64, warning
+from fieldgrid.core import Finding, Float64, Int64, warning
 from fieldgrid.geometry import Rig, VehicleGeometry
 from fieldgrid.poses.axle import names_axle
 from fieldgrid.poses.drive import DriveEstimate
 from fieldgrid.poses.faults.clock.offset import ClockFindings
 from fieldgrid.poses.settled import settled
+from fieldgrid.poses.sigmas import Doubt
 from fieldgrid.poses.smoother.declared import (
     AHEAD,
     ASIDE,
@@ -25,7 +26,6 @@ from fieldgrid.poses.smoother.declared import (
     Constant,
 )
 from fieldgrid.poses.smoother.model import PHI
-from fieldgrid.poses.table import PoseTable
 
 FAR_M = 1.0
 """A drive that denies a fault only beyond this error does not see it."""
@@ -116,24 +116,27 @@ def with_whole_place(
     return denied._replace(ahead_m=ahead_m, off_m=np.maximum(denied.off_m, abs(ahead_m.value)))
 
 
-def unsure_declared(
-    table: PoseTable,
+LEAST_HEADING_SIGMA_DEG = 0.3
+"""What no measurement shows: an axle out of line, a vehicle that crabs on a side slope."""
+
+
+def declared_doubt(
+    time_ns: Int64,
     drive: DriveEstimate,
     vehicle: VehicleGeometry | None,
     denied: DriveContradiction,
-) -> PoseTable:
-    """The poses, as unsure as what was declared of the vehicle leaves them.
-    Neighbours share this error. Of a log alone poses are those of the antenna, in its own clock."""
+) -> Doubt:
+    """How unsure what was declared of the vehicle leaves poses. Neighbours share this error of
+    their positions. Of a log alone poses are those of the antenna, in its own clock."""
     unsure = drive.smoothed.unsure
     unsure_m = unsure.axle_m if isinstance(vehicle, Rig) else unsure.antenna_m
     unsure_m = np.maximum(unsure_m, denied.off_m / np.sqrt(2.0))
     phi, time_s = drive.smoothed.state[:, PHI], drive.measured.time_s
-    turned_deg = np.degrees(np.interp(time_s + denied.may_be_late_s, time_s, phi) - phi)
-    node = np.clip(np.searchsorted(drive.time_ns, table.time_ns), 0, len(unsure_m) - 1)
-    return table._replace(
-        position_sigma_m=np.hypot(table.position_sigma_m, unsure_m[node]),
-        heading_sigma_deg=np.hypot(table.heading_sigma_deg, turned_deg[node]),
-    )
+    turned_rad = np.interp(time_s + denied.may_be_late_s, time_s, phi) - phi
+    turned_deg = np.degrees(np.hypot(turned_rad, unsure.heading_rad))
+    node = np.clip(np.searchsorted(drive.time_ns, time_ns), 0, len(unsure_m) - 1)
+    heading_deg = np.hypot(turned_deg, LEAST_HEADING_SIGMA_DEG)
+    return Doubt(position_m=unsure_m[node], heading_deg=heading_deg[node])
 
 
 def denied_findings(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[Finding]:

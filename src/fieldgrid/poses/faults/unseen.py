@@ -13,15 +13,15 @@ from enum import StrEnum
 
 import numpy as np
 
-from fieldgrid.core import Finding, Float64, Quality, info
+from fieldgrid.core import Finding, Float64, Int64, Quality, info
 from fieldgrid.geometry import Rig, Trajectory, VehicleGeometry, least_sigma_m, position_sigma_m
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.axle import names_axle
 from fieldgrid.poses.drive import DRIVING_MPS, DriveEstimate
 from fieldgrid.poses.external.georeference import Georeference
 from fieldgrid.poses.faults.denied import CLEAR_SIGMAS, FAR_M
+from fieldgrid.poses.sigmas import Doubt
 from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, IMAGES, LATE, Constant
-from fieldgrid.poses.table import PoseTable
 
 FIXED_NEAR_S = 60.0
 """A float solution so near in time to a fixed one is hardly worse than it states."""
@@ -119,18 +119,17 @@ def unseen_findings(faults: Sequence[UnseenFault]) -> Iterator[Finding]:
         yield info("unseen", f"This drive would not show {named}; no sigma covers that.")
 
 
-def unsure_receiver(table: PoseTable, fixes: AcceptedFixes) -> PoseTable:
-    """The poses, their positions as unsure as if the receiver had stated at least
-    `least_sigma_m`. Neighbours share it.
+def receiver_doubt(time_ns: Int64, fixes: AcceptedFixes) -> Doubt:
+    """What makes positions as unsure as if the receiver had stated at least `least_sigma_m`.
+    Neighbours share it.
 
     The missing variance is added, and is linear in time from one fix to the next: in a gap the
     estimate passes from the error of one end to that of the other, and what it drifts itself is
     not the receiver's.
     """
     first_ns = fixes.time_ns[0]
-    at_ns, fix_ns = table.time_ns - first_ns, fixes.time_ns - first_ns
-    missing_m2 = np.interp(at_ns, fix_ns, _missing_m2(fixes))
-    return table._replace(position_sigma_m=np.sqrt(table.position_sigma_m**2 + missing_m2))
+    at_ns, fix_ns = time_ns - first_ns, fixes.time_ns - first_ns
+    return Doubt(position_m=np.sqrt(np.interp(at_ns, fix_ns, _missing_m2(fixes))))
 
 
 def unsure_fit_m(fixes: AcceptedFixes) -> float:

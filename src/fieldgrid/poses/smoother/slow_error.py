@@ -97,12 +97,13 @@ class LeapOdds(NamedTuple):
     sigma_m: Float64
 
     def likeliest(self, time_s: Float64, fix_s: Float64) -> Int64:
-        """The nodes before those that may be leaps, each the likeliest for some seconds around;
-        between two of the fixes at `fix_s` there is one."""
+        """The nodes before those that are rather leaps than not, each the likeliest for some
+        seconds around; between two of the fixes at `fix_s` there is one."""
         before, after = _fixes_around(time_s[:-1], fix_s)
+        odds = self.nats + _rare_nats(after - before)
         first = np.searchsorted(time_s, np.minimum(before, time_s[:-1] - APART_S))
         stop = np.searchsorted(time_s, np.maximum(after, time_s[1:] + APART_S), side="right") - 1
-        at = np.flatnonzero((self.nats > 0.0) & (before < after))
+        at = np.flatnonzero((odds > 0.0) & (before < after))
         most = [first[k] + np.argmax(self.nats[first[k] : stop[k]]) for k in at.tolist()]
         return np.asarray(at[at == np.array(most, dtype=np.int64)])
 
@@ -167,7 +168,12 @@ class SlowChanges(NamedTuple):
 def rare_nats(measured: Measurements, fix_s: Float64) -> float:
     """How likely leaps are before a drive, each at any time between two of the fixes at `fix_s`."""
     before, after = _fixes_around(measured.time_s[measured.leapt], fix_s)
-    return float(np.log(np.minimum((after - before) / LEAP_EVERY_S, 1.0)).sum())
+    return float(_rare_nats(after - before).sum())
+
+
+def _rare_nats(gap_s: Float64) -> Float64:
+    """How likely a leap is before a drive in a gap between two fixes."""
+    return np.asarray(np.log(np.clip(gap_s / LEAP_EVERY_S, 1e-9, 1.0)))
 
 
 def _fixes_around(time_s: Float64, fix_s: Float64) -> tuple[Float64, Float64]:
