@@ -81,6 +81,7 @@ def unseen_faults(
         # Only turns show stamps that are late beside a gyro's or a camera's: what moves the antenna
         # ahead shows there, too.
         UnseenFault.LATE_STAMPS: placed
+        and not drive.measured.one_clock
         and not (turns and _is_told(ahead_m) and _is_told(late_s, usual_mps)),
         UnseenFault.SLOW_DRIFT: not (smooth and declared.tells_drift(FAR_M)),
     }
