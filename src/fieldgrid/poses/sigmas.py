@@ -21,10 +21,9 @@ class Doubt(NamedTuple):
 
 
 def as_unsure(table: PoseTable, doubts: Iterable[Doubt]) -> PoseTable:
-    """The poses with all reasons for doubt, which are independent of each other; that the fixes
-    around a pose lie beside it is one."""
+    """The poses with some reasons for doubt, which are independent of each other."""
     variances = [table.position_sigma_m**2, table.relative_sigma_m**2, table.heading_sigma_deg**2]
-    for doubt in (*doubts, Doubt(position_m=table.offset_m / np.sqrt(2.0))):
+    for doubt in doubts:
         variances = [sum_ + np.square(one) for sum_, one in zip(variances, doubt, strict=True)]
     position_m, relative_m, heading_deg = (np.sqrt(variance) for variance in variances)
     return table._replace(

@@ -9,6 +9,7 @@ import numpy as np
 
 from fieldgrid.core import Bool, PoseSettings
 from fieldgrid.geometry import Datum, Status, Trajectory
+from fieldgrid.poses.sigmas import Doubt, as_unsure
 from fieldgrid.poses.table import PoseTable
 
 
@@ -82,8 +83,10 @@ def judged(
     budget: ErrorBudget | None,
     heading_source: str,
 ) -> Trajectory:
-    """Rows of the grid origin, each with its verdict."""
+    """Rows of the grid origin, each with its verdict. That the fixes around a pose lie beside it
+    has a verdict of its own, and then counts in its sigma."""
     refused = refusals(table, settings, budget)
+    table = as_unsure(table, [Doubt(position_m=table.offset_m / np.sqrt(2.0))])
     good = [Status.HELD if rests else Status.OK for rests in table.resting.tolist()]
     status = [Status.REJECTED if why else ok for why, ok in zip(refused, good, strict=True)]
     reason = [why or remark for why, remark in zip(refused, table.remark, strict=True)]

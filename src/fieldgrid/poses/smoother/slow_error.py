@@ -97,13 +97,13 @@ class LeapOdds(NamedTuple):
     sigma_m: Float64
 
     def likeliest(self, time_s: Float64, fix_s: Float64) -> Int64:
-        """The nodes before those that are rather leaps than not, each the likeliest for some
-        seconds around; between two of the fixes at `fix_s` there is one."""
+        """The nodes before those that may be leaps, each the likeliest for some seconds around;
+        between two of the fixes at `fix_s` there is one. None where each is rather none."""
         before, after = _fixes_around(time_s[:-1], fix_s)
         odds = self.nats + _rare_nats(after - before)
         first = np.searchsorted(time_s, np.minimum(before, time_s[:-1] - APART_S))
         stop = np.searchsorted(time_s, np.maximum(after, time_s[1:] + APART_S), side="right") - 1
-        at = np.flatnonzero((odds > 0.0) & (before < after))
+        at = np.flatnonzero((self.nats > 0.0) & (before < after) & (odds > 0.0).any())
         most = [first[k] + np.argmax(self.nats[first[k] : stop[k]]) for k in at.tolist()]
         return np.asarray(at[at == np.array(most, dtype=np.int64)])
 
