@@ -78,6 +78,9 @@ def _believable(speed_mps: Float64, moved_m: Float64, span_s: Float64) -> bool:
     return bool(0.5 < np.median(speed_mps[moving] / driven[moving]) < 2.0)
 
 
+LEAST_HEADING_SIGMA_DEG = 0.3
+"""What no measurement shows: an axle out of line, a vehicle that crabs on a side slope."""
+
 TURNING_RAD_S = np.radians(4.0)
 """A faster turn than a gyro's bias and a shaking engine make is one."""
 
@@ -290,9 +293,10 @@ def _drive(
     doubt = np.where(_near_recorded(measured), 0.0, doubt)
     against = (speed * assigned < -DRIVING_MPS) & ~resting
     doubt = np.where(lasting(against, measured.time_s), 1.0, doubt)
-    sigma_deg = np.degrees(smoothed.heading_sigma_rad)
+    sigma_deg = np.hypot(np.degrees(smoothed.heading_sigma_rad), LEAST_HEADING_SIGMA_DEG)
     if resting.all() and not np.isfinite(measured.heading_rad).any():
         sigma_deg = np.full(len(resting), 180.0)  # what wanders is no motion
+    sigma_deg = np.hypot(sigma_deg, np.degrees(smoothed.unsure.heading_rad))
     # For how long the error of a float solution lasts is a guess; if it lasts, no mean over the
     # drive makes it smaller than stated.
     last = np.maximum(np.searchsorted(fixes.time_ns, at.time_ns, side="right") - 1, 0)

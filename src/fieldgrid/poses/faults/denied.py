@@ -116,10 +116,6 @@ def with_whole_place(
     return denied._replace(ahead_m=ahead_m, off_m=np.maximum(denied.off_m, abs(ahead_m.value)))
 
 
-LEAST_HEADING_SIGMA_DEG = 0.3
-"""What no measurement shows: an axle out of line, a vehicle that crabs on a side slope."""
-
-
 def declared_doubt(
     time_ns: Int64,
     drive: DriveEstimate,
@@ -132,11 +128,9 @@ def declared_doubt(
     unsure_m = unsure.axle_m if isinstance(vehicle, Rig) else unsure.antenna_m
     unsure_m = np.maximum(unsure_m, denied.off_m / np.sqrt(2.0))
     phi, time_s = drive.smoothed.state[:, PHI], drive.measured.time_s
-    turned_rad = np.interp(time_s + denied.may_be_late_s, time_s, phi) - phi
-    turned_deg = np.degrees(np.hypot(turned_rad, unsure.heading_rad))
+    turned_deg = np.degrees(np.interp(time_s + denied.may_be_late_s, time_s, phi) - phi)
     node = np.clip(np.searchsorted(drive.time_ns, time_ns), 0, len(unsure_m) - 1)
-    heading_deg = np.hypot(turned_deg, LEAST_HEADING_SIGMA_DEG)
-    return Doubt(position_m=unsure_m[node], heading_deg=heading_deg[node])
+    return Doubt(position_m=unsure_m[node], heading_deg=turned_deg[node])
 
 
 def denied_findings(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[Finding]:

@@ -98,9 +98,10 @@ class LeapOdds(NamedTuple):
 
     def likeliest(self, time_s: Float64, fix_s: Float64) -> Int64:
         """The nodes before those that may be leaps, each the likeliest for some seconds around;
-        between two of the fixes at `fix_s` there is one. None where each is rather none."""
+        between two of the fixes at `fix_s` there is one. None where none is likely, were all that
+        is told of it counted twice."""
         before, after = _fixes_around(time_s[:-1], fix_s)
-        odds = self.nats + _rare_nats(after - before)
+        odds = self.nats / TOLD_SHARE + _rare_nats(after - before)
         first = np.searchsorted(time_s, np.minimum(before, time_s[:-1] - APART_S))
         stop = np.searchsorted(time_s, np.maximum(after, time_s[1:] + APART_S), side="right") - 1
         at = np.flatnonzero((self.nats > 0.0) & (before < after) & (odds > 0.0).any())
