@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.core import Float64, Int64
-from fieldgrid.poses.smoother.envelope import STATES, solve
+from fieldgrid.poses.smoother.envelope import STATES, backward, forward
 from fieldgrid.poses.smoother.equations import CONSTANTS
 from fieldgrid.poses.smoother.model import (
     ACROSS_NOISE,
@@ -252,17 +252,18 @@ def _told(
 ) -> tuple[Float64, Float64, Float64]:
     """How all states follow the numbers [states, k], the information matrix [k, k] of these, and
     their right side [k]."""
-    border, beside, corner, right = couplings(problem, found, of)
-    followed = border.copy()
-    solve(linear.system.shape, linear.system.values, followed)
-    # Not by BLAS, whose sums are in another order where another thread uses it, too.
-    right = right - np.einsum("sa,s->a", followed, linear.system.right)
-    information = corner - np.einsum("sa,sb->ab", border, followed)
-    if len(linear.active):
-        aside = np.einsum("sc,sa->ca", linear.coupling, border) - beside[linear.active]
+    system, active = linear.system, linear.active
+    followed, beside, corner, right = couplings(problem, found, of)
+    # Solved in place, as it is large of a long drive, and not by BLAS, whose sums are in another
+    # order where another thread uses it, too.
+    forward(system.shape, system.values, followed)
+    information = corner - np.einsum("sa,sb->ab", followed, followed)
+    backward(system.shape, system.values, followed)
+    right = right - np.einsum("sa,s->a", followed, system.right)
+    if len(active):
+        aside = np.einsum("sc,sa->ca", system.border[:, active], followed) - beside[active]
         constants = inverse(linear.schur) @ aside
         information = information - aside.T @ constants
-        del border  # as large as what follows, of a long drive
         followed += np.einsum("sc,ca->sa", linear.coupling, constants)
     return followed, information, right
 

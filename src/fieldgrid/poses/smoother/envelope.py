@@ -148,9 +148,15 @@ def factor(shape, values):  # type: ignore[no-untyped-def]
     return log_determinant
 
 
-@kernel
-def solve(shape, values, x):  # type: ignore[no-untyped-def]
+def solve(shape: Envelope, values: Float64, x: Float64) -> None:
     """Replace right sides [n, m] by the solutions of the systems whose factor is in `values`."""
+    forward(shape, values, x)
+    backward(shape, values, x)
+
+
+@kernel
+def forward(shape, values, x):  # type: ignore[no-untyped-def]
+    """Replace right sides [n, m] by the solutions with the factor alone."""
     first, start = shape[0], shape[1]
     # A node's own unknowns side by side, so that the processor works on several of them at once.
     own = np.empty(STATES)
@@ -170,6 +176,13 @@ def solve(shape, values, x):  # type: ignore[no-untyped-def]
                     own[b] -= values[row + k] * own[k]
                 own[b] /= values[row + b]
                 x[i + b, m] = own[b]
+
+
+@kernel
+def backward(shape, values, x):  # type: ignore[no-untyped-def]
+    """Replace right sides [n, m] by the solutions with the transposed factor alone."""
+    first, start = shape[0], shape[1]
+    own = np.empty(STATES)
     for node in range(len(first) - 1, -1, -1):
         at, f, i = start[node], STATES * first[node], STATES * node
         before = i - f
