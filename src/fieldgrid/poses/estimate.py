@@ -54,7 +54,7 @@ from fieldgrid.poses.levelled import lean_doubt, leaning, tells_attitude, track_
 from fieldgrid.poses.measured import RecordedHeadings
 from fieldgrid.poses.report import Estimate, PoseReport, drive_findings, fix_offset
 from fieldgrid.poses.settings import HeadingSource, heading_source
-from fieldgrid.poses.sigmas import Doubt, as_unsure
+from fieldgrid.poses.sigmas import AddedSigma, as_unsure
 from fieldgrid.poses.slope import slope_doubt, slope_findings
 from fieldgrid.poses.table import PoseTable, pose_table
 from fieldgrid.poses.verdict import ErrorBudget, judged
@@ -106,7 +106,7 @@ def estimate_poses(
     checks = _checked(found, drive, rig, source, recorded)
     # A row for each fix and each instant between, as unsure as all of that makes it.
     table, fix_row = pose_table(source, log, drive, recorded_deg, axle.vehicle, settings)
-    at_ns, doubts = table.time_ns, list[Doubt]()
+    at_ns, doubts = table.time_ns, list[AddedSigma]()
     if settings.accuracy_m is None:
         doubts.append(receiver_doubt(at_ns, log.accepted))
     if lean is not None:
@@ -121,7 +121,7 @@ def estimate_poses(
         gyros = [(found.trusted.drive.time_ns, found.trusted.unsure_deg)]
         if checks.excused is not None:
             gyros.append((checks.excused.time_ns, checks.excused.unsure_deg))
-        doubts += [Doubt(heading_deg=np.interp(at_ns, *gyro)) for gyro in gyros]
+        doubts += [AddedSigma(heading_deg=np.interp(at_ns, *gyro)) for gyro in gyros]
     # Carried to the grid origin, and judged.
     table = as_unsure(_carried(table, axle.vehicle, source), doubts)
     trajectory = judged(table, log.datum, settings, budget, str(source))

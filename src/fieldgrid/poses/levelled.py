@@ -35,7 +35,7 @@ from fieldgrid.poses.attitude.estimate import estimate_attitude
 from fieldgrid.poses.attitude.track import AntennaTrack, KnownHeadings
 from fieldgrid.poses.axle import axle_forward_m
 from fieldgrid.poses.drive import DriveEstimate
-from fieldgrid.poses.sigmas import Doubt
+from fieldgrid.poses.sigmas import AddedSigma
 
 SUSPECT_PUSH_MISFIT, MOST_PUSH_MISFIT = 0.45, 8.0
 """An accelerometer that is this number of sigmas from the motion of the fixes may be mounted
@@ -252,9 +252,9 @@ def leaning(trajectory: Trajectory, lean: Lean, *, level_grids: bool) -> Traject
     )
 
 
-def lean_doubt(time_ns: Int64, lean: Lean, *, level_grids: bool) -> Doubt:
+def lean_doubt(time_ns: Int64, lean: Lean, *, level_grids: bool) -> AddedSigma:
     """What an unsure lean of the antenna above the origin does to positions."""
     at = lean.attitude.at(time_ns)
     above_m = abs(float(lean.antenna_m[2]) - (float(lean.sensor_m[2]) if level_grids else 0.0))
     off_m = above_m * np.radians(np.maximum(at.roll_sigma_deg, at.pitch_sigma_deg))
-    return Doubt(position_m=off_m, relative_m=off_m)
+    return AddedSigma(position_m=off_m, relative_m=off_m)

@@ -11,7 +11,7 @@ from fieldgrid.core import Float64
 from fieldgrid.poses.table import PoseTable
 
 
-class Doubt(NamedTuple):
+class AddedSigma(NamedTuple):
     """One reason why poses are less sure, 1-sigma, [n] or one number for all: their `position_m`
     along one axis, the same beside their neighbours, `relative_m`, and their `heading_deg`."""
 
@@ -20,7 +20,7 @@ class Doubt(NamedTuple):
     heading_deg: Float64 | float = 0.0
 
 
-def as_unsure(table: PoseTable, doubts: Iterable[Doubt]) -> PoseTable:
+def as_unsure(table: PoseTable, doubts: Iterable[AddedSigma]) -> PoseTable:
     """The poses with some reasons for doubt, which are independent of each other."""
     variances = [table.position_sigma_m**2, table.relative_sigma_m**2, table.heading_sigma_deg**2]
     for doubt in doubts:

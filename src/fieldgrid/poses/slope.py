@@ -13,18 +13,18 @@ import numpy as np
 from fieldgrid.core import Finding, warning
 from fieldgrid.geometry import VehicleGeometry
 from fieldgrid.poses.attitude.ground import ExpectedGround
-from fieldgrid.poses.sigmas import Doubt
+from fieldgrid.poses.sigmas import AddedSigma
 
 TOLD_DEG = 3.0
 """A steeper slope, of which nothing tells how the vehicle leans, is worth a word."""
 
 
-def slope_doubt(ground: ExpectedGround, rig: VehicleGeometry, *, turns_seen: bool) -> Doubt:
+def slope_doubt(ground: ExpectedGround, rig: VehicleGeometry, *, turns_seen: bool) -> AddedSigma:
     """What an unknown lean of the antenna above the ground does to poses. To their positions it is
     common to neighbours; a heading that gyro or camera saw turn does not hang on the antenna's
     track."""
     turned_deg = 0.0 if turns_seen else float(np.degrees(abs(rig.antenna.up_m) * ground.bent))
-    return Doubt(position_m=_off_m(ground, rig), heading_deg=turned_deg)
+    return AddedSigma(position_m=_off_m(ground, rig), heading_deg=turned_deg)
 
 
 def _off_m(ground: ExpectedGround, rig: VehicleGeometry) -> float:

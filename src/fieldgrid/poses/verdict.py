@@ -9,7 +9,7 @@ import numpy as np
 
 from fieldgrid.core import Bool, PoseSettings
 from fieldgrid.geometry import Datum, Status, Trajectory
-from fieldgrid.poses.sigmas import Doubt, as_unsure
+from fieldgrid.poses.sigmas import AddedSigma, as_unsure
 from fieldgrid.poses.table import PoseTable
 
 
@@ -86,7 +86,7 @@ def judged(
     """Rows of the grid origin, each with its verdict. That the fixes around a pose lie beside it
     has a verdict of its own, and then counts in its sigma."""
     refused = refusals(table, settings, budget)
-    table = as_unsure(table, [Doubt(position_m=table.offset_m / np.sqrt(2.0))])
+    table = as_unsure(table, [AddedSigma(position_m=table.offset_m / np.sqrt(2.0))])
     good = [Status.HELD if rests else Status.OK for rests in table.resting.tolist()]
     status = [Status.REJECTED if why else ok for why, ok in zip(refused, good, strict=True)]
     reason = [why or remark for why, remark in zip(refused, table.remark, strict=True)]

@@ -46,7 +46,7 @@ from fieldgrid.poses.external.motion import Chords, chords_of, course_off_headin
 from fieldgrid.poses.faults.unseen import accuracy_findings, unsure_fit_m
 from fieldgrid.poses.gates.conditioning import condition
 from fieldgrid.poses.gates.verdict import Gate
-from fieldgrid.poses.sigmas import Doubt, as_unsure
+from fieldgrid.poses.sigmas import AddedSigma, as_unsure
 from fieldgrid.poses.table import ConditionedLog, PoseTable
 from fieldgrid.poses.verdict import ErrorBudget, judged
 
@@ -277,9 +277,9 @@ def _table(
     beyond_m = np.sqrt(max(scatter_m**2 - slow_m**2, 0.0))
     turned_deg = wander_deg * np.sqrt(1.0 + alone_m / DRIFT_M)
     doubts = (
-        Doubt(found.sigma_m(place), heading_deg=found.frame_heading_sigma_deg),
-        Doubt(scatter_m, beyond_m),
-        Doubt(drifted_m, drifted_m, turned_deg),
+        AddedSigma(found.sigma_m(place), heading_deg=found.frame_heading_sigma_deg),
+        AddedSigma(scatter_m, beyond_m),
+        AddedSigma(drifted_m, drifted_m, turned_deg),
     )
     still = resting(chords)
     speed = np.where(still, 0.0, chords.ahead_m / chords.seconds)

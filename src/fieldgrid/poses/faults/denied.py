@@ -17,7 +17,7 @@ from fieldgrid.poses.axle import names_axle
 from fieldgrid.poses.drive import DriveEstimate
 from fieldgrid.poses.faults.clock.offset import ClockFindings
 from fieldgrid.poses.settled import settled
-from fieldgrid.poses.sigmas import Doubt
+from fieldgrid.poses.sigmas import AddedSigma
 from fieldgrid.poses.smoother.declared import (
     AHEAD,
     ASIDE,
@@ -121,7 +121,7 @@ def declared_doubt(
     drive: DriveEstimate,
     vehicle: VehicleGeometry | None,
     denied: DriveContradiction,
-) -> Doubt:
+) -> AddedSigma:
     """How unsure what was declared of the vehicle leaves poses. Neighbours share this error of
     their positions. Of a log alone poses are those of the antenna, in its own clock."""
     unsure = drive.smoothed.unsure
@@ -130,7 +130,7 @@ def declared_doubt(
     phi, time_s = drive.smoothed.state[:, PHI], drive.measured.time_s
     turned_deg = np.degrees(np.interp(time_s + denied.may_be_late_s, time_s, phi) - phi)
     node = np.clip(np.searchsorted(drive.time_ns, time_ns), 0, len(unsure_m) - 1)
-    return Doubt(position_m=unsure_m[node], heading_deg=turned_deg[node])
+    return AddedSigma(position_m=unsure_m[node], heading_deg=turned_deg[node])
 
 
 def denied_findings(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[Finding]:

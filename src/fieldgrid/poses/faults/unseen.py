@@ -20,7 +20,7 @@ from fieldgrid.poses.axle import names_axle
 from fieldgrid.poses.drive import DRIVING_MPS, DriveEstimate
 from fieldgrid.poses.external.georeference import Georeference
 from fieldgrid.poses.faults.denied import CLEAR_SIGMAS, FAR_M
-from fieldgrid.poses.sigmas import Doubt
+from fieldgrid.poses.sigmas import AddedSigma
 from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, IMAGES, LATE, Constant
 
 FIXED_NEAR_S = 60.0
@@ -120,7 +120,7 @@ def unseen_findings(faults: Sequence[UnseenFault]) -> Iterator[Finding]:
         yield info("unseen", f"This drive would not show {named}; no sigma covers that.")
 
 
-def receiver_doubt(time_ns: Int64, fixes: AcceptedFixes) -> Doubt:
+def receiver_doubt(time_ns: Int64, fixes: AcceptedFixes) -> AddedSigma:
     """What makes positions as unsure as if the receiver had stated at least `least_sigma_m`.
     Neighbours share it.
 
@@ -130,7 +130,7 @@ def receiver_doubt(time_ns: Int64, fixes: AcceptedFixes) -> Doubt:
     """
     first_ns = fixes.time_ns[0]
     at_ns, fix_ns = time_ns - first_ns, fixes.time_ns - first_ns
-    return Doubt(position_m=np.sqrt(np.interp(at_ns, fix_ns, _missing_m2(fixes))))
+    return AddedSigma(position_m=np.sqrt(np.interp(at_ns, fix_ns, _missing_m2(fixes))))
 
 
 def unsure_fit_m(fixes: AcceptedFixes) -> float:
