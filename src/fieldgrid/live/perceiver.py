@@ -7,8 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait as wait_for
 from typing import NamedTuple
 
 from fieldgrid.core import FieldgridError, MapWriteError, MatcherKind
@@ -44,12 +43,12 @@ class PerceivedFrame(NamedTuple):
     is_level: bool = False
 
 
-class _QueuedFrame(NamedTuple):
-    """`is_again`: it is the last frame before a restart, pushed again."""
+class _FrameUnderWay(NamedTuple):
+    """A frame that is looked at, or waits for that, and what ends when it is kept and told."""
 
     frame: Frame
-    pushed_s: float
-    is_again: bool
+    seen: Future[Perception]
+    end: Future[None]
 
 
 class Perceiver:
@@ -86,10 +85,12 @@ class Perceiver:
         self._pushing = threading.Lock()
         self._held: list[tuple[Frame, str]] = []
         self._refuted = 0
-        self._queue: deque[_QueuedFrame] = deque()
-        self._changed = threading.Condition()
+        self._looking = ThreadPoolExecutor(WORKERS, "fieldgrid-perception")
+        self._following = ThreadPoolExecutor(1, "fieldgrid-frames")
+        self._under_way: deque[_FrameUnderWay] = deque()
+        self._last = self._following.submit(lambda: None)
+        """Ends with the frame that was pushed last."""
         self._closed = False
-        self._taken = self._done = 0
         self._newest_ns = kept.newest_frame_ns
         # The last frame before the restart, pushed again, is looked at for the step from it.
         self._again_ns = kept.newest_frame_ns if odometry else None
@@ -97,7 +98,6 @@ class Perceiver:
         self.dropped = kept.drive.dropped
         self.late = 0
         self._disk_full = False
-        self._workers = ThreadPoolExecutor(WORKERS, "fieldgrid-perception")
 
     def push(self, frame: Frame, *, wait: bool) -> bool:
         """Let a frame be perceived; False where it is not, since it is not newer than the one
@@ -137,26 +137,9 @@ class Perceiver:
         return frame.time_ns + self._gridder.rig.image_time_offset_ns
 
     def _put(self, frame: Frame, *, wait: bool) -> bool:
-        time_ns = self._time_ns(frame)
-        dropped = None
-        with self._changed:
-            is_again = time_ns == self._again_ns
-            newest_ns = self._newest_ns if self._newest_ns is not None else time_ns - 1
-            is_late = time_ns <= newest_ns and not is_again
-            if not is_late:
-                if wait:
-                    self._changed.wait_for(lambda: self._closed or len(self._queue) < self._most)
-                if self._closed:
-                    return False
-                if len(self._queue) >= self._most:
-                    dropped = self._queue.popleft().frame
-                    self.dropped += 1
-                else:
-                    self._workers.submit(self._next)
-                self._queue.append(_QueuedFrame(frame, time.monotonic(), is_again))
-                self._newest_ns, self._again_ns = time_ns, None
-                self._changed.notify_all()
-        if is_late:
+        time_ns, newest_ns = self._time_ns(frame), self._newest_ns
+        is_again = time_ns == self._again_ns
+        if newest_ns is not None and time_ns <= newest_ns and not is_again:
             behind_s = (newest_ns - time_ns) / 1e9
             why = "is not newer than the one before"
             if behind_s > OFF_S:
@@ -165,23 +148,41 @@ class Perceiver:
                     "back, end this session and begin another)"
                 )
             self._leave(frame, why)
-        if dropped is not None:
-            self._kept.add_dropped(dropped.frame_id, dropped.time_ns)
-            advice = _how_to_be_faster(self._gridder) if self.dropped == 1 else ""
-            text = (
-                f"Frame {dropped.frame_id} was dropped, since newer ones wait: {self.dropped} so "
-                f"far.{advice}"
-            )
-            self._tell(LiveEvent(What.FRAME_DROPPED, text, time_ns))
-        return not is_late
+            return False
+        if self._closed:
+            return False
+        under_way, most = self._under_way, self._most + WORKERS
+        while under_way and (under_way[0].end.done() or (wait and len(under_way) >= most)):
+            under_way.popleft().end.result()
+        if len(under_way) >= most:
+            self._drop_oldest(time_ns)
+        pushed_s = time.monotonic()
+        seen = self._looking.submit(self._look, frame, pushed_s, is_again, self._last)
+        self._last = self._following.submit(self._follow, frame, pushed_s, is_again, seen)
+        under_way.append(_FrameUnderWay(frame, seen, self._last))
+        self._newest_ns, self._again_ns = time_ns, None
+        return True
+
+    def _drop_oldest(self, now_ns: int) -> None:
+        """Drop the oldest frame that nobody looks at yet, if there is one."""
+        dropped = next((one for one in self._under_way if one.seen.cancel()), None)
+        if dropped is None:
+            return
+        self._under_way.remove(dropped)
+        self.dropped += 1
+        frame = dropped.frame
+        self._kept.add_dropped(frame.frame_id, frame.time_ns)
+        advice = _how_to_be_faster(self._gridder) if self.dropped == 1 else ""
+        text = (
+            f"Frame {frame.frame_id} was dropped, since newer ones wait: {self.dropped} so "
+            f"far.{advice}"
+        )
+        self._tell(LiveEvent(What.FRAME_DROPPED, text, now_ns))
 
     def drain(self, timeout_s: float | None = None) -> bool:
         """Wait until every frame is perceived; False when that takes longer."""
         self._end_doubt()
-        with self._changed:
-            return self._changed.wait_for(
-                lambda: not self._queue and self._done == self._taken, timeout_s
-            )
+        return not wait_for([self._last], timeout_s).not_done
 
     def _end_doubt(self) -> None:
         """Nothing more comes by which it could be told of what time frames are that are held."""
@@ -192,76 +193,62 @@ class Perceiver:
     def close(self) -> None:
         """Perceive what waits, and end."""
         self._end_doubt()
-        with self._changed:
+        with self._pushing:
             self._closed = True
-            self._changed.notify_all()
-        self._workers.shutdown()
+        self._following.shutdown()
+        self._looking.shutdown()
 
-    def _next(self) -> None:
-        """Look at the frame that waits longest beside the other workers, and do what follows when
-        it is its turn."""
-        with self._changed:
-            waiting, turn = self._queue.popleft(), self._taken
-            self._taken += 1
-            self._changed.notify_all()
-        frame, problem, number = waiting.frame, None, None
+    def _look(
+        self, frame: Frame, pushed_s: float, is_again: bool, before: Future[None]
+    ) -> Perception:
+        """Look at a frame beside the one before. Its grid is told when that one is kept, and before
+        the rest of it is looked at: whoever drives by it need not wait for that."""
+
+        def gridded(grid: LocalGrid, ground: FrameGround) -> None:
+            before.result()
+            if not is_again:
+                latency_s = time.monotonic() - pushed_s
+                about = frame.frame_id, self._time_ns(frame)
+                self._tell(LiveGrid(*about, grid, ground.refined, latency_s))
+
+        return self._stager.look(frame, gridded)
+
+    def _follow(
+        self, frame: Frame, pushed_s: float, is_again: bool, looked: Future[Perception]
+    ) -> None:
+        """Do what is to be done of each frame in its turn."""
         try:
-            seen = self._stager.look(frame, partial(self._gridded, waiting, turn))
-            self._await(turn)
-            number = self._finish(waiting, seen)
+            self._finish(looked.result(), pushed_s, is_again)
+        except CancelledError:
+            pass  # it was dropped
         except Exception as error:  # noqa: BLE001 - one frame does not end the mapping
             problem = str(error) if isinstance(error, FieldgridError) else repr(error)
-            self._await(turn)
-        if problem is not None:
             self._kept.journal.append("bad", [frame.time_ns, frame.frame_id, problem])
             text = f"Frame {frame.frame_id} cannot be used: {problem}"
             self._tell(LiveEvent(What.FRAME_BAD, text, self._time_ns(frame)))
-        with self._changed:
-            self._done += 1
-            self._changed.notify_all()
-        if number is not None:
-            self._keep_pair(number, frame)
 
-    def _await(self, turn: int) -> None:
-        """Wait until all frames before are kept."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._done == turn)
-
-    def _gridded(
-        self, waiting: _QueuedFrame, turn: int, grid: LocalGrid, ground: FrameGround
-    ) -> None:
-        """Tell a grid once those before it are told and kept, and before the rest of its frame is
-        looked at: whoever drives by it need not wait for that."""
-        self._await(turn)
-        if not waiting.is_again:
-            frame = waiting.frame
-            time_ns = self._time_ns(frame)
-            latency_s = time.monotonic() - waiting.pushed_s
-            self._tell(LiveGrid(frame.frame_id, time_ns, grid, ground.refined, latency_s))
-
-    def _finish(self, waiting: _QueuedFrame, seen: Perception) -> int | None:
-        """Pass a frame on, and then keep it: no window waits until it is encoded and written. Its
-        number where its images are to be kept, too."""
+    def _finish(self, seen: Perception, pushed_s: float, is_again: bool) -> None:
+        """Pass a frame on, and then keep it: no window waits until it is encoded and written."""
         found, times = self._stager.follow(seen)
-        if waiting.is_again:
-            return None
+        if is_again:
+            return
         self._pass_on(
             PerceivedFrame(
-                waiting.frame.frame_id,
-                self._time_ns(waiting.frame),
+                seen.frame.frame_id,
+                self._time_ns(seen.frame),
                 seen.grid.guarded(seen.ground.drops_cm),
                 seen.ground.refined,
                 found if isinstance(found, CameraStep) else None,
-                waiting.pushed_s,
+                pushed_s,
                 seen.sources_sha256,
                 seen.is_level,
             )
         )
         if self._disk_full and found is not None:
             found = Refusal.LOST  # no step leads over a frame that the disk refused
-        return self._keep(seen, found, times)
+        self._keep(seen, found, times)
 
-    def _keep(self, seen: Perception, found: StepOutcome, times: StageTimes) -> int | None:
+    def _keep(self, seen: Perception, found: StepOutcome, times: StageTimes) -> None:
         """Keep a frame, to which the camera's step from the last one that is kept was `found`."""
         kept, frame, number = self._kept, seen.frame, None
         time_ns = self._time_ns(frame)
@@ -282,7 +269,8 @@ class Perceiver:
         self._disk_full = number is None
         while kept.points.warnings:
             self._tell(LiveEvent(What.DISK, kept.points.warnings.popleft(), time_ns))
-        return number if number is not None and kept.claim_pair(number, time_ns) else None
+        if number is not None and kept.claim_pair(number, time_ns):
+            self._looking.submit(self._keep_pair, number, frame)
 
     def _keep_pair(self, number: int, frame: Frame) -> None:
         """Keep the images of a frame; no other frame waits for that."""
