@@ -14,7 +14,7 @@ import pytest
 
 from fieldgrid.core import BuildSettings, ConfigError, Draft, MapExistsError
 from fieldgrid.live import finish, finish_session, live_folder, replay
-from fieldgrid.live.kept import session_folder
+from fieldgrid.pipeline.staging import kept_frames
 from fieldgrid.maps import StageFile, open_map
 from fieldgrid.maps.tiles.pyramid import Pyramid
 from fieldgrid.maps.writing import session
@@ -58,7 +58,7 @@ STEPS: dict[str, tuple[Any, str, Any]] = {
     "after the commit": (Pyramid, "settle", dies()),
     "before the map is published": (Draft, "publish", dies()),
     "after the map was published": (Draft, "publish", dies(after=True)),
-    "before what was kept is removed": (session_folder, "drop_journal", dies()),
+    "before what was kept is removed": (kept_frames, "drop_journal", dies()),
 }
 IS_IN_THE_MAP = list(STEPS)[list(STEPS).index("after the map was published") :]
 

@@ -25,12 +25,13 @@ from fieldgrid.core import (
 )
 from fieldgrid.live.gridding_again import gridded_again
 from fieldgrid.live.kept.kept_drive import PushedDrive, SessionStart, live_folder, live_journal
-from fieldgrid.live.kept.session_folder import SessionFolder, remove_unread
+from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.maps import Patience, StageFile, check_cell_sizes, open_map
 from fieldgrid.perception import OriginTrack
 from fieldgrid.pipeline import (
     Progress,
     SessionReport,
+    Store,
     build_map,
     check_names,
     check_output,
@@ -147,15 +148,16 @@ def finish_from(
 def discard_session(out: str | Path) -> tuple[str, int]:
     """Remove what a session that was ended has kept; its name, and how many frames it had: an empty
     name and 0 where that cannot be read."""
-    name, frames = "", 0
+    name, frames, journal = "", 0, live_journal(Path(out))
     try:
         with SessionFolder(Path(out), None) as kept:
             name, frames = kept.drive.about.name, len(kept.drive.frames)
             kept.remove()
     except FieldgridError:  # it is given up: what is wrong with it does not matter
-        if not remove_unread(Path(out)):
+        if not journal.is_file():
             raise
-    if (journal := live_journal(Path(out))).exists():
+        Store(Path(out), journal.name).remove()
+    if journal.exists():
         raise MapWriteError(f"{journal} could not be removed; check its permissions.")
     return name, frames
 

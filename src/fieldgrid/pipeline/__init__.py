@@ -70,9 +70,8 @@ if TYPE_CHECKING:
         KeptFrame as KeptFrame,
         KeptFrames as KeptFrames,
         StagedDrive as StagedDrive,
+        Store as Store,
         drop_journal as drop_journal,
-        held_journal as held_journal,
-        keep_frame as keep_frame,
         kept_frame as kept_frame,
         work_folder as work_folder,
     )

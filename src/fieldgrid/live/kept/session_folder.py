@@ -8,7 +8,6 @@ end.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,11 +15,9 @@ import cv2
 import numpy as np
 
 from fieldgrid.core import (
-    Closing,
     ConfigError,
     Int64,
     counted,
-    holding,
     quoted,
 )
 from fieldgrid.geometry import Fix, GridSpec
@@ -48,9 +45,7 @@ from fieldgrid.pipeline import (
     StagedDrive,
     StageTimes,
     StepOutcome,
-    drop_journal,
-    held_journal,
-    keep_frame,
+    Store,
 )
 from fieldgrid.recordings import FixLog, Frame, Image, Recording, StereoFrame, with_body_poses
 
@@ -59,26 +54,22 @@ MOST_PAIRS, PAIR_EVERY_NS = 12, 500_000_000
 none of frames that follow faster, since a pair takes as much as a fifth of a frame."""
 
 
-class SessionFolder(Closing):
+class SessionFolder(Store):
     """The folder of an open session, locked against other processes."""
+
+    drive: PushedDrive
 
     def __init__(self, out: Path, about: SessionStart | None, points_gb: float = POINTS_GB) -> None:
         """Open what is there, or begin with `about`; ConfigError where that is of another drive,
         or where nothing is there to go on with. Points take at most `points_gb`."""
-        self.out, self.folder = out, live_folder(out)
+        self.folder, self._about = live_folder(out), about
         path = live_journal(out)
         if about is None and not path.is_file():
             raise ConfigError(
                 f"There is no live session to finish for {out}: {path} does not exist."
             )
-        with ExitStack() as opening:
-            busy = f"Another program maps into {self.folder}; end it, or give another map."
-            try:
-                self.journal = opening.enter_context(held_journal(path, busy))
-            except OSError as error:
-                raise unwritable(out, error) from error
-            self.drive = drive = self._begun(about)
-            self._open = opening.pop_all()
+        super().__init__(out, path.name)
+        drive = self.drive
         self.points = self._points(round(points_gb * 1e9))
         self._number = drive.frames[-1].number + 1 if drive.frames else 0
         self._pairs, self._pair_ns = list(drive.pairs), -PAIR_EVERY_NS
@@ -87,8 +78,8 @@ class SessionFolder(Closing):
             len(drive.fixes) or drive.frames or drive.parts or drive.damaged_bytes
         )
 
-    def _begun(self, about: SessionStart | None) -> PushedDrive:
-        drive = read_drive(self.journal)
+    def _read(self) -> None:
+        about, drive = self._about, read_drive(self.journal)
         if drive is None:
             is_damaged = next(self.journal.records(), None) is not None
             if about is None and is_damaged:
@@ -113,7 +104,7 @@ class SessionFolder(Closing):
                 f"{' and '.join(other)}. Finish it with fieldgrid live -o {self.out} --finish, or "
                 "remove it with --discard."
             )
-        return drive
+        self.drive = drive
 
     def _points(self, most_bytes: int) -> KeptPoints:
         """What decides on the points of the frames to come, by those that are there already."""
@@ -162,11 +153,11 @@ class SessionFolder(Closing):
             journal.append("unlevelled", None)
         flags = is_level, isinstance(seen, Sweep) and seen.after_s is not None
         kept = staged, found, times, flags
-        is_kept = keep_frame(journal, self._number, *kept, packed)
+        is_kept = self.keep(self._number, *kept, packed)
         if not is_kept and packed:
             points.refused(f"{self.folder} could not be written ({journal.problem.strerror})")
             packed = b""
-            is_kept = keep_frame(journal, self._number, *kept)
+            is_kept = self.keep(self._number, *kept)
         if not is_kept:
             raise unwritable(self.out, journal.problem)
         points.kept(len(packed))
@@ -205,7 +196,7 @@ class SessionFolder(Closing):
     def what_is_kept(self, then: str) -> str:
         """A sentence on where the drive is, and with what command it goes on (`then`). It writes
         first what waits."""
-        if not live_journal(self.out).exists():
+        if not self.path.exists():
             return f"The drive is in the map {self.out}."
         taken, count = self.sync(), self.journal.waits()
         if not taken and count and sum(1 for _ in self.journal.records()) == count:
@@ -268,28 +259,6 @@ class SessionFolder(Closing):
         """Hold no more in memory than what the session was begun with, however long it lasts."""
         self.drive = PushedDrive(self.drive.about)
         self._is_forgotten = True
-
-    def remove(self) -> None:
-        """Remove it: the drive is in the map, or is given up. Files of others stay."""
-        drop_journal(live_journal(self.out))
-        self.close()
-
-    def close(self) -> None:
-        """Let go of it."""
-        self._open.close()
-
-
-def remove_unread(out: Path) -> bool:
-    """Remove the session for a map whatever of it can be read; False where there is none, or where
-    another program has it. MapError where it is a file of others."""
-    path = live_journal(out)
-    if not path.is_file():
-        return False
-    with holding(path) as is_ours:
-        if is_ours:
-            Journal(path).close()
-            drop_journal(path)
-    return is_ours
 
 
 def _apart(numbers: list[int]) -> int:

@@ -10,13 +10,13 @@ import marshal
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fieldgrid.core import MapError, holding
+from fieldgrid.core import Closing, MapError, holding
 from fieldgrid.geometry import Steps
 from fieldgrid.maps import (
     StagedFrame,
@@ -26,6 +26,7 @@ from fieldgrid.maps import (
     damaged_frame,
     frame_of_record,
     frame_record,
+    unwritable,
 )
 from fieldgrid.perception import CameraStep, Refusal, steps_of
 from fieldgrid.pipeline.report import BadFrame, StageTimes
@@ -56,19 +57,6 @@ def work_folder(out: Path) -> Path:
     return place.with_name(f"{place.name}.work")
 
 
-@contextmanager
-def held_journal(path: Path, busy: str) -> Iterator[Journal]:
-    """A journal, made where it is not there, and held against other programs. MapError, which says
-    that it is `busy`, where another one has it; OSError where there can be none."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.touch()
-    with holding(path) as is_ours:
-        if not is_ours:
-            raise MapError(busy)
-        with Journal(path) as journal:
-            yield journal
-
-
 def drop_journal(path: Path) -> None:
     """Remove a journal, and its folder where nothing else is in it."""
     with suppress(OSError):
@@ -76,20 +64,55 @@ def drop_journal(path: Path) -> None:
         path.parent.rmdir()
 
 
-def keep_frame(
-    journal: Journal,
-    number: int,
-    staged: StagedFrame,
-    found: StepOutcome,
-    times: StageTimes,
-    flags: Sequence[bool] = (),
-    points: bytes = b"",
-) -> bool:
-    """Keep a frame; False where the disk does not take it."""
-    said, cells = frame_record(staged)
-    spent = {name: round(value, 6) for name, value in asdict(times).items() if value}
-    value = [number, said, found_to_json(found), spent, *flags]
-    return journal.append(FRAME, value, cells, *([points] if points else []))
+class Store(Closing):
+    """The journal `file` of a drive on its way into the map `out`, held against other programs.
+
+    MapError where another program has it, MapWriteError where there can be none.
+    """
+
+    def __init__(self, out: Path, file: str) -> None:
+        self.out, self.path = out, work_folder(out) / file
+        with ExitStack() as opening:
+            try:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                self.path.touch()
+                if not opening.enter_context(holding(self.path)):
+                    raise MapError(
+                        f"Another program puts a drive into {out} by {self.path}; wait until it "
+                        "has finished, end it, or give another map."
+                    )
+                self.journal = opening.enter_context(Journal(self.path))
+            except OSError as error:
+                raise unwritable(out, error) from error
+            self._read()
+            self._open = opening.pop_all()
+
+    def _read(self) -> None:
+        """Take note of what is there already."""
+
+    def keep(
+        self,
+        number: int,
+        staged: StagedFrame,
+        found: StepOutcome,
+        times: StageTimes,
+        flags: Sequence[bool] = (),
+        points: bytes = b"",
+    ) -> bool:
+        """Keep a frame; False where the disk does not take it."""
+        said, cells = frame_record(staged)
+        spent = {name: round(value, 6) for name, value in asdict(times).items() if value}
+        value = [number, said, found_to_json(found), spent, *flags]
+        return self.journal.append(FRAME, value, cells, *([points] if points else []))
+
+    def remove(self) -> None:
+        """Let go of it and remove it: the drive is in the map, or is given up."""
+        drop_journal(self.path)
+        self.close()
+
+    def close(self) -> None:
+        """Let go of it."""
+        self._open.close()
 
 
 def kept_frame(record: JournalRecord) -> tuple[KeptFrame, StageTimes]:

@@ -9,22 +9,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
-from fieldgrid.core import Closing, ConfigError, FieldgridError, MapError, RecordingError, holding
+from fieldgrid.core import ConfigError, FieldgridError, MapError, RecordingError, holding
 from fieldgrid.maps import unwritable
 from fieldgrid.pipeline.report import BadFrame, StageTimes
-from fieldgrid.pipeline.staging.journal import JournalRecord, read_journal
+from fieldgrid.pipeline.staging.journal import read_journal
 from fieldgrid.pipeline.staging.kept_frames import (
     FRAME,
     JournalFrames,
     KeptFrames,
     StagedDrive,
+    Store,
     drop_journal,
-    held_journal,
-    keep_frame,
     kept_frame,
     work_folder,
 )
@@ -80,51 +78,43 @@ def settle_left_behind(out: Path, resume: bool | None) -> None:
         drop_journal(path)
 
 
-class DriveParts(Closing):
+class DriveParts(Store):
     """The staged frames of a drive: those that are there already, and those to be made."""
 
     def __init__(self, out: Path, key: str, name: str, count: int) -> None:
-        self._out, self._name, self._count = out, name, count
-        self.path = work_folder(out) / f"{key}.build"
+        self._name, self._count = name, count
         self.done: set[int] = set()
         """The numbers of the frames that are staged or known to be bad."""
         self._bad: dict[int, BadFrame] = {}
         self._times = StageTimes()
         self.moved_m = 0.0
-        with ExitStack() as opening:
-            busy = f"Another program builds {name} into {out}; wait until it has finished."
-            try:
-                self._journal = opening.enter_context(held_journal(self.path, busy))
-            except OSError as error:
-                raise unwritable(out, error) from error
-            for record in self._journal.records():
-                self._note(record)
-            if not self.done:
-                self._journal.append(BEGIN, name)
-            self._open = opening.pop_all()
+        super().__init__(out, f"{key}.build")
 
-    def _note(self, record: JournalRecord) -> None:
-        """A record that is there already. A frame that is damaged is made again."""
-        if record.kind == BAD:
-            self.done.add(record.value[0])
-            self._bad[record.value[0]] = BadFrame(*record.value[1:])
-        elif record.kind == FRAME and self._journal.read(record.blobs[0]) is not None:
-            frame, times = kept_frame(record)
-            self.done.add(frame.number)
-            self._times.add(times)
-            self.moved_m += moved_m(frame.found)
+    def _read(self) -> None:
+        """A frame that is damaged is made again."""
+        for record in self.journal.records():
+            if record.kind == BAD:
+                self.done.add(record.value[0])
+                self._bad[record.value[0]] = BadFrame(*record.value[1:])
+            elif record.kind == FRAME and self.journal.read(record.blobs[0]) is not None:
+                frame, times = kept_frame(record)
+                self.done.add(frame.number)
+                self._times.add(times)
+                self.moved_m += moved_m(frame.found)
+        if not self.done:
+            self.journal.append(BEGIN, self._name)
 
     def add(self, number: int, looked: FrameOutcome) -> None:
         """Keep what became of a frame. MapWriteError on a full disk."""
         start = time.thread_time()
         if looked.bad is not None:
-            taken = self._journal.append(BAD, [number, *looked.bad])
+            taken = self.journal.append(BAD, [number, *looked.bad])
             self._bad[number] = looked.bad
         else:
             assert looked.staged is not None
-            taken = keep_frame(self._journal, number, looked.staged, looked.found, looked.times)
+            taken = self.keep(number, looked.staged, looked.found, looked.times)
         if not taken:
-            raise unwritable(self._out, self._journal.problem) from self._journal.problem
+            raise unwritable(self.out, self.journal.problem) from self.journal.problem
         self.done.add(number)
         self._times.add(looked.times)
         self._times.map_s += time.thread_time() - start
@@ -153,26 +143,25 @@ class DriveParts(Closing):
 
     def staged(self) -> StagedDrive:
         """The whole drive, once no frame is missing."""
-        found = KeptFrames()
-        for record in self._journal.records():
-            if record.kind == FRAME:
-                found.append(kept_frame(record)[0])
-        rows = {frame.number: row for row, frame in enumerate(found)}
-        if len(rows) + len(self._bad) < self._count:
-            raise MapError(f"The staged frames in {self.path} cannot be read back; check the disk.")
+        records = (record for record in self.journal.records() if record.kind == FRAME)
+        starts = {record.value[0]: record.start for record in records}
         kept = KeptFrames()
-        for number in sorted(rows):
-            kept.append(found[rows[number]])
+        for number in sorted(starts):
+            record = self.journal.at(starts[number])
+            if record is not None:
+                kept.append(kept_frame(record)[0])
+        if len(kept) + len(self._bad) < self._count:
+            raise MapError(f"The staged frames in {self.path} cannot be read back; check the disk.")
         bad = [self._bad[number] for number in sorted(self._bad)]
-        return StagedDrive(JournalFrames(self._journal, kept), kept, bad, self._times)
+        return StagedDrive(JournalFrames(self.journal, kept), kept, bad, self._times)
 
     def remove(self) -> None:
         """Remove the frames of a drive that is given up."""
         self.done.clear()
-        drop_journal(self.path)
+        super().remove()
 
     def close(self) -> None:
         """Let go of the journal; without a frame, it is gone."""
-        self._open.close()
+        super().close()
         if not self.done:
-            self.remove()
+            drop_journal(self.path)
