@@ -26,7 +26,6 @@ import numpy as np
 from fieldgrid.core import BuildSettings, ConfigError
 from fieldgrid.geometry import Fix
 from fieldgrid.live import LiveGrid, LiveResult, finish_session, live_folder, replay
-from fieldgrid.live.kept.kept_drive import read_drive
 from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.maps import open_map
 from fieldgrid.pipeline import build_map
@@ -111,8 +110,7 @@ def _kept(out: Path) -> Had:
     """What is there of a session, read as its end would."""
     try:
         with SessionFolder(out, None) as kept:
-            drive = read_drive(kept.journal)
-            assert drive is not None
+            drive = kept.drive
             return Had([entry.frame_id for entry in kept.staged().entries], len(drive.fixes))
     except ConfigError:
         return NOTHING  # it was killed before it had written what it is

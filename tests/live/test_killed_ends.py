@@ -14,12 +14,12 @@ import pytest
 
 from fieldgrid.core import BuildSettings, ConfigError, Draft, MapExistsError
 from fieldgrid.live import finish, finish_session, live_folder, replay
-from fieldgrid.pipeline.staging import kept_frames
 from fieldgrid.maps import StageFile, open_map
 from fieldgrid.maps.tiles.pyramid import Pyramid
 from fieldgrid.maps.writing import session
 from fieldgrid.maps.writing.placing import FoldedTiles
 from fieldgrid.pipeline import build_map
+from fieldgrid.pipeline.staging import kept_frames
 from fieldgrid.recordings import open_recording
 from tests.live.making import begin
 from tests.pipeline.drives.making import content

@@ -113,7 +113,7 @@ def finish_from(
     settings, and remove what the session has kept: the map has the frames that were dropped, too.
     ConfigError for a recording that lacks a frame of the session: it is of another drive."""
     with SessionFolder(Path(out), None) as kept:
-        about = kept.drive.about
+        about = kept.about
         with open_drive(recording, options) as drive:
             found = drive.recording()
             if about.poses is not None and not found.pose_name:
@@ -151,7 +151,7 @@ def discard_session(out: str | Path) -> tuple[str, int]:
     name, frames, journal = "", 0, live_journal(Path(out))
     try:
         with SessionFolder(Path(out), None) as kept:
-            name, frames = kept.drive.about.name, len(kept.drive.frames)
+            name, frames = kept.about.name, len(kept.drive.frames)
             kept.remove()
     except FieldgridError:  # it is given up: what is wrong with it does not matter
         if not journal.is_file():
@@ -170,13 +170,13 @@ def finish(
 ) -> SessionReport:
     """Put what the open folder of a session has kept into its map, and remove it."""
     started = time.perf_counter()
-    about = kept.drive.about
+    about = kept.about
     settings = with_overrides(about.settings, overrides)
     again = f"fieldgrid live -o {kept.out} --finish"
     ways = f"{again} tries again, with pose options or --accept, and --discard gives it up"
     with _telling_where(kept, "--finish"):
         try:
-            drive = kept.read()
+            drive = kept.recall()
             if not drive.frames:
                 ways = (
                     f"the command that began it goes on with it, {again}-from RECORDING builds it "
@@ -219,9 +219,9 @@ _NO_GRIDS = "their grids were damaged on the disk, which should be checked"
 
 def _still_kept(kept: SessionFolder, left_out: int, why: str) -> Finding:
     """The remark on a drive that is in the map without some of its frames."""
-    name = kept.drive.about.name
+    name = kept.about.name
     first = f"remove {kept.out}"
-    if kept.drive.about.append:
+    if kept.about.append:
         first = f"remove the session from it (fieldgrid sessions {kept.out} --remove {name})"
     return warning(
         "frames-left-out",
@@ -241,7 +241,7 @@ def _placed(
 ) -> tuple[SessionReport, int]:
     """Put the drive into the map; its report, and the number of its frames that are left out, since
     their points are lost."""
-    about, out = kept.drive.about, kept.out
+    about, out = kept.about, kept.out
     datum, taken = about.datum, list[str]()
     if out.exists():
         with open_map(out) as existing:

@@ -38,9 +38,9 @@ def gridded_again(
     is_swept = any(frame.is_timed for frame in drive.frames)
     if attitude is None and not is_swept and not any(frame.is_level for frame in drive.frames):
         return staged, (), 0
-    settings = drive.about.settings
+    settings = kept.about.settings
     gridder = LocalGridder(
-        drive.about.rig, GridSpec.of(settings.grid), settings.stereo, settings.density
+        kept.about.rig, GridSpec.of(settings.grid), settings.stereo, settings.density
     )
 
     def make(number: int) -> tuple[StagedFrame | None, bool]:
@@ -60,7 +60,7 @@ def gridded_again(
         frames = zip(all_made, drive.frames, strict=True)
         for done, ((made, is_as_driven), frame) in enumerate(frames, start=1):
             if progress is not None:
-                progress(Progress(drive.about.name, done, len(drive.frames)))
+                progress(Progress(kept.about.name, done, len(drive.frames)))
             if made is None:
                 bad.append(BadFrame(frame.entry.frame_id, NO_POINTS))
                 lost = True

@@ -223,7 +223,7 @@ class Perceiver:
             pass  # it was dropped
         except Exception as error:  # noqa: BLE001 - one frame does not end the mapping
             problem = str(error) if isinstance(error, FieldgridError) else repr(error)
-            self._kept.journal.append("bad", [frame.time_ns, frame.frame_id, problem])
+            self._kept.add_bad(frame, problem)
             text = f"Frame {frame.frame_id} cannot be used: {problem}"
             self._tell(LiveEvent(What.FRAME_BAD, text, self._time_ns(frame)))
 

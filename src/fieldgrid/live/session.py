@@ -356,7 +356,7 @@ class Live(Closing):
             return
         with self._lock:
             if part == GIVEN_ROWS:
-                if self._kept.drive.about.poses is None:
+                if self._kept.about.poses is None:
                     raise ConfigError(
                         "The session was begun without poses of another program; say what body "
                         "they are of when it begins: Live(..., poses=PoseBody())."

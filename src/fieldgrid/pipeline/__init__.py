@@ -62,17 +62,20 @@ if TYPE_CHECKING:
         DAMAGED as DAMAGED,
         Blob as Blob,
         Journal as Journal,
+        JournalRecord as JournalRecord,
         read_journal as read_journal,
     )
     from fieldgrid.pipeline.staging.kept_frames import (
+        BAD as BAD,
+        BEGIN as BEGIN,
         FRAME as FRAME,
-        JournalFrames as JournalFrames,
+        KeptDrive as KeptDrive,
         KeptFrame as KeptFrame,
         KeptFrames as KeptFrames,
         StagedDrive as StagedDrive,
         Store as Store,
         drop_journal as drop_journal,
-        kept_frame as kept_frame,
+        read_drive as read_drive,
         work_folder as work_folder,
     )
     from fieldgrid.pipeline.staging.parts import left_behind as left_behind

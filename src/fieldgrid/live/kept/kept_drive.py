@@ -7,21 +7,19 @@ from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fieldgrid.core import BuildSettings, MapError
+from fieldgrid.core import BuildSettings
 from fieldgrid.geometry import Datum, Fix, FixColumns, Rig
 from fieldgrid.live.kept.frame_names import told_apart
 from fieldgrid.live.pose.sensor_rows import Rows, fix_from_json, joined, rows_from_json
 from fieldgrid.perception import Refusal
 from fieldgrid.pipeline import (
-    DAMAGED,
-    FRAME,
-    BadFrame,
+    BAD,
+    BEGIN,
     Blob,
     Journal,
-    KeptFrame,
+    JournalRecord,
+    KeptDrive,
     KeptFrames,
-    StageTimes,
-    kept_frame,
     rig_from_config,
     work_folder,
 )
@@ -113,26 +111,25 @@ def _datum_to_json(datum: Datum | None) -> list[float] | None:
 
 
 @dataclass(slots=True)
-class PushedDrive:
-    """What was pushed, as it is read back."""
+class PushedDrive(KeptDrive):
+    """What was pushed, as it is read back. Without a beginning, which a damage may have taken,
+    nothing is taken."""
 
-    about: SessionStart
-    frames: KeptFrames = field(default_factory=KeptFrames)
+    about: SessionStart | None = None
     fixes: FixColumns = field(default_factory=lambda: FixColumns.of_rows(()))
     parts: dict[str, list[Rows]] = field(default_factory=dict)
-    bad: list[tuple[int, BadFrame]] = field(default_factory=list)
+    bad_ns: list[int] = field(default_factory=list)
+    """The times of the frames that are bad."""
     pairs: dict[int, tuple[Blob, ...]] = field(default_factory=dict)
     """The images by which the cameras are checked, PNG, by the numbers of their frames."""
     dropped: int = 0
-    damaged_bytes: int = 0
-    """Number of bytes of the journal that cannot be read any more."""
-    unreadable: int = 0
-    """The number of frames whose grids cannot be read any more."""
     is_unlevelled: bool = False
     """Whether grids are not to be level, since no points are kept to make them so."""
-    times: StageTimes = field(default_factory=StageTimes)
     _apart: Counter[str] = field(default_factory=Counter)
     """How many of the last rows of each part were not joined."""
+    _columns: list[FixColumns] = field(default_factory=list)
+    _new: list[Fix] = field(default_factory=list)
+    """Fixes that are not made columns yet: so they take ten times the memory."""
 
     def add_rows(self, part: str, rows: Rows) -> None:
         """Rows behind the others. Those of a long drive are pushed in millions of pieces, which
@@ -144,14 +141,45 @@ class PushedDrive:
             pieces[-PIECES:] = [joined(pieces[-PIECES:])]
             self._apart[part] = 0
 
-    def add_frame(self, frame: KeptFrame, times: StageTimes) -> None:
-        """The next frame. No step leads to it over one that is lost, or from before a restart."""
-        self.times.add(times)
-        if self.frames and frame.number != self.frames[-1].number + 1:
-            frame = frame._replace(found=Refusal.LOST)
-        elif self.frames and frame.found is None:
-            frame = frame._replace(found=Refusal.NOT_COMPARED)
-        self.frames.append(frame)
+    def take(self, record: JournalRecord, journal: Journal) -> None:
+        """Take the next record of the journal."""
+        kind, value, blobs, _ = record
+        if kind == "fix":
+            self._new.append(fix_from_json(value))
+            if len(self._new) == PIECES:
+                self._columns.append(FixColumns.of_rows(self._new))
+                self._new.clear()
+        elif kind == "rows":
+            self.add_rows(*rows_from_json(value))
+        elif kind == "pair" and None not in map(journal.read, blobs):
+            self.pairs[value] = blobs
+        elif kind == "dropped":
+            self.dropped += 1
+        elif kind == "unlevelled":
+            self.is_unlevelled = True
+        elif kind == BEGIN and self.about is None:
+            self.about = SessionStart.from_json(value)
+        else:
+            super().take(record, journal)
+            if kind == BAD:
+                self.bad_ns.append(value[3])
+
+    def settle(self) -> None:
+        """No step leads to a frame over one that is lost, or from before a restart; and each frame
+        has a name of its own."""
+        super().settle()
+        self.fixes = FixColumns.joined([*self._columns, FixColumns.of_rows(self._new)])
+        names = told_apart([frame.entry.frame_id for frame in self.frames])
+        frames, self.frames = self.frames, KeptFrames()
+        before = -1
+        for frame, name in zip(frames, names, strict=True):
+            entry, found = frame.entry._replace(frame_id=name), frame.found
+            if self.frames and not self.bad.keys() >= set(range(before + 1, frame.number)):
+                found = Refusal.LOST
+            elif self.frames and found is None:
+                found = Refusal.NOT_COMPARED
+            self.frames.append(frame._replace(entry=entry, found=found))
+            before = frame.number
 
     def let_go(self) -> None:
         """Forget fixes and rows, of which a recording was made."""
@@ -166,51 +194,3 @@ def live_folder(out: Path) -> Path:
 def live_journal(out: Path) -> Path:
     """The file in it that a live session writes."""
     return work_folder(out) / "live"
-
-
-def read_drive(journal: Journal) -> PushedDrive | None:
-    """What a journal holds, with the frames whose grids can be read; None without a beginning. One
-    that a damage took is written anew behind the rest."""
-    starts = (record.value for record in journal.records() if record.kind == "begin")
-    if (start := next(starts, None)) is None:
-        return None
-    try:
-        drive = PushedDrive(SessionStart.from_json(start), KeptFrames())
-        fixes, columns = list[Fix](), list[FixColumns]()
-        for record in journal.records():
-            kind, value, blobs, _ = record
-            if kind == "fix":
-                fixes.append(fix_from_json(value))
-                if len(fixes) == PIECES:  # they take ten times the memory of columns
-                    columns.append(FixColumns.of_rows(fixes))
-                    fixes.clear()
-            elif kind == "rows":
-                drive.add_rows(*rows_from_json(value))
-            elif kind == FRAME and journal.read(blobs[0]) is None:
-                drive.unreadable += 1
-            elif kind == FRAME:
-                drive.add_frame(*kept_frame(record))
-            elif kind == "pair" and None not in map(journal.read, blobs):
-                drive.pairs[value] = blobs
-            elif kind == "bad":
-                time_ns, *bad = value
-                drive.bad.append((time_ns, BadFrame(*bad)))
-            elif kind == "dropped":
-                drive.dropped += 1
-            elif kind == "unlevelled":
-                drive.is_unlevelled = True
-            elif kind == DAMAGED:
-                drive.damaged_bytes += value
-        drive.fixes = FixColumns.joined([*columns, FixColumns.of_rows(fixes)])
-        names = told_apart([frame.entry.frame_id for frame in drive.frames])
-        frames, drive.frames = drive.frames, KeptFrames()
-        for frame, name in zip(frames, names, strict=True):
-            drive.frames.append(frame._replace(entry=frame.entry._replace(frame_id=name)))
-    except (KeyError, ValueError, TypeError, IndexError) as error:
-        if isinstance(error, MapError):
-            raise
-        raise MapError(
-            "The journal of the drive is of another version of this program or damaged "
-            f"({error}); finish it with the version that wrote it."
-        ) from error
-    return drive

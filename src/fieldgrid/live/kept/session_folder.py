@@ -27,7 +27,6 @@ from fieldgrid.live.kept.kept_drive import (
     SessionStart,
     live_folder,
     live_journal,
-    read_drive,
 )
 from fieldgrid.live.kept.kept_points import KeptPoints
 from fieldgrid.live.kept.points import unpacked
@@ -37,15 +36,16 @@ from fieldgrid.live.pushed import PushedSource
 from fieldgrid.maps import StagedFrame, unwritable
 from fieldgrid.perception import LocalGridder, Sweep
 from fieldgrid.pipeline import (
+    BAD,
+    BEGIN,
     Blob,
     GridInput,
     Journal,
-    JournalFrames,
     KeptFrame,
-    StagedDrive,
     StageTimes,
     StepOutcome,
     Store,
+    read_drive,
 )
 from fieldgrid.recordings import FixLog, Frame, Image, Recording, StereoFrame, with_body_poses
 
@@ -62,56 +62,59 @@ class SessionFolder(Store):
     def __init__(self, out: Path, about: SessionStart | None, points_gb: float = POINTS_GB) -> None:
         """Open what is there, or begin with `about`; ConfigError where that is of another drive,
         or where nothing is there to go on with. Points take at most `points_gb`."""
-        self.folder, self._about = live_folder(out), about
-        path = live_journal(out)
+        self.folder, path = live_folder(out), live_journal(out)
         if about is None and not path.is_file():
             raise ConfigError(
                 f"There is no live session to finish for {out}: {path} does not exist."
             )
         super().__init__(out, path.name)
         drive = self.drive
+        try:
+            self.about = self._begun(about)
+        except BaseException:
+            self.close()
+            raise
         self.points = self._points(round(points_gb * 1e9))
-        self._number = drive.frames[-1].number + 1 if drive.frames else 0
+        numbers = [-1, *drive.bad, *(frame.number for frame in drive.frames)]
+        self._number = max(numbers) + 1
         self._pairs, self._pair_ns = list(drive.pairs), -PAIR_EVERY_NS
         self._is_forgotten = False
         self.is_resumed = bool(
             len(drive.fixes) or drive.frames or drive.parts or drive.damaged_bytes
         )
 
-    def _read(self) -> None:
-        about, drive = self._about, read_drive(self.journal)
-        if drive is None:
-            is_damaged = next(self.journal.records(), None) is not None
-            if about is None and is_damaged:
-                raise ConfigError(
-                    f"The beginning of the session in {self.folder} is damaged. Run the command "
-                    "that began it again, with the same rig and settings: it goes on with what is "
-                    f"kept, and its end makes the map. Or give it up: fieldgrid live -o {self.out} "
-                    "--discard."
-                )
-            if about is None:
-                raise ConfigError(
-                    f"{self.folder} holds no session; fieldgrid live -o {self.out} --discard "
-                    "removes it."
-                )
-            self.journal.append("begin", about.to_json())
-            self.journal.sync()
-            drive = read_drive(self.journal) or PushedDrive(about)
-        if about is not None and (other := about.differs_in(drive.about)):
+    def _begun(self, about: SessionStart | None) -> SessionStart:
+        """What the session was begun with, or is begun with now."""
+        begun = self.drive.about or about
+        if begun is None and next(self.journal.records(), None) is None:
             raise ConfigError(
-                f"{self.folder} holds the session {quoted(drive.about.name)}, which was ended "
+                f"{self.folder} holds no session; fieldgrid live -o {self.out} --discard removes "
+                "it."
+            )
+        if begun is None:
+            raise ConfigError(
+                f"The beginning of the session in {self.folder} is damaged. Run the command that "
+                "began it again, with the same rig and settings: it goes on with what is kept, and "
+                f"its end makes the map. Or give it up: fieldgrid live -o {self.out} --discard."
+            )
+        if self.drive.about is None:
+            self.journal.append(BEGIN, begun.to_json())
+            self.journal.sync()
+        if about is not None and (other := about.differs_in(begun)):
+            raise ConfigError(
+                f"{self.folder} holds the session {quoted(begun.name)}, which was ended "
                 "before it was in the map and cannot go on with this one, which differs in its "
                 f"{' and '.join(other)}. Finish it with fieldgrid live -o {self.out} --finish, or "
                 "remove it with --discard."
             )
-        self.drive = drive
+        return begun
 
     def _points(self, most_bytes: int) -> KeptPoints:
         """What decides on the points of the frames to come, by those that are there already."""
         drive = self.drive
         points = KeptPoints(
             self.folder,
-            GridSpec.of(drive.about.settings.grid).reach_m,
+            GridSpec.of(self.about.settings.grid).reach_m,
             most_bytes,
             drive.frames[0].entry.time_ns if drive.frames else None,
             held_bytes=sum(frame.points.size for frame in drive.frames if frame.points),
@@ -164,6 +167,11 @@ class SessionFolder(Store):
         self._number += 1
         return self._number - 1
 
+    def add_bad(self, frame: Frame, problem: str) -> None:
+        """Keep that a frame cannot be used."""
+        self.journal.append(BAD, [self._number, frame.frame_id, problem, frame.time_ns])
+        self._number += 1
+
     def add_dropped(self, frame_id: str, time_ns: int) -> bool:
         """Keep that a frame was dropped."""
         return self.journal.append("dropped", [frame_id, time_ns])
@@ -206,23 +214,15 @@ class SessionFolder(Store):
 
     def read(self) -> PushedDrive:
         """What was pushed until now."""
-        if self._is_forgotten:
-            self.drive, self._is_forgotten = read_drive(self.journal) or self.drive, False
-        return self.drive
-
-    def staged(self) -> StagedDrive:
-        """The frames, as a build has them of its drive."""
-        drive = self.read()
-        bad, frames = [bad for _, bad in drive.bad], JournalFrames(self.journal, drive.frames)
-        return StagedDrive(frames, drive.frames, bad, drive.times)
+        return read_drive(self.journal, PushedDrive())
 
     def recording(self, drive: PushedDrive) -> Recording:
         """What was read as a recording, with the pairs that were kept for its frames.
         RecordingError where poses were to be pushed that cannot be used."""
-        about, rig = drive.about, drive.about.rig
+        about, rig = self.about, self.about.rig
         offset_ns = rig.image_time_offset_ns
         staged_ns = [frame.entry.time_ns - offset_ns for frame in drive.frames]
-        times_ns = np.array(sorted(staged_ns + [t for t, _ in drive.bad]), dtype=np.int64)
+        times_ns = np.array(sorted(staged_ns + drive.bad_ns), dtype=np.int64)
         notes = about.notes
         if drive.dropped:
             many = counted(drive.dropped, "frame")
@@ -257,8 +257,13 @@ class SessionFolder(Store):
 
     def forget(self) -> None:
         """Hold no more in memory than what the session was begun with, however long it lasts."""
-        self.drive = PushedDrive(self.drive.about)
-        self._is_forgotten = True
+        self.drive, self._is_forgotten = PushedDrive(), True
+
+    def recall(self) -> PushedDrive:
+        """All that was pushed until now, read where it was forgotten."""
+        if self._is_forgotten:
+            self.drive, self._is_forgotten = self.read(), False
+        return self.drive
 
 
 def _apart(numbers: list[int]) -> int:

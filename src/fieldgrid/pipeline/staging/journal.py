@@ -21,7 +21,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 from fieldgrid.core import Closing, MapError, parse_json
 
-MAGIC = b"fieldgrid journal 2\n"
+MAGIC = b"fieldgrid journal 3\n"
 _HEAD = Struct("<4sIII")
 """The head of each record: a mark, how long its JSON is and its blobs are, the CRC-32 of the JSON,
 which begins with the latter."""
@@ -204,6 +204,11 @@ def _scan(path: Path) -> Iterator[tuple[int, int, bytes]]:
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
         magic = file.read(len(MAGIC))
+        if magic != MAGIC and magic.startswith(MAGIC[:-2]):
+            raise MapError(
+                f"{path} is the journal of a drive of another version of this program; finish the "
+                "drive with that version, or remove the file."
+            )
         if magic != MAGIC[: len(magic)] and any(magic):  # a power cut may leave zeros
             raise MapError(f"{path} is no journal of a drive. Check the name, or remove the file.")
         at, read_to, whole_to = len(MAGIC), len(MAGIC), size

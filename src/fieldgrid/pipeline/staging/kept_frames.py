@@ -14,7 +14,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from fieldgrid.core import Closing, MapError, holding
 from fieldgrid.geometry import Steps
@@ -30,12 +30,13 @@ from fieldgrid.maps import (
 )
 from fieldgrid.perception import CameraStep, Refusal, steps_of
 from fieldgrid.pipeline.report import BadFrame, StageTimes
-from fieldgrid.pipeline.staging.journal import Blob, Journal, JournalRecord
+from fieldgrid.pipeline.staging.journal import DAMAGED, Blob, Journal, JournalRecord
 from fieldgrid.pipeline.staging.perception import StepOutcome
 from fieldgrid.pipeline.staging.shares import FrameOutcome, moved_m
 
-FRAME = "frame"
-"""The kind of the records of frames."""
+FRAME, BAD, BEGIN = "frame", "bad", "begin"
+"""The kinds of the records of frames, of those that cannot be read, and of what a drive was begun
+with."""
 
 
 class KeptFrame(NamedTuple):
@@ -84,11 +85,20 @@ class Store(Closing):
                 self.journal = opening.enter_context(Journal(self.path))
             except OSError as error:
                 raise unwritable(out, error) from error
-            self._read()
+            self.drive: KeptDrive = self.read()
             self._open = opening.pop_all()
 
-    def _read(self) -> None:
-        """Take note of what is there already."""
+    def read(self) -> KeptDrive:
+        """What is there by now."""
+        return read_drive(self.journal, KeptDrive())
+
+    def staged(self) -> StagedDrive:
+        """All frames of the drive, as they are put into the map."""
+        drive = self.drive
+        bad = [drive.bad[number] for number in sorted(drive.bad)]
+        return StagedDrive(
+            JournalFrames(self.journal, drive.frames), drive.frames, bad, drive.times
+        )
 
     def keep(
         self,
@@ -115,15 +125,6 @@ class Store(Closing):
         self._open.close()
 
 
-def kept_frame(record: JournalRecord) -> tuple[KeptFrame, StageTimes]:
-    """The frame of a record, and what it took. ValueError or TypeError where it is none."""
-    number, said, found, times, *flags = record.value
-    frame_id, time_ns, *_, ground_found = said
-    entry = StageEntry(frame_id, time_ns, ground_found, record.start)
-    points = record.blobs[1] if len(record.blobs) > 1 else None
-    return KeptFrame(number, entry, found_from_json(found), points, *flags), StageTimes(**times)
-
-
 class KeptFrames(Sequence[KeptFrame]):
     """Frames of a journal, packed: objects take four times as much, which counts on long drives."""
 
@@ -143,6 +144,62 @@ class KeptFrames(Sequence[KeptFrame]):
         number, entry, found, points, *flags = marshal.loads(self._rows[index])
         found, points = found_from_json(found), points and Blob(*points)
         return KeptFrame(number, StageEntry(*entry), found, points, *flags)
+
+    def settle(self) -> None:
+        """Put them in the order of their numbers; of several of one number the last one counts."""
+        rows = {marshal.loads(row)[0]: row for row in self._rows}
+        self._rows = [rows[number] for number in sorted(rows)]
+
+
+@dataclass(slots=True)
+class KeptDrive:
+    """What a journal has of the frames of a drive; bad ones by their numbers."""
+
+    frames: KeptFrames = field(default_factory=KeptFrames)
+    bad: dict[int, BadFrame] = field(default_factory=dict)
+    times: StageTimes = field(default_factory=StageTimes)
+    damaged_bytes: int = 0
+    """Number of bytes of the journal that cannot be read any more."""
+    unreadable: int = 0
+    """The number of frames whose grids cannot be read any more."""
+
+    def take(self, record: JournalRecord, journal: Journal) -> None:
+        """Take the next record of the journal."""
+        kind, value, blobs, start = record
+        if kind == BAD:
+            self.bad[value[0]] = BadFrame(*value[1:3])
+        elif kind == DAMAGED:
+            self.damaged_bytes += value
+        elif kind == FRAME and journal.read(blobs[0]) is None:
+            self.unreadable += 1
+        elif kind == FRAME:
+            number, said, found, times, *flags = value
+            entry = StageEntry(said[0], said[1], said[-1], start)
+            points = blobs[1] if len(blobs) > 1 else None
+            self.frames.append(KeptFrame(number, entry, found_from_json(found), points, *flags))
+            self.times.add(StageTimes(**times))
+
+    def settle(self) -> None:
+        """All records were taken."""
+        self.frames.settle()
+
+
+_Drive = TypeVar("_Drive", bound=KeptDrive)
+
+
+def read_drive(journal: Journal, drive: _Drive) -> _Drive:
+    """The drive with all that its journal holds: whole, cut, or still growing. MapError for a
+    journal of another version."""
+    try:
+        for record in journal.records():
+            drive.take(record, journal)
+        drive.settle()
+    except (KeyError, ValueError, TypeError, IndexError) as error:
+        raise MapError(
+            "The journal of the drive is of another version of this program or damaged "
+            f"({error}); finish it with the version that wrote it."
+        ) from error
+    return drive
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,16 +14,14 @@ from typing import NamedTuple
 
 from fieldgrid.core import ConfigError, FieldgridError, MapError, RecordingError, holding
 from fieldgrid.maps import unwritable
-from fieldgrid.pipeline.report import BadFrame, StageTimes
 from fieldgrid.pipeline.staging.journal import read_journal
 from fieldgrid.pipeline.staging.kept_frames import (
+    BAD,
+    BEGIN,
     FRAME,
-    JournalFrames,
-    KeptFrames,
     StagedDrive,
     Store,
     drop_journal,
-    kept_frame,
     work_folder,
 )
 from fieldgrid.pipeline.staging.shares import FrameOutcome, moved_m
@@ -32,8 +30,6 @@ SHARE_FRAMES = 16
 """Frames that a process stages at a time. The frame before them is looked at twice, and what an end
 of the build costs is a share for each process."""
 
-BAD, BEGIN = "bad", "begin"
-"""The kinds of the records of frames that cannot be read, and of the session's name."""
 _YOUNG_S = 60.0
 
 
@@ -82,27 +78,15 @@ class DriveParts(Store):
     """The staged frames of a drive: those that are there already, and those to be made."""
 
     def __init__(self, out: Path, key: str, name: str, count: int) -> None:
-        self._name, self._count = name, count
-        self.done: set[int] = set()
-        """The numbers of the frames that are staged or known to be bad."""
-        self._bad: dict[int, BadFrame] = {}
-        self._times = StageTimes()
-        self.moved_m = 0.0
+        self._name, self._count, self._written_s = name, count, 0.0
         super().__init__(out, f"{key}.build")
-
-    def _read(self) -> None:
-        """A frame that is damaged is made again."""
-        for record in self.journal.records():
-            if record.kind == BAD:
-                self.done.add(record.value[0])
-                self._bad[record.value[0]] = BadFrame(*record.value[1:])
-            elif record.kind == FRAME and self.journal.read(record.blobs[0]) is not None:
-                frame, times = kept_frame(record)
-                self.done.add(frame.number)
-                self._times.add(times)
-                self.moved_m += moved_m(frame.found)
+        self._bad, frames = self.drive.bad, self.drive.frames
+        self.moved_m = sum(moved_m(frame.found) for frame in frames)
+        self.done = {frame.number for frame in frames} | self._bad.keys()
+        """The numbers of the frames that are staged or known to be bad. A frame that is damaged is
+        made again."""
         if not self.done:
-            self.journal.append(BEGIN, self._name)
+            self.journal.append(BEGIN, name)
 
     def add(self, number: int, looked: FrameOutcome) -> None:
         """Keep what became of a frame. MapWriteError on a full disk."""
@@ -116,8 +100,7 @@ class DriveParts(Store):
         if not taken:
             raise unwritable(self.out, self.journal.problem) from self.journal.problem
         self.done.add(number)
-        self._times.add(looked.times)
-        self._times.map_s += time.thread_time() - start
+        self._written_s += time.thread_time() - start
 
     def check_bad(self, skip_bad: int | float) -> None:
         """Raise RecordingError when more frames are bad than `skip_bad` allows, a number or, below
@@ -143,17 +126,12 @@ class DriveParts(Store):
 
     def staged(self) -> StagedDrive:
         """The whole drive, once no frame is missing."""
-        records = (record for record in self.journal.records() if record.kind == FRAME)
-        starts = {record.value[0]: record.start for record in records}
-        kept = KeptFrames()
-        for number in sorted(starts):
-            record = self.journal.at(starts[number])
-            if record is not None:
-                kept.append(kept_frame(record)[0])
-        if len(kept) + len(self._bad) < self._count:
+        self.drive = self.read()
+        found = super().staged()
+        found.times.map_s += self._written_s
+        if len(found.kept) + len(found.bad) < self._count:
             raise MapError(f"The staged frames in {self.path} cannot be read back; check the disk.")
-        bad = [self._bad[number] for number in sorted(self._bad)]
-        return StagedDrive(JournalFrames(self.journal, kept), kept, bad, self._times)
+        return found
 
     def remove(self) -> None:
         """Remove the frames of a drive that is given up."""
