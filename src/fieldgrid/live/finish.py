@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-
-from pydantic import ValidationError
 
 from fieldgrid.core import (
     BuildSettings,
@@ -18,9 +16,9 @@ from fieldgrid.core import (
     MapExistsError,
     MapWriteError,
     Overrides,
-    first_problem,
     info,
     quoted,
+    resolve,
     warning,
 )
 from fieldgrid.live.gridding_again import gridded_again
@@ -278,15 +276,11 @@ def with_overrides(settings: BuildSettings, overrides: Overrides) -> BuildSettin
     may not."""
     tables: dict[str, Any] = settings.model_dump(mode="json")
     for table, values in overrides.items():
-        given: Mapping[str, Any] = {k: v for k, v in values.items() if v is not None}
+        given = {key: value for key, value in values.items() if value is not None}
         if given and table not in AT_THE_END:
             raise ConfigError(
                 f"The setting {table}.{next(iter(given))} is that of the grids, which are made; "
                 "build the drive from a recording to change it."
             )
-        tables[table] = {**tables[table], **given}
-    try:
-        return BuildSettings.model_validate(tables)
-    except ValidationError as error:
-        problem = first_problem(error)
-        raise ConfigError(f"Setting {problem.setting} is not possible: {problem.why}.") from error
+        tables[table] |= given
+    return resolve(None, tables)

@@ -9,11 +9,11 @@ from contextlib import closing
 from dataclasses import replace
 
 from fieldgrid.core import Finding, warning
-from fieldgrid.geometry import GridSpec, LocalGrid
+from fieldgrid.geometry import GridSpec
 from fieldgrid.live.kept.kept_drive import PushedDrive
 from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.maps import StagedFrame, StageFile, stage
-from fieldgrid.perception import FrameGround, LocalGridder, OriginTrack, Refusal
+from fieldgrid.perception import LocalGridder, OriginTrack, Refusal
 from fieldgrid.pipeline import BadFrame, KeptFrames, Progress, StagedDrive, grid_of, side_by_side
 from fieldgrid.poses import Attitude
 
@@ -49,9 +49,19 @@ def gridded_again(
         frame, was = drive.frames[number], staged.frames[number]
         tilt = None if attitude is None else attitude.tilt_at(was.time_ns)
         seen = kept.points_of(frame, gridder)
-        if seen is not None:
-            return _again(was, *grid_of(seen, was.time_ns, gridder, tilt, way)), False
-        return was if frame.is_level == (tilt is not None) else None, True
+        if seen is None:
+            return was if frame.is_level == (tilt is not None) else None, True
+        grid, ground = grid_of(seen, was.time_ns, gridder, tilt, way)
+        made = stage(
+            grid,
+            was.frame_id,
+            was.time_ns,
+            images=was.images,
+            images_sha256=was.images_sha256,
+            ground_found=ground.refined,
+            channels=ground.channels(),
+        )
+        return made, False
 
     again = KeptFrames()
     bad, as_driven, findings = list(staged.bad), 0, tuple[Finding, ...]()
@@ -83,15 +93,3 @@ def gridded_again(
         findings = (told,)
     made_again = replace(staged, frames=file, kept=again, bad=bad)
     return made_again, findings, len(drive.frames) - len(again)
-
-
-def _again(was: StagedFrame, grid: LocalGrid, ground: FrameGround) -> StagedFrame:
-    return stage(
-        grid,
-        was.frame_id,
-        was.time_ns,
-        images=was.images,
-        images_sha256=was.images_sha256,
-        ground_found=ground.refined,
-        channels=ground.channels(),
-    )

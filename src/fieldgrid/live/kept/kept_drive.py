@@ -110,7 +110,7 @@ def _datum_to_json(datum: Datum | None) -> list[float] | None:
     return None if datum is None else [datum.lat_deg, datum.lon_deg, datum.height_m]
 
 
-@dataclass(slots=True)
+@dataclass
 class PushedDrive(KeptDrive):
     """What was pushed, as it is read back. Without a beginning, which a damage may have taken,
     nothing is taken."""

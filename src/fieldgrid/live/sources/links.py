@@ -121,50 +121,36 @@ def open_link(address: Address) -> Link:
         "gpsd": _open_gpsd,
         "serial": _open_serial,
         "fifo": _open_fifo,
-        "stdin": lambda _: _Descriptor(sys.stdin.fileno(), owned=False),
+        "stdin": lambda _: _Descriptor(sys.stdin.fileno(), lambda: None, LinkEndedError),
     }
     return openers[address.kind](address)
 
 
-class _Socket(Closing):
-    """A connected stream, or a socket of datagrams."""
+class _Descriptor(Closing):
+    """A stream, datagrams or a pipe by its number, closed by `close`. Where nothing more is to
+    come, `end` is raised; datagrams have no end."""
 
-    def __init__(self, connected: socket.socket, first: bytes = b"", *, stream: bool) -> None:
-        self._socket, self._first, self._is_stream = connected, first, stream
+    def __init__(
+        self,
+        number: int,
+        close: Callable[[], None],
+        end: type[Exception] | None,
+        first: bytes = b"",
+    ) -> None:
+        self._number, self._end, self._first = number, end, first
+        self._close = close
 
     def read(self, timeout_s: float) -> bytes:
-        if self._first:
-            first, self._first = self._first, b""
+        first, self._first = self._first, b""
+        if first or not select.select([self._number], [], [], timeout_s)[0]:
             return first
-        self._socket.settimeout(timeout_s)
-        try:
-            data = self._socket.recv(CHUNK_BYTES)
-        except TimeoutError:
-            return b""
-        if self._is_stream and not data:
-            raise ConnectionError("the other end has closed it")
+        data = os.read(self._number, CHUNK_BYTES)
+        if not data and self._end is not None:
+            raise self._end("the other end has closed it")
         return data
 
     def close(self) -> None:
-        self._socket.close()
-
-
-class _Descriptor(Closing):
-    """A pipe; one that is not `owned` stays open."""
-
-    def __init__(self, number: int, *, owned: bool) -> None:
-        self._number, self._owned = number, owned
-
-    def read(self, timeout_s: float) -> bytes:
-        if not select.select([self._number], [], [], timeout_s)[0]:
-            return b""
-        if data := os.read(self._number, CHUNK_BYTES):
-            return data
-        raise LinkEndedError
-
-    def close(self) -> None:
-        if self._owned:
-            os.close(self._number)
+        self._close()
 
 
 class _Serial(Closing):
@@ -197,13 +183,13 @@ def _connected(address: Address) -> socket.socket:
     return connected
 
 
-def _open_tcp(address: Address) -> _Socket:
+def _open_tcp(address: Address) -> _Descriptor:
     connected = _connected(address)
     connected.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    return _Socket(connected, stream=True)
+    return _Descriptor(connected.fileno(), connected.close, ConnectionError)
 
 
-def _open_udp(address: Address) -> _Socket:
+def _open_udp(address: Address) -> _Descriptor:
     hosts = socket.getaddrinfo(
         address.host or None, address.port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
     )
@@ -214,10 +200,10 @@ def _open_udp(address: Address) -> _Socket:
     except OSError:
         listening.close()
         raise
-    return _Socket(listening, stream=False)
+    return _Descriptor(listening.fileno(), listening.close, None)
 
 
-def _open_gpsd(address: Address) -> _Socket:
+def _open_gpsd(address: Address) -> _Descriptor:
     """gpsd greets with a line of JSON, and sends what it is asked to watch."""
     connected = _connected(address)
     try:
@@ -240,12 +226,13 @@ def _open_gpsd(address: Address) -> _Socket:
     except BaseException:
         connected.close()
         raise
-    return _Socket(connected, rest, stream=True)
+    return _Descriptor(connected.fileno(), connected.close, ConnectionError, rest)
 
 
 def _open_fifo(address: Address) -> _Descriptor:
     # Opened for writing too, it has no end when a writer goes, and another may come.
-    return _Descriptor(os.open(address.path, os.O_RDWR | os.O_NONBLOCK), owned=True)
+    number = os.open(address.path, os.O_RDWR | os.O_NONBLOCK)
+    return _Descriptor(number, lambda: os.close(number), LinkEndedError)
 
 
 def _serial() -> Any:

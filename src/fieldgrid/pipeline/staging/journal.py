@@ -204,7 +204,7 @@ def _scan(path: Path) -> Iterator[tuple[int, int, bytes]]:
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
         magic = file.read(len(MAGIC))
-        if magic != MAGIC and magic.startswith(MAGIC[:-2]):
+        if len(magic) == len(MAGIC) and magic != MAGIC and magic.startswith(MAGIC[:-2]):
             raise MapError(
                 f"{path} is the journal of a drive of another version of this program; finish the "
                 "drive with that version, or remove the file."
