@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections import deque
-
 from fieldgrid.live.intake import Intake
 from fieldgrid.live.ros.head import Head
 from fieldgrid.live.ros.place import RobotFrames
 from fieldgrid.live.sources.mcap_stream import FIXES, McapStream, StreamChannel
-from fieldgrid.live.sources.moments import Waiting, together
 from fieldgrid.live.sources.orientation_stream import ATTITUDE
-from fieldgrid.recordings import TF, TF_STATIC, Message, decode
+from fieldgrid.recordings import TF, TF_STATIC, decode
 
 _POLL_S = 0.25
 _TAKEN = {"cloud", "imu", "odometry", *FIXES}
@@ -27,7 +24,6 @@ class RosStream(McapStream):
         given = {role: topic for topic, role in head.roles.items() if role in named}
         super().__init__("-", head.frames, given, imu_axes=head.imu_axes, epoch_ns=epoch_ns)
         self._head, self._robot = head, robot
-        self._parts: list[Waiting] = [deque() for _ in head.frames.plan.topics]
         self._is_behind = True
 
     def run(self, intake: Intake) -> None:
@@ -49,11 +45,3 @@ class RosStream(McapStream):
             self.take(StreamChannel(connection, taken, False, role == ATTITUDE), message, intake)
             if left_out := self._head.left_out:
                 self._say(intake, f"gives images faster than they are taken; {left_out} are lost.")
-
-    def _cloud(self, message: Message, time_ns: int, intake: Intake) -> None:
-        """Hold a message until the others of its frame, of whatever kind, come; give the frame."""
-        frames = self._head.frames
-        self._parts[frames.plan.topics.index(message.topic)].append((message, time_ns))
-        for taken in together(self._parts):
-            intake.push_frame(frames.frame(self._frames, taken), wait=self._is_behind)
-            self._frames += 1

@@ -7,8 +7,9 @@ taken for a role by its type and its name as soon as it is announced, or because
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,12 +36,14 @@ from fieldgrid.recordings import (
     CloudFrame,
     CloudKind,
     Connection,
+    Frame,
     FrameKind,
     Message,
     MessageCloud,
     Numbers,
     PairKind,
     StereoFrame,
+    Taken,
     Transforms,
     as_utc,
     connection_of,
@@ -129,7 +132,11 @@ class McapStream:
         self._roles: dict[str, str] = {}
         self._told: set[str] = set()
         self._nmea = ReceiverStream()
-        self._waiting: tuple[Waiting, Waiting] = deque(), deque()
+        count = len(kind.plan.topics) if isinstance(kind, BagFrames) else 2
+        self._parts: list[Waiting] = [
+            deque() for _ in range(1 if isinstance(kind, CloudKind) else count)
+        ]
+        self._is_behind = False
         self._frames = 0
         self._turns: dict[str, tuple[str, tuple[float, ...]]] = {}
         self._fixes_of = ""
@@ -241,7 +248,7 @@ class McapStream:
 
     def _take(self, role: str, message: Message, intake: Intake) -> None:
         takers: dict[str, Callable[[Message, int, Intake], None]] = {
-            "cloud": self._cloud,
+            **{part: partial(self._part, part) for part in ("left", "right", "cloud")},
             "fix": self._fix,
             "nmea": self._sentence,
             "imu": self._turn,
@@ -267,10 +274,7 @@ class McapStream:
                 f"has no UTC in the stamps of {message.topic}; the recorder's times are taken.",
             )
         try:
-            if role in ("left", "right"):
-                self._image(role, message, time_ns, intake)
-            else:
-                takers[role](message, time_ns, intake)
+            takers[role](message, time_ns, intake)
         except (ConfigError, RecordingError) as problem:
             self._say(intake, f"has messages on {message.topic} that are left out: {problem}")
 
@@ -292,17 +296,34 @@ class McapStream:
                     "recording.toml.",
                 )
 
-    def _cloud(self, message: Message, time_ns: int, intake: Intake) -> None:
-        """Give a cloud, whose frame tells by its name or place when its axes are a camera's."""
-        if not isinstance(self._kind, CloudKind):
-            raise ConfigError("the rig is of a stereo camera; give that of the lidar with --rig.")
+    def _part(self, role: str, message: Message, time_ns: int, intake: Intake) -> None:
+        """Hold a message until the others of its frame come, and give the frame."""
+        kind = self._kind
+        part = int(role == "right")
+        if isinstance(kind, BagFrames):
+            part = kind.plan.topics.index(message.topic)
+        elif isinstance(kind, CloudKind) != (role == "cloud"):
+            raise ConfigError("the rig is of another sensor; give that of this one with --rig.")
+        self._parts[part].append((message, time_ns))
+        for taken in together(self._parts):
+            intake.push_frame(self._frame(taken), wait=self._is_behind)
+            self._frames += 1
+
+    def _frame(self, taken: Sequence[Taken]) -> Frame:
+        """The frame of the messages of one moment. The frame of a cloud tells by its name or place
+        when its axes are a camera's."""
+        kind, about = self._kind, (f"{self._frames:06d}", taken[0][1])
+        if isinstance(kind, BagFrames):
+            return kind.frame(self._frames, taken)
+        if isinstance(kind, PairKind):
+            left, right = (image_source(*one, kind.image_format.bits or 16) for one in taken)
+            return StereoFrame(*about, left, right, kind.size_px, kind.rectifier)
+        ((message, time_ns),) = taken
         if message.topic not in self._turns:
-            frame = str(decode(message).header.frame_id)
-            self._turns[message.topic] = frame, self._turn_of(frame)
-        _, turn = self._turns[message.topic]
-        cloud = MessageCloud(message, time_ns, turn, self._kind.corrected)
-        intake.push_frame(CloudFrame(f"{self._frames:06d}", time_ns, cloud))
-        self._frames += 1
+            name = str(decode(message).header.frame_id)
+            self._turns[message.topic] = name, self._turn_of(name)
+        turn = self._turns[message.topic][1]
+        return CloudFrame(*about, MessageCloud(message, time_ns, turn, kind.corrected))
 
     def _turn_of(self, frame: str) -> tuple[float, ...]:
         """What turns points of a frame into right, down, forward, by what is known of it now."""
@@ -310,18 +331,6 @@ class McapStream:
         is_said = axes != CloudKind().axes and not is_optical(frame)
         R = optical(frame, self._transforms, axes if is_said else None)
         return tuple(R.ravel().tolist())
-
-    def _image(self, role: str, message: Message, time_ns: int, intake: Intake) -> None:
-        """Hold an image until its partner comes, and give the pair."""
-        kind = self._kind
-        if not isinstance(kind, PairKind):
-            raise ConfigError("the rig is of a lidar; give that of the camera with --rig.")
-        self._waiting[role == "right"].append((message, time_ns))
-        for taken in together(self._waiting):
-            first, second = (image_source(*one, kind.image_format.bits or 16) for one in taken)
-            pair = first, second, kind.size_px, kind.rectifier
-            intake.push_frame(StereoFrame(f"{self._frames:06d}", taken[0][1], *pair))
-            self._frames += 1
 
     def _fix(self, message: Message, time_ns: int, intake: Intake) -> None:
         one = Numbers(message.topic, message.connection.type)
