@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Callable, Generator, Iterable
 from contextlib import closing
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import NamedTuple, TypeVar
 
 import cv2
@@ -80,7 +80,41 @@ def perceive_frame(
     """One frame, read and perceived here; RecordingError where it cannot be read. With the
     vehicle's `tilt` the columns of its grid are vertical; by its `way` the points of a sweep are
     carried to its stamp."""
-    return frame.read(_Stages(frame, gridder, odometry, tilt, way, gridded))
+    start = time.thread_time()
+    seen, decoded, pair = frame.read(_GridInputs(gridder))
+    matched = decoded if pair is None else time.thread_time()
+    grid, ground = grid_of(seen, taken_ns(frame, gridder.rig), gridder, tilt, way)
+    done = time.thread_time()
+    if gridded is not None:
+        gridded(grid, ground)
+    hashes = tuple(source.sha256() for source in frame.sources)
+    hashed = time.thread_time()
+    found = features(gridder.rig.camera, *pair) if odometry and pair is not None else None
+    spent = decoded - start, matched - decoded, done - matched, time.thread_time() - hashed
+    return Perception(frame, seen, grid, ground, tilt is not None, found, hashes, *spent)
+
+
+class _GridInputs:
+    """What the grid of a frame is made of, when the frame was decoded, and its images if it is a
+    pair."""
+
+    def __init__(self, gridder: LocalGridder) -> None:
+        self._gridder = gridder
+
+    def pair(self, left: Image, right: Image) -> tuple[GridInput, float, tuple[Image, Image]]:
+        """A pair is matched."""
+        decoded = time.thread_time()
+        coded = self._gridder.coded(*self._gridder.matcher.disparity(left, right))
+        return coded, decoded, (left, right)
+
+    def depth(self, depth_m: Float32) -> tuple[GridInput, float, None]:
+        """An image of depths."""
+        decoded = time.thread_time()
+        return self._gridder.coded_depth(depth_m), decoded, None
+
+    def cloud(self, sweep: Sweep) -> tuple[GridInput, float, None]:
+        """A cloud, as it was read."""
+        return sweep, time.thread_time(), None
 
 
 def follows_camera(rig: Rig, settings: BuildSettings) -> bool:
@@ -128,60 +162,6 @@ def side_by_side(
         yield from by_threads(work, items, jobs, jobs + 1)
     finally:
         cv2.setNumThreads(threads_before)
-
-
-class _Stages:
-    """Makes what is perceived of one frame once it is read, and times it from here on."""
-
-    def __init__(
-        self,
-        frame: Frame,
-        gridder: LocalGridder,
-        odometry: bool,
-        tilt: Tilt | None,
-        way: OriginTrack | None,
-        tell: GridListener | None,
-    ) -> None:
-        self._frame, self._gridder, self._odometry = frame, gridder, odometry
-        self._tilt, self._way, self._tell = tilt, way, tell
-        self._start = time.thread_time()
-
-    def pair(self, left: Image, right: Image) -> Perception:
-        """What a pair gives: it is matched, gridded and, if that is wanted, its features are
-        found."""
-        gridder, decoded = self._gridder, time.thread_time()
-        coded = gridder.coded(*gridder.matcher.disparity(left, right))
-        look = partial(features, gridder.rig.camera, left, right) if self._odometry else None
-        return self._made(coded, decoded, time.thread_time(), look)
-
-    def depth(self, depth_m: Float32) -> Perception:
-        """What an image of depths gives."""
-        decoded = time.thread_time()
-        return self._made(self._gridder.coded_depth(depth_m), decoded, decoded)
-
-    def cloud(self, sweep: Sweep) -> Perception:
-        """What a cloud gives, its points as they lay at its stamp where that is known."""
-        decoded = time.thread_time()
-        return self._made(sweep, decoded, decoded)
-
-    def _made(
-        self,
-        seen: GridInput,
-        decoded: float,
-        matched: float,
-        look: Callable[[], Features] | None = None,
-    ) -> Perception:
-        frame, gridder, tilt = self._frame, self._gridder, self._tilt
-        grid, ground = grid_of(seen, taken_ns(frame, gridder.rig), gridder, tilt, self._way)
-        done = time.thread_time()
-        if self._tell is not None:
-            self._tell(grid, ground)
-        hashes = tuple(source.sha256() for source in frame.sources)
-        hashed = time.thread_time()
-        found = None if look is None else look()
-        odometry_s = 0.0 if look is None else time.thread_time() - hashed
-        spent = decoded - self._start, matched - decoded, done - matched, odometry_s
-        return Perception(frame, seen, grid, ground, tilt is not None, found, hashes, *spent)
 
 
 def grid_of(
