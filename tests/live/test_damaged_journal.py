@@ -53,21 +53,21 @@ def starts_of(out: Path, kind: str) -> list[int]:
 
 def test_no_step_leads_over_a_frame_that_is_lost(out: Path) -> None:
     with SessionFolder(out, None) as kept:
-        before = [one.found for one in kept.staged().kept]
+        before = [one.found for one in kept.drive.frames]
     assert all(isinstance(one, CameraStep) for one in before[1:])
     damage(live_folder(out) / "live", [starts_of(out, "frame")[k] for k in (2, 3)])
     with SessionFolder(out, None) as kept:
-        found = [one.found for one in kept.staged().kept]
+        found = [one.found for one in kept.drive.frames]
     assert found == [*before[:2], Refusal.LOST, before[5]]
 
 
 def test_damage_between_two_frames_costs_no_step(out: Path) -> None:
     with SessionFolder(out, None) as kept:
-        before = [one.found for one in kept.staged().kept]
+        before = [one.found for one in kept.drive.frames]
     damage(live_folder(out) / "live", starts_of(out, "fix")[:-20:7])
     with SessionFolder(out, None) as kept:
         assert kept.read().damaged_bytes > 0
-        assert [one.found for one in kept.staged().kept] == before
+        assert [one.found for one in kept.drive.frames] == before
 
 
 def test_the_last_records_of_a_drive_are_not_lost_without_a_word(out: Path) -> None:

@@ -14,11 +14,11 @@ import pytest
 
 from fieldgrid.core import BuildSettings, ConfigError, Draft, MapExistsError
 from fieldgrid.live import finish, finish_session, live_folder, replay
-from fieldgrid.maps import StageFile, open_map
+from fieldgrid.maps import open_map
 from fieldgrid.maps.tiles.pyramid import Pyramid
 from fieldgrid.maps.writing import session
 from fieldgrid.maps.writing.placing import FoldedTiles
-from fieldgrid.pipeline import build_map
+from fieldgrid.pipeline import Store, build_map
 from fieldgrid.pipeline.staging import kept_frames
 from fieldgrid.recordings import open_recording
 from tests.live.making import begin
@@ -51,7 +51,7 @@ def dies(at: int = 1, *, after: bool = False) -> Callable[[Any], Callable[..., A
 
 STEPS: dict[str, tuple[Any, str, Any]] = {
     "the journal was read": (finish, "prepared", dies()),
-    "grids are made again": (StageFile, "append", dies(3)),
+    "grids are made again": (Store, "keep", dies(3)),
     "before frames are placed": (FoldedTiles, "__init__", dies()),
     "frames are placed": (FoldedTiles, "cells", dies(2)),
     "before the commit": (session, "sum_up", dies(after=True)),

@@ -254,7 +254,7 @@ def test_the_camera_is_followed_over_a_frame_that_a_full_disk_refused(
         live.stop()
     assert {name: frame.step for name, frame in passed.items()} == whole
     with SessionFolder(out, None) as kept:
-        found = [one.found for one in kept.staged().kept]
+        found = [one.found for one in kept.drive.frames]
     assert isinstance(whole["000023"], CameraStep)
     assert found[1] == whole["000021"]
     assert found[2] != whole["000023"]  # over 3 m the images have too little in common

@@ -24,7 +24,7 @@ from fieldgrid.live.kept.kept_drive import PushedDrive, SessionStart
 from fieldgrid.live.kept.session_folder import MOST_PAIRS, SessionFolder
 from fieldgrid.live.pose.sensor_rows import fix_from_json, fix_to_json
 from fieldgrid.maps import open_map
-from fieldgrid.pipeline import Journal, read_journal
+from fieldgrid.pipeline import read_journal
 from fieldgrid.recordings import open_recording
 from tests.cli.conftest import in_a_process
 from tests.live.making import begin
@@ -61,7 +61,7 @@ def test_a_file_that_is_cut_off_anywhere_loses_its_end_only(
     for _ in range(12):
         path.write_bytes(whole[: draw.randrange(len(whole) // 3, len(whole) - 1000)])
         with SessionFolder(out, None) as kept:
-            had = [entry.frame_id for entry in kept.staged().entries]
+            had = [entry.frame_id for entry in kept.drive.entries]
             assert had == frames[: len(had)]
     # The last of these is gone on with, and is the map of a build.
     with open_recording(leaning_drive) as recording, begin(recording, out) as live:
@@ -144,8 +144,8 @@ def test_rows_of_a_long_drive_are_joined_and_read_once_at_its_end(
         live.stop()
     read = session_folder.read_drive
 
-    def reading(journal: Journal, drive: PushedDrive) -> PushedDrive:
-        reads.append(read(journal, drive))
+    def reading(drive: PushedDrive) -> PushedDrive:
+        reads.append(read(drive))
         for part, pieces in drive.parts.items():
             count = sum(len(piece.time_ns) for piece in pieces)
             assert count == rows[part]
@@ -262,7 +262,7 @@ def test_a_kill_loses_the_last_frame_at_most_and_the_session_goes_on(
     for _ in range(2):
         told += killed_after(draw.randrange(2, 6), leaning_drive, out)
         with SessionFolder(out, None) as kept:
-            had = [entry.frame_id for entry in kept.staged().entries]
+            had = [entry.frame_id for entry in kept.drive.entries]
         # What was told may be one ahead of what is kept.
         assert len(had) >= len(set(told)) - 1
     with open_recording(leaning_drive) as recording, begin(recording, out) as live:

@@ -23,8 +23,8 @@ from fieldgrid.core import (
 )
 from fieldgrid.live.gridding_again import gridded_again
 from fieldgrid.live.kept.kept_drive import PushedDrive, SessionStart, live_folder, live_journal
-from fieldgrid.live.kept.session_folder import SessionFolder
-from fieldgrid.maps import Patience, StageFile, check_cell_sizes, open_map
+from fieldgrid.live.kept.session_folder import AGAIN, SessionFolder
+from fieldgrid.maps import Patience, check_cell_sizes, open_map
 from fieldgrid.perception import OriginTrack
 from fieldgrid.pipeline import (
     Progress,
@@ -120,7 +120,7 @@ def finish_from(
                     "say with --poses or --poses-topic where they are recorded."
                 )
             times_ns = found.frame_times_ns() + found.rig.image_time_offset_ns
-            for entry in kept.staged().entries:
+            for entry in kept.drive.entries:
                 if entry.time_ns not in times_ns:
                     raise ConfigError(
                         f"{recording} has no frame of the time {entry.time_ns} ns, as the session "
@@ -256,18 +256,21 @@ def _placed(
         session.report.findings += (NOT_LEVELLED,)
     way, datum = OriginTrack.of(estimate.trajectory), datum or estimate.trajectory.datum
     del estimate  # of a long drive there is no room for two
-    with StageFile(out) as file:
-        attitude = told if levels else None
-        staged, again, left_out = gridded_again(kept, drive, file, attitude, way, progress)
-        session.report.findings += again
-        with (
-            opened_map(out, settings, datum, patience)
-            if out.exists()
-            else made_map(out, settings, datum)
-        ) as universal:
-            if about.name not in taken:
-                session.check(universal)
-            session.put(universal, staged, taken)
+    with Store(out, AGAIN) as made:
+        try:
+            attitude = told if levels else None
+            staged, again, left_out = gridded_again(kept, drive, made, attitude, way, progress)
+            session.report.findings += again
+            with (
+                opened_map(out, settings, datum, patience)
+                if out.exists()
+                else made_map(out, settings, datum)
+            ) as universal:
+                if about.name not in taken:
+                    session.check(universal)
+                session.put(universal, staged, taken)
+        finally:
+            made.remove()
     return session.report, left_out
 
 

@@ -6,15 +6,22 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import replace
 
 from fieldgrid.core import Finding, warning
 from fieldgrid.geometry import GridSpec
 from fieldgrid.live.kept.kept_drive import PushedDrive
 from fieldgrid.live.kept.session_folder import SessionFolder
-from fieldgrid.maps import StagedFrame, StageFile, stage
+from fieldgrid.maps import StagedFrame, stage
 from fieldgrid.perception import LocalGridder, OriginTrack, Refusal
-from fieldgrid.pipeline import BadFrame, KeptFrames, Progress, StagedDrive, grid_of, side_by_side
+from fieldgrid.pipeline import (
+    BadFrame,
+    KeptDrive,
+    Progress,
+    StageTimes,
+    Store,
+    grid_of,
+    side_by_side,
+)
 from fieldgrid.poses import Attitude
 
 NO_POINTS = "its points were not kept, and how the vehicle leaned was not known while driving"
@@ -23,21 +30,20 @@ NO_POINTS = "its points were not kept, and how the vehicle leaned was not known 
 def gridded_again(
     kept: SessionFolder,
     drive: PushedDrive,
-    file: StageFile,
+    again: Store,
     attitude: Attitude | None,
     way: OriginTrack,
     progress: Callable[[Progress], None] | None = None,
-) -> tuple[StagedDrive, tuple[Finding, ...], int]:
+) -> tuple[KeptDrive, tuple[Finding, ...], int]:
     """The frames of a session, of what was read of it, with grids that are level by the `attitude`,
     perpendicular to the ground ahead where that is None, of sweeps carried by the vehicle's `way`;
-    those that had to be made again are in the `file`. `progress` is called after each of them.
+    those that had to be made again are kept in `again`. `progress` is called after each of them.
 
     Returns them with findings for the report, and the number of frames that are left out, since
     their points are not there to make them as the others are."""
-    staged = kept.staged()
     is_swept = any(frame.is_timed for frame in drive.frames)
     if attitude is None and not is_swept and not any(frame.is_level for frame in drive.frames):
-        return staged, (), 0
+        return drive, (), 0
     settings = kept.about.settings
     gridder = LocalGridder(
         kept.about.rig, GridSpec.of(settings.grid), settings.stereo, settings.density
@@ -46,7 +52,7 @@ def gridded_again(
     def make(number: int) -> tuple[StagedFrame | None, bool]:
         """A frame, None where it cannot be as the others are, and whether its grid is that of while
         driving."""
-        frame, was = drive.frames[number], staged.frames[number]
+        frame, was = drive.frames[number], drive[number]
         tilt = None if attitude is None else attitude.tilt_at(was.time_ns)
         seen = kept.points_of(frame, gridder)
         if seen is None:
@@ -63,8 +69,7 @@ def gridded_again(
         )
         return made, False
 
-    again = KeptFrames()
-    bad, as_driven, findings = list(staged.bad), 0, tuple[Finding, ...]()
+    left_out, as_driven, findings = dict[int, BadFrame](), 0, tuple[Finding, ...]()
     with closing(side_by_side(make, range(len(drive.frames)), os.cpu_count() or 1)) as all_made:
         lost = False
         frames = zip(all_made, drive.frames, strict=True)
@@ -72,24 +77,26 @@ def gridded_again(
             if progress is not None:
                 progress(Progress(kept.about.name, done, len(drive.frames)))
             if made is None:
-                bad.append(BadFrame(frame.entry.frame_id, NO_POINTS))
+                left_out[frame.number] = BadFrame(frame.entry.frame_id, NO_POINTS)
                 lost = True
                 continue
             as_driven += is_as_driven
             # No step leads over a frame that is left out.
             found = Refusal.NOT_COMPARED if lost and frame.found is not None else frame.found
-            again.append(frame._replace(entry=file.entries[file.append(made)], found=found))
+            again.keep(frame.number, made, found, StageTimes())
             lost = False
     if as_driven:
+        count = len(drive.frames) - len(left_out)
         known = ["the attitude"] if attitude is not None else []
         known += ["the motion"] if is_swept else []
         told = warning(
             "points-lost",
-            f"The points of {as_driven} of {len(again)} frames were not kept to the end: their "
+            f"The points of {as_driven} of {count} frames were not kept to the end: their "
             f"grids are as they were made while driving, by {' and '.join(known)} known then.",
             "A build from a recording (fieldgrid build RECORDING) makes them by the data of the "
             "whole drive.",
         )
         findings = (told,)
-    made_again = replace(staged, frames=file, kept=again, bad=bad)
-    return made_again, findings, len(drive.frames) - len(again)
+    made_again = again.read()
+    made_again.bad, made_again.times = drive.bad | left_out, drive.times
+    return made_again, findings, len(left_out)

@@ -72,7 +72,6 @@ if TYPE_CHECKING:
         KeptDrive as KeptDrive,
         KeptFrame as KeptFrame,
         KeptFrames as KeptFrames,
-        StagedDrive as StagedDrive,
         Store as Store,
         drop_journal as drop_journal,
         read_drive as read_drive,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -40,7 +40,7 @@ from fieldgrid.pipeline.staging.parts import (
     settle_left_behind,
 )
 from fieldgrid.pipeline.staging.remote import packed, place_of
-from fieldgrid.pipeline.staging.shares import moved_m, stage_frames
+from fieldgrid.pipeline.staging.shares import moved_m
 from fieldgrid.pipeline.staging.staging import Processes, ShareResult, Staging, Workers
 from fieldgrid.pipeline.targets import check_names, check_output, made_map, opened_map
 from fieldgrid.recordings import DriveOptions, Recording, open_drive
@@ -269,7 +269,7 @@ class _Build:
                 "--name."
             )
         if self.staging is None:
-            self._stage(drive)
+            parts.stage(session.work(), self.jobs, drive.tell, self.skip_bad)
         while drive.error is None and len(parts.done) < session.total:
             assert self.staging is not None
             result = self.staging.next()
@@ -287,16 +287,6 @@ class _Build:
         began_s = start if drive.began_s is None else drive.began_s
         session.report.wall_s = time.perf_counter() - began_s
         return session.report
-
-    def _stage(self, drive: _DriveBuild) -> None:
-        """Stage in threads of this process what is missing of a drive."""
-        parts, work = drive.parts, drive.session.work()
-        for first, last in list(parts.missing(work.total)):
-            with closing(stage_frames(work, first, last, self.jobs)) as looks:
-                for number, looked in enumerate(looks, first):
-                    parts.add(number, looked)
-                    parts.check_bad(self.skip_bad)
-                    drive.tell(moved_m(looked.found))
 
     def _take(self, drive: _DriveBuild, result: ShareResult) -> None:
         """Keep a share that another process has staged, or leave its drive out."""

@@ -12,7 +12,6 @@ import os
 import time
 from array import array
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +22,6 @@ from fieldgrid.geometry import Datum, GridSpec, Rig, Status, Steps, StereoCamera
 from fieldgrid.maps import (
     MapFile,
     Session,
-    StageFile,
     check_cell_sizes,
 )
 from fieldgrid.perception import LocalGridder, OriginTrack
@@ -61,12 +59,11 @@ from fieldgrid.pipeline.poses import (
     told_of,
 )
 from fieldgrid.pipeline.report import BadFrame, Progress, SessionReport
-from fieldgrid.pipeline.staging.kept_frames import StagedDrive, collect
+from fieldgrid.pipeline.staging.kept_frames import KeptDrive
+from fieldgrid.pipeline.staging.part_key import part_key
+from fieldgrid.pipeline.staging.parts import DriveParts
 from fieldgrid.pipeline.staging.perception import follows_camera
-from fieldgrid.pipeline.staging.shares import (
-    DriveWork,
-    stage_frames,
-)
+from fieldgrid.pipeline.staging.shares import DriveWork
 from fieldgrid.pipeline.targets import check_names, is_in_map
 from fieldgrid.poses import GIVEN, Attitude, Estimate, levelling_attitude
 from fieldgrid.recordings import Recording
@@ -93,12 +90,14 @@ def add_recording(
     started = time.perf_counter()
     session, _ = prepared(recording, settings or BuildSettings(), universal.datum, name)
     session.check(universal)
-    work, threads = session.work(), jobs or os.cpu_count() or 1
-    with (
-        StageFile(universal.path) as file,
-        closing(stage_frames(work, 0, work.total, threads)) as looks,
-    ):
-        session.add(universal, collect(looks, file, ProgressReporter(session, progress)))
+    key = part_key(session, universal.datum)
+    with DriveParts(universal.path, key, session.name, session.total) as parts:
+        try:
+            tell = ProgressReporter(session, progress)
+            parts.stage(session.work(), jobs or os.cpu_count() or 1, tell)
+            session.add(universal, parts.staged())
+        finally:
+            parts.remove()
     session.report.wall_s = time.perf_counter() - started
     return session.report
 
@@ -213,15 +212,15 @@ class NewSession:
         found = (*row_findings(self.recording, self.every, rows), *image_findings(images))
         self.report.findings += settled(found, self.settings)
 
-    def add(self, universal: MapFile, staged: StagedDrive) -> None:
+    def add(self, universal: MapFile, staged: KeptDrive) -> None:
         """Add the session to the map, with the frames that were staged."""
         recording, settings, report = self.recording, self.settings, self.report
         report.stages.add(staged.times)
-        report.bad = tuple(staged.bad)
-        if not staged.kept:
+        report.bad = tuple(staged.bad.values())
+        if not staged.frames:
             raise RecordingError(
                 f"None of the {self.total} frames of {self.name} can be read. "
-                f"First: {staged.bad[0].reason}"
+                f"First: {report.bad[0].reason}"
             )
         steps = None
         if self.odometry:
@@ -231,7 +230,7 @@ class NewSession:
         found = sum(entry.ground_found for entry in staged.entries)
         if not found and (readings := format_hints(recording, self._gridder, self.every)):
             raise CalibrationError(
-                f"No ground was found in the {len(staged.kept)} frames of {self.name}, so "
+                f"No ground was found in the {len(staged.frames)} frames of {self.name}, so "
                 f"heights above it are not known. {hint_sentence(readings)}"
             )
         report.findings += settled(camera_findings(recording, report, found, self.every), settings)
@@ -247,7 +246,7 @@ class NewSession:
                 self.every,
                 level_grids=self._attitude is not None,
                 poses=recording.pose_name if trajectory.heading_source == GIVEN else "",
-                bad=staged.bad,
+                bad=report.bad,
             ),
             source=recording.gnss_source,
             source_sha256=recording.gnss_sha256(),
@@ -261,10 +260,10 @@ class NewSession:
             ),
         ) as session:
             accepted = _place(staged, session, trajectory, recording.rig, report)
-            report.denied_share = denied_share(staged.frames, accepted)
-            report.opposed_share = opposed_share(staged.frames, accepted)
+            report.denied_share = denied_share(staged, accepted)
+            report.opposed_share = opposed_share(staged, accepted)
             # Steps of the camera tell its yaw better.
-            yaw = None if report.camera_steps else sensor_yaw(staged.frames, accepted)
+            yaw = None if report.camera_steps else sensor_yaw(staged, accepted)
             told = (
                 *agreement_findings(report.denied_share, recording.rig),
                 *opposed_findings(report.opposed_share, report.position_sigma_m),
@@ -275,7 +274,7 @@ class NewSession:
             placed = time.perf_counter()
         report.stages.map_s += time.perf_counter() - placed
 
-    def put(self, universal: MapFile, staged: StagedDrive, taken: Sequence[str]) -> None:
+    def put(self, universal: MapFile, staged: KeptDrive, taken: Sequence[str]) -> None:
         """`add`, unless an end that was killed has done so: then the session is among those that
         are `taken`. ConfigError where that has other frames."""
         if self.name not in taken:
@@ -284,7 +283,7 @@ class NewSession:
         if not is_in_map(universal, self.name, staged):
             check_names([self.name], taken)
         self.report.findings += (info("in-map", "The drive was in the map already."),)
-        self.report.frames = len(staged.kept)
+        self.report.frames = len(staged.frames)
 
     def _estimated(self, datum: Datum, steps: Steps | None) -> Trajectory:
         recording, report = self.recording, self.report
@@ -309,7 +308,7 @@ class NewSession:
 
 
 def _place(
-    staged: StagedDrive, session: Session, trajectory: Trajectory, rig: Rig, report: SessionReport
+    staged: KeptDrive, session: Session, trajectory: Trajectory, rig: Rig, report: SessionReport
 ) -> list[FramePose]:
     """The second half: every staged frame meets its pose. Returns those that are accepted."""
     accepted: list[FramePose] = []
@@ -319,8 +318,8 @@ def _place(
         pose = trajectory.at(entry.time_ns)
         if pose.status is Status.OK and not entry.ground_found:
             pose = replace(pose, status=Status.REJECTED, reason=no_ground(rig))
-        camera, pose = camera.judged(staged.frames[k].images_sha256, pose)
-        session.add_staged(staged.frames, pose, k)
+        camera, pose = camera.judged(staged[k].images_sha256, pose)
+        session.add_staged(staged, pose, k)
         report.frames += 1
         report.ground_refined += entry.ground_found
         if pose.status is not Status.OK:

@@ -8,7 +8,7 @@ from pathlib import Path
 from fieldgrid.core import BuildSettings, ConfigError, quoted
 from fieldgrid.geometry import Datum
 from fieldgrid.maps import MapFile, Patience, check_name, create_map, open_map
-from fieldgrid.pipeline.staging.kept_frames import StagedDrive
+from fieldgrid.pipeline.staging.kept_frames import KeptDrive
 
 
 def opened_map(
@@ -62,11 +62,11 @@ def check_names(names: Sequence[str], taken: Sequence[str]) -> None:
             )
 
 
-def is_in_map(universal: MapFile, name: str, staged: StagedDrive) -> bool:
+def is_in_map(universal: MapFile, name: str, staged: KeptDrive) -> bool:
     """Whether a session of the map has the frames that were staged, and no others."""
     kept = {
         frame.frame_id: (frame.cells_sha256, frame.images_sha256)
         for frame in universal.frames(name)
     }
-    frames = (staged.frames[k] for k in range(len(staged.kept)))
+    frames = (staged[k] for k in range(len(staged.frames)))
     return kept == {f.frame_id: (f.cells_sha256, f.images_sha256) for f in frames}

@@ -16,7 +16,6 @@ from fieldgrid.pipeline import (
     BAD,
     BEGIN,
     Blob,
-    Journal,
     JournalRecord,
     KeptDrive,
     KeptFrames,
@@ -141,7 +140,7 @@ class PushedDrive(KeptDrive):
             pieces[-PIECES:] = [joined(pieces[-PIECES:])]
             self._apart[part] = 0
 
-    def take(self, record: JournalRecord, journal: Journal) -> None:
+    def take(self, record: JournalRecord) -> None:
         """Take the next record of the journal."""
         kind, value, blobs, _ = record
         if kind == "fix":
@@ -151,7 +150,7 @@ class PushedDrive(KeptDrive):
                 self._new.clear()
         elif kind == "rows":
             self.add_rows(*rows_from_json(value))
-        elif kind == "pair" and None not in map(journal.read, blobs):
+        elif kind == "pair" and None not in map(self.journal.read, blobs):
             self.pairs[value] = blobs
         elif kind == "dropped":
             self.dropped += 1
@@ -160,7 +159,7 @@ class PushedDrive(KeptDrive):
         elif kind == BEGIN and self.about is None:
             self.about = SessionStart.from_json(value)
         else:
-            super().take(record, journal)
+            super().take(record)
             if kind == BAD:
                 self.bad_ns.append(value[3])
 

@@ -17,6 +17,7 @@ import numpy as np
 from fieldgrid.core import (
     ConfigError,
     Int64,
+    MapWriteError,
     counted,
     quoted,
 )
@@ -33,11 +34,11 @@ from fieldgrid.live.kept.points import unpacked
 from fieldgrid.live.options import POINTS_GB
 from fieldgrid.live.pose.sensor_rows import Rows, check_time, fix_to_json, motion_of, rows_to_json
 from fieldgrid.live.pushed import PushedSource
-from fieldgrid.maps import StagedFrame, unwritable
+from fieldgrid.maps import StagedFrame
 from fieldgrid.perception import LocalGridder, Sweep
 from fieldgrid.pipeline import (
-    BAD,
     BEGIN,
+    BadFrame,
     Blob,
     GridInput,
     Journal,
@@ -45,6 +46,7 @@ from fieldgrid.pipeline import (
     StageTimes,
     StepOutcome,
     Store,
+    drop_journal,
     read_drive,
 )
 from fieldgrid.recordings import FixLog, Frame, Image, Recording, StereoFrame, with_body_poses
@@ -52,6 +54,10 @@ from fieldgrid.recordings import FixLog, Frame, Image, Recording, StereoFrame, w
 MOST_PAIRS, PAIR_EVERY_NS = 12, 500_000_000
 """Pairs by which the cameras are checked: of every frame at first, then of every second, and so on;
 none of frames that follow faster, since a pair takes as much as a fifth of a frame."""
+
+
+AGAIN = "again"
+"""The journal of the grids that the end makes again."""
 
 
 class SessionFolder(Store):
@@ -68,6 +74,7 @@ class SessionFolder(Store):
                 f"There is no live session to finish for {out}: {path} does not exist."
             )
         super().__init__(out, path.name)
+        drop_journal(path.with_name(AGAIN))  # of an end that was killed
         drive = self.drive
         try:
             self.about = self._begun(about)
@@ -156,20 +163,21 @@ class SessionFolder(Store):
             journal.append("unlevelled", None)
         flags = is_level, isinstance(seen, Sweep) and seen.after_s is not None
         kept = staged, found, times, flags
-        is_kept = self.keep(self._number, *kept, packed)
-        if not is_kept and packed:
+        try:
+            self.keep(self._number, *kept, packed)
+        except MapWriteError:
+            if not packed:
+                raise
             points.refused(f"{self.folder} could not be written ({journal.problem.strerror})")
             packed = b""
-            is_kept = self.keep(self._number, *kept)
-        if not is_kept:
-            raise unwritable(self.out, journal.problem)
+            self.keep(self._number, *kept)
         points.kept(len(packed))
         self._number += 1
         return self._number - 1
 
     def add_bad(self, frame: Frame, problem: str) -> None:
         """Keep that a frame cannot be used."""
-        self.journal.append(BAD, [self._number, frame.frame_id, problem, frame.time_ns])
+        self.keep_bad(self._number, BadFrame(frame.frame_id, problem), frame.time_ns)
         self._number += 1
 
     def add_dropped(self, frame_id: str, time_ns: int) -> bool:
@@ -214,7 +222,7 @@ class SessionFolder(Store):
 
     def read(self) -> PushedDrive:
         """What was pushed until now."""
-        return read_drive(self.journal, PushedDrive())
+        return read_drive(PushedDrive(self.journal))
 
     def recording(self, drive: PushedDrive) -> Recording:
         """What was read as a recording, with the pairs that were kept for its frames.
@@ -257,7 +265,7 @@ class SessionFolder(Store):
 
     def forget(self) -> None:
         """Hold no more in memory than what the session was begun with, however long it lasts."""
-        self.drive, self._is_forgotten = PushedDrive(), True
+        self.drive, self._is_forgotten = PushedDrive(self.journal), True
 
     def recall(self) -> PushedDrive:
         """All that was pushed until now, read where it was forgotten."""

@@ -7,9 +7,8 @@ that is still driven.
 from __future__ import annotations
 
 import marshal
-import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
@@ -20,9 +19,7 @@ from fieldgrid.core import Closing, MapError, holding
 from fieldgrid.geometry import Steps
 from fieldgrid.maps import (
     StagedFrame,
-    StagedFrames,
     StageEntry,
-    StageFile,
     damaged_frame,
     frame_of_record,
     frame_record,
@@ -32,7 +29,6 @@ from fieldgrid.perception import CameraStep, Refusal, steps_of
 from fieldgrid.pipeline.report import BadFrame, StageTimes
 from fieldgrid.pipeline.staging.journal import DAMAGED, Blob, Journal, JournalRecord
 from fieldgrid.pipeline.staging.perception import StepOutcome
-from fieldgrid.pipeline.staging.shares import FrameOutcome, moved_m
 
 FRAME, BAD, BEGIN = "frame", "bad", "begin"
 """The kinds of the records of frames, of those that cannot be read, and of what a drive was begun
@@ -85,20 +81,12 @@ class Store(Closing):
                 self.journal = opening.enter_context(Journal(self.path))
             except OSError as error:
                 raise unwritable(out, error) from error
-            self.drive: KeptDrive = self.read()
+            self.drive = self.read()
             self._open = opening.pop_all()
 
     def read(self) -> KeptDrive:
         """What is there by now."""
-        return read_drive(self.journal, KeptDrive())
-
-    def staged(self) -> StagedDrive:
-        """All frames of the drive, as they are put into the map."""
-        drive = self.drive
-        bad = [drive.bad[number] for number in sorted(drive.bad)]
-        return StagedDrive(
-            JournalFrames(self.journal, drive.frames), drive.frames, bad, drive.times
-        )
+        return read_drive(KeptDrive(self.journal))
 
     def keep(
         self,
@@ -108,12 +96,17 @@ class Store(Closing):
         times: StageTimes,
         flags: Sequence[bool] = (),
         points: bytes = b"",
-    ) -> bool:
-        """Keep a frame; False where the disk does not take it."""
+    ) -> None:
+        """Keep a frame. MapWriteError where the disk does not take it."""
         said, cells = frame_record(staged)
         spent = {name: round(value, 6) for name, value in asdict(times).items() if value}
         value = [number, said, found_to_json(found), spent, *flags]
-        return self.journal.append(FRAME, value, cells, *([points] if points else []))
+        if not self.journal.append(FRAME, value, cells, *([points] if points else [])):
+            raise unwritable(self.out, self.journal.problem) from self.journal.problem
+
+    def keep_bad(self, number: int, bad: BadFrame, time_ns: int = 0) -> None:
+        """Keep that a frame cannot be read; what the disk does not take waits for it."""
+        self.journal.append(BAD, [number, *bad, time_ns])
 
     def remove(self) -> None:
         """Let go of it and remove it: the drive is in the map, or is given up."""
@@ -151,10 +144,12 @@ class KeptFrames(Sequence[KeptFrame]):
         self._rows = [rows[number] for number in sorted(rows)]
 
 
-@dataclass(slots=True)
+@dataclass
 class KeptDrive:
-    """What a journal has of the frames of a drive; bad ones by their numbers."""
+    """The frames of a drive that its journal has, in order, with the bad ones by their numbers.
+    `frames` say of each what is known without reading its cells."""
 
+    journal: Journal
     frames: KeptFrames = field(default_factory=KeptFrames)
     bad: dict[int, BadFrame] = field(default_factory=dict)
     times: StageTimes = field(default_factory=StageTimes)
@@ -163,14 +158,14 @@ class KeptDrive:
     unreadable: int = 0
     """The number of frames whose grids cannot be read any more."""
 
-    def take(self, record: JournalRecord, journal: Journal) -> None:
+    def take(self, record: JournalRecord) -> None:
         """Take the next record of the journal."""
         kind, value, blobs, start = record
         if kind == BAD:
             self.bad[value[0]] = BadFrame(*value[1:3])
         elif kind == DAMAGED:
             self.damaged_bytes += value
-        elif kind == FRAME and journal.read(blobs[0]) is None:
+        elif kind == FRAME and self.journal.read(blobs[0]) is None:
             self.unreadable += 1
         elif kind == FRAME:
             number, said, found, times, *flags = value
@@ -182,17 +177,38 @@ class KeptDrive:
     def settle(self) -> None:
         """All records were taken."""
         self.frames.settle()
+        self.bad = dict(sorted(self.bad.items()))
+
+    def __getitem__(self, index: int) -> StagedFrame:
+        """A frame by its place; MapError when it was damaged since it was written."""
+        entry = self.frames[index].entry
+        record = self.journal.at(entry.start)
+        cells = None if record is None else self.journal.read(record.blobs[0])
+        if record is None or cells is None:
+            raise damaged_frame(entry)
+        return replace(frame_of_record(record.value[1], cells), frame_id=entry.frame_id)
+
+    @property
+    def entries(self) -> Iterator[StageEntry]:
+        """Name, time and more of each frame."""
+        return (frame.entry for frame in self.frames)
+
+    def steps(self) -> tuple[Steps, Counter[str]]:
+        """The camera's steps, and why there is none between other neighbours."""
+        found = [one.found for one in islice(self.frames, 1, None) if one.found is not None]
+        refused = Counter(one.value for one in found if isinstance(one, Refusal))
+        return steps_of([entry.time_ns for entry in self.entries], found), refused
 
 
 _Drive = TypeVar("_Drive", bound=KeptDrive)
 
 
-def read_drive(journal: Journal, drive: _Drive) -> _Drive:
+def read_drive(drive: _Drive) -> _Drive:
     """The drive with all that its journal holds: whole, cut, or still growing. MapError for a
     journal of another version."""
     try:
-        for record in journal.records():
-            drive.take(record, journal)
+        for record in drive.journal.records():
+            drive.take(record)
         drive.settle()
     except (KeyError, ValueError, TypeError, IndexError) as error:
         raise MapError(
@@ -200,65 +216,6 @@ def read_drive(journal: Journal, drive: _Drive) -> _Drive:
             f"({error}); finish it with the version that wrote it."
         ) from error
     return drive
-
-
-@dataclass(frozen=True, slots=True)
-class JournalFrames:
-    """Staged frames of a journal by their place among those that are kept, and with their names."""
-
-    journal: Journal
-    kept: Sequence[KeptFrame]
-
-    def __getitem__(self, index: int) -> StagedFrame:
-        """A frame; MapError when it was damaged since it was written."""
-        entry = self.kept[index].entry
-        record = self.journal.at(entry.start)
-        cells = None if record is None else self.journal.read(record.blobs[0])
-        if record is None or cells is None:
-            raise damaged_frame(entry)
-        return replace(frame_of_record(record.value[1], cells), frame_id=entry.frame_id)
-
-
-@dataclass(slots=True)
-class StagedDrive:
-    """The frames of a drive that are staged, in order, without those that are bad; `kept` says of
-    each what is known without reading its cells."""
-
-    frames: StagedFrames
-    kept: Sequence[KeptFrame]
-    bad: list[BadFrame] = field(default_factory=list)
-    times: StageTimes = field(default_factory=StageTimes)
-
-    @property
-    def entries(self) -> Iterator[StageEntry]:
-        """Name, time and more of each frame."""
-        return (frame.entry for frame in self.kept)
-
-    def steps(self) -> tuple[Steps, Counter[str]]:
-        """The camera's steps, and why there is none between other neighbours."""
-        found = [one.found for one in islice(self.kept, 1, None) if one.found is not None]
-        refused = Counter(one.value for one in found if isinstance(one, Refusal))
-        return steps_of([entry.time_ns for entry in self.entries], found), refused
-
-
-def collect(
-    looks: Iterable[FrameOutcome], file: StageFile, tell: Callable[[float], None]
-) -> StagedDrive:
-    """Write frames to a file as they come. `tell` is told of each how far the camera went since the
-    one before, metres."""
-    kept = list[KeptFrame]()
-    staged = StagedDrive(file, kept)
-    for looked in looks:
-        start = time.thread_time()
-        staged.times.add(looked.times)
-        if looked.staged is not None:
-            number = file.append(looked.staged)
-            kept.append(KeptFrame(number, file.entries[number], looked.found))
-        if looked.bad is not None:
-            staged.bad.append(looked.bad)
-        staged.times.map_s += time.thread_time() - start
-        tell(moved_m(looked.found))
-    return staged
 
 
 def found_to_json(found: StepOutcome) -> Any:

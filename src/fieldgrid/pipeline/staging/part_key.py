@@ -6,14 +6,17 @@ import hashlib
 import json
 import pickle
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fieldgrid.geometry import Datum
 from fieldgrid.pipeline.inputs import Inputs, to_arrays
-from fieldgrid.pipeline.session import NewSession
 from fieldgrid.recordings import StoredFrames
 from fieldgrid.version import software_version
+
+if TYPE_CHECKING:
+    from fieldgrid.pipeline.session import NewSession
 
 
 def part_key(session: NewSession, datum: Datum) -> str:

@@ -8,23 +8,23 @@ on, so frames are found again only by a build that would make the same.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
 from fieldgrid.core import ConfigError, FieldgridError, MapError, RecordingError, holding
-from fieldgrid.maps import unwritable
 from fieldgrid.pipeline.staging.journal import read_journal
 from fieldgrid.pipeline.staging.kept_frames import (
     BAD,
     BEGIN,
     FRAME,
-    StagedDrive,
+    KeptDrive,
     Store,
     drop_journal,
     work_folder,
 )
-from fieldgrid.pipeline.staging.shares import FrameOutcome, moved_m
+from fieldgrid.pipeline.staging.shares import DriveWork, FrameOutcome, moved_m, stage_frames
 
 SHARE_FRAMES = 16
 """Frames that a process stages at a time. The frame before them is looked at twice, and what an end
@@ -92,15 +92,25 @@ class DriveParts(Store):
         """Keep what became of a frame. MapWriteError on a full disk."""
         start = time.thread_time()
         if looked.bad is not None:
-            taken = self.journal.append(BAD, [number, *looked.bad])
+            self.keep_bad(number, looked.bad)
             self._bad[number] = looked.bad
         else:
             assert looked.staged is not None
-            taken = self.keep(number, looked.staged, looked.found, looked.times)
-        if not taken:
-            raise unwritable(self.out, self.journal.problem) from self.journal.problem
+            self.keep(number, looked.staged, looked.found, looked.times)
         self.done.add(number)
         self._written_s += time.thread_time() - start
+
+    def stage(
+        self, work: DriveWork, jobs: int, tell: Callable[[float], None], skip_bad: int | float = 0
+    ) -> None:
+        """Stage what is missing in threads of this process, `jobs` frames at a time. `tell` is told
+        of each how far the camera went since the one before, metres."""
+        for first, last in list(self.missing(work.total)):
+            with closing(stage_frames(work, first, last, jobs)) as looks:
+                for number, looked in enumerate(looks, first):
+                    self.add(number, looked)
+                    self.check_bad(skip_bad)
+                    tell(moved_m(looked.found))
 
     def check_bad(self, skip_bad: int | float) -> None:
         """Raise RecordingError when more frames are bad than `skip_bad` allows, a number or, below
@@ -124,12 +134,11 @@ class DriveParts(Store):
                 yield Share(first, last)
             first = max(last, first + 1)
 
-    def staged(self) -> StagedDrive:
+    def staged(self) -> KeptDrive:
         """The whole drive, once no frame is missing."""
-        self.drive = self.read()
-        found = super().staged()
+        found = self.read()
         found.times.map_s += self._written_s
-        if len(found.kept) + len(found.bad) < self._count:
+        if len(found.frames) + len(found.bad) < self._count:
             raise MapError(f"The staged frames in {self.path} cannot be read back; check the disk.")
         return found
 
