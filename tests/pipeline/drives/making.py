@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from fieldgrid.core import BuildSettings, resolve
-from fieldgrid.pipeline import SessionReport, build_map, drives, read_journal, work_folder
+from fieldgrid.pipeline import SessionReport, build_map, read_journal, work_folder
+from fieldgrid.pipeline.staging import parts
 from fieldgrid.pipeline.staging.shares import DriveWork
 from fieldgrid.recordings import Frame, StereoFrame
 from tests.maps.file.content import unpacked
@@ -67,13 +68,13 @@ def content(path: Path) -> dict[str, list[tuple[Any, ...]]]:
 def count_staged(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many frames each run of shares has that this process stages from now on."""
     runs: list[int] = []
-    original = drives.stage_frames
+    original = parts.stage_frames
 
     def counted(work: DriveWork, first: int, last: int, jobs: int) -> Any:
         runs.append(last - first)
         return original(work, first, last, jobs)
 
-    monkeypatch.setattr(drives, "stage_frames", counted)
+    monkeypatch.setattr(parts, "stage_frames", counted)
     return runs
 
 

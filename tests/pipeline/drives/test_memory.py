@@ -75,6 +75,7 @@ class LongDrive:
         self._pairs = list(self._of.frames())[5:8]
         self._start_ns = self._pairs[0].time_ns
         self.name, self.rig, self.datum_hint = "long", self._of.rig, self._of.datum_hint
+        self.path = self._of.path
         self.gnss_source, self.notes, self.losses = self._of.gnss_source, (), ()
         self.pose_name = self._of.pose_name
         self.frame_count, self.source = frame_count, self
