@@ -320,7 +320,7 @@ def test_fixes_and_rows_that_a_full_disk_costs_are_told(
         push_fixes(live, recording)
         monkeypatch.setattr(Journal, "_write", write)
         live.push_gyro(1, 0.0)  # too large for memory yet, and then the disk takes what waits
-        live._kept.sync()
+        live._kept.journal.sync()
         live.push_gyro(2, 0.0)
         live.stop()
         pushed = live.counts.fixes + 2

@@ -41,7 +41,7 @@ with open_recording(sys.argv[1], gnss="gnss_rtk.nmea") as recording:
     trailing = FixedLagSmoother(recording.rig, BuildSettings(), None, 20.0)
     for fix in list(recording.fixes())[:100]:
         trailing.add_fix(fix)
-    trailing.estimate(trailing.newest_ns)
+    trailing.asked(trailing.newest_ns).estimate()
     first, second = (perceive_frame(f, gridder, odometry=True) for f in recording.frames(0, 2))
     step(first.features, second.features, recording.rig)
 """

@@ -341,7 +341,7 @@ class Live(Closing):
         with ExitStack() as ending:  # the last comes first
             if self._deliverer is not None:
                 ending.callback(self._deliverer.join)
-            for step in (self._outbox.close, self._kept.sync, self._syncer.join):
+            for step in (self._outbox.close, self._kept.journal.sync, self._syncer.join):
                 ending.callback(step)
             for step in (self._stopping.set, self._poser.close, self._perceiver.close):
                 ending.callback(step)
@@ -368,7 +368,7 @@ class Live(Closing):
 
     def _sync(self) -> None:
         while not self._stopping.wait(SYNC_S):
-            self._kept.sync()
+            self._kept.journal.sync()
 
     def _note_disk(self, taken: bool, time_ns: int) -> None:
         """Tell when the disk takes what is pushed no more, or again; under the lock."""

@@ -200,10 +200,6 @@ class SessionFolder(Store):
         png = (cv2.imencode(".png", image)[1].tobytes() for image in (left, right))
         self.journal.append("pair", number, *png)
 
-    def sync(self) -> bool:
-        """Return when all of it is on the disk; False where the disk does not take it."""
-        return self.journal.sync()
-
     def points_of(self, frame: KeptFrame, gridder: LocalGridder) -> GridInput | None:
         """The points of a frame; None where they were not kept or are damaged."""
         packed = None if frame.points is None else self.journal.read(frame.points)
@@ -214,7 +210,7 @@ class SessionFolder(Store):
         first what waits."""
         if not self.path.exists():
             return f"The drive is in the map {self.out}."
-        taken, count = self.sync(), self.journal.waits()
+        taken, count = self.journal.sync(), self.journal.waits()
         if not taken and count and sum(1 for _ in self.journal.records()) == count:
             return "Nothing of the drive is kept, since the full disk took none of it."
         lost = f", but for the last {count} records, which the full disk did not take"

@@ -147,13 +147,6 @@ class FixedLagSmoother:
             while chunks and chunks[0].time_ns[-1] < oldest_ns:
                 chunks.popleft()
 
-    def estimate(self, oldest_ns: int, *, level_grids: bool = True) -> Estimate:
-        """The poses of the last seconds, and from before `oldest_ns` on if that is still there.
-        GnssError where there are none, which says why."""
-        found = self.asked(oldest_ns, level_grids=level_grids).estimate()
-        self.datum = found.trajectory.datum
-        return found
-
     def asked(self, oldest_ns: int, *, level_grids: bool = True) -> EstimateInputs:
         """What the estimate from before `oldest_ns` on is made of. GnssError where there is too
         little."""
