@@ -291,7 +291,8 @@ def fixed_lag(
             frames += 1
         start = time.process_time()
         try:
-            found = trailing.estimate(time_ns)
+            found = trailing.asked(time_ns).estimate()
+            trailing.datum = found.trajectory.datum
         except FieldgridError as error:  # there is too little yet
             poses.append(unknown_pose(time_ns, str(error)))
             continue
@@ -368,7 +369,7 @@ def measure(name: str, folder: Path, log: str | None, rate: float | None, row_st
         counts = live.counts
         live.stop()
         with SessionFolder(Path(place) / "map.gpkg", None) as kept:
-            times = kept.staged().times
+            times = kept.drive.times
     frame_ms = 1e3 * (times.decode_s + times.match_s + times.grid_s + times.odometry_s)
     print(
         f"{name:<30}{counts.frames:>6}{counts.dropped:>9}{shown(to_grid):>18}"

@@ -27,7 +27,7 @@ from fieldgrid.live.kept.kept_drive import SessionStart
 from fieldgrid.live.pose.sensor_rows import rows_of
 from fieldgrid.maps import stage
 from fieldgrid.perception import CameraStep
-from fieldgrid.pipeline import StageTimes, keep_frame, session
+from fieldgrid.pipeline import StageTimes, session
 
 CAMERA = StereoCamera(640, 480, 500.0, 319.5, 239.5, 0.2)
 RIG = Rig(CAMERA, Mount(2.0, 15.0), LeverArm(0.0, 0.0, 2.0), rear_axle_forward_m=0.0)
@@ -98,7 +98,7 @@ def write_journal(out: Path, seconds: int, *, has_imu: bool) -> int:
                 before = east_m, north_m, heading_rad
                 images = {"images": (f"{count}/left",), "images_sha256": (f"{count:064x}",)}
                 frame = replace(seen, frame_id=f"{count:06d}", time_ns=time_ns, **images)
-                keep_frame(kept.journal, count, frame, found, StageTimes(), (False, False))
+                kept.keep(count, frame, found, StageTimes(), (False, False))
                 count += 1
     return count
 
