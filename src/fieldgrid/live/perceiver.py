@@ -172,7 +172,11 @@ class Perceiver:
         self.dropped += 1
         frame = dropped.frame
         self._kept.add_dropped(frame.frame_id, frame.time_ns)
-        advice = _how_to_be_faster(self._gridder) if self.dropped == 1 else ""
+        stereo, sensor = self._gridder.stereo, self._gridder.rig.sensor
+        is_slow = isinstance(sensor, StereoCamera) and stereo.matcher is not MatcherKind.BM
+        advice = ""
+        if is_slow and stereo.row_step == 1 and self.dropped == 1:
+            advice = " --row-step 2 matches in half the time."
         text = (
             f"Frame {frame.frame_id} was dropped, since newer ones wait: {self.dropped} so "
             f"far.{advice}"
@@ -281,9 +285,3 @@ class Perceiver:
         except FieldgridError as error:
             text = f"The images of frame {frame.frame_id} cannot be kept: {error}"
             self._tell(LiveEvent(What.INPUT, text, self._time_ns(frame)))
-
-
-def _how_to_be_faster(gridder: LocalGridder) -> str:
-    stereo = gridder.stereo
-    matched = isinstance(gridder.rig.sensor, StereoCamera) and stereo.matcher is not MatcherKind.BM
-    return " --row-step 2 matches in half the time." if matched and stereo.row_step == 1 else ""

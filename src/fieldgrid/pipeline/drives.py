@@ -21,7 +21,6 @@ from fieldgrid.core import (
     FieldgridError,
     MapError,
     MapExistsError,
-    RecordingError,
     quoted,
     refuse_input,
 )
@@ -39,9 +38,9 @@ from fieldgrid.pipeline.staging.parts import (
     left_behind,
     settle_left_behind,
 )
-from fieldgrid.pipeline.staging.remote import packed, place_of
+from fieldgrid.pipeline.staging.remote import StagedShare, packed, place_of
 from fieldgrid.pipeline.staging.shares import moved_m
-from fieldgrid.pipeline.staging.staging import Processes, ShareResult, Staging, Workers
+from fieldgrid.pipeline.staging.staging import Processes, ShareTask, Staging, Workers
 from fieldgrid.pipeline.targets import check_names, check_output, made_map, opened_map
 from fieldgrid.recordings import DriveOptions, Recording, open_drive
 
@@ -254,7 +253,7 @@ class _Build:
         if self.staging is not None:
             place = None if self.client is None else place_of(drive.recording.path)
             work = packed(drive.session.work(), place)
-            self.staging.add(drive.number, work, place, parts.missing())
+            self.staging.add(drive.number, drive.name, work, place, parts.missing())
 
     def _finish(
         self, drive: _DriveBuild, universal: MapFile, taken: list[str], *, is_there: bool
@@ -274,7 +273,7 @@ class _Build:
             assert self.staging is not None
             result = self.staging.next()
             if result is not None:
-                self._take(self.drives[result.task.drive], result)
+                self._take(*result)
         if drive.error is not None:
             raise drive.error
         parts.check_bad(self.skip_bad)
@@ -288,21 +287,17 @@ class _Build:
         session.report.wall_s = time.perf_counter() - began_s
         return session.report
 
-    def _take(self, drive: _DriveBuild, result: ShareResult) -> None:
+    def _take(self, task: ShareTask, staged: StagedShare | Exception) -> None:
         """Keep a share that another process has staged, or leave its drive out."""
-        share, staged = result.task.share, result.staged
+        drive = self.drives[task.drive]
         if drive.error is not None:
             return
         try:
-            if staged is None:
-                raise result.error or RecordingError(
-                    f"Frames {share.first} to {share.last - 1} of {drive.name} have ended every "
-                    "process that staged them; leave the recording out, or give the processes "
-                    "more memory, as by fewer --jobs (with --jobs 1 there is only this process)."
-                )
+            if isinstance(staged, Exception):
+                raise staged
             if drive.began_s is None:
                 drive.began_s = time.perf_counter() - staged.took_s
-            for number, looked in enumerate(staged.frames, share.first):
+            for number, looked in enumerate(staged.frames, task.share.first):
                 drive.parts.add(number, looked)
                 drive.tell(moved_m(looked.found))
             drive.parts.check_bad(self.skip_bad)

@@ -17,7 +17,7 @@ from importlib import import_module
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from fieldgrid.core import Closing, ConfigError, await_workers, is_death, result_of
+from fieldgrid.core import Closing, ConfigError, RecordingError, await_workers, is_death, result_of
 from fieldgrid.pipeline.staging.parts import Share
 from fieldgrid.pipeline.staging.remote import RecordingPlace, StagedShare, stage_share
 
@@ -31,19 +31,15 @@ _TICK_S = 0.5
 
 
 class ShareTask(NamedTuple):
-    """A share of the drive of a number."""
+    """A share of the drive of a number and a name."""
 
     drive: int
+    name: str
     share: Share
 
 
-class ShareResult(NamedTuple):
-    """What became of a share: it is staged, or there is an error; None where all processes died
-    that staged it."""
-
-    task: ShareTask
-    staged: StagedShare | None = None
-    error: Exception | None = None
+ShareResult = tuple[ShareTask, StagedShare | Exception]
+"""What became of a share: it is staged, or there is an error."""
 
 
 class Processes:
@@ -147,12 +143,17 @@ class Staging(Closing):
         self._ended: SimpleQueue[Future[StagedShare]] = SimpleQueue()
 
     def add(
-        self, drive: int, work: bytes, place: RecordingPlace | None, shares: Iterable[Share]
+        self,
+        drive: int,
+        name: str,
+        work: bytes,
+        place: RecordingPlace | None,
+        shares: Iterable[Share],
     ) -> None:
         """Stage these shares of a drive after those that were added before."""
         self._works[drive] = self._by.sent(work), place
         for share in shares:
-            self._submit(ShareTask(drive, share))
+            self._submit(ShareTask(drive, name, share))
 
     def drop(self, drive: int) -> None:
         """Stage no more shares of a drive."""
@@ -179,9 +180,9 @@ class Staging(Closing):
         if is_death(error):
             return self._died(task, under_way, isinstance(error, BrokenExecutor))
         try:
-            return ShareResult(task, self._by.take(future))
+            return task, self._by.take(future)
         except Exception as told:  # noqa: BLE001 - the build raises it
-            return ShareResult(task, error=told)
+            return task, told
 
     def _died(
         self, task: ShareTask, under_way: list[ShareTask], is_broken: bool
@@ -197,7 +198,11 @@ class Staging(Closing):
             for other in under_way[self._by.count :]:
                 self._submit(other)
         if suspects == [self._alone]:
-            return ShareResult(task)
+            return task, RecordingError(
+                f"Frames {task.share.first} to {task.share.last - 1} of {task.name} have ended "
+                "every process that staged them; leave the recording out, or give the processes "
+                "more memory, as by fewer --jobs (with --jobs 1 there is only this process)."
+            )
         self._suspects += suspects
         return None
 
