@@ -32,6 +32,7 @@ from fieldgrid.live.pose.fixed_lag import KEPT_S, EstimateInputs, FixedLagSmooth
 from fieldgrid.live.pose.poser import Poser
 from fieldgrid.live.pose.running_tilt import lean_advice
 from fieldgrid.live.pose.sensor_rows import rows_of
+from fieldgrid.live.pose.stamps import FIXES, FRAMES
 from fieldgrid.live.results import Outbox
 from fieldgrid.live.window import PlacedGrid, RollingWindow
 from fieldgrid.maps import Transfer
@@ -311,8 +312,8 @@ def test_a_camera_that_comes_back_after_an_hour_is_where_the_vehicle_is_now() ->
         assert time.monotonic() < until_s
         time.sleep(0.01)
     trailing = poser._trailing
-    assert len(trailing._fixes) <= 5 * KEPT_S + 1
-    assert not trailing._frames
+    assert len(trailing._said[FIXES]) <= 5 * KEPT_S + 1
+    assert not trailing._said[FRAMES]
     assert not poser._waiting
     before = len(told.results)
     poser.put(frame(back_s + 0.1, 0.2))
@@ -411,7 +412,7 @@ def test_memory_is_bounded_by_what_an_estimate_takes(monkeypatch: pytest.MonkeyP
         trailing.add_fix(fix(0.2 * k))
         trailing.add_frame(at_ns(0.2 * k), None)
         trailing.add_rows("gyro", rows_of("gyro", at_ns(0.2 * k), 0.0))
-    sizes = len(trailing._fixes), len(trailing._frames), len(trailing._parts["gyro"])
+    sizes = [len(trailing._said[source]) for source in (FIXES, FRAMES, "gyro")]
     assert max(sizes) <= 5 * 60 + 1
     monkeypatch.setattr("fieldgrid.live.results.MOST_WAITING", 3)
     outbox = Outbox()

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -99,53 +99,44 @@ class FixedLagSmoother:
         self.datum = datum
         self._window_ns = round(window_s * 1e9)
         self._kept_ns = round(1e9 * max(window_s, KEPT_S if body is None else GIVEN_KEPT_S))
-        self._fixes: deque[Fix] = deque()
-        self._parts: dict[str, deque[Rows]] = {}
-        self._frames: deque[tuple[int, CameraStep | None]] = deque()
+        self._said: defaultdict[str, deque[tuple[int, Any]]] = defaultdict(deque)
+        """What sources (`stamps`) said, with its time: fixes, the steps to frames, rows."""
         self._last_fix_ns: int | None = None
         self.newest_ns = 0
 
     def add_fix(self, fix: Fix) -> None:
         """A fix, in any order."""
-        self._fixes.append(fix)
         self._last_fix_ns = max(fix.time_ns, self._last_fix_ns or fix.time_ns)
-        self._seen(fix.time_ns)
+        self._add(FIXES, fix.time_ns, fix)
 
     def add_rows(self, part: str, rows: Rows) -> None:
         """Rows of gyro, wheels, IMU or tilt, or of poses, in any order."""
         if len(rows.time_ns):
-            self._parts.setdefault(part, deque()).append(rows)
-            self._seen(int(rows.time_ns.max()))
+            self._add(part, int(rows.time_ns.max()), rows)
 
     def add_frame(self, time_ns: int, step: CameraStep | None) -> None:
         """A frame, in order of time, and the camera's step to it from the one before."""
-        self._frames.append((time_ns, step))
-        self._seen(time_ns)
+        self._add(FRAMES, time_ns, step)
+
+    def _add(self, source: str, time_ns: int, value: Any) -> None:
+        self._said[source].append((time_ns, value))
+        self.newest_ns = max(self.newest_ns, time_ns)
+        for said in self._said.values():
+            while said and said[0][0] < self.newest_ns - self._kept_ns:
+                said.popleft()
 
     def forget(self, sources: Collection[str], time_ns: int) -> None:
         """Forget what some sources (`stamps`) said after an instant, of another time."""
+        for source in self._said.keys() & set(sources):
+            self._said[source] = deque(one for one in self._said[source] if one[0] <= time_ns)
         if FIXES in sources:
-            self._fixes = deque(fix for fix in self._fixes if fix.time_ns <= time_ns)
-            self._last_fix_ns = max((fix.time_ns for fix in self._fixes), default=None)
-        if FRAMES in sources:
-            self._frames = deque(frame for frame in self._frames if frame[0] <= time_ns)
-        for part in self._parts.keys() & set(sources):
-            chunks = self._parts[part]
-            self._parts[part] = deque(rows for rows in chunks if rows.time_ns.max() <= time_ns)
-        rows_ns = (int(chunks[-1].time_ns[-1]) for chunks in self._parts.values() if chunks)
-        frame_ns = self._frames[-1][0] if self._frames else time_ns
-        self.newest_ns = max(time_ns, frame_ns, *rows_ns)
+            self._last_fix_ns = max((ns for ns, _ in self._said[FIXES]), default=None)
+        last_ns = (said[-1][0] for part, said in self._said.items() if said and part != FIXES)
+        self.newest_ns = max([time_ns, *last_ns])
 
-    def _seen(self, time_ns: int) -> None:
-        self.newest_ns = max(self.newest_ns, time_ns)
-        oldest_ns = self.newest_ns - self._kept_ns
-        while self._fixes and self._fixes[0].time_ns < oldest_ns:
-            self._fixes.popleft()
-        while self._frames and self._frames[0][0] < oldest_ns:
-            self._frames.popleft()
-        for chunks in self._parts.values():
-            while chunks and chunks[0].time_ns[-1] < oldest_ns:
-                chunks.popleft()
+    def _since(self, source: str, since_ns: int) -> list[tuple[int, Any]]:
+        """What a source said from an instant on."""
+        return [one for one in self._said[source] if one[0] >= since_ns]
 
     def asked(self, oldest_ns: int, *, level_grids: bool = True) -> EstimateInputs:
         """What the estimate from before `oldest_ns` on is made of. GnssError where there is too
@@ -155,12 +146,12 @@ class FixedLagSmoother:
             if self._needs_fixes:
                 raise GnssError("There is no fix yet; wait for the receiver.")
             raise GnssError("There is no pose yet; wait for the program that makes them.")
-        if self._needs_fixes and len(self._fixes) < FEWEST_FIXES:
-            raise GnssError(f"There are {len(self._fixes)} fixes yet; wait for the receiver.")
+        if self._needs_fixes and len(self._said[FIXES]) < FEWEST_FIXES:
+            raise GnssError(f"There are {len(self._said[FIXES])} fixes yet; wait for the receiver.")
         since_ns = min(known_ns - self._window_ns, oldest_ns - BEFORE_NS)
         if self._body is not None:
             since_ns = self.newest_ns - self._kept_ns
-        fixes = [fix for fix in self._fixes if fix.time_ns >= since_ns]
+        fixes = [fix for _, fix in self._since(FIXES, since_ns)]
         if self._needs_fixes and len(fixes) < FEWEST_FIXES:
             silent_s = (self.newest_ns - known_ns) / 1e9
             raise GnssError(f"There was no fix for {silent_s:.0f} s; wait for the receiver.")
@@ -171,7 +162,7 @@ class FixedLagSmoother:
             self._settings.pose,
             self._motion(since_ns),
             self._budget,
-            np.array([t for t, _ in self._frames if t >= since_ns], dtype=np.int64),
+            np.array([t for t, _ in self._since(FRAMES, since_ns)], dtype=np.int64),
             known_ns,
             level_grids,
         )
@@ -187,13 +178,12 @@ class FixedLagSmoother:
         does."""
         if self._needs_fixes:
             return self._last_fix_ns
-        given = self._parts.get(GIVEN_ROWS, ())
-        return max((int(rows.time_ns.max()) for rows in given), default=None)
+        return max((ns for ns, _ in self._said[GIVEN_ROWS]), default=None)
 
     def _motion(self, since_ns: int) -> Motion:
         parts = {
-            part: [rows for rows in chunks if rows.time_ns[-1] >= since_ns]
-            for part, chunks in self._parts.items()
+            part: [rows for _, rows in self._since(part, since_ns)]
+            for part in self._said.keys() - {FIXES, FRAMES}
         }
         motion = motion_of(parts)
         if self._body is not None:
@@ -202,7 +192,7 @@ class FixedLagSmoother:
             poses, has_tilt = body_poses(self._body, parts[GIVEN_ROWS]), motion.tilt is not None
             given, _ = motion_of_body(poses, self._body, self._rig, has_tilt=has_tilt)
             return motion._replace(poses=given.poses, tilt=motion.tilt or given.tilt)
-        frames = [frame for frame in self._frames if frame[0] >= since_ns]
+        frames = self._since(FRAMES, since_ns)
         steps = [step or Refusal.NOT_COMPARED for _, step in frames[1:]]
         if any(isinstance(step, CameraStep) for step in steps):
             motion = motion._replace(steps=steps_of([time_ns for time_ns, _ in frames], steps))
