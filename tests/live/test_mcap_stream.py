@@ -515,7 +515,7 @@ def test_poses_that_cannot_be_are_told_once_and_left_out(
         with running(stream(short_drive, pipe, PoseTopic("/path"))) as notes:
             one = (*said[0][:1], "/path", "cdr", "nav_msgs/msg/Path", path, b"")
             write(pipe, write_as_it_comes(tmp_path / "path.mcap", [one]).read_bytes())
-            notes.wait_told("of which no poses are read")
+            notes.wait_told("give another with --poses-topic")
 
 
 def test_what_is_no_mcap_is_told_and_what_follows_is_read(

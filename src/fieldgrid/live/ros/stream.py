@@ -10,7 +10,7 @@ from fieldgrid.live.sources.orientation_stream import ATTITUDE
 from fieldgrid.recordings import TF, TF_STATIC, decode
 
 _POLL_S = 0.25
-_TAKEN = {"cloud", "imu", "odometry", *FIXES}
+_TAKEN = {"cloud", "imu", "odometry", ATTITUDE, *FIXES}
 
 
 class RosStream(McapStream):
@@ -41,7 +41,7 @@ class RosStream(McapStream):
                 role = ""
                 if not message.topic.endswith(TF_STATIC):
                     self._robot.moved(decode(message))
-            taken = role if role in _TAKEN else ""
-            self.take(StreamChannel(connection, taken, False, role == ATTITUDE), message, intake)
+            roles = (role,) if role in _TAKEN else ()
+            self.take(StreamChannel(connection, roles), message, intake)
             if left_out := self._head.left_out:
                 self._say(intake, f"gives images faster than they are taken; {left_out} are lost.")

@@ -7,7 +7,7 @@ taken for a role by its type and its name as soon as it is announced, or because
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from functools import partial
 from typing import Any, NamedTuple
@@ -69,6 +69,8 @@ _BY_TYPE = {
 _POSES = (ODOMETRY, "geometry_msgs/msg/PoseStamped")
 ROLES = ("left", "right", "cloud", ATTITUDE, *_BY_TYPE.values())
 FIXES = ("fix", "nmea")
+POSE = "pose"
+"""The role of a topic that has poses of another program."""
 
 
 class PoseTopic(NamedTuple):
@@ -79,12 +81,10 @@ class PoseTopic(NamedTuple):
 
 
 class StreamChannel(NamedTuple):
-    """A topic and what it is for; an Odometry may be wheels and `is_pose`, an Imu `is_attitude`."""
+    """A topic and what it is for: an Odometry may be wheels and a pose, an Imu an attitude, too."""
 
     connection: Connection
-    role: str
-    is_pose: bool
-    is_attitude: bool
+    roles: tuple[str, ...]
 
 
 class McapStream:
@@ -184,13 +184,8 @@ class McapStream:
                 schemas[record.id] = named(record)
             elif isinstance(record, Channel) and record.id not in channels:
                 connection = connection_of(record, schemas.get(record.schema_id, UNNAMED))
-                channels[record.id] = StreamChannel(
-                    connection,
-                    self._role(connection, intake),
-                    self._is_pose(connection, intake),
-                    self._given.get(ATTITUDE) == connection.topic
-                    and self._is_of(ATTITUDE, connection, intake),
-                )
+                roles = tuple(self._roles_of(connection, intake))
+                channels[record.id] = StreamChannel(connection, roles)
             elif isinstance(record, Record) and record.channel_id in channels:
                 channel = channels[record.channel_id]
                 message = Message(channel.connection, record.log_time, record.data)
@@ -200,24 +195,30 @@ class McapStream:
         """Give what a message says."""
         if channel.connection.type in TF and message.topic.endswith(TF_STATIC):
             self._static(message, intake)
-        if channel.role and (self._takes_fixes or channel.role not in FIXES):
-            self._take(channel.role, message, intake)
-        if channel.is_pose:
-            self._take("pose", message, intake)
-        if channel.is_attitude:
-            self._take(ATTITUDE, message, intake)
+        for role in channel.roles:
+            self._take(role, message, intake)
         if channel.connection.type == _TEXT and message.topic in RECORDED:
             # Roll and pitch of a converted drive; the texts have their own times.
             with suppress(RecordingError):
                 told = self._leans.recorded(message.topic, decode(message).data)
                 self._push_motion(told, intake)
 
+    def _roles_of(self, connection: Connection, intake: Intake) -> Iterator[str]:
+        """All that the messages of a topic are for."""
+        role, topic = self._role(connection, intake), connection.topic
+        if role and (self._takes_fixes or role not in FIXES):
+            yield role
+        named = {POSE: self._poses and self._poses.name, ATTITUDE: self._given.get(ATTITUDE)}
+        for other, name in named.items():
+            if name == topic and self._can_be(other, connection, intake):
+                yield other
+
     def _role(self, connection: Connection, intake: Intake) -> str:
         """What the messages of a topic are for; empty for nothing."""
         topic = connection.topic
         for role, name in self._given.items():
             if name == topic and role != ATTITUDE:
-                return role if self._is_of(role, connection, intake) else ""
+                return role if self._can_be(role, connection, intake) else ""
         role = "" if topic == DATUM else _BY_TYPE.get(connection.type, "")
         if isinstance(self._kind, CloudKind):
             role = "cloud" if connection.type == _CLOUD else role
@@ -234,15 +235,15 @@ class McapStream:
             return ""
         return role
 
-    def _is_of(self, role: str, connection: Connection, intake: Intake) -> bool:
+    def _can_be(self, role: str, connection: Connection, intake: Intake) -> bool:
         """Whether a topic that was given for a role is of a type that it can have."""
-        types = TYPES_OF_ROLES[role]
+        option = "--poses-topic" if role == POSE else f"--topic {role}=NAME"
+        types = _POSES if role == POSE else TYPES_OF_ROLES[role]
         if connection.type not in types:
             self._say(
                 intake,
                 f"has {connection.topic} of the type {short(connection.type)}, not "
-                f"{' or '.join(map(short, types))}, which is not used; give another with --topic "
-                f"{role}=NAME.",
+                f"{' or '.join(map(short, types))}, which is not used; give another with {option}.",
             )
         return connection.type in types
 
@@ -253,7 +254,7 @@ class McapStream:
             "nmea": self._sentence,
             "imu": self._turn,
             "odometry": self._speed,
-            "pose": self._pose,
+            POSE: self._pose,
             ATTITUDE: self._attitude,
         }
         stamped_ns = stamp_ns(message.connection.encoding, message.data)
@@ -369,18 +370,6 @@ class McapStream:
         imu, kind = self._given.get("imu", self._roles.get("imu")), message.connection.type
         said, is_of_imu = decode(message), imu == message.topic
         self._push_motion(self._leans.take_given(said, time_ns, kind, is_of_imu=is_of_imu), intake)
-
-    def _is_pose(self, connection: Connection, intake: Intake) -> bool:
-        """Whether a topic is that of the poses."""
-        if self._poses is None or connection.topic != self._poses.name:
-            return False
-        if connection.type not in _POSES:
-            self._say(
-                intake,
-                f"has {connection.topic} of the type {connection.type}, of which no poses are read "
-                "while driving; give a topic of Odometry or PoseStamped with --poses-topic.",
-            )
-        return connection.type in _POSES
 
     def _pose(self, message: Message, time_ns: int, intake: Intake) -> None:
         found = decode(message).pose
