@@ -44,7 +44,7 @@ def main() -> None:
     options.add_argument("--imu", action="store_true", help="all axes of an IMU, too")
     chosen = options.parse_args()
     for module, name, what in (
-        (session_folder, "read_drive", "the journal read"),
+        (session_folder.SessionFolder, "read", "the journal read"),
         (finish, "prepared", "the poses without the camera's steps"),
         (session, "estimate_drive", "the poses"),
         (session, "_place", "the frames placed"),

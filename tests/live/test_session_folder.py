@@ -19,7 +19,6 @@ import pytest
 from fieldgrid.core import BuildSettings, ConfigError, MapError, Quality
 from fieldgrid.geometry import Datum, Fix
 from fieldgrid.live import Live, finish_session, live_folder, replay
-from fieldgrid.live.kept import session_folder
 from fieldgrid.live.kept.kept_drive import PushedDrive, SessionStart
 from fieldgrid.live.kept.session_folder import MOST_PAIRS, SessionFolder
 from fieldgrid.live.pose.sensor_rows import fix_from_json, fix_to_json
@@ -142,17 +141,17 @@ def test_rows_of_a_long_drive_are_joined_and_read_once_at_its_end(
         replay(live, recording, rate=None)
         rows = live.counts.rows
         live.stop()
-    read = session_folder.read_drive
+    read = SessionFolder.read
 
-    def reading(drive: PushedDrive) -> PushedDrive:
-        reads.append(read(drive))
+    def reading(kept: SessionFolder) -> PushedDrive:
+        reads.append(drive := read(kept))
         for part, pieces in drive.parts.items():
             count = sum(len(piece.time_ns) for piece in pieces)
             assert count == rows[part]
             assert len(pieces) <= count / 50 + 50
         return drive
 
-    monkeypatch.setattr(session_folder, "read_drive", reading)
+    monkeypatch.setattr(SessionFolder, "read", reading)
     finish_session(out)
     assert len(reads) == 1
     assert content(out) == content(built_level)

@@ -27,6 +27,7 @@ from fieldgrid.live.kept.session_folder import AGAIN, SessionFolder
 from fieldgrid.maps import Patience, check_cell_sizes, open_map
 from fieldgrid.perception import OriginTrack
 from fieldgrid.pipeline import (
+    KeptDrive,
     Progress,
     SessionReport,
     Store,
@@ -154,7 +155,7 @@ def discard_session(out: str | Path) -> tuple[str, int]:
     except FieldgridError:  # it is given up: what is wrong with it does not matter
         if not journal.is_file():
             raise
-        Store(Path(out), journal.name).remove()
+        Store(Path(out), journal.name, KeptDrive).remove()
     if journal.exists():
         raise MapWriteError(f"{journal} could not be removed; check its permissions.")
     return name, frames
@@ -256,7 +257,7 @@ def _placed(
         session.report.findings += (NOT_LEVELLED,)
     way, datum = OriginTrack.of(estimate.trajectory), datum or estimate.trajectory.datum
     del estimate  # of a long drive there is no room for two
-    with Store(out, AGAIN) as made:
+    with Store(out, AGAIN, KeptDrive) as made:
         try:
             attitude = told if levels else None
             staged, again, left_out = gridded_again(kept, drive, made, attitude, way, progress)

@@ -30,7 +30,7 @@ NO_POINTS = "its points were not kept, and how the vehicle leaned was not known 
 def gridded_again(
     kept: SessionFolder,
     drive: PushedDrive,
-    again: Store,
+    again: Store[KeptDrive],
     attitude: Attitude | None,
     way: OriginTrack,
     progress: Callable[[Progress], None] | None = None,

@@ -74,7 +74,6 @@ if TYPE_CHECKING:
         KeptFrames as KeptFrames,
         Store as Store,
         drop_journal as drop_journal,
-        read_drive as read_drive,
         work_folder as work_folder,
     )
     from fieldgrid.pipeline.staging.parts import left_behind as left_behind

@@ -47,7 +47,6 @@ from fieldgrid.pipeline import (
     StepOutcome,
     Store,
     drop_journal,
-    read_drive,
 )
 from fieldgrid.recordings import FixLog, Frame, Image, Recording, StereoFrame, with_body_poses
 
@@ -60,10 +59,8 @@ AGAIN = "again"
 """The journal of the grids that the end makes again."""
 
 
-class SessionFolder(Store):
+class SessionFolder(Store[PushedDrive]):
     """The folder of an open session, locked against other processes."""
-
-    drive: PushedDrive
 
     def __init__(self, out: Path, about: SessionStart | None, points_gb: float = POINTS_GB) -> None:
         """Open what is there, or begin with `about`; ConfigError where that is of another drive,
@@ -73,7 +70,7 @@ class SessionFolder(Store):
             raise ConfigError(
                 f"There is no live session to finish for {out}: {path} does not exist."
             )
-        super().__init__(out, path.name)
+        super().__init__(out, path.name, PushedDrive)
         drop_journal(path.with_name(AGAIN))  # of an end that was killed
         drive = self.drive
         try:
@@ -215,10 +212,6 @@ class SessionFolder(Store):
             return "Nothing of the drive is kept, since the full disk took none of it."
         lost = f", but for the last {count} records, which the full disk did not take"
         return f"The drive is kept in {self.folder}{lost if count else ''}; {then}."
-
-    def read(self) -> PushedDrive:
-        """What was pushed until now."""
-        return read_drive(PushedDrive(self.journal))
 
     def recording(self, drive: PushedDrive) -> Recording:
         """What was read as a recording, with the pairs that were kept for its frames.

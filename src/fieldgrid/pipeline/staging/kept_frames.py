@@ -13,7 +13,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from fieldgrid.core import Closing, MapError, holding
 from fieldgrid.geometry import Steps
@@ -61,63 +61,6 @@ def drop_journal(path: Path) -> None:
         path.parent.rmdir()
 
 
-class Store(Closing):
-    """The journal `file` of a drive on its way into the map `out`, held against other programs.
-
-    MapError where another program has it, MapWriteError where there can be none.
-    """
-
-    def __init__(self, out: Path, file: str) -> None:
-        self.out, self.path = out, work_folder(out) / file
-        with ExitStack() as opening:
-            try:
-                self.path.parent.mkdir(parents=True, exist_ok=True)
-                self.path.touch()
-                if not opening.enter_context(holding(self.path)):
-                    raise MapError(
-                        f"Another program puts a drive into {out} by {self.path}; wait until it "
-                        "has finished, end it, or give another map."
-                    )
-                self.journal = opening.enter_context(Journal(self.path))
-            except OSError as error:
-                raise unwritable(out, error) from error
-            self.drive = self.read()
-            self._open = opening.pop_all()
-
-    def read(self) -> KeptDrive:
-        """What is there by now."""
-        return read_drive(KeptDrive(self.journal))
-
-    def keep(
-        self,
-        number: int,
-        staged: StagedFrame,
-        found: StepOutcome,
-        times: StageTimes,
-        flags: Sequence[bool] = (),
-        points: bytes = b"",
-    ) -> None:
-        """Keep a frame. MapWriteError where the disk does not take it."""
-        said, cells = frame_record(staged)
-        spent = {name: round(value, 6) for name, value in asdict(times).items() if value}
-        value = [number, said, found_to_json(found), spent, *flags]
-        if not self.journal.append(FRAME, value, cells, *([points] if points else [])):
-            raise unwritable(self.out, self.journal.problem) from self.journal.problem
-
-    def keep_bad(self, number: int, bad: BadFrame, time_ns: int = 0) -> None:
-        """Keep that a frame cannot be read; what the disk does not take waits for it."""
-        self.journal.append(BAD, [number, *bad, time_ns])
-
-    def remove(self) -> None:
-        """Let go of it and remove it: the drive is in the map, or is given up."""
-        drop_journal(self.path)
-        self.close()
-
-    def close(self) -> None:
-        """Let go of it."""
-        self._open.close()
-
-
 class KeptFrames(Sequence[KeptFrame]):
     """Frames of a journal, packed: objects take four times as much, which counts on long drives."""
 
@@ -137,11 +80,6 @@ class KeptFrames(Sequence[KeptFrame]):
         number, entry, found, points, *flags = marshal.loads(self._rows[index])
         found, points = found_from_json(found), points and Blob(*points)
         return KeptFrame(number, StageEntry(*entry), found, points, *flags)
-
-    def settle(self) -> None:
-        """Put them in the order of their numbers; of several of one number the last one counts."""
-        rows = {marshal.loads(row)[0]: row for row in self._rows}
-        self._rows = [rows[number] for number in sorted(rows)]
 
 
 @dataclass
@@ -175,8 +113,12 @@ class KeptDrive:
             self.times.add(StageTimes(**times))
 
     def settle(self) -> None:
-        """All records were taken."""
-        self.frames.settle()
+        """All records were taken: put frames in order; of several of one number the last one
+        counts."""
+        frames, self.frames = self.frames, KeptFrames()
+        places = {frame.number: k for k, frame in enumerate(frames)}
+        for number in sorted(places):
+            self.frames.append(frames[places[number]])
         self.bad = dict(sorted(self.bad.items()))
 
     def __getitem__(self, index: int) -> StagedFrame:
@@ -203,19 +145,72 @@ class KeptDrive:
 _Drive = TypeVar("_Drive", bound=KeptDrive)
 
 
-def read_drive(drive: _Drive) -> _Drive:
-    """The drive with all that its journal holds: whole, cut, or still growing. MapError for a
-    journal of another version."""
-    try:
-        for record in drive.journal.records():
-            drive.take(record)
-        drive.settle()
-    except (KeyError, ValueError, TypeError, IndexError) as error:
-        raise MapError(
-            "The journal of the drive is of another version of this program or damaged "
-            f"({error}); finish it with the version that wrote it."
-        ) from error
-    return drive
+class Store(Closing, Generic[_Drive]):
+    """The journal `file` of a drive on its way into the map `out`, held against other programs.
+
+    MapError where another program has it, MapWriteError where there can be none.
+    """
+
+    def __init__(self, out: Path, file: str, kind: type[_Drive]) -> None:
+        self.out, self.path, self._kind = out, work_folder(out) / file, kind
+        with ExitStack() as opening:
+            try:
+                self.path.parent.mkdir(parents=True, exist_ok=True)
+                self.path.touch()
+                if not opening.enter_context(holding(self.path)):
+                    raise MapError(
+                        f"Another program puts a drive into {out} by {self.path}; wait until it "
+                        "has finished, end it, or give another map."
+                    )
+                self.journal = opening.enter_context(Journal(self.path))
+            except OSError as error:
+                raise unwritable(out, error) from error
+            self.drive = self.read()
+            self._open = opening.pop_all()
+
+    def read(self) -> _Drive:
+        """The drive with all that the journal holds: whole, cut, or still growing. MapError for a
+        journal of another version."""
+        drive = self._kind(self.journal)
+        try:
+            for record in self.journal.records():
+                drive.take(record)
+            drive.settle()
+        except (KeyError, ValueError, TypeError, IndexError) as error:
+            raise MapError(
+                "The journal of the drive is of another version of this program or damaged "
+                f"({error}); finish it with the version that wrote it."
+            ) from error
+        return drive
+
+    def keep(
+        self,
+        number: int,
+        staged: StagedFrame,
+        found: StepOutcome,
+        times: StageTimes,
+        flags: Sequence[bool] = (),
+        points: bytes = b"",
+    ) -> None:
+        """Keep a frame. MapWriteError where the disk does not take it."""
+        said, cells = frame_record(staged)
+        spent = {name: round(value, 6) for name, value in asdict(times).items() if value}
+        value = [number, said, found_to_json(found), spent, *flags]
+        if not self.journal.append(FRAME, value, cells, *([points] if points else [])):
+            raise unwritable(self.out, self.journal.problem) from self.journal.problem
+
+    def keep_bad(self, number: int, bad: BadFrame, time_ns: int = 0) -> None:
+        """Keep that a frame cannot be read; what the disk does not take waits for it."""
+        self.journal.append(BAD, [number, *bad, time_ns])
+
+    def remove(self) -> None:
+        """Let go of it and remove it: the drive is in the map, or is given up."""
+        drop_journal(self.path)
+        self.close()
+
+    def close(self) -> None:
+        """Let go of it."""
+        self._open.close()
 
 
 def found_to_json(found: StepOutcome) -> Any:

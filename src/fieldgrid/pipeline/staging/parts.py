@@ -74,12 +74,12 @@ def settle_left_behind(out: Path, resume: bool | None) -> None:
         drop_journal(path)
 
 
-class DriveParts(Store):
+class DriveParts(Store[KeptDrive]):
     """The staged frames of a drive: those that are there already, and those to be made."""
 
     def __init__(self, out: Path, key: str, name: str, count: int) -> None:
         self._name, self._count, self._written_s = name, count, 0.0
-        super().__init__(out, f"{key}.build")
+        super().__init__(out, f"{key}.build", KeptDrive)
         self._bad, frames = self.drive.bad, self.drive.frames
         self.moved_m = sum(moved_m(frame.found) for frame in frames)
         self.done = {frame.number for frame in frames} | self._bad.keys()
@@ -87,6 +87,8 @@ class DriveParts(Store):
         made again."""
         if not self.done:
             self.journal.append(BEGIN, name)
+        # Without a frame, it is gone when it is let go.
+        self._open.callback(lambda: None if self.done else drop_journal(self.path))
 
     def add(self, number: int, looked: FrameOutcome) -> None:
         """Keep what became of a frame. MapWriteError on a full disk."""
@@ -146,9 +148,3 @@ class DriveParts(Store):
         """Remove the frames of a drive that is given up."""
         self.done.clear()
         super().remove()
-
-    def close(self) -> None:
-        """Let go of the journal; without a frame, it is gone."""
-        super().close()
-        if not self.done:
-            drop_journal(self.path)

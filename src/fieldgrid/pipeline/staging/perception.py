@@ -94,23 +94,22 @@ def perceive_frame(
     return Perception(frame, seen, grid, ground, tilt is not None, found, hashes, *spent)
 
 
-class _GridInputs:
+class _GridInputs(NamedTuple):
     """What the grid of a frame is made of, when the frame was decoded, and its images if it is a
     pair."""
 
-    def __init__(self, gridder: LocalGridder) -> None:
-        self._gridder = gridder
+    gridder: LocalGridder
 
     def pair(self, left: Image, right: Image) -> tuple[GridInput, float, tuple[Image, Image]]:
         """A pair is matched."""
         decoded = time.thread_time()
-        coded = self._gridder.coded(*self._gridder.matcher.disparity(left, right))
+        coded = self.gridder.coded(*self.gridder.matcher.disparity(left, right))
         return coded, decoded, (left, right)
 
     def depth(self, depth_m: Float32) -> tuple[GridInput, float, None]:
         """An image of depths."""
         decoded = time.thread_time()
-        return self._gridder.coded_depth(depth_m), decoded, None
+        return self.gridder.coded_depth(depth_m), decoded, None
 
     def cloud(self, sweep: Sweep) -> tuple[GridInput, float, None]:
         """A cloud, as it was read."""
