@@ -111,7 +111,7 @@ def _kept(out: Path) -> Had:
     try:
         with SessionFolder(out, None) as kept:
             drive = kept.drive
-            return Had([entry.frame_id for entry in kept.drive.entries], len(drive.fixes))
+            return Had([frame.entry.frame_id for frame in kept.drive.frames], len(drive.fixes))
     except ConfigError:
         return NOTHING  # it was killed before it had written what it is
 

@@ -60,7 +60,7 @@ def test_a_file_that_is_cut_off_anywhere_loses_its_end_only(
     for _ in range(12):
         path.write_bytes(whole[: draw.randrange(len(whole) // 3, len(whole) - 1000)])
         with SessionFolder(out, None) as kept:
-            had = [entry.frame_id for entry in kept.drive.entries]
+            had = [frame.entry.frame_id for frame in kept.drive.frames]
             assert had == frames[: len(had)]
     # The last of these is gone on with, and is the map of a build.
     with open_recording(leaning_drive) as recording, begin(recording, out) as live:
@@ -261,7 +261,7 @@ def test_a_kill_loses_the_last_frame_at_most_and_the_session_goes_on(
     for _ in range(2):
         told += killed_after(draw.randrange(2, 6), leaning_drive, out)
         with SessionFolder(out, None) as kept:
-            had = [entry.frame_id for entry in kept.drive.entries]
+            had = [frame.entry.frame_id for frame in kept.drive.frames]
         # What was told may be one ahead of what is kept.
         assert len(had) >= len(set(told)) - 1
     with open_recording(leaning_drive) as recording, begin(recording, out) as live:

@@ -121,7 +121,7 @@ def finish_from(
                     "say with --poses or --poses-topic where they are recorded."
                 )
             times_ns = found.frame_times_ns() + found.rig.image_time_offset_ns
-            for entry in kept.drive.entries:
+            for _, entry, *_ in kept.drive.frames:
                 if entry.time_ns not in times_ns:
                     raise ConfigError(
                         f"{recording} has no frame of the time {entry.time_ns} ns, as the session "

@@ -31,7 +31,6 @@ from fieldgrid.pipeline.poses import settled
 from fieldgrid.pipeline.report import DRIVE_ERRORS, PartlyBuiltError, Progress, SessionReport
 from fieldgrid.pipeline.session import NewSession, ProgressReporter, prepared
 from fieldgrid.pipeline.staging.kept_frames import drop_journal, work_folder
-from fieldgrid.pipeline.staging.part_key import part_key
 from fieldgrid.pipeline.staging.parts import (
     SHARE_FRAMES,
     DriveParts,
@@ -196,9 +195,7 @@ class _Build:
     def find_parts(self, held: ExitStack, datum: Datum, *, resume: bool) -> None:
         """The parts of the drives that are there already; ConfigError for others."""
         for drive in self._good():
-            session = drive.session
-            key = part_key(session, datum)
-            drive.parts = held.enter_context(DriveParts(self.out, key, drive.name, session.total))
+            drive.parts = held.enter_context(drive.session.parts(self.out, datum))
             self.staged.append(drive.parts.path)
         left = left_behind(self.out)
         stale = [path for path in left if path not in self.staged]

@@ -13,6 +13,7 @@ import time
 from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -90,8 +91,7 @@ def add_recording(
     started = time.perf_counter()
     session, _ = prepared(recording, settings or BuildSettings(), universal.datum, name)
     session.check(universal)
-    key = part_key(session, universal.datum)
-    with DriveParts(universal.path, key, session.name, session.total) as parts:
+    with session.parts(universal.path, universal.datum) as parts:
         try:
             tell = ProgressReporter(session, progress)
             parts.stage(session.work(), jobs or os.cpu_count() or 1, tell)
@@ -202,6 +202,11 @@ class NewSession:
             self._skips_bad,
         )
 
+    def parts(self, out: Path, datum: Datum) -> DriveParts:
+        """What is staged of it on its way into the map `out`."""
+        about = self.recording, self.settings, datum, self.total, self.every
+        return DriveParts(out, part_key(*about), self.name, self.total)
+
     def check(self, universal: MapFile) -> None:
         """Raise before the drive is staged what the map would refuse at its end, and what some
         of the frames show."""
@@ -227,7 +232,7 @@ class NewSession:
             steps, report.camera_refusal_reasons = staged.steps()
             report.camera_steps = len(steps.start_ns)
             report.camera_refusals = report.camera_refusal_reasons.total()
-        found = sum(entry.ground_found for entry in staged.entries)
+        found = sum(frame.entry.ground_found for frame in staged.frames)
         if not found and (readings := format_hints(recording, self._gridder, self.every)):
             raise CalibrationError(
                 f"No ground was found in the {len(staged.frames)} frames of {self.name}, so "
@@ -254,8 +259,8 @@ class NewSession:
                 Inputs(
                     recording.fixes(),
                     recording.motion()._replace(steps=steps),
-                    np.array([entry.time_ns for entry in staged.entries], dtype=np.int64),
-                    np.array([entry.ground_found for entry in staged.entries], dtype=np.bool_),
+                    np.array([frame.entry.time_ns for frame in staged.frames], dtype=np.int64),
+                    np.array([frame.entry.ground_found for frame in staged.frames], dtype=np.bool_),
                 )
             ),
         ) as session:
@@ -314,7 +319,7 @@ def _place(
     accepted: list[FramePose] = []
     heading_sigma_deg, position_sigma_m = array("d"), array("d")
     start, camera = time.thread_time(), StuckCamera()
-    for k, entry in enumerate(staged.entries):
+    for k, (_, entry, *_) in enumerate(staged.frames):
         pose = trajectory.at(entry.time_ns)
         if pose.status is Status.OK and not entry.ground_found:
             pose = replace(pose, status=Status.REJECTED, reason=no_ground(rig))

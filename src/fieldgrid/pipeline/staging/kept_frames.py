@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import marshal
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
@@ -130,16 +130,11 @@ class KeptDrive:
             raise damaged_frame(entry)
         return replace(frame_of_record(record.value[1], cells), frame_id=entry.frame_id)
 
-    @property
-    def entries(self) -> Iterator[StageEntry]:
-        """Name, time and more of each frame."""
-        return (frame.entry for frame in self.frames)
-
     def steps(self) -> tuple[Steps, Counter[str]]:
         """The camera's steps, and why there is none between other neighbours."""
         found = [one.found for one in islice(self.frames, 1, None) if one.found is not None]
         refused = Counter(one.value for one in found if isinstance(one, Refusal))
-        return steps_of([entry.time_ns for entry in self.entries], found), refused
+        return steps_of([frame.entry.time_ns for frame in self.frames], found), refused
 
 
 _Drive = TypeVar("_Drive", bound=KeptDrive)

@@ -6,24 +6,22 @@ import hashlib
 import json
 import pickle
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fieldgrid.core import BuildSettings
 from fieldgrid.geometry import Datum
 from fieldgrid.pipeline.inputs import Inputs, to_arrays
-from fieldgrid.recordings import StoredFrames
+from fieldgrid.recordings import Recording, StoredFrames
 from fieldgrid.version import software_version
 
-if TYPE_CHECKING:
-    from fieldgrid.pipeline.session import NewSession
 
-
-def part_key(session: NewSession, datum: Datum) -> str:
+def part_key(
+    recording: Recording, settings: BuildSettings, datum: Datum, total: int, every: int
+) -> str:
     """A digest of all that the staged frames of a drive depend on: its files by their size and
-    time, what was read of it, the settings and the version of this package. Not of the bound on
-    bad frames: a part that is done without it has none."""
-    recording = session.recording
+    time, what was read of it, the settings, which frames are taken and the version of this package.
+    Not of the bound on bad frames: a part that is done without it has none."""
     source, kind = recording.source, b""
     if isinstance(source, StoredFrames):
         files = [source.folder / name for shot in source.shots for name in shot.files]
@@ -36,10 +34,10 @@ def part_key(session: NewSession, datum: Datum) -> str:
     facts = {
         "version": software_version(),
         "path": str(recording.path),
-        "settings": session.settings.model_dump(mode="json", exclude={"checks"}),
+        "settings": settings.model_dump(mode="json", exclude={"checks"}),
         "rig": recording.rig.as_dict(),
         "datum": repr(datum),
-        "frames": [session.total, session.every],
+        "frames": [total, every],
         "files": [_state(file) for file in files],
         "kind": hashlib.sha256(kind).hexdigest(),
     }
