@@ -37,6 +37,7 @@ from fieldgrid.poses.accepted import fix_offsets
 from fieldgrid.poses.attitude.attitude import Attitude
 from fieldgrid.poses.attitude.axes import RECORDED
 from fieldgrid.poses.external.georeference import (
+    LEAST_HEADING_SIGMA_DEG,
     Georeference,
     Pairs,
     by_fixes,
@@ -53,7 +54,7 @@ from fieldgrid.poses.verdict import ErrorBudget, judged
 GIVEN = "given poses"
 """What a trajectory of them says where its headings come from."""
 
-LEAST_HEADING_SIGMA_DEG, LEAST_POSITION_SIGMA_M = 0.5, 0.02
+LEAST_POSITION_SIGMA_M = 0.02
 """What no comparison shows of another program's poses."""
 
 DRIFT_SHARE = 0.01
