@@ -21,6 +21,7 @@ from fieldgrid.geometry import wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.measured import BIAS_S
 from fieldgrid.poses.smoother.rounds import OUTLIER_FREEDOM
+from fieldgrid.poses.verdict import LEAST_OFFSET_M
 
 Complex = npt.NDArray[np.complex128]
 AnyFloat = float | Float64
@@ -40,8 +41,6 @@ LEAST_HEADING_SIGMA_DEG = 0.5
 CLEAR_SIGMAS, WRONG_SCALE = 5.0, 0.05
 """Poses whose scale is off by more than this, and clearly, are not in metres; poses that are
 clearly off their fixes, by what these state, do not belong where they were put."""
-
-LEAST_MISFIT_M = 0.1
 
 MIRRORED_SHARE = 0.1
 """Poses are mirrored where a mirrored fit leaves so little of the residuals."""
@@ -151,7 +150,7 @@ def by_fixes(pairs: Pairs, heading_deg: float | None) -> Georeference:
         )
     left = float(weight @ abs(residual) ** 2)
     mirrored = pc.conj() * _best_turn(pc.conj(), qc, weight) - qc
-    most_m = CLEAR_SIGMAS * max(slow_m, LEAST_MISFIT_M)
+    most_m = CLEAR_SIGMAS * max(slow_m, LEAST_OFFSET_M)
     if left > max(most_m**2 * weight.sum(), float(weight @ abs(mirrored) ** 2) / MIRRORED_SHARE):
         raise GnssError(
             "The poses are a mirror image of the fixes' way, so one axis of their frame is "
@@ -192,7 +191,7 @@ def declared(
     off_m = np.hypot(*(found.place(*pairs.frame_m[:, :2].T) - pairs.fixes.points_m()).T)
     found = _compared(found, off_m)._replace(scatter_m=float(np.sqrt((off_m**2).mean() / 2.0)))
     stated_m = float(np.median(pairs.fixes.sigma_m))
-    if found.residual_median_m > CLEAR_SIGMAS * max(stated_m, LEAST_MISFIT_M):
+    if found.residual_median_m > CLEAR_SIGMAS * max(stated_m, LEAST_OFFSET_M):
         raise GnssError(
             f"Where the frame of the poses is declared, they lie {found.residual_median_m:.2f} m "
             f"(median) from fixes that state {stated_m:.2f} m; correct --frame-origin and "

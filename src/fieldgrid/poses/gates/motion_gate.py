@@ -15,11 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.core import Bool, Float64, GateLimits, Int64, kernel
-from fieldgrid.poses.gates.scatter import short_term_sigma_m
+from fieldgrid.poses.gates.scatter import SECOND_S, short_term_sigma_m
 
 Complex = npt.NDArray[np.complex128]
 
-_AROUND_S = 1.0
 _LEAST_AROUND, _MOST_AROUND = 5, 12  # steps on either side of a fix that tell its velocity
 _GAP_S, _GAP_STEPS = 1.5, 3.0
 _LOOK_BACK = 1000
@@ -69,7 +68,7 @@ def motion_envelope(
     """The motion around each row. Rows are ordered by time."""
     step_s = np.diff(time_ns) / 1e9
     period_s = float(np.median(step_s[step_s > 0.0])) if np.any(step_s > 0.0) else 1.0
-    half = int(np.clip(math.ceil(_AROUND_S / period_s), _LEAST_AROUND, _MOST_AROUND))
+    half = int(np.clip(math.ceil(SECOND_S / period_s), _LEAST_AROUND, _MOST_AROUND))
     gap_s = max(_GAP_S, _GAP_STEPS * period_s)
     east_mps, north_mps = (
         _around(np.diff(axis), step_s, gap_s, half, limits.max_speed_mps)

@@ -25,7 +25,8 @@ ALIKE_DEG = 15.0
 """Turnings that differ by less are equally sharp."""
 
 REACH_M, REACH_SIGMAS = 0.3, 8.0
-"""How far around a point its turning is looked at: at least this, and beyond the noise."""
+"""How far around a point its turning and its course are looked at: at least this, and beyond the
+noise."""
 
 TANGENT_REACH_M = 1.5
 """The direction in which a leg begins or ends is that of this much of it."""

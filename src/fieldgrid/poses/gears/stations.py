@@ -10,21 +10,18 @@ from fieldgrid.core import Bool, Float64, Int64, PoseSettings
 from fieldgrid.geometry import Motion, first_beyond, heading_deg, wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.faults.leaps.leaps import leaps
-from fieldgrid.poses.gears.course import stations
-from fieldgrid.poses.gears.legs import GearEvidence, Gears, gears
+from fieldgrid.poses.gears.course import STATION_M, stations
+from fieldgrid.poses.gears.legs import REACH_M, REACH_SIGMAS, GearEvidence, Gears, gears
 from fieldgrid.poses.measured import WHEEL_SIGMA_MPS, turn_back, wheel_speed_at
 from fieldgrid.poses.nodes import Nodes, seconds
 from fieldgrid.poses.smoother.envelope import STATES
 from fieldgrid.poses.smoother.measurements import Measurements
 
-STATION_M, STATION_SIGMAS = 0.05, 2.0
-"""A vehicle has moved on when it is this far, and beyond the noise, from where it was."""
+STATION_SIGMAS = 2.0
+"""A vehicle has moved on when it is a station, and beyond the noise, from where it was."""
 
 TORN_M = 0.5
 """Nothing is said of gears across a jump of the positions of more than this."""
-
-GUESS_REACH_M, GUESS_SIGMAS = 0.3, 8.0
-"""The first guess of the heading is the course over at least this."""
 
 WINDING_NS = 2_000_000_000
 """Between courses that are farther apart a vehicle may turn by more than half a circle."""
@@ -175,7 +172,7 @@ def first_guess(
     turned on as gyro or camera saw it."""
     station, found = stations_of
     points = fixes.points_m()[station]
-    reach_m = max(GUESS_REACH_M, GUESS_SIGMAS * float(np.median(fixes.noise.across_m)))
+    reach_m = max(REACH_M, REACH_SIGMAS * float(np.median(fixes.noise.across_m)))
     heading, speed = np.full(len(station), np.nan), np.zeros(len(station))
     cuts = np.flatnonzero(np.diff(found.leg)) + 1
     seen_rad = measured.seen_turns_rad()
