@@ -122,7 +122,14 @@ def place_poses(
     aside_deg = course_off_heading_deg(chords, settings)
     # A row a pose, carried to the grid origin and judged; beside them the fixes that have none.
     table = _table(rows, log, pairs, found, chords, aside_deg, settings)
-    attitude = None if tilt is None or not isinstance(rig, Rig) else _attitude(table, tilt)
+    attitude = None
+    if tilt is not None and isinstance(rig, Rig):
+        # How the vehicle leans, as the poses or the recording state it.
+        at, told = table.time_ns - table.time_ns[0], tilt.time_ns - table.time_ns[0]
+        roll, pitch, sigma = (np.interp(at, told, column) for column in tilt[1:])
+        heading = np.unwrap(table.heading_deg, period=360.0)
+        said = roll, pitch, sigma, sigma, heading, table.up_m
+        attitude = Attitude(table.time_ns, *said, bodies=frozenset({RECORDED}))
     level_grids = level_grids and attitude is not None
     table = _at_origin(table, rows.poses, rig, level_grids=level_grids)
     table = _jumping(table, datum, settings.gnss)
@@ -312,16 +319,6 @@ def _ends(marked: Bool) -> Int64:
     rows = np.flatnonzero(marked)
     after = np.searchsorted(rows, np.arange(len(marked)))
     return np.asarray(rows[np.clip([after - 1, after], 0, len(rows) - 1)])
-
-
-def _attitude(table: PoseTable, tilt: RecordedTilt) -> Attitude:
-    """How the vehicle leans, as the poses or the recording state it."""
-    first_ns = table.time_ns[0]
-    at, told = table.time_ns - first_ns, tilt.time_ns - first_ns
-    roll, pitch, sigma = (np.interp(at, told, column) for column in tilt[1:])
-    heading = np.unwrap(table.heading_deg, period=360.0)
-    said = roll, pitch, sigma, sigma, heading, table.up_m
-    return Attitude(table.time_ns, *said, bodies=frozenset({RECORDED}))
 
 
 def _at_origin(

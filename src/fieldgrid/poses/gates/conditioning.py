@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from fieldgrid.core import CARRIER, CODE, Bool, Float64, GateLimits, Index, Quality
+from fieldgrid.core import CARRIER, CODE, Bool, GateLimits, Index, Quality
 from fieldgrid.geometry import NOT_SAID, Datum, FixColumns
 from fieldgrid.poses.gates.motion_gate import (
     MotionEnvelope,
@@ -141,7 +141,10 @@ def _undriven(fixes: FixColumns, rows: Index, limits: GateLimits) -> Iterator[_V
     if not len(rows):
         return
     used = fixes[rows]
-    envelope = motion_envelope(used.time_ns, *_metres(used), used.position_sigma_m(), limits)
+    # A latitude and a longitude of the log: a mean of two would be half round the Earth at 180°.
+    lat, lon = (float(np.sort(one)[len(rows) // 2]) for one in (used.lat_deg, used.lon_deg))
+    place = Datum(lat, lon, 0.0).to_enu(used.lat_deg, used.lon_deg, used.height_m)
+    envelope = motion_envelope(used.time_ns, *place[:2], used.position_sigma_m(), limits)
     is_kept, seam = follow(envelope)
     kept = np.flatnonzero(is_kept)
     jump_at = -1  # where the run of rejected fixes that agree with each other began
@@ -200,12 +203,3 @@ def _break(step: Transition) -> tuple[Gate, str]:
     turn_deg = math.degrees(math.atan2(abs(step.across_m), step.distance_m + step.along_m))
     turn = f"course would turn by {turn_deg:.0f}° in {seconds:.2f} s at {usual_mps:.1f} m/s"
     return Gate.TURN_RATE, f"{turn}; {off}"
-
-
-def _metres(fixes: FixColumns) -> tuple[Float64, Float64]:
-    """Metres east and north of the middle of the log."""
-    # A latitude and a longitude of the log: a mean of two would be half round the Earth at 180°.
-    middle = len(fixes) // 2
-    datum = Datum(float(np.sort(fixes.lat_deg)[middle]), float(np.sort(fixes.lon_deg)[middle]), 0.0)
-    east_m, north_m, _ = datum.to_enu(fixes.lat_deg, fixes.lon_deg, fixes.height_m)
-    return east_m, north_m

@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.core import Bool, Float64, GateLimits, Int64, kernel
+from fieldgrid.poses.faults.leaps.leaps import HOLE_PERIODS, HOLE_S
 from fieldgrid.poses.gates.scatter import SECOND_S, short_term_sigma_m
 
 Complex = npt.NDArray[np.complex128]
 
 _LEAST_AROUND, _MOST_AROUND = 5, 12  # steps on either side of a fix that tell its velocity
-_GAP_S, _GAP_STEPS = 1.5, 3.0
 _LOOK_BACK = 1000
 _SIGMA_DOUBT = 10.0  # how many times the stated sigma the measured noise may raise it to
 _ANYWHERE_M = 1e7  # a sigma that says no more than "on Earth"
@@ -69,7 +69,7 @@ def motion_envelope(
     step_s = np.diff(time_ns) / 1e9
     period_s = float(np.median(step_s[step_s > 0.0])) if np.any(step_s > 0.0) else 1.0
     half = int(np.clip(math.ceil(SECOND_S / period_s), _LEAST_AROUND, _MOST_AROUND))
-    gap_s = max(_GAP_S, _GAP_STEPS * period_s)
+    gap_s = max(HOLE_S, HOLE_PERIODS * period_s)
     east_mps, north_mps = (
         _around(np.diff(axis), step_s, gap_s, half, limits.max_speed_mps)
         for axis in (east_m, north_m)

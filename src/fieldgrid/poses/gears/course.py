@@ -78,7 +78,9 @@ def course(
         points = np.stack([east_m[members], north_m[members]], axis=1)
         cuts = [0, *(k + 1 for k in cusps(points, sigma_m[members], baseline_m)), len(points)]
         legs = [(a, b) for a, b in itertools.pairwise(cuts) if b > a]
-        forward_parity = _longer_parity(points, legs)
+        way_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+        lengths_m = [way_m[stop - 1] - way_m[start] for start, stop in legs]
+        forward_parity = int(sum(lengths_m[::2]) < sum(lengths_m[1::2]))
         for k, (start, stop) in enumerate(legs):
             gear = 1 if k % 2 == forward_parity else -1
             result.gear[members[start:stop]] = gear
@@ -118,14 +120,6 @@ def cusps(points: Float64, sigma_m: Float64, baseline_m: float) -> list[int]:
         feet = (points[before[run]] + points[after[k - 1]]) / 2.0
         found.append(run + int(np.argmax(np.hypot(*(points[run:k] - feet).T))))
     return found
-
-
-def _longer_parity(points: Float64, legs: list[tuple[int, int]]) -> int:
-    steps = np.hypot(*np.diff(points, axis=0).T) if len(points) > 1 else np.zeros(0)
-    lengths = [0.0, 0.0]
-    for k, (start, stop) in enumerate(legs):
-        lengths[k % 2] += float(steps[start : max(stop - 1, start)].sum())
-    return 0 if lengths[0] >= lengths[1] else 1
 
 
 @kernel

@@ -135,7 +135,11 @@ def gears(track: GearEvidence) -> Gears:
     starts = _cut(track)
     legs = list(zip(starts, [*starts[1:], n], strict=True))
     habits = Habits.usual()
-    own = np.array([_leg_weights(track, a, b, habits) for a, b in legs])
+    # By its length, and by what wheels or camera saw, each leg has weights [h, 2] in either gear.
+    way_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(track.points_m, axis=0).T)))
+    seen = [float(track.forward_nats[a + 1 : b].sum()) for a, b in legs]
+    own = np.array([habits.leg(way_m[b - 1] - way_m[a], REVERSE_CAP_NATS) for a, b in legs])
+    own += np.array(seen)[:, None, None] * [0.5, -0.5]
     own[0, :, 0] += FIRST_FORWARD_NATS
     gear, doubt, driven = _likeliest(own, _joins(track, legs), habits)
     lengths = [b - a for a, b in legs]
@@ -201,15 +205,6 @@ def turn_between(points: Float64, before: Int64, after: Int64) -> Float64:
     dot = come[:, 0] * go[:, 0] + come[:, 1] * go[:, 1]
     turning[at] = np.degrees(list(map(math.atan2, cross.tolist(), dot.tolist())))
     return turning
-
-
-def _leg_weights(track: GearEvidence, start: int, stop: int, habits: Habits) -> Float64:
-    """Log weights [h, 2] of a leg, forward and in reverse: by its length, and by what wheels or
-    camera saw."""
-    points = track.points_m[start:stop]
-    length_m = float(np.hypot(*np.diff(points, axis=0).T).sum()) if len(points) > 1 else 0.0
-    habit = habits.leg(length_m, REVERSE_CAP_NATS)
-    return habit + np.array([0.5, -0.5]) * float(track.forward_nats[start + 1 : stop].sum())
 
 
 def _joins(track: GearEvidence, legs: list[tuple[int, int]]) -> list[_Join]:

@@ -111,21 +111,18 @@ class UbxParser:
                 break
             if length <= _MAX_PAYLOAD and stop <= len(held) and _checks(held[start + 2 : stop]):
                 self.counts.messages += 1
-                self._hear(held[start + 2 : start + 4], held[start + 6 : stop - 2])
                 at = stop
+                handler = self._handlers.get(held[start + 2 : start + 4])
+                if handler is not None:
+                    try:
+                        handler(held[start + 6 : stop - 2])
+                    except (ValueError, struct.error):
+                        self.counts.broken += 1
             else:
                 self.counts.bad_checksum += 1
                 at = start + 2
         # Without a sync the last byte may be the first half of one, unless it is used already.
         self._held = held[at:] if start >= 0 else held[max(at, len(held) - 1) :]
-
-    def _hear(self, kind: bytes, payload: bytes) -> None:
-        handler = self._handlers.get(kind)
-        if handler is not None:
-            try:
-                handler(payload)
-            except (ValueError, struct.error):
-                self.counts.broken += 1
 
     def _epoch(self, itow_ms: int) -> tuple[dict[str, Any], dict[str, Any]]:
         """The open epoch of a time of week, or a new one, which ends the one before the last: a
