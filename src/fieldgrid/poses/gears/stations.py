@@ -50,22 +50,8 @@ class StationGears(NamedTuple):
     gears: Gears
 
 
-class GearHints(NamedTuple):
-    """What the user knows: the gear (+1, -1; 0: nothing) that the drive starts in, and that of
-    some spans, (from, to, gear) with UTC nanoseconds."""
-
-    starts: int = 0
-    spans: tuple[tuple[int, int, int], ...] = ()
-
-
-NO_HINTS = GearHints()
-
-
-def gear_hints(settings: PoseSettings) -> GearHints:
-    """The hints that the settings hold."""
-    starts = 0 if settings.starts is None else settings.starts.sign
-    spans = tuple((one.start_ns, one.stop_ns, one.gear.sign) for one in settings.gear_spans)
-    return GearHints(starts, spans)
+NO_HINTS = PoseSettings()
+"""The hints of gears are those of the settings: the gear that the drive starts in, and of spans."""
 
 
 def station_gears(
@@ -75,7 +61,7 @@ def station_gears(
     resting: Bool,
     motion: Motion,
     recorded_deg: Float64,
-    hints: GearHints,
+    hints: PoseSettings,
 ) -> StationGears:
     """Stations and gears of accepted fixes; `standing` marks those at one place, `resting` those
     of them at which no gyro sees a turn, `recorded_deg` are headings that were recorded, NaN where
@@ -140,7 +126,7 @@ def _forward_nats(
     gap_s: Float64,
     motion: Motion,
     recorded_deg: Float64,
-    hints: GearHints,
+    hints: PoseSettings,
 ) -> Float64:
     """Log odds of forward on the way to each station, from camera, wheels, compass and user."""
     nats = np.zeros(len(time_ns))
@@ -159,9 +145,11 @@ def _forward_nats(
         agree = np.cos(np.radians(course - recorded_deg[1:]))
         nats[1:] += np.nan_to_num(agree) * RECORDED_NATS
     # What is said of the start holds where it is first seen to drive, not across a hole before.
-    nats[np.flatnonzero(gap_s == 0.0)[:1]] += HINT_NATS * hints.starts
-    for start_ns, stop_ns, gear in hints.spans:
-        nats[(time_ns > start_ns) & (time_ns <= stop_ns)] += HINT_NATS * gear
+    nats[np.flatnonzero(gap_s == 0.0)[:1]] += HINT_NATS * (
+        0 if hints.starts is None else hints.starts.sign
+    )
+    for one in hints.gear_spans:
+        nats[(time_ns > one.start_ns) & (time_ns <= one.stop_ns)] += HINT_NATS * one.gear.sign
     return nats
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import dataclass
 from datetime import date
 from functools import lru_cache
 
@@ -43,6 +44,18 @@ def checksums(texts: list[bytes]) -> list[int]:
 
 class UnsaidError(ValueError):
     """A sentence says that there is none of what is read."""
+
+
+@dataclass(slots=True)
+class StreamCounts:
+    """What was found in any stream so far: `bad_checksum` counts what is complete and not intact,
+    `broken` what cannot be, `no_position` what says so where a position is due, and `repeated`
+    positions of an epoch that has one already."""
+
+    bad_checksum: int = 0
+    broken: int = 0
+    no_position: int = 0
+    repeated: int = 0
 
 
 @lru_cache(_REMEMBERED)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from fieldgrid.geometry import Fix
-from fieldgrid.poses.gnss.fields import DAY_NS, UnsaidError
+from fieldgrid.poses.gnss.fields import DAY_NS, StreamCounts, UnsaidError
 from fieldgrid.poses.gnss.nmea_sentences import (
     COARSE,
     FALLBACK,
@@ -25,22 +25,16 @@ from fieldgrid.poses.gnss.nmea_sentences import (
 
 
 @dataclass(slots=True)
-class NmeaCounts:
-    """What was found in a stream of sentences so far.
+class NmeaCounts(StreamCounts):
+    """Of a stream of sentences.
 
-    `sentences` counts the intact ones of any kind, `bad_checksum` the complete ones whose
-    checksum is wrong, `broken` those that are cut, merged, or say nothing that can be.
-    `no_position` counts sentences that say so where a position is due, `repeated` those of an
-    epoch that has its position already, `no_geoid` fixes whose height lacks the geoid
-    separation, `no_height` fixes that have no height at all, for which 0 stands. `undated`
-    counts positions that wait for a date, or have waited in vain.
+    `sentences` counts the intact ones of any kind; those that are cut or merged are broken, too.
+    `no_geoid` counts fixes whose height lacks the geoid separation, `no_height` fixes that have no
+    height at all, for which 0 stands. `undated` counts positions that wait for a date, or have
+    waited in vain.
     """
 
     sentences: int = 0
-    bad_checksum: int = 0
-    broken: int = 0
-    no_position: int = 0
-    repeated: int = 0
     no_geoid: int = 0
     no_height: int = 0
     undated: int = 0

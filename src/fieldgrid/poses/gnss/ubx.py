@@ -17,7 +17,7 @@ import numpy as np
 
 from fieldgrid.core import Quality
 from fieldgrid.geometry import Fix, wrap_deg
-from fieldgrid.poses.gnss.fields import DAY_NS, clock_ns, day_number
+from fieldgrid.poses.gnss.fields import DAY_NS, StreamCounts, clock_ns, day_number
 
 _SYNC = b"\xb5\x62"
 _FRAME = 8  # bytes around a payload
@@ -46,21 +46,15 @@ _NORMALISED = 1 << 9  # the relative position has the length 1
 
 
 @dataclass(slots=True)
-class UbxCounts:
-    """What was found in a stream of messages so far.
+class UbxCounts(StreamCounts):
+    """Of a stream of messages.
 
-    `messages` counts the intact ones of any kind, `bad_checksum` what starts like a message
-    and is none, `broken` messages that say what cannot be. `no_position` counts solutions
-    without a position or without a time, `repeated` those of an epoch that has its position
-    already. `unfixed_headings` counts relative positions from which no heading is taken:
-    ambiguities not fixed, or a base that does not ride on the vehicle.
+    `messages` counts the intact ones of any kind; a solution without a time has no position,
+    either. `unfixed_headings` counts relative positions from which no heading is taken: ambiguities
+    not fixed, or a base that does not ride on the vehicle.
     """
 
     messages: int = 0
-    bad_checksum: int = 0
-    broken: int = 0
-    no_position: int = 0
-    repeated: int = 0
     unfixed_headings: int = 0
 
 
