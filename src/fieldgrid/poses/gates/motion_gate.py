@@ -102,13 +102,12 @@ def follow(envelope: MotionEnvelope) -> tuple[Bool, Bool]:
     and those of them at which the solution has moved."""
     n = len(envelope.time_ns)
     kept, seam = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
-    if n:
-        score, before, moved = envelope.worth.copy(), np.full(n, -1), seam.copy()
-        _follow(*envelope[:5], envelope.seam_price, score, score.copy(), before, moved)
-        row = int(np.argmax(score))
-        while row >= 0:
-            kept[row], seam[row] = True, moved[row]
-            row = int(before[row])
+    score, before, moved = envelope.worth.copy(), np.full(n, -1), seam.copy()
+    _follow(*envelope[:5], envelope.seam_price, score, score.copy(), before, moved)
+    row = int(np.argmax(score))
+    while row >= 0:
+        kept[row], seam[row] = True, moved[row]
+        row = int(before[row])
     return kept, seam
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64, Int64, kernel
+from fieldgrid.core import Bool, Float64, Int64, kernel
 from fieldgrid.geometry import first_beyond, heading_deg, wrap_deg
 
 CUSP_DEG = 110.0
@@ -109,17 +109,17 @@ def cusps(points: Float64, sigma_m: Float64, baseline_m: float) -> list[int]:
     turn = wrap_deg(heading_deg(*outgoing.T) - heading_deg(*incoming.T))
     turning = np.where(known, np.abs(turn), 0.0)
     found = []
-    k = 0
-    while k < len(points):
-        if turning[k] <= CUSP_DEG:
-            k += 1
-            continue
-        run = k
-        while k < len(points) and turning[k] > CUSP_DEG:
-            k += 1
-        feet = (points[before[run]] + points[after[k - 1]]) / 2.0
-        found.append(run + int(np.argmax(np.hypot(*(points[run:k] - feet).T))))
+    for start, stop in runs_of(turning > CUSP_DEG):
+        feet = (points[before[start]] + points[after[stop - 1]]) / 2.0
+        found.append(start + int(np.argmax(np.hypot(*(points[start:stop] - feet).T))))
     return found
+
+
+def runs_of(marked: Bool) -> list[tuple[int, int]]:
+    """The runs of marked points: the first of each, and the one behind it."""
+    edges = np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8))
+    starts, stops = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+    return list(zip(starts.tolist(), stops.tolist(), strict=True))
 
 
 @kernel

@@ -15,6 +15,7 @@ import numpy as np
 
 from fieldgrid.core import Bool, Float64, Int64
 from fieldgrid.geometry import first_beyond, heading_deg, wrap_deg
+from fieldgrid.poses.gears.course import runs_of
 from fieldgrid.poses.gears.habits import Habits
 from fieldgrid.poses.gears.holes import back_m, carried_on_nats, edge_mps, tight_nats
 
@@ -165,11 +166,9 @@ def _cut(track: GearEvidence) -> list[int]:
     slip = np.abs(wrap_deg(turn[at] - in_all_deg[last] + in_all_deg[first]))
     seen = np.where(blind[last] == blind[first], slip, 0.0)
     turning = np.maximum(np.abs(turn), np.bincount(at, seen, len(turn)).astype(np.float64))
-    sharp = turning > CUT_DEG
     starts = {0, *np.flatnonzero(track.gap_s).tolist()}
-    runs = np.flatnonzero(np.diff(np.concatenate([[False], sharp, [False]]).astype(np.int8)))
-    for first, last in zip(runs[::2], runs[1::2], strict=True):
-        starts |= set(_tips(points, turning, int(first), int(last), reach_m))
+    for start, stop in runs_of(turning > CUT_DEG):
+        starts |= set(_tips(points, turning, start, stop, reach_m))
     return sorted(starts)
 
 
