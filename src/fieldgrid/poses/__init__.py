@@ -1,6 +1,6 @@
 """Poses: fixes and motion become a trajectory with gear, sigma and verdict.
 
-* `gnss`: bytes of receivers to fixes: NMEA (the quality of a GGA: `nmea_standard`) and UBX.
+* `gnss`: bytes of receivers to fixes: NMEA (`nmea_sentences`: a row a sentence) and UBX.
 * `gates`: `condition`, which fixes are accepted, and the reasons of the others.
 * `gears`: forward or reverse; `attitude`: roll and pitch against gravity.
 * `smoother`: `smooth`, the banded least-squares estimate of a whole drive; `declared`, the evidence

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Bool, Float64, Int64, Quality
+from fieldgrid.core import Bool, Float64, Int64, PoseSettings, Quality
 from fieldgrid.geometry import Motion, wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.axle import Axle
@@ -15,7 +15,6 @@ from fieldgrid.poses.faults.leaps.seams import SeenLeap
 from fieldgrid.poses.faults.leaps.told import told_leaps
 from fieldgrid.poses.gears.stations import (
     NO_HINTS,
-    GearHints,
     StationGears,
     first_guess,
     station_gears,
@@ -163,7 +162,7 @@ def smooth_drive(
     motion: Motion,
     axle: Axle,
     recorded: RecordedHeadings | None = None,
-    hints: GearHints = NO_HINTS,
+    hints: PoseSettings = NO_HINTS,
     *,
     as_stated: bool = False,
     near: DriveEstimate | None = None,
@@ -240,7 +239,7 @@ def with_recorded(
     motion: Motion,
     axle: Axle,
     recorded: RecordedHeadings,
-    hints: GearHints,
+    hints: PoseSettings,
 ) -> DriveEstimate:
     """The drive by its recorded headings, too: only what they change is estimated again,
     unless they turn a gear around."""

@@ -39,7 +39,6 @@ from fieldgrid.poses.faults.gyro.dead_gyro import without_dead_gyro, without_fau
 from fieldgrid.poses.faults.stray import MOST_ROUNDS, stray_fixes
 from fieldgrid.poses.gates.conditioning import condition
 from fieldgrid.poses.gates.single import check_single
-from fieldgrid.poses.gears.stations import GearHints, gear_hints
 from fieldgrid.poses.levelled import (
     Lean,
     find_lean,
@@ -117,7 +116,7 @@ class Fusion(NamedTuple):
     drive: DriveEstimate
     motion: Motion
     axle: Axle
-    hints: GearHints
+    hints: PoseSettings
     gyro: Gyro | None
     trusted: GyroVerdict
     lean: Lean | None = None
@@ -183,7 +182,7 @@ def fuse(
     motion, turned_wheels = with_right_wheels(motion)
     gyro = motion.gyro
     motion, wrong_gyro = without_wrong_gyro(log.accepted, motion)
-    axle, hints = axle_of(rig), gear_hints(settings)
+    axle, hints = axle_of(rig), settings
     drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
     # Fixes that leave the drive at once and come back.
     strays: dict[int, str] = {}
@@ -252,7 +251,7 @@ def _with_trusted_gyro(
     log: ConditionedLog,
     motion: Motion,
     axle: Axle,
-    hints: GearHints,
+    hints: PoseSettings,
     frame_ns: Int64 | None,
 ) -> GyroVerdict:
     """The drive with a gyro that fits. On hills antenna and gyro lean with the vehicle, so that

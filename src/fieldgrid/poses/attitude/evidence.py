@@ -15,18 +15,14 @@ from fieldgrid.poses.attitude.ground import ExpectedGround
 from fieldgrid.poses.attitude.increments import increments, sample_noise
 from fieldgrid.poses.attitude.model import AttitudeRows, States
 from fieldgrid.poses.attitude.track import WANDER_SHARE, AntennaTrack
+from fieldgrid.poses.measured import BIAS_S
 from fieldgrid.poses.nodes import filled
+from fieldgrid.poses.smoother.model import ACCELERATION_NOISE, GYRO_NOISE
 
 RIGHT, AHEAD, UP = np.eye(3)
 
 LEAST_STEP_NS = 190_000_000
 """Fixes that are closer to each other add little."""
-
-WANDER_S = 300.0
-"""The slow part of a receiver's error changes in minutes."""
-
-GYRO_NOISE = np.radians(0.05)
-"""Noise of an integrated gyro with a vehicle's vibrations, rad/√s: never less."""
 
 GYRO_SQUARENESS = 0.004
 """By how much the axes of gyro and accelerometer are out of square, and the gyro's scale off: in
@@ -41,8 +37,8 @@ STEP_TURN_SIGMA, STEP_WAY_SHARE = np.radians(0.015), 0.004
 BENT_MPS2 = 1.0
 """An antenna between two fixes is off their chord as this acceleration makes it."""
 
-ACCELERATION_NOISE, COASTING_NOISE_M = 1.0, 0.02
-"""Without an accelerometer: change of speed, (m/s)/√s; and way beyond the mean speed, m/√s."""
+COASTING_NOISE_M = 0.02
+"""Without an accelerometer: way beyond the mean speed, m/√s."""
 
 SEEN_ELSEWHERE_M = 1.0
 """How little velocities say of a way that the camera saw."""
@@ -137,7 +133,7 @@ def _motion(
     every, zeros, rows = np.arange(n), np.zeros((n, 3)), {}
     # How much the receiver's slow error may change.
     wander_m = np.interp(node_ns[:-1], track.time_ns, track.wander_m)[:, None] * WANDER_SHARE
-    wander_m = wander_m * np.sqrt(2.0 * step_s / WANDER_S)
+    wander_m = wander_m * np.sqrt(2.0 * step_s / BIAS_S)
     turn_rad, push_mps = np.full((2, n, 3), np.nan)
     turn_sigma = TERRAIN_NOISE_RAD * np.sqrt(step_s)
     push_sigma = np.tile(ACCELERATION_NOISE * np.sqrt(step_s), 3)

@@ -9,9 +9,7 @@ import numpy as np
 
 from fieldgrid.core import Float64
 from fieldgrid.poses.attitude.model import SHARED, STATES, AttitudeRows, States
-
-FREEDOM = 4.0
-"""Of Student's distribution: a sigma off costs nothing, ten cost nearly everything."""
+from fieldgrid.poses.smoother.rounds import OUTLIER_FREEDOM
 
 LOST_SIGMA = np.repeat([1e4, 1e2, 1e1], 3)
 """No node is less sure of its position, velocity and axes, so that every system has a solution."""
@@ -33,7 +31,7 @@ class AttitudeEquations(NamedTuple):
 
 def believed(off: Float64) -> Float64:
     """The share of the weight of residuals that are so many sigmas off, by Student."""
-    return np.minimum((FREEDOM + 1.0) / (FREEDOM + off**2), 1.0)
+    return np.minimum((OUTLIER_FREEDOM + 1.0) / (OUTLIER_FREEDOM + off**2), 1.0)
 
 
 def normal_equations(

@@ -8,6 +8,7 @@ import numpy as np
 
 from fieldgrid.core import Bool, Float64, GnssError, PoseSettings
 from fieldgrid.geometry import GivenPoses
+from fieldgrid.poses.external.georeference import CLEAR_SIGMAS
 
 CHORD_S, REST_M, STRAIGHT_DEG = 1.0, 0.05, 2.0
 """A vehicle whose poses move less within this time is at rest; one that turns less in it drives
@@ -15,8 +16,6 @@ straight, so that its course is its heading, whatever point of it is looked at."
 
 BACKWARD_SHARE = 0.6
 """A vehicle that backs for a larger share of its way is one whose sensor looks backwards."""
-
-CLEAR_SIGMAS = 5.0
 
 
 class Chords(NamedTuple):

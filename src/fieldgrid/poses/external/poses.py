@@ -37,6 +37,7 @@ from fieldgrid.poses.accepted import fix_offsets
 from fieldgrid.poses.attitude.attitude import Attitude
 from fieldgrid.poses.attitude.axes import RECORDED
 from fieldgrid.poses.external.georeference import (
+    LEAST_HEADING_SIGMA_DEG,
     Georeference,
     Pairs,
     by_fixes,
@@ -53,7 +54,7 @@ from fieldgrid.poses.verdict import ErrorBudget, judged
 GIVEN = "given poses"
 """What a trajectory of them says where its headings come from."""
 
-LEAST_HEADING_SIGMA_DEG, LEAST_POSITION_SIGMA_M = 0.5, 0.02
+LEAST_POSITION_SIGMA_M = 0.02
 """What no comparison shows of another program's poses."""
 
 DRIFT_SHARE = 0.01
@@ -121,7 +122,14 @@ def place_poses(
     aside_deg = course_off_heading_deg(chords, settings)
     # A row a pose, carried to the grid origin and judged; beside them the fixes that have none.
     table = _table(rows, log, pairs, found, chords, aside_deg, settings)
-    attitude = None if tilt is None or not isinstance(rig, Rig) else _attitude(table, tilt)
+    attitude = None
+    if tilt is not None and isinstance(rig, Rig):
+        # How the vehicle leans, as the poses or the recording state it.
+        at, told = table.time_ns - table.time_ns[0], tilt.time_ns - table.time_ns[0]
+        roll, pitch, sigma = (np.interp(at, told, column) for column in tilt[1:])
+        heading = np.unwrap(table.heading_deg, period=360.0)
+        said = roll, pitch, sigma, sigma, heading, table.up_m
+        attitude = Attitude(table.time_ns, *said, bodies=frozenset({RECORDED}))
     level_grids = level_grids and attitude is not None
     table = _at_origin(table, rows.poses, rig, level_grids=level_grids)
     table = _jumping(table, datum, settings.gnss)
@@ -249,7 +257,6 @@ def _table(
     """A row a pose, still at the sensor, not yet judged."""
     poses, n = rows.poses, len(rows.way_m)
     place = found.place(poses.x_m, poses.y_m)
-    own = rows.fix >= 0
     scatter_m = slow_m = 0.0
     alone_m, offset_m, stated_m = np.zeros(n), np.zeros(n), np.full(n, np.inf)
     quality = np.full(n, Quality.ESTIMATED, dtype=np.int64)
@@ -257,14 +264,16 @@ def _table(
     if pairs is not None and log is not None:
         scatter_m, slow_m = found.scatter_m, float(np.median(pairs.fixes.sigma_m))
         off_m = found.place(*pairs.frame_m[:, :2].T) - pairs.fixes.points_m()
-        offset_m, stated_m = _ends(*fix_offsets(poses.time_ns, pairs.fixes, off_m))
-        at_m = rows.way_m[own]
-        after = np.clip(np.searchsorted(at_m, rows.way_m), 1, max(len(at_m) - 1, 1))
-        ends = at_m[np.minimum(np.stack([after - 1, after]), len(at_m) - 1)]
-        alone_m = np.abs(ends - rows.way_m).min(axis=0)
-        quality[own] = pairs.fixes.quality
+        offset_m, stated_m = fix_offsets(poses.time_ns, pairs.fixes, off_m)
+        with_fix, near = rows.fix >= 0, np.isfinite(stated_m)
+        alone_m = np.abs(rows.way_m[_ends(with_fix)] - rows.way_m).min(axis=0)
+        offset_m, stated_m = (
+            np.where(near, column, column[_ends(near)].max(axis=0))
+            for column in (offset_m, stated_m)
+        )
+        quality[with_fix] = pairs.fixes.quality
         said = np.array(log.verdicts.reason, dtype=object)[log.verdicts.ok]
-        for k in np.flatnonzero(own).tolist():
+        for k in np.flatnonzero(with_fix).tolist():
             remark[k] = said[rows.fix[k]]
     elif settings.accuracy_m is not None:
         scatter_m = settings.accuracy_m
@@ -305,26 +314,11 @@ def _table(
     return as_unsure(table, doubts)
 
 
-def _ends(offset_m: Float64, stated_m: Float64) -> tuple[Float64, Float64]:
-    """Offsets and what is stated, where no fix is near those of the ends of the hole."""
-    known = np.flatnonzero(np.isfinite(stated_m))
-    after = np.searchsorted(known, np.arange(len(offset_m)))
-    ends = known[np.clip([after - 1, after], 0, len(known) - 1)]
-    alone = ~np.isfinite(stated_m)
-    return (
-        np.where(alone, offset_m[ends].max(axis=0), offset_m),
-        np.where(alone, stated_m[ends].max(axis=0), stated_m),
-    )
-
-
-def _attitude(table: PoseTable, tilt: RecordedTilt) -> Attitude:
-    """How the vehicle leans, as the poses or the recording state it."""
-    first_ns = table.time_ns[0]
-    at, told = table.time_ns - first_ns, tilt.time_ns - first_ns
-    roll, pitch, sigma = (np.interp(at, told, column) for column in tilt[1:])
-    heading = np.unwrap(table.heading_deg, period=360.0)
-    said = roll, pitch, sigma, sigma, heading, table.up_m
-    return Attitude(table.time_ns, *said, bodies=frozenset({RECORDED}))
+def _ends(marked: Bool) -> Int64:
+    """The marked rows [2, n] on either side of each row."""
+    rows = np.flatnonzero(marked)
+    after = np.searchsorted(rows, np.arange(len(marked)))
+    return np.asarray(rows[np.clip([after - 1, after], 0, len(rows) - 1)])
 
 
 def _at_origin(
@@ -376,11 +370,9 @@ def _with_other_fixes(
     -1), rejected, with the pose of its time; and the row of each fix. Without fixes, all rows."""
     if log is None:
         return table, np.arange(len(table.time_ns), dtype=np.int64)
-    has_row = np.zeros(len(log.fixes), dtype=np.bool_)
     of_row = np.full(len(own), -1, dtype=np.int64)
     of_row[own >= 0] = np.flatnonzero(log.verdicts.ok)[own[own >= 0]]
-    has_row[of_row[of_row >= 0]] = True
-    extra = np.flatnonzero(~has_row)
+    extra = np.setdiff1d(np.arange(len(log.fixes)), of_row)
     fix_ns, node_ns = log.fixes.time_ns[extra], table.time_ns
     after = np.clip(np.searchsorted(node_ns, fix_ns), 1, len(node_ns) - 1)
     outside = ~_within(fix_ns, node_ns)

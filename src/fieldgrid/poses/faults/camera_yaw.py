@@ -15,11 +15,13 @@ from typing import NamedTuple
 from fieldgrid.core import Finding, StopCode, error, warning
 from fieldgrid.geometry import Steps
 from fieldgrid.poses.axle import Axle, ways_of
+from fieldgrid.poses.faults.denied import CLEAR_SIGMAS
 from fieldgrid.poses.smoother.declared import Constant
 from fieldgrid.poses.travel_direction import Ways, travel
 
-CLEAR_SIGMAS, LEAST_DEG = 4.0, 0.5
-"""A yaw is off when it is by more than both; half a degree is what a mounting is measured to."""
+LEAST_DEG = 0.5
+"""A yaw is off when it is so clearly, and by more than this: half a degree is what a mounting is
+measured to."""
 
 ASKEW_DEG = 2.0
 """A camera that looks so far aside puts what is 7 m away by a cell of the paper elsewhere. Less

@@ -8,13 +8,13 @@ its time, whether it is one at all or a repeat, and whether a vehicle drove ther
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
 
-from fieldgrid.core import CARRIER, CODE, Bool, Float64, GateLimits, Index, Quality
+from fieldgrid.core import CARRIER, CODE, Bool, GateLimits, Index, Quality
 from fieldgrid.geometry import NOT_SAID, Datum, FixColumns
 from fieldgrid.poses.gates.motion_gate import (
     MotionEnvelope,
@@ -30,6 +30,9 @@ _LAST_NS = 2**62  # differences of such times still fit into 64 bits
 NO_STRAYS: Mapping[int, str] = MappingProxyType({})
 _LOWEST_M, _HIGHEST_M = -1000.0, 10_000.0
 
+_Verdict = tuple[int, Gate, str]
+"""A row, the gate that it failed, and why: a clause for people."""
+
 
 def condition(
     fixes: FixColumns,
@@ -43,132 +46,105 @@ def condition(
     `strays` are rows that an estimate of the drive denies, with the reason of each: the others are
     judged without them.
     """
-    log = _VerdictTable(fixes, limits)
-    _check_place(log)
-    _check_receiver(log)
-    _check_repeats(log)
-    for row, reason in strays.items():
-        if log.ok[row]:
-            log.reject(row, Gate.STRAY, reason)
-    _check_motion(log)
-    return Verdicts(log.ok, tuple(log.gate), tuple(log.reason))
+    ok = np.ones(len(fixes), dtype=np.bool_)
+    gate, reason = [Gate.NONE] * len(fixes), [""] * len(fixes)
+
+    def judge(found: Iterable[_Verdict]) -> None:
+        for row, failed, why in found:
+            if ok[row]:
+                ok[row], gate[row], reason[row] = failed is Gate.SEAM, failed, why
+
+    judge(_unfit(fixes, limits))
+    judge(_repeats(fixes, np.flatnonzero(ok)))
+    judge((row, Gate.STRAY, why) for row, why in strays.items())
+    judge(_undriven(fixes, np.flatnonzero(ok), limits))
+    return Verdicts(ok, tuple(gate), tuple(reason))
 
 
-class _VerdictTable:
-    """The fixes of a log with the verdicts as far as they are known."""
-
-    def __init__(self, fixes: FixColumns, limits: GateLimits) -> None:
-        self.fixes, self.limits = fixes, limits
-        self.ok = np.ones(len(fixes), dtype=np.bool_)
-        self.gate = [Gate.NONE] * len(fixes)
-        self.reason = [""] * len(fixes)
-
-    def rows(self) -> Index:
-        """The rows that no gate has rejected yet."""
-        return np.flatnonzero(self.ok)
-
-    def reject(self, row: int, gate: Gate, reason: str) -> None:
-        self.ok[row], self.gate[row], self.reason[row] = False, gate, reason
-
-    def reject_all(self, failed: Bool, gate: Gate, reason: Callable[[int], str]) -> None:
-        """Reject those of the rows that fail and have not been rejected yet."""
-        for row in np.flatnonzero(failed & self.ok).tolist():
-            self.reject(row, gate, reason(row))
-
-
-# --- what a fix says of itself
-
-
-def _check_place(log: _VerdictTable) -> None:
-    """Places and times that cannot be those of a vehicle."""
-    lat, lon, height = log.fixes.lat_deg, log.fixes.lon_deg, log.fixes.height_m
-    log.reject_all(
-        ~(np.isfinite(lat) & np.isfinite(lon) & np.isfinite(height)),
-        Gate.PLACE,
-        lambda k: (
-            f"latitude {lat[k]}, longitude {lon[k]}, height {height[k]} m are not all numbers"
+def _unfit(fixes: FixColumns, limits: GateLimits) -> Iterator[_Verdict]:
+    """Places and times that cannot be those of a vehicle, and what the receiver itself says."""
+    lat, lon, height, time_ns = fixes.lat_deg, fixes.lon_deg, fixes.height_m, fixes.time_ns
+    quality, satellites, hdop, age_s = fixes.quality, fixes.satellites, fixes.hdop, fixes.age_s
+    # A receiver may still write the age of a correction that it does not use.
+    with_correction = [np.isin(quality, list(kinds)) for kinds in (CARRIER, CODE)]
+    most_s = np.select(with_correction, [limits.max_age_s, limits.max_code_age_s], np.inf)
+    rules: tuple[tuple[Bool, Gate, Callable[[int], str]], ...] = (
+        (
+            ~(np.isfinite(lat) & np.isfinite(lon) & np.isfinite(height)),
+            Gate.PLACE,
+            lambda k: (
+                f"latitude {lat[k]}, longitude {lon[k]}, height {height[k]} m are not all numbers"
+            ),
+        ),
+        (
+            ~((np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0)),
+            Gate.PLACE,
+            lambda k: f"latitude {lat[k]:.6f}, longitude {lon[k]:.6f} are not on Earth",
+        ),
+        (
+            ~((height >= _LOWEST_M) & (height <= _HIGHEST_M)),
+            Gate.PLACE,
+            lambda k: f"height {height[k]:.1f} m is outside {_LOWEST_M:.0f}..{_HIGHEST_M:.0f} m",
+        ),
+        (
+            (lat == 0.0) & (lon == 0.0),
+            Gate.PLACE,
+            lambda _: "latitude 0, longitude 0 is what a receiver writes without a position",
+        ),
+        (
+            (time_ns >= _LAST_NS) | (time_ns <= -_LAST_NS),
+            Gate.TIME,
+            lambda k: f"time {time_ns[k]} ns is in no year from 1824 to 2116",
+        ),
+        (
+            ~np.isin(quality, list(limits.allowed_quality)),
+            Gate.QUALITY,
+            lambda k: f"{_named(Quality(int(quality[k])))} is not allowed",
+        ),
+        (
+            (satellites != NOT_SAID) & (satellites < limits.min_satellites),
+            Gate.SATELLITES,
+            lambda k: f"{satellites[k]} satellites < {limits.min_satellites}",
+        ),
+        (hdop > limits.max_hdop, Gate.HDOP, lambda k: f"HDOP {hdop[k]:g} > {limits.max_hdop:g}"),
+        (
+            age_s > most_s,
+            Gate.AGE,
+            lambda k: f"differential age {age_s[k]:g} s > {most_s[k]:g} s",
         ),
     )
-    log.reject_all(
-        ~((np.abs(lat) <= 90.0) & (np.abs(lon) <= 180.0)),
-        Gate.PLACE,
-        lambda k: f"latitude {lat[k]:.6f}, longitude {lon[k]:.6f} are not on Earth",
-    )
-    log.reject_all(
-        ~((height >= _LOWEST_M) & (height <= _HIGHEST_M)),
-        Gate.PLACE,
-        lambda k: f"height {height[k]:.1f} m is outside {_LOWEST_M:.0f}..{_HIGHEST_M:.0f} m",
-    )
-    log.reject_all(
-        (lat == 0.0) & (lon == 0.0),
-        Gate.PLACE,
-        lambda _: "latitude 0, longitude 0 is what a receiver writes without a position",
-    )
-    time_ns = log.fixes.time_ns
-    log.reject_all(
-        (time_ns >= _LAST_NS) | (time_ns <= -_LAST_NS),
-        Gate.TIME,
-        lambda k: f"time {time_ns[k]} ns is in no year from 1824 to 2116",
-    )
+    for failing, gate, why in rules:
+        yield from ((row, gate, why(row)) for row in np.flatnonzero(failing).tolist())
 
 
-def _check_receiver(log: _VerdictTable) -> None:
-    """Fixes that are unfit by what the receiver itself says."""
-    fixes, limits = log.fixes, log.limits
-    quality, satellites, hdop, age_s = fixes.quality, fixes.satellites, fixes.hdop, fixes.age_s
-
-    def named(k: int) -> str:
-        one = Quality(int(quality[k]))
-        code = "" if one is Quality.UNKNOWN else f" {one:d}"
-        return f"quality{code} ({one.label}) is not allowed"
-
-    log.reject_all(~np.isin(quality, list(limits.allowed_quality)), Gate.QUALITY, named)
-    log.reject_all(
-        (satellites != NOT_SAID) & (satellites < limits.min_satellites),
-        Gate.SATELLITES,
-        lambda k: f"{satellites[k]} satellites < {limits.min_satellites}",
-    )
-    log.reject_all(
-        hdop > limits.max_hdop, Gate.HDOP, lambda k: f"HDOP {hdop[k]:g} > {limits.max_hdop:g}"
-    )
-    # A receiver may still write the age of a correction that it does not use.
-    most_s = np.full(len(fixes), np.inf)
-    most_s[np.isin(quality, list(CARRIER))] = limits.max_age_s
-    most_s[np.isin(quality, list(CODE))] = limits.max_code_age_s
-    log.reject_all(
-        age_s > most_s,
-        Gate.AGE,
-        lambda k: f"differential age {age_s[k]:g} s > {most_s[k]:g} s",
-    )
+def _named(quality: Quality) -> str:
+    code = "" if quality is Quality.UNKNOWN else f" {quality:d}"
+    return f"quality{code} ({quality.label})"
 
 
-# --- whether it is one
-
-
-def _check_repeats(log: _VerdictTable) -> None:
+def _repeats(fixes: FixColumns, rows: Index) -> Iterator[_Verdict]:
     """Rows that are no positions of their own."""
-    rows = log.rows()
-    used = log.fixes[rows]
+    used = fixes[rows]
     age_ns = held_ns(used.time_ns, used.lat_deg, used.lon_deg, used.speed_mps)
     for k in np.flatnonzero(age_ns >= 0):
-        reason = (
-            f"{REPEATS} position of the fix {age_ns[k] / 1e9:.2f} s before"
-            if age_ns[k]
-            else f"{REPEATS} fix before it, place and time"
+        ago = f"position of the fix {age_ns[k] / 1e9:.2f} s before"
+        yield (
+            int(rows[k]),
+            Gate.REPEAT,
+            f"{REPEATS} {ago if age_ns[k] else 'fix before it, place and time'}",
         )
-        log.reject(int(rows[k]), Gate.REPEAT, reason)
 
 
-# --- whether a vehicle drove through it
-
-
-def _check_motion(log: _VerdictTable) -> None:
-    """Judge the rows, which are ordered by time, by the motion of the whole drive."""
-    rows = log.rows()
+def _undriven(fixes: FixColumns, rows: Index, limits: GateLimits) -> Iterator[_Verdict]:
+    """Rows, which are ordered by time, that no vehicle drove through, by the motion of the whole
+    drive, and seams."""
     if not len(rows):
         return
-    used = log.fixes[rows]
-    envelope = motion_envelope(used.time_ns, *_metres(used), used.position_sigma_m(), log.limits)
+    used = fixes[rows]
+    # A latitude and a longitude of the log: a mean of two would be half round the Earth at 180°.
+    lat, lon = (float(np.sort(one)[len(rows) // 2]) for one in (used.lat_deg, used.lon_deg))
+    place = Datum(lat, lon, 0.0).to_enu(used.lat_deg, used.lon_deg, used.height_m)
+    envelope = motion_envelope(used.time_ns, *place[:2], used.position_sigma_m(), limits)
     is_kept, seam = follow(envelope)
     kept = np.flatnonzero(is_kept)
     jump_at = -1  # where the run of rejected fixes that agree with each other began
@@ -177,15 +153,15 @@ def _check_motion(log: _VerdictTable) -> None:
         last = int(kept[after - 1]) if after else -1
         carried_on = jump_at > last and transition(envelope, k - 1, k).strain <= 1.0
         jump_at = jump_at if carried_on else k
-        log.reject(int(rows[k]), *_off_verdict(envelope, k, jump_at, last, kept[after:]))
+        yield int(rows[k]), *_off_verdict(envelope, k, jump_at, last, kept[after:])
     parts = [*np.flatnonzero(seam).tolist(), len(rows)]
     for first, end in pairwise(parts):
         agree = int(np.count_nonzero(is_kept[first:end]))
         before = int(kept[np.searchsorted(kept, first) - 1])
         _, reason = _break(transition(envelope, before, first))
         on_it = "1 fix agrees" if agree == 1 else f"{agree} fixes agree"
-        log.gate[rows[first]] = Gate.SEAM
-        log.reason[rows[first]] = f"the solution has moved: {on_it} on it; {reason}"
+        moved = f"the solution has moved: {on_it} on it; {reason}"
+        yield int(rows[first]), Gate.SEAM, moved
 
 
 def _off_verdict(
@@ -227,12 +203,3 @@ def _break(step: Transition) -> tuple[Gate, str]:
     turn_deg = math.degrees(math.atan2(abs(step.across_m), step.distance_m + step.along_m))
     turn = f"course would turn by {turn_deg:.0f}° in {seconds:.2f} s at {usual_mps:.1f} m/s"
     return Gate.TURN_RATE, f"{turn}; {off}"
-
-
-def _metres(fixes: FixColumns) -> tuple[Float64, Float64]:
-    """Metres east and north of the middle of the log."""
-    # A latitude and a longitude of the log: a mean of two would be half round the Earth at 180°.
-    middle = len(fixes) // 2
-    datum = Datum(float(np.sort(fixes.lat_deg)[middle]), float(np.sort(fixes.lon_deg)[middle]), 0.0)
-    east_m, north_m, _ = datum.to_enu(fixes.lat_deg, fixes.lon_deg, fixes.height_m)
-    return east_m, north_m

@@ -11,9 +11,8 @@ import math
 import numpy as np
 
 from fieldgrid.core import Bool, Float64, Index, Int64
-from fieldgrid.poses.gates.scatter import M_PER_DEG, quantum_m
+from fieldgrid.poses.gates.scatter import M_PER_DEG, SECOND_S, quantum_m
 
-_AROUND_S = 1.0
 _STANDING_MPS = 0.1  # below this a vehicle stands, and its positions wander
 _FASTEST_MPS = 40.0
 _FEWEST_STEPS = 20
@@ -68,7 +67,7 @@ def _pace_mps(time_ns: Int64, lat_deg: Float64, lon_deg: Float64) -> Float64:
 
     k = np.arange(n)
     before, after = np.maximum(k - 1, 0), np.minimum(k + 1, n - 1)
-    around_ns = round(_AROUND_S * 1e9)
+    around_ns = round(SECOND_S * 1e9)
     lo = np.minimum(np.searchsorted(time_ns, time_ns - around_ns), before)
     hi = np.maximum(np.searchsorted(time_ns, time_ns + around_ns, side="right") - 1, after)
     step_mps = speed(k, after)

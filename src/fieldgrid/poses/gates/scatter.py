@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fieldgrid.core import Bool, Float64, Index, Int64
+from fieldgrid.poses.faults.leaps.leaps import HOLE_PERIODS
 
 M_PER_DEG = 111_195.0
 """Metres of a degree on a sphere of Earth's mean radius: near enough for how fine a log is."""
@@ -21,7 +22,6 @@ M_PER_DEG = 111_195.0
 _LEAST_SIGMA_M = 0.001
 _ORDERS = (3, 4, 5)
 _FEWEST_DIFFERENCES, _FEWEST_AT_ALL, _FEW_SIGMAS = 12, 5, 1.5
-_MAX_STEP = 2.5  # steps longer than this many usual ones are gaps
 _CALM_SHARE = 0.7
 _CALM_TO_SIGMA = 1.7976  # sigma of a normal distribution over the RMS of its inner 70 %
 
@@ -41,7 +41,7 @@ _FEWEST_VALUES = 4
 UNSEEN_SHARE = 0.05
 """Of a stated error, what is taken to change from fix to fix where that cannot be measured."""
 
-_SECOND_S = 1.0
+SECOND_S = 1.0
 _MOVING_MPS = 0.15
 _ENOUGH_WINDOWS = 20_000
 _MOST_LATE_S = 0.5
@@ -92,7 +92,7 @@ def fix_noise(
             points,
             time_s,
             even,
-            max(1, round(_SECOND_S / max(float(np.median(np.diff(time_s))), 1e-3))),
+            max(1, round(SECOND_S / max(float(np.median(np.diff(time_s))), 1e-3))),
         )
         if math.isfinite(slower.across_m):
             second[own] = max(slower.across_m, found.across_m, floor_m)
@@ -108,7 +108,9 @@ def _even(time_s: Float64) -> Bool:
     steps_s = np.diff(time_s)
     if not np.any(steps_s > 0.0):
         return np.zeros(len(steps_s), dtype=np.bool_)
-    return np.asarray((steps_s > 0.0) & (steps_s <= _MAX_STEP * np.median(steps_s[steps_s > 0.0])))
+    return np.asarray(
+        (steps_s > 0.0) & (steps_s <= HOLE_PERIODS * np.median(steps_s[steps_s > 0.0]))
+    )
 
 
 class _Scatter(NamedTuple):

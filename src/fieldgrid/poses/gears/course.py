@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64, Int64, kernel
+from fieldgrid.core import Bool, Float64, Int64, kernel
 from fieldgrid.geometry import first_beyond, heading_deg, wrap_deg
 
 CUSP_DEG = 110.0
@@ -78,7 +78,9 @@ def course(
         points = np.stack([east_m[members], north_m[members]], axis=1)
         cuts = [0, *(k + 1 for k in cusps(points, sigma_m[members], baseline_m)), len(points)]
         legs = [(a, b) for a, b in itertools.pairwise(cuts) if b > a]
-        forward_parity = _longer_parity(points, legs)
+        way_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+        lengths_m = [way_m[stop - 1] - way_m[start] for start, stop in legs]
+        forward_parity = int(sum(lengths_m[::2]) < sum(lengths_m[1::2]))
         for k, (start, stop) in enumerate(legs):
             gear = 1 if k % 2 == forward_parity else -1
             result.gear[members[start:stop]] = gear
@@ -107,25 +109,17 @@ def cusps(points: Float64, sigma_m: Float64, baseline_m: float) -> list[int]:
     turn = wrap_deg(heading_deg(*outgoing.T) - heading_deg(*incoming.T))
     turning = np.where(known, np.abs(turn), 0.0)
     found = []
-    k = 0
-    while k < len(points):
-        if turning[k] <= CUSP_DEG:
-            k += 1
-            continue
-        run = k
-        while k < len(points) and turning[k] > CUSP_DEG:
-            k += 1
-        feet = (points[before[run]] + points[after[k - 1]]) / 2.0
-        found.append(run + int(np.argmax(np.hypot(*(points[run:k] - feet).T))))
+    for start, stop in runs_of(turning > CUSP_DEG):
+        feet = (points[before[start]] + points[after[stop - 1]]) / 2.0
+        found.append(start + int(np.argmax(np.hypot(*(points[start:stop] - feet).T))))
     return found
 
 
-def _longer_parity(points: Float64, legs: list[tuple[int, int]]) -> int:
-    steps = np.hypot(*np.diff(points, axis=0).T) if len(points) > 1 else np.zeros(0)
-    lengths = [0.0, 0.0]
-    for k, (start, stop) in enumerate(legs):
-        lengths[k % 2] += float(steps[start : max(stop - 1, start)].sum())
-    return 0 if lengths[0] >= lengths[1] else 1
+def runs_of(marked: Bool) -> list[tuple[int, int]]:
+    """The runs of marked points: the first of each, and the one behind it."""
+    edges = np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8))
+    starts, stops = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+    return list(zip(starts.tolist(), stops.tolist(), strict=True))
 
 
 @kernel

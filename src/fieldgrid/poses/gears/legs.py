@@ -15,6 +15,7 @@ import numpy as np
 
 from fieldgrid.core import Bool, Float64, Int64
 from fieldgrid.geometry import first_beyond, heading_deg, wrap_deg
+from fieldgrid.poses.gears.course import runs_of
 from fieldgrid.poses.gears.habits import Habits
 from fieldgrid.poses.gears.holes import back_m, carried_on_nats, edge_mps, tight_nats
 
@@ -25,7 +26,8 @@ ALIKE_DEG = 15.0
 """Turnings that differ by less are equally sharp."""
 
 REACH_M, REACH_SIGMAS = 0.3, 8.0
-"""How far around a point its turning is looked at: at least this, and beyond the noise."""
+"""How far around a point its turning and its course are looked at: at least this, and beyond the
+noise."""
 
 TANGENT_REACH_M = 1.5
 """The direction in which a leg begins or ends is that of this much of it."""
@@ -134,7 +136,11 @@ def gears(track: GearEvidence) -> Gears:
     starts = _cut(track)
     legs = list(zip(starts, [*starts[1:], n], strict=True))
     habits = Habits.usual()
-    own = np.array([_leg_weights(track, a, b, habits) for a, b in legs])
+    # By its length, and by what wheels or camera saw, each leg has weights [h, 2] in either gear.
+    way_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(track.points_m, axis=0).T)))
+    seen = [float(track.forward_nats[a + 1 : b].sum()) for a, b in legs]
+    own = np.array([habits.leg(way_m[b - 1] - way_m[a], REVERSE_CAP_NATS) for a, b in legs])
+    own += np.array(seen)[:, None, None] * [0.5, -0.5]
     own[0, :, 0] += FIRST_FORWARD_NATS
     gear, doubt, driven = _likeliest(own, _joins(track, legs), habits)
     lengths = [b - a for a, b in legs]
@@ -160,11 +166,9 @@ def _cut(track: GearEvidence) -> list[int]:
     slip = np.abs(wrap_deg(turn[at] - in_all_deg[last] + in_all_deg[first]))
     seen = np.where(blind[last] == blind[first], slip, 0.0)
     turning = np.maximum(np.abs(turn), np.bincount(at, seen, len(turn)).astype(np.float64))
-    sharp = turning > CUT_DEG
     starts = {0, *np.flatnonzero(track.gap_s).tolist()}
-    runs = np.flatnonzero(np.diff(np.concatenate([[False], sharp, [False]]).astype(np.int8)))
-    for first, last in zip(runs[::2], runs[1::2], strict=True):
-        starts |= set(_tips(points, turning, int(first), int(last), reach_m))
+    for start, stop in runs_of(turning > CUT_DEG):
+        starts |= set(_tips(points, turning, start, stop, reach_m))
     return sorted(starts)
 
 
@@ -200,15 +204,6 @@ def turn_between(points: Float64, before: Int64, after: Int64) -> Float64:
     dot = come[:, 0] * go[:, 0] + come[:, 1] * go[:, 1]
     turning[at] = np.degrees(list(map(math.atan2, cross.tolist(), dot.tolist())))
     return turning
-
-
-def _leg_weights(track: GearEvidence, start: int, stop: int, habits: Habits) -> Float64:
-    """Log weights [h, 2] of a leg, forward and in reverse: by its length, and by what wheels or
-    camera saw."""
-    points = track.points_m[start:stop]
-    length_m = float(np.hypot(*np.diff(points, axis=0).T).sum()) if len(points) > 1 else 0.0
-    habit = habits.leg(length_m, REVERSE_CAP_NATS)
-    return habit + np.array([0.5, -0.5]) * float(track.forward_nats[start + 1 : stop].sum())
 
 
 def _joins(track: GearEvidence, legs: list[tuple[int, int]]) -> list[_Join]:

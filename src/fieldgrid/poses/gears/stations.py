@@ -10,21 +10,18 @@ from fieldgrid.core import Bool, Float64, Int64, PoseSettings
 from fieldgrid.geometry import Motion, first_beyond, heading_deg, wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.faults.leaps.leaps import leaps
-from fieldgrid.poses.gears.course import stations
-from fieldgrid.poses.gears.legs import GearEvidence, Gears, gears
+from fieldgrid.poses.gears.course import STATION_M, stations
+from fieldgrid.poses.gears.legs import REACH_M, REACH_SIGMAS, GearEvidence, Gears, gears
 from fieldgrid.poses.measured import WHEEL_SIGMA_MPS, turn_back, wheel_speed_at
 from fieldgrid.poses.nodes import Nodes, seconds
 from fieldgrid.poses.smoother.envelope import STATES
 from fieldgrid.poses.smoother.measurements import Measurements
 
-STATION_M, STATION_SIGMAS = 0.05, 2.0
-"""A vehicle has moved on when it is this far, and beyond the noise, from where it was."""
+STATION_SIGMAS = 2.0
+"""A vehicle has moved on when it is a station, and beyond the noise, from where it was."""
 
 TORN_M = 0.5
 """Nothing is said of gears across a jump of the positions of more than this."""
-
-GUESS_REACH_M, GUESS_SIGMAS = 0.3, 8.0
-"""The first guess of the heading is the course over at least this."""
 
 WINDING_NS = 2_000_000_000
 """Between courses that are farther apart a vehicle may turn by more than half a circle."""
@@ -53,22 +50,8 @@ class StationGears(NamedTuple):
     gears: Gears
 
 
-class GearHints(NamedTuple):
-    """What the user knows: the gear (+1, -1; 0: nothing) that the drive starts in, and that of
-    some spans, (from, to, gear) with UTC nanoseconds."""
-
-    starts: int = 0
-    spans: tuple[tuple[int, int, int], ...] = ()
-
-
-NO_HINTS = GearHints()
-
-
-def gear_hints(settings: PoseSettings) -> GearHints:
-    """The hints that the settings hold."""
-    starts = 0 if settings.starts is None else settings.starts.sign
-    spans = tuple((one.start_ns, one.stop_ns, one.gear.sign) for one in settings.gear_spans)
-    return GearHints(starts, spans)
+NO_HINTS = PoseSettings()
+"""The hints of gears are those of the settings: the gear that the drive starts in, and of spans."""
 
 
 def station_gears(
@@ -78,7 +61,7 @@ def station_gears(
     resting: Bool,
     motion: Motion,
     recorded_deg: Float64,
-    hints: GearHints,
+    hints: PoseSettings,
 ) -> StationGears:
     """Stations and gears of accepted fixes; `standing` marks those at one place, `resting` those
     of them at which no gyro sees a turn, `recorded_deg` are headings that were recorded, NaN where
@@ -143,7 +126,7 @@ def _forward_nats(
     gap_s: Float64,
     motion: Motion,
     recorded_deg: Float64,
-    hints: GearHints,
+    hints: PoseSettings,
 ) -> Float64:
     """Log odds of forward on the way to each station, from camera, wheels, compass and user."""
     nats = np.zeros(len(time_ns))
@@ -162,9 +145,11 @@ def _forward_nats(
         agree = np.cos(np.radians(course - recorded_deg[1:]))
         nats[1:] += np.nan_to_num(agree) * RECORDED_NATS
     # What is said of the start holds where it is first seen to drive, not across a hole before.
-    nats[np.flatnonzero(gap_s == 0.0)[:1]] += HINT_NATS * hints.starts
-    for start_ns, stop_ns, gear in hints.spans:
-        nats[(time_ns > start_ns) & (time_ns <= stop_ns)] += HINT_NATS * gear
+    nats[np.flatnonzero(gap_s == 0.0)[:1]] += HINT_NATS * (
+        0 if hints.starts is None else hints.starts.sign
+    )
+    for one in hints.gear_spans:
+        nats[(time_ns > one.start_ns) & (time_ns <= one.stop_ns)] += HINT_NATS * one.gear.sign
     return nats
 
 
@@ -175,7 +160,7 @@ def first_guess(
     turned on as gyro or camera saw it."""
     station, found = stations_of
     points = fixes.points_m()[station]
-    reach_m = max(GUESS_REACH_M, GUESS_SIGMAS * float(np.median(fixes.noise.across_m)))
+    reach_m = max(REACH_M, REACH_SIGMAS * float(np.median(fixes.noise.across_m)))
     heading, speed = np.full(len(station), np.nan), np.zeros(len(station))
     cuts = np.flatnonzero(np.diff(found.leg)) + 1
     seen_rad = measured.seen_turns_rad()

@@ -5,9 +5,9 @@ from __future__ import annotations
 from bisect import bisect_right
 from datetime import date
 
-_UNIX_EPOCH = date(1970, 1, 1).toordinal()
+UNIX_EPOCH = date(1970, 1, 1).toordinal()
 _WEEK_S = 7 * 86_400
-GPS_EPOCH_UNIX_S = (date(1980, 1, 6).toordinal() - _UNIX_EPOCH) * 86_400
+GPS_EPOCH_UNIX_S = (date(1980, 1, 6).toordinal() - UNIX_EPOCH) * 86_400
 
 # The days that a leap second precedes; none is announced after the last.
 _AFTER_LEAP = (
@@ -16,7 +16,7 @@ _AFTER_LEAP = (
     (2015, 7), (2017, 1),
 )  # fmt: skip
 _LEAPS_GPS_S = [
-    (date(year, month, 1).toordinal() - _UNIX_EPOCH) * 86_400 - GPS_EPOCH_UNIX_S + count
+    (date(year, month, 1).toordinal() - UNIX_EPOCH) * 86_400 - GPS_EPOCH_UNIX_S + count
     for count, (year, month) in enumerate(_AFTER_LEAP, start=1)
 ]
 

@@ -10,19 +10,20 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Callable, Iterator
 
 from fieldgrid.geometry import Fix
-from fieldgrid.poses.gnss import nmea_proprietary, nmea_standard, nmea_unicore
 from fieldgrid.poses.gnss.fields import checksums
-from fieldgrid.poses.gnss.nmea_epochs import Calendar, EpochLog, NmeaCounts
+from fieldgrid.poses.gnss.nmea_epochs import EpochLog, NmeaCounts
+from fieldgrid.poses.gnss.nmea_sentences import SENTENCES
 
 # Intact sentences out of a stream of bytes, whatever lies between them.
 #
 # A sentence begins with ``$`` (NMEA 0183) or ``#`` (a Unicore or NovAtel log in ASCII) and ends
 # before the next of these, or at the end of its line. That alone frames the stream: a broken or
 # merged line ends where the next sentence starts, binary messages and garbage match nothing, the
-# result does not depend on how the bytes arrive, and no more than one sentence is held.
+# result does not depend on how the bytes arrive, and no more than one sentence is held. A sentence
+# is known by its formatter without the talker (`GGA`), by the name of a maker's own (`PTNL,GGK`),
+# or by that of a log with its sign (`#BESTNAVA`).
 
 
 _BLOCK = 1 << 16  # bytes searched at once
@@ -31,59 +32,11 @@ _LONGEST = 1200  # bytes of any sentence, with room to spare
 # The standard's 82 bytes are exceeded by many receivers. What may stand in a sentence is printable,
 # and none of $ # *.
 _SENTENCE = re.compile(
-    rb"\$((?:(P[A-Z0-9]{3,9}|KSXT)|[A-Z][A-Z0-9]([A-Z0-9]{2,8})),)"
+    rb"\$((?:(PTNL,(?:GGK|AVR)|P[A-Z0-9]{3,9}|KSXT)|[A-Z][A-Z0-9]([A-Z0-9]{2,8})),)"
     rb"(?:([ -\"%-)+-~]{0,240})\*([0-9A-Fa-f]{2})([0-9A-Fa-f]{6})?)?"
     rb"|(#[A-Z][A-Z0-9]{3,20}A),(?:([ -\"%-)+-~]{0,1100})\*([0-9A-Fa-f]{8}))?"
 )
 _WITH_CRC = b"KSXT"  # some firmware ends this one sentence with a CRC-32
-
-
-class Framer:
-    """Cuts a stream into sentences, and counts them."""
-
-    def __init__(self, counts: NmeaCounts) -> None:
-        self._counts = counts
-        self._rest = b""
-
-    def feed(self, chunk: bytes) -> Iterator[tuple[bytes, bytes]]:
-        """Intact sentences that are complete by now: what kind each is, and its text.
-
-        The kind is the formatter without the talker (``GGA``), the name of a maker's own
-        sentence (``PTNL``), or that of a log with its sign (``#BESTNAVA``). The text is all
-        that the checksum covers.
-        """
-        for start in range(0, len(chunk), _BLOCK):
-            data = self._rest + chunk[start : start + _BLOCK]
-            end = max(data.rfind(b"\n") + 1, data.rfind(b"$"), data.rfind(b"#"), 0)
-            self._rest = data[end : end + _LONGEST]
-            yield from self._intact(data[:end])
-
-    def finish(self) -> Iterator[tuple[bytes, bytes]]:
-        """The sentence at the very end, which nothing has ended yet."""
-        rest, self._rest = self._rest, b""
-        return self._intact(rest)
-
-    def _intact(self, data: bytes) -> Iterator[tuple[bytes, bytes]]:
-        found = _SENTENCE.findall(data)
-        texts = [address + body for address, _, _, body, *_ in found]
-        for one, text, total in zip(found, texts, checksums(texts), strict=True):
-            _, own, formatter, _, xor, crc, log, log_body, log_crc = one
-            if xor:
-                kind = formatter or own
-                intact = total == int(xor, 16)
-                if own == _WITH_CRC and crc and not intact:
-                    intact = unicore_crc(text) == int(xor + crc, 16)
-            elif log_crc:
-                kind, text = log, log[1:] + b"," + log_body
-                intact = unicore_crc(text) == int(log_crc, 16)
-            else:
-                self._counts.broken += 1
-                continue
-            if intact:
-                self._counts.sentences += 1
-                yield kind, text
-            else:
-                self._counts.bad_checksum += 1
 
 
 def unicore_crc(text: bytes) -> int:
@@ -91,14 +44,7 @@ def unicore_crc(text: bytes) -> int:
     return zlib.crc32(text, 0xFFFFFFFF) ^ 0xFFFFFFFF
 
 
-_FIELDS = 20
-_PAD = [b""] * _FIELDS
-
-_DECODERS: dict[bytes, Callable[[list[bytes], EpochLog], None]] = {
-    **nmea_standard.DECODERS,
-    **nmea_proprietary.DECODERS,
-    **nmea_unicore.DECODERS,
-}
+_PAD = [b""] * 31  # no sentence is read more fields beyond those that it has
 
 
 class NmeaStream:
@@ -119,32 +65,50 @@ class NmeaStream:
         if late_epochs < 1 or max_undated < 1:
             raise ValueError(f"late_epochs {late_epochs} and max_undated {max_undated} must be > 0")
         self.counts = NmeaCounts()
-        self._framer = Framer(self.counts)
-        self._epochs = EpochLog(
-            late_epochs, Calendar(max_undated, self.counts, first_day), self.counts
-        )
+        self._rest = b""
+        self._epochs = EpochLog(late_epochs, max_undated, first_day, self.counts)
 
     def feed(self, chunk: bytes) -> list[Fix]:
         """The fixes that are complete after some more bytes, in their order."""
-        self._decode(self._framer.feed(chunk))
+        for start in range(0, len(chunk), _BLOCK):
+            data = self._rest + chunk[start : start + _BLOCK]
+            end = max(data.rfind(b"\n") + 1, data.rfind(b"$"), data.rfind(b"#"), 0)
+            self._rest = data[end : end + _LONGEST]
+            self._read(data[:end])
         return self._epochs.fixes()
 
     def finish(self) -> list[Fix]:
         """The fixes that were still open when the stream ended."""
-        self._decode(self._framer.finish())
+        rest, self._rest = self._rest, b""
+        self._read(rest)
         self._epochs.finish()
         return self._epochs.fixes()
 
-    def _decode(self, sentences: Iterator[tuple[bytes, bytes]]) -> None:
-        epochs, decoder_of = self._epochs, _DECODERS.get
-        for kind, text in sentences:
-            decoder = decoder_of(kind)
-            if decoder is None:
+    def _read(self, data: bytes) -> None:
+        """Read the intact sentences of whole lines, and count them."""
+        counts, found = self.counts, _SENTENCE.findall(data)
+        texts = [one[0] + one[3] for one in found]
+        for one, text, total in zip(found, texts, checksums(texts), strict=True):
+            _, own, formatter, _, xor, crc, log, log_body, log_crc = one
+            kind = log or formatter or own
+            if xor:
+                intact = total == int(xor, 16)
+                if own == _WITH_CRC and crc and not intact:
+                    intact = unicore_crc(text) == int(xor + crc, 16)
+            elif log_crc:
+                text = log[1:] + b"," + log_body
+                intact = unicore_crc(text) == int(log_crc, 16)
+                text = text.replace(b";", b",")  # behind the header
+            else:
+                counts.broken += 1
                 continue
-            fields = text.split(b",")
-            if len(fields) < _FIELDS:
-                fields += _PAD
-            try:
-                decoder(fields, epochs)
-            except ValueError:
-                epochs.counts.broken += 1
+            if not intact:
+                counts.bad_checksum += 1
+                continue
+            counts.sentences += 1
+            sentence = SENTENCES.get(kind)
+            if sentence is not None:
+                try:
+                    self._epochs.hear(sentence, text.split(b",") + _PAD)
+                except ValueError:
+                    counts.broken += 1

@@ -1,8 +1,9 @@
 """What a vehicle may do where no fix shows it, and what is expected of it where fixes return.
 
 Holes come at random, so what the fixes show of a drive is a fair sample of it. Within a hole a
-vehicle may turn as tightly as it ever does; where fixes return, it drives one of the curvatures
-that the drive shows, and the fixes themselves tell which of them fit.
+vehicle may turn as tightly as it ever does, and at least the usual steering is expected, from the
+first moment on; where fixes return, it drives one of the curvatures that the drive shows, and the
+fixes themselves tell which of them fit.
 """
 
 from __future__ import annotations
@@ -12,16 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.core import Bool, Float64, Int64
+from fieldgrid.poses.faults.leaps.leaps import HOLE_PERIODS, HOLE_S
 from fieldgrid.poses.smoother import model
 from fieldgrid.poses.smoother.measurements import Measurements
 from fieldgrid.poses.smoother.rounds import CurvatureChange
 
 BLIND_S = 0.75
 """Farther in time from every fix, steering is not measured, and any is expected."""
-
-HOLE_S, HOLE_PERIODS = 2.0, 2.5
-"""Longer without a fix, and over this number of a receiver's periods, at least the usual steering
-is expected, from the first moment on: what a vehicle does in a hole, the others do not show."""
 
 BENDS = 64
 """Number of equal parts of a drive's way into which its curvatures are sorted."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float64, Int64
+from fieldgrid.core import Float64, Int64, PoseSettings
 from fieldgrid.geometry import Gyro, Motion, Steps
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.axle import Axle
@@ -22,7 +22,7 @@ from fieldgrid.poses.faults.clock.search import (
     ClockSearch,
     MotionContradiction,
 )
-from fieldgrid.poses.gears.stations import NO_HINTS, GearHints
+from fieldgrid.poses.gears.stations import NO_HINTS
 from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, IMAGES, LATE
 from fieldgrid.poses.smoother.slow_error import SlowError
 
@@ -60,7 +60,7 @@ def check_clock(
     fixes: AcceptedFixes,
     motion: Motion,
     axle: Axle,
-    hints: GearHints = NO_HINTS,
+    hints: PoseSettings = NO_HINTS,
     *,
     recorded: Gyro | None = None,
 ) -> ClockFindings:
@@ -101,7 +101,7 @@ def check_clock(
 
 
 def _change(
-    fixes: AcceptedFixes, steps: Steps, axle: Axle, hints: GearHints, recorded: Gyro | None
+    fixes: AcceptedFixes, steps: Steps, axle: Axle, hints: PoseSettings, recorded: Gyro | None
 ) -> ClockChange | None:
     """A clock that is set within the drive. A gyro that goes with the images bends the drive
     towards them, so it is the fixes alone that tell."""
@@ -123,7 +123,7 @@ def _far_offsets(
     steps: Steps,
     gyro: Gyro | None,
     axle: Axle,
-    hints: GearHints,
+    hints: PoseSettings,
     usual: float,
 ) -> Iterator[ClockOffset]:
     """What the offset is by the fixes alone; by fixes and gyro; by fixes and a gyro that goes
@@ -154,7 +154,7 @@ def _together(
     gyro: Gyro,
     offset_s: float,
     axle: Axle,
-    hints: GearHints,
+    hints: PoseSettings,
 ) -> ClockOffset | None:
     """The offset, near the one given, of a camera and a gyro of one clock, by how late the fixes
     are beside both; None where that does not settle or is not told, or does not fit."""

@@ -14,6 +14,7 @@ from fieldgrid.poses.drive import DriveEstimate
 from fieldgrid.poses.faults.camera_turns import FEWEST_STEPS
 from fieldgrid.poses.smoother import model
 from fieldgrid.poses.smoother.batch import refine
+from fieldgrid.poses.smoother.rounds import OUTLIER_FREEDOM
 
 WIDEST_S, COARSE_S = 2.5, 0.05
 """Offsets are tried up to the widest, this far apart; a wider scan may ask for more."""
@@ -30,9 +31,6 @@ LEAST_TURN_DEG = 0.05
 PARTS = 8
 """Neighbouring steps share the errors of the drive, so the scatter of the offset is taken from
 what it would be without each of this number of stretches."""
-
-OUTLIER_FREEDOM = 4.0
-"""Of Student's distribution, which a step is taken to differ by."""
 
 FARTHEST_S, SCAN_S = 60.0, 0.25
 """Where nothing near fits, offsets are tried up to the farthest: GPS time is 18 s off UTC."""

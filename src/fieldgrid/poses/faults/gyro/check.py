@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Finding, Float64, Int64, warning
+from fieldgrid.core import Finding, Float64, Int64, PoseSettings, warning
 from fieldgrid.geometry import Inertial, Motion, wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.axle import Axle
 from fieldgrid.poses.drive import DriveEstimate, smooth_drive
 from fieldgrid.poses.faults.gyro.sense import gyro_sense
-from fieldgrid.poses.gears.stations import TELL_GEARS, GearHints
+from fieldgrid.poses.gears.stations import TELL_GEARS
 from fieldgrid.poses.smoother.declared import Constant
 
 MOST_SCALE = 0.25
@@ -100,7 +100,7 @@ def with_trusted_gyro(
     all_ns: Int64,
     motion: Motion,
     axle: Axle,
-    hints: GearHints,
+    hints: PoseSettings,
 ) -> GyroVerdict:
     """The drive with a gyro that fits, or without one."""
     found, scale = drive.smoothed.declared, drive.smoothed.gyro_scale

@@ -14,15 +14,12 @@ import numpy as np
 from fieldgrid.core import Float64, Int64
 from fieldgrid.geometry import Gyro, Steps, first_beyond
 from fieldgrid.poses.accepted import AcceptedFixes
-from fieldgrid.poses.faults.leaps.leaps import usual_period_s
+from fieldgrid.poses.faults.leaps.leaps import HOLE_PERIODS, usual_period_s
 from fieldgrid.poses.nodes import GYRO_HOLE_NS
 
 LEAST_CHORD_M, CHORD_NOISES, MOST_CHORD_S = 1.0, 6.0, 10.0
 """A line joins two fixes that are farther apart than this, and than this multiple of their noise,
 within this time."""
-
-MOST_PERIODS = 2.5
-"""Fixes that are farther apart than this number of usual periods have a hole between them."""
 
 STRETCH_S, MOST_LINES, FEWEST_LINES = 40.0, 60, 3
 """Lines are compared within stretches, over which a gyro's bias is constant."""
@@ -177,7 +174,7 @@ def _most(off: Float64, variance: Float64, bias: Float64) -> float:
 def _chords(points: Float64, time_s: Float64, reach_m: float) -> tuple[Int64, Int64]:
     """The first and the last fix of lines that follow each other, none of them across a hole."""
     step_s = np.diff(time_s)
-    part = np.concatenate([[0], np.cumsum(step_s > MOST_PERIODS * usual_period_s(step_s))])
+    part = np.concatenate([[0], np.cumsum(step_s > HOLE_PERIODS * usual_period_s(step_s))])
     ends = np.searchsorted(part, part, side="right").tolist()
     far = first_beyond(points, reach_m, 1).tolist()
     found, at = [], 0
