@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Finding, Float64, GnssError, Int64, info, warning
+from fieldgrid.core import Figure, Finding, Float64, GnssError, Int64, info, warning
 from fieldgrid.geometry import R_enu_level, wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes
 
@@ -103,6 +103,7 @@ class Georeference(NamedTuple):
                 "poses-scale",
                 f"The fixes' way is {100.0 * off:+.1f} % ± {100.0 * self.scale_sigma:.1f} % longer "
                 "than that of the poses; the scale was not changed.",
+                figure=Figure(100.0 * off, "%"),
             )
 
 

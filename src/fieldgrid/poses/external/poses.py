@@ -9,6 +9,7 @@ import numpy as np
 from fieldgrid.core import (
     Bool,
     ConfigError,
+    Figure,
     Finding,
     Float64,
     GateLimits,
@@ -129,12 +130,15 @@ def place_poses(
     trajectory = judged(table, datum, settings, budget, GIVEN)
     findings = [*found.findings(), *unsure]
     if abs(aside_deg) > CLEAR_OFFSET_DEG:
-        told = (
-            f"The vehicle moves {aside_deg:+.1f}° off the forward axis of the poses where it "
-            "drives straight; that is in the sigma of their heading."
+        findings.append(
+            warning(
+                "poses-aside",
+                f"The vehicle moves {aside_deg:+.1f}° off the forward axis of the poses where it "
+                "drives straight; that is in the sigma of their heading.",
+                "Check the camera's yaw, or the axes of the body.",
+                Figure(aside_deg, "deg"),
+            )
         )
-        remedy = "Check the camera's yaw, or the axes of the body."
-        findings.append(warning("poses-aside", told, remedy))
     if not trajectory.accepted.any():
         findings.append(
             warning(

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Finding, Float64, Int64, warning
+from fieldgrid.core import Figure, Finding, Float64, Int64, warning
 from fieldgrid.geometry import Inertial, Motion, wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.axle import Axle
@@ -67,13 +67,13 @@ def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, Fi
         apart_s, side = (
             (before_s, "ends {} before") if before_s > 0.0 else (-after_s, "begins {} after")
         )
-        found = warning(
+        return motion._replace(gyro=None, inertial=None), warning(
             "gyro-unused",
             f"The gyro {side.format(f'{apart_s:.1f} s')} the fixes, so it was not used.",
             "If their clocks differ, give --gnss-offset, or time_zone where the log has local "
             "time.",
+            Figure(apart_s, "s"),
         )
-        return motion._replace(gyro=None, inertial=None), found
     sense = gyro_sense(fixes, motion.steps, gyro)
     if sense.is_wrong:
         why = "The path turns the other way than the gyro, so the gyro was not used."
@@ -131,12 +131,13 @@ def _scale_finding(scale: Constant | None) -> Finding | None:
     """That a gyro turns too much or too little."""
     if scale is None or abs(scale.value) < max(NOTED_SCALE, NOTED_SIGMAS * scale.sigma):
         return None
-    size = "small" if scale.value > 0.0 else "large"
+    too_large = -100.0 * scale.value
     return warning(
         "gyro-scale",
-        f"The turns of the gyro are {100.0 * abs(scale.value):.1f} % ± "
-        f"{100.0 * scale.sigma:.1f} % too {size} beside the drive; that was taken out.",
+        f"The turns of the gyro are {abs(too_large):.1f} % ± {100.0 * scale.sigma:.1f} % too "
+        f"{'large' if too_large > 0.0 else 'small'} beside the drive; that was taken out.",
         "Calibrate its scale.",
+        Figure(too_large, "%"),
     )
 
 
