@@ -129,6 +129,16 @@ def test_what_is_denied_has_a_figure_for_programs() -> None:
     assert unseen.as_dict()["figure"] is None
 
 
+@pytest.mark.parametrize(
+    ("late_s", "ahead_m", "code"),
+    [(0.5, 0.0, "fixes-stamped"), (1.0, 0.0, "fixes-stamped"), (0.0, 0.8, "antenna-place")],
+)
+def test_what_is_denied_is_no_drift(late_s: float, ahead_m: float, code: str) -> None:
+    """Fixes wander beside a drive with the wrong stamps or place by more than they state."""
+    found = estimate(simulate(ROWS, 35.0), rig(), late_s=late_s, ahead_m=ahead_m)
+    assert codes(found.report) == [code]
+
+
 def test_a_log_alone_knows_only_its_antenna() -> None:
     """Where the antenna sits moves none of its positions."""
     found = estimate(simulate(ROWS, 35.0), Carrier(0.0), ahead_m=1.5)

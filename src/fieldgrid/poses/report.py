@@ -234,7 +234,9 @@ def _leaps(fixes: AcceptedFixes) -> Finding:
 
 def _drift(drive: DriveEstimate) -> Iterator[Finding]:
     """That the slow error of the fixes is larger than they state."""
-    declared, larger = drive.smoothed.declared, drive.slow.larger > 0
+    declared = drive.smoothed.declared
+    # What does not fit together makes fixes wander beside the drive, too.
+    larger = drive.slow.larger > 0 and not declared.contradicts
     stated_m = float(np.median(drive.measured.bias_m)) / drive.slow.factor
     if not larger and declared.probability(DRIFT) < LIKELY:
         return
@@ -304,10 +306,9 @@ def _no_pose(
         "a cell": surer,
     }
     known = [remedy for start, remedy in remedies.items() if commonest.startswith(start)]
-    advice = "".join(known) or "choose another log with --gnss"
-    if len(leaps_ns(fixes)):
-        # What is declared of the fixes does not tell which solution was right.
-        advice = "keep the part on one side of a leap alone"
+    # What is declared of the fixes does not tell which solution was right.
+    beside = "keep the part on one side of a leap alone" if len(leaps_ns(fixes)) else ""
+    advice = beside or "".join(known) or "choose another log with --gnss"
     return warning(
         "no-pose",
         f"No pose can be used, mostly because: {commonest}.",

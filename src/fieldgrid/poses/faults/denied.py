@@ -21,6 +21,7 @@ from fieldgrid.poses.sigmas import AddedSigma
 from fieldgrid.poses.smoother.declared import (
     AHEAD,
     ASIDE,
+    DRIFT,
     LATE,
     LIKELY,
     Constant,
@@ -194,7 +195,8 @@ def _unfit(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[Finding
     moving = drive.gear != 0
     most_deg = float(np.degrees(unsure.heading_rad[moving]).max(initial=0.0))
     most_m = float(unsure.axle_m[moving].max(initial=0.0))
-    if most_deg <= LEAST_DOUBT_DEG and most_m <= LEAST_OFF_M:
+    # A drift has a finding of its own.
+    if found.explains(DRIFT) or (most_deg <= LEAST_DOUBT_DEG and most_m <= LEAST_OFF_M):
         return
     late_s = denied.may_be_late_s or found.off(LATE).value
     alone = {

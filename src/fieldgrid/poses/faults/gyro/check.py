@@ -76,7 +76,12 @@ def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, Fi
         )
     sense = gyro_sense(fixes, motion.steps, gyro)
     if sense.is_wrong:
-        why = "The path turns the other way than the gyro, so the gyro was not used."
+        why = (  # a camera shows whose turns are wrong
+            "The path turns the other way than the gyro, so the gyro was not used."
+            if motion.steps is not None
+            else "The path turns the other way than the gyro, or is mirrored by longitudes that "
+            "lost their sign, so the gyro was not used."
+        )
     elif sense.is_unknown and not _feels_up(motion.inertial):
         why = (
             "The fixes do not show that the vehicle turns as its gyro does, be they too few or too "
@@ -123,8 +128,10 @@ def with_trusted_gyro(
     if moves.any() and float(np.mean(drive.doubt[moves] > DOUBT)) > DOUBTFUL_SHARE:
         either = True
         remedy = f"{CHECK} {GEARS_UNSURE}"
-    told = warning("gyro-unused", "The gyro contradicts the drive and was not used.", remedy)
-    return GyroVerdict(rest, without, apart_deg(rest, drive) * float(either), told)
+    return GyroVerdict(
+        *(rest, without, apart_deg(rest, drive) * float(either)),
+        warning("gyro-unused", "The gyro contradicts the drive and was not used.", remedy),
+    )
 
 
 def _scale_finding(scale: Constant | None) -> Finding | None:
