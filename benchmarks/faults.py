@@ -249,7 +249,13 @@ FAULTS = (
         r"gyro-unused:.*its unit",
     ),
     Fault("camera of 1.1 the way", (CAMERA,), longer_steps(1.1), r"scale:"),
-    Fault("gyro turned", (GYRO, WHEELS, CAMERA), turned_gyro(-1.0), r"gyro-unused:"),
+    Fault(
+        "gyro turned",
+        (GYRO, WHEELS, CAMERA),
+        turned_gyro(-1.0),
+        r"gyro-unused:(?!.*mirrored)",
+        r"gyro-unused:",
+    ),
     Fault(
         "gyro dead for a fifth",
         (GYRO, WHEELS, CAMERA),
