@@ -123,31 +123,25 @@ def place_poses(
     # A row a pose, carried to the grid origin and judged; beside them the fixes that have none.
     table = _table(rows, log, pairs, found, chords, aside_deg, settings)
     attitude = None if tilt is None or not isinstance(rig, Rig) else _attitude(table, tilt)
-    level_grids = level_grids and attitude is not None
-    table = _at_origin(table, rows.poses, rig, level_grids=level_grids)
+    table = _at_origin(table, rows.poses, rig, level_grids=level_grids and attitude is not None)
     table = _jumping(table, datum, settings.gnss)
     table, fix_row = _with_other_fixes(table, rows.fix, log)
     trajectory = judged(table, datum, settings, budget, GIVEN)
     findings = [*found.findings(), *unsure]
     if abs(aside_deg) > CLEAR_OFFSET_DEG:
-        findings.append(
-            warning(
-                "poses-aside",
-                f"The vehicle moves {aside_deg:+.1f}° off the forward axis of the poses where it "
-                "drives straight; that is in the sigma of their heading.",
-                "Check the camera's yaw, or the axes of the body.",
-                Figure(aside_deg, "deg"),
-            )
+        told = (
+            f"The vehicle moves {aside_deg:+.1f}° off the forward axis of the poses where it "
+            "drives straight; that is in the sigma of their heading."
         )
+        remedy = "Check the camera's yaw, or the axes of the body."
+        findings.append(warning("poses-aside", told, remedy, Figure(aside_deg, "deg")))
     if not trajectory.accepted.any():
-        findings.append(
-            warning(
-                "no-pose",
-                f"No pose can be used, mostly because: {commonest_reason(trajectory.reason)}.",
-                "Say how good the fixes are with --accuracy METRES, or leave --poses out, so that "
-                "poses are estimated from fixes and motion.",
-            )
+        told = f"No pose can be used, mostly because: {commonest_reason(trajectory.reason)}."
+        remedy = (
+            "Say how good the fixes are with --accuracy METRES, or leave --poses out, so that poses "
+            "are estimated from fixes and motion."
         )
+        findings.append(warning("no-pose", told, remedy))
     return PlacedPoses(
         trajectory, fix_row, found, attitude, pairs, tuple(findings), table.gear_doubt
     )

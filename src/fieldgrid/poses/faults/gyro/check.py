@@ -13,7 +13,7 @@ from fieldgrid.poses.axle import Axle
 from fieldgrid.poses.drive import DriveEstimate, smooth_drive
 from fieldgrid.poses.faults.gyro.sense import gyro_sense
 from fieldgrid.poses.gears.stations import TELL_GEARS, GearHints
-from fieldgrid.poses.smoother.declared import Constant
+from fieldgrid.poses.smoother.declared import DRIFT, Constant
 
 MOST_SCALE = 0.25
 """No gyro's scale is off by a larger share; what is has wrong axes or units."""
@@ -111,7 +111,8 @@ def with_trusted_gyro(
     found, scale = drive.smoothed.declared, drive.smoothed.gyro_scale
     fits = GyroVerdict(drive, motion, np.zeros(len(drive.time_ns)), _scale_finding(scale))
     wrong = scale is not None and abs(scale.value) > MOST_SCALE
-    if scale is None or not (wrong or found.contradicts):
+    # Fixes that drift contradict a right gyro, too.
+    if scale is None or not (wrong or (found.contradicts and not found.explains(DRIFT))):
         return fits
     if not wrong and (motion.steps is None or not len(motion.steps.start_ns)):
         return fits  # nothing else saw the turns, so the drive without it would tell nothing
