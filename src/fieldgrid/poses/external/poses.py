@@ -138,8 +138,8 @@ def place_poses(
     if not trajectory.accepted.any():
         told = f"No pose can be used, mostly because: {commonest_reason(trajectory.reason)}."
         remedy = (
-            "Say how good the fixes are with --accuracy METRES, or leave --poses out, so that poses "
-            "are estimated from fixes and motion."
+            "Say how good the fixes are with --accuracy METRES, or leave --poses out, so that "
+            "poses are estimated from fixes and motion."
         )
         findings.append(warning("no-pose", told, remedy))
     return PlacedPoses(
