@@ -97,6 +97,7 @@ heading: .venv/installed ## Measure heading and gear on real logs, where they ar
 	$(PY) -m benchmarks.stretches
 	$(PY) -m benchmarks.damages
 	$(PY) -m benchmarks.late_fixes
+	$(PY) -m benchmarks.faults
 
 accuracy: .venv/installed ## Measure the accuracy of maps, mounts, clocks, alignment and changes
 	$(PY) -m benchmarks.accuracy

@@ -53,6 +53,7 @@ PARTS = {
     "stretches": Part("benchmarks.stretches", RENDERED),
     "damages": Part("benchmarks.damages"),
     "late_fixes": Part("benchmarks.late_fixes", cases=200),
+    "faults": Part("benchmarks.faults"),
     "accuracy": Part("benchmarks.accuracy"),
     "row_step": Part("benchmarks.row_step", (*RENDERED, *ROAD)),
     "rectified": Part("benchmarks.rectified", RENDERED[:1]),

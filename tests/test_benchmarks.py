@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import clock, mounting, random_drives, reading
+from benchmarks import clock, faults, mounting, random_drives, reading
+from benchmarks.variations import leap
 from fieldgrid.core import MeasuredValue, Quality
 from fieldgrid.geometry import Steps
 from fieldgrid.poses import ClockOffset
@@ -43,6 +44,23 @@ def test_what_is_so_of_every_receiver_warns_of_no_fault() -> None:
     assert silent.case.quality is Quality.DIFFERENTIAL
     assert silent.sigma_m > 0.2
     assert silent.notes == ()
+
+
+@pytest.mark.parametrize(("drift_m", "outcomes"), [(1.0, {"covered", "unseen"}), (1.5, {"named"})])
+@pytest.mark.parametrize("seed", [2, 3])
+def test_no_gyro_is_blamed_where_fixes_drift_beside_a_camera(
+    seed: int, drift_m: float, outcomes: set[str]
+) -> None:
+    change = faults.always(leap(2.0 * drift_m, 0.0, 2.0, grows=True))
+    drift = faults.Fault("drift", (faults.CAMERA,), change, "drift:")
+    assert faults.found(drift, faults.CAMERA, seed).outcome in outcomes
+
+
+@pytest.mark.parametrize("sensors", faults.SETS)
+def test_nothing_is_accused_without_a_fault(sensors: str) -> None:
+    none = faults.FAULTS[0]
+    for seed in range(len(faults.VEHICLES)):
+        assert faults.found(none, sensors, seed).told == ()
 
 
 def test_a_mount_beside_its_truth(

@@ -39,3 +39,17 @@ def test_all_codes_are_on_the_page() -> None:
     named = re.findall(r"`([a-z-]+)`", " ".join(rows))
     assert len(named) == len(set(named))
     assert set(named) == {*given(), *StopCode, *ELSEWHERE}
+
+
+def test_a_figure_has_one_of_the_units_on_the_page() -> None:
+    page = (ROOT / "docs" / "findings.md").read_text("utf-8")
+    (units,) = re.findall(r"Units are (.*?) for a ratio", page)
+    given = {
+        str(unit.value)
+        for path in (ROOT / "src").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Figure"
+        for unit in node.args[1:2]
+        if isinstance(unit, ast.Constant)
+    }
+    assert set(re.findall(r"`(\S+)`", units)) == given

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 
@@ -107,6 +108,35 @@ def test_positions_are_as_unsure_as_a_denied_delay_is_long() -> None:
     off_m = np.hypot(trajectory.east_m - truth.east_m, trajectory.north_m - truth.north_m)[used]
     assert np.median(off_m) > 0.2
     assert np.mean(off_m < 3.44 * trajectory.position_sigma_m[used]) > 0.98
+
+
+def test_what_is_denied_has_a_figure_for_programs() -> None:
+    """Late stamps and places to the right are positive, and nothing is rounded."""
+    late = estimate(simulate(ROWS, 35.0), rig(), late_s=0.3)
+    (delay,) = (one for one in late.report.findings if one.code == "fixes-stamped")
+    assert delay.figure is not None
+    assert delay.figure.value == pytest.approx(0.3, abs=0.05)
+    assert f"stamped {delay.figure.value:.2f} s ±" in delay.message
+    drive = simulate(ROWS, 35.0)
+    fixes = fixes_of(drive, 0.2, RTK_M, antenna=LeverArm(-0.6, 0.0, 3.0))
+    found = estimate_poses(fixes, rig(), DATUM, motion=Motion(steps=steps_of(drive)))
+    (place,) = (one for one in found.report.findings if one.code == "antenna-place")
+    told = place.as_dict()
+    assert json.loads(json.dumps(told)) == told
+    assert told["figure"] == {"value": pytest.approx(-0.6, abs=0.05), "unit": "m"}
+    assert f"{-told['figure']['value']:.2f} m ±" in place.message
+    (unseen,) = (one for one in late.report.findings if one.code == "unseen")
+    assert unseen.as_dict()["figure"] is None
+
+
+@pytest.mark.parametrize(
+    ("late_s", "ahead_m", "code"),
+    [(0.5, 0.0, "fixes-stamped"), (1.0, 0.0, "fixes-stamped"), (0.0, 0.8, "antenna-place")],
+)
+def test_what_is_denied_is_no_drift(late_s: float, ahead_m: float, code: str) -> None:
+    """Fixes wander beside a drive with the wrong stamps or place by more than they state."""
+    found = estimate(simulate(ROWS, 35.0), rig(), late_s=late_s, ahead_m=ahead_m)
+    assert codes(found.report) == [code]
 
 
 def test_a_log_alone_knows_only_its_antenna() -> None:

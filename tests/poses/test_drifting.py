@@ -20,6 +20,7 @@ from tests.simulated import (
     steps_of as camera,
     time_ns,
 )
+from tests.told import codes
 
 ROWS = [Command(30.0, 1.2), *K_TURN[1:-1], Command(30.0, 1.2)]
 
@@ -54,6 +55,7 @@ def test_positions_know_of_a_drift_that_the_camera_sees(drift_m: float) -> None:
     one, truth = found.trajectory, drive.at((found.trajectory.time_ns - START) / 1e9)
     off_m = np.hypot(one.east_m - truth.east_m, one.north_m - truth.north_m)
     assert tells(found)
+    assert codes(found.report) == ["drift"]
     assert (off_m <= 3.44 * one.position_sigma_m).mean() > 0.98
     assert one.position_sigma_m.max() < 1.2 * abs(drift_m)
     turned_deg = np.abs((one.heading_deg - np.degrees(truth.heading_rad) + 180.0) % 360.0 - 180.0)

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from fieldgrid.core import Float64
-from fieldgrid.geometry import Gyro, Motion, WheelSpeed, wrap_deg
+from fieldgrid.geometry import Gyro, LeverArm, Motion, WheelSpeed, wrap_deg
 from fieldgrid.poses import Estimate, estimate_poses
+from tests.scenes import paper_rig
 from tests.simulated import (
     CIRCLE,
     DATUM,
@@ -24,6 +25,7 @@ from tests.simulated import (
     steps_of,
     time_ns,
 )
+from tests.told import codes
 
 FIELD = simulate(
     [c for k in range(4) for c in (Command(25.0, 1.5), Command(9.0, 1.2, 0.3 * (-1) ** k))],
@@ -108,6 +110,9 @@ def test_a_camera_tells_which_way_a_gyro_turns(sense: float, seed: int) -> None:
     gyro = right._replace(rate_rad_s=sense * right.rate_rad_s)
     found = estimated(drive, Motion(gyro=gyro, steps=steps_of(drive, noise=1.0)))
     assert says(found, "turns the other way") is (sense < 0.0)
+    assert not says(found, "mirrored")
+    # Without it the path may be the one that is wrong.
+    assert says(estimated(drive, Motion(gyro=gyro)), "mirrored") is (sense < 0.0)
 
 
 def wheels_of(drive: Drive, sign: float) -> WheelSpeed:
@@ -126,3 +131,21 @@ def test_a_camera_tells_the_sense_of_wheels(sign: float) -> None:
     assert (np.sign(track.speed_mps[moving]) == true[moving]).mean() > 0.97
     alone = estimated(drive, Motion(wheels=wheels_of(drive, sign)))
     assert says(alone, "By its wheels the vehicle backs up") is (sign < 0.0)
+    assert says(alone, "If that is wrong") is (sign < 0.0)
+
+
+@pytest.mark.parametrize(("sign", "backs_up"), [(1.0, False), (-1.0, False), (1.0, True)])
+def test_a_gyro_and_an_antenna_ahead_of_the_axle_tell_the_sense_of_wheels(
+    sign: float, backs_up: bool
+) -> None:
+    """Also of a vehicle that really backs up."""
+    gear = -1.0 if backs_up else 1.0
+    commands = [one._replace(speed_mps=gear * one.speed_mps) for one in (*SLALOM, *SLALOM)]
+    drive = simulate(commands, 30.0, speed_mps=1.5 * gear)
+    antenna = LeverArm(0.0, 0.8, 2.0)
+    rig = paper_rig(antenna=antenna, rear_axle_forward_m=0.0)
+    motion = Motion(gyro=gyro_of(drive, noise_dps=0.05), wheels=wheels_of(drive, sign))
+    fixes = fixes_of(drive, noise_m=0.01, antenna=antenna)
+    found = estimate_poses(fixes, rig, DATUM, motion=motion)
+    assert np.nanmax(off_deg(found, drive)) < 5.0
+    assert codes(found.report) == (["wheels-turned"] if sign < 0.0 and not backs_up else [])

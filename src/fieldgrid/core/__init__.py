@@ -74,6 +74,7 @@ if TYPE_CHECKING:
     )
     from fieldgrid.core.file_locks import let_go as let_go, lock as lock, lock_within as lock_within
     from fieldgrid.core.findings import (
+        Figure as Figure,
         Finding as Finding,
         Severity as Severity,
         error as error,

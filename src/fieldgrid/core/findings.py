@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 from fieldgrid.core.choices import StopCode
 
@@ -26,15 +27,25 @@ class Severity(StrEnum):
     INFO = "info"
 
 
+class Figure(NamedTuple):
+    """A number that a finding is about, with its unit: `m`, `s`, `deg`, `%`, `px`, `Hz`,
+    `ppm`, `sigmas` or `times`."""
+
+    value: float
+    unit: str
+
+
 @dataclass(frozen=True, slots=True)
 class Finding:
     """One finding: `message` is a sentence with the value, `remedy` another one that names the
-    flag or the key, empty where nothing is to be done."""
+    flag or the key, empty where nothing is to be done. `figure` is the value for programs, None
+    where the finding is about no number or about several."""
 
     severity: Severity
     code: str
     message: str
     remedy: str = ""
+    figure: Figure | None = None
 
     def __str__(self) -> str:
         return f"{self.message} {self.remedy}".strip()
@@ -51,22 +62,17 @@ class Finding:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        return {**asdict(self), "severity": self.severity.value, "acceptable": self.acceptable}
+        return {
+            **asdict(self),
+            "severity": self.severity.value,
+            "figure": self.figure and self.figure._asdict(),
+            "acceptable": self.acceptable,
+        }
 
 
-def error(code: str, message: str, remedy: str = "") -> Finding:
-    """What stops a build."""
-    return Finding(Severity.ERROR, code, message, remedy)
-
-
-def warning(code: str, message: str, remedy: str = "") -> Finding:
-    """What makes the map poorer."""
-    return Finding(Severity.WARNING, code, message, remedy)
-
-
-def info(code: str, message: str, remedy: str = "") -> Finding:
-    """What is good to know."""
-    return Finding(Severity.INFO, code, message, remedy)
+error = partial(Finding, Severity.ERROR)
+warning = partial(Finding, Severity.WARNING)
+info = partial(Finding, Severity.INFO)
 
 
 def in_order(findings: Iterable[Finding]) -> tuple[Finding, ...]:

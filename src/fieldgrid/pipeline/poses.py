@@ -190,7 +190,7 @@ def settled(findings: Iterable[Finding], settings: BuildSettings) -> tuple[Findi
         if one.severity is not Severity.ERROR:
             told.append(one)
         elif one.code in settings.checks.accept:
-            told.append(warning(one.code, f"Accepted {one.code}: {one.message}"))
+            told.append(warning(one.code, f"Accepted {one.code}: {one.message}", figure=one.figure))
         else:
             raise RecordingError(one.whole())
     return tuple(told)

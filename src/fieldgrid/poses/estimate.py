@@ -9,6 +9,7 @@ import numpy as np
 
 from fieldgrid.core import (
     ConfigError,
+    Figure,
     Finding,
     Float64,
     GnssError,
@@ -312,11 +313,14 @@ def _recorded(
         return np.full_like(recorded, np.nan), found, [warning("heading-recorded", told)]
     findings = []
     if abs(found.offset_deg) > CLEAR_OFFSET_DEG:
-        told = (
-            f"The recorded heading is {found.offset_deg:+.2f}° ± {found.offset_sigma_deg:.2f}° off "
-            "the course of the drive; taken out."
+        findings.append(
+            warning(
+                "heading-recorded",
+                f"The recorded heading is {found.offset_deg:+.2f}° ± "
+                f"{found.offset_sigma_deg:.2f}° off the course of the drive; taken out.",
+                figure=Figure(found.offset_deg, "deg"),
+            )
         )
-        findings.append(warning("heading-recorded", told))
     used = np.asarray(wrap_deg(recorded - found.offset_deg))
     # Of a few the robust estimate makes nothing by itself.
     if found.flipped > (FEW_TURNED_SHARE if source.kind == "smooth" else 0.0):

@@ -6,7 +6,9 @@ attitude is not what was assumed.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,9 +19,7 @@ from fieldgrid.geometry import (
     FixColumns,
     Gyro,
     Motion,
-    Steps,
     VehicleGeometry,
-    WheelSpeed,
     nose_heading_deg,
 )
 from fieldgrid.poses.accepted import accepted_fixes, datum_of
@@ -52,57 +52,42 @@ from fieldgrid.poses.smoother.declared import AHEAD, IMAGES, LATE, LIKELY
 from fieldgrid.poses.table import ConditionedLog
 from fieldgrid.poses.travel_direction import travel
 
-# Wheels whose sign is turned round: they say that a vehicle backs up while it drives forward.
-
-
-FEWEST_STEPS, LEAST_STEP_M = 8, 0.3
-"""How many steps of the camera tell the sense of the wheels, each at least so long."""
-
-TURNED_SHARE = 0.8
-"""Share of the steps told by wheels and camera that go the other way when a sign is turned."""
+FEWEST_STEPS = 8
+"""So many steps of the camera tell the sense of the wheels."""
 
 BACKING_SHARE, LEAST_WAY_M = 0.8, 50.0
-"""Without a camera: hardly any vehicle backs up over this share of a drive of at least this
-length."""
+"""Wheels whose sign is turned round go the other way than the camera in this share; without one,
+hardly any vehicle backs up over this share of a drive of at least this length."""
 
 
-def with_right_wheels(motion: Motion) -> tuple[Motion, Finding | None]:
-    """The motion with the wheels as the camera has them, and a finding where their sign is, or
-    may be, turned round; None otherwise."""
+def _with_right_wheels(
+    drive: DriveEstimate, motion: Motion, estimated: Callable[[Motion], DriveEstimate]
+) -> tuple[DriveEstimate, Motion, Finding | None]:
+    """The drive and its motion with the sign of the wheels as the camera has it, or as the drive is
+    likelier; and a finding where it was turned round, or nothing tells."""
     wheels, steps = motion.wheels, motion.steps
     if wheels is None or not turn_back(wheels):
-        return motion, None
-    other_way, told = (0, 0) if steps is None else _other_way(wheels, steps)
-    if told >= FEWEST_STEPS:
-        if other_way < TURNED_SHARE * told:
-            return motion, None
-        turned = wheels._replace(speed_mps=-wheels.speed_mps)
-        return motion._replace(wheels=turned), warning(
-            "wheels-turned",
-            f"The wheels go the other way than the camera in {other_way} of {told} steps: the sign "
-            "of their speed was turned round.",
-            "Correct it where it is recorded.",
-        )
+        return drive, motion, None
     way_m = wheels.speed_mps[:-1] * np.diff(wheels.time_ns) / 1e9
+    why, by_camera = "By its wheels the vehicle backs up over {:.0f} of {:.0f} m", False
+    if steps is not None:
+        beside = wheel_speed_at((steps.start_ns + steps.stop_ns) // 2, wheels) * steps.forward_m
+        by_camera = bool(np.isfinite(beside).sum() >= FEWEST_STEPS)
+    if by_camera:
+        why, way_m = "The wheels go the other way than the camera", beside
     whole_m, back_m = float(np.nansum(np.abs(way_m))), float(-np.nansum(np.minimum(way_m, 0.0)))
-    if whole_m < LEAST_WAY_M or back_m < BACKING_SHARE * whole_m:
-        return motion, None
-    return motion, warning(
-        "wheels-turned",
-        f"By its wheels the vehicle backs up over {back_m:.0f} of {whole_m:.0f} m. If it drives "
-        "forward, the sign of their speed is turned round, and headings with it.",
-        "Correct it where it is recorded.",
-    )
-
-
-def _other_way(wheels: WheelSpeed, steps: Steps) -> tuple[int, int]:
-    """How many steps the wheels take the other way than the camera, and how many both tell."""
-    inside = [steps.start_ns + (steps.stop_ns - steps.start_ns) * k // 4 for k in (1, 2, 3)]
-    speeds = np.stack([wheel_speed_at(at_ns, wheels) for at_ns in inside])
-    one_way = (speeds > 0.0).all(axis=0) | (speeds < 0.0).all(axis=0)
-    told = one_way & (np.abs(steps.forward_m) > LEAST_STEP_M)
-    other_way = told & (speeds[0] * steps.forward_m < 0.0)
-    return int(other_way.sum()), int(told.sum())
+    if back_m <= BACKING_SHARE * whole_m or not (by_camera or whole_m > LEAST_WAY_M):
+        return drive, motion, None
+    turned = motion._replace(wheels=wheels._replace(speed_mps=-wheels.speed_mps))
+    other = estimated(turned)
+    nats, clear = other.smoothed.nats - drive.smoothed.nats, np.log(LIKELY / (1.0 - LIKELY))
+    if nats < -clear and not by_camera:
+        return drive, motion, None
+    end = ". If that is wrong, their sign is turned round, and headings with it."
+    if by_camera or nats > clear:
+        drive, motion, end = other, turned, ": the sign of their speed was turned round."
+    told = f"{why.format(back_m, whole_m)}{end}"
+    return drive, motion, warning("wheels-turned", told, "Correct it where it is recorded.")
 
 
 class Fusion(NamedTuple):
@@ -179,11 +164,11 @@ def fuse(
     """
     motion, faulty_gyro = without_faulty_samples(motion)
     motion, dead_gyro = without_dead_gyro(log.accepted, motion)
-    motion, turned_wheels = with_right_wheels(motion)
     gyro = motion.gyro
     motion, wrong_gyro = without_wrong_gyro(log.accepted, motion)
     axle, hints = axle_of(rig), settings
-    drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
+    smoothed = partial(smooth_drive, log.accepted, log.fixes.time_ns, axle=axle, hints=hints)
+    drive, motion, turned_wheels = _with_right_wheels(smoothed(motion), motion, smoothed)
     # Fixes that leave the drive at once and come back.
     strays: dict[int, str] = {}
     for _ in range(MOST_ROUNDS):

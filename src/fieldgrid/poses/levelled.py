@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Finding, Float64, Int64, warning
+from fieldgrid.core import Figure, Finding, Float64, Int64, warning
 from fieldgrid.geometry import (
     Gyro,
     Inertial,
@@ -182,6 +182,7 @@ def _imu_denial(
         f"The accelerometer contradicts the motion of the fixes by {misfit:.1f} sigmas and was not "
         "used for roll and pitch.",
         f"{remedy}.",
+        Figure(misfit, "sigmas"),
     )
 
 

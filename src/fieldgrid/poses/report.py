@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fieldgrid.core import (
+    Figure,
     Finding,
     Float64,
     Int64,
@@ -205,6 +206,7 @@ def _of_constant(
             "heading-constant",
             f"The constant heading {source.constant_deg:g}° is more than 10° off the drive's own "
             f"in {100.0 * share:.0f} % of it (median {np.median(off):.0f}°).",
+            figure=Figure(100.0 * share, "%"),
         )
 
 
@@ -217,20 +219,24 @@ def _leaps(fixes: AcceptedFixes) -> Finding:
     """That the receiver's solution leaps, and what its positions count as."""
     leaps = leaps_ns(fixes)
     first_s = (leaps[0] - fixes.time_ns[0]) / 1e9
+    sigma_m = float(np.median(fixes.sigma_m))
     often = "once" if len(leaps) == 1 else f"{len(leaps)} times"
     return warning(
         "leaps",
         f"The receiver's solution leaps {often} by more than it states (first {first_s:.0f} s "
         "after the start), and nothing tells which side is right: its positions count as good to "
-        f"{np.median(fixes.sigma_m):.2f} m.",
+        f"{sigma_m:.2f} m.",
         "If you know, keep that side alone: --until or --from "
         f"{utc_text(int(leaps[0]) + 1, 'ms')}.",
+        Figure(sigma_m, "m"),
     )
 
 
 def _drift(drive: DriveEstimate) -> Iterator[Finding]:
     """That the slow error of the fixes is larger than they state."""
-    declared, larger = drive.smoothed.declared, drive.slow.larger > 0
+    declared = drive.smoothed.declared
+    # What does not fit together makes fixes wander beside the drive, too.
+    larger = drive.slow.larger > 0 and not declared.contradicts
     stated_m = float(np.median(drive.measured.bias_m)) / drive.slow.factor
     if not larger and declared.probability(DRIFT) < LIKELY:
         return
@@ -246,18 +252,20 @@ def _drift(drive: DriveEstimate) -> Iterator[Finding]:
             f"{max(drive.slow.factor * stated_m, extent_m / 2.0):.1f} m.",
             "Check the receiver's base station and corrections, and how cameras and IMU are "
             "mounted: one that is tilted or was pushed looks the same.",
+            Figure(extent_m, "m"),
         )
 
 
 def _no_axle(rig: VehicleGeometry | None, axle: Axle) -> Finding:
     """That nobody says where the axle is, and what that means."""
-    remedy = "Say it with --antenna-ahead METRES."
+    remedy, figure = "Say it with --antenna-ahead METRES.", None
     if isinstance(rig, Rig):
         remedy = "Declare camera_mid_from_rear_axle_ground_flu_m in mounting.json."
     turns = "a metre is 11° at a radius of 5 m"
     if axle.told:
         (_, ahead_m), _ = axle.frame()
         means = f"; by the drive it is {ahead_m:.2f} m ± {axle.sigma_m:.2f} m"
+        figure = Figure(ahead_m, "m")
     elif isinstance(rig, Rig):
         means = f", so headings are unsure in turns: {turns}"
     else:
@@ -266,6 +274,7 @@ def _no_axle(rig: VehicleGeometry | None, axle: Axle) -> Finding:
         "axle-unknown",
         f"Nothing says how far the antenna sits ahead of the axle that does not steer{means}.",
         remedy,
+        figure,
     )
 
 
@@ -297,10 +306,9 @@ def _no_pose(
         "a cell": surer,
     }
     known = [remedy for start, remedy in remedies.items() if commonest.startswith(start)]
-    advice = "".join(known) or "choose another log with --gnss"
-    if len(leaps_ns(fixes)):
-        # What is declared of the fixes does not tell which solution was right.
-        advice = "keep the part on one side of a leap alone"
+    # What is declared of the fixes does not tell which solution was right.
+    beside = "keep the part on one side of a leap alone" if len(leaps_ns(fixes)) else ""
+    advice = beside or "".join(known) or "choose another log with --gnss"
     return warning(
         "no-pose",
         f"No pose can be used, mostly because: {commonest}.",

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fieldgrid.core import Finding, warning
+from fieldgrid.core import Figure, Finding, warning
 from fieldgrid.geometry import VehicleGeometry
 from fieldgrid.poses.attitude.ground import ExpectedGround
 from fieldgrid.poses.sigmas import AddedSigma
@@ -34,7 +34,7 @@ def _off_m(ground: ExpectedGround, rig: VehicleGeometry) -> float:
 
 def slope_findings(ground: ExpectedGround, rig: VehicleGeometry) -> Iterator[Finding]:
     """A word on a slope that matters."""
-    slope_deg = np.degrees(np.arctan(ground.slope))
+    slope_deg, off_m = np.degrees(np.arctan(ground.slope)), _off_m(ground, rig)
     if not rig.antenna.up_m or slope_deg <= TOLD_DEG:
         return
     told = f"The ground has slopes of about {slope_deg:.0f}°"
@@ -44,7 +44,7 @@ def slope_findings(ground: ExpectedGround, rig: VehicleGeometry) -> Iterator[Fin
         remedy = "Drive another row beside it, record an accelerometer, or map with images."
     yield warning(
         "lean-unknown",
-        f"{told}, and nothing tells how the vehicle leans: its positions may be "
-        f"{_off_m(ground, rig):.2f} m off.",
+        f"{told}, and nothing tells how the vehicle leans: its positions may be {off_m:.2f} m off.",
         remedy,
+        Figure(off_m, "m"),
     )

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Finding, Float64, StopCode, error, warning
+from fieldgrid.core import Figure, Finding, Float64, StopCode, error, warning
 from fieldgrid.geometry import DepthCamera, FixColumns, Rig, Status, Steps, StereoCamera, Trajectory
 
 SCALE_WARN, SCALE_ERROR, CLEAR_SIGMAS = 0.03, 0.05, 4.0
@@ -129,4 +129,5 @@ def scale_findings(scale: CameraScale | None, rig: Rig) -> Iterator[Finding]:
         f"The camera measures {scale.ratio:.3f} ± {scale.sigma:.3f} times the distance of the "
         f"fixes (over {scale.distance_m:.0f} m), and so do the grids.",
         remedy,
+        Figure(scale.ratio, "times"),
     )

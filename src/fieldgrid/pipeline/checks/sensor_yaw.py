@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Finding, Float64, StopCode, error, warning
+from fieldgrid.core import Figure, Finding, Float64, StopCode, error, warning
 from fieldgrid.geometry import Lidar, Pose, Rig, wrap_deg
 from fieldgrid.maps import StagedFrames
 from fieldgrid.pipeline.checks.contradictions import FramePose, SeenCells, following
@@ -99,6 +99,7 @@ def sensor_yaw_findings(found: SensorYaw | None, rig: Rig) -> Iterator[Finding]:
             f"{100.0 * math.radians(abs(found.off_deg)):.0f} cm per metre of range.",
             "Measure its yaw and correct camera_yaw_deg in mounting.json, or, if headings are "
             "recorded or given, their offset.",
+            Figure(found.off_deg, "deg"),
         )
 
 

@@ -13,6 +13,7 @@ from fieldgrid.core import (
     Bool,
     BuildSettings,
     FieldgridError,
+    Figure,
     Finding,
     Float64,
     Int64,
@@ -145,6 +146,7 @@ def fix_findings(summary: FixSummary) -> Iterator[Finding]:
             f"The fixes come at {log.rate_hz:.2f} Hz, and there are no poses in gaps of more than "
             f"{MAX_GAP_NS / 1e9:.1f} s.",
             "Let the receiver write 5 Hz or more.",
+            Figure(log.rate_hz, "Hz"),
         )
     if log.gaps:
         longest = max(log.gaps, key=lambda gap: gap.seconds)
@@ -153,6 +155,7 @@ def fix_findings(summary: FixSummary) -> Iterator[Finding]:
             f"There are {len(log.gaps)} gaps without a usable fix, the longest of "
             f"{longest.seconds:.1f} s.",
             "Frames in them have no pose, unless gyro, wheels and camera bridge the gap.",
+            Figure(longest.seconds, "s"),
         )
     if log.seams:
         yield warning(
@@ -165,6 +168,7 @@ def fix_findings(summary: FixSummary) -> Iterator[Finding]:
             "fix-digits",
             f"Positions are written in steps of {log.quantum_m:.2f} m.",
             "Let the receiver write more decimals (high precision mode, or UBX).",
+            Figure(log.quantum_m, "m"),
         )
     if summary.sigma_m is not None and summary.sigma_m > POOR_SIGMA_M:
         yield info(
@@ -172,6 +176,7 @@ def fix_findings(summary: FixSummary) -> Iterator[Finding]:
             f"The error of a fix is {summary.sigma_m:.2f} m, as reported or as is typical of "
             f"{next(iter(summary.quality))}.",
             "Use correction data (RTK, PPP) for cells finer than that.",
+            Figure(summary.sigma_m, "m"),
         )
 
 

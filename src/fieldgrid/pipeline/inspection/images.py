@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fieldgrid.core import Finding, StopCode, error, warning
+from fieldgrid.core import Figure, Finding, StopCode, error, warning
 from fieldgrid.perception import EXPOSURE_RATIO, SHIFT_ERROR_PX, Misalignment
 from fieldgrid.pipeline.inspection.frame_pass import UnreadFrame
 from fieldgrid.pipeline.inspection.measures import ImageMeasures, PairMeasures
@@ -107,6 +107,7 @@ def image_findings(looks: Sequence[ImageMeasures]) -> Iterator[Finding]:
             "pairs).",
             "They are brought to the same exposure before they are matched; better, use the same "
             "exposure and gain for both cameras.",
+            Figure(ratio, "times"),
         )
 
 
@@ -124,13 +125,20 @@ def misalignment_findings(found: Misalignment | None) -> Iterator[Finding]:
             StopCode.VERTICAL_MISALIGNMENT.value,
             f"{told}; stereo matching needs equal rows.",
             remedy,
+            Figure(found.median_px, "px"),
         )
     elif found.residual_px > SHIFT_WARN_PX:
-        yield warning("vertical-misalignment", f"{told}: the calibration has drifted.", remedy)
+        yield warning(
+            "vertical-misalignment",
+            f"{told}: the calibration has drifted.",
+            remedy,
+            Figure(found.median_px, "px"),
+        )
     if found.scatter_px > SCATTER_PX:
         yield warning(
             "vertical-scatter",
             f"The row offset of left and right varies by {found.scatter_px:.2f} pixels from pair "
             "to pair.",
             "Trigger both cameras at once, and check that neither is loose.",
+            Figure(found.scatter_px, "px"),
         )

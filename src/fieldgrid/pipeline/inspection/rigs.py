@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from fieldgrid.core import Finding, MeasuredValue, warning
+from fieldgrid.core import Figure, Finding, MeasuredValue, warning
 from fieldgrid.geometry import DepthCamera, Lidar, Rig, Sensor, StereoCamera
 from fieldgrid.pipeline.checks.camera_scale import CameraScale
 from fieldgrid.pipeline.mounting.estimate import HEIGHT, ROLL, TILT, MountEstimate
@@ -106,4 +106,5 @@ def mount_findings(
                 f"By the {seen.method}, the camera's {what} is {value:.2f} ± {sigma:.2f}{unit}; "
                 f"the mounting says {one.stated:.2f}{unit}.",
                 f"Measure it with `fieldgrid mount`, or correct {one.key} in mounting.json.",
+                Figure(value, "m" if one.key == HEIGHT else "deg"),
             )

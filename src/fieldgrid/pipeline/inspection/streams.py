@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Finding, Float64, info, warning
+from fieldgrid.core import Figure, Finding, Float64, info, warning
 from fieldgrid.recordings import MAX_OFFSET_S, Stream
 
 APART_S = 0.1
@@ -139,6 +139,7 @@ def _gap_findings(stream: Stream, summary: StreamSummary) -> Iterator[Finding]:
             f"{stream.name} has {gaps_s.size} gaps, the longest of {gaps_s.max():.1f} s, at a "
             f"period of {period_s:.3f} s.",
             "Check for a disk or bus that was too slow, or a receiver without sky view.",
+            Figure(float(gaps_s.max()), "s"),
         )
 
 
@@ -197,6 +198,7 @@ def _delay_findings(stream: Stream, time_s: Float64, delay_s: Float64) -> Iterat
             f"The stamps of {stream.name} jump by {-by_s:+.3f} s against the time of receipt, "
             f"{when_s:.1f} s after its start ({len(jumps)} jumps in all).",
             "Do not set the clock during a drive; use only the part before or after the jump.",
+            Figure(-by_s, "s"),
         )
         return
     drift_ppm = _drift_ppm(time_s, delay_s) or 0.0
@@ -207,6 +209,7 @@ def _delay_findings(stream: Stream, time_s: Float64, delay_s: Float64) -> Iterat
             f"The stamps of {stream.name} drift by {-drift_ppm:+.0f} ppm against the time of "
             f"receipt, {drift_s:.3f} s over the drive.",
             "Synchronise the clock of that sensor (PTP, NTP, PPS); an offset cannot fix drift.",
+            Figure(-drift_ppm, "ppm"),
         )
 
 

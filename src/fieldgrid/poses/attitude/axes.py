@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Finding, Float64, Int64, Quality, warning
+from fieldgrid.core import Figure, Finding, Float64, Int64, Quality, warning
 from fieldgrid.geometry import FixColumns, Orientation, RecordedTilt
 
 BASELINE_MOUNT_SIGMA_DEG, IMU_MOUNT_SIGMA_DEG = 1.0, 1.0
@@ -164,15 +164,17 @@ def agreed(
         lasting_deg = np.hypot(axis.mount_sigma_deg, axis.frame_sigma_deg)
         away = np.abs(off_deg) / np.hypot(np.hypot(axis.sigma_deg, sigma_deg), lasting_deg)
         if np.percentile(away, 68.0) > CONTRADICTED_SIGMAS:
+            usual_deg = float(np.median(off_deg))
             denied.add(axis.body)
             findings.append(
                 warning(
                     "tilt-unused",
-                    f"The {axis.source} is {np.median(off_deg):+.1f}° (half of it more than "
+                    f"The {axis.source} is {usual_deg:+.1f}° (half of it more than "
                     f"{np.median(np.abs(off_deg)):.1f}°) off what the rest of the drive tells, so "
                     f"roll and pitch by the {axis.body} were not used.",
                     "See that heading_offset_deg says where the antennas point, or imu_axes how "
                     "the IMU sits.",
+                    Figure(usual_deg, "deg"),
                 )
             )
     return tuple(axis for axis in axes if axis.body not in denied), tuple(findings)

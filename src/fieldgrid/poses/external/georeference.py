@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.core import Finding, Float64, GnssError, info, warning
+from fieldgrid.core import Figure, Finding, Float64, GnssError, info, warning
 from fieldgrid.geometry import wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.measured import BIAS_S
@@ -106,6 +106,7 @@ class Georeference(NamedTuple):
                 "poses-scale",
                 f"The fixes' way is {100.0 * off:+.1f} % ± {100.0 * self.scale_sigma:.1f} % longer "
                 "than that of the poses; the scale was not changed.",
+                figure=Figure(100.0 * off, "%"),
             )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from fieldgrid.core import (
     Bool,
     ConfigError,
+    Figure,
     Finding,
     Float64,
     GateLimits,
@@ -142,16 +143,14 @@ def place_poses(
             "drives straight; that is in the sigma of their heading."
         )
         remedy = "Check the camera's yaw, or the axes of the body."
-        findings.append(warning("poses-aside", told, remedy))
+        findings.append(warning("poses-aside", told, remedy, Figure(aside_deg, "deg")))
     if not trajectory.accepted.any():
-        findings.append(
-            warning(
-                "no-pose",
-                f"No pose can be used, mostly because: {commonest_reason(trajectory.reason)}.",
-                "Say how good the fixes are with --accuracy METRES, or leave --poses out, so that "
-                "poses are estimated from fixes and motion.",
-            )
+        told = f"No pose can be used, mostly because: {commonest_reason(trajectory.reason)}."
+        remedy = (
+            "Say how good the fixes are with --accuracy METRES, or leave --poses out, so that "
+            "poses are estimated from fixes and motion."
         )
+        findings.append(warning("no-pose", told, remedy))
     return PlacedPoses(
         trajectory, fix_row, found, attitude, pairs, tuple(findings), table.gear_doubt
     )

@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from fieldgrid.core import Finding, StopCode, error, warning
+from fieldgrid.core import Figure, Finding, StopCode, error, warning
 from fieldgrid.geometry import Steps
 from fieldgrid.poses.axle import Axle, ways_of
 from fieldgrid.poses.faults.denied import CLEAR_SIGMAS
@@ -78,6 +78,7 @@ def yaw_findings(yaw: CameraYaw | None) -> Iterator[Finding]:
             "sideways on a slope looks the same.",
             "Measure the mounting with `fieldgrid mount --write`, or correct camera_yaw_deg in "
             "mounting.json.",
+            Figure(yaw.off_deg, "deg"),
         )
     if yaw.turned_deg:
         yield warning(
@@ -87,6 +88,7 @@ def yaw_findings(yaw: CameraYaw | None) -> Iterator[Finding]:
             "sideways on a slope.",
             "If it was moved, cut the drive there, and measure the mounting of each part with "
             "`fieldgrid mount`.",
+            Figure(yaw.turned_deg, "deg"),
         )
 
 

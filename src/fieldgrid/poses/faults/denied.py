@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Finding, Float64, Int64, warning
+from fieldgrid.core import Figure, Finding, Float64, Int64, warning
 from fieldgrid.geometry import Rig, VehicleGeometry
 from fieldgrid.poses.axle import names_axle
 from fieldgrid.poses.drive import DriveEstimate
@@ -21,6 +21,7 @@ from fieldgrid.poses.sigmas import AddedSigma
 from fieldgrid.poses.smoother.declared import (
     AHEAD,
     ASIDE,
+    DRIFT,
     LATE,
     LIKELY,
     Constant,
@@ -159,6 +160,7 @@ def denied_findings(drive: DriveEstimate, denied: DriveContradiction) -> Iterato
                     f"By the drive the antenna sits {abs(one.value):.2f} m ± {one.sigma:.2f} m "
                     f"{way} than mounting.json says.",
                     f"Measure its place and correct it. {until}",
+                    Figure(one.value, "m"),
                 )
         if (delay := denied.late_s) is not None:
             late = "late" if delay.value > 0.0 else "early"
@@ -169,6 +171,7 @@ def denied_findings(drive: DriveEstimate, denied: DriveContradiction) -> Iterato
                 f"s {late} against {' and '.join(f'the {one}' for one in by)}.",
                 f"Look at how they were logged, or add {-delay.value:.2f} to --gnss-offset. Until "
                 "then positions count as unsure by what is driven in that time.",
+                Figure(delay.value, "s"),
             )
         if drive.smoothed.declared.contradicts and not denied.clear and drive.measured.sees_turns():
             yield from _unfit(drive, denied)
@@ -192,7 +195,8 @@ def _unfit(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[Finding
     moving = drive.gear != 0
     most_deg = float(np.degrees(unsure.heading_rad[moving]).max(initial=0.0))
     most_m = float(unsure.axle_m[moving].max(initial=0.0))
-    if most_deg <= LEAST_DOUBT_DEG and most_m <= LEAST_OFF_M:
+    # A drift has a finding of its own.
+    if found.explains(DRIFT) or (most_deg <= LEAST_DOUBT_DEG and most_m <= LEAST_OFF_M):
         return
     late_s = denied.may_be_late_s or found.off(LATE).value
     alone = {
@@ -205,10 +209,12 @@ def _unfit(drive: DriveEstimate, denied: DriveContradiction) -> Iterator[Finding
     explains = [k for k in alone if found.explains(k) or (k == LATE and denied.may_be_late_s)]
     check = " or ".join(alone[k] for k in explains)
     positions = f", and positions {most_m:.2f} m" if most_m > LEAST_OFF_M else ""
+    misfit = found.misfit()
     *first, last = ("Fixes", "antenna", *_turn_sensors(drive))
     yield warning(
         "contradiction",
-        f"{', '.join(first)} and {last} do not fit together by {found.misfit():.0f} sigmas, so "
+        f"{', '.join(first)} and {last} do not fit together by {misfit:.0f} sigmas, so "
         f"headings may be up to {most_deg:.1f}° off{positions}.",
         f"Check {check or 'the place of the antenna and the stamps'}.",
+        Figure(misfit, "sigmas"),
     )

@@ -13,7 +13,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from fieldgrid.core import Finding, Float64, Int64, Quality, info
+from fieldgrid.core import Figure, Finding, Float64, Int64, Quality, info
 from fieldgrid.geometry import Rig, Trajectory, VehicleGeometry, least_sigma_m, position_sigma_m
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.axle import names_axle
@@ -156,6 +156,7 @@ def accuracy_findings(fixes: AcceptedFixes) -> Iterator[Finding]:
             f"{int(these.sum())} {quality.label} fixes state {stated_m:.3g} m in the median and "
             f"count as {counts_m:.3g} m.",
             "If yours is known to be surer, as with PPP, give --accuracy METRES." if alone else "",
+            Figure(float(counts_m), "m"),
         )
 
 

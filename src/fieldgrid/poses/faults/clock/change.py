@@ -32,8 +32,7 @@ none reaches the latter (`benchmarks.stretches`)."""
 class ClockChange(NamedTuple):
     """`before_s` is to be added to the stamps of images to give the receiver's time up to
     `time_ns`, and `after_s` from there on, as two stretches of `steps` motions of the camera have
-    it; `turned_back`: the vehicle mostly drives forward in one and backs up in the other. With
-    `gyro_too` the gyro goes with the images: then it is the fixes that are off."""
+    it. With `gyro_too` the gyro goes with the images: then it is the fixes that are off."""
 
     time_ns: int
     before_s: float
@@ -41,7 +40,6 @@ class ClockChange(NamedTuple):
     steps: int
     gain: float
     misfit: float
-    turned_back: bool
     gyro_too: bool = False
 
     def offset_s(self, time_ns: Int64) -> Float64:
@@ -62,10 +60,7 @@ def found_change(search: ClockSearch) -> ClockChange | None:
         return None
     if abs(found.after_s - found.before_s) < LEAST_CHANGE_S:
         return None
-    # An antenna that sits elsewhere looks like a clock that is late one way and early backing up.
-    least_s, most_s = sorted((found.before_s, found.after_s))
-    elsewhere = found.turned_back or (least_s <= -LEAST_CHANGE_S and most_s >= LEAST_CHANGE_S)
-    return None if elsewhere else found
+    return found
 
 
 def _two_offsets(search: ClockSearch) -> ClockChange | None:
@@ -82,7 +77,6 @@ def _two_offsets(search: ClockSearch) -> ClockChange | None:
     both = (before.min(axis=0) + after.min(axis=0))[inner]
     last = int(both.argmin()) + FEWEST_ON_A_SIDE - 1
     least = float(both.min())
-    backs = [bool(np.mean(part < 0.0) > 0.5) for part in np.split(steps.forward_m, [last + 1])]
     return ClockChange(
         int(steps.stop_ns[last]),
         float(offsets_s[before[:, last].argmin()]),
@@ -90,5 +84,4 @@ def _two_offsets(search: ClockSearch) -> ClockChange | None:
         count,
         (float(before[:, -1].min()) - least) / max(least / count, 1.0),
         least / count,
-        backs[0] != backs[1],
     )

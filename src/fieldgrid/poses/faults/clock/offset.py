@@ -73,14 +73,16 @@ def check_clock(
     steps = motion.steps
     if steps is None or len(steps.start_ns) < FEWEST_STEPS:
         return ClockFindings()
-    suspect = drive.smoothed.declared.misfit() > SUSPECT_MISFIT or drive.slow != SlowError()
+    declared = drive.smoothed.declared
+    suspect = declared.misfit() > SUSPECT_MISFIT or drive.slow != SlowError()
     if drive.slow != SlowError():
         # A slow error that the fixes do not state may be what steps of other moments look like.
         alone = fixes, drive.time_ns, motion._replace(steps=None), axle
         drive = smooth_drive(*alone, hints=hints, as_stated=True)
     search = ClockSearch(drive, steps, axle)
     change = None
-    if suspect or may_change(search):
+    # What an antenna explains is no clock that was set.
+    if (suspect or may_change(search)) and not declared.explains(AHEAD):
         change = _change(fixes, steps, axle, hints, recorded)
     near = search.best() if change is None else None
     usual = near.misfit if near is not None else search.misfit(0.0)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fieldgrid.core import Finding, Int64, StopCode, error, utc_text, warning
+from fieldgrid.core import Figure, Finding, Int64, StopCode, error, utc_text, warning
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.faults.clock.change import ClockChange
 from fieldgrid.poses.faults.clock.offset import ClockFindings
@@ -58,6 +58,7 @@ def _off(clock: ClockOffset, fixes: AcceptedFixes) -> Finding:
         f"The images are stamped {-clock.offset_s:+.3f} s ± {clock.sigma_s:.3f} s against the "
         f"fixes, by {clock.steps} steps of the camera{f' ({why})' if why else ''}{far}.",
         remedy,
+        Figure(-clock.offset_s, "s"),
     )
 
 

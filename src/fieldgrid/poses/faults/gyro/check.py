@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Finding, Float64, Int64, PoseSettings, warning
+from fieldgrid.core import Figure, Finding, Float64, Int64, PoseSettings, warning
 from fieldgrid.geometry import Inertial, Motion, wrap_deg
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.axle import Axle
 from fieldgrid.poses.drive import DriveEstimate, smooth_drive
 from fieldgrid.poses.faults.gyro.sense import gyro_sense
 from fieldgrid.poses.gears.stations import TELL_GEARS
-from fieldgrid.poses.smoother.declared import Constant
+from fieldgrid.poses.smoother.declared import DRIFT, Constant
 
 MOST_SCALE = 0.25
 """No gyro's scale is off by a larger share; what is has wrong axes or units."""
@@ -67,16 +67,21 @@ def without_wrong_gyro(fixes: AcceptedFixes, motion: Motion) -> tuple[Motion, Fi
         apart_s, side = (
             (before_s, "ends {} before") if before_s > 0.0 else (-after_s, "begins {} after")
         )
-        found = warning(
+        return motion._replace(gyro=None, inertial=None), warning(
             "gyro-unused",
             f"The gyro {side.format(f'{apart_s:.1f} s')} the fixes, so it was not used.",
             "If their clocks differ, give --gnss-offset, or time_zone where the log has local "
             "time.",
+            Figure(apart_s, "s"),
         )
-        return motion._replace(gyro=None, inertial=None), found
     sense = gyro_sense(fixes, motion.steps, gyro)
     if sense.is_wrong:
-        why = "The path turns the other way than the gyro, so the gyro was not used."
+        why = (  # a camera shows whose turns are wrong
+            "The path turns the other way than the gyro, so the gyro was not used."
+            if motion.steps is not None
+            else "The path turns the other way than the gyro, or is mirrored by longitudes that "
+            "lost their sign, so the gyro was not used."
+        )
     elif sense.is_unknown and not _feels_up(motion.inertial):
         why = (
             "The fixes do not show that the vehicle turns as its gyro does, be they too few or too "
@@ -106,7 +111,8 @@ def with_trusted_gyro(
     found, scale = drive.smoothed.declared, drive.smoothed.gyro_scale
     fits = GyroVerdict(drive, motion, np.zeros(len(drive.time_ns)), _scale_finding(scale))
     wrong = scale is not None and abs(scale.value) > MOST_SCALE
-    if scale is None or not (wrong or found.contradicts):
+    # Fixes that drift contradict a right gyro, too.
+    if scale is None or not (wrong or (found.contradicts and not found.explains(DRIFT))):
         return fits
     if not wrong and (motion.steps is None or not len(motion.steps.start_ns)):
         return fits  # nothing else saw the turns, so the drive without it would tell nothing
@@ -123,20 +129,23 @@ def with_trusted_gyro(
     if moves.any() and float(np.mean(drive.doubt[moves] > DOUBT)) > DOUBTFUL_SHARE:
         either = True
         remedy = f"{CHECK} {GEARS_UNSURE}"
-    told = warning("gyro-unused", "The gyro contradicts the drive and was not used.", remedy)
-    return GyroVerdict(rest, without, apart_deg(rest, drive) * float(either), told)
+    return GyroVerdict(
+        *(rest, without, apart_deg(rest, drive) * float(either)),
+        warning("gyro-unused", "The gyro contradicts the drive and was not used.", remedy),
+    )
 
 
 def _scale_finding(scale: Constant | None) -> Finding | None:
     """That a gyro turns too much or too little."""
     if scale is None or abs(scale.value) < max(NOTED_SCALE, NOTED_SIGMAS * scale.sigma):
         return None
-    size = "small" if scale.value > 0.0 else "large"
+    too_large = -100.0 * scale.value
     return warning(
         "gyro-scale",
-        f"The turns of the gyro are {100.0 * abs(scale.value):.1f} % ± "
-        f"{100.0 * scale.sigma:.1f} % too {size} beside the drive; that was taken out.",
+        f"The turns of the gyro are {abs(too_large):.1f} % ± {100.0 * scale.sigma:.1f} % too "
+        f"{'large' if too_large > 0.0 else 'small'} beside the drive; that was taken out.",
         "Calibrate its scale.",
+        Figure(too_large, "%"),
     )
 
 

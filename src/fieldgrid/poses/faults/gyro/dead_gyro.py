@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fieldgrid.core import Bool, Finding, Float64, Int64, warning
+from fieldgrid.core import Bool, Figure, Finding, Float64, Int64, warning
 from fieldgrid.geometry import Gyro, Inertial, Motion
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.faults.gyro.check import CHECK
@@ -40,14 +40,13 @@ def without_faulty_samples(motion: Motion) -> tuple[Motion, Finding | None]:
         return motion, None
     wild = np.abs(gyro.rate_rad_s) > MOST_RATE_RAD_S
     if wild.mean() > FEW:
-        wrong_unit = warning(
+        return motion._replace(gyro=None, inertial=None), warning(
             "gyro-unused",
             f"The gyro turns faster than {np.degrees(MOST_RATE_RAD_S):.0f}°/s in "
             f"{100.0 * wild.mean():.0f} % of its samples, which no vehicle does, so it was not "
             "used.",
             CHECK,
         )
-        return motion._replace(gyro=None, inertial=None), wrong_unit
     # Runs of equal values that last, of a gyro that is not used to say the same twice.
     first, last = runs_of_equal_rates(gyro.rate_rad_s)
     long = (gyro.time_ns[last] - gyro.time_ns[first]) / 1e9 > STUCK_S
@@ -148,4 +147,5 @@ def _told(gyro: Gyro, dead: Bool, dead_s: float) -> Finding:
         f"The gyro says the same for {dead_s:.0f} s (first {first_s:.0f} s after its start) while "
         "the path turns otherwise; these samples were left out.",
         "Check the driver of the IMU.",
+        Figure(dead_s, "s"),
     )
