@@ -68,6 +68,9 @@ def test_of_a_real_tractor_only_repeats_are_rejected(
         for row in table
     ]  # fmt: skip
     verdicts, summary = judged(fixes)
+    # The same drive elsewhere on Earth is the same drive.
+    moved = [fix._replace(lon_deg=fix.lon_deg + 80.0) for fix in fixes]
+    assert [one.gate for one in judged(moved)[0]] == [one.gate for one in verdicts]
     assert set(counts(summary)) <= {Gate.REPEAT, Gate.QUALITY}
     assert counts(summary).get(Gate.REPEAT, 0) / len(fixes) == pytest.approx(repeated, abs=0.02)
     assert summary.seams == ()
@@ -79,7 +82,7 @@ def test_of_a_real_tractor_only_repeats_are_rejected(
         for a, b in pairwise(used)
         if (b.speed_mps or 0.0) > 0.3
     ]
-    assert sum(moving) <= 0.04 * len(moving)  # they stood for up to 70 % of the rows
+    assert sum(moving) <= 0.05 * len(moving)  # they stood for up to 70 % of the rows
 
 
 def test_the_jumps_of_a_real_tractor_are_found(shared_data: SharedData) -> None:

@@ -59,7 +59,8 @@ def _pace_mps(time_ns: Int64, lat_deg: Float64, lon_deg: Float64) -> Float64:
     shows it in one of them. 0 beside a step that nothing drives, which tells of no motion.
     """
     n = len(time_ns)
-    east, north = M_PER_DEG * np.cos(np.radians(lat_deg)) * lon_deg, M_PER_DEG * lat_deg
+    east = M_PER_DEG * np.cos(np.radians(np.median(lat_deg))) * lon_deg
+    north = M_PER_DEG * lat_deg
 
     def speed(a: Index, b: Index) -> Float64:
         seconds = np.maximum(time_ns[b] - time_ns[a], 1) / 1e9
