@@ -58,9 +58,10 @@ def found_change(search: ClockSearch) -> ClockChange | None:
     found = _two_offsets(search)
     if found is None or found.gain < CLEAR_GAIN or found.misfit > FITTING:
         return None
-    if abs(found.after_s - found.before_s) < LEAST_CHANGE_S:
-        return None
-    return found
+    # An antenna that sits elsewhere looks like a clock that is late one way and early backing up.
+    least_s, most_s = sorted((found.before_s, found.after_s))
+    one_way = least_s > -LEAST_CHANGE_S or most_s < LEAST_CHANGE_S
+    return found if one_way and most_s - least_s >= LEAST_CHANGE_S else None
 
 
 def _two_offsets(search: ClockSearch) -> ClockChange | None:

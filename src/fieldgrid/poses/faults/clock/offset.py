@@ -80,10 +80,9 @@ def check_clock(
         alone = fixes, drive.time_ns, motion._replace(steps=None), axle
         drive = smooth_drive(*alone, hints=hints, as_stated=True)
     search = ClockSearch(drive, steps, axle)
-    change = None
     # What an antenna explains is no clock that was set.
-    if (suspect or may_change(search)) and not declared.explains(AHEAD):
-        change = _change(fixes, steps, axle, hints, recorded)
+    suspect = (suspect or may_change(search)) and not declared.explains(AHEAD)
+    change = _change(fixes, steps, axle, hints, recorded) if suspect else None
     near = search.best() if change is None else None
     usual = near.misfit if near is not None else search.misfit(0.0)
     if change is None and usual >= POOR_MISFIT:
