@@ -17,8 +17,8 @@ second position lies no farther from the first than the way to the next stamp: h
 def check_single(fixes: FixColumns) -> None:
     """Raise GnssError for fixes, in the order of their log, that are of two receivers, or of a
     clock that was set back by more than a hole while they went on."""
-    time_ns = fixes.time_ns
-    east_m = M_PER_DEG * np.cos(np.radians(np.median(fixes.lat_deg))) * fixes.lon_deg
+    time_ns, middle_deg = fixes.time_ns, np.median(fixes.lat_deg) if len(fixes) else 0.0
+    east_m = M_PER_DEG * np.cos(np.radians(middle_deg)) * fixes.lon_deg
     points_m = np.stack([east_m, M_PER_DEG * fixes.lat_deg], axis=1)
     twice = np.flatnonzero(np.diff(time_ns)[:-1] == 0)
     apart_m, onward_m = (
