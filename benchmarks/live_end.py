@@ -23,11 +23,10 @@ from fieldgrid.core import BuildSettings, Quality
 from fieldgrid.geometry import Fix, GridSpec, LeverArm, LocalGrid, Mount, Rig, StereoCamera
 from fieldgrid.live import finish, finish_session
 from fieldgrid.live.kept import session_folder
-from fieldgrid.live.kept.kept_drive import SessionStart
 from fieldgrid.live.pose.sensor_rows import rows_of
 from fieldgrid.maps import stage
 from fieldgrid.perception import CameraStep
-from fieldgrid.pipeline import StageTimes, session
+from fieldgrid.pipeline import DriveStart, StageTimes, session
 
 CAMERA = StereoCamera(640, 480, 500.0, 319.5, 239.5, 0.2)
 RIG = Rig(CAMERA, Mount(2.0, 15.0), LeverArm(0.0, 0.0, 2.0), rear_axle_forward_m=0.0)
@@ -80,7 +79,7 @@ def write_journal(out: Path, seconds: int, *, has_imu: bool) -> int:
     spec, random = GridSpec.of(SETTINGS.grid), np.random.default_rng(0)
     grid = LocalGrid(spec, np.zeros(spec.shape, np.uint8), np.ones(spec.shape, np.bool_))
     seen, count, before = stage(grid, "", 0), 0, (0.0, 0.0, 0.0)
-    about = SessionStart("long", RIG, SETTINGS, DATUM)
+    about = DriveStart("long", RIG, SETTINGS, DATUM)
     with session_folder.SessionFolder(out, about, points_gb=0.0) as kept:
         for at_s in np.arange(seconds * GYRO_HZ) / GYRO_HZ:
             time_ns, tick = START_NS + round(1e9 * at_s), round(at_s * GYRO_HZ)

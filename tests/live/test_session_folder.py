@@ -19,11 +19,11 @@ import pytest
 from fieldgrid.core import BuildSettings, ConfigError, MapError, Quality
 from fieldgrid.geometry import Datum, Fix
 from fieldgrid.live import Live, finish_session, live_folder, replay
-from fieldgrid.live.kept.kept_drive import PushedDrive, SessionStart
+from fieldgrid.live.kept.kept_drive import PushedDrive
 from fieldgrid.live.kept.session_folder import MOST_PAIRS, SessionFolder
 from fieldgrid.live.pose.sensor_rows import fix_from_json, fix_to_json
 from fieldgrid.maps import open_map
-from fieldgrid.pipeline import read_journal
+from fieldgrid.pipeline import DriveStart, read_journal
 from fieldgrid.recordings import open_recording
 from tests.cli.conftest import in_a_process
 from tests.live.making import begin
@@ -215,7 +215,7 @@ def test_no_frame_waits_for_the_pair_of_another(
 
 def test_what_keeps_a_session_from_going_on_is_named(tmp_path: Path) -> None:
     out, rig, settings = tmp_path / "m.gpkg", paper_rig(), BuildSettings()
-    begun = SessionStart("row", rig, settings, source="serial:/dev/ttyACM0")
+    begun = DriveStart("row", rig, settings, source="serial:/dev/ttyACM0")
     SessionFolder(out, begun).close()
     # A plug may have changed the receiver's address.
     SessionFolder(out, replace(begun, source="serial:/dev/ttyACM1")).close()
@@ -224,6 +224,7 @@ def test_what_keeps_a_session_from_going_on_is_named(tmp_path: Path) -> None:
         "name and settings": replace(begun, name="x", settings=BuildSettings(map={"cell_m": 0.2})),
         "log of fixes": replace(begun, source="rtk.nmea", source_sha256="07"),
         "use of --append": replace(begun, append=True),
+        "version of this program": replace(begun, version="0.0.1"),
         "datum": replace(begun, datum=Datum(41.0, 2.0, 0.0), datum_hint=Datum(41.0, 2.0, 0.0)),
     }
     for words, other in others.items():

@@ -212,6 +212,6 @@ def test_an_error_on_opening_leaves_no_file_open(tmp_path: Path) -> None:
 
 def test_the_journal_of_another_version_is_refused(written: Path) -> None:
     data = written.read_bytes()
-    written.write_bytes(data.replace(b"journal 3", b"journal 2", 1))
+    written.write_bytes(data.replace(b"journal 4", b"journal 2", 1))
     with pytest.raises(MapError, match="of another version of this program"):
         list(read_journal(written))

@@ -22,11 +22,12 @@ from fieldgrid.core import (
     warning,
 )
 from fieldgrid.live.gridding_again import gridded_again
-from fieldgrid.live.kept.kept_drive import PushedDrive, SessionStart, live_folder, live_journal
+from fieldgrid.live.kept.kept_drive import PushedDrive, live_folder, live_journal
 from fieldgrid.live.kept.session_folder import AGAIN, SessionFolder
 from fieldgrid.maps import Patience, check_cell_sizes, open_map
 from fieldgrid.perception import OriginTrack
 from fieldgrid.pipeline import (
+    DriveStart,
     KeptDrive,
     Progress,
     SessionReport,
@@ -52,7 +53,7 @@ AT_THE_END = frozenset({"pose", "checks"})
 """Tables of settings that may be others at the end: grids do not depend on them."""
 
 
-def check_target(out: Path, about: SessionStart) -> None:
+def check_target(out: Path, about: DriveStart) -> None:
     """Raise before the drive what the map would refuse at its end."""
     check_output(out, append=about.append, overwrite=False)
     if not about.append:
@@ -68,7 +69,7 @@ def check_target(out: Path, about: SessionStart) -> None:
         check_cell_sizes(universal.cell_m, about.settings.grid.cell_m)
 
 
-def check_begin(out: Path, about: SessionStart) -> None:
+def check_begin(out: Path, about: DriveStart) -> None:
     """Raise what the map would refuse, where a session begins, also again. The error tells of a
     session whose end was killed when the drive was in the map already, or before."""
     try:

@@ -16,7 +16,6 @@ from fieldgrid.geometry import Datum, Fix, GridSpec, Rig
 from fieldgrid.live.finish import check_begin, finish
 from fieldgrid.live.given import GIVEN_ROWS, check_body, check_order, pose_rows
 from fieldgrid.live.kept.frame_names import highest_number
-from fieldgrid.live.kept.kept_drive import SessionStart
 from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiver import Perceiver
@@ -28,7 +27,7 @@ from fieldgrid.live.results import Counts, Deliverer, LiveEvent, LiveResult, Out
 from fieldgrid.live.warming import warm_up_poses
 from fieldgrid.maps import Patience
 from fieldgrid.perception import LocalGridder
-from fieldgrid.pipeline import Progress, SessionReport, follows_camera
+from fieldgrid.pipeline import DriveStart, Progress, SessionReport, follows_camera
 from fieldgrid.poses import NmeaStream
 from fieldgrid.recordings import CloudFrame, DepthFrame, Frame, PoseBody, StereoFrame
 
@@ -70,7 +69,7 @@ class Live(Closing):
         on_result: Callable[[LiveResult], None] | None = None,
     ) -> None:
         settings, options = settings or BuildSettings(), options or LiveOptions()
-        about = SessionStart(
+        about = DriveStart(
             *(name, rig, settings, datum, datum_hint, append, source, source_sha256, notes),
             None if poses is None else check_body(poses),
         )

@@ -58,6 +58,7 @@ if TYPE_CHECKING:
         add_recording as add_recording,
         prepared as prepared,
     )
+    from fieldgrid.pipeline.staging.drive_start import DriveStart as DriveStart
     from fieldgrid.pipeline.staging.journal import (
         DAMAGED as DAMAGED,
         Blob as Blob,
@@ -88,7 +89,6 @@ if TYPE_CHECKING:
         side_by_side as side_by_side,
         visual_odometry as visual_odometry,
     )
-    from fieldgrid.pipeline.staging.rig_config import rig_from_config as rig_from_config
     from fieldgrid.pipeline.staging.shares import (
         FrameStager as FrameStager,
         encoded as encoded,

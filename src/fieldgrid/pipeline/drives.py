@@ -30,9 +30,11 @@ from fieldgrid.pipeline.checks.doubt import cell_findings
 from fieldgrid.pipeline.poses import settled
 from fieldgrid.pipeline.report import DRIVE_ERRORS, PartlyBuiltError, Progress, SessionReport
 from fieldgrid.pipeline.session import NewSession, ProgressReporter, prepared
+from fieldgrid.pipeline.staging.drive_start import check_same
 from fieldgrid.pipeline.staging.kept_frames import drop_journal, work_folder
 from fieldgrid.pipeline.staging.parts import (
     SHARE_FRAMES,
+    WAYS,
     DriveParts,
     left_behind,
     settle_left_behind,
@@ -197,14 +199,10 @@ class _Build:
         for drive in self._good():
             drive.parts = held.enter_context(drive.session.parts(self.out, datum))
             self.staged.append(drive.parts.path)
-        left = left_behind(self.out)
-        stale = [path for path in left if path not in self.staged]
-        if resume and stale:
-            raise ConfigError(
-                f"The staged frames of {left[stale[0]]} in {stale[0]} "
-                "are of other inputs or settings than this command's, so they cannot be used; "
-                "repeat the command that made them, or remove that file."
-            )
+        starts = [drive.parts.start for drive in self._good()]
+        for path, begun in left_behind(self.out).items() if resume else ():
+            if path not in self.staged:
+                check_same(path, begun, starts, WAYS)
 
     def run(self, universal: MapFile, taken: list[str], *, is_there: bool) -> list[SessionReport]:
         """Stage the drives and put them into the map, in their order."""

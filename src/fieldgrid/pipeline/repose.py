@@ -13,9 +13,11 @@ from pydantic import ValidationError
 
 from fieldgrid.core import (
     BuildSettings,
+    CalibrationError,
     ConfigError,
     FieldgridError,
     Finding,
+    MapError,
     Severity,
     info,
     quoted,
@@ -27,7 +29,6 @@ from fieldgrid.perception import OriginTrack, Sweep
 from fieldgrid.pipeline.checks.stuck import StuckCamera
 from fieldgrid.pipeline.inputs import Inputs, from_arrays
 from fieldgrid.pipeline.poses import cell_budget, no_ground
-from fieldgrid.pipeline.staging.rig_config import rig_from_config
 from fieldgrid.poses import Attitude, Estimate, estimate_poses
 
 SWEEP_S = 0.1
@@ -183,7 +184,14 @@ def _settings(session: SessionInfo, pose_settings: Mapping[str, Any]) -> BuildSe
 
 
 def _rig(session: SessionInfo) -> Rig:
-    return rig_from_config(session.config.get("rig", {}), session.name)
+    """The rig of a session; MapError where its config does not describe one."""
+    try:
+        return Rig.from_dict(session.config.get("rig", {}))
+    except CalibrationError as error:
+        raise MapError(
+            f"Session {quoted(session.name)} does not say what rig it was driven with ({error}); "
+            "build it again from its recording."
+        ) from error
 
 
 def _estimate(

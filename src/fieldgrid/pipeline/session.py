@@ -60,8 +60,8 @@ from fieldgrid.pipeline.poses import (
     told_of,
 )
 from fieldgrid.pipeline.report import BadFrame, Progress, SessionReport
+from fieldgrid.pipeline.staging.drive_start import DriveStart, recording_digest
 from fieldgrid.pipeline.staging.kept_frames import KeptDrive
-from fieldgrid.pipeline.staging.part_key import part_key
 from fieldgrid.pipeline.staging.parts import DriveParts
 from fieldgrid.pipeline.staging.perception import follows_camera
 from fieldgrid.pipeline.staging.shares import DriveWork
@@ -204,8 +204,9 @@ class NewSession:
 
     def parts(self, out: Path, datum: Datum) -> DriveParts:
         """What is staged of it on its way into the map `out`."""
-        about = self.recording, self.settings, datum, self.total, self.every
-        return DriveParts(out, part_key(*about), self.name, self.total)
+        digest = recording_digest(self.recording, self.total, self.every)
+        about = self.name, self.recording.rig, self.settings, datum
+        return DriveParts(out, DriveStart(*about, recording=digest), self.total)
 
     def check(self, universal: MapFile) -> None:
         """Raise before the drive is staged what the map would refuse at its end, and what some

@@ -226,7 +226,11 @@ def test_parts_of_other_inputs_or_settings_are_refused(
     if change == "how images are read":
         (drive / "recording.toml").write_text("[images]\nbits = 8\n")
     settings = {"settings": COURSE} if change == "settings" else {}
-    with pytest.raises(ConfigError, match=r"frames of drive in .* are of other inputs or settings"):
+    differs = "settings" if change == "settings" else "recording or use of --every"
+    said = (
+        rf"holds the drive 'drive', .* differs in its {differs}\. Repeat the command that made it"
+    )
+    with pytest.raises(ConfigError, match=said):
         build([drive], out, resume=True, **settings)
     assert sorted(out.parent.rglob("*")) == before
 

@@ -1,112 +1,26 @@
-"""What a live session was begun with and what was pushed, as its journal has it."""
+"""What was pushed to a live session, as its journal has it."""
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import astuple, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-from fieldgrid.core import BuildSettings
-from fieldgrid.geometry import Datum, Fix, FixColumns, Rig
+from fieldgrid.geometry import Fix, FixColumns
 from fieldgrid.live.kept.frame_names import told_apart
 from fieldgrid.live.pose.sensor_rows import Rows, fix_from_json, joined, rows_from_json
 from fieldgrid.perception import Refusal
 from fieldgrid.pipeline import (
     BAD,
-    BEGIN,
     Blob,
     JournalRecord,
     KeptDrive,
     KeptFrames,
-    rig_from_config,
     work_folder,
 )
-from fieldgrid.recordings import PoseBody
 
 PIECES = 1000
 """Number of pieces of rows that are joined to one."""
-
-
-_IN_WORDS = {
-    "name": "name",
-    "rig": "rig",
-    "settings": "settings",
-    "datum": "datum",
-    "datum_hint": "datum",
-    "append": "use of --append",
-    "source_sha256": "log of fixes",
-    "notes": "source of data",
-    "poses": "poses of another program",
-}
-"""The parts of what a session is begun with, as errors call them."""
-
-
-@dataclass(frozen=True, slots=True)
-class SessionStart:
-    """What a session was begun with."""
-
-    name: str
-    rig: Rig
-    settings: BuildSettings
-    datum: Datum | None = None
-    datum_hint: Datum | None = None
-    append: bool = False
-    source: str = "live"
-    source_sha256: str = ""
-    notes: tuple[str, ...] = ()
-    """Remarks on where the data come from, for the report."""
-    poses: PoseBody | None = None
-    """Whose poses are pushed, None where they are estimated."""
-
-    def to_json(self) -> dict[str, Any]:
-        """As a value that JSON has."""
-        return {
-            "name": self.name,
-            "rig": self.rig.as_dict(),
-            "settings": self.settings.model_dump(mode="json"),
-            "datum": _datum_to_json(self.datum),
-            "datum_hint": _datum_to_json(self.datum_hint),
-            "append": self.append,
-            "source": self.source,
-            "source_sha256": self.source_sha256,
-            "notes": list(self.notes),
-            "poses": None if self.poses is None else list(astuple(self.poses)),
-        }
-
-    def differs_in(self, earlier: SessionStart) -> tuple[str, ...]:
-        """What is other than where an earlier session was begun, in words; nothing where this is
-        that session again. What is checked at its end may differ, and so may the address of a
-        receiver, which a plug may change; replayed logs are told apart by their content."""
-        ours, theirs = self.to_json(), earlier.to_json()
-        for one in (ours, theirs):
-            del one["settings"]["checks"]
-            del one["source"]
-        other = {_IN_WORDS[part] for part, value in ours.items() if value != theirs[part]}
-        return tuple(words for words in dict.fromkeys(_IN_WORDS.values()) if words in other)
-
-    @classmethod
-    def from_json(cls, value: dict[str, Any]) -> SessionStart:
-        """The start of a session of a value that `to_json` made."""
-        # A session that was begun by an earlier version has no entry of poses.
-        name, axes, point = value.get("poses") or (None, "", None)
-        body = None if name is None else PoseBody(name, axes, point and tuple(point))
-        return cls(
-            value["name"],
-            rig_from_config(value["rig"], value["name"]),
-            BuildSettings.model_validate(value["settings"]),
-            Datum(*value["datum"]) if value["datum"] else None,
-            Datum(*value["datum_hint"]) if value["datum_hint"] else None,
-            value["append"],
-            value["source"],
-            value["source_sha256"],
-            tuple(value["notes"]),
-            body,
-        )
-
-
-def _datum_to_json(datum: Datum | None) -> list[float] | None:
-    return None if datum is None else [datum.lat_deg, datum.lon_deg, datum.height_m]
 
 
 @dataclass
@@ -114,7 +28,6 @@ class PushedDrive(KeptDrive):
     """What was pushed, as it is read back. Without a beginning, which a damage may have taken,
     nothing is taken."""
 
-    about: SessionStart | None = None
     fixes: FixColumns = field(default_factory=lambda: FixColumns.of_rows(()))
     parts: dict[str, list[Rows]] = field(default_factory=dict)
     bad_ns: list[int] = field(default_factory=list)
@@ -156,8 +69,6 @@ class PushedDrive(KeptDrive):
             self.dropped += 1
         elif kind == "unlevelled":
             self.is_unlevelled = True
-        elif kind == BEGIN and self.about is None:
-            self.about = SessionStart.from_json(value)
         else:
             super().take(record)
             if kind == BAD:

@@ -19,13 +19,11 @@ from fieldgrid.core import (
     Int64,
     MapWriteError,
     counted,
-    quoted,
 )
 from fieldgrid.geometry import Fix, GridSpec
 from fieldgrid.live.given import GIVEN_ROWS, NO_POSES, body_poses
 from fieldgrid.live.kept.kept_drive import (
     PushedDrive,
-    SessionStart,
     live_folder,
     live_journal,
 )
@@ -37,9 +35,9 @@ from fieldgrid.live.pushed import PushedSource
 from fieldgrid.maps import StagedFrame
 from fieldgrid.perception import LocalGridder, Sweep
 from fieldgrid.pipeline import (
-    BEGIN,
     BadFrame,
     Blob,
+    DriveStart,
     GridInput,
     Journal,
     KeptFrame,
@@ -62,7 +60,7 @@ AGAIN = "again"
 class SessionFolder(Store[PushedDrive]):
     """The folder of an open session, locked against other processes."""
 
-    def __init__(self, out: Path, about: SessionStart | None, points_gb: float = POINTS_GB) -> None:
+    def __init__(self, out: Path, about: DriveStart | None, points_gb: float = POINTS_GB) -> None:
         """Open what is there, or begin with `about`; ConfigError where that is of another drive,
         or where nothing is there to go on with. Points take at most `points_gb`."""
         self.folder, path = live_folder(out), live_journal(out)
@@ -87,29 +85,19 @@ class SessionFolder(Store[PushedDrive]):
             len(drive.fixes) or drive.frames or drive.parts or drive.damaged_bytes
         )
 
-    def _begun(self, about: SessionStart | None) -> SessionStart:
+    def _begun(self, about: DriveStart | None) -> DriveStart:
         """What the session was begun with, or is begun with now."""
-        begun = self.drive.about or about
+        again = f"fieldgrid live -o {self.out}"
+        if about is not None:
+            self.begin(about, f"Finish it with {again} --finish, or remove it with --discard.")
+        begun = self.drive.start
         if begun is None and next(self.journal.records(), None) is None:
-            raise ConfigError(
-                f"{self.folder} holds no session; fieldgrid live -o {self.out} --discard removes "
-                "it."
-            )
+            raise ConfigError(f"{self.folder} holds no session; {again} --discard removes it.")
         if begun is None:
             raise ConfigError(
                 f"The beginning of the session in {self.folder} is damaged. Run the command that "
                 "began it again, with the same rig and settings: it goes on with what is kept, and "
-                f"its end makes the map. Or give it up: fieldgrid live -o {self.out} --discard."
-            )
-        if self.drive.about is None:
-            self.journal.append(BEGIN, begun.to_json())
-            self.journal.sync()
-        if about is not None and (other := about.differs_in(begun)):
-            raise ConfigError(
-                f"{self.folder} holds the session {quoted(begun.name)}, which was ended "
-                "before it was in the map and cannot go on with this one, which differs in its "
-                f"{' and '.join(other)}. Finish it with fieldgrid live -o {self.out} --finish, or "
-                "remove it with --discard."
+                f"its end makes the map. Or give it up: {again} --discard."
             )
         return begun
 

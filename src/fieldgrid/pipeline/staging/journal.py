@@ -21,7 +21,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 from fieldgrid.core import Closing, MapError, parse_json
 
-MAGIC = b"fieldgrid journal 3\n"
+MAGIC = b"fieldgrid journal 4\n"
 _HEAD = Struct("<4sIII")
 """The head of each record: a mark, how long its JSON is and its blobs are, the CRC-32 of the JSON,
 which begins with the latter."""

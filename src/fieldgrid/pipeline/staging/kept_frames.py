@@ -27,6 +27,7 @@ from fieldgrid.maps import (
 )
 from fieldgrid.perception import CameraStep, Refusal, steps_of
 from fieldgrid.pipeline.report import BadFrame, StageTimes
+from fieldgrid.pipeline.staging.drive_start import DriveStart, check_same
 from fieldgrid.pipeline.staging.journal import DAMAGED, Blob, Journal, JournalRecord
 from fieldgrid.pipeline.staging.perception import StepOutcome
 
@@ -88,6 +89,8 @@ class KeptDrive:
     `frames` say of each what is known without reading its cells."""
 
     journal: Journal
+    start: DriveStart | None = None
+    """What it was begun with; None where that is damaged."""
     frames: KeptFrames = field(default_factory=KeptFrames)
     bad: dict[int, BadFrame] = field(default_factory=dict)
     times: StageTimes = field(default_factory=StageTimes)
@@ -99,7 +102,9 @@ class KeptDrive:
     def take(self, record: JournalRecord) -> None:
         """Take the next record of the journal."""
         kind, value, blobs, start = record
-        if kind == BAD:
+        if kind == BEGIN and self.start is None:
+            self.start = DriveStart.from_json(value)
+        elif kind == BAD:
             self.bad[value[0]] = BadFrame(*value[1:3])
         elif kind == DAMAGED:
             self.damaged_bytes += value
@@ -177,6 +182,15 @@ class Store(Closing, Generic[_Drive]):
                 f"({error}); finish it with the version that wrote it."
             ) from error
         return drive
+
+    def begin(self, start: DriveStart, ways: str) -> None:
+        """Begin the drive, or go on with it. ConfigError where it was begun as another one, with
+        the `ways` to go on."""
+        if self.drive.start is None:
+            self.journal.append(BEGIN, start.to_json())
+            self.journal.sync()
+            self.drive.start = start
+        check_same(self.path, self.drive.start, [start], ways)
 
     def keep(
         self,

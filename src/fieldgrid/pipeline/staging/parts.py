@@ -1,8 +1,8 @@
 """The staged frames of the drives of a build, beside the map, for a build that is to go on after it
 was ended.
 
-The journal of a drive (`kept_frames`) is called by a digest of all that the staged frames depend
-on, so frames are found again only by a build that would make the same.
+The journal of a drive (`kept_frames`) is called by the key of its start, so frames are found again
+only by a build that would make the same.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fieldgrid.core import ConfigError, FieldgridError, MapError, RecordingError, holding
+from fieldgrid.pipeline.staging.drive_start import DriveStart
 from fieldgrid.pipeline.staging.journal import read_journal
 from fieldgrid.pipeline.staging.kept_frames import (
     BAD,
@@ -33,6 +34,10 @@ of the build costs is a share for each process."""
 _YOUNG_S = 60.0
 
 
+WAYS = "Repeat the command that made it, or remove that file."
+"""What to do with the staged frames of another drive."""
+
+
 class Share(NamedTuple):
     """Frames number `first` to before `last` of those that are taken of a drive."""
 
@@ -40,11 +45,11 @@ class Share(NamedTuple):
     last: int
 
 
-def left_behind(out: Path) -> dict[Path, str]:
-    """The drives of which a build of `out` that has ended left staged frames, their names by their
-    journals; not those of a build that still runs. The journals of builds that were killed before
-    their first frame go."""
-    found = {}
+def left_behind(out: Path) -> dict[Path, DriveStart | None]:
+    """The drives of which a build of `out` that has ended left staged frames, by their journals,
+    None where it cannot be read what they are; not those of a build that still runs. The journals
+    of builds that were killed before their first frame go."""
+    found = dict[Path, DriveStart | None]()
     for path in sorted(work_folder(out).glob("*.build")):
         try:
             # A build that begins at this moment does not hold its journal yet.
@@ -53,11 +58,11 @@ def left_behind(out: Path) -> dict[Path, str]:
                 records = read_journal(path) if is_free else iter(())
                 kinds = {record.kind: record for record in records}
                 if FRAME in kinds or BAD in kinds:
-                    found[path] = str(kinds[BEGIN].value)
+                    found[path] = DriveStart.from_json(kinds[BEGIN].value)
                 elif is_free and is_old:
                     drop_journal(path)
-        except (OSError, FieldgridError, KeyError):
-            found[path] = "a drive"
+        except (OSError, FieldgridError, LookupError, ValueError, TypeError):
+            found[path] = None
     return found
 
 
@@ -65,9 +70,10 @@ def settle_left_behind(out: Path, resume: bool | None) -> None:
     """Refuse to build where an earlier build has left staged frames, unless told what to do."""
     left = left_behind(out)
     if left and resume is None:
-        names = ", ".join([*left.values()][:3]) + (", ..." if len(left) > 3 else "")
+        names = ", ".join([start.name if start else "a drive" for start in left.values()][:3])
         raise ConfigError(
-            f"{work_folder(out)} holds staged frames of a build that was ended ({names}); give "
+            f"{work_folder(out)} holds staged frames of a build that was ended "
+            f"({names}{', ...' if len(left) > 3 else ''}); give "
             "--resume with the command that it was to go on, or --no-resume to remove them."
         )
     for path in left if resume is False else ():
@@ -77,16 +83,15 @@ def settle_left_behind(out: Path, resume: bool | None) -> None:
 class DriveParts(Store[KeptDrive]):
     """The staged frames of a drive: those that are there already, and those to be made."""
 
-    def __init__(self, out: Path, key: str, name: str, count: int) -> None:
-        self._name, self._count, self._written_s = name, count, 0.0
-        super().__init__(out, f"{key}.build", KeptDrive)
+    def __init__(self, out: Path, start: DriveStart, count: int) -> None:
+        self.start, self._count, self._written_s = start, count, 0.0
+        super().__init__(out, f"{start.key}.build", KeptDrive)
+        self.begin(start, WAYS)
         self._bad, frames = self.drive.bad, self.drive.frames
         self.moved_m = sum(moved_m(frame.found) for frame in frames)
         self.done = {frame.number for frame in frames} | self._bad.keys()
         """The numbers of the frames that are staged or known to be bad. A frame that is damaged is
         made again."""
-        if not self.done:
-            self.journal.append(BEGIN, name)
         # Without a frame, it is gone when it is let go.
         self._open.callback(lambda: None if self.done else drop_journal(self.path))
 
@@ -120,8 +125,8 @@ class DriveParts(Store[KeptDrive]):
         most = int(skip_bad * self._count) if isinstance(skip_bad, float) else skip_bad
         if len(self._bad) > most:
             raise RecordingError(
-                f"{len(self._bad)} of {self._count} frames of {self._name} cannot be read, and "
-                f"--skip-bad allows {most}; allow more, or copy the recording again. "
+                f"{len(self._bad)} of {self._count} frames of {self.start.name} cannot be read, "
+                f"and --skip-bad allows {most}; allow more, or copy the recording again. "
                 f"First: {self._bad[min(self._bad)].reason}"
             )
 
