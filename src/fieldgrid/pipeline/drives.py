@@ -29,7 +29,7 @@ from fieldgrid.maps import MapFile, Patience, kept_groups, read_datum
 from fieldgrid.pipeline.checks.doubt import cell_findings
 from fieldgrid.pipeline.poses import settled
 from fieldgrid.pipeline.report import DRIVE_ERRORS, PartlyBuiltError, Progress, SessionReport
-from fieldgrid.pipeline.session import NewSession, ProgressReporter, prepared
+from fieldgrid.pipeline.session import NewSession, prepared
 from fieldgrid.pipeline.staging.drive_start import check_same
 from fieldgrid.pipeline.staging.kept_frames import drop_journal, work_folder
 from fieldgrid.pipeline.staging.parts import (
@@ -40,7 +40,6 @@ from fieldgrid.pipeline.staging.parts import (
     settle_left_behind,
 )
 from fieldgrid.pipeline.staging.remote import StagedShare, packed, place_of
-from fieldgrid.pipeline.staging.shares import moved_m
 from fieldgrid.pipeline.staging.staging import Processes, ShareTask, Staging, Workers
 from fieldgrid.pipeline.targets import check_names, check_output, made_map, opened_map
 from fieldgrid.recordings import DriveOptions, Recording, open_drive
@@ -61,7 +60,6 @@ class _DriveBuild:
     name: str
     recording: Recording = field(init=False)
     session: NewSession = field(init=False)
-    tell: ProgressReporter = field(init=False)
     parts: DriveParts = field(init=False)
     began_s: float | None = None
     error: FieldgridError | None = None
@@ -197,7 +195,7 @@ class _Build:
     def find_parts(self, held: ExitStack, datum: Datum, *, resume: bool) -> None:
         """The parts of the drives that are there already; ConfigError for others."""
         for drive in self._good():
-            drive.parts = held.enter_context(drive.session.parts(self.out, datum))
+            drive.parts = held.enter_context(drive.session.parts(self.out, datum, self.progress))
             self.staged.append(drive.parts.path)
         starts = [drive.parts.start for drive in self._good()]
         for path, begun in left_behind(self.out).items() if resume else ():
@@ -241,14 +239,11 @@ class _Build:
         except DRIVE_ERRORS as error:
             self._fail(drive, error)
             return
-        parts = drive.parts
-        drive.tell = ProgressReporter(drive.session, self.progress)
-        if parts.done:
-            drive.tell(parts.moved_m, len(parts.done))
+        drive.parts.tell()
         if self.staging is not None:
             place = None if self.client is None else place_of(drive.recording.path)
             work = packed(drive.session.work(), place)
-            self.staging.add(drive.number, drive.name, work, place, parts.missing())
+            self.staging.add(drive.number, drive.name, work, place, drive.parts.missing())
 
     def _finish(
         self, drive: _DriveBuild, universal: MapFile, taken: list[str], *, is_there: bool
@@ -263,7 +258,7 @@ class _Build:
                 "--name."
             )
         if self.staging is None:
-            parts.stage(session.work(), self.jobs, drive.tell, self.skip_bad)
+            parts.stage(session.work(), self.jobs, self.skip_bad)
         while drive.error is None and len(parts.done) < session.total:
             assert self.staging is not None
             result = self.staging.next()
@@ -294,7 +289,6 @@ class _Build:
                 drive.began_s = time.perf_counter() - staged.took_s
             for number, looked in enumerate(staged.frames, task.share.first):
                 drive.parts.add(number, looked)
-                drive.tell(moved_m(looked.found))
             drive.parts.check_bad(self.skip_bad)
         except DRIVE_ERRORS as error:
             self._fail(drive, error)

@@ -91,10 +91,10 @@ def add_recording(
     started = time.perf_counter()
     session, _ = prepared(recording, settings or BuildSettings(), universal.datum, name)
     session.check(universal)
-    with session.parts(universal.path, universal.datum) as parts:
+    with session.parts(universal.path, universal.datum, progress) as parts:
         try:
-            tell = ProgressReporter(session, progress)
-            parts.stage(session.work(), jobs or os.cpu_count() or 1, tell)
+            parts.tell()
+            parts.stage(session.work(), jobs or os.cpu_count() or 1)
             session.add(universal, parts.staged())
         finally:
             parts.remove()
@@ -125,28 +125,6 @@ def prepared(
         recording, settings, attitude, name, every, skips_bad=skips_bad, known=trajectory
     )
     return session, estimate
-
-
-class ProgressReporter:
-    """Tells the progress of a drive, frame by frame."""
-
-    def __init__(self, session: NewSession, progress: Callable[[Progress], None] | None) -> None:
-        self._progress = progress
-        self._name, self._total = session.name, session.total
-        self.done, self._distance_m = 0, 0.0 if session.odometry else None
-        self.now()
-
-    def __call__(self, moved_m: float, frames: int = 1) -> None:
-        """`frames` more are done, over which the camera moved by `moved_m`."""
-        self.done += frames
-        if self._distance_m is not None:
-            self._distance_m += moved_m
-        self.now()
-
-    def now(self) -> None:
-        """How far the drive is."""
-        if self._progress is not None:
-            self._progress(Progress(self._name, self.done, self._total, self._distance_m))
 
 
 class NewSession:
@@ -202,11 +180,14 @@ class NewSession:
             self._skips_bad,
         )
 
-    def parts(self, out: Path, datum: Datum) -> DriveParts:
+    def parts(
+        self, out: Path, datum: Datum, progress: Callable[[Progress], None] | None
+    ) -> DriveParts:
         """What is staged of it on its way into the map `out`."""
         digest = recording_digest(self.recording, self.total, self.every)
         about = self.name, self.recording.rig, self.settings, datum
-        return DriveParts(out, DriveStart(*about, recording=digest), self.total)
+        start = DriveStart(*about, recording=digest)
+        return DriveParts(out, start, self.total, odometry=self.odometry, progress=progress)
 
     def check(self, universal: MapFile) -> None:
         """Raise before the drive is staged what the map would refuse at its end, and what some

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fieldgrid.core import ConfigError, FieldgridError, MapError, RecordingError, holding
+from fieldgrid.pipeline.report import Progress
 from fieldgrid.pipeline.staging.drive_start import DriveStart
 from fieldgrid.pipeline.staging.journal import read_journal
 from fieldgrid.pipeline.staging.kept_frames import (
@@ -83,12 +84,23 @@ def settle_left_behind(out: Path, resume: bool | None) -> None:
 class DriveParts(Store[KeptDrive]):
     """The staged frames of a drive: those that are there already, and those to be made."""
 
-    def __init__(self, out: Path, start: DriveStart, count: int) -> None:
+    def __init__(
+        self,
+        out: Path,
+        start: DriveStart,
+        count: int,
+        *,
+        odometry: bool,
+        progress: Callable[[Progress], None] | None,
+    ) -> None:
+        """Those of a drive of `count` frames; `progress` is called after each, with how far the
+        camera went if there is `odometry`."""
         self.start, self._count, self._written_s = start, count, 0.0
+        self._odometry, self._progress = odometry, progress
         super().__init__(out, f"{start.key}.build", KeptDrive)
         self.begin(start, WAYS)
         self._bad, frames = self.drive.bad, self.drive.frames
-        self.moved_m = sum(moved_m(frame.found) for frame in frames)
+        self._moved_m = sum(moved_m(frame.found) for frame in frames)
         self.done = {frame.number for frame in frames} | self._bad.keys()
         """The numbers of the frames that are staged or known to be bad. A frame that is damaged is
         made again."""
@@ -105,19 +117,23 @@ class DriveParts(Store[KeptDrive]):
             assert looked.staged is not None
             self.keep(number, looked.staged, looked.found, looked.times)
         self.done.add(number)
+        self._moved_m += moved_m(looked.found)
         self._written_s += time.thread_time() - start
+        self.tell()
 
-    def stage(
-        self, work: DriveWork, jobs: int, tell: Callable[[float], None], skip_bad: int | float = 0
-    ) -> None:
-        """Stage what is missing in threads of this process, `jobs` frames at a time. `tell` is told
-        of each how far the camera went since the one before, metres."""
+    def tell(self) -> None:
+        """Tell how far the drive is."""
+        if self._progress is not None:
+            way_m = self._moved_m if self._odometry else None
+            self._progress(Progress(self.start.name, len(self.done), self._count, way_m))
+
+    def stage(self, work: DriveWork, jobs: int, skip_bad: int | float = 0) -> None:
+        """Stage what is missing in threads of this process, `jobs` frames at a time."""
         for first, last in list(self.missing(work.total)):
             with closing(stage_frames(work, first, last, jobs)) as looks:
                 for number, looked in enumerate(looks, first):
                     self.add(number, looked)
                     self.check_bad(skip_bad)
-                    tell(moved_m(looked.found))
 
     def check_bad(self, skip_bad: int | float) -> None:
         """Raise RecordingError when more frames are bad than `skip_bad` allows, a number or, below
