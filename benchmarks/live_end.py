@@ -44,7 +44,7 @@ def main() -> None:
     chosen = options.parse_args()
     for module, name, what in (
         (session_folder.SessionFolder, "read", "the journal read"),
-        (finish, "prepared", "the poses without the camera's steps"),
+        (finish, "NewSession", "the poses without the camera's steps"),
         (session, "estimate_drive", "the poses"),
         (session, "_place", "the frames placed"),
     ):

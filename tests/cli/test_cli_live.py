@@ -106,7 +106,7 @@ def test_who_interrupts_the_making_of_the_map_is_told_where_the_drive_is(
         raise ends
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fieldgrid.live.finish.prepared", interrupted)
+        patch.setattr("fieldgrid.live.finish.NewSession", interrupted)
         replay = "live", "-o", out, "--replay", drive, "--rate", "max"
         for attempt in (replay, ("live", "-o", out, "--finish")):
             result = fieldgrid(*attempt)

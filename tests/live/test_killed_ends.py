@@ -50,7 +50,7 @@ def dies(at: int = 1, *, after: bool = False) -> Callable[[Any], Callable[..., A
 
 
 STEPS: dict[str, tuple[Any, str, Any]] = {
-    "the journal was read": (finish, "prepared", dies()),
+    "the journal was read": (finish, "NewSession", dies()),
     "grids are made again": (Store, "keep", dies(3)),
     "before frames are placed": (FoldedTiles, "__init__", dies()),
     "frames are placed": (FoldedTiles, "cells", dies(2)),

@@ -51,7 +51,7 @@ def test_an_interrupted_end_says_what_the_disk_did_not_take(
         write = Journal._write
         monkeypatch.setattr(Journal, "_write", lambda _self: False)
         live.push_gyro(1, 0.0)
-        refuse(monkeypatch, "prepared", KeyboardInterrupt())
+        refuse(monkeypatch, "NewSession", KeyboardInterrupt())
         with pytest.raises(KeyboardInterrupt) as caught:
             live.finish()
     (note,) = caught.value.__notes__

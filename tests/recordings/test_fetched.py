@@ -25,10 +25,10 @@ from fieldgrid.core import BuildSettings, ClusterError, ConfigError, LimitError,
 from fieldgrid.core.input_limits import limited
 from fieldgrid.maps import open_map
 from fieldgrid.pipeline import (
+    NewSession,
     PartlyBuiltError,
     build_map,
     estimate_mount,
-    prepared,
     write_estimate,
 )
 from fieldgrid.pipeline.staging import remote
@@ -614,8 +614,7 @@ def test_the_mounting_of_a_copy_is_not_written(zipped: str) -> None:
 def work_on(here: Path) -> DriveWork:
     with open_drive(here, DriveOptions()) as opened:
         recording = opened.recording()
-        session, _ = prepared(recording, BuildSettings(), None, "june")
-        return session.work()
+        return NewSession(recording, BuildSettings(), None, "june").work
 
 
 def test_a_worker_fetches_the_files_of_its_frames_only(

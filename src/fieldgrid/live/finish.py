@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ from fieldgrid.core import (
     ConfigError,
     FieldgridError,
     Finding,
-    MapExistsError,
     MapWriteError,
     Overrides,
     info,
@@ -24,22 +23,21 @@ from fieldgrid.core import (
 from fieldgrid.live.gridding_again import gridded_again
 from fieldgrid.live.kept.kept_drive import PushedDrive, live_folder, live_journal
 from fieldgrid.live.kept.session_folder import AGAIN, SessionFolder
-from fieldgrid.maps import Patience, check_cell_sizes, open_map
-from fieldgrid.perception import OriginTrack
+from fieldgrid.maps import Patience, check_cell_sizes, open_map, read_datum
 from fieldgrid.pipeline import (
     DriveStart,
     KeptDrive,
+    NewSession,
     Progress,
     SessionReport,
     Store,
     build_map,
     check_names,
     check_output,
+    exists_already,
     made_map,
     opened_map,
-    prepared,
 )
-from fieldgrid.poses import levelling_attitude
 from fieldgrid.recordings import DriveOptions, Recording, open_drive
 
 NOT_LEVELLED = info(
@@ -53,27 +51,19 @@ AT_THE_END = frozenset({"pose", "checks"})
 """Tables of settings that may be others at the end: grids do not depend on them."""
 
 
-def check_target(out: Path, about: DriveStart) -> None:
-    """Raise before the drive what the map would refuse at its end."""
-    check_output(out, append=about.append, overwrite=False)
-    if not about.append:
-        if out.exists():
-            raise MapExistsError(
-                f"{out} exists already; give another name, or --append to add the drive to it."
-            )
-        check_names([about.name], [])
-        return
-    chosen = about.settings.map
-    with open_map(out, cell_m=chosen.cell_m, transfer=chosen.transfer) as universal:
-        check_names([about.name], [info.name for info in universal.sessions()])
-        check_cell_sizes(universal.cell_m, about.settings.grid.cell_m)
-
-
 def check_begin(out: Path, about: DriveStart) -> None:
-    """Raise what the map would refuse, where a session begins, also again. The error tells of a
-    session whose end was killed when the drive was in the map already, or before."""
+    """Raise what the map would refuse at the end, where a session begins, also again. The error
+    tells of a session whose end was killed when the drive was in the map already, or before."""
+    chosen, taken = about.settings.map, list[str]()
     try:
-        check_target(out, about)
+        check_output(out, append=about.append, overwrite=False)
+        if about.append:
+            with open_map(out, cell_m=chosen.cell_m, transfer=chosen.transfer) as universal:
+                taken = [one.name for one in universal.sessions()]
+                check_cell_sizes(universal.cell_m, about.settings.grid.cell_m)
+        elif out.exists():
+            raise exists_already(out)
+        check_names([about.name], taken)
     except FieldgridError as error:
         if not live_journal(out).exists():
             raise
@@ -187,17 +177,13 @@ def finish(
                 )
             recording = kept.recording(drive)
             drive.let_go()
-            report, left_out = _placed(
-                kept, drive, recording, settings, progress, patience or Patience()
-            )
+            report = _placed(kept, drive, recording, settings, progress, patience or Patience())
         except FieldgridError as error:
             sentence = str(error).removesuffix(".")
             raise type(error)(f"{sentence}. {kept.what_is_kept(ways)}") from error
-        if left_out:
-            report.findings += (_still_kept(kept, left_out, _NO_POINTS),)
-        if drive.unreadable:
-            report.findings += (_still_kept(kept, drive.unreadable, _NO_GRIDS),)
-        if not (left_out or drive.unreadable):
+        lost = {_NO_POINTS: len(report.bad) - len(drive.bad), _NO_GRIDS: drive.unreadable}
+        report.findings += tuple(_still_kept(kept, lost[why], why) for why in lost if lost[why])
+        if not any(lost.values()):
             kept.remove()
     report.wall_s = time.perf_counter() - started
     return report
@@ -238,42 +224,25 @@ def _placed(
     settings: BuildSettings,
     progress: Callable[[Progress], None] | None,
     patience: Patience,
-) -> tuple[SessionReport, int]:
-    """Put the drive into the map; its report, and the number of its frames that are left out, since
-    their points are lost."""
-    about, out = kept.about, kept.out
-    datum, taken = about.datum, list[str]()
-    if out.exists():
-        with open_map(out) as existing:
-            taken = [one.name for one in existing.sessions()]
-            datum = datum or existing.datum
-    if about.name not in taken:
-        check_target(out, about)
-    levels = kept.points.is_levelling
-    session, estimate = prepared(
-        *(recording, settings, datum, about.name), skips_bad=True, levels=levels
-    )
-    told = levelling_attitude(estimate.report.attitude)
-    if told is not None and not levels:
-        session.report.findings += (NOT_LEVELLED,)
-    way, datum = OriginTrack.of(estimate.trajectory), datum or estimate.trajectory.datum
-    del estimate  # of a long drive there is no room for two
-    with Store(out, AGAIN, KeptDrive) as made:
-        try:
-            attitude = told if levels else None
-            staged, again, left_out = gridded_again(kept, drive, made, attitude, way, progress)
-            session.report.findings += again
-            with (
-                opened_map(out, settings, datum, patience)
-                if out.exists()
-                else made_map(out, settings, datum)
-            ) as universal:
-                if about.name not in taken:
-                    session.check(universal)
-                session.put(universal, staged, taken)
-        finally:
-            made.remove()
-    return session.report, left_out
+) -> SessionReport:
+    """Put the drive into the map."""
+    about, out, levels = kept.about, kept.out, kept.points.is_levelling
+    with ExitStack() as opened:
+        made = opened.enter_context(Store(out, AGAIN, KeptDrive))
+        opened.callback(made.remove)
+        datum, is_there = about.datum, out.exists()
+        if is_there:
+            datum = datum or read_datum(out)
+            universal = opened.enter_context(opened_map(out, settings, datum, patience))
+        session = NewSession(recording, settings, datum, about.name, skips_bad=True, levels=levels)
+        if not is_there:
+            check_output(out, append=about.append, overwrite=False)
+            universal = opened.enter_context(made_map(out, settings, session.datum))
+        session.check(universal, adds=about.append or not is_there)
+        if session.attitude is not None and not levels:
+            session.report.findings += (NOT_LEVELLED,)
+        session.put(universal, gridded_again(kept, drive, made, session, progress))
+    return session.report
 
 
 def with_overrides(settings: BuildSettings, overrides: Overrides) -> BuildSettings:

@@ -55,8 +55,8 @@ if TYPE_CHECKING:
         repose_map as repose_map,
     )
     from fieldgrid.pipeline.session import (
+        NewSession as NewSession,
         add_recording as add_recording,
-        prepared as prepared,
     )
     from fieldgrid.pipeline.staging.drive_start import DriveStart as DriveStart
     from fieldgrid.pipeline.staging.journal import (
@@ -96,6 +96,7 @@ if TYPE_CHECKING:
     from fieldgrid.pipeline.targets import (
         check_names as check_names,
         check_output as check_output,
+        exists_already as exists_already,
         made_map as made_map,
         opened_map as opened_map,
     )

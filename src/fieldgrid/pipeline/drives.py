@@ -20,16 +20,13 @@ from fieldgrid.core import (
     ConfigError,
     FieldgridError,
     MapError,
-    MapExistsError,
     quoted,
     refuse_input,
 )
 from fieldgrid.geometry import Datum
 from fieldgrid.maps import MapFile, Patience, kept_groups, read_datum
-from fieldgrid.pipeline.checks.doubt import cell_findings
-from fieldgrid.pipeline.poses import settled
 from fieldgrid.pipeline.report import DRIVE_ERRORS, PartlyBuiltError, Progress, SessionReport
-from fieldgrid.pipeline.session import NewSession, prepared
+from fieldgrid.pipeline.session import NewSession
 from fieldgrid.pipeline.staging.drive_start import check_same
 from fieldgrid.pipeline.staging.kept_frames import drop_journal, work_folder
 from fieldgrid.pipeline.staging.parts import (
@@ -180,13 +177,12 @@ class _Build:
         """The datum of the map, after a look at what no image has to be read for."""
         for drive in self._good():
             try:
-                drive.session, estimate = prepared(
+                drive.session = NewSession(
                     *(drive.recording, self.settings, datum, drive.name),
                     every=self.every,
                     skips_bad=self.skip_bad > 0,
                 )
-                settled(cell_findings(estimate.trajectory, self.settings), self.settings)
-                datum = datum or estimate.trajectory.datum
+                datum = drive.session.datum
             except FieldgridError as error:
                 self._fail(drive, error)
         assert datum is not None  # there is a drive, or _good would have raised
@@ -214,10 +210,10 @@ class _Build:
             elif self.staging is None:
                 self.start_processes(running, missing)
             for drive in self._good():
-                self._begin(drive, universal, taken)
+                self._begin(drive, universal, taken, adds=not is_there)
             for drive in self._good():
                 try:
-                    report = self._finish(drive, universal, taken, is_there=is_there)
+                    report = self._finish(drive, universal)
                 except DRIVE_ERRORS as error:
                     self._fail(drive, error)
                 except (MapError, ClusterError) as error:
@@ -231,35 +227,34 @@ class _Build:
                     reports.append(report)
         return reports
 
-    def _begin(self, drive: _DriveBuild, universal: MapFile, taken: list[str]) -> None:
+    def _begin(
+        self, drive: _DriveBuild, universal: MapFile, taken: list[str], *, adds: bool
+    ) -> None:
         """Let the drive be staged, when it is its turn."""
+        if drive.name in taken and len(drive.parts.done) < drive.session.work.total:
+            raise ConfigError(
+                f"{self.out} has a session {quoted(drive.name)} already, and no staged frame "
+                "of it to go on with: that build had finished. Leave the recording out, or give "
+                "--name."
+            )
         try:
-            if drive.name not in taken:
-                drive.session.check(universal)
+            drive.session.check(universal, adds=adds)
         except DRIVE_ERRORS as error:
             self._fail(drive, error)
             return
         drive.parts.tell()
         if self.staging is not None:
             place = None if self.client is None else place_of(drive.recording.path)
-            work = packed(drive.session.work(), place)
+            work = packed(drive.session.work, place)
             self.staging.add(drive.number, drive.name, work, place, drive.parts.missing())
 
-    def _finish(
-        self, drive: _DriveBuild, universal: MapFile, taken: list[str], *, is_there: bool
-    ) -> SessionReport:
+    def _finish(self, drive: _DriveBuild, universal: MapFile) -> SessionReport:
         """Wait until the drive is staged, or stage it here, and put it into the map."""
         session, parts = drive.session, drive.parts
         start = time.perf_counter()
-        if drive.name in taken and len(parts.done) < session.total:
-            raise ConfigError(
-                f"{self.out} has a session {quoted(drive.name)} already, and no staged frame "
-                "of it to go on with: that build had finished. Leave the recording out, or give "
-                "--name."
-            )
         if self.staging is None:
-            parts.stage(session.work(), self.jobs, self.skip_bad)
-        while drive.error is None and len(parts.done) < session.total:
+            parts.stage(session.work, self.jobs, self.skip_bad)
+        while drive.error is None and len(parts.done) < session.work.total:
             assert self.staging is not None
             result = self.staging.next()
             if result is not None:
@@ -267,12 +262,7 @@ class _Build:
         if drive.error is not None:
             raise drive.error
         parts.check_bad(self.skip_bad)
-        if is_there and drive.name not in taken:
-            raise MapExistsError(
-                f"{self.out} exists already; give another name, --append to add a session to it, "
-                "or --overwrite to replace it."
-            )
-        session.put(universal, parts.staged(), taken)
+        session.put(universal, parts.staged())
         began_s = start if drive.began_s is None else drive.began_s
         session.report.wall_s = time.perf_counter() - began_s
         return session.report

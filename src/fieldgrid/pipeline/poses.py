@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,13 +30,14 @@ from fieldgrid.geometry import (
     FixColumns,
     GridSpec,
     Lidar,
+    Pose,
     Rig,
     Status,
     Steps,
     Trajectory,
 )
 from fieldgrid.perception import reliable_range_m
-from fieldgrid.pipeline.checks.stuck import REPEATED
+from fieldgrid.pipeline.checks.stuck import REPEATED, StuckCamera
 from fieldgrid.poses import (
     ErrorBudget,
     Estimate,
@@ -194,6 +196,21 @@ def settled(findings: Iterable[Finding], settings: BuildSettings) -> tuple[Findi
         else:
             raise RecordingError(one.whole())
     return tuple(told)
+
+
+def frame_poses(
+    trajectory: Trajectory, rig: Rig, frames: Iterable[tuple[int, bool, Sequence[str]]]
+) -> Iterator[Pose]:
+    """The poses of frames in order of time, by the time of each, whether its ground was found, and
+    the hashes of its images. They are rejected where it was not, or an image is that of an earlier
+    place."""
+    camera = StuckCamera()
+    for time_ns, ground_found, images_sha256 in frames:
+        pose = trajectory.at(time_ns)
+        if pose.status is Status.OK and not ground_found:
+            pose = replace(pose, status=Status.REJECTED, reason=no_ground(rig))
+        camera, pose = camera.judged(images_sha256, pose)
+        yield pose
 
 
 def check_poses(recording: Recording, trajectory: Trajectory) -> None:

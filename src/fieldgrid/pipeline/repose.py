@@ -26,9 +26,8 @@ from fieldgrid.core import (
 from fieldgrid.geometry import GridSpec, Lidar, Pose, Rig, Status, Trajectory, wrap_deg
 from fieldgrid.maps import MapFile, Patience, SessionInfo, open_map
 from fieldgrid.perception import OriginTrack, Sweep
-from fieldgrid.pipeline.checks.stuck import StuckCamera
 from fieldgrid.pipeline.inputs import Inputs, from_arrays
-from fieldgrid.pipeline.poses import cell_budget, no_ground
+from fieldgrid.pipeline.poses import cell_budget, frame_poses
 from fieldgrid.poses import Attitude, Estimate, estimate_poses
 
 SWEEP_S = 0.1
@@ -121,14 +120,13 @@ def _repose(
     rig = _rig(session)
     estimate = _estimate(universal, session, inputs, settings)
     found = dict(zip(inputs.frame_ns.tolist(), inputs.ground_found.tolist(), strict=True))
-    before, after, camera = {}, {}, StuckCamera()
-    for frame in sorted(universal.frames(session.name), key=lambda frame: frame.driven.time_ns):
-        before[frame.frame_id] = frame.driven
-        time_ns = frame.driven.time_ns
-        pose = estimate.trajectory.at(time_ns)
-        if pose.status is Status.OK and not found.get(time_ns, True):
-            pose = replace(pose, status=Status.REJECTED, reason=no_ground(rig))
-        camera, after[frame.frame_id] = camera.judged(frame.images_sha256, pose)
+    frames = sorted(universal.frames(session.name), key=lambda frame: frame.driven.time_ns)
+    before = {frame.frame_id: frame.driven for frame in frames}
+    times = [pose.time_ns for pose in before.values()]
+    seen = (
+        (t, found.get(t, True), one.images_sha256) for t, one in zip(times, frames, strict=True)
+    )
+    after = dict(zip(before, frame_poses(estimate.trajectory, rig, seen), strict=True))
     config = {**session.config, "settings": settings.model_dump(mode="json")}
     # What would stop a build stops no new poses of a drive that is in the map.
     findings = tuple(

@@ -8,18 +8,24 @@ memory.
 
 from __future__ import annotations
 
+import math
 import os
 import time
-from array import array
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fieldgrid.core import BuildSettings, CalibrationError, RecordingError, info
-from fieldgrid.geometry import Datum, GridSpec, Rig, Status, Steps, StereoCamera, Trajectory
+from fieldgrid.core import (
+    BuildSettings,
+    CalibrationError,
+    Finding,
+    RecordingError,
+    info,
+)
+from fieldgrid.geometry import Datum, GridSpec, Lidar, Rig, Status, StereoCamera, Trajectory
 from fieldgrid.maps import (
     MapFile,
     Session,
@@ -37,7 +43,7 @@ from fieldgrid.pipeline.checks.contradictions import FramePose
 from fieldgrid.pipeline.checks.doubt import (
     after_findings,
     camera_findings,
-    has_sweeps,
+    cell_findings,
     misalignment,
     probed_images,
     row_findings,
@@ -47,14 +53,13 @@ from fieldgrid.pipeline.checks.doubt import (
 from fieldgrid.pipeline.checks.format_hints import format_hints, hint_sentence
 from fieldgrid.pipeline.checks.mirrored import mirror_findings
 from fieldgrid.pipeline.checks.sensor_yaw import sensor_yaw, sensor_yaw_findings
-from fieldgrid.pipeline.checks.stuck import StuckCamera
 from fieldgrid.pipeline.inputs import Inputs, to_arrays
 from fieldgrid.pipeline.inspection.images import image_findings
 from fieldgrid.pipeline.poses import (
     check_images,
     check_poses,
     estimate_drive,
-    no_ground,
+    frame_poses,
     none_usable,
     settled,
     told_of,
@@ -65,8 +70,8 @@ from fieldgrid.pipeline.staging.kept_frames import KeptDrive
 from fieldgrid.pipeline.staging.parts import DriveParts
 from fieldgrid.pipeline.staging.perception import follows_camera
 from fieldgrid.pipeline.staging.shares import DriveWork
-from fieldgrid.pipeline.targets import check_names, is_in_map
-from fieldgrid.poses import GIVEN, Attitude, Estimate, levelling_attitude
+from fieldgrid.pipeline.targets import check_names, exists_already, is_in_map
+from fieldgrid.poses import GIVEN, levelling_attitude
 from fieldgrid.recordings import Recording
 
 BAD_KEPT = 1000
@@ -89,139 +94,141 @@ def add_recording(
     threads that decode and match (all cores if None).
     """
     started = time.perf_counter()
-    session, _ = prepared(recording, settings or BuildSettings(), universal.datum, name)
+    session = NewSession(recording, settings or BuildSettings(), universal.datum, name)
+    check_names([session.name], [one.name for one in universal.sessions()])
     session.check(universal)
     with session.parts(universal.path, universal.datum, progress) as parts:
         try:
             parts.tell()
-            parts.stage(session.work(), jobs or os.cpu_count() or 1)
-            session.add(universal, parts.staged())
+            parts.stage(session.work, jobs or os.cpu_count() or 1)
+            session.put(universal, parts.staged())
         finally:
             parts.remove()
     session.report.wall_s = time.perf_counter() - started
     return session.report
 
 
-def prepared(
-    recording: Recording,
-    settings: BuildSettings,
-    datum: Datum | None,
-    name: str | None,
-    *,
-    every: int = 1,
-    skips_bad: bool = False,
-    levels: bool = True,
-) -> tuple[NewSession, Estimate]:
-    """A session of a recording, and its poses as they are known before a frame is staged, once what
-    these and some images show is good enough. Grids are to be level where the drive tells how its
-    vehicle leans, if it `levels` them."""
-    estimate = estimate_drive(recording, settings, datum)
-    trajectory = estimate.trajectory
-    check_images(recording, trajectory)
-    if recording.pose_name or not follows_camera(recording.rig, settings):
-        check_poses(recording, trajectory)
-    attitude = levelling_attitude(estimate.report.attitude) if levels else None
-    session = NewSession(
-        recording, settings, attitude, name, every, skips_bad=skips_bad, known=trajectory
-    )
-    return session, estimate
-
-
 class NewSession:
     """A recording on its way into a map, as a session of its own.
 
-    Its frames are staged by whoever likes (`work`), and then placed (`add`) by a trajectory that is
-    estimated, of local grids that are levelled by the `attitude`. By `known`, the trajectory as it
-    is known before a frame is staged, the points of sweeps are carried to their stamps.
+    Its frames are staged by whoever likes (`work`; it can be pickled), and then placed (`put`) by a
+    trajectory that is estimated, of the drive and of what was staged. `datum` is that of its poses,
+    `attitude` tells how the vehicle leans, if the drive does.
     """
 
     def __init__(
         self,
         recording: Recording,
         settings: BuildSettings,
-        attitude: Attitude | None,
+        datum: Datum | None,
         name: str | None,
-        every: int = 1,
         *,
+        every: int = 1,
         skips_bad: bool = False,
-        known: Trajectory | None = None,
+        levels: bool = True,
     ) -> None:
+        """Once what the poses show, as they are known before a frame is staged, is good enough.
+        Grids are to be level by the attitude, if it `levels` them; the points of sweeps are carried
+        to their stamps by the poses."""
         self.recording, self.settings = recording, settings
         self.name = recording.name if name is None else name
-        self.total = len(range(0, recording.frame_count, every))
-        self.odometry = follows_camera(recording.rig, settings) and not recording.pose_name
-        self._attitude, self.every, self._skips_bad = attitude, every, skips_bad
-        self._way = None
-        if known is not None and has_sweeps(recording):
-            self._way = OriginTrack.of(known)
-        self._gridder = LocalGridder(
+        trajectory, _, said, _ = estimate_drive(recording, settings, datum)
+        check_images(recording, trajectory)
+        odometry = follows_camera(recording.rig, settings) and not recording.pose_name
+        if not odometry:
+            check_poses(recording, trajectory)
+        settled(cell_findings(trajectory, settings), settings)
+        self.datum, self.attitude = trajectory.datum, levelling_attitude(said.attitude)
+        gridder = LocalGridder(
             recording.rig, GridSpec.of(settings.grid), settings.stereo, settings.density
+        )
+        self.work = DriveWork(
+            recording.source,
+            len(range(0, recording.frame_count, every)),
+            gridder,
+            self.attitude if levels else None,
+            OriginTrack.of(trajectory) if isinstance(recording.rig.sensor, Lidar) else None,
+            every,
+            odometry,
+            skips_bad,
         )
         self.report = SessionReport(
             session=self.name,
-            max_range_m=self._gridder.max_range_m,
+            max_range_m=gridder.max_range_m,
             findings=(
                 *told_of(recording),
-                *sensor_findings(recording, settings, self._gridder.max_range_m),
-                *sweep_findings(recording, every, is_carried=self._way is not None),
+                *sensor_findings(recording, settings, gridder.max_range_m),
+                *sweep_findings(recording, every),
             ),
-        )
-
-    def work(self) -> DriveWork:
-        """What it takes to stage the frames; it can be pickled."""
-        return DriveWork(
-            self.recording.source,
-            self.total,
-            self._gridder,
-            self._attitude,
-            self._way,
-            self.every,
-            self.odometry,
-            self._skips_bad,
         )
 
     def parts(
         self, out: Path, datum: Datum, progress: Callable[[Progress], None] | None
     ) -> DriveParts:
         """What is staged of it on its way into the map `out`."""
-        digest = recording_digest(self.recording, self.total, self.every)
+        total, odometry = self.work.total, self.work.odometry
+        digest = recording_digest(self.recording, total, self.work.every)
         about = self.name, self.recording.rig, self.settings, datum
         start = DriveStart(*about, recording=digest)
-        return DriveParts(out, start, self.total, odometry=self.odometry, progress=progress)
+        return DriveParts(out, start, total, odometry=odometry, progress=progress)
 
-    def check(self, universal: MapFile) -> None:
+    def check(self, universal: MapFile, *, adds: bool = True) -> None:
         """Raise before the drive is staged what the map would refuse at its end, and what some
-        of the frames show."""
-        check_cell_sizes(universal.cell_m, self._gridder.spec.cell_m)
-        check_names([self.name], [info.name for info in universal.sessions()])
-        images = tuple(probed_images(self.recording, self.every))
+        of the frames show. A map to which none `adds` has the drives that were put there, and a
+        drive that is there already was checked then."""
+        if self.name in [one.name for one in universal.sessions()]:
+            return
+        if not adds:
+            raise exists_already(universal.path)
+        every = self.work.every
+        check_cell_sizes(universal.cell_m, self.work.gridder.spec.cell_m)
+        images = tuple(probed_images(self.recording, every))
         rows = misalignment(self.recording, images)
-        found = (*row_findings(self.recording, self.every, rows), *image_findings(images))
-        self.report.findings += settled(found, self.settings)
+        self._tell(*row_findings(self.recording, every, rows), *image_findings(images))
 
-    def add(self, universal: MapFile, staged: KeptDrive) -> None:
-        """Add the session to the map, with the frames that were staged."""
+    def put(self, universal: MapFile, staged: KeptDrive) -> None:
+        """Put the session into the map, with the frames that were staged: poses are estimated from
+        the whole drive, and frames are placed by them. One that is there already, by an end that
+        was killed, stays as it is; ConfigError where that has other frames."""
         recording, settings, report = self.recording, self.settings, self.report
+        report.frames, report.bad = len(staged.frames), tuple(staged.bad.values())
+        if self.name in [one.name for one in universal.sessions()]:
+            if not is_in_map(universal, self.name, staged):
+                check_names([self.name], [self.name])
+            self._tell(info("in-map", "The drive was in the map already."))
+            return
         report.stages.add(staged.times)
-        report.bad = tuple(staged.bad.values())
         if not staged.frames:
             raise RecordingError(
-                f"None of the {self.total} frames of {self.name} can be read. "
+                f"None of the {self.work.total} frames of {self.name} can be read. "
                 f"First: {report.bad[0].reason}"
             )
-        steps = None
-        if self.odometry:
+        steps, every, gridder = None, self.work.every, self.work.gridder
+        if self.work.odometry:
             steps, report.camera_refusal_reasons = staged.steps()
             report.camera_steps = len(steps.start_ns)
             report.camera_refusals = report.camera_refusal_reasons.total()
-        found = sum(frame.entry.ground_found for frame in staged.frames)
-        if not found and (readings := format_hints(recording, self._gridder, self.every)):
+        found = report.ground_refined = sum(frame.entry.ground_found for frame in staged.frames)
+        if not found and (readings := format_hints(recording, gridder, every)):
             raise CalibrationError(
                 f"No ground was found in the {len(staged.frames)} frames of {self.name}, so "
                 f"heights above it are not known. {hint_sentence(readings)}"
             )
-        report.findings += settled(camera_findings(recording, report, found, self.every), settings)
-        trajectory = self._estimated(universal.datum, steps)
+        self._tell(*camera_findings(recording, report, found, every))
+        is_level, start = self.work.attitude is not None, time.perf_counter()
+        estimate = estimate_drive(recording, settings, universal.datum, steps, level_grids=is_level)
+        trajectory = estimate.trajectory
+        report.stages.pose_s += time.perf_counter() - start
+        report.fixes = len(estimate.fix_row)
+        report.fixes_accepted = int(trajectory.accepted[estimate.fix_row].sum())
+        scale = camera_scale(steps, trajectory, heights_told=tells_heights(recording.fixes()))
+        self._tell(
+            *mirror_findings(recording, trajectory, steps),
+            *estimate.report.findings,
+            *scale_findings(scale, recording.rig),
+        )
+        del estimate  # of a long drive it takes more than all that follows
+        check_poses(recording, trajectory)
         report.heading_source = trajectory.heading_source
         with universal.add_session(
             self.name,
@@ -229,9 +236,9 @@ class NewSession:
             config=session_config(
                 settings,
                 recording.rig,
-                self._gridder,
-                self.every,
-                level_grids=self._attitude is not None,
+                gridder,
+                every,
+                level_grids=is_level,
                 poses=recording.pose_name if trajectory.heading_source == GIVEN else "",
                 bad=report.bad,
             ),
@@ -251,81 +258,42 @@ class NewSession:
             report.opposed_share = opposed_share(staged, accepted)
             # Steps of the camera tell its yaw better.
             yaw = None if report.camera_steps else sensor_yaw(staged, accepted)
-            told = (
+            self._tell(
                 *agreement_findings(report.denied_share, recording.rig),
                 *opposed_findings(report.opposed_share, report.position_sigma_m),
                 *sensor_yaw_findings(yaw, recording.rig),
                 *after_findings(recording, report),
             )
-            report.findings += settled(told, settings)
             placed = time.perf_counter()
         report.stages.map_s += time.perf_counter() - placed
 
-    def put(self, universal: MapFile, staged: KeptDrive, taken: Sequence[str]) -> None:
-        """`add`, unless an end that was killed has done so: then the session is among those that
-        are `taken`. ConfigError where that has other frames."""
-        if self.name not in taken:
-            self.add(universal, staged)
-            return
-        if not is_in_map(universal, self.name, staged):
-            check_names([self.name], taken)
-        self.report.findings += (info("in-map", "The drive was in the map already."),)
-        self.report.frames = len(staged.frames)
-
-    def _estimated(self, datum: Datum, steps: Steps | None) -> Trajectory:
-        recording, report = self.recording, self.report
-        start = time.perf_counter()
-        estimate = estimate_drive(
-            recording, self.settings, datum, steps, level_grids=self._attitude is not None
-        )
-        report.stages.pose_s += time.perf_counter() - start
-        report.fixes = len(estimate.fix_row)
-        report.fixes_accepted = int(estimate.trajectory.accepted[estimate.fix_row].sum())
-        scale = camera_scale(
-            steps, estimate.trajectory, heights_told=tells_heights(recording.fixes())
-        )
-        told = (
-            *mirror_findings(recording, estimate.trajectory, steps),
-            *estimate.report.findings,
-            *scale_findings(scale, recording.rig),
-        )
-        report.findings += settled(told, self.settings)
-        check_poses(recording, estimate.trajectory)
-        return estimate.trajectory
+    def _tell(self, *found: Finding) -> None:
+        """Findings for the report; RecordingError for an error that is not accepted."""
+        self.report.findings += settled(found, self.settings)
 
 
 def _place(
     staged: KeptDrive, session: Session, trajectory: Trajectory, rig: Rig, report: SessionReport
 ) -> list[FramePose]:
     """The second half: every staged frame meets its pose. Returns those that are accepted."""
-    accepted: list[FramePose] = []
-    heading_sigma_deg, position_sigma_m = array("d"), array("d")
-    start, camera = time.thread_time(), StuckCamera()
-    for k, (_, entry, *_) in enumerate(staged.frames):
-        pose = trajectory.at(entry.time_ns)
-        if pose.status is Status.OK and not entry.ground_found:
-            pose = replace(pose, status=Status.REJECTED, reason=no_ground(rig))
-        camera, pose = camera.judged(staged[k].images_sha256, pose)
+    accepted, start = list[FramePose](), time.thread_time()
+    seen = (
+        (frame.entry.time_ns, frame.entry.ground_found, staged[k].images_sha256)
+        for k, frame in enumerate(staged.frames)
+    )
+    for k, pose in enumerate(frame_poses(trajectory, rig, seen)):
         session.add_staged(staged, pose, k)
-        report.frames += 1
-        report.ground_refined += entry.ground_found
-        if pose.status is not Status.OK:
-            report.rejected += 1
+        if pose.status is Status.OK:
+            accepted.append((k, pose))
+        else:
             report.reasons[pose.reason] += 1
-            continue
-        report.used += 1
-        if accepted:
-            last = accepted[-1][1]
-            report.distance_m += float(
-                np.hypot(pose.east_m - last.east_m, pose.north_m - last.north_m)
-            )
-        heading_sigma_deg.append(pose.heading_sigma_deg)
-        position_sigma_m.append(pose.position_sigma_m)
-        accepted.append((k, pose))
-    if report.used == 0:
+    report.used, report.rejected = len(accepted), report.reasons.total()
+    if not accepted:
         raise none_usable(report.session, report.reasons, rig)
-    report.heading_sigma_deg = _median(heading_sigma_deg)
-    report.position_sigma_m = _median(position_sigma_m)
+    way = pairwise(pose for _, pose in accepted)
+    report.distance_m = sum(math.hypot(b.east_m - a.east_m, b.north_m - a.north_m) for a, b in way)
+    report.heading_sigma_deg = float(np.median([pose.heading_sigma_deg for _, pose in accepted]))
+    report.position_sigma_m = float(np.median([pose.position_sigma_m for _, pose in accepted]))
     report.stages.map_s += time.thread_time() - start
     return accepted
 
@@ -354,7 +322,3 @@ def session_config(
         **({"poses": poses} if poses else {}),
         **({"bad_frames": len(bad), "bad": [list(one) for one in bad[:BAD_KEPT]]} if bad else {}),
     }
-
-
-def _median(values: Sequence[float]) -> float | None:
-    return float(np.median(values)) if values else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from fieldgrid.core import BuildSettings, ConfigError, quoted
+from fieldgrid.core import BuildSettings, ConfigError, MapExistsError, quoted
 from fieldgrid.geometry import Datum
 from fieldgrid.maps import MapFile, Patience, check_name, create_map, open_map
 from fieldgrid.pipeline.staging.kept_frames import KeptDrive
@@ -45,6 +45,13 @@ def check_output(path: Path, *, append: bool, overwrite: bool) -> None:
         raise ConfigError("--append and --overwrite exclude each other; give one of them.")
     if append and not path.exists():
         raise ConfigError(f"There is no map {path} to append to; leave out --append to make it.")
+
+
+def exists_already(out: Path) -> MapExistsError:
+    """The error of a map that is there, where a new one was to be made."""
+    return MapExistsError(
+        f"{out} exists already; give another name, or --append to add the drive to it."
+    )
 
 
 def check_names(names: Sequence[str], taken: Sequence[str]) -> None:

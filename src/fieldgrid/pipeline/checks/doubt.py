@@ -186,14 +186,9 @@ def sensor_findings(
         )
 
 
-def has_sweeps(recording: Recording) -> bool:
-    """Whether the frames are clouds, whose points may have times of their own."""
-    return isinstance(recording.rig.sensor, Lidar)
-
-
-def sweep_findings(recording: Recording, every: int, *, is_carried: bool) -> Iterator[Finding]:
+def sweep_findings(recording: Recording, every: int) -> Iterator[Finding]:
     """What becomes of the motion within a sweep, by one of the clouds that can be read."""
-    if not has_sweeps(recording):
+    if not isinstance(recording.rig.sensor, Lidar):
         return
     for frame in probes(recording, every):
         assert isinstance(frame, CloudFrame)
@@ -208,16 +203,10 @@ def sweep_findings(recording: Recording, every: int, *, is_carried: bool) -> Ite
                 "The clouds have no usable times of their points, or are corrected already, so the "
                 "vehicle's motion within a sweep is not corrected."
             )
-        elif is_carried:
+        else:
             told = (
                 f"The points of a sweep ({np.ptp(after_s):.3f} s) are corrected for the vehicle's "
                 "motion within it."
-            )
-        else:
-            told = (
-                "The points of the clouds have times, but the vehicle's trajectory is known only "
-                "after the drive, so live grids are not corrected for the motion within a sweep; "
-                "to correct it, build the drive from a recording."
             )
         yield info("sweep", told)
         return
