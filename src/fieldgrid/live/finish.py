@@ -234,7 +234,7 @@ def _placed(
         if is_there:
             datum = datum or read_datum(out)
             universal = opened.enter_context(opened_map(out, settings, datum, patience))
-        session = NewSession(recording, settings, datum, about.name, skips_bad=True, levels=levels)
+        session = NewSession(recording, settings, datum, about.name, skip_bad=1.0, levels=levels)
         if not is_there:
             check_output(out, append=about.append, overwrite=False)
             universal = opened.enter_context(made_map(out, settings, session.datum))

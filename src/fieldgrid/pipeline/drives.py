@@ -180,7 +180,7 @@ class _Build:
                 drive.session = NewSession(
                     *(drive.recording, self.settings, datum, drive.name),
                     every=self.every,
-                    skips_bad=self.skip_bad > 0,
+                    skip_bad=self.skip_bad,
                 )
                 datum = drive.session.datum
             except FieldgridError as error:
@@ -253,7 +253,7 @@ class _Build:
         session, parts = drive.session, drive.parts
         start = time.perf_counter()
         if self.staging is None:
-            parts.stage(session.work, self.jobs, self.skip_bad)
+            parts.stage(self.jobs)
         while drive.error is None and len(parts.done) < session.work.total:
             assert self.staging is not None
             result = self.staging.next()
@@ -261,7 +261,6 @@ class _Build:
                 self._take(*result)
         if drive.error is not None:
             raise drive.error
-        parts.check_bad(self.skip_bad)
         session.put(universal, parts.staged())
         began_s = start if drive.began_s is None else drive.began_s
         session.report.wall_s = time.perf_counter() - began_s
@@ -279,7 +278,6 @@ class _Build:
                 drive.began_s = time.perf_counter() - staged.took_s
             for number, looked in enumerate(staged.frames, task.share.first):
                 drive.parts.add(number, looked)
-            drive.parts.check_bad(self.skip_bad)
         except DRIVE_ERRORS as error:
             self._fail(drive, error)
 

@@ -100,7 +100,7 @@ def add_recording(
     with session.parts(universal.path, universal.datum, progress) as parts:
         try:
             parts.tell()
-            parts.stage(session.work, jobs or os.cpu_count() or 1)
+            parts.stage(jobs or os.cpu_count() or 1)
             session.put(universal, parts.staged())
         finally:
             parts.remove()
@@ -124,13 +124,14 @@ class NewSession:
         name: str | None,
         *,
         every: int = 1,
-        skips_bad: bool = False,
+        skip_bad: int | float = 0,
         levels: bool = True,
     ) -> None:
         """Once what the poses show, as they are known before a frame is staged, is good enough.
-        Grids are to be level by the attitude, if it `levels` them; the points of sweeps are carried
-        to their stamps by the poses."""
-        self.recording, self.settings = recording, settings
+        Of the frames at most `skip_bad` may be bad, a number or, below 1, a share of them. Grids
+        are to be level by the attitude, if it `levels` them; the points of sweeps are carried to
+        their stamps by the poses."""
+        self.recording, self.settings, self._skip_bad = recording, settings, skip_bad
         self.name = recording.name if name is None else name
         trajectory, _, said, _ = estimate_drive(recording, settings, datum)
         check_images(recording, trajectory)
@@ -150,7 +151,7 @@ class NewSession:
             OriginTrack.of(trajectory) if isinstance(recording.rig.sensor, Lidar) else None,
             every,
             odometry,
-            skips_bad,
+            skip_bad > 0,
         )
         self.report = SessionReport(
             session=self.name,
@@ -166,11 +167,10 @@ class NewSession:
         self, out: Path, datum: Datum, progress: Callable[[Progress], None] | None
     ) -> DriveParts:
         """What is staged of it on its way into the map `out`."""
-        total, odometry = self.work.total, self.work.odometry
-        digest = recording_digest(self.recording, total, self.work.every)
+        digest = recording_digest(self.recording, self.work.total, self.work.every)
         about = self.name, self.recording.rig, self.settings, datum
         start = DriveStart(*about, recording=digest)
-        return DriveParts(out, start, total, odometry=odometry, progress=progress)
+        return DriveParts(out, start, self.work, self._skip_bad, progress)
 
     def check(self, universal: MapFile, *, adds: bool = True) -> None:
         """Raise before the drive is staged what the map would refuse at its end, and what some

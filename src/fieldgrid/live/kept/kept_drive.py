@@ -11,7 +11,6 @@ from fieldgrid.live.kept.frame_names import told_apart
 from fieldgrid.live.pose.sensor_rows import Rows, fix_from_json, joined, rows_from_json
 from fieldgrid.perception import Refusal
 from fieldgrid.pipeline import (
-    BAD,
     Blob,
     JournalRecord,
     KeptDrive,
@@ -30,8 +29,6 @@ class PushedDrive(KeptDrive):
 
     fixes: FixColumns = field(default_factory=lambda: FixColumns.of_rows(()))
     parts: dict[str, list[Rows]] = field(default_factory=dict)
-    bad_ns: list[int] = field(default_factory=list)
-    """The times of the frames that are bad."""
     pairs: dict[int, tuple[Blob, ...]] = field(default_factory=dict)
     """The images by which the cameras are checked, PNG, by the numbers of their frames."""
     dropped: int = 0
@@ -71,8 +68,6 @@ class PushedDrive(KeptDrive):
             self.is_unlevelled = True
         else:
             super().take(record)
-            if kind == BAD:
-                self.bad_ns.append(value[3])
 
     def settle(self) -> None:
         """No step leads to a frame over one that is lost, or from before a restart; and each frame

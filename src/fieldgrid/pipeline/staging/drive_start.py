@@ -19,21 +19,6 @@ from fieldgrid.pipeline.inputs import Inputs, to_arrays
 from fieldgrid.recordings import PoseBody, Recording, StoredFrames
 from fieldgrid.version import software_version
 
-_IN_WORDS = {
-    "name": "name",
-    "rig": "rig",
-    "settings": "settings",
-    "datum": "datum",
-    "datum_hint": "datum",
-    "append": "use of --append",
-    "source_sha256": "log of fixes",
-    "notes": "source of data",
-    "poses": "poses of another program",
-    "recording": "recording or use of --every",
-    "version": "version of this program",
-}
-"""The parts of it that are compared, as errors call them."""
-
 
 @dataclass(frozen=True, slots=True)
 class DriveStart:
@@ -80,25 +65,30 @@ class DriveStart:
         }
         return cls(**value | given)
 
-    def _compared(self) -> dict[str, Any]:
-        """What must be the same for a drive to go on. What is checked at its end may differ, and so
-        may the address of a receiver, which a plug may change; replayed logs are told apart by
-        their content."""
+    def compared(self) -> dict[str, Any]:
+        """What must be the same for a drive to go on, by how errors call it. What is checked at its
+        end may differ, and so may the address of a receiver, which a plug may change; replayed logs
+        are told apart by their content."""
         said = self.to_json()
         del said["settings"]["checks"]
-        return {part: said[part] for part in _IN_WORDS}
+        return {
+            "name": said["name"],
+            "rig": said["rig"],
+            "settings": said["settings"],
+            "datum": [said["datum"], said["datum_hint"]],
+            "use of --append": said["append"],
+            "log of fixes": said["source_sha256"],
+            "source of data": said["notes"],
+            "poses of another program": said["poses"],
+            "recording or use of --every": said["recording"],
+            "version of this program": said["version"],
+        }
 
     @property
     def key(self) -> str:
         """A digest of all that is compared."""
-        compared = json.dumps(self._compared(), sort_keys=True)
+        compared = json.dumps(self.compared(), sort_keys=True)
         return hashlib.sha256(compared.encode()).hexdigest()[:20]
-
-    def differs_in(self, other: DriveStart) -> list[str]:
-        """What is other than that of another start, in words."""
-        theirs = other._compared()
-        ours = self._compared().items()
-        return [*dict.fromkeys(_IN_WORDS[part] for part, one in ours if one != theirs[part])]
 
 
 def check_same(path: Path, begun: DriveStart | None, now: Sequence[DriveStart], ways: str) -> None:
@@ -107,7 +97,9 @@ def check_same(path: Path, begun: DriveStart | None, now: Sequence[DriveStart], 
     most like it. `ways` says what to do with it."""
     if begun is None:
         raise ConfigError(f"What drive {path} holds cannot be read. {ways}")
-    other = min((one.differs_in(begun) for one in now), key=len)
+    was = begun.compared().items()
+    differing = ([what for what, one in was if one != start.compared()[what]] for start in now)
+    other = min(differing, key=len)
     if other:
         raise ConfigError(
             f"{path} holds the drive {quoted(begun.name)}, which was ended before it was in the "

@@ -93,6 +93,8 @@ class KeptDrive:
     """What it was begun with; None where that is damaged."""
     frames: KeptFrames = field(default_factory=KeptFrames)
     bad: dict[int, BadFrame] = field(default_factory=dict)
+    bad_ns: list[int] = field(default_factory=list)
+    """The times of the frames that are bad, of a session."""
     times: StageTimes = field(default_factory=StageTimes)
     damaged_bytes: int = 0
     """Number of bytes of the journal that cannot be read any more."""
@@ -106,6 +108,7 @@ class KeptDrive:
             self.start = DriveStart.from_json(value)
         elif kind == BAD:
             self.bad[value[0]] = BadFrame(*value[1:3])
+            self.bad_ns.append(value[3])
         elif kind == DAMAGED:
             self.damaged_bytes += value
         elif kind == FRAME and self.journal.read(blobs[0]) is None:

@@ -88,15 +88,14 @@ class DriveParts(Store[KeptDrive]):
         self,
         out: Path,
         start: DriveStart,
-        count: int,
-        *,
-        odometry: bool,
+        work: DriveWork,
+        skip_bad: int | float,
         progress: Callable[[Progress], None] | None,
     ) -> None:
-        """Those of a drive of `count` frames; `progress` is called after each, with how far the
-        camera went if there is `odometry`."""
-        self.start, self._count, self._written_s = start, count, 0.0
-        self._odometry, self._progress = odometry, progress
+        """Those that are made by some `work`; at most `skip_bad` may be bad, a number or, below 1,
+        a share of the frames. `progress` is called after each."""
+        self.start, self._work, self._written_s = start, work, 0.0
+        self._skip_bad, self._progress = skip_bad, progress
         super().__init__(out, f"{start.key}.build", KeptDrive)
         self.begin(start, WAYS)
         self._bad, frames = self.drive.bad, self.drive.frames
@@ -108,7 +107,8 @@ class DriveParts(Store[KeptDrive]):
         self._open.callback(lambda: None if self.done else drop_journal(self.path))
 
     def add(self, number: int, looked: FrameOutcome) -> None:
-        """Keep what became of a frame. MapWriteError on a full disk."""
+        """Keep what became of a frame. RecordingError where too many are bad, MapWriteError on a
+        full disk."""
         start = time.thread_time()
         if looked.bad is not None:
             self.keep_bad(number, looked.bad)
@@ -119,49 +119,50 @@ class DriveParts(Store[KeptDrive]):
         self.done.add(number)
         self._moved_m += moved_m(looked.found)
         self._written_s += time.thread_time() - start
+        self._check_bad()
         self.tell()
 
     def tell(self) -> None:
         """Tell how far the drive is."""
         if self._progress is not None:
-            way_m = self._moved_m if self._odometry else None
-            self._progress(Progress(self.start.name, len(self.done), self._count, way_m))
+            way_m = self._moved_m if self._work.odometry else None
+            self._progress(Progress(self.start.name, len(self.done), self._work.total, way_m))
 
-    def stage(self, work: DriveWork, jobs: int, skip_bad: int | float = 0) -> None:
+    def stage(self, jobs: int) -> None:
         """Stage what is missing in threads of this process, `jobs` frames at a time."""
-        for first, last in list(self.missing(work.total)):
-            with closing(stage_frames(work, first, last, jobs)) as looks:
+        for first, last in list(self.missing(self._work.total)):
+            with closing(stage_frames(self._work, first, last, jobs)) as looks:
                 for number, looked in enumerate(looks, first):
                     self.add(number, looked)
-                    self.check_bad(skip_bad)
 
-    def check_bad(self, skip_bad: int | float) -> None:
-        """Raise RecordingError when more frames are bad than `skip_bad` allows, a number or, below
-        1, a share of the drive's frames."""
-        most = int(skip_bad * self._count) if isinstance(skip_bad, float) else skip_bad
+    def _check_bad(self) -> None:
+        """Raise RecordingError when more frames are bad than may be."""
+        most, count = self._skip_bad, self._work.total
+        most = int(most * count) if isinstance(most, float) else most
         if len(self._bad) > most:
             raise RecordingError(
-                f"{len(self._bad)} of {self._count} frames of {self.start.name} cannot be read, "
+                f"{len(self._bad)} of {count} frames of {self.start.name} cannot be read, "
                 f"and --skip-bad allows {most}; allow more, or copy the recording again. "
                 f"First: {self._bad[min(self._bad)].reason}"
             )
 
     def missing(self, most: int = 0) -> Iterator[Share]:
         """The frames that are not staged yet, at most so many together, those of a share if 0."""
-        first, most = 0, most or SHARE_FRAMES
-        while first < self._count:
+        first, most, count = 0, most or SHARE_FRAMES, self._work.total
+        while first < count:
             last = first
-            while last < min(first + most, self._count) and last not in self.done:
+            while last < min(first + most, count) and last not in self.done:
                 last += 1
             if last > first:
                 yield Share(first, last)
             first = max(last, first + 1)
 
     def staged(self) -> KeptDrive:
-        """The whole drive, once no frame is missing."""
+        """The whole drive, once no frame is missing. RecordingError where too many are bad."""
+        self._check_bad()
         found = self.read()
         found.times.map_s += self._written_s
-        if len(found.frames) + len(found.bad) < self._count:
+        if len(found.frames) + len(found.bad) < self._work.total:
             raise MapError(f"The staged frames in {self.path} cannot be read back; check the disk.")
         return found
 
