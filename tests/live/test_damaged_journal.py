@@ -5,15 +5,17 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import zlib
 from pathlib import Path
 
 import pytest
 
 from fieldgrid.core import ConfigError, MapError, MapWriteError
-from fieldgrid.live import discard_session, live_folder, replay
+from fieldgrid.live import discard_session, finish_session, live_folder, replay
 from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.perception import CameraStep, Refusal
 from fieldgrid.pipeline import Journal, read_journal
+from fieldgrid.pipeline.staging.journal import _HEAD, _MARK, MAGIC
 from fieldgrid.recordings import open_recording
 from tests.live.making import begin
 
@@ -109,6 +111,22 @@ def test_a_block_without_a_frame_removes_only_what_it_began(out: Path, short_dri
         assert not live_folder(out.with_name("n.gpkg")).exists()
 
 
+def with_other_settings(journal: bytes) -> bytes:
+    """The journal as of a version that has a setting which this one does not have."""
+    start = len(MAGIC)
+    _, length, blobs, _ = _HEAD.unpack(journal[start : start + _HEAD.size])
+    body = journal[start + _HEAD.size :][:length].replace(b'"checks"', b'"cheeks"')
+    head = _HEAD.pack(_MARK, length, blobs, zlib.crc32(body, blobs))
+    return MAGIC + head + body + journal[start + _HEAD.size + length :]
+
+
+def test_a_session_of_other_settings_is_refused_in_a_sentence(out: Path) -> None:
+    journal = live_folder(out) / "live"
+    journal.write_bytes(with_other_settings(journal.read_bytes()))
+    with pytest.raises(MapError, match="of another version of this program or damaged"):
+        finish_session(out)
+
+
 def test_whatever_is_damaged_can_be_discarded(
     out: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -119,6 +137,7 @@ def test_whatever_is_damaged_can_be_discarded(
         bytes(len(data)),  # a power cut left it unwritten
         b"",
         data.replace(b'["fix",[', b'["fix",{'),
+        with_other_settings(data),
     ]
     for journal in journals:
         shutil.copytree(whole, folder, dirs_exist_ok=True)

@@ -166,7 +166,7 @@ def finish(
     ways = f"{again} tries again, with pose options or --accept, and --discard gives it up"
     with _telling_where(kept, "--finish"):
         try:
-            drive = kept.recall()
+            drive = kept.drive
             if not drive.frames:
                 ways = (
                     f"the command that began it goes on with it, {again}-from RECORDING builds it "

@@ -70,9 +70,8 @@ class SessionFolder(Store[PushedDrive]):
             )
         super().__init__(out, path.name, PushedDrive)
         drop_journal(path.with_name(AGAIN))  # of an end that was killed
-        drive = self.drive
         try:
-            self.about = self._begun(about)
+            drive, self.about = self.drive, self._begun(about)
         except BaseException:
             self.close()
             raise
@@ -80,7 +79,8 @@ class SessionFolder(Store[PushedDrive]):
         numbers = [-1, *drive.bad, *(frame.number for frame in drive.frames)]
         self._number = max(numbers) + 1
         self._pairs, self._pair_ns = list(drive.pairs), -PAIR_EVERY_NS
-        self._is_forgotten = False
+        self.newest_frame_ns = drive.frames[-1].entry.time_ns if drive.frames else None
+        """The time of the last frame that is there already, None without."""
         self.is_resumed = bool(
             len(drive.fixes) or drive.frames or drive.parts or drive.damaged_bytes
         )
@@ -234,21 +234,10 @@ class SessionFolder(Store[PushedDrive]):
         given = body_poses(about.poses, drive.parts.get(GIVEN_ROWS) or [NO_POSES])
         return with_body_poses(recording, given, about.poses).recording()
 
-    @property
-    def newest_frame_ns(self) -> int | None:
-        """The time of the last frame that is there already, None without, until `forget`."""
-        frames = self.drive.frames
-        return frames[-1].entry.time_ns if frames else None
-
     def forget(self) -> None:
-        """Hold no more in memory than what the session was begun with, however long it lasts."""
-        self.drive, self._is_forgotten = PushedDrive(self.journal), True
-
-    def recall(self) -> PushedDrive:
-        """All that was pushed until now, read where it was forgotten."""
-        if self._is_forgotten:
-            self.drive, self._is_forgotten = self.read(), False
-        return self.drive
+        """Hold no more in memory than what the session was begun with, however long it lasts: all
+        that was pushed is read again when it is asked for."""
+        del self.drive
 
 
 def _apart(numbers: list[int]) -> int:

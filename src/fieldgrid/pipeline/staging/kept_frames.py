@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -168,8 +169,12 @@ class Store(Closing, Generic[_Drive]):
                 self.journal = opening.enter_context(Journal(self.path))
             except OSError as error:
                 raise unwritable(out, error) from error
-            self.drive = self.read()
             self._open = opening.pop_all()
+
+    @cached_property
+    def drive(self) -> _Drive:
+        """The drive with all that the journal held when it was asked for first."""
+        return self.read()
 
     def read(self) -> _Drive:
         """The drive with all that the journal holds: whole, cut, or still growing. MapError for a
