@@ -228,7 +228,7 @@ def test_parts_of_other_inputs_or_settings_are_refused(
     settings = {"settings": COURSE} if change == "settings" else {}
     differs = "settings" if change == "settings" else "recording or use of --every"
     said = (
-        rf"holds the drive 'drive', .* differs in its {differs}\. Repeat the command that made it"
+        rf"holds the session 'drive', .* differs in its {differs}\. Repeat the command that made it"
     )
     with pytest.raises(ConfigError, match=said):
         build([drive], out, resume=True, **settings)

@@ -96,13 +96,13 @@ def check_same(path: Path, begun: DriveStart | None, now: Sequence[DriveStart], 
     those that are to be put into the map `now`; it is told how it differs from the one that is
     most like it. `ways` says what to do with it."""
     if begun is None:
-        raise ConfigError(f"What drive {path} holds cannot be read. {ways}")
+        raise ConfigError(f"What session {path} holds cannot be read. {ways}")
     was = begun.compared().items()
     differing = ([what for what, one in was if one != start.compared()[what]] for start in now)
     other = min(differing, key=len)
     if other:
         raise ConfigError(
-            f"{path} holds the drive {quoted(begun.name)}, which was ended before it was in the "
+            f"{path} holds the session {quoted(begun.name)}, which was ended before it was in the "
             "map and cannot go on with this one, which differs in its "
             f"{' and '.join(other)}. {ways}"
         )
