@@ -418,6 +418,7 @@ FIXES = st.builds(
     pitch_deg=st.none() | st.floats(-90.0, 90.0),
     roll_deg=st.none() | st.floats(-90.0, 90.0),
     tilt_sigma_deg=st.none() | st.floats(0.0, 90.0),
+    stamp_sigma_s=st.none() | st.floats(0.0, 60.0),
 )
 
 
