@@ -47,6 +47,7 @@ fix_strategy = st.builds(
     pitch_deg=st.none() | REAL,
     roll_deg=st.none() | REAL,
     tilt_sigma_deg=st.none() | REAL,
+    stamp_sigma_s=st.none() | REAL,
 )
 fix_lists = st.lists(fix_strategy, max_size=8)
 
