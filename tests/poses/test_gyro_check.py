@@ -142,22 +142,33 @@ def wandering(drive: Drive, slow_m: float, seed: int = 4) -> FixColumns:
     return fixes.replace(lat_deg=lat, lon_deg=lon, height_m=height)
 
 
-@pytest.mark.parametrize("seeds", [range(4, 7), pytest.param(range(7, 14), marks=pytest.mark.long)])
-def test_what_wandering_fixes_make_of_a_gyro_is_in_the_sigma(seeds: range) -> None:
-    """Nothing says how good the receiver is: be the gyro corrected or left out by it, headings are
-    as unsure as with and without it are apart; in the worst drive of ten 63 % are within three
+def wandering_estimate(seed: int) -> tuple[Estimate, float]:
+    """The estimate where nothing says how good the receiver is, and its headings within three
     sigma."""
     drive = simulate(SLALOM, 35.0)
-    inside = []
-    for seed in seeds:
-        fixes = wandering(drive, 1.0, seed)
-        n = len(fixes)
-        fixes = fixes.replace(quality=np.full(n, Quality.UNKNOWN), sigma_m=np.full(n, np.nan))
-        found = estimate_poses(fixes, Carrier(0.0), DATUM, motion=Motion(gyro=gyro(drive)))
-        trajectory = found.trajectory
-        truth = drive.at((trajectory.time_ns - trajectory.time_ns[found.fix_row[0]]) / 1e9)
-        off = np.abs(wrap_deg(trajectory.heading_deg - np.degrees(truth.heading_rad)))
-        inside.append(float(np.mean(off < 3.0 * trajectory.heading_sigma_deg)))
+    fixes = wandering(drive, 1.0, seed)
+    n = len(fixes)
+    fixes = fixes.replace(quality=np.full(n, Quality.UNKNOWN), sigma_m=np.full(n, np.nan))
+    found = estimate_poses(fixes, Carrier(0.0), DATUM, motion=Motion(gyro=gyro(drive)))
+    trajectory = found.trajectory
+    truth = drive.at((trajectory.time_ns - trajectory.time_ns[found.fix_row[0]]) / 1e9)
+    off = np.abs(wrap_deg(trajectory.heading_deg - np.degrees(truth.heading_rad)))
+    return found, float(np.mean(off < 3.0 * trajectory.heading_sigma_deg))
+
+
+@pytest.mark.parametrize("seed", [4, 5, 6])
+def test_what_wandering_fixes_make_of_a_gyro_is_in_the_sigma(seed: int) -> None:
+    """Be the gyro corrected or left out by it, headings are as unsure as with and without it are
+    apart."""
+    found, inside = wandering_estimate(seed)
+    assert codes(found.report)
+    assert inside > 0.95
+
+
+@pytest.mark.long
+def test_of_ten_wandering_receivers_most_are_in_the_sigma() -> None:
+    """The worst, of the tenth seed, has 63 %."""
+    inside = [wandering_estimate(seed)[1] for seed in range(4, 14)]
     assert np.median(inside) > 0.95
     assert np.mean(inside) > 0.9
     assert min(inside) > 0.6

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
 from fieldgrid.core import ConfigError, LimitError, RecordingError
 from fieldgrid.core.input_limits import limited
 from fieldgrid.geometry import Fix
-from fieldgrid.recordings import Columns, FixLog, columns_from_text
+from fieldgrid.recordings import Columns, FixLog, columns_from_text, open_drive
 from fieldgrid.recordings.tables.logs import read_fix_log
 from fieldgrid.recordings.tables.qualities import read_quality
 
@@ -340,6 +342,21 @@ def test_logs_of_all_kinds_are_read(
     assert (len(log.fixes), first.quality, first.heading_deg is not None) == (
         count, quality, has_heading,
     )  # fmt: skip
+
+
+def test_a_gyro_of_another_unit_has_another_clock(shared_data: SharedData, tmp_path: Path) -> None:
+    log = shared_data("kitti_oxts/2011_09_26_drive_0001.csv")
+    (tmp_path / "gnss").mkdir()
+    shutil.copy(log, tmp_path / "gnss")
+    with open_drive(tmp_path) as drive:
+        fixes = drive.fixes()
+    assert (fixes.stamp_sigma_s == 0.0).all()
+    (tmp_path / "imu").mkdir()
+    rows = (f"{ns / 1e9:.3f},0.0,0.0,0.1\n" for ns in fixes.time_ns.tolist())
+    header = "timestamp_utc_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s\n"
+    (tmp_path / "imu" / "imu.csv").write_text(header + "".join(rows))
+    with open_drive(tmp_path) as drive:
+        assert np.isnan(drive.fixes().stamp_sigma_s).all()
 
 
 def test_oxts_rows_bring_their_gyro(shared_data: SharedData) -> None:

@@ -114,8 +114,7 @@ def estimate_poses(
         doubts.append(lean_doubt(at_ns, lean, level_grids=level_grids))
     elif axle.vehicle is not None:
         ground = expected_ground(track_m(log.accepted), 0.0)
-        seen = drive.measured.sees_turns()
-        doubts.append(slope_doubt(ground, axle.vehicle, turns_seen=seen))
+        doubts.append(slope_doubt(ground, axle.vehicle, turns_seen=drive.measured.sees_turns()))
         findings += slope_findings(ground, axle.vehicle)
     if source.kind == "smooth":
         doubts.append(declared_doubt(at_ns, drive, axle.vehicle, checks.denied))

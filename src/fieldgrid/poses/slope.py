@@ -23,8 +23,10 @@ def slope_doubt(ground: ExpectedGround, rig: VehicleGeometry, *, turns_seen: boo
     """What an unknown lean of the antenna above the ground does to poses. To their positions it is
     common to neighbours; a heading that gyro or camera saw turn does not hang on the antenna's
     track."""
-    turned_deg = 0.0 if turns_seen else float(np.degrees(abs(rig.antenna.up_m) * ground.bent))
-    return AddedSigma(position_m=_off_m(ground, rig), heading_deg=turned_deg)
+    return AddedSigma(
+        position_m=_off_m(ground, rig),
+        heading_deg=0.0 if turns_seen else float(np.degrees(abs(rig.antenna.up_m) * ground.bent)),
+    )
 
 
 def _off_m(ground: ExpectedGround, rig: VehicleGeometry) -> float:

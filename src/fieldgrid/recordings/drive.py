@@ -8,6 +8,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from fieldgrid.core import Closing, GnssError, Int64, NoFramesError, RecordingError
 from fieldgrid.geometry import Datum, FixColumns, Motion, Rig
 from fieldgrid.recordings.frames.frames import Frame, FrameSource
@@ -176,8 +178,11 @@ def with_motion(drive: Drive, motion: Motion, notes: tuple[str, ...] = ()) -> Dr
     """A drive with motion of its own, which goes before that of its log, and remarks on it."""
     of_log = drive.motion()
     own = {name: said for name, said in motion._asdict().items() if said is not None}
-    joined = of_log._replace(**own)
-    return replace(drive, log=drive.log._replace(motion=joined), notes=drive.notes + notes)
+    log = drive.log._replace(motion=of_log._replace(**own))
+    if motion.gyro is not None:  # its clock is not known to be that of the fixes
+        fixes = replace(log.fixes, stamp_sigma_s=np.full(len(log.fixes), np.nan))
+        log = log._replace(fixes=fixes)
+    return replace(drive, log=log, notes=drive.notes + notes)
 
 
 def as_recording(

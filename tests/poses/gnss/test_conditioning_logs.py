@@ -46,16 +46,16 @@ def counts(summary: ConditioningSummary) -> dict[Gate, int]:
 
 
 @pytest.mark.parametrize(
-    ("name", "repeated"),
+    ("name", "repeated", "missed"),
     [
-        ("00_boundary_log_20260804_115620", 0.51),  # rows at 20 Hz and more, fixes at 10
-        ("62_Collins_polygon_1_20260727_144657", 0.004),  # rows at 5 Hz
-        ("headvalid_straight_15m_20260805_114856", 0.50),
-        ("stationary_engine_on_20260805", 0.0),
+        ("00_boundary_log_20260804_115620", 0.51, 0.04),  # rows at 20 Hz and more, fixes at 10
+        ("62_Collins_polygon_1_20260727_144657", 0.004, 0.04),  # rows at 5 Hz
+        ("headvalid_straight_15m_20260805_114856", 0.50, 0.05),
+        ("stationary_engine_on_20260805", 0.0, 0.04),
     ],
 )
 def test_of_a_real_tractor_only_repeats_are_rejected(
-    name: str, repeated: float, shared_data: SharedData
+    name: str, repeated: float, missed: float, shared_data: SharedData
 ) -> None:
     table = rows(shared_data(f"gnss/tractor2025/compact/{name}.csv"))
     fixes = [
@@ -82,7 +82,7 @@ def test_of_a_real_tractor_only_repeats_are_rejected(
         for a, b in pairwise(used)
         if (b.speed_mps or 0.0) > 0.3
     ]
-    assert sum(moving) <= 0.05 * len(moving)  # they stood for up to 70 % of the rows
+    assert sum(moving) <= missed * len(moving)  # they stood for up to 70 % of the rows
 
 
 def test_the_jumps_of_a_real_tractor_are_found(shared_data: SharedData) -> None:

@@ -291,26 +291,28 @@ def _table(
     )
     still = resting(chords)
     speed = np.where(still, 0.0, chords.ahead_m / chords.seconds)
-    table = PoseTable(
-        poses.time_ns,
-        place[:, 0],
-        place[:, 1],
-        poses.z_m + found.up_m,
-        np.asarray(wrap_deg(poses.heading_deg + found.frame_heading_deg - 90.0)),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        speed,
-        np.sign(speed).astype(np.int64),
-        np.zeros(n),
-        offset_m,
-        stated_m,
-        quality,
-        still,
-        [""] * n,
-        remark,
+    return as_unsure(
+        PoseTable(
+            poses.time_ns,
+            place[:, 0],
+            place[:, 1],
+            poses.z_m + found.up_m,
+            np.asarray(wrap_deg(poses.heading_deg + found.frame_heading_deg - 90.0)),
+            np.zeros(n),
+            np.zeros(n),
+            np.zeros(n),
+            speed,
+            np.sign(speed).astype(np.int64),
+            np.zeros(n),
+            offset_m,
+            stated_m,
+            quality,
+            still,
+            [""] * n,
+            remark,
+        ),
+        doubts,
     )
-    return as_unsure(table, doubts)
 
 
 def _ends(marked: Bool) -> Int64:
