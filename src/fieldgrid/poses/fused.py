@@ -166,8 +166,8 @@ def fuse(
     motion, dead_gyro = without_dead_gyro(log.accepted, motion)
     gyro = motion.gyro
     motion, wrong_gyro = without_wrong_gyro(log.accepted, motion)
-    axle, hints = axle_of(rig), settings
-    smoothed = partial(smooth_drive, log.accepted, log.fixes.time_ns, axle=axle, hints=hints)
+    axle = axle_of(rig)
+    smoothed = partial(smooth_drive, log.accepted, log.fixes.time_ns, axle=axle, hints=settings)
     drive, motion, turned_wheels = _with_right_wheels(smoothed(motion), motion, smoothed)
     # Fixes that leave the drive at once and come back.
     strays: dict[int, str] = {}
@@ -178,12 +178,12 @@ def fuse(
         verdicts = condition(log.fixes, settings.gnss, strays)
         accepted = accepted_fixes(log.fixes, verdicts, log.datum)
         log = log._replace(verdicts=verdicts, accepted=accepted)
-        drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=hints)
+        drive = smooth_drive(log.accepted, log.fixes.time_ns, motion, axle, hints=settings)
     # A gyro that contradicts the drive; of one that fits, where an undeclared axle is.
-    trusted = _with_trusted_gyro(drive, log, motion, axle, hints, frame_ns)
+    trusted = _with_trusted_gyro(drive, log, motion, axle, settings, frame_ns)
     findings = (faulty_gyro, dead_gyro, turned_wheels)
     found = Fusion(
-        *(log, trusted.drive, trusted.motion, axle, hints, gyro, trusted),
+        *(log, trusted.drive, trusted.motion, axle, settings, gyro, trusted),
         gyro_finding=wrong_gyro or trusted.finding,
         findings=tuple(one for one in findings if one is not None),
     )
