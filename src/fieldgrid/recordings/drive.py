@@ -179,7 +179,8 @@ def with_motion(drive: Drive, motion: Motion, notes: tuple[str, ...] = ()) -> Dr
     of_log = drive.motion()
     own = {name: said for name, said in motion._asdict().items() if said is not None}
     log = drive.log._replace(motion=of_log._replace(**own))
-    if motion.gyro is not None:  # its clock is not known to be that of the fixes
+    if of_log.gyro is not None and motion.gyro is not None:
+        # The log spoke of the clock of its own unit, whose gyro is not used.
         fixes = replace(log.fixes, stamp_sigma_s=np.full(len(log.fixes), np.nan))
         log = log._replace(fixes=fixes)
     return replace(drive, log=log, notes=drive.notes + notes)
