@@ -18,7 +18,6 @@ from fieldgrid.geometry import (
     Datum,
     Fix,
     FixColumns,
-    Gyro,
     LeverArm,
     Motion,
     Rig,
@@ -31,8 +30,6 @@ from fieldgrid.poses.accepted import datum_of
 from fieldgrid.poses.estimate import carry_lever
 from fieldgrid.poses.gates.conditioning import condition
 from fieldgrid.poses.gates.verdict import Verdicts
-from fieldgrid.poses.gears.stations import _turned_deg
-from fieldgrid.poses.nodes import nodes
 from fieldgrid.poses.settings import heading_source
 from fieldgrid.poses.table import default_baseline_m
 from tests.scenes import Leg, Path, drive, paper_rig
@@ -748,21 +745,3 @@ def test_a_constant_heading_that_contradicts_the_drive_is_told() -> None:
         settings = PoseSettings(heading=f"constant:{given_deg:g}")
         notes = estimate(simulated, settings=settings).report.notes
         assert any("more than 10° off" in note for note in notes) == told
-
-
-@pytest.mark.parametrize("late", [False, True])
-def test_a_gyro_that_begins_late_or_has_a_hole_still_tells_of_the_rest(late: bool) -> None:
-    """Only the way across the hole is unknown to the gears, not all that comes after it."""
-    simulated = simulate(SLALOM, 35.0)
-    gyro = gyro_of(simulated)
-    seconds = (gyro.time_ns - START) / 1e9
-    keep = seconds > 0.7 if late else (seconds < 8.0) | (seconds > 9.0)
-    fixes = START + np.arange(0, 180) * SECOND // 5
-    holed = Gyro(gyro.time_ns[keep], gyro.rate_rad_s[keep])
-    at = nodes(fixes, fixes, Motion(gyro=holed))
-    found = _turned_deg(at, fixes[::5], np.zeros(0, dtype=np.int64))
-    truth = np.degrees(np.diff(simulated.at(np.arange(36.0)).heading_rad))
-    known = np.isfinite(found[1:])
-    assert np.isnan(found[0])
-    assert np.count_nonzero(~known) in (1, 2, 3)
-    assert found[1:][known] == pytest.approx(truth[known], abs=0.05)

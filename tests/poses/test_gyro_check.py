@@ -232,12 +232,17 @@ def test_a_camera_that_saw_little_of_a_drive_denies_no_antenna(
     assert not any("than mounting.json says" in note for note in found.report.notes)
 
 
-def headings_of_a_robot(seed: int, noise_m: float) -> tuple[Estimate, Bool, Float64]:
-    """The estimate of one that turns on the spot, which fixes while it moves are used, and how far
-    their headings are off, degrees."""
+def headings_of_a_robot(
+    seed: int, noise_m: float, unseen_s: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Estimate, Bool, Float64]:
+    """The estimate of one that turns on the spot and whose gyro says nothing for a while, which
+    fixes while it moves are used, and how far their headings are off, degrees."""
     drive = pivoting(seed)
     fixes, right = fixes_of(drive, 0.2, noise_m), gyro_of(drive, bias_dps=0.1, noise_dps=0.1)
-    found = estimate_poses(fixes, Carrier(0.0), DATUM, motion=Motion(gyro=right))
+    at_s = (right.time_ns - fixes.time_ns[0]) / 1e9
+    seen = (at_s <= unseen_s[0]) | (at_s >= unseen_s[1])
+    gyro = right._replace(time_ns=right.time_ns[seen], rate_rad_s=right.rate_rad_s[seen])
+    found = estimate_poses(fixes, Carrier(0.0), DATUM, motion=Motion(gyro=gyro))
     track, rows, truth = found.trajectory, found.fix_row, drive.every(0.2)
     moving = np.abs(truth.speed_mps) > 0.05
     off = np.abs(wrap_deg(track.heading_deg[rows] - np.degrees(truth.heading_rad)))
@@ -252,6 +257,16 @@ def test_a_gyro_shows_who_turns_on_the_spot_and_goes_on_in_reverse(seed: int) ->
     assert used.mean() > 0.98
     assert off_deg[used].max() < 2.0
     assert not [note for note in found.report.notes if "gyro" in note]
+
+
+@pytest.mark.parametrize("unseen_s", [(-1.0, 9.0), (8.0, 9.0), (40.0, 41.0)])
+def test_a_gyro_that_begins_late_or_has_a_hole_still_tells_of_the_rest(
+    unseen_s: tuple[float, float],
+) -> None:
+    """Only the way across the hole is unknown to the gears, not all that comes after it."""
+    _, used, off_deg = headings_of_a_robot(2, 0.01, unseen_s)
+    assert used.mean() > 0.95
+    assert off_deg[used].max() < 2.0
 
 
 def test_positions_that_wander_while_a_robot_turns_on_the_spot_are_no_legs() -> None:

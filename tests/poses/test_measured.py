@@ -9,7 +9,8 @@ from fieldgrid.core import PoseSettings
 from fieldgrid.geometry import Carrier, Datum, Motion, WheelSpeed
 from fieldgrid.poses import estimate_poses
 from fieldgrid.poses.fused import conditioned
-from fieldgrid.poses.measured import _pace_mps, wheel_speed_at
+from fieldgrid.poses.measured import measurements, wheel_speed_at
+from fieldgrid.poses.nodes import nodes
 from tests.simulated import Command, fixes_of, simulate
 
 DATUM = Datum(39.5, -1.1, 700.0)
@@ -41,7 +42,12 @@ def test_wheels_that_stop_logging_vouch_for_no_gear() -> None:
 
 
 @pytest.mark.parametrize("period_s", [0.1, 0.99, 1.01, 2.0, 5.0])
-def test_the_pace_is_known_at_any_rate(period_s: float) -> None:
+def test_late_stamps_spread_fixes_along_the_way_at_any_rate(period_s: float) -> None:
     drive = simulate([Command(60.0, 2.0)], 30.0, speed_mps=2.0)
-    accepted = conditioned(fixes_of(drive, period_s), PoseSettings(), DATUM).accepted
-    assert _pace_mps(accepted) == pytest.approx(2.0, abs=0.2)
+    fixes = conditioned(fixes_of(drive, period_s), PoseSettings(), DATUM).accepted
+    fixes = fixes._replace(noise=fixes.noise._replace(late_s=0.1))
+    at = nodes(fixes.time_ns, fixes.time_ns, Motion())
+    n = len(at.time_ns)
+    found = measurements(fixes, at, np.zeros(n, np.bool_), Motion(), np.ones(n, np.int64), None)
+    along_m, across_m = found.fix_sigma_m[at.fix >= 0].T
+    assert np.sqrt(along_m**2 - across_m**2) == pytest.approx(0.2, abs=0.02)

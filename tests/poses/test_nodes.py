@@ -8,10 +8,13 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from fieldgrid.geometry import Gyro, Motion, Steps
-from fieldgrid.poses.nodes import FILL_NS, UNSEEN_NS, nodes
+from fieldgrid.poses.nodes import nodes
 from tests.simulated import SECOND, START
 
 _Int64 = npt.NDArray[np.int64]
+
+FILL_NS, UNSEEN_NS = SECOND // 4, 10 * SECOND
+"""Nodes are at most a quarter of a second apart, but in holes of more than ten."""
 
 gaps = st.lists(st.integers(1, 15 * SECOND), min_size=0, max_size=12)
 
