@@ -171,7 +171,8 @@ def smooth_drive(
 
     `all_ns` are the times of all fixes, which get poses too; `recorded` headings have passed their
     comparison with the course. The slow error of the fixes is learnt, unless it is to be
-    `as_stated`. An estimate `near` this one, with the same nodes and gears, is where it begins.
+    `as_stated`. An estimate `near` this one, with the same nodes, gears and gyro, is where it begins,
+    with the steering that it has learnt.
     """
     at = nodes(fixes.time_ns, all_ns, motion)
     standing = _standing(fixes)
@@ -197,15 +198,19 @@ def smooth_drive(
     begun = (
         near is not None
         and np.array_equal(near.time_ns, at.time_ns)
+        and near.at.has_gyro() == at.has_gyro()
         and np.array_equal(_assigned(near.at, near.stations)[0], gear)
     )
-    lever_m, step_ahead_m = axle.frame()
-    # Not a name here, nor `*axle.frame()`: either would keep the guess, which `smooth` lets go.
-    smoothed = smooth(
-        measured,
-        near.smoothed.state if near and begun else first_guess(fixes, at, found, measured),
-        *(lever_m, step_ahead_m, axle.sigma_m),
-    )
+    if near is not None and begun:
+        smoothed = refine(near.smoothed, measured, *axle.frame(), axle.sigma_m)
+    else:
+        lever_m, step_ahead_m = axle.frame()
+        # Not a name here, nor `*axle.frame()`: either would keep the guess, which `smooth` lets go.
+        smoothed = smooth(
+            measured,
+            first_guess(fixes, at, found, measured),
+            *(lever_m, step_ahead_m, axle.sigma_m),
+        )
     leaps = () if as_stated else told_leaps(smoothed, measured, at, fixes, axle)
     slow = SlowError()
     if not as_stated and measured.sees_turns() and smoothed.wander_nats > CLEAR_NATS:
