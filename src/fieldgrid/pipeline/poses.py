@@ -77,9 +77,6 @@ def estimate_drive(
     datum = datum or drive.datum_hint
     if datum is not None:
         _check_reach(drive, datum, settings.pose.frame_origin or drive.fixes())
-    frame_ns = None
-    if isinstance(drive, Recording):
-        frame_ns = drive.frame_times_ns() + drive.rig.image_time_offset_ns
     return estimate_poses(
         drive.fixes(),
         drive.rig or carrier,
@@ -87,7 +84,7 @@ def estimate_drive(
         settings.pose,
         drive.motion()._replace(steps=steps),
         None if drive.rig is None else cell_budget(drive.rig, settings),
-        frame_ns=frame_ns,
+        frame_ns=drive.image_times_ns() if isinstance(drive, Recording) else None,
         level_grids=level_grids,
     )
 

@@ -122,9 +122,9 @@ def _repose(
     found = dict(zip(inputs.frame_ns.tolist(), inputs.ground_found.tolist(), strict=True))
     frames = sorted(universal.frames(session.name), key=lambda frame: frame.driven.time_ns)
     before = {frame.frame_id: frame.driven for frame in frames}
-    times = [pose.time_ns for pose in before.values()]
     seen = (
-        (t, found.get(t, True), one.images_sha256) for t, one in zip(times, frames, strict=True)
+        (one.driven.time_ns, found.get(one.driven.time_ns, True), one.images_sha256)
+        for one in frames
     )
     after = dict(zip(before, frame_poses(estimate.trajectory, rig, seen), strict=True))
     config = {**session.config, "settings": settings.model_dump(mode="json")}

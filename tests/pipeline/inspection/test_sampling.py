@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fieldgrid.geometry import Datum, Status, Trajectory
 from fieldgrid.pipeline.inspection.drive import MOST_FOLLOWED, MOST_SAMPLES, sample_every, stretches
 
 
@@ -16,15 +17,24 @@ def test_samples_are_few_and_over_the_whole_drive(count: int) -> None:
 
 
 def test_a_short_drive_is_followed_throughout() -> None:
-    none = np.zeros(0)
-    assert stretches(np.arange(50), none.astype(np.int64), none) == [range(50)]
+    assert stretches(np.arange(50), None) == [range(50)]
+
+
+def track_of(time_ns: np.ndarray, heading_deg: np.ndarray) -> Trajectory:
+    """Headings at some times, at one place."""
+    n = len(time_ns)
+    zeros, gears = np.zeros(n), np.zeros(n, dtype=np.int64)
+    return Trajectory(
+        *(Datum(41.0, -4.0, 700.0), time_ns, zeros, zeros, zeros, heading_deg, zeros, zeros, zeros),
+        *(gears, gears, (Status.OK,) * n, ("",) * n, "smooth"),
+    )
 
 
 def test_of_a_long_drive_the_turns_are_followed_and_some_of_all() -> None:
     frames_ns = np.arange(10_000) * 100_000_000
     time_ns = np.arange(0, 1_000_000_000_001, 1_000_000_000)
     heading = np.where(time_ns < 700e9, 10.0, np.minimum(10.0 + (time_ns - 700e9) / 1e9, 190.0))
-    runs = stretches(frames_ns, time_ns, heading)
+    runs = stretches(frames_ns, track_of(time_ns, heading))
     assert sum(len(run) for run in runs) <= MOST_FOLLOWED
     assert [run.start for run in runs] == sorted(run.start for run in runs)
     flat = [k for run in runs for k in run]

@@ -8,14 +8,13 @@ and dirt show in the share of obstacle cells that are denied so, without any tru
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import cache
 
 import numpy as np
 
 from fieldgrid.core import Finding, warning
 from fieldgrid.geometry import Lidar, Rig
 from fieldgrid.maps import StagedFrames
-from fieldgrid.pipeline.checks.contradictions import FramePose, SeenCells, following, opposed
+from fieldgrid.pipeline.checks.contradictions import FramePose, denied_counts, following, opposed
 
 DENIED_WARN = 0.012
 """The denied share from which on it is told. Three rendered vineyards with two receivers each have
@@ -47,12 +46,9 @@ def denied_share(frames: StagedFrames, placed: Sequence[FramePose]) -> float | N
     that leaps, is in few pairs, and false matches are in all. None where too few frames see the
     same obstacles.
     """
-    seen_by = cache(lambda k: SeenCells.of(frames[k].grid()))
-    shares = []
-    for (k, pose), (near, near_pose) in following(placed, APART_M, PAIRS):
-        denied, seen = seen_by(k).denied(pose, seen_by(near), near_pose)
-        if seen >= FEWEST_CELLS:
-            shares.append(denied / seen)
+    denied, seen = denied_counts(frames, following(placed, APART_M, PAIRS))[:, 0].T
+    enough = seen >= FEWEST_CELLS
+    shares = denied[enough] / seen[enough]
     return float(np.quantile(shares, 0.25)) if len(shares) >= FEWEST_PAIRS else None
 
 
@@ -65,12 +61,9 @@ def opposed_share(frames: StagedFrames, placed: Sequence[FramePose]) -> float | 
     in the other's row; where it takes them apart, nothing is seen twice and nothing told. None
     where too little is.
     """
-    seen_by = cache(lambda k: SeenCells.of(frames[k].grid()))
-    denied, cells = 0, 0
-    for (k, pose), (near, near_pose) in opposed(placed, OPPOSED_APART_M, OPPOSED_PAIRS):
-        found = seen_by(k).denied(pose, seen_by(near), near_pose)
-        denied, cells = denied + found[0], cells + found[1]
-    return denied / cells if cells >= FEWEST_OPPOSED else None
+    pairs = opposed(placed, OPPOSED_APART_M, OPPOSED_PAIRS)
+    denied, seen = denied_counts(frames, pairs).sum(axis=(0, 1)).tolist()
+    return float(denied / seen) if seen >= FEWEST_OPPOSED else None
 
 
 def agreement_findings(share: float | None, rig: Rig) -> Iterator[Finding]:

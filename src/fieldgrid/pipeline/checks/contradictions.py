@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -11,7 +10,7 @@ import numpy as np
 
 from fieldgrid.core import Float64, UInt8
 from fieldgrid.geometry import FREE_UP_TO, OBSTACLE_ABOVE, GridSpec, LocalGrid, Pose, wrap_deg
-from fieldgrid.maps import to_local, to_universal
+from fieldgrid.maps import StagedFrames, to_local, to_universal
 
 NEAR_M = 0.2
 """An obstacle cell is not denied when anything but free ground is seen so near to it: what moves
@@ -65,13 +64,45 @@ class SeenCells:
         return int(np.count_nonzero(state == _FREE)), int(np.count_nonzero(state))
 
 
+def denied_counts(
+    frames: StagedFrames,
+    pairs: Iterable[tuple[FramePose, FramePose]],
+    turns_deg: Sequence[float] = (0.0,),
+    *,
+    flipped: bool = False,
+) -> Float64:
+    """How many obstacle cells of the first frame of each pair the second one denies, and how many
+    it saw, with the headings of both turned by each angle: [pair, angle, 2]. With the frames
+    `flipped`, left and right are exchanged in all of them."""
+    pairs = list(pairs)
+    seen = {k: SeenCells.of(frames[k].grid()) for k in {k for pair in pairs for k, _ in pair}}
+    if flipped:
+        seen = {k: one.flipped() for k, one in seen.items()}
+    counts = [
+        seen[k].denied(
+            replace(one, heading_deg=one.heading_deg + by_deg),
+            seen[m],
+            replace(other, heading_deg=other.heading_deg + by_deg),
+        )
+        for (k, one), (m, other) in pairs
+        for by_deg in turns_deg
+    ]
+    return np.array(counts, dtype=np.float64).reshape(-1, len(turns_deg), 2)
+
+
 def following(
     placed: Sequence[FramePose], apart_m: tuple[float, float], most: int
 ) -> Iterator[tuple[FramePose, FramePose]]:
     """At most `most` frames all over a drive, each with the next one that is at least `apart_m[0]`
     from it, if that is at most `apart_m[1]` away."""
-    near = (_beside(placed, k, apart_m) for k in _all_over(placed))
-    return _some([pair for pair in near if pair is not None], most)
+    at_m = np.array([(pose.east_m, pose.north_m) for _, pose in placed]).reshape(-1, 2)
+    pairs = []
+    for k in _all_over(placed):
+        off_m = np.hypot(*(at_m[k + 1 :] - at_m[k]).T)
+        far = np.flatnonzero(off_m >= apart_m[0])
+        if far.size and off_m[far[0]] <= apart_m[1]:
+            pairs.append((placed[k], placed[k + 1 + int(far[0])]))
+    return _some(pairs, most)
 
 
 def opposed(
@@ -107,17 +138,3 @@ def _some(
     for at in np.unique(chosen).tolist():
         one, other = pairs[at]
         yield (one, other) if at % 2 else (other, one)
-
-
-def _beside(
-    placed: Sequence[FramePose], k: int, apart_m: tuple[float, float]
-) -> tuple[FramePose, FramePose] | None:
-    """The frame with the first after it that is far enough; None where the drive ends or jumps
-    before."""
-    here = placed[k][1]
-    for later in range(k + 1, len(placed)):
-        pose = placed[later][1]
-        off_m = math.hypot(pose.east_m - here.east_m, pose.north_m - here.north_m)
-        if off_m >= apart_m[0]:
-            return (placed[k], placed[later]) if off_m <= apart_m[1] else None
-    return None

@@ -190,26 +190,22 @@ def sweep_findings(recording: Recording, every: int) -> Iterator[Finding]:
     """What becomes of the motion within a sweep, by one of the clouds that can be read."""
     if not isinstance(recording.rig.sensor, Lidar):
         return
+    told = (
+        "The clouds have no usable times of their points, or are corrected already, so the "
+        "vehicle's motion within a sweep is not corrected."
+    )
     for frame in probes(recording, every):
         assert isinstance(frame, CloudFrame)
-        try:
+        with suppress(RecordingError):  # which is told when the frame is staged
             points_m, after_s = frame.source.sweep()
-        except RecordingError:  # which is told when the frame is staged
-            continue
-        if after_s is None and len(points_m) < FEWEST_TIMES:
-            continue
-        if after_s is None:
-            told = (
-                "The clouds have no usable times of their points, or are corrected already, so the "
-                "vehicle's motion within a sweep is not corrected."
-            )
-        else:
-            told = (
-                f"The points of a sweep ({np.ptp(after_s):.3f} s) are corrected for the vehicle's "
-                "motion within it."
-            )
-        yield info("sweep", told)
-        return
+            if after_s is not None:
+                told = (
+                    f"The points of a sweep ({np.ptp(after_s):.3f} s) are corrected for the "
+                    "vehicle's motion within it."
+                )
+            if after_s is not None or len(points_m) >= FEWEST_TIMES:
+                yield info("sweep", told)
+                return
 
 
 def swapped(recording: Recording, every: int) -> bool:
@@ -217,12 +213,10 @@ def swapped(recording: Recording, every: int) -> bool:
     camera = recording.rig.camera
     as_is, exchanged = [], []
     for frame in probes(recording, every):
-        try:
+        with suppress(RecordingError):  # it was left out of the drive, too
             left, right = frame.images()
-        except RecordingError:  # it was left out of the drive, too
-            continue
-        as_is.append(len(features(camera, left, right).blur_px))
-        exchanged.append(len(features(camera, right, left).blur_px))
+            as_is.append(len(features(camera, left, right).blur_px))
+            exchanged.append(len(features(camera, right, left).blur_px))
     points = float(np.median(exchanged)) if exchanged else 0.0
     return points >= SWAPPED_POINTS and points > SWAPPED_TIMES * float(np.median(as_is))
 

@@ -8,22 +8,23 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
 
-from fieldgrid.core import FieldgridError, Float32
-from fieldgrid.geometry import FREE_UP_TO, LocalGrid
-from fieldgrid.perception import FrameGround, LocalGridder, Sweep
+from fieldgrid.core import FieldgridError
+from fieldgrid.geometry import FREE_UP_TO
+from fieldgrid.perception import LocalGridder
 from fieldgrid.pipeline.checks.doubt import probes
+from fieldgrid.pipeline.staging.perception import perceive_frame
 from fieldgrid.recordings import (
     CloudFile,
     CloudFrame,
     DepthFile,
     DepthFrame,
     Frame,
-    Image,
     Recording,
     check_axes,
 )
@@ -42,44 +43,22 @@ LIKE_THE_BEST = 0.5
 are taken for ground show a fifth of it."""
 
 
-@dataclass(frozen=True, slots=True)
-class _FreeGround:
-    """How many cells of free ground a frame shows; 0 where the ground is not found."""
-
-    gridder: LocalGridder
-
-    def pair(self, left: Image, right: Image) -> int:
-        return _free(*self.gridder(left, right))
-
-    def depth(self, depth_m: Float32) -> int:
-        return _free(*self.gridder.from_depth(depth_m))
-
-    def cloud(self, sweep: Sweep) -> int:
-        return _free(*self.gridder.from_cloud(sweep.points_m))
-
-
-def _free(grid: LocalGrid, ground: FrameGround) -> int:
-    free = grid.observed & (grid.density <= FREE_UP_TO)
-    return int(np.count_nonzero(free)) if ground.refined else 0
-
-
 def format_hints(recording: Recording, gridder: LocalGridder, every: int) -> list[str]:
     """What recording.toml could say for the ground to be found in nearly all frames that are tried;
     nothing where no reading helps, or where frames are neither depth images nor clouds of a
     folder."""
-    reader = _FreeGround(gridder)
     found = defaultdict[str, list[int]](list)
     tried = 0
     for frame in probes(recording, every):
         tried += 1
         for says, other in _hints(frame):
-            try:
-                found[says].append(other.read(reader))
-            except FieldgridError:  # so nothing is found in it
-                continue
+            with suppress(FieldgridError):  # nothing is found in what cannot be read so
+                seen = perceive_frame(other, gridder)
+                free = seen.grid.observed & (seen.grid.density <= FREE_UP_TO)
+                found[says].append(int(np.count_nonzero(free)) if seen.ground.refined else 0)
     enough = max(MOST * tried, 1.0)
-    free = {says: sum(cells) for says, cells in found.items() if np.count_nonzero(cells) >= enough}
-    return [says for says, cells in free.items() if cells >= LIKE_THE_BEST * max(free.values())]
+    shown = {says: sum(cells) for says, cells in found.items() if np.count_nonzero(cells) >= enough}
+    return [says for says, cells in shown.items() if cells >= LIKE_THE_BEST * max(shown.values())]
 
 
 def hint_sentence(readings: Sequence[str]) -> str:
@@ -93,21 +72,16 @@ def _hints(frame: Frame) -> Iterator[tuple[str, Frame]]:
     """Settings of recording.toml, and the frame as it is read with each."""
     if isinstance(frame, DepthFrame) and isinstance(frame.source, DepthFile):
         is_depth = frame.source.format.role == "depth"
+        key = "[depth] scale_m" if is_depth else "[disparity] scale_px"
         for unit in DEPTH_SCALES_M if is_depth else DISPARITY_SCALES_PX:
-            source = replace(frame.source, format=replace(frame.source.format, unit=unit))
-            says = f"[depth] scale_m = {unit:g}" if is_depth else f"[disparity] scale_px = {unit:g}"
-            yield says, replace(frame, source=source)
+            kind = replace(frame.source.format, unit=unit)
+            yield f"{key} = {unit:g}", replace(frame, source=replace(frame.source, format=kind))
     elif isinstance(frame, CloudFrame) and isinstance(frame.source, CloudFile):
-        cloud = frame.source
-        for scale_m in CLOUD_SCALES_M:
-            says = f"[cloud] scale_m = {scale_m:g}"
-            yield (
-                says,
-                replace(frame, source=replace(cloud, kind=replace(cloud.kind, scale_m=scale_m))),
-            )
-        for axes in _AXES:
-            says = f'[cloud] axes = "{axes}"'
-            yield says, replace(frame, source=replace(cloud, kind=replace(cloud.kind, axes=axes)))
+        cloud = frame.source.kind
+        kinds = {f"scale_m = {one:g}": replace(cloud, scale_m=one) for one in CLOUD_SCALES_M}
+        kinds |= {f'axes = "{axes}"': replace(cloud, axes=axes) for axes in _AXES}
+        for says, other in kinds.items():
+            yield f"[cloud] {says}", replace(frame, source=replace(frame.source, kind=other))
 
 
 def _right_handed() -> Iterator[str]:

@@ -38,10 +38,9 @@ def mirror_findings(
     recording: Recording, trajectory: Trajectory, steps: Steps | None
 ) -> Iterator[Finding]:
     """That the fixes turn left where the camera turns right, over the whole drive."""
-    off = None if steps is None else _misfit(steps, trajectory)
-    if steps is None or off is None:
+    if steps is None:
         return
-    as_is_m, mirrored_m, exchanged_m = off
+    as_is_m, mirrored_m, exchanged_m = _misfit(steps, trajectory)
     if as_is_m < OFF_M or min(mirrored_m, exchanged_m) > SHARE * as_is_m:
         return
     told = (
@@ -73,19 +72,17 @@ def mirror_findings(
     yield error(StopCode.MIRRORED.value, f"{told}{why}", remedy)
 
 
-def _misfit(steps: Steps, trajectory: Trajectory) -> tuple[float, float, float] | None:
+def _misfit(steps: Steps, trajectory: Trajectory) -> list[float]:
     """The distance of the camera's path from that of the fixes, root mean square, metres: as they
-    are, with left and right exchanged, and with latitude and longitude exchanged. None where too
+    are, with left and right exchanged, and with latitude and longitude exchanged. 0 where too
     little of the two paths is known."""
     placed = trajectory.accepted
     time_ns = trajectory.time_ns[placed]
-    if len(time_ns) < 2:
-        return None
     north_m, east_m = trajectory.north_m[placed], trajectory.east_m[placed]
     lat, lon = np.radians([trajectory.datum.lat_deg, trajectory.datum.lon_deg])
     as_is, exchanged = north_m + 1j * east_m, east_m / np.cos(lat) + 1j * north_m * np.cos(lon)
     count, squares = 0, np.zeros(3)
-    for first, stop in _chains(steps):
+    for first, stop in _chains(steps) if len(time_ns) > 1 else ():
         seen = _driven(steps, first, stop)
         at_ns = np.concatenate([steps.start_ns[first : first + 1], steps.stop_ns[first:stop]])
         known = _near(at_ns, time_ns)
@@ -97,10 +94,7 @@ def _misfit(steps: Steps, trajectory: Trajectory) -> tuple[float, float, float] 
         count += int(known.sum())
         pairs = ((fixed, seen[known]), (fixed, np.conj(seen[known])), (other, seen[known]))
         squares += [_squares(path, way) for path, way in pairs]
-    if not count:
-        return None
-    as_is_m, mirrored_m, exchanged_m = np.sqrt(squares / count).tolist()
-    return as_is_m, mirrored_m, exchanged_m
+    return list(np.sqrt(squares / max(count, 1)).tolist())
 
 
 def _chains(steps: Steps) -> list[tuple[int, int]]:

@@ -9,23 +9,22 @@ right correction, frames contradict each other least.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from fieldgrid.core import Figure, Finding, Float64, StopCode, error, warning
-from fieldgrid.geometry import Lidar, Pose, Rig, wrap_deg
+from fieldgrid.geometry import Lidar, Rig, wrap_deg
 from fieldgrid.maps import StagedFrames
-from fieldgrid.pipeline.checks.contradictions import FramePose, SeenCells, following
+from fieldgrid.pipeline.checks.contradictions import FramePose, denied_counts, following
 from fieldgrid.poses import ASKEW_DEG
 
 APART_M, ALIKE_DEG, PAIRS = (4.0, 9.0), 30.0, 120
 """How far apart two frames are taken that are compared, within what of each other they look, and
 how many pairs of them there are at most."""
 
-TURNS_DEG = np.arange(-8.0, 8.01, 0.5)
+TURNS_DEG = np.arange(-8.0, 8.01, 0.5).tolist()
 
 FEWEST_PAIRS, FEWEST_CELLS = 16, 1000
 """Fewer pairs, or fewer obstacle cells that were seen by both, tell nothing."""
@@ -65,14 +64,13 @@ def sensor_yaw(frames: StagedFrames, placed: Sequence[FramePose]) -> SensorYaw |
         for one, other in following(placed, APART_M, PAIRS)
         if abs(wrap_deg(other[1].heading_deg - one[1].heading_deg)) <= ALIKE_DEG
     ]
-    seen = {k: SeenCells.of(frames[k].grid()) for pair in pairs for k, _ in pair}
-    counts = _counts(pairs, seen)
+    counts = denied_counts(frames, pairs, TURNS_DEG)
     if len(pairs) < FEWEST_PAIRS or counts[:, len(TURNS_DEG) // 2, 1].sum() < FEWEST_CELLS:
         return None
     denied = _denied(counts)
     if _agrees(denied):
         return SensorYaw(_least(denied), _sigma_deg(counts))
-    flipped = _counts(pairs, {k: one.flipped() for k, one in seen.items()})
+    flipped = denied_counts(frames, pairs, TURNS_DEG, flipped=True)
     mirrored = _denied(flipped)
     if _agrees(mirrored) and mirrored.min() < CONTRAST * denied.min():
         return SensorYaw(_least(mirrored), _sigma_deg(flipped), is_mirrored=True)
@@ -103,20 +101,6 @@ def sensor_yaw_findings(found: SensorYaw | None, rig: Rig) -> Iterator[Finding]:
         )
 
 
-def _counts(pairs: Sequence[tuple[FramePose, FramePose]], seen: Mapping[int, SeenCells]) -> Float64:
-    """How many obstacle cells of each pair are denied at each angle, and how many were seen:
-    [pair, angle, 2]."""
-
-    def turned(pose: Pose, by_deg: float) -> Pose:
-        return replace(pose, heading_deg=pose.heading_deg + by_deg)
-
-    counts = [
-        [seen[k].denied(turned(a, by_deg), seen[m], turned(b, by_deg)) for by_deg in TURNS_DEG]
-        for (k, a), (m, b) in pairs
-    ]
-    return np.array(counts, dtype=np.float64).reshape(-1, len(TURNS_DEG), 2)
-
-
 def _agrees(denied: Float64) -> bool:
     return bool(denied.min() <= CONTRAST * np.median(denied))
 
@@ -135,8 +119,7 @@ def _least(denied: Float64) -> float:
     high = np.flatnonzero(np.append(denied > half, True))
     first = int(high[high < best].max(initial=-1)) + 1
     beyond = int(high[high > best].min())
-    weight = half - denied[first:beyond]
-    return float((TURNS_DEG[first:beyond] * weight).sum() / weight.sum())
+    return float(np.average(TURNS_DEG[first:beyond], weights=half - denied[first:beyond]))
 
 
 def _sigma_deg(counts: Float64) -> float:

@@ -43,17 +43,14 @@ class StuckCamera(NamedTuple):
             self.since[k] if one and _is_known(self.since[k]) else pose
             for k, one in enumerate(again)
         )
-        after = StuckCamera(tuple(images_sha256), since)
-        moved_m = max(
-            (math.hypot(pose.east_m - at.east_m, pose.north_m - at.north_m) for at in since),
-            default=0.0,
+        is_off = any(
+            math.hypot(pose.east_m - at.east_m, pose.north_m - at.north_m) > MOVED_M
+            or abs(float(wrap_deg(pose.heading_deg - at.heading_deg))) > TURNED_DEG
+            for at in since
         )
-        turned_deg = max(
-            (abs(float(wrap_deg(pose.heading_deg - at.heading_deg))) for at in since), default=0.0
-        )
-        if pose.status is Status.REJECTED or (moved_m <= MOVED_M and turned_deg <= TURNED_DEG):
-            return after, pose
-        return after, replace(pose, status=Status.REJECTED, reason=REPEATED)
+        if is_off and pose.status is not Status.REJECTED:
+            pose = replace(pose, status=Status.REJECTED, reason=REPEATED)
+        return StuckCamera(tuple(images_sha256), since), pose
 
     def _again(self, images_sha256: Sequence[str]) -> list[bool]:
         """For each of a frame's images, whether it is that of the latest frame."""

@@ -34,10 +34,9 @@ _ATTITUDE_RAD2 = math.radians(2.0) ** 2
 
 
 class StampedMessage(NamedTuple):
-    """One message. The order decides among messages of one time."""
+    """One message."""
 
     time_ns: int
-    order: int
     topic: str
     message: Any
 
@@ -76,8 +75,8 @@ def _transforms(rig: Rig, time_ns: int) -> Iterator[Any]:
 def fix_messages(fixes: FixColumns) -> Iterator[StampedMessage]:
     """All fixes, also those that a build would reject, each followed by what it cannot say."""
     for fix in fixes.in_order():
-        yield StampedMessage(fix.time_ns, 0, FIX, gnss.nav_sat_fix(fix, ANTENNA))
-        yield StampedMessage(fix.time_ns, 0, FIX + gnss.DETAILS, gnss.details_message(fix))
+        yield StampedMessage(fix.time_ns, FIX, gnss.nav_sat_fix(fix, ANTENNA))
+        yield StampedMessage(fix.time_ns, FIX + gnss.DETAILS, gnss.details_message(fix))
 
 
 def motion_messages(motion: Motion, notes: list[str]) -> Iterator[StampedMessage]:
@@ -96,7 +95,7 @@ def motion_messages(motion: Motion, notes: list[str]) -> Iterator[StampedMessage
     if motion.wheels is not None:
         times, speeds = motion.wheels.time_ns.tolist(), motion.wheels.speed_mps.tolist()
         streams.append(
-            StampedMessage(t, 2, "/wheel_odometry", messages.odometry_message(t, speed))
+            StampedMessage(t, "/wheel_odometry", messages.odometry_message(t, speed))
             for t, speed in zip(times, speeds, strict=True)
         )
     for topic, tilt in ((gnss.TILT, motion.tilt), (gnss.ORIENTATION, motion.orientation)):
@@ -107,7 +106,7 @@ def motion_messages(motion: Motion, notes: list[str]) -> Iterator[StampedMessage
 
 def _tilt_messages(topic: str, tilt: RecordedTilt | Orientation) -> Iterator[StampedMessage]:
     for time_ns, message in gnss.tilt_messages(tilt):
-        yield StampedMessage(time_ns, 1, topic, message)
+        yield StampedMessage(time_ns, topic, message)
 
 
 def _sensed(gyro: Gyro, inertial: Inertial | None) -> Float64:
@@ -127,7 +126,7 @@ def _imu_messages(times_ns: Int64, sensed: Float64) -> Iterator[StampedMessage]:
     for time_ns, (x, y, z, *felt) in zip(times_ns.tolist(), sensed.tolist(), strict=True):
         known = None if math.isnan(felt[0]) else (felt[0], felt[1], felt[2])
         message = messages.imu_message(time_ns, IMU, (x, y, z), known)
-        yield StampedMessage(time_ns, 1, IMU_DATA, message)
+        yield StampedMessage(time_ns, IMU_DATA, message)
 
 
 def pose_messages(trajectory: Trajectory) -> Iterator[StampedMessage]:
@@ -137,7 +136,7 @@ def pose_messages(trajectory: Trajectory) -> Iterator[StampedMessage]:
         time_ns, yaw = int(trajectory.time_ns[k]), float(yaws[k])
         at_m = np.array([trajectory.east_m[k], trajectory.north_m[k], trajectory.up_m[k]])
         pose = messages.pose(at_m[0], at_m[1], at_m[2], yaw)
-        yield StampedMessage(time_ns, 3, "/pose", messages.pose_stamped(time_ns, MAP, pose))
+        yield StampedMessage(time_ns, "/pose", messages.pose_stamped(time_ns, MAP, pose))
         variance_m2 = float(trajectory.position_sigma_m[k]) ** 2
         yaw_rad2 = math.radians(float(trajectory.heading_sigma_deg[k])) ** 2
         variances = [
@@ -151,6 +150,6 @@ def pose_messages(trajectory: Trajectory) -> Iterator[StampedMessage]:
         )
         header = messages.header_of(time_ns, MAP)
         stamped = messages.new("geometry_msgs/PoseWithCovarianceStamped", header=header, pose=sure)
-        yield StampedMessage(time_ns, 4, "/pose_with_covariance", stamped)
+        yield StampedMessage(time_ns, "/pose_with_covariance", stamped)
         placed = messages.transform(time_ns, MAP, BASE, at_m, pose.orientation)
-        yield StampedMessage(time_ns, 5, "/tf", messages.transforms(placed))
+        yield StampedMessage(time_ns, "/tf", messages.transforms(placed))

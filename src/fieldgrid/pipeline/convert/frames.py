@@ -40,9 +40,8 @@ def frame_messages(
     rig = recording.rig
     for done, frame in enumerate(recording.frames(), start=1):
         time_ns = frame.time_ns + rig.image_time_offset_ns
-        made = frame.read(_FrameMessages(frame, rig, images, time_ns))
-        for order, (topic, message) in enumerate(made, start=6):
-            yield StampedMessage(time_ns, order, topic, message)
+        for topic, message in frame.read(_FrameMessages(frame, rig, images, time_ns)):
+            yield StampedMessage(time_ns, topic, message)
         if progress is not None:
             progress(done, recording.frame_count)
 

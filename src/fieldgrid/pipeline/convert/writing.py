@@ -6,6 +6,7 @@ import heapq
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -103,25 +104,25 @@ def _converted(
             streams.append(pose_messages(trajectory))
         if recording is not None and images is not Images.NONE:
             streams.append(frame_messages(recording, images, progress))
-        counts: Counter[str] = Counter()
-        start_ns, stop_ns = 0, 0
-        for one in heapq.merge(*streams, key=lambda one: (one.time_ns, one.order)):
-            if not counts:
-                start_ns = one.time_ns
-                # Image stamps are by the receiver's clock already.
-                rig = drive.rig and replace(drive.rig, image_time_offset_ns=0)
-                for topic, message in messages_once(rig, trajectory, start_ns):
-                    writer.write(topic, message, start_ns, latched=True)
-                    counts[topic] += 1
-            writer.write(one.topic, one.message, one.time_ns)
-            counts[one.topic] += 1
-            stop_ns = one.time_ns
-        if not counts:
+        # Of one time, the messages of the first of these streams come first.
+        merged = heapq.merge(*streams, key=lambda one: one.time_ns)
+        first = next(merged, None)
+        if first is None:
             raise RecordingError(
                 f"{drive.name} has neither frames nor fixes, so there is nothing to convert; "
                 "give another drive."
             )
-    return Converted(out, drive.name, dict(sorted(counts.items())), start_ns, stop_ns, tuple(notes))
+        last, counts = first, Counter[str]()
+        # Image stamps are by the receiver's clock already.
+        rig = drive.rig and replace(drive.rig, image_time_offset_ns=0)
+        for topic, message in messages_once(rig, trajectory, first.time_ns):
+            writer.write(topic, message, first.time_ns, latched=True)
+            counts[topic] += 1
+        for last in chain([first], merged):
+            writer.write(last.topic, last.message, last.time_ns)
+            counts[last.topic] += 1
+    topics = dict(sorted(counts.items()))
+    return Converted(out, drive.name, topics, first.time_ns, last.time_ns, tuple(notes))
 
 
 def _trajectory(drive: Drive) -> tuple[Trajectory | None, list[str]]:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Finding, Float64, Int64, info, warning
-from fieldgrid.geometry import GridSpec, Rig, Status, StereoCamera, Trajectory
+from fieldgrid.core import BuildSettings, Finding, info, warning
+from fieldgrid.geometry import GridSpec, Pose, Rig, Status, StereoCamera, Trajectory
+from fieldgrid.maps import to_universal
+from fieldgrid.perception import reliable_range_m
+from fieldgrid.recordings import Recording
 
 COUNT_CELL_M = 0.5
 """The covered area is counted in cells of this size."""
@@ -42,33 +45,24 @@ class ExpectedMap(NamedTuple):
     cell_m: float | None
 
 
-def coverage(
-    images_ns: Int64,
-    trajectory: Trajectory,
-    rig: Rig,
-    spec: GridSpec,
-    reach_m: float,
-    disparity_sigma_px: float,
-) -> ExpectedMap | None:
-    """What grids of frames at these times, offset included, would cover; None without a pose."""
-    used = [pose for pose in map(trajectory.at, images_ns.tolist()) if pose.status is Status.OK]
-    if not used:
-        return None
-    east_m = np.array([pose.east_m for pose in used])
-    north_m = np.array([pose.north_m for pose in used])
-    nose = np.radians([pose.heading_deg for pose in used])
+def coverage(recording: Recording, settings: BuildSettings, trajectory: Trajectory) -> ExpectedMap:
+    """What the grids of a recording would cover, one of whose frames has a pose at least."""
+    rig, spec = recording.rig, GridSpec.of(settings.grid)
+    reach_m = reliable_range_m(rig, spec, settings.stereo, settings.density)
+    poses = map(trajectory.at, recording.image_times_ns().tolist())
+    used = [pose for pose in poses if pose.status is Status.OK]
     near_m = min(nearest_m(rig), reach_m)
-    ways_m = np.hypot(np.diff(east_m), np.diff(north_m))
+    ways_m = np.hypot(*np.diff([(pose.east_m, pose.north_m) for pose in used], axis=0).T)
     grid_m = reach_m - near_m
     position_m = float(np.median([pose.position_sigma_m for pose in used]))
     heading_m = reach_m * math.radians(float(np.median([p.heading_sigma_deg for p in used])))
     range_m = None
     if isinstance(rig.sensor, StereoCamera):
-        range_m = float(rig.sensor.range_sigma_m(reach_m, disparity_sigma_px))
+        range_m = float(rig.sensor.range_sigma_m(reach_m, settings.stereo.disparity_sigma_px))
     off_m = math.hypot(position_m, heading_m, range_m or 0.0)
     return ExpectedMap(
         frames=len(used),
-        area_m2=_area_m2(east_m, north_m, nose, spec.width_m, near_m, reach_m),
+        area_m2=_area_m2(used, spec.width_m, near_m, reach_m),
         spacing_m=float(np.median(ways_m)) if len(ways_m) else None,
         grid_m=grid_m,
         holes_share=float((ways_m > grid_m).mean()) if len(ways_m) else 0.0,
@@ -89,11 +83,9 @@ def nearest_m(rig: Rig) -> float:
     return rig.mount.height_m / math.tan(down) if 0.0 < down < math.pi / 2.0 else 0.0
 
 
-def coverage_findings(found: ExpectedMap | None, cell_m: float, asked: bool) -> Iterator[Finding]:
-    """Holes between grids, and cells finer than the data; `asked` says whether somebody chose
-    the cell."""
-    if found is None:
-        return
+def coverage_findings(found: ExpectedMap, settings: BuildSettings) -> Iterator[Finding]:
+    """Holes between grids, and cells finer than the data, a warning where somebody chose them."""
+    cell_m = settings.universal_cell_m
     if found.grid_m <= 0.0:
         yield warning(
             "nothing-in-view",
@@ -108,13 +100,12 @@ def coverage_findings(found: ExpectedMap | None, cell_m: float, asked: bool) -> 
             f"the {found.grid_m:.1f} m of path that a local grid covers.",
             "The map has holes there; record more frames, or drive more slowly.",
         )
-    supported_m = found.cell_m
-    if supported_m is None or supported_m > cell_m:
+    if found.cell_m is None or found.cell_m > cell_m:
         most, remedy = "coarser than 5 m", "Use better fixes."
-        if supported_m is not None:
-            most = f"{supported_m:g} m"
-            remedy = f"For planning read the map with --cell {supported_m:g}."
-        yield (warning if asked else info)(
+        if found.cell_m is not None:
+            most = f"{found.cell_m:g} m"
+            remedy = f"For planning read the map with --cell {found.cell_m:g}."
+        yield (info if settings.map.cell_m is None else warning)(
             "cell-size",
             f"At the far end a cell is off by {found.position_sigma_m:.2f} m for the position, "
             f"{found.heading_error_m:.2f} m for the heading"
@@ -124,25 +115,16 @@ def coverage_findings(found: ExpectedMap | None, cell_m: float, asked: bool) -> 
         )
 
 
-def _area_m2(
-    east_m: Float64,
-    north_m: Float64,
-    nose_rad: Float64,
-    width_m: float,
-    near_m: float,
-    reach_m: float,
-) -> float:
+def _area_m2(placed: Sequence[Pose], width_m: float, near_m: float, reach_m: float) -> float:
     """The union of the parts of local grids that points enter."""
-    every = max(1, math.ceil(len(east_m) / MOST_PLACED))
+    every = max(1, math.ceil(len(placed) / MOST_PLACED))
     across = np.arange(-width_m / 2.0, width_m / 2.0, COUNT_CELL_M / 2.0)
     ahead = np.arange(near_m, reach_m, COUNT_CELL_M / 2.0)
     x, y = (grid.ravel() for grid in np.meshgrid(across, ahead))
     inside = np.hypot(x, y) <= reach_m
-    x, y = x[inside], y[inside]
     found = []
-    for e, n, phi in zip(east_m[::every], north_m[::every], nose_rad[::every], strict=True):
-        sin, cos = math.sin(phi), math.cos(phi)
-        column = np.floor((e + x * cos + y * sin) / COUNT_CELL_M).astype(np.int64)
-        row = np.floor((n - x * sin + y * cos) / COUNT_CELL_M).astype(np.int64)
+    for pose in placed[::every]:
+        at_m = np.stack(to_universal(x[inside], y[inside], pose))
+        column, row = np.floor(at_m / COUNT_CELL_M).astype(np.int64)
         found.append(np.unique((column << 32) + row))
     return len(np.unique(np.concatenate(found))) * COUNT_CELL_M**2

@@ -16,15 +16,14 @@ from fieldgrid.core import (
     BuildSettings,
     FieldgridError,
     Finding,
-    Float64,
     Int64,
     StopCode,
     error,
     info,
     warning,
 )
-from fieldgrid.geometry import GridSpec, Steps
-from fieldgrid.perception import LocalGridder
+from fieldgrid.geometry import GridSpec, Trajectory
+from fieldgrid.perception import LocalGridder, Misalignment
 from fieldgrid.pipeline.checks.camera_scale import camera_scale, scale_findings, tells_heights
 from fieldgrid.pipeline.checks.doubt import camera_findings, misalignment, row_findings
 from fieldgrid.pipeline.checks.format_hints import format_hints, hint_sentence
@@ -71,15 +70,11 @@ def sample_every(frame_count: int) -> int:
     return max(1, math.ceil(frame_count / MOST_SAMPLES))
 
 
-def stretches(
-    frame_ns: Int64,
-    time_ns: Int64,
-    heading_deg: Float64,
-) -> list[range]:
+def stretches(frame_ns: Int64, track: Trajectory | None) -> list[range]:
     """Runs of neighbouring frames: all in one where they are few, else half of them spread over
     the drive and half where it turns most, which tells clocks apart.
 
-    `heading_deg` [n] is what is known of the drive at `time_ns` [n] before the images are seen.
+    `track` is what is known of the drive before the images are seen.
     """
     count = len(frame_ns)
     if count <= MOST_FOLLOWED:
@@ -87,25 +82,13 @@ def stretches(
     length = MOST_FOLLOWED // STRETCHES
     starts = range(0, count - length + 1, length)
     spread = np.linspace(0, len(starts) - 1, STRETCHES // 2).round().astype(int).tolist()
-    turn = np.abs(np.diff(np.unwrap(np.radians(np.nan_to_num(heading_deg)))))
-    turned = np.concatenate([[0.0], np.cumsum(turn)])
-    at = np.interp(frame_ns, time_ns, turned) if len(time_ns) else np.zeros(count)
+    at = np.zeros(count)
+    if track is not None:
+        turn = np.abs(np.diff(np.unwrap(np.radians(np.nan_to_num(track.heading_deg)))))
+        at = np.interp(frame_ns, track.time_ns, np.append(0.0, np.cumsum(turn)))
     by_turn = np.argsort([-(at[start + length - 1] - at[start]) for start in starts]).tolist()
     chosen = list(dict.fromkeys([*spread, *by_turn]))[:STRETCHES]
     return [range(starts[k], starts[k] + length) for k in sorted(chosen)]
-
-
-# The clocks of images and fixes: whether they tell the same time, and what to do if not.
-
-
-def clock_unknown(followed: int) -> Finding:
-    """The finding that the camera's motion in `followed` frames does not tell its clock."""
-    return info(
-        "clock-unknown",
-        f"The clock offset of the images cannot be estimated from {followed} frames: the drive is "
-        "too uniform, too short, or has poor images.",
-        "Start a drive with a few turns.",
-    )
 
 
 _OF_CAMERA = {
@@ -120,17 +103,15 @@ GROUND_SHARE = 0.7
 """Ground is found in nearly all frames of a sensor that is mounted as its mounting says."""
 
 
-def with_fixes(found: Inspection, estimate: Estimate, drive: Drive) -> Inspection:
-    """The report with the fixes of a drive, judged by an estimate, and its poses."""
-    fixes = drive.fixes().in_order()
-    accepted = estimate.trajectory.accepted[estimate.fix_row]
-    summary = summarise_fixes(fixes, accepted, estimate.report.conditioning)
-    return replace(found, fixes=summary, trajectory=estimate.trajectory)
-
-
 def told_of_poses(estimate: Estimate) -> tuple[Finding, ...]:
     """What is told of poses of which some can be used."""
     return estimate.report.findings if estimate.trajectory.accepted.any() else ()
+
+
+def with_fixes(found: Inspection, estimate: Estimate, drive: Drive) -> Inspection:
+    """The report with the fixes of a drive, judged by an estimate, and its poses."""
+    fixes = summarise_fixes(drive.fixes(), estimate)
+    return replace(found, fixes=fixes, trajectory=estimate.trajectory)
 
 
 def with_frames(
@@ -141,6 +122,7 @@ def with_frames(
     tell: Tell | None,
 ) -> Inspection:
     """A whole recording, in the order of a build."""
+    times_ns = recording.image_times_ns()
     found = replace(
         found,
         frames=recording.frame_count,
@@ -149,19 +131,32 @@ def with_frames(
     fixes_alone: Estimate | None = None
     with noted(findings):
         fixes_alone = estimate_drive(recording, settings)
-        found = with_fixes(found, fixes_alone, recording)
-        found = replace(
-            found, reasons=rejections(recording.image_times_ns(), fixes_alone.trajectory)
-        )
+        reasons = rejections(times_ns, fixes_alone.trajectory)
+        found = replace(with_fixes(found, fixes_alone, recording), reasons=reasons)
         with noted(findings, "no-overlap"):
             check_images(recording, fixes_alone.trajectory)
     with noted(findings):
         gridder = LocalGridder(
             recording.rig, GridSpec.of(settings.grid), settings.stereo, settings.density
         )
-        seen, found = _looked(recording, settings, gridder, fixes_alone, found, findings, tell)
+        runs = []
+        if follows_camera(recording.rig, settings):
+            runs = stretches(times_ns, found.trajectory)
+        every = sample_every(recording.frame_count)
+        seen = look_at(recording, gridder, every, runs, tell)
+        rows = misalignment(recording, [look.images for look in seen.looks])
+        findings += _frame_findings(recording, gridder, seen, rows, every)
+        found = replace(
+            found,
+            looked=len(seen.grounds),
+            followed=seen.followed,
+            camera_steps=len(seen.steps.start_ns),
+            camera_pairs=seen.tried,
+            looks=tuple(seen.looks),
+            misalignment=rows,
+        )
         if fixes_alone is not None:
-            found = _with_poses(recording, settings, gridder, fixes_alone, seen, found, findings)
+            found = _with_poses(recording, settings, fixes_alone, seen, found, findings)
         # By other frames than those: by the ones of `fieldgrid mount`, to the same numbers.
         with suppress(FieldgridError):
             found = replace(found, mount=measure_mount(recording, progress=tell))
@@ -169,71 +164,42 @@ def with_frames(
     return found
 
 
-def _looked(
+def _frame_findings(
     recording: Recording,
-    settings: BuildSettings,
     gridder: LocalGridder,
-    fixes_alone: Estimate | None,
-    found: Inspection,
-    findings: list[Finding],
-    tell: Tell | None,
-) -> tuple[FramePass, Inspection]:
-    """The one pass over the frames, and what it says of images and cameras."""
-    every = sample_every(recording.frame_count)
-    times_ns, heading_deg = np.zeros(0, dtype=np.int64), np.zeros(0)
-    if fixes_alone is not None:
-        track = fixes_alone.trajectory
-        times_ns, heading_deg = track.time_ns, track.heading_deg
-    runs = []
-    if follows_camera(recording.rig, settings):
-        runs = stretches(recording.image_times_ns(), times_ns, heading_deg)
-    seen = look_at(recording, gridder, every, runs, tell)
-    looked = len(seen.grounds)
-    findings += unread_findings(seen.unread, looked + len(seen.unread))
-    images = [look.images for look in seen.looks]
-    findings += image_findings(images)
-    findings += texture_findings(seen.looks)
-    rows = misalignment(recording, images)
-    findings += row_findings(recording, every, rows)
-    if not seen.unread and looked:
-        findings += _camera_findings(recording, gridder, seen, every)
-    return seen, replace(
-        found,
-        looked=looked,
-        followed=seen.followed,
-        camera_steps=0 if seen.steps is None else len(seen.steps.start_ns),
-        camera_pairs=seen.tried,
-        looks=seen.looks,
-        misalignment=rows,
-    )
-
-
-def _camera_findings(
-    recording: Recording, gridder: LocalGridder, seen: FramePass, every: int
+    seen: FramePass,
+    rows: Misalignment | None,
+    every: int,
 ) -> Iterator[Finding]:
-    """What a build would refuse these cameras for, were all frames like those looked at."""
-    ground = sum(one.refined for one in seen.grounds)
-    steps = 0 if seen.steps is None else len(seen.steps.start_ns)
-    report = SessionReport(recording.name, camera_steps=steps, camera_refusals=seen.tried - steps)
-    unfit = list(camera_findings(recording, report, ground, every))
-    yield from unfit
-    if unfit:
+    """What the frames say of images and cameras, and what a build would refuse these cameras for,
+    were all frames like those looked at."""
+    looked = len(seen.grounds)
+    yield from unread_findings(seen.unread, looked + len(seen.unread))
+    yield from image_findings([look.images for look in seen.looks])
+    yield from texture_findings(seen.looks)
+    yield from row_findings(recording, every, rows)
+    if seen.unread or not looked:
         return
-    if ground == 0:
+    ground = sum(one.refined for one in seen.grounds)
+    steps = len(seen.steps.start_ns)
+    report = SessionReport(recording.name, camera_steps=steps, camera_refusals=seen.tried - steps)
+    unfit = tuple(camera_findings(recording, report, ground, every))
+    yield from unfit
+    if not unfit and ground == 0:
         readings = format_hints(recording, gridder, every)
         yield error(
             "no-ground",
-            f"No ground was found in any of {len(seen.grounds)} frames that were looked at, so "
-            "heights above it are not known.",
+            f"No ground was found in any of {looked} frames that were looked at, so heights above "
+            "it are not known.",
             hint_sentence(readings)
             if readings
             else "Check height and tilt in mounting.json; `fieldgrid mount` measures them.",
         )
-    elif ground < GROUND_SHARE * len(seen.grounds):
+    elif not unfit and ground < GROUND_SHARE * looked:
         mount = recording.rig.mount
         yield warning(
             "ground-missing",
-            f"The ground was found in {ground} of {len(seen.grounds)} frames that were looked at.",
+            f"The ground was found in {ground} of {looked} frames that were looked at.",
             f"Check the height of {mount.height_m:g} m and the tilt of {mount.tilt_deg:g}° in "
             "mounting.json; `fieldgrid mount` measures them.",
         )
@@ -242,86 +208,63 @@ def _camera_findings(
 def _with_poses(
     recording: Recording,
     settings: BuildSettings,
-    gridder: LocalGridder,
     fixes_alone: Estimate,
     seen: FramePass,
     found: Inspection,
     findings: list[Finding],
 ) -> Inspection:
     """The poses that frames will have, and the clocks that they depend on."""
-    with_camera, clock = None, None
-    if seen.steps is not None and len(seen.steps.start_ns):
+    estimate, steps, times_ns = fixes_alone, None, recording.image_times_ns()
+    clock, by_way, clock_off, mirrored = None, None, False, list[Finding]()
+    apart = any(finding.code == "no-overlap" for finding in findings)
+    if len(seen.steps.start_ns):
         with_camera = estimate_drive(recording, settings, steps=seen.steps)
         clock = with_camera.report.clock
-    off = clock is not None and clock.is_certain
-    apart = any(finding.code == "no-overlap" for finding in findings)
-    by_way, mirrored = None, list[Finding]()
-    if with_camera is not None:
+        clock_off = clock is not None and clock.is_certain
         mirrored += mirror_findings(recording, with_camera.trajectory, seen.steps)
-    findings += mirrored
-    # What else the camera contradicts follows from that.
-    if seen.steps is not None and not mirrored:
-        off_ns = round(clock.offset_s * 1e9) if clock is not None and off else 0
-        heights = tells_heights(recording.fixes())
-        track = fixes_alone.trajectory
-        by_way = camera_scale(seen.steps, track, off_ns, heights_told=heights)
-        findings += scale_findings(by_way, recording.rig)
+        findings += mirrored
+        if not mirrored:  # what else the camera contradicts follows from that
+            off_ns = round(clock.offset_s * 1e9) if clock is not None and clock_off else 0
+            heights = tells_heights(recording.fixes())
+            track = fixes_alone.trajectory
+            by_way = camera_scale(seen.steps, track, off_ns, heights_told=heights)
+            findings += scale_findings(by_way, recording.rig)
+            findings += [one for one in with_camera.report.findings if one.code in _OF_CAMERA]
+        # With a wrong clock the camera's motion would be laid beside that of other moments.
+        if not clock_off:
+            estimate, steps = with_camera, seen.steps
     if clock is None and seen.followed and not (apart or (by_way is not None and by_way.is_off)):
-        findings.append(clock_unknown(seen.followed))
-    # With a wrong clock the camera's motion would be laid beside that of other moments.
-    estimate = fixes_alone if with_camera is None or off else with_camera
-    if with_camera is not None and not mirrored:
-        findings += [one for one in with_camera.report.findings if one.code in _OF_CAMERA]
-    if not (mirrored or off):
+        findings.append(
+            info(
+                "clock-unknown",
+                f"The clock offset of the images cannot be estimated from {seen.followed} frames: "
+                "the drive is too uniform, too short, or has poor images.",
+                "Start a drive with a few turns.",
+            )
+        )
+    if not (mirrored or clock_off):
         findings += told_of_poses(estimate)
     track = estimate.trajectory
     at_fixes = estimate.fix_row[track.accepted[estimate.fix_row]]
+    sync = synchronisation(times_ns, track.time_ns[at_fixes])
     found = replace(
         with_fixes(found, estimate, recording),
-        sync=synchronisation(recording.image_times_ns(), track.time_ns[at_fixes]),
+        sync=sync,
         clock=clock,
         scale=by_way,
-        reasons=rejections(recording.image_times_ns(), track),
+        reasons=rejections(times_ns, track),
     )
     if apart:
         return found
-    steps = None if estimate is fixes_alone else seen.steps
-    return _with_map(recording, settings, gridder, steps, found, findings, clocks_agree=not off)
-
-
-def _with_map(
-    recording: Recording,
-    settings: BuildSettings,
-    gridder: LocalGridder,
-    steps: Steps | None,
-    found: Inspection,
-    findings: list[Finding],
-    *,
-    clocks_agree: bool,
-) -> Inspection:
-    """The frames that will be used, and what they cover; of clocks that do not agree that says
-    nothing, and is no finding."""
-    track = found.trajectory
-    assert track is not None
-    told: list[Finding] = []
+    told = list[Finding]()
     with noted(findings, "no-pose"):
         told += pose_findings(recording, settings, steps, found.reasons)
         check_poses(recording, track)
-        found = replace(
-            found,
-            coverage=coverage(
-                recording.image_times_ns(),
-                track,
-                recording.rig,
-                GridSpec.of(settings.grid),
-                gridder.max_range_m,
-                settings.stereo.disparity_sigma_px,
-            ),
-        )
-        told += coverage_findings(
-            found.coverage, settings.universal_cell_m, settings.map.cell_m is not None
-        )
-    if found.sync is not None:
-        told += sync_findings(found.sync)
-    findings += told if clocks_agree else []
+        expected = coverage(recording, settings, track)
+        found = replace(found, coverage=expected)
+        told += coverage_findings(expected, settings)
+    if sync is not None:
+        told += sync_findings(sync)
+    # Of clocks that do not agree all that says nothing.
+    findings += [] if clock_off else told
     return found

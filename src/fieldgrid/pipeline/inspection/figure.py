@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -9,7 +12,9 @@ from matplotlib.figure import Figure
 
 from fieldgrid.core import MEASURED, OTHER, SHARE, STATED
 from fieldgrid.geometry import Trajectory
+from fieldgrid.pipeline.inspection.fixes import FixStretch
 from fieldgrid.pipeline.inspection.report import Inspection
+from fieldgrid.pipeline.inspection.streams import StreamSummary
 
 MOST_STREAMS = 12
 
@@ -18,43 +23,40 @@ def inspection_figure(found: Inspection) -> Figure:
     """When each stream was recorded, how good fixes and images are over time, and the track."""
     figure = Figure(figsize=(11.0, 8.0), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(2, 2)
-    _draw_streams(axes[0, 0], found)
-    _draw_fixes(axes[0, 1], found)
-    _draw_images(axes[1, 0], found)
-    _draw_track(axes[1, 1], found)
+    track = found.trajectory
+    panels: tuple[tuple[Callable[[Axes, Any], None], object, str], ...] = (
+        (
+            _draw_streams,
+            [one for one in found.streams if one.start_ns is not None][:MOST_STREAMS],
+            "no stream has stamps",
+        ),
+        (_draw_fixes, found.fixes and found.fixes.stretches, "no fixes"),
+        (_draw_images, found if found.looks else None, "no pairs were looked at"),
+        (_draw_track, track if track is not None and track.accepted.any() else None, "no track"),
+    )
+    for axes, (draw, values, lacking) in zip(figure.subplots(2, 2).flat, panels, strict=True):
+        if values:
+            draw(axes, values)
+        else:
+            axes.text(0.5, 0.5, lacking, ha="center", va="center", transform=axes.transAxes)
+            axes.set_axis_off()
     figure.suptitle(f"{found.name}: {'builds' if found.builds else 'does not build'}")
     return figure
 
 
-def _empty(axes: Axes, text: str) -> None:
-    axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes)
-    axes.set_axis_off()
-
-
-def _draw_streams(axes: Axes, found: Inspection) -> None:
-    known = [one for one in found.streams if one.start_ns is not None and one.stop_ns is not None]
-    known = known[:MOST_STREAMS]
-    if not known:
-        _empty(axes, "no stream has stamps")
-        return
-    start_ns = min(one.start_ns for one in known if one.start_ns is not None)
-    for row, one in enumerate(known):
-        first_s, last_s = ((at_ns or start_ns) - start_ns for at_ns in (one.start_ns, one.stop_ns))
-        colour = MEASURED if one.role else OTHER
-        axes.plot([first_s / 1e9, last_s / 1e9], [row, row], color=colour, linewidth=6)
-    axes.set_yticks(range(len(known)), [one.name[-28:] for one in known])
+def _draw_streams(axes: Axes, streams: Sequence[StreamSummary]) -> None:
+    spans_ns = np.array([(one.start_ns, one.stop_ns) for one in streams])
+    spans_s = (spans_ns - spans_ns.min()) / 1e9
+    for row, (one, span_s) in enumerate(zip(streams, spans_s, strict=True)):
+        axes.plot(span_s, [row, row], color=MEASURED if one.role else OTHER, linewidth=6)
+    axes.set_yticks(range(len(streams)), [one.name[-28:] for one in streams])
     axes.invert_yaxis()
     axes.set(xlabel="time since the first stamp (s)", title="streams (grey: not used)")
     axes.grid(axis="x", linewidth=0.3)
 
 
-def _draw_fixes(axes: Axes, found: Inspection) -> None:
-    if found.fixes is None or not found.fixes.stretches:
-        _empty(axes, "no fixes")
-        return
-    parts = found.fixes.stretches
-    length_s = parts[1].start_s - parts[0].start_s if len(parts) > 1 else 1.0
+def _draw_fixes(axes: Axes, parts: Sequence[FixStretch]) -> None:
+    length_s = parts[1].start_s - parts[0].start_s
     middle_s = np.array([part.start_s for part in parts]) + length_s / 2.0
     shares = [100.0 * (part.accepted_share or 0.0) for part in parts]
     axes.bar(middle_s, shares, width=0.9 * length_s, color=SHARE)
@@ -67,7 +69,7 @@ def _draw_fixes(axes: Axes, found: Inspection) -> None:
         title="fixes",
     )
     sigma = axes.twinx()
-    sigmas_m = [np.nan if part.sigma_m is None else part.sigma_m for part in parts]
+    sigmas_m = np.array([part.sigma_m for part in parts], dtype=np.float64)  # None is NaN
     sigma.plot(middle_s, sigmas_m, ".-", color=STATED)
     sigma.set_ylabel("sigma of a fix (m)", color=STATED)
     sigma.set_ylim(bottom=0.0)
@@ -75,19 +77,15 @@ def _draw_fixes(axes: Axes, found: Inspection) -> None:
 
 def _draw_images(axes: Axes, found: Inspection) -> None:
     looks = found.looks
-    if not looks:
-        _empty(axes, "no pairs were looked at")
-        return
     time_s = np.array([look.time_ns - looks[0].time_ns for look in looks]) / 1e9
     left, right = np.array([look.images.brightness for look in looks]).T / 255.0
+    shifts = np.array([look.shift_px for look in looks], dtype=np.float64)  # None is NaN
     axes.plot(time_s, left, ".-", label="brightness left")
     axes.plot(time_s, right, ".-", label="right")
     axes.plot(time_s, [look.images.blur for look in looks], ".-", label="blur")
-    shifts = [np.nan if look.shift_px is None else look.shift_px for look in looks]
     axes.plot(time_s, shifts, ".-", color=STATED, label="rows off (px)")
-    known = [shift for shift in shifts if np.isfinite(shift)]
     axes.set(
-        ylim=(min([-0.4, *known]) - 0.2, max([0.8, *known]) + 0.2),
+        ylim=(np.nanmin([-0.4, *shifts]) - 0.2, np.nanmax([0.8, *shifts]) + 0.2),
         xlabel="time since the first image (s)",
         title=f"{len(looks)} pairs of {found.frames}",
     )
@@ -95,20 +93,13 @@ def _draw_images(axes: Axes, found: Inspection) -> None:
     axes.grid(linewidth=0.3)
 
 
-def _draw_track(axes: Axes, found: Inspection) -> None:
-    track: Trajectory | None = found.trajectory
-    if track is None or not track.accepted.any():
-        _empty(axes, "no track")
-        return
-    ok = track.accepted
-    axes.plot(
-        track.east_m[ok], track.north_m[ok], ".", markersize=1.5, color=MEASURED, label="used"
-    )
-    if (~ok).any():
-        axes.plot(
-            *(track.east_m[~ok], track.north_m[~ok]),
-            "x", markersize=3, color=STATED, label="rejected",
-        )  # fmt: skip
+def _draw_track(axes: Axes, track: Trajectory) -> None:
+    used = (track.accepted, ".", 1.5, MEASURED, "used")
+    rejected = (~track.accepted, "x", 3, STATED, "rejected")
+    for rows, marker, size, colour, label in (used, rejected):
+        if rows.any():
+            at_m = track.east_m[rows], track.north_m[rows]
+            axes.plot(*at_m, marker, markersize=size, color=colour, label=label)
     axes.set_aspect("equal", adjustable="datalim")
     axes.ticklabel_format(useOffset=False)
     axes.set(xlabel="east (m)", ylabel="north (m)", title="track")

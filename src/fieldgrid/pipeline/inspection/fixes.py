@@ -25,7 +25,7 @@ from fieldgrid.core import (
 )
 from fieldgrid.geometry import MAX_GAP_NS, NOT_SAID, FixColumns, Status, Steps, Trajectory
 from fieldgrid.pipeline.poses import estimate_drive
-from fieldgrid.poses import ConditioningSummary, Gate
+from fieldgrid.poses import ConditioningSummary, Estimate, Gate
 from fieldgrid.recordings import Recording
 
 REJECTED_SHARE, UNUSABLE_SHARE = 0.1, 0.1
@@ -43,6 +43,9 @@ _HEADINGS = ("smooth", "recorded", "course")
 
 STRETCHES = 10
 """Parts of equal time over which the quality is told."""
+
+_NEVER_NS = 1 << 61
+"""Before the first fix and after the last one: no drive is so far from 1970."""
 
 
 class Sync(NamedTuple):
@@ -91,8 +94,10 @@ class FixSummary(NamedTuple):
         }
 
 
-def summarise_fixes(fixes: FixColumns, accepted: Bool, log: ConditioningSummary) -> FixSummary:
-    """The quality of fixes, ordered by time, `accepted` or not, as a whole and over time."""
+def summarise_fixes(fixes: FixColumns, estimate: Estimate) -> FixSummary:
+    """The quality of the fixes of a drive, as a whole and over time, judged by an estimate."""
+    fixes, log = fixes.in_order(), estimate.report.conditioning
+    accepted = estimate.trajectory.accepted[estimate.fix_row]
     counts = sorted(log.quality, key=lambda one: -one[1])
     return FixSummary(
         log=log,
@@ -110,12 +115,11 @@ def synchronisation(images_ns: Int64, times_ns: Int64) -> Sync | None:
     """How near images are to accepted fixes, both in order of time; None without either."""
     if not len(times_ns) or not len(images_ns):
         return None
-    after = np.searchsorted(times_ns, images_ns)
-    inside = (after > 0) & (after < len(times_ns))
-    later = times_ns[np.minimum(after, len(times_ns) - 1)]
-    earlier = times_ns[np.maximum(after - 1, 0)]
-    nearest_ns = np.minimum(np.abs(later - images_ns), np.abs(images_ns - earlier))
-    without = (nearest_ns > 0) & (~inside | (later - earlier > MAX_GAP_NS))
+    known_ns = np.concatenate([[-_NEVER_NS], times_ns, [_NEVER_NS]])
+    after = np.searchsorted(known_ns, images_ns)
+    earlier, later = known_ns[after - 1], known_ns[after]
+    nearest_ns = np.minimum(later - images_ns, images_ns - earlier)
+    without = (nearest_ns > 0) & (later - earlier > MAX_GAP_NS)
     return Sync(
         float(np.median(nearest_ns)) / 1e9, float(nearest_ns.max()) / 1e9, float(without.mean())
     )

@@ -26,10 +26,9 @@ Tell = Callable[[int, int], None]
 
 
 class UnreadFrame(NamedTuple):
-    """A frame that could not be had, and the sentence that says why; `misfit` when its images
-    are not those of the calibration."""
+    """Why a frame could not be had, as a sentence; `misfit` when its images are not those of the
+    calibration."""
 
-    frame_id: str
     problem: str
     misfit: bool
 
@@ -39,17 +38,17 @@ class FramePass(NamedTuple):
     closely, whatever its kind. `steps` are those of the stretches, out of `tried` pairs of
     neighbours; `followed` frames were looked at for them."""
 
-    looks: tuple[PairMeasures, ...]
-    grounds: tuple[FrameGround, ...]
-    unread: tuple[UnreadFrame, ...]
-    steps: Steps | None
+    looks: list[PairMeasures]
+    grounds: list[FrameGround]
+    unread: list[UnreadFrame]
+    steps: Steps
     tried: int
     followed: int
 
 
 class _SeenFrame(NamedTuple):
-    """What was made of one frame: its features where it is followed; its ground, and what a pair is
-    like, where it is looked at closely."""
+    """What was made of one frame: the features of a pair; its ground, and what a pair is like,
+    where it is looked at closely."""
 
     time_ns: int
     features: Features | None = None
@@ -69,6 +68,7 @@ def look_at(
 
     A frame that cannot be read is put down, and the others are looked at.
     """
+    rig = recording.rig
     run_of = {index: k for k, run in enumerate(runs) for index in run}
     close = set(range(0, recording.frame_count, every))
     wanted = sorted(run_of.keys() | close)
@@ -76,32 +76,29 @@ def look_at(
     def work(item: tuple[int, Frame]) -> _SeenFrame | UnreadFrame:
         index, frame = item
         try:
-            if not isinstance(recording.rig.sensor, StereoCamera):
+            if not isinstance(rig.sensor, StereoCamera):
                 return _SeenFrame(frame.time_ns, ground=perceive_frame(frame, gridder).ground)
             left, right = frame.images()
-            seen = features(gridder.rig.camera, left, right)
-            own = seen if index in run_of else None
+            seen = features(rig.sensor, left, right)
             if index not in close:
-                return _SeenFrame(frame.time_ns, own)
+                return _SeenFrame(frame.time_ns, seen)
             grid, ground = gridder(left, right)
             look = PairMeasures(
                 frame_id=frame.frame_id,
                 time_ns=frame.time_ns,
-                images=ImageMeasures.of(left, right, gridder.rig.camera),
+                images=ImageMeasures.of(left, right, rig.sensor),
                 points=len(seen.blur_px),
                 ground=ground,
                 observed_share=float(grid.observed.mean()),
             )
-            return _SeenFrame(frame.time_ns, own, ground, look)
+            return _SeenFrame(frame.time_ns, seen, ground, look)
         except FieldgridError as problem:
-            return UnreadFrame(frame.frame_id, str(problem), isinstance(problem, CalibrationError))
+            return UnreadFrame(str(problem), isinstance(problem, CalibrationError))
 
-    offset_ns = recording.rig.image_time_offset_ns
-    motions = [CameraMotion(recording.rig) for _ in runs]
+    motions = [CameraMotion(rig) for _ in runs]
     times_ns, steps = [list[int]() for _ in runs], [list[StepOutcome]() for _ in runs]
-    looks: list[PairMeasures] = []
-    grounds: list[FrameGround] = []
-    unread: list[UnreadFrame] = []
+    looks, grounds = list[PairMeasures](), list[FrameGround]()
+    unread = list[UnreadFrame]()
     chosen = ((k, frame) for k, frame in enumerate(recording.frames()) if k in run_of or k in close)
     with closing(side_by_side(work, chosen, os.cpu_count() or 1)) as made:
         for done, found in enumerate(made):
@@ -110,21 +107,21 @@ def look_at(
             if isinstance(found, UnreadFrame):
                 unread.append(found)
                 continue
-            if found.features is not None:  # what is made of the frames comes in their order
-                run = run_of[wanted[done]]
-                times_ns[run].append(found.time_ns + offset_ns)
+            run = run_of.get(wanted[done])  # what is made of the frames comes in their order
+            if run is not None:
+                times_ns[run].append(found.time_ns + rig.image_time_offset_ns)
                 steps[run].append(motions[run].add(found.features))
             if found.ground is not None:
                 grounds.append(found.ground)
             if found.look is not None:
                 looks.append(found.look)
     tried = [[one for one in run if one is not None] for run in steps]
-    parts = zip(*map(steps_of, times_ns, tried), strict=True)
+    parts = [steps_of([], []), *map(steps_of, times_ns, tried)]
     return FramePass(
-        looks=tuple(looks),
-        grounds=tuple(grounds),
-        unread=tuple(unread),
-        steps=Steps(*(np.concatenate(columns) for columns in parts)) if runs else None,
+        looks=looks,
+        grounds=grounds,
+        unread=unread,
+        steps=Steps(*map(np.concatenate, zip(*parts, strict=True))),
         tried=sum(map(len, tried)),
         followed=sum(map(len, steps)),
     )

@@ -86,23 +86,23 @@ def _inspected(
     except RecordingError as problem:
         findings += refusals(problem)
         found = replace(found, frames=None)
-    if recording is not None and recording.frame_count == 0:
-        findings.append(
-            error(
-                "no-images",
-                f"{drive.name} holds no frame, and a map is made of frames.",
-                "`fieldgrid track` needs none.",
-            )
-        )
-    if recording is None or recording.frame_count == 0:
+    if recording is not None and recording.frame_count > 0:
+        times_ns = recording.frame_times_ns()
+        found = with_frames(recording, settings, found, findings, tell)
+    else:
         times_ns = drive.fixes().time_ns
+        if recording is not None:
+            findings.append(
+                error(
+                    "no-images",
+                    f"{drive.name} holds no frame, and a map is made of frames.",
+                    "`fieldgrid track` needs none.",
+                )
+            )
         with noted(findings):
             estimate = estimate_drive(drive, settings)
             found = with_fixes(found, estimate, drive)
             findings += told_of_poses(estimate)
-    else:
-        times_ns = recording.frame_times_ns()
-        found = with_frames(recording, settings, found, findings, tell)
     if found.fixes is not None:
         findings += fix_findings(found.fixes)
     return replace(

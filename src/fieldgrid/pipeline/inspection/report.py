@@ -57,7 +57,7 @@ class Inspection:
     @property
     def builds(self) -> bool:
         """Whether `build` would make a map of it, as far as was looked at, and nothing accepted."""
-        return self.count(Severity.ERROR) == 0
+        return all(finding.severity is not Severity.ERROR for finding in self.findings)
 
     @property
     def frames_usable(self) -> int | None:
@@ -66,42 +66,39 @@ class Inspection:
             return None
         return self.frames - self.reasons.total()
 
-    def count(self, severity: Severity) -> int:
-        """Number of findings of this severity."""
-        return sum(finding.severity is severity for finding in self.findings)
-
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON; what is unknown is null."""
-        values = {
-            "path": self.path,
-            "kind": self.kind,
-            "name": self.name,
-            "builds": self.builds,
-            "findings": [finding.as_dict() for finding in self.findings],
-            "duration_s": self.duration_s,
-            "streams": [stream._asdict() for stream in self.streams],
-            "gnss": self.gnss_source,
-            "rig": None
-            if self.rig is None
-            else {"sensor_kind": type(self.rig.sensor).__name__, **asdict(self.rig)},
-            "frames": self.frames,
-            "frames_looked_at": self.looked,
-            "frames_followed": self.followed,
-            "camera_steps": self.camera_steps,
-            "camera_pairs": self.camera_pairs,
-            "declared_offset_s": self.declared_offset_s,
-            "fixes": None if self.fixes is None else self.fixes.as_dict(),
-            "image_to_fix": None if self.sync is None else self.sync._asdict(),
-            "clock_offset": None if self.clock is None else self.clock._asdict(),
-            "frames_usable": self.frames_usable,
-            "frames_rejected": dict(self.reasons.most_common()),
-            "images": [look.as_dict() for look in self.looks],
-            "vertical": None if self.misalignment is None else self.misalignment.as_dict(),
-            "mount": None if self.mount is None else self.mount.as_dict(),
-            "scale": None if self.scale is None else self.scale._asdict(),
-            "coverage": None if self.coverage is None else self.coverage._asdict(),
-        }
-        known: dict[str, Any] = _known(values)
+        known: dict[str, Any] = _known(
+            {
+                "path": self.path,
+                "kind": self.kind,
+                "name": self.name,
+                "builds": self.builds,
+                "findings": [finding.as_dict() for finding in self.findings],
+                "duration_s": self.duration_s,
+                "streams": [stream._asdict() for stream in self.streams],
+                "gnss": self.gnss_source,
+                "rig": None
+                if self.rig is None
+                else {"sensor_kind": type(self.rig.sensor).__name__, **asdict(self.rig)},
+                "frames": self.frames,
+                "frames_looked_at": self.looked,
+                "frames_followed": self.followed,
+                "camera_steps": self.camera_steps,
+                "camera_pairs": self.camera_pairs,
+                "declared_offset_s": self.declared_offset_s,
+                "fixes": None if self.fixes is None else self.fixes.as_dict(),
+                "image_to_fix": None if self.sync is None else self.sync._asdict(),
+                "clock_offset": None if self.clock is None else self.clock._asdict(),
+                "frames_usable": self.frames_usable,
+                "frames_rejected": dict(self.reasons.most_common()),
+                "images": [look.as_dict() for look in self.looks],
+                "vertical": None if self.misalignment is None else self.misalignment.as_dict(),
+                "mount": None if self.mount is None else self.mount.as_dict(),
+                "scale": None if self.scale is None else self.scale._asdict(),
+                "coverage": None if self.coverage is None else self.coverage._asdict(),
+            }
+        )
         return known
 
 

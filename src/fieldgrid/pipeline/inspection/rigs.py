@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
-from fieldgrid.core import Figure, Finding, MeasuredValue, warning
+from fieldgrid.core import Figure, Finding, warning
 from fieldgrid.geometry import DepthCamera, Lidar, Rig, Sensor, StereoCamera
 from fieldgrid.pipeline.checks.camera_scale import CameraScale
 from fieldgrid.pipeline.mounting.estimate import HEIGHT, ROLL, TILT, MountEstimate
@@ -92,13 +93,10 @@ def mount_findings(
     if seen is None:
         return
     by = scale_found.ratio if scale_found is not None and scale_found.is_off else 1.0
-    for one in seen.compared():
-        least = LEAN_DEG
-        if one.key == HEIGHT:
-            value, sigma = one.measured
-            one = one._replace(measured=MeasuredValue(value / by, sigma))
-            least = HEIGHT_SHARE * one.stated
+    height_m = seen.height_m._replace(value=seen.height_m.value / by)
+    for one in replace(seen, height_m=height_m).compared():
         value, sigma = one.measured
+        least = HEIGHT_SHARE * one.stated if one.key == HEIGHT else LEAN_DEG
         if one.key in MOUNT_VALUES and one.disagrees and abs(value - one.stated) > least:
             what, unit = MOUNT_VALUES[one.key]
             yield warning(

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Figure, Finding, Float64, info, warning
+from fieldgrid.core import Figure, Finding, Float64, Index, info, warning
 from fieldgrid.recordings import MAX_OFFSET_S, Stream
 
 APART_S = 0.1
@@ -63,7 +63,7 @@ def summarise_stream(stream: Stream) -> StreamSummary:
     steps_s = np.diff(known) / 1e9
     ordered_s = np.diff(np.unique(known)) / 1e9
     low, middle, high = np.quantile(ordered_s, [0.16, 0.5, 0.84]) if ordered_s.size else [None] * 3
-    delay = _delay(stream)
+    time_s, delay_s = _delays(stream)
     return StreamSummary(
         name=stream.name,
         kind=stream.kind,
@@ -77,8 +77,8 @@ def summarise_stream(stream: Stream) -> StreamSummary:
         backward=int(np.count_nonzero(steps_s < 0.0)),
         repeated=int(np.count_nonzero(steps_s == 0.0)),
         unstamped=int(np.count_nonzero(stamps <= 0)),
-        delay_s=None if delay is None else float(np.median(delay[1])),
-        drift_ppm=None if delay is None else _drift_ppm(*delay),
+        delay_s=float(np.median(delay_s)) if delay_s.size else None,
+        drift_ppm=_drift_ppm(time_s, delay_s),
     )
 
 
@@ -88,10 +88,8 @@ def stream_findings(streams: Sequence[Stream]) -> Iterator[Finding]:
     for stream in used:
         summary = summarise_stream(stream)
         yield from _order_findings(stream, summary)
-        yield from _gap_findings(stream, summary)
-        delay = _delay(stream)
-        if delay is not None:
-            yield from _delay_findings(stream, *delay)
+        yield from _gap_findings(stream)
+        yield from _delay_findings(stream, summary.drift_ppm or 0.0)
     yield from _apart_findings(used)
 
 
@@ -120,14 +118,11 @@ def _order_findings(stream: Stream, summary: StreamSummary) -> Iterator[Finding]
         )
 
 
-def _gap_findings(stream: Stream, summary: StreamSummary) -> Iterator[Finding]:
+def _gap_findings(stream: Stream) -> Iterator[Finding]:
     """Gaps of streams that have a steady rate, which images taken by way have not. Those of fixes
     are told when they have been judged."""
-    if stream.role in ("fix", "nmea"):
-        return
-    times_s = np.unique(stream.stamp_ns[stream.stamp_ns > 0]) / 1e9
-    steps_s = np.diff(times_s - times_s[0]) if times_s.size else np.array([])
-    if steps_s.size < GAP_PERIODS:
+    steps_s = np.diff(np.unique(stream.stamp_ns[stream.stamp_ns > 0])) / 1e9
+    if stream.role in ("fix", "nmea") or steps_s.size < GAP_PERIODS:
         return
     low_s, period_s, high_s = np.quantile(steps_s, [0.25, 0.5, 0.75])
     if high_s - low_s > STEADY_SHARE * period_s:
@@ -143,36 +138,32 @@ def _gap_findings(stream: Stream, summary: StreamSummary) -> Iterator[Finding]:
         )
 
 
-def _delay(stream: Stream) -> tuple[Float64, Float64] | None:
-    """Seconds since the first stamp, and from each stamp to being written down, where the record
-    tells them."""
-    if stream.receive_ns is None or len(stream.receive_ns) != len(stream.stamp_ns):
-        return None
+def _delays(stream: Stream) -> tuple[Float64, Float64]:
+    """Seconds since the first message, and from each stamp to being written down; of no message
+    where the record does not tell them."""
+    received = stream.receive_ns
+    if received is None or len(received) != len(stream.stamp_ns):
+        return np.zeros(0), np.zeros(0)
     stamped = stream.stamp_ns > 0
-    stamps, received = stream.stamp_ns[stamped], stream.receive_ns[stamped]
-    if not len(stamps):
-        return None
-    return (received - received[0]) / 1e9, (received - stamps) / 1e9
+    received = received[stamped]
+    return (received - received[:1]) / 1e9, (received - stream.stamp_ns[stamped]) / 1e9
 
 
-def _lower_envelope(time_s: Float64, delay_s: Float64) -> tuple[Float64, Float64]:
-    """The least delay of each twentieth of the drive: waiting only adds to it."""
-    groups = [g for g in np.array_split(np.arange(len(time_s)), 20) if g.size]
-    least = np.array([g[np.argmin(delay_s[g])] for g in groups], dtype=np.intp)
-    return time_s[least], delay_s[least]
+def _least(delay_s: Float64) -> Index:
+    """Where the delay is the least of each twentieth of the drive: waiting only adds to it."""
+    groups = np.array_split(np.arange(len(delay_s)), 20)
+    return np.array([g[np.argmin(delay_s[g])] for g in groups if g.size], dtype=np.intp)
 
 
 def _drift_ppm(time_s: Float64, delay_s: Float64) -> float | None:
     """The median of the slopes between the least delays, parts per million; None when short."""
     if len(time_s) < 2 or time_s[-1] - time_s[0] < DRIFT_OVER_S:
         return None
-    time_s, delay_s = _lower_envelope(time_s, delay_s)
-    first, second = np.triu_indices(len(time_s), 1)
-    apart_s = time_s[second] - time_s[first]
-    clear = apart_s > 0.0
-    if not clear.any():
-        return None
-    return 1e6 * float(np.median((delay_s[second] - delay_s[first])[clear] / apart_s[clear]))
+    least = _least(delay_s)
+    first, second = (least[k] for k in np.triu_indices(len(least), 1))
+    clear = time_s[second] > time_s[first]
+    slopes = (delay_s[second] - delay_s[first])[clear] / (time_s[second] - time_s[first])[clear]
+    return 1e6 * float(np.median(slopes)) if slopes.size else None
 
 
 def _jumps(time_s: Float64, delay_s: Float64) -> list[tuple[float, float]]:
@@ -183,13 +174,14 @@ def _jumps(time_s: Float64, delay_s: Float64) -> list[tuple[float, float]]:
         after = delay_s[k + 1 : k + 1 + JUMP_OVER]
         # Waiting adds to the least delay of neither side.
         by_s = float(after.min() - before.min())
-        lasting = len(before) >= JUMP_OVER // 2 and len(after) >= JUMP_OVER // 2
-        if lasting and abs(by_s) > JUMP_S:
+        if min(len(before), len(after)) >= JUMP_OVER // 2 and abs(by_s) > JUMP_S:
             found.append((float(time_s[k + 1]), by_s))
     return found
 
 
-def _delay_findings(stream: Stream, time_s: Float64, delay_s: Float64) -> Iterator[Finding]:
+def _delay_findings(stream: Stream, drift_ppm: float) -> Iterator[Finding]:
+    """That a clock was set or drifts, by when its messages were written down."""
+    time_s, delay_s = _delays(stream)
     jumps = _jumps(time_s, delay_s)
     if jumps:
         when_s, by_s = max(jumps, key=lambda jump: abs(jump[1]))
@@ -201,8 +193,7 @@ def _delay_findings(stream: Stream, time_s: Float64, delay_s: Float64) -> Iterat
             Figure(-by_s, "s"),
         )
         return
-    drift_ppm = _drift_ppm(time_s, delay_s) or 0.0
-    drift_s = abs(drift_ppm) * 1e-6 * float(time_s[-1] - time_s[0])
+    drift_s = abs(drift_ppm) * 1e-6 * float(time_s.max(initial=0.0))
     if abs(drift_ppm) > DRIFT_PPM and drift_s > DRIFT_S:
         yield warning(
             "clock-drift",
@@ -215,27 +206,28 @@ def _delay_findings(stream: Stream, time_s: Float64, delay_s: Float64) -> Iterat
 
 def _apart_findings(used: Sequence[Stream]) -> Iterator[Finding]:
     """Images and fixes whose stamps are of different clocks, by when both were written down."""
-    image, image_s = _first_delay(used, ("left", "depth", "disparity", "cloud", "right"))
-    fix, fix_s = _first_delay(used, ("fix", "nmea"))
-    if image is None or fix is None:
+    images = _usual_delays(used, ("left", "depth", "disparity", "cloud", "right"))
+    fixes = _usual_delays(used, ("fix", "nmea"))
+    if not images or not fixes:
         return
+    (image, image_s), (fix, fix_s) = images[0], fixes[0]
     apart_s = image_s - fix_s
     # Beyond what an offset can be, stamps count from when a sensor was switched on; the recorder's
     # times stand for them.
     if APART_S < abs(apart_s) <= MAX_OFFSET_S:
         yield info(
             "stamp-delays",
-            f"Messages are recorded {image_s:+.3f} s after their stamp in {image.name} and "
-            f"{fix_s:+.3f} s in {fix.name}.",
+            f"Messages are recorded {image_s:+.3f} s after their stamp in {image} and "
+            f"{fix_s:+.3f} s in {fix}.",
             f"If both have the same latency, their clocks differ, and --time-offset {apart_s:.3f} "
             "corrects it; compare it with the offset estimated from the drive.",
         )
 
 
-def _first_delay(used: Sequence[Stream], roles: Sequence[str]) -> tuple[Stream | None, float]:
-    """The first stream of these roles whose delay is known, and its delay; None where none is."""
-    for stream in (stream for role in roles for stream in used if stream.role == role):
-        delay = _delay(stream)
-        if delay is not None:
-            return stream, float(np.median(_lower_envelope(*delay)[1]))
-    return None, 0.0
+def _usual_delays(used: Sequence[Stream], roles: Sequence[str]) -> list[tuple[str, float]]:
+    """The streams of these roles whose delays are known, by name, in the order of the roles."""
+    known = sorted(
+        (one for one in used if one.role in roles), key=lambda one: roles.index(one.role)
+    )
+    delays = [(stream.name, _delays(stream)[1]) for stream in known]
+    return [(name, float(np.median(d[_least(d)]))) for name, d in delays if d.size]

@@ -212,15 +212,10 @@ def estimate_mount(
     `every`-th frame is looked at (None: frames about a metre apart), `jobs` at a time; `progress`
     is told how many of how many. Raises RecordingError when no ground is seen.
     """
-    if not isinstance(recording, str | Path):
-        return _beside_gnss(recording, measure_mount(recording, every, jobs, progress))
-    with open_drive(recording, replace(options or DriveOptions(), unmounted=True)) as drive:
-        found = drive.recording()
-        return _beside_gnss(found, measure_mount(found, every, jobs, progress))
-
-
-def _beside_gnss(recording: Recording, found: MountEstimate) -> MountEstimate:
-    """An estimate with the check against the fixes."""
+    if isinstance(recording, str | Path):
+        with open_drive(recording, replace(options or DriveOptions(), unmounted=True)) as drive:
+            return estimate_mount(drive.recording(), every=every, jobs=jobs, progress=progress)
+    found = measure_mount(recording, every, jobs, progress)
     check = check_against_gnss(recording, found.time_ns, found.ways, found.mount.yaw_deg)
     if isinstance(check, str):
         return replace(found, notes=(*found.notes, check))
@@ -239,23 +234,30 @@ def measure_mount(
         recording.frame_count, every or usual_every(recording.frame_times_ns(), recording.fixes())
     )
     looks, joined = _look(recording, chosen, jobs or os.cpu_count() or 1, progress)
-    planes = [look.ahead for look in looks if look.ahead is not None]
+    planes = [(k, look.ahead) for k, look in enumerate(looks) if look.ahead is not None]
     if len(planes) < FEWEST_PLANES:
         raise RecordingError(
             f"{recording.name} shows ground in {len(planes)} of {len(looks)} frames, and "
             f"{FEWEST_PLANES} are needed to tell how its sensor is mounted; take a drive over open "
             "ground, or measure the mounting."
         )
-    rough = median_plane(planes)
+    rough = median_plane([plane for _, plane in planes])
     motions = _motions(looks, joined, rig, rough)
     found, plane = ground_under_vehicle([look.patches for look in looks], motions, rough)
-    steps = ground_steps(motions, plane)
     under = len(found.frame) >= FEWEST_STANDS
     if not under:
-        ahead = ((k, look.ahead) for k, look in enumerate(looks) if look.ahead is not None)
-        found = MountSamples.of(ahead)
-        steps = ground_steps(motions, rough)
-    height, tilt, roll = _means(found, under)
+        found, plane = MountSamples.of(planes), rough
+    steps = ground_steps(motions, plane)
+    height_m = float(np.median(found.height_m))
+    floors = (
+        math.hypot(HEIGHT_FLOOR_M, HEIGHT_FLOOR_SHARE * height_m),
+        TILT_FLOOR_DEG,
+        ROLL_FLOOR_DEG,
+    )
+    if not under:
+        floors = AHEAD_HEIGHT_SHARE * height_m, AHEAD_ANGLE_DEG, AHEAD_ANGLE_DEG
+    columns = found.height_m, found.tilt_deg, found.roll_deg
+    height, tilt, roll = map(mean_of, columns, floors)
     axle = rig.rear_axle_forward_m
     moved = travel(steps, None if axle is None else -axle)
     return MountEstimate(
@@ -322,21 +324,6 @@ def _motions(
         else:
             motions.append(None)
     return motions
-
-
-def _means(found: MountSamples, under: bool) -> tuple[MeasuredValue, MeasuredValue, MeasuredValue]:
-    """Height, tilt and roll with their errors."""
-    height_m = float(np.median(found.height_m))
-    floor_m = math.hypot(HEIGHT_FLOOR_M, HEIGHT_FLOOR_SHARE * height_m)
-    tilt_floor_deg, roll_floor_deg = TILT_FLOOR_DEG, ROLL_FLOOR_DEG
-    if not under:
-        floor_m = AHEAD_HEIGHT_SHARE * height_m
-        tilt_floor_deg = roll_floor_deg = AHEAD_ANGLE_DEG
-    return (
-        mean_of(found.height_m, floor_m),
-        mean_of(found.tilt_deg, tilt_floor_deg),
-        mean_of(found.roll_deg, roll_floor_deg),
-    )
 
 
 def _notes(rig: Rig, under: bool, steps: Ways, moved: Travel) -> Iterator[str]:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fieldgrid.core import Float32, Float64, Index, StereoSettings, UInt8
+from fieldgrid.core import Float32, Float64, StereoSettings, UInt8
 from fieldgrid.geometry import DepthCamera, Lidar, Rig, StereoCamera
 from fieldgrid.perception import SUBPIXELS, Features, StereoMatcher, Sweep, features, whole_image
 from fieldgrid.pipeline.mounting.ground_under_vehicle import REACH_M, Patches
@@ -43,12 +43,8 @@ class FrameSample(NamedTuple):
     features: Features | None
 
 
-class _SensorPoints(NamedTuple):
-    """Points [n, 3] of the sensor's frame, their sigma [n], and the features of a pair."""
-
-    points_m: Float64
-    sigma_m: Float64
-    features: Features | None = None
+SensorPoints = tuple[Float64, Float64, Features | None]
+"""Points [n, 3] of the sensor's frame, their sigma [n], and the features of a pair."""
 
 
 class FrameProbe:
@@ -65,40 +61,45 @@ class FrameProbe:
         points_m, sigma_m, seen = frame.read(self)
         range_m = np.linalg.norm(points_m, axis=1)
         usable = (range_m > 0.2) & (range_m < RANGE_M) & (sigma_m < MOST_RANGE_SIGMA_M)
-        plane, patches = _ground(points_m[usable], sigma_m[usable], self._patch_m)
-        return FrameSample(frame.time_ns, plane, patches, seen)
+        points_m, sigma_m = points_m[usable], sigma_m[usable]
+        rough = rough_plane(points_m, sigma_m)
+        plane = rough and refined_plane(rough, points_m, sigma_m, self._patch_m)
+        if plane is None:
+            return FrameSample(frame.time_ns, None, Patches(np.zeros((0, 3)), np.zeros(0)), seen)
+        x, y, z, sigma = low_patches(plane, points_m, sigma_m, self._patch_m).T
+        near = np.hypot(x, y) < REACH_M
+        level = np.column_stack([x, y, z - plane.height_m])[near]
+        return FrameSample(
+            frame.time_ns, plane, Patches(level @ plane.rotation(), sigma[near]), seen
+        )
 
-    def pair(self, left: UInt8, right: UInt8) -> _SensorPoints:
+    def pair(self, left: UInt8, right: UInt8) -> SensorPoints:
         """What a pair shows, seen from the middle of the baseline."""
-        camera = self._rig.camera
+        camera, sigma_px = self._rig.camera, self._settings.disparity_sigma_px
         disparity = self._matcher.disparity(left, right).values[::STEP_PX, ::STEP_PX]
-        row, column = np.nonzero(disparity > 0)
-        shift_px = disparity[row, column] / SUBPIXELS - camera.disparity_offset_px
-        far = shift_px > 0.5
-        row, column, shift_px = row[far], column[far], shift_px[far]
-        depth_m = camera.focal_baseline_px_m / shift_px
-        focal_px = camera.focal_px
-        points_m = _unprojected(column, row, depth_m, camera, (focal_px, focal_px))
+        shift_px = disparity / SUBPIXELS - camera.disparity_offset_px
+        is_seen = (disparity > 0) & (shift_px > 0.5)
+        depth_m = np.where(is_seen, camera.focal_baseline_px_m / np.maximum(shift_px, 0.5), np.nan)
+        points_m = _unprojected(depth_m, camera, (camera.focal_px, camera.focal_px))
         points_m[:, 0] -= camera.baseline_m / 2.0
-        sigma_m = camera.range_sigma_m(depth_m, self._settings.disparity_sigma_px)
-        return _SensorPoints(points_m, sigma_m, features(camera, left, right))
+        sigma_m = camera.range_sigma_m(points_m[:, 2], sigma_px)
+        return points_m, sigma_m, features(camera, left, right)
 
-    def depth(self, depth_m: Float32) -> _SensorPoints:
+    def depth(self, depth_m: Float32) -> SensorPoints:
         """What an image of depths shows."""
-        camera = self._rig.depth_camera
+        camera, sigma_px = self._rig.depth_camera, self._settings.disparity_sigma_px
         depth = depth_m[::STEP_PX, ::STEP_PX].astype(np.float64)
-        row, column = np.nonzero(np.isfinite(depth) & (depth > 0.0) & (depth < RANGE_M))
-        z = depth[row, column]
-        points_m = _unprojected(column, row, z, camera, (camera.fx_px, camera.fy_px))
-        if camera.baseline_m is None:
-            return _SensorPoints(points_m, DEPTH_SHARE * z)
-        sigma_px = self._settings.disparity_sigma_px
-        return _SensorPoints(points_m, z * z * sigma_px / (camera.fx_px * camera.baseline_m))
+        points_m = _unprojected(depth, camera, (camera.fx_px, camera.fy_px))
+        z = points_m[:, 2]
+        sigma_m = DEPTH_SHARE * z
+        if camera.baseline_m is not None:
+            sigma_m = z * z * sigma_px / (camera.fx_px * camera.baseline_m)
+        return points_m, sigma_m, None
 
-    def cloud(self, sweep: Sweep) -> _SensorPoints:
+    def cloud(self, sweep: Sweep) -> SensorPoints:
         """What a cloud shows, as it was seen."""
         points_m = sweep.points_m.astype(np.float64)
-        return _SensorPoints(points_m, np.full(len(points_m), LIDAR_SIGMA_M))
+        return points_m, np.full(len(points_m), LIDAR_SIGMA_M), None
 
 
 def _matcher(camera: StereoCamera, settings: StereoSettings) -> StereoMatcher:
@@ -108,27 +109,12 @@ def _matcher(camera: StereoCamera, settings: StereoSettings) -> StereoMatcher:
 
 
 def _unprojected(
-    column: Index,
-    row: Index,
-    depth_m: Float64,
-    camera: StereoCamera | DepthCamera,
-    focal_px: tuple[float, float],
+    depth_m: Float64, camera: StereoCamera | DepthCamera, focal_px: tuple[float, float]
 ) -> Float64:
-    """Points [n, 3] of the camera's frame, of pixels among those that are taken."""
+    """Points [n, 3] of the camera's frame, of the pixels that are taken whose depths [row, column]
+    are known."""
+    row, column = np.nonzero((depth_m > 0.0) & (depth_m < np.inf))
+    z = depth_m[row, column]
     x = (column * STEP_PX - camera.cx_px) / focal_px[0]
     y = (row * STEP_PX - camera.cy_px) / focal_px[1]
-    return np.column_stack([x * depth_m, y * depth_m, depth_m])
-
-
-def _ground(
-    points_m: Float64, sigma_m: Float64, patch_m: float
-) -> tuple[SensorGround | None, Patches]:
-    nothing = Patches(np.zeros((0, 3)), np.zeros(0))
-    rough = rough_plane(points_m, sigma_m)
-    plane = rough and refined_plane(rough, points_m, sigma_m, patch_m)
-    if plane is None:
-        return None, nothing
-    x, y, z, sigma = low_patches(plane, points_m, sigma_m, patch_m).T
-    near = np.hypot(x, y) < REACH_M
-    level = np.column_stack([x, y, z - plane.height_m])[near]
-    return plane, Patches(level @ plane.rotation(), sigma[near])
+    return np.column_stack([x * z, y * z, z])

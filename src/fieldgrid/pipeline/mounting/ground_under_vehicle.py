@@ -81,31 +81,29 @@ def ground_under_vehicle(
 
 def _brought(k: int, seen: Sequence[Patches], motions: Sequence[RigidMotion | None]) -> Patches:
     """The patches of the frames around frame k, in its frame."""
-    points, sigmas = [], []
-    for direction in (-1, 1):
-        R, t, j, distance_m = np.eye(3), np.zeros(3), k, 0.0
-        while (step := _step(j, direction, motions)) is not None:
+    points, sigmas = [np.zeros((0, 3))], [np.zeros(0)]
+    before = zip(reversed(motions[:k]), reversed(seen[:k]), strict=True)
+    after = zip(map(_back, motions[k:]), seen[k + 1 :], strict=True)
+    for way in (before, after):
+        R, t, distance_m = np.eye(3), np.zeros(3), 0.0
+        for step, there in way:
+            if step is None:
+                break
             R, t = R @ step.R_stop_start, R @ step.t_stop_start_m + t
             distance_m += float(np.linalg.norm(step.t_stop_start_m))
-            j += direction
             if distance_m > MOST_WAY_M:
                 break
-            points.append(seen[j].points_m @ R.T + t)
-            sigmas.append(np.hypot(seen[j].sigma_m, DRIFT_M_PER_M * distance_m))
-    if not points:
-        return Patches(np.zeros((0, 3)), np.zeros(0))
+            points.append(there.points_m @ R.T + t)
+            sigmas.append(np.hypot(there.sigma_m, DRIFT_M_PER_M * distance_m))
     return Patches(np.concatenate(points), np.concatenate(sigmas))
 
 
-def _step(j: int, direction: int, motions: Sequence[RigidMotion | None]) -> RigidMotion | None:
-    """The motion that takes points of frame j + direction into frame j."""
-    if direction < 0:
-        return motions[j - 1] if j > 0 else None
-    back = motions[j] if j < len(motions) else None
-    if back is None:
+def _back(motion: RigidMotion | None) -> RigidMotion | None:
+    """A motion turned round."""
+    if motion is None:
         return None
-    R = back.R_stop_start.T
-    return RigidMotion(R, -R @ back.t_stop_start_m)
+    R = motion.R_stop_start.T
+    return RigidMotion(R, -R @ motion.t_stop_start_m)
 
 
 def _fit(there: Patches, plane: SensorGround) -> SensorGround | None:

@@ -101,23 +101,21 @@ def rough_plane(points_m: Float64, range_sigma_m: Float64) -> SensorGround | Non
         points_m, range_sigma_m, n = points_m[chosen], range_sigma_m[chosen], MOST_POINTS
     range_m = np.linalg.norm(points_m, axis=1)
     per_height = 2.0 * range_sigma_m / range_m  # an error along the ray, seen across the plane
-    best, most = None, 0.0
+
+    def score(plane: SensorGround) -> float:
+        above = points_m @ plane.up + plane.height_m
+        slack = np.maximum(per_height * plane.height_m, ROUGH_M)
+        support = np.count_nonzero(np.abs(above) < slack)
+        return support - BELOW_COSTS * np.count_nonzero(above < -2.0 * slack)
+
     three_m = points_m[random.integers(0, n, (TRIES, 3))]
     normal = np.cross(three_m[:, 1] - three_m[:, 0], three_m[:, 2] - three_m[:, 0])
     height_m = -np.sum(normal * three_m[:, 0], axis=1)
     # Up is the side of the sensor.
     per_size = np.copysign(1.0 / np.maximum(np.linalg.norm(normal, axis=1), 1e-6), height_m)
-    for up, plane_height_m in zip(normal * per_size[:, None], height_m * per_size, strict=True):
-        plane = SensorGround(up, float(plane_height_m))
-        if not plane.can_be():
-            continue
-        above = points_m @ plane.up + plane.height_m
-        slack = np.maximum(per_height * plane.height_m, ROUGH_M)
-        support = np.count_nonzero(np.abs(above) < slack)
-        score = support - BELOW_COSTS * np.count_nonzero(above < -2.0 * slack)
-        if score > most:
-            best, most = plane, score
-    return best
+    tried = map(SensorGround, normal * per_size[:, None], (height_m * per_size).tolist())
+    best = max((plane for plane in tried if plane.can_be()), key=score, default=None)
+    return best if best is not None and score(best) > 0.0 else None
 
 
 def refined_plane(

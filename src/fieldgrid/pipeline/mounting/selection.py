@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fieldgrid.core import DatumError, Int64, Quality
-from fieldgrid.geometry import Datum, FixColumns
+from fieldgrid.core import Int64, Quality
+from fieldgrid.geometry import FixColumns, geodetic_to_ecef
 
 APART_M = 1.0
 """Nearer frames say the same again; over a longer way the camera's motion is harder to tell."""
@@ -13,38 +13,24 @@ APART_M = 1.0
 STRETCHES, OF_FRAMES = 8, 30
 """Number of stretches of a longer drive, spread over it, and of the frames in each."""
 
-MOVING_MPS = 0.2
-PAIR_NS = 1_000_000_000
+MOVING_MPS, PAIR_NS = 0.2, 1_000_000_000
 
 
 def usual_every(frame_times_ns: Int64, fixes: FixColumns) -> int:
-    """Every which frame, for frames to be about a metre apart; 1 where no fixes tell the speed."""
-    if len(frame_times_ns) < 2:
-        return 1
-    speed_mps = _usual_speed_mps(fixes)
-    period_s = float(np.median(np.diff(frame_times_ns))) / 1e9
-    if speed_mps is None or period_s <= 0.0:
-        return 1
-    return max(int(APART_M / (speed_mps * period_s)), 1)
-
-
-def _usual_speed_mps(fixes: FixColumns) -> float | None:
-    """The median speed over seconds in which the vehicle moved."""
+    """Every which frame, for frames to be about a metre apart, by the median speed over seconds in
+    which the vehicle moved; 1 where no fixes tell it."""
     usable = fixes[fixes.quality != Quality.NONE]
-    if len(usable) < 2:
-        return None
-    try:
-        datum = Datum(*usable[0][1:4])
-    except DatumError:
-        return None
     time_ns = usable.time_ns
-    east, north, _ = datum.to_enu(usable.lat_deg, usable.lon_deg, usable.height_m)
+    at_m = np.column_stack(geodetic_to_ecef(usable.lat_deg, usable.lon_deg, np.zeros(len(usable))))
     later = np.minimum(np.searchsorted(time_ns, time_ns + PAIR_NS), len(time_ns) - 1)
     span_s = (time_ns[later] - time_ns) / 1e9
     whole = (span_s > 0.5) & (span_s < 5.0)
-    speeds = np.hypot(east[later] - east, north[later] - north)[whole] / span_s[whole]
-    moving = speeds[speeds > MOVING_MPS]
-    return float(np.median(moving)) if len(moving) else None
+    speeds_mps = np.linalg.norm(at_m[later] - at_m, axis=1)[whole] / span_s[whole]
+    moving_mps = speeds_mps[speeds_mps > MOVING_MPS]
+    if len(frame_times_ns) < 2 or not len(moving_mps):
+        return 1
+    way_m = float(np.median(moving_mps) * np.median(np.diff(frame_times_ns))) / 1e9
+    return max(int(APART_M / way_m), 1) if way_m > 0.0 else 1
 
 
 def stretches(frame_count: int, every: int) -> list[range]:
