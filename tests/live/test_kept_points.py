@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import zlib
 from collections import namedtuple
 from pathlib import Path
@@ -106,27 +107,28 @@ def test_points_of_any_numbers_are_kept(dtype: str) -> None:
 
 
 BOMB = zlib.compress(bytes(80 << 20))
+NPY = io.BytesIO()
+np.save(NPY, np.zeros((2, 3), np.float32))
+ARRAY = NPY.getvalue()
 
 
 @pytest.mark.parametrize(
     ("header", "data"),
     [
-        ('[false, 0, [["float32", [7000000, 3], false]]]', BOMB),
-        ('[false, 0, [["float32", [2, 3], false]]]', BOMB),
-        ('[false, 0, [["float32", [2, 3], false]]]', zlib.compress(bytes(23))),
-        ('[false, 0, [["float32", [-2, 3], false]]]', zlib.compress(b"")),
-        ('[false, 0, [["float32", [-2, -3], false]]]', zlib.compress(bytes(24))),
-        (
-            '[false, 0, [["float32", [-1, 3], false], ["float32", [9], false]]]',
-            zlib.compress(bytes(24)),
-        ),
-        ('[false, 0, [["O", [1], false]]]', zlib.compress(bytes(8))),
-        ('[false, 0, [["i4,i4", [1], false]]]', zlib.compress(bytes(8))),
-        ('[false, 0, [[1, [1], false]]]', zlib.compress(bytes(8))),
-        ("[false, 0, []]", zlib.compress(b"")),
-        ("[false, 0, 5]", zlib.compress(b"")),
+        ("[null, [[83886080, 4]]]", BOMB),
+        (f"[null, [[{len(ARRAY)}, 4]]]", BOMB),
+        (f"[null, [[{len(ARRAY)}, 4]]]", zlib.compress(ARRAY)),  # not plane by plane
+        (f"[null, [[{len(ARRAY)}, 1]]]", zlib.compress(ARRAY[:-1])),
+        (f"[null, [[{len(ARRAY) - 1}, 1]]]", zlib.compress(ARRAY[:-1])),
+        (f"[null, [[{len(ARRAY)}, 0]]]", zlib.compress(ARRAY)),
+        (f"[null, [[{len(ARRAY)}, -3]]]", zlib.compress(ARRAY)),
+        (f"[null, [[-1, 1], [{len(ARRAY) + 1}, 1]]]", zlib.compress(ARRAY)),
+        ('[null, [["a", 1]]]', zlib.compress(ARRAY)),
+        ("[null, [[0, 1]]]", zlib.compress(b"")),
+        ("[null, []]", zlib.compress(b"")),
+        ("[null, 5]", zlib.compress(b"")),
         (100_000 * "[", b""),
-        ("[false, 0, []]", b"none"),
+        ("[null, []]", b"none"),
     ],
 )  # fmt: skip
 def test_a_record_of_another_program_is_a_lost_one(header: str, data: bytes) -> None:
