@@ -19,7 +19,7 @@ from fieldgrid.live.finish import NOT_LEVELLED
 from fieldgrid.live.kept.kept_points import AGAIN_BYTES, RESERVE_BYTES
 from fieldgrid.live.kept.points import packed, unpacked
 from fieldgrid.live.pose.running_tilt import RunningTilt
-from fieldgrid.live.pose.sensor_rows import KEPT_NS, rows_of
+from fieldgrid.live.pose.sensor_rows import KEPT_NS, RecentRows, rows_of
 from fieldgrid.maps import open_map
 from fieldgrid.perception import Sweep
 from fieldgrid.pipeline import Journal, build_map, read_journal
@@ -146,11 +146,13 @@ def test_rates_that_end_in_a_long_gap_are_taken() -> None:
     time_ns = np.arange(0, 40_000_000_000, 100_000_000)
     rate = np.zeros((len(time_ns), 3))
     rate[50:] = np.nan
-    running = RunningTilt()
-    running.add_rows("inertial", rows_of("inertial", time_ns, rate, np.zeros_like(rate)))
+    running = RecentRows()
+    running.add("inertial", rows_of("inertial", time_ns, rate, np.zeros_like(rate)))
     late = time_ns + 40_000_000_000
-    running.add_rows("inertial", rows_of("inertial", late, 0.0 * late[:, None] + [0.0] * 3, rate))
-    assert running.track("inertial").time_ns.tolist() == late[late >= late[-1] - KEPT_NS].tolist()
+    running.add("inertial", rows_of("inertial", late, 0.0 * late[:, None] + [0.0] * 3, rate))
+    assert (
+        running.track("inertial", 1).time_ns.tolist() == late[late >= late[-1] - KEPT_NS].tolist()
+    )
 
 
 def damage_points(out: Path) -> None:
