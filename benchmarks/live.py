@@ -30,7 +30,7 @@ from fieldgrid.live.kept.points import packed, unpacked
 from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.live.pose.fixed_lag import FixedLagSmoother, pose_at, unknown_pose
 from fieldgrid.live.pose.running_tilt import RunningTilt
-from fieldgrid.live.pose.sensor_rows import KEPT_NS, PARTS, Rows
+from fieldgrid.live.pose.sensor_rows import KEPT_NS, PARTS, RecentRows, Rows
 from fieldgrid.perception import CameraStep, CodedDepth, LocalGridder
 from fieldgrid.pipeline import convert_recording, estimate_drive, visual_odometry
 from fieldgrid.poses import Attitude, Estimate
@@ -174,16 +174,17 @@ def carried_tilts(
 ) -> tuple[Float64, Float64]:
     """How far roll or pitch of each frame are off those of the batch, and their sigma, degrees, by
     the estimate of what was pushed until `age_s` before the frame."""
-    running, off_deg, sigma_deg = RunningTilt(), list[float](), list[float]()
+    rows, off_deg, sigma_deg = RecentRows(), list[float](), list[float]()
+    running = RunningTilt(rows)
     values = {part: getattr(recording.motion(), part) for part in PARTS}
 
     def told(time_ns: int, found: Estimate) -> None:
         for part, columns in values.items():
             if columns is not None:  # those of so long as it keeps
                 first, stop = np.searchsorted(columns[0], [time_ns - KEPT_NS, time_ns])
-                running.forget({part})
+                rows.forget({part}, 0)
                 piece = tuple(column[first:stop] for column in columns)
-                running.add_rows(part, Rows(piece[0], piece[1:]))
+                rows.add(part, Rows(piece[0], piece[1:]))
         running.know(found.report.attitude)
         tilt = running.at(time_ns)
         if tilt is not None:
@@ -284,7 +285,7 @@ def fixed_lag(
         for part, columns in rows.items():
             stop = int(np.searchsorted(columns[0], until_ns, side="right"))
             piece = slice(pushed[part], stop)
-            trailing.add_rows(part, Rows(columns[0][piece], tuple(c[piece] for c in columns[1:])))
+            trailing.rows.add(part, Rows(columns[0][piece], tuple(c[piece] for c in columns[1:])))
             pushed[part] = stop
         while frames < len(times_ns) and times_ns[frames] <= until_ns:
             trailing.add_frame(times_ns[frames], step_to.get(times_ns[frames]))

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fieldgrid.live import finish_session
-from fieldgrid.live.kept.frame_names import highest_number, told_apart
+from fieldgrid.live.kept.frame_names import told_apart
 from fieldgrid.maps import open_map
 from fieldgrid.recordings import open_recording
 from tests.live.making import begin
@@ -19,11 +19,6 @@ def test_names_that_come_again_are_told_apart() -> None:
     many = told_apart(["cam"] * 50_000)
     assert len(set(many)) == 50_000
     assert many[-1] == "cam-50000"
-
-
-def test_numbers_go_on_behind_the_highest() -> None:
-    assert highest_number([]) == 0
-    assert highest_number(["000007", "left", "000012", "9" * 5000, "3.5"]) == 12
 
 
 @pytest.mark.parametrize("named", [False, True])

@@ -29,7 +29,7 @@ from fieldgrid.live.kept.kept_points import UNTOLD_NS, KeptPoints
 from fieldgrid.live.kept.points import packed, unpacked
 from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.live.pose.running_tilt import CARRIED_S, RunningTilt, square_to_ground
-from fieldgrid.live.pose.sensor_rows import rows_of
+from fieldgrid.live.pose.sensor_rows import RecentRows, rows_of
 from fieldgrid.maps import create_map, open_map
 from fieldgrid.perception import LocalGridder, Sweep
 from fieldgrid.pipeline import (
@@ -363,14 +363,16 @@ def estimated(time_ns: Int64, R: Float64) -> Attitude:
     (roll, pitch), n = roll_pitch_deg(R), len(R)
     heading = np.degrees(np.unwrap(np.arctan2(R[:, 0, 1], R[:, 1, 1])))
     sigma = np.full(n, 0.2)
-    return Attitude(time_ns, roll, pitch, sigma, sigma, heading, np.zeros(n), 5.0)
+    about = time_ns, roll, pitch, sigma, sigma, heading, np.zeros(n), 5.0
+    return Attitude(*about, gyro_bias_rad_s=BIAS)
 
 
 @pytest.mark.parametrize("part", ["inertial", "tilt", "orientation"])
 def test_the_tilt_is_carried_on_from_the_latest_estimate(part: str) -> None:
     time_ns, R, rate = moving(14.0)
     roll, pitch = roll_pitch_deg(R)
-    running, end = RunningTilt(), 1200
+    rows, end = RecentRows(), 1200
+    running = RunningTilt(rows)
     assert running.at(T0_NS) is None
     for k in range(0, len(time_ns), 20):
         at = slice(k, k + 20)
@@ -380,7 +382,7 @@ def test_the_tilt_is_carried_on_from_the_latest_estimate(part: str) -> None:
             columns = roll[at] + 1.0, pitch[at] - 1.0, np.full(len(roll[at]), 0.5)
             if part == "orientation":
                 columns = *columns, np.full(len(roll[at]), 2.0)
-        running.add_rows(part, rows_of(part, time_ns[at], *columns))
+        rows.add(part, rows_of(part, time_ns[at], *columns))
     running.know(estimated(time_ns[:end:5], R[:end:5]))
     for late in (0, 50, 100, 190):
         found = running.at(int(time_ns[end + late]))
@@ -393,7 +395,7 @@ def test_the_tilt_is_carried_on_from_the_latest_estimate(part: str) -> None:
     assert within.pitch_deg == pytest.approx(pitch[end // 2], abs=0.01)
     assert running.at(int(time_ns[end] + (CARRIED_S + 1.0) * 1e9)) is None
     # Without rows it is as it was, and less sure.
-    running.forget({part})
+    rows.forget({part}, 0)
     held = running.at(int(time_ns[end + 100]))
     assert held.roll_deg == pytest.approx(roll[end - 5], abs=1e-6)
     assert held.sigma_deg > 1.5

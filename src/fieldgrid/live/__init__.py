@@ -49,8 +49,11 @@ if TYPE_CHECKING:
     from fieldgrid.live.ros.session import RosSession as RosSession
     from fieldgrid.live.ros.so_far import MapSoFar as MapSoFar
     from fieldgrid.live.ros.stream import RosStream as RosStream
-    from fieldgrid.live.servers.address import parse_server_address as parse_server_address
-    from fieldgrid.live.servers.feed import Feed as Feed, parse_feed as parse_feed
+    from fieldgrid.live.servers.address import (
+        parse_feed as parse_feed,
+        parse_server_address as parse_server_address,
+    )
+    from fieldgrid.live.servers.feed import Feed as Feed
     from fieldgrid.live.servers.foxglove import FoxgloveServer as FoxgloveServer
     from fieldgrid.live.servers.live_state import LiveState as LiveState
     from fieldgrid.live.servers.page import LivePage as LivePage

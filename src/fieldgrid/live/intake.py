@@ -71,7 +71,6 @@ class Intake:
         stop: threading.Event,
     ) -> None:
         self.pauses, self.stop = pauses, stop
-        self.has_ended = False
         self.live, self._source, self._clocks = live, source, clocks
         self._lost = ""
         self._pause_s = pauses.first_s
@@ -116,7 +115,6 @@ class Intake:
             self._source.finish(self)
         except (OSError, FieldgridError) as error:
             self.tell(f"could not be finished: {error}")
-        self.has_ended = True
 
     def _is_lost(self, error: Exception) -> None:
         known = isinstance(error, OSError | FieldgridError)
@@ -135,28 +133,21 @@ class Sources(Closing):
     def __init__(
         self, live: Live, sources: Sequence[InputSource], pauses: Pauses | None = None
     ) -> None:
-        self._stop, self._ended = threading.Event(), threading.Event()
+        self._stop = threading.Event()
         clocks = _Clocks(live.rig.image_time_offset_ns / 1e9)
-        self._intakes = [
-            Intake(live, source, clocks, pauses or Pauses(), self._stop) for source in sources
-        ]
-        self._threads = [
-            threading.Thread(target=self._run, args=(one,), name="fieldgrid-source", daemon=True)
-            for one in self._intakes
-        ]
+        self._threads = []
+        for source in sources:
+            intake = Intake(live, source, clocks, pauses or Pauses(), self._stop)
+            run = threading.Thread(target=intake.keep_running, name="fieldgrid-source", daemon=True)
+            self._threads.append(run)
         for thread in self._threads:
             thread.start()
 
-    def _run(self, intake: Intake) -> None:
-        try:
-            intake.keep_running()
-        finally:
-            if all(one.has_ended for one in self._intakes):
-                self._ended.set()
-
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Wait until all sources have come to their end; False when that takes longer."""
-        return self._ended.wait(timeout_s)
+        """Wait until all sources have come to their end; False when that takes longer for one."""
+        for thread in self._threads:
+            thread.join(timeout_s)
+        return not any(thread.is_alive() for thread in self._threads)
 
     def close(self) -> None:
         """Take nothing more."""

@@ -11,9 +11,8 @@ from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait 
 from typing import NamedTuple
 
 from fieldgrid.core import FieldgridError, MapWriteError, MatcherKind
-from fieldgrid.geometry import LocalGrid, StereoCamera
+from fieldgrid.geometry import LocalGrid, StereoCamera, Tilt
 from fieldgrid.live.kept.session_folder import SessionFolder
-from fieldgrid.live.pose.running_tilt import TellTilt
 from fieldgrid.live.pose.sensor_rows import check_time
 from fieldgrid.live.pose.stamps import OFF_S, Stamps
 from fieldgrid.live.results import LiveEvent, LiveGrid, LiveResult, What
@@ -71,7 +70,7 @@ class Perceiver:
         tell: Callable[[LiveResult], None],
         pass_on: Callable[[PerceivedFrame], None],
         way: Callable[[int], OriginTrack | None],
-        tilt: TellTilt,
+        tilt: Callable[[int], Tilt | None],
     ) -> None:
         self._kept, self._gridder = kept, gridder
         self._most, self._tell, self._pass_on = most_waiting, tell, pass_on
@@ -83,8 +82,8 @@ class Perceiver:
             way=way,
         )
         self._pushing = threading.Lock()
-        self._held: list[tuple[Frame, str]] = []
-        self._refuted = 0
+        self._held: list[tuple[Frame, str, int]] = []
+        """Frames ahead of all else, why, and how often such were refuted before."""
         self._looking = ThreadPoolExecutor(WORKERS, "fieldgrid-perception")
         self._following = ThreadPoolExecutor(1, "fieldgrid-frames")
         self._under_way: deque[_FrameUnderWay] = deque()
@@ -106,26 +105,24 @@ class Perceiver:
         is. ConfigError for a time that no map can have."""
         check_time("a frame", frame.time_ns)
         with self._pushing:
-            judged = self._stamps.frame(self._time_ns(frame))
-            self._leave_refuted()
-            if judged.why:
-                self._held.append((frame, judged.why))
+            why = self._stamps.frame(self._time_ns(frame)).why
+            if why:
+                self._held.append((frame, why, self._stamps.refuted))
                 if len(self._held) > MOST_HELD:
-                    self._leave(*self._held.pop(0))
+                    self._leave(*self._held.pop(0)[:2])
                 return True
-            self._let_in()
+            self._end_doubt()
             return self._put(frame, wait=wait)
 
-    def _let_in(self) -> None:
-        """Let frames be perceived that were held."""
-        while self._held:
-            self._put(self._held.pop(0)[0], wait=True)
-
-    def _leave_refuted(self) -> None:
-        """Leave frames out that were held, where it came out that they are of another time."""
-        while self._held and self._refuted != self._stamps.refuted:
-            self._leave(*self._held.pop(0))
-        self._refuted = self._stamps.refuted
+    def _end_doubt(self) -> None:
+        """Let frames be perceived that were held, but for those of which it came out that they are
+        of another time."""
+        held, self._held = self._held, []
+        for frame, why, refuted in held:
+            if refuted != self._stamps.refuted:
+                self._leave(frame, why)
+            else:
+                self._put(frame, wait=True)
 
     def _leave(self, frame: Frame, why: str) -> None:
         self.late += 1
@@ -185,19 +182,14 @@ class Perceiver:
 
     def drain(self, timeout_s: float | None = None) -> bool:
         """Wait until every frame is perceived; False when that takes longer."""
-        self._end_doubt()
-        return not wait_for([self._last], timeout_s).not_done
-
-    def _end_doubt(self) -> None:
-        """Nothing more comes by which it could be told of what time frames are that are held."""
         with self._pushing:
-            self._leave_refuted()
-            self._let_in()
+            self._end_doubt()
+        return not wait_for([self._last], timeout_s).not_done
 
     def close(self) -> None:
         """Perceive what waits, and end."""
-        self._end_doubt()
         with self._pushing:
+            self._end_doubt()
             self._closed = True
         self._following.shutdown()
         self._looking.shutdown()

@@ -16,6 +16,9 @@ from fieldgrid.core import Bool, Float32
 from fieldgrid.geometry import FixColumns, LocalGrid, Pose
 from fieldgrid.maps import Costmap, MapView
 
+CLIENT_S = 2.0
+"""Time for which a client that does not take its results is waited for at the end."""
+
 MOST_WAITING = 256
 """Results that wait for a client; the oldest give way, and are counted."""
 
@@ -98,19 +101,13 @@ class LivePose:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON; None for what is not known."""
-        pose = self.pose
         return {
             "pose": self.frame_id,
-            "time_ns": pose.time_ns,
-            "east_m": known_or_none(pose.east_m),
-            "north_m": known_or_none(pose.north_m),
-            "heading_deg": known_or_none(pose.heading_deg),
-            "position_sigma_m": known_or_none(pose.position_sigma_m),
-            "heading_sigma_deg": known_or_none(pose.heading_sigma_deg),
-            "speed_mps": known_or_none(pose.speed_mps),
+            "time_ns": self.pose.time_ns,
+            **numbers_of(self.pose),
             "gear": self.gear,
-            "status": pose.status.value,
-            "reason": pose.reason,
+            "status": self.pose.status.value,
+            "reason": self.pose.reason,
             "settled": self.is_settled,
         }
 
@@ -193,8 +190,8 @@ class Outbox:
         self._waiting: deque[LiveResult] = deque(maxlen=MOST_WAITING)
         self._changed = threading.Condition()
         self._closed = False
-        self.missed = 0
-        """Results that gave way to newer ones before a client took them."""
+        self.missed = self.failed = 0
+        """Results that gave way to newer ones before a client took them, and at which it failed."""
 
     def put(self, result: LiveResult) -> None:
         """Add a result, in the place of the oldest where there is no room. A window, of which each
@@ -215,49 +212,37 @@ class Outbox:
             self._changed.wait_for(lambda: self._waiting or self._closed, timeout_s)
             return self._waiting.popleft() if self._waiting else None
 
-    @property
-    def is_done(self) -> bool:
-        """Whether it is closed and empty."""
-        with self._changed:
-            return self._closed and not self._waiting
-
     def close(self) -> None:
         """Nothing more comes; what waits can still be taken."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
+    def deliver(self, callback: Callable[[LiveResult], None]) -> threading.Thread:
+        """Call a client with the results in a thread of its own, until none comes any more. What it
+        raises is counted, and told once."""
+        thread = threading.Thread(
+            target=self._deliver, args=(callback,), name="fieldgrid-results", daemon=True
+        )
+        thread.start()
+        return thread
 
-CLIENT_S = 2.0
-"""Time for which a client that does not take its results is waited for at the end."""
-
-
-class Deliverer:
-    """A thread that calls a client's callback; what this raises is counted, and told once."""
-
-    def __init__(self, outbox: Outbox, callback: Callable[[LiveResult], None]) -> None:
-        self._outbox, self._callback = outbox, callback
-        self.failed = 0
-        self._thread = threading.Thread(target=self._run, name="fieldgrid-results", daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        while not self._outbox.is_done:
-            result = self._outbox.take(0.5)
-            if result is None:
-                continue
+    def _deliver(self, callback: Callable[[LiveResult], None]) -> None:
+        while (result := self.take()) is not None:
             try:
-                self._callback(result)
+                callback(result)
             except Exception as error:  # noqa: BLE001 - a client's mistake does not end the mapping
                 self.failed += 1
                 if self.failed == 1:
                     what = f"{type(error).__name__}: {error}"
                     text = f"The callback raised {what}; later ones are counted, not told."
-                    self._outbox.put(LiveEvent(What.CLIENT, text, time.time_ns()))
+                    self.put(LiveEvent(What.CLIENT, text, time.time_ns()))
 
-    def join(self) -> None:
-        """Wait for what was not delivered yet, but not for long: a client may block."""
-        self._thread.join(CLIENT_S)
+
+def numbers_of(pose: Pose) -> dict[str, float | None]:
+    """Where the vehicle is, with sigmas and speed, for JSON; None for what is not known."""
+    names = "east_m", "north_m", "heading_deg", "position_sigma_m", "heading_sigma_deg", "speed_mps"
+    return {name: known_or_none(getattr(pose, name)) for name in names}
 
 
 def known_or_none(value: float) -> float | None:

@@ -15,7 +15,6 @@ from fieldgrid.core import BuildSettings, Closing, ConfigError, Overrides, Recor
 from fieldgrid.geometry import Datum, Fix, GridSpec, Rig
 from fieldgrid.live.finish import check_begin, finish
 from fieldgrid.live.given import GIVEN_ROWS, check_body, check_order, pose_rows
-from fieldgrid.live.kept.frame_names import highest_number
 from fieldgrid.live.kept.session_folder import SessionFolder
 from fieldgrid.live.options import LiveOptions
 from fieldgrid.live.perceiver import Perceiver
@@ -23,7 +22,7 @@ from fieldgrid.live.pose.fixed_lag import GIVEN_KEPT_S
 from fieldgrid.live.pose.poser import Poser
 from fieldgrid.live.pose.sensor_rows import Rows, rows_of
 from fieldgrid.live.pushed import PushedImage, PushedSource, warm_up
-from fieldgrid.live.results import Counts, Deliverer, LiveEvent, LiveResult, Outbox, What
+from fieldgrid.live.results import CLIENT_S, Counts, LiveEvent, LiveResult, Outbox, What
 from fieldgrid.live.warming import warm_up_poses
 from fieldgrid.maps import Patience
 from fieldgrid.perception import LocalGridder
@@ -90,9 +89,9 @@ class Live(Closing):
         self.is_resumed = self._kept.is_resumed
         self.newest_frame_ns = self._kept.newest_frame_ns
         """The time of the last frame that is kept, by the receiver's clock; None without."""
-        self._last_number = highest_number(one.entry.frame_id for one in drive.frames)
+        self._last_number = len(drive.frames) + len(drive.bad) + drive.dropped
         self._outbox = Outbox()
-        self._deliverer = None if on_result is None else Deliverer(self._outbox, on_result)
+        self._deliverer = None if on_result is None else self._outbox.deliver(on_result)
         given_ns = (int(rows.time_ns.max()) for rows in drive.parts.get(GIVEN_ROWS, ()))
         self._newest_pose_ns = max(given_ns, default=0)
         self._most_late_ns = round(options.lag_s * 1e9)
@@ -143,11 +142,10 @@ class Live(Closing):
     @property
     def counts(self) -> Counts:
         """What has been pushed until now, and what became of it."""
-        failed = 0 if self._deliverer is None else self._deliverer.failed
-        frames = self._perceiver
+        frames, results = self._perceiver, self._outbox
         return Counts(
             *(frames.frames, frames.dropped, frames.late, self._bad),
-            *(self._fixes, dict(self._rows), self._outbox.missed, failed),
+            *(self._fixes, dict(self._rows), results.missed, results.failed),
         )
 
     def push_pair(
@@ -339,7 +337,7 @@ class Live(Closing):
         self._is_open = False
         with ExitStack() as ending:  # the last comes first
             if self._deliverer is not None:
-                ending.callback(self._deliverer.join)
+                ending.callback(self._deliverer.join, CLIENT_S)
             for step in (self._outbox.close, self._kept.journal.sync, self._syncer.join):
                 ending.callback(step)
             for step in (self._stopping.set, self._poser.close, self._perceiver.close):

@@ -98,6 +98,7 @@ if TYPE_CHECKING:
         StereoFrame as StereoFrame,
     )
     from fieldgrid.recordings.frames.images import ImageFile as ImageFile
+    from fieldgrid.recordings.frames.npy import parse_npy as parse_npy
     from fieldgrid.recordings.opening import (
         open_drive as open_drive,
         open_recording as open_recording,

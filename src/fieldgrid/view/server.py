@@ -74,7 +74,8 @@ def make_server(app: Starlette) -> uvicorn.Server:
         uvicorn.Config(
             app,
             http=_PatientProtocol,
-            log_level="warning",
+            log_config=None,
+            log_level=None,
             access_log=False,
             server_header=False,
             lifespan="on",

@@ -25,6 +25,7 @@ from fieldgrid.core import ConfigError
 from fieldgrid.geometry import GridSpec, LocalGrid, Status, position_sigma_m
 from fieldgrid.live import FoxgloveServer, LiveGrid, What
 from fieldgrid.live.servers import foxglove
+from fieldgrid.live.servers.loop_server import MOST_WAITING, LiveMessage
 from tests.live.servers.making import (
     CELL_M,
     DATUM,
@@ -304,19 +305,19 @@ def test_who_never_ends_a_handshake_does_not_delay_the_end(
 
 def test_what_waits_is_bounded_and_what_gives_way_is_counted() -> None:
     client = foxglove._FoxgloveClient()
-    message = foxglove._EncodedMessage(0, lambda: None)  # type: ignore[arg-type, return-value]
-    client.offer(foxglove.FIX, message)
+    message = LiveMessage(0, bytes)
+    client.offer(foxglove.FIX, message, keeps_all=True)
     assert client.next() is None  # it does not want it
     client.wants = {foxglove.FIX: 1, foxglove.GRID: 2, foxglove.POSE: 3}
-    for _ in range(foxglove.MOST_WAITING + 5):
-        client.offer(foxglove.FIX, message)
+    for _ in range(MOST_WAITING + 5):
+        client.offer(foxglove.FIX, message, keeps_all=True)
         client.offer(foxglove.GRID, message)
     client.offer(foxglove.POSE, message)
-    assert client.missed == 5 + foxglove.MOST_WAITING + 4
+    assert client.missed == 5 + MOST_WAITING + 4
     order = []
     while (found := client.next()) is not None:
         order.append(found[0])
-    assert order == [foxglove.FIX] * foxglove.MOST_WAITING + [foxglove.POSE, foxglove.GRID]
+    assert order == [foxglove.FIX] * MOST_WAITING + [foxglove.POSE, foxglove.GRID]
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-
-MOST_DIGITS = 18
+from collections.abc import Sequence
 
 
 def told_apart(names: Sequence[str]) -> list[str]:
@@ -19,9 +17,3 @@ def told_apart(names: Sequence[str]) -> list[str]:
         seen[made] = 1
         told.append(made)
     return told
-
-
-def highest_number(names: Iterable[str]) -> int:
-    """The highest number that is the name of a frame; 0 without."""
-    numbers = (name for name in names if name.isdecimal() and len(name) <= MOST_DIGITS)
-    return max(map(int, numbers), default=0)

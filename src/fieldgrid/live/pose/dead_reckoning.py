@@ -11,16 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from fieldgrid.core import Float64, Int64
-from fieldgrid.geometry import Trajectory
-from fieldgrid.live.pose.sensor_rows import KEPT_NS, RecentRows
+from fieldgrid.live.pose.sensor_rows import RecentRows, SensorTrack, ticks
 from fieldgrid.perception import LONGEST_S, CameraStep, OriginTrack
+from fieldgrid.poses import Estimate
 
 KNOWN_S, ROLLED_S = 1.5, 1.0
 """The time for which the speed of an estimate holds where there are no wheels, and the time over
 which a frame is placed by it and the gyro."""
-
-LEAST_BIAS_S = 5.0
-"""Time over which a gyro must be compared with an estimate to tell its bias."""
 
 WHEEL_SHARE = 0.03
 """The error of the wheels' way, 1 sigma: as the smoother takes their scale."""
@@ -28,8 +25,6 @@ WHEEL_SHARE = 0.03
 ACCELERATION_MPS2, TURN_DEG, SLIDE_M = 1.0, 0.3, 0.01
 """How much speed and heading may change in a second beside what is measured, and how far a vehicle
 slides on a metre, 1 sigma: the smoother's."""
-
-TICK_S = 0.02
 
 
 class _EstimateEnd(NamedTuple):
@@ -40,30 +35,26 @@ class _EstimateEnd(NamedTuple):
     bias_rad_s: float
 
 
-class DeadReckoning(RecentRows):
-    """Takes gyro and wheel rows and estimates, and gives short motions of the grid origin. Can be
-    used from any thread."""
+class DeadReckoning:
+    """Takes estimates, and gives short motions of the grid origin by the gyro and wheels of the
+    rows of now. Can be used from any thread."""
 
-    def __init__(self, rear_axle_forward_m: float | None) -> None:
-        super().__init__({"gyro": 1, "wheels": 1})
+    def __init__(self, rows: RecentRows, rear_axle_forward_m: float | None) -> None:
+        self._rows = rows
         self._axle_m = rear_axle_forward_m or 0.0
         self._known: _EstimateEnd | None = None
 
-    def know(self, track: Trajectory) -> None:
+    def know(self, estimate: Estimate) -> None:
         """The latest estimate."""
+        track, bias_dps = estimate.trajectory, estimate.report.gyro_bias_dps
         ok = track.accepted
-        if not ok.any():
-            return
-        time_ns, speed_mps = track.time_ns[ok], float(track.speed_mps[ok][-1])
-        since = time_ns >= time_ns[-1] - KEPT_NS
-        time_ns, heading = time_ns[since], np.unwrap(np.radians(track.heading_deg[ok][since]))
-        gyro, bias_rad_s = self.track("gyro"), 0.0
-        took_s = (time_ns[-1] - time_ns[0]) / 1e9
-        if took_s >= LEAST_BIAS_S and gyro.holds(int(time_ns[0]), int(time_ns[-1])):
-            ticks = _ticks(int(time_ns[0]), int(time_ns[-1]))
-            turned = float(_summed(gyro.at(ticks)[:, 0], ticks)[-1])
-            bias_rad_s = (turned - float(heading[-1] - heading[0])) / took_s
-        self._known = _EstimateEnd(int(time_ns[-1]), speed_mps, bias_rad_s)
+        if ok.any():
+            bias_rad_s = 0.0 if math.isnan(bias_dps) else math.radians(bias_dps)
+            end = int(track.time_ns[ok][-1]), float(track.speed_mps[ok][-1])
+            self._known = _EstimateEnd(*end, bias_rad_s)
+
+    def _track(self, part: str) -> SensorTrack:
+        return self._rows.track(part, 1)
 
     def around(self, time_ns: int) -> OriginTrack | None:
         """The way around an instant, as far as a sweep may reach; None where nothing tells how
@@ -80,7 +71,7 @@ class DeadReckoning(RecentRows):
         right_m, forward_m = float(way.east_m[-1]), float(way.north_m[-1])
         gone_m = math.hypot(right_m, forward_m)
         along_m = ACCELERATION_MPS2 * math.sqrt(took_s**3 / 3.0)
-        if self.track("wheels").holds(from_ns, to_ns):
+        if self._track("wheels").holds(from_ns, to_ns):
             along_m = WHEEL_SHARE * gone_m
         return CameraStep(
             *(forward_m, right_m, math.degrees(float(way.heading_rad[-1]))),
@@ -93,30 +84,24 @@ class DeadReckoning(RecentRows):
     def _way(self, from_ns: int, to_ns: int, beyond_ns: int) -> OriginTrack | None:
         """The way from one instant to another and `beyond_ns` beyond both, which begins at 0, 0
         with the heading 0."""
-        gyro, wheels, known = self.track("gyro"), self.track("wheels"), self._known
+        gyro, wheels, known = self._track("gyro"), self._track("wheels"), self._known
         if not gyro.holds(from_ns, to_ns):
             return None
-        ticks = _ticks(from_ns - beyond_ns, to_ns + beyond_ns)
+        at_ns = ticks(from_ns - beyond_ns, to_ns + beyond_ns)
         if wheels.holds(from_ns, to_ns):
-            speed_mps = wheels.at(ticks)[:, 0]
+            speed_mps = wheels.at(at_ns)[:, 0]
         elif known is not None and abs(to_ns - known.time_ns) <= KNOWN_S * 1e9:
-            speed_mps = np.full(len(ticks), known.speed_mps)
+            speed_mps = np.full(len(at_ns), known.speed_mps)
         else:
             return None
-        rate_rad_s = gyro.at(ticks)[:, 0] - (known.bias_rad_s if known is not None else 0.0)
-        heading_rad = _summed(rate_rad_s, ticks)
+        rate_rad_s = gyro.at(at_ns)[:, 0] - (known.bias_rad_s if known is not None else 0.0)
+        heading_rad = _summed(rate_rad_s, at_ns)
         # The axle goes straight ahead; the origin, which lies off it, slides in turns.
         across_mps = -self._axle_m * rate_rad_s
         sin, cos = np.sin(heading_rad), np.cos(heading_rad)
-        east_m = _summed(speed_mps * sin + across_mps * cos, ticks)
-        north_m = _summed(speed_mps * cos - across_mps * sin, ticks)
-        return OriginTrack(ticks, east_m, north_m, heading_rad)
-
-
-def _ticks(from_ns: int, to_ns: int) -> Int64:
-    """Instants from one to another, close to each other."""
-    count = math.ceil((to_ns - from_ns) / 1e9 / TICK_S) + 1
-    return from_ns + np.rint(np.linspace(0.0, to_ns - from_ns, count)).astype(np.int64)
+        east_m = _summed(speed_mps * sin + across_mps * cos, at_ns)
+        north_m = _summed(speed_mps * cos - across_mps * sin, at_ns)
+        return OriginTrack(at_ns, east_m, north_m, heading_rad)
 
 
 def _summed(rate: Float64, time_ns: Int64) -> Float64:

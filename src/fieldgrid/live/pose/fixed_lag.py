@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Collection
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ import numpy as np
 from fieldgrid.core import BuildSettings, FieldgridError, GnssError, Int64, PoseSettings
 from fieldgrid.geometry import Datum, Fix, FixColumns, Motion, Pose, Rig, Status, Trajectory
 from fieldgrid.live.given import GIVEN_ROWS, body_poses
-from fieldgrid.live.pose.sensor_rows import Rows, motion_of
+from fieldgrid.live.pose.sensor_rows import RecentRows, motion_of
 from fieldgrid.live.pose.stamps import FIXES, FRAMES
 from fieldgrid.perception import CameraStep, Refusal, steps_of
 from fieldgrid.pipeline import cell_budget
@@ -99,20 +99,22 @@ class FixedLagSmoother:
         self.datum = datum
         self._window_ns = round(window_s * 1e9)
         self._kept_ns = round(1e9 * max(window_s, KEPT_S if body is None else GIVEN_KEPT_S))
-        self._said: defaultdict[str, deque[tuple[int, Any]]] = defaultdict(deque)
-        """What sources (`stamps`) said, with its time: fixes, the steps to frames, rows."""
+        self.rows = RecentRows(self._kept_ns)
+        """What sensors, and another program of poses, said; any thread may add to it."""
+        self._said: dict[str, deque[tuple[int, Any]]] = {FIXES: deque(), FRAMES: deque()}
+        """Fixes, and the steps to frames, with their times."""
         self._last_fix_ns: int | None = None
-        self.newest_ns = 0
+        self._newest_ns = 0
+
+    @property
+    def newest_ns(self) -> int:
+        """The time of the newest of all that was said."""
+        return max(self._newest_ns, self.rows.newest_ns)
 
     def add_fix(self, fix: Fix) -> None:
         """A fix, in any order."""
         self._last_fix_ns = max(fix.time_ns, self._last_fix_ns or fix.time_ns)
         self._add(FIXES, fix.time_ns, fix)
-
-    def add_rows(self, part: str, rows: Rows) -> None:
-        """Rows of gyro, wheels, IMU or tilt, or of poses, in any order."""
-        if len(rows.time_ns):
-            self._add(part, int(rows.time_ns.max()), rows)
 
     def add_frame(self, time_ns: int, step: CameraStep | None) -> None:
         """A frame, in order of time, and the camera's step to it from the one before."""
@@ -120,19 +122,19 @@ class FixedLagSmoother:
 
     def _add(self, source: str, time_ns: int, value: Any) -> None:
         self._said[source].append((time_ns, value))
-        self.newest_ns = max(self.newest_ns, time_ns)
+        self._newest_ns = max(self._newest_ns, time_ns)
         for said in self._said.values():
             while said and said[0][0] < self.newest_ns - self._kept_ns:
                 said.popleft()
 
     def forget(self, sources: Collection[str], time_ns: int) -> None:
-        """Forget what some sources (`stamps`) said after an instant, of another time."""
+        """Forget what some sources (`stamps`) said after an instant, of another time; rows were
+        forgotten before."""
         for source in self._said.keys() & set(sources):
             self._said[source] = deque(one for one in self._said[source] if one[0] <= time_ns)
         if FIXES in sources:
             self._last_fix_ns = max((ns for ns, _ in self._said[FIXES]), default=None)
-        last_ns = (said[-1][0] for part, said in self._said.items() if said and part != FIXES)
-        self.newest_ns = max([time_ns, *last_ns])
+        self._newest_ns = max([time_ns, *(ns for ns, _ in self._said[FRAMES])])
 
     def _since(self, source: str, since_ns: int) -> list[tuple[int, Any]]:
         """What a source said from an instant on."""
@@ -178,16 +180,14 @@ class FixedLagSmoother:
         does."""
         if self._needs_fixes:
             return self._last_fix_ns
-        return max((ns for ns, _ in self._said[GIVEN_ROWS]), default=None)
+        poses = self.rows.since(0).get(GIVEN_ROWS)
+        return None if poses is None else int(poses.time_ns[-1])
 
     def _motion(self, since_ns: int) -> Motion:
-        parts = {
-            part: [rows for _, rows in self._since(part, since_ns)]
-            for part in self._said.keys() - {FIXES, FRAMES}
-        }
+        parts = {part: [rows] for part, rows in self.rows.since(since_ns).items()}
         motion = motion_of(parts)
         if self._body is not None:
-            if not parts.get(GIVEN_ROWS):
+            if GIVEN_ROWS not in parts:
                 raise GnssError("There is no pose yet; wait for the program that makes them.")
             poses, has_tilt = body_poses(self._body, parts[GIVEN_ROWS]), motion.tilt is not None
             given, _ = motion_of_body(poses, self._body, self._rig, has_tilt=has_tilt)
@@ -208,12 +208,6 @@ def pose_at(trajectory: Trajectory, time_ns: int) -> tuple[Pose, int]:
         return unknown_pose(time_ns, reason), 0
     row = min(int(np.searchsorted(trajectory.time_ns, time_ns)), len(trajectory) - 1)
     return pose, int(trajectory.gear[row]) if pose.status is not Status.REJECTED else 0
-
-
-def last_known_ns(trajectory: Trajectory) -> int | None:
-    """The last instant with an accepted pose; None without."""
-    known = trajectory.time_ns[trajectory.accepted]
-    return int(known[-1]) if len(known) else None
 
 
 def unknown_pose(time_ns: int, reason: str) -> Pose:

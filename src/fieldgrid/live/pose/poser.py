@@ -24,7 +24,6 @@ from fieldgrid.live.pose.estimator import EstimateResult, Estimator, estimate_no
 from fieldgrid.live.pose.fixed_lag import (
     EstimateInputs,
     FixedLagSmoother,
-    last_known_ns,
     pose_at,
     unknown_pose,
 )
@@ -77,9 +76,9 @@ class Poser:
             *(settings.universal_cell_m, settings.map.transfer or Transfer.CENTRE),
             *(options.map_side_m, GridSpec.of(settings.grid).reach_m),
         )
-        self.going = DeadReckoning(rig.rear_axle_forward_m)
+        self.going = DeadReckoning(self._trailing.rows, rig.rear_axle_forward_m)
         """How the vehicle goes just now."""
-        self.tilt = RunningTilt()
+        self.tilt = RunningTilt(self._trailing.rows)
         """How it leans."""
         self._is_levelling = is_levelling
         self.stamps = Stamps()
@@ -128,11 +127,9 @@ class Poser:
                 self._tell(LiveEvent(What.INPUT, judged.why, int(rows.time_ns[-1])))
             if taken is None:
                 return
-            self.going.add_rows(part, taken)
-            self.tilt.add_rows(part, taken)
-            said = (part, taken)
-        self.going.forget(judged.lost)
-        self.tilt.forget(judged.lost)
+            self._trailing.rows.add(part, taken)
+        if judged.lost:
+            self._trailing.rows.forget(judged.lost, judged.back_ns)
         with self._changed:
             if judged.lost:
                 self._inbox.append(judged)
@@ -212,8 +209,6 @@ class Poser:
             self._waiting.append(seen)
         elif isinstance(said, EstimateResult):
             self._take_estimate(said)
-        else:
-            self._trailing.add_rows(*said)
 
     def _take_estimate(self, made: EstimateResult) -> None:
         """Let an estimate, or that there is none, take the place of the one before."""
@@ -230,7 +225,7 @@ class Poser:
             return
         track = made.estimate.trajectory
         self._trailing.datum = track.datum
-        self.going.know(track)
+        self.going.know(made.estimate)
         asked = made.asked
         is_level = asked is not None and asked.is_level
         # Poses of a lean that is denied are those of level grids, too; no grid is level by it.
@@ -330,8 +325,8 @@ class Poser:
         if seen.time_ns <= self._estimated_ns:
             return found
         carried = []
-        known_ns = last_known_ns(track)
-        known = None if known_ns is None else PropagatedPose(*pose_at(track, known_ns))
+        known_ns = track.time_ns[track.accepted]
+        known = PropagatedPose(*pose_at(track, int(known_ns[-1]))) if len(known_ns) else None
         if seen.step is not None and before is not None and _is_good(before):
             carried = [one for one in (before.on(seen.time_ns, seen.step),) if one.fits(known)]
         if not carried and known is not None and not _is_good(found):

@@ -7,10 +7,8 @@ An estimate is always some tenths of a second older than the frame that is gridd
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
-from typing import NamedTuple
+from functools import reduce
 
 import numpy as np
 
@@ -22,13 +20,9 @@ from fieldgrid.geometry import (
     Tilt,
     from_vectors,
     roll_pitch_deg,
-    to_vectors,
 )
-from fieldgrid.live.pose.sensor_rows import RecentRows, SensorTrack
+from fieldgrid.live.pose.sensor_rows import RecentRows, SensorTrack, ticks
 from fieldgrid.poses import Attitude
-
-BIAS_S, PIECE_NS, LEAST_PIECES = 10.0, 1_000_000_000, 3
-"""Over the last seconds of an estimate the bias of the rates is told, in pieces, and of no less."""
 
 CARRIED_S = 5.0
 """Time after the end of the estimate for which the lean is known."""
@@ -36,57 +30,25 @@ CARRIED_S = 5.0
 DRIFT_DEG = 0.2
 """How far carried angles are off after a second, 1 sigma."""
 
-_TICK_S = 0.02
-_COLUMNS = {"inertial": 1, "tilt": 2, "orientation": 2}
-"""Number of the columns that tell how the lean changes, by the part that has them."""
 
+class RunningTilt:
+    """Takes estimates, and gives the tilt of the vehicle by the rows of now. Safe from any
+    thread."""
 
-class _LatestEstimate(NamedTuple):
-    """The latest estimate, and the bias of the rates by it, rad/s [3]."""
-
-    attitude: Attitude
-    bias_rad_s: Float64
-
-
-class RunningTilt(RecentRows):
-    """Takes rows and estimates, and gives the tilt of the vehicle. Safe from any thread."""
-
-    def __init__(self) -> None:
-        super().__init__(_COLUMNS)
-        self._known: _LatestEstimate | None = None
+    def __init__(self, rows: RecentRows) -> None:
+        self._rows = rows
+        self._known: Attitude | None = None
 
     def know(self, attitude: Attitude | None) -> None:
         """The latest estimate; None where nothing tells how the vehicle leans."""
-        self._known = None
-        if attitude is not None:
-            self._known = _LatestEstimate(attitude, self._bias_rad_s(attitude))
-
-    def _bias_rad_s(self, attitude: Attitude) -> Float64:
-        """How far the rates are off by an estimate over its last seconds, [3]; 0 where they are
-        missing or too few to tell."""
-        until_ns = int(attitude.time_ns[-1])
-        since_ns = max(int(attitude.time_ns[0]), until_ns - round(BIAS_S * 1e9))
-        pieces = int((until_ns - since_ns) // PIECE_NS)
-        track = self.track("inertial")
-        if pieces < LEAST_PIECES or not track.holds(since_ns, until_ns):
-            return np.zeros(3)
-        edges_ns = until_ns - PIECE_NS * np.arange(pieces, -1, -1)
-        ends = attitude.at(edges_ns)
-        R = R_enu_level(ends.heading_deg) @ R_level_vehicle(ends.roll_deg, ends.pitch_deg)
-        # Piece by piece: over more, a turn moves the bias from one axis to another.
-        by_rates = [_turned(track, *edges) for edges in pairwise(edges_ns.tolist())]
-        off_rad = to_vectors(
-            np.stack(by_rates).transpose(0, 2, 1) @ R[:-1].transpose(0, 2, 1) @ R[1:]
-        )
-        bias = -off_rad.mean(axis=0) / (PIECE_NS / 1e9)
-        return bias if np.isfinite(bias).all() else np.zeros(3)
+        self._known = attitude
 
     def at(self, time_ns: int) -> Tilt | None:
         """The tilt at an instant; None where nothing tells it."""
-        known = self._known
-        if known is None:
+        attitude = self._known
+        if attitude is None:
             return None
-        attitude, end_ns = known.attitude, int(known.attitude.time_ns[-1])
+        end_ns = int(attitude.time_ns[-1])
         late_s = (time_ns - end_ns) / 1e9
         if late_s <= 0.0:
             return attitude.tilt_at(time_ns)
@@ -94,14 +56,16 @@ class RunningTilt(RecentRows):
             return None
         roll, pitch, sigma = attitude.tilt_at(end_ns)
         sigma = math.hypot(sigma, DRIFT_DEG * late_s)
-        for told in (self.track("tilt"), self.track("orientation")):
+        for told in (self._rows.track("tilt", 2), self._rows.track("orientation", 2)):
             if told.holds(end_ns, time_ns):
                 (roll_0, pitch_0), (roll_1, pitch_1) = told.at(np.array([end_ns, time_ns]))
                 return Tilt(float(roll + roll_1 - roll_0), float(pitch + pitch_1 - pitch_0), sigma)
-        track = self.track("inertial")
+        track = self._rows.track("inertial", 1)
         if not track.holds(end_ns, time_ns):
             return attitude.tilt_at(time_ns)
-        turned = _turned(track._replace(values=track.values - known.bias_rad_s), end_ns, time_ns)
+        if attitude.gyro_bias_rad_s is not None:
+            track = track._replace(values=track.values - attitude.gyro_bias_rad_s)
+        turned = _turned(track, end_ns, time_ns)
         roll_deg, pitch_deg = roll_pitch_deg(R_level_vehicle(roll, pitch) @ turned)
         return Tilt(float(roll_deg), float(pitch_deg), sigma)
 
@@ -109,14 +73,10 @@ class RunningTilt(RecentRows):
 def _turned(rates: SensorTrack, from_ns: int, to_ns: int) -> Float64:
     """The vehicle's axes at the later instant, seen from those at the earlier one [3, 3], by rates
     of turn [n, 3]."""
-    count = math.ceil((to_ns - from_ns) / 1e9 / _TICK_S)
-    edges_ns = from_ns + np.rint(np.linspace(0, to_ns - from_ns, count + 1)).astype(np.int64)
+    edges_ns = ticks(from_ns, to_ns)
     middle = rates.at((edges_ns[1:] + edges_ns[:-1]) // 2)
     R = from_vectors(middle * (np.diff(edges_ns) / 1e9)[:, None])
-    while len(R) > 1:  # the product in order, neighbours first
-        even = np.concatenate([R, np.eye(3)[None]]) if len(R) % 2 else R
-        R = even[0::2] @ even[1::2]
-    return np.asarray(R[0])
+    return np.asarray(reduce(np.matmul, R))
 
 
 def square_to_ground(pose: Pose, tilt: Tilt, sensor_m: float) -> Pose:
@@ -140,7 +100,3 @@ def lean_advice(attitude: Attitude | None, time_ns: int, antenna_m: float, most_
         f"{abs(antenna_m):.1f} m up, may be {off_m:.2f} m off. Turns make it surer; an "
         "accelerometer (all axes of an IMU) or recorded roll and pitch tell it at once."
     )
-
-
-TellTilt = Callable[[int], Tilt | None]
-"""Gives the tilt of the vehicle at an instant, None where nothing tells it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -43,6 +44,8 @@ HELD_NS = 300_000_000
 MOST_NEW = 1000
 """Number of pushes that wait to be put in order until something is asked."""
 
+TICK_S = 0.02
+
 
 class Rows(NamedTuple):
     """Some rows of one sensor: the times, and a column for each further field of its part."""
@@ -74,52 +77,69 @@ class SensorTrack(NamedTuple):
         return bool(inside.any()) and int(np.diff(around).max()) <= 2 * HELD_NS
 
 
+def ticks(from_ns: int, to_ns: int) -> Int64:
+    """Instants from one to another, close to each other."""
+    count = math.ceil((to_ns - from_ns) / 1e9 / TICK_S) + 1
+    return from_ns + np.rint(np.linspace(0.0, to_ns - from_ns, count)).astype(np.int64)
+
+
 class RecentRows:
-    """The first columns of the rows of some parts, over the last seconds; safe from any thread."""
+    """What all sensors said in the last seconds, by their parts; safe from any thread."""
 
-    def __init__(self, columns: Mapping[str, int]) -> None:
-        """`columns` are how many columns of each part are kept."""
-        self._columns = columns
-        self._rows_lock = threading.Lock()
-        self._new: dict[str, list[SensorTrack]] = {part: [] for part in columns}
-        self._tracks: dict[str, SensorTrack] = {}
+    def __init__(self, kept_ns: int = KEPT_NS) -> None:
+        """What is older than `kept_ns` before the newest row of its part is forgotten."""
+        self._kept_ns, self._lock = kept_ns, threading.Lock()
+        self._rows: dict[str, list[Rows]] = {}
+        self.newest_ns = 0
 
-    def add_rows(self, part: str, rows: Rows) -> None:
-        """Rows of any part; those of other parts are ignored."""
-        if part not in self._columns or not len(rows.time_ns):
-            return
-        values = np.column_stack(rows.columns[: self._columns[part]]).astype(np.float64)
+    def add(self, part: str, rows: Rows) -> None:
+        """Rows of a part, in any order."""
+        if len(rows.time_ns):
+            with self._lock:
+                pieces = self._rows.setdefault(part, [])
+                pieces.append(in_order(rows))
+                self.newest_ns = max(self.newest_ns, int(rows.time_ns.max()))
+                if len(pieces) >= MOST_NEW:
+                    self._in_order(part)
+
+    def forget(self, parts: Collection[str], time_ns: int) -> None:
+        """Forget what some parts said after an instant: it was of another time."""
+        with self._lock:
+            for part in self._rows.keys() & set(parts):
+                rows = self._in_order(part)
+                self._rows[part] = [rows.where(rows.time_ns <= time_ns)]
+            ends = (
+                int(rows.time_ns.max(initial=0)) for all_ in self._rows.values() for rows in all_
+            )
+            self.newest_ns = max(ends, default=0)
+
+    def since(self, since_ns: int) -> dict[str, Rows]:
+        """What all parts said from an instant on, in order of time, of equal times the first."""
+        with self._lock:
+            all_ = {part: self._in_order(part) for part in self._rows}
+        found = {part: rows.where(rows.time_ns >= since_ns) for part, rows in all_.items()}
+        return {part: rows for part, rows in found.items() if len(rows.time_ns)}
+
+    def track(self, part: str, width: int) -> SensorTrack:
+        """The first columns of a part, so many, over the last seconds."""
+        with self._lock:
+            rows = self._in_order(part) if part in self._rows else None
+        if rows is None:
+            return SensorTrack(np.zeros(0, np.int64), np.zeros((0, width)))
+        first = int(np.searchsorted(rows.time_ns, rows.time_ns.max(initial=0) - KEPT_NS))
+        columns = [column[first:] for column in rows.columns[:width]]
+        values = np.column_stack(columns).astype(np.float64)
         known = np.isfinite(values).all(axis=1)
-        with self._rows_lock:
-            self._new[part].append(SensorTrack(rows.time_ns[known], values[known]))
-            if len(self._new[part]) >= MOST_NEW:
-                self._merge(part)
+        return SensorTrack(rows.time_ns[first:][known], values[known])
 
-    def forget(self, sources: Collection[str]) -> None:
-        """Forget what some sources said: it was of another time."""
-        with self._rows_lock:
-            for part in self._columns.keys() & set(sources):
-                self._tracks.pop(part, None)
-                self._new[part].clear()
-
-    def track(self, part: str) -> SensorTrack:
-        """The values of a part, with those that were added last."""
-        with self._rows_lock:
-            return self._merge(part)
-
-    def _merge(self, part: str) -> SensorTrack:
-        """Put what is new of a part in order, without rows that are old; under the lock."""
-        pieces = [self._tracks[part]] if part in self._tracks else []
-        pieces += self._new[part]
-        if not pieces:
-            return SensorTrack(np.zeros(0, np.int64), np.zeros((0, self._columns[part])))
-        if self._new[part]:
-            times, values = (np.concatenate(column) for column in zip(*pieces, strict=True))
-            times, first = np.unique(times, return_index=True)
-            recent = times >= times.max(initial=0) - KEPT_NS
-            self._tracks[part] = SensorTrack(times[recent], values[first][recent])
-            self._new[part].clear()
-        return self._tracks[part]
+    def _in_order(self, part: str) -> Rows:
+        """All that a part said, as one piece; under the lock."""
+        pieces = self._rows[part]
+        if len(pieces) > 1:
+            rows = in_order(joined(pieces))
+            since_ns = rows.time_ns.max(initial=0) - self._kept_ns
+            self._rows[part] = pieces = [rows.where(rows.time_ns >= since_ns)]
+        return pieces[0]
 
 
 def check_time(what: str, time_ns: int) -> None:
@@ -160,15 +180,22 @@ def joined(pieces: Sequence[Rows]) -> Rows:
     return Rows(time_ns, tuple(np.concatenate(values) for values in columns))
 
 
+def in_order(rows: Rows) -> Rows:
+    """Rows in order of time, of equal times the first."""
+    if (np.diff(rows.time_ns) > 0).all():  # as nearly always
+        return rows
+    time_ns, first = np.unique(rows.time_ns, return_index=True)
+    return Rows(time_ns, tuple(column[first] for column in rows.columns))
+
+
 def motion_of(parts: Mapping[str, Sequence[Rows]]) -> Motion:
     """Motion of all rows but those of poses, in order of time, of equal times the first."""
     made: dict[str, Any] = {}
     for part, chunks in parts.items():
         if not chunks or part not in PARTS:
             continue
-        whole_ns, columns = joined(chunks)
-        time_ns, first = np.unique(whole_ns, return_index=True)
-        made[part] = PARTS[part](time_ns, *(column[first] for column in columns))
+        rows = in_order(joined(chunks))
+        made[part] = PARTS[part](rows.time_ns, *rows.columns)
     return Motion(**made)
 
 

@@ -1,4 +1,4 @@
-"""The address of a live server."""
+"""The addresses of live servers."""
 
 from __future__ import annotations
 
@@ -11,14 +11,31 @@ from fieldgrid.view import LOOPBACK
 def parse_server_address(text: str, option: str) -> tuple[str, int]:
     """Host and port of `HOST:PORT`, or of `PORT` on this machine alone; ConfigError, which names
     the option, for others."""
-    try:
-        parts = urlsplit(f"//{LOOPBACK}:{text}" if text.isdecimal() else f"//{text}")
-        host, port = parts.hostname, parts.port
-    except ValueError:
-        host = port = None
-        parts = urlsplit("")
-    if not host or port is None or "@" in text or parts.path or parts.query or parts.fragment:
+    found = _place(f"{LOOPBACK}:{text}" if text.isdecimal() else text)
+    if found is None:
         raise ConfigError(
             f"{quoted(text)} is no address; give {option} PORT or {option} HOST:PORT."
         )
-    return host, port
+    return found
+
+
+def parse_feed(text: str) -> tuple[str, int]:
+    """Host and port of `tcp://HOST:PORT`; ConfigError for other addresses."""
+    found = _place(text.removeprefix("tcp://")) if text.startswith("tcp://") else None
+    if found is None:
+        raise ConfigError(
+            f"{quoted(text)} is no feed; give a TCP address, such as tcp://127.0.0.1:PORT."
+        )
+    return found
+
+
+def _place(text: str) -> tuple[str, int] | None:
+    """Host and port of `HOST:PORT`; None for others."""
+    try:
+        parts = urlsplit(f"//{text}")
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        return None
+    if not host or port is None or "@" in text:
+        return None
+    return None if parts.path.strip("/") or parts.query or parts.fragment else (host, port)

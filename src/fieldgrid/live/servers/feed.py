@@ -9,14 +9,16 @@ from __future__ import annotations
 import asyncio
 import math
 import struct
+from asyncio import StreamReader, StreamWriter
 from collections.abc import Callable
-from urllib.parse import urlsplit
+from contextlib import suppress
+from functools import partial
 
 import numpy as np
 
-from fieldgrid.core import ConfigError, Float32, quoted
+from fieldgrid.core import Float32
 from fieldgrid.live.results import LiveWindow
-from fieldgrid.live.servers.loop_server import LoopServer
+from fieldgrid.live.servers.loop_server import LiveClient, LiveMessage, LoopServer
 
 MAGIC, VERSION = b"FGWN", 1
 HEADER = struct.Struct("<4sHHIIq3d3d2I6d2I")
@@ -27,22 +29,9 @@ MOST = 65534
 AGE_UNIT_S, SIGMA_UNIT_M = 0.01, 0.001
 
 MOST_CLIENTS = 16
+_READ_BYTES = 1 << 16
 STUCK_S = 5.0
 """Time after which a client is dropped that takes nothing of a window."""
-
-
-def parse_feed(text: str) -> tuple[str, int]:
-    """Host and port of `tcp://HOST:PORT`; ConfigError for other addresses."""
-    try:
-        parts = urlsplit(text)
-        host, port = parts.hostname, parts.port
-    except ValueError:
-        host, port, parts = None, None, urlsplit("")
-    if parts.scheme != "tcp" or not host or port is None or parts.path.strip("/") or parts.query:
-        raise ConfigError(
-            f"{quoted(text)} is no feed; give a TCP address, such as tcp://127.0.0.1:PORT."
-        )
-    return host, port
 
 
 def encode_window(window: LiveWindow, number: int) -> bytes:
@@ -76,55 +65,6 @@ def whole_units(values: Float32, unit: float, most: int) -> Float32:
     return scaled
 
 
-class _FeedClient(asyncio.Protocol):
-    """A client: a window is on its way to it, and the newest one waits behind that."""
-
-    transport: asyncio.Transport
-
-    def __init__(self, feed: Feed) -> None:
-        self._feed, self._waiting = feed, b""
-        self._watching: asyncio.TimerHandle | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)
-        self.transport = transport
-        transport.set_write_buffer_limits(0)
-        self._feed.joined(self)
-
-    def connection_lost(self, error: Exception | None) -> None:
-        self.resume_writing()
-        self._feed.left(self)
-
-    def offer(self, data: bytes) -> None:
-        """Send a window next, in the place of one that still waits."""
-        if self._watching is None:
-            self.transport.write(data)
-        else:
-            self._waiting = data
-
-    def pause_writing(self) -> None:
-        """Not all of a window is taken yet."""
-        left = self.transport.get_write_buffer_size()
-        loop = asyncio.get_running_loop()
-        self._watching = loop.call_later(STUCK_S, self._watch, left)
-
-    def resume_writing(self) -> None:
-        """All is taken."""
-        if self._watching is not None:
-            self._watching.cancel()
-        self._watching, waiting, self._waiting = None, self._waiting, b""
-        if waiting and not self.transport.is_closing():
-            self.transport.write(waiting)
-
-    def _watch(self, left: int) -> None:
-        """Leave it where it took nothing since so many bytes were left."""
-        if self.transport.get_write_buffer_size() < left:
-            self.pause_writing()
-        else:
-            self._feed.tell("A client of the feed does not read; it was dropped.")
-            self.transport.abort()
-
-
 class Feed(LoopServer):
     """Serves windows to any number of clients, up to 16, in a thread of its own.
 
@@ -133,49 +73,45 @@ class Feed(LoopServer):
     """
 
     def __init__(self, host: str, port: int, tell: Callable[[str], None] | None = None) -> None:
-        super().__init__(host, port, "fieldgrid-feed")
-        self.tell = tell or (lambda _: None)
-        self._newest: LiveWindow | None = None
+        super().__init__(host, port, "fieldgrid-feed", tell)
         self._number = 0
-        self._encoded = b""
-        self._clients = set[_FeedClient]()
         self._thread.start()
 
     def put(self, window: LiveWindow) -> None:
-        """Send a window to all who listen; it never blocks."""
-        self._call(self._take, window)
+        """Send a window to all who listen; it never blocks, and one that nobody takes is not
+        encoded."""
+        self._number += 1
+        message = LiveMessage(window.time_ns, partial(encode_window, window, self._number))
+        self._call(self._offer, 0, message)
 
     async def _serve(self) -> None:
-        served = await self._loop.create_server(lambda: _FeedClient(self), sock=self._listening)
+        served = await asyncio.start_server(self._connected, sock=self._listening)
         await self._closing.wait()
         served.close()
-        for client in self._clients:
-            client.transport.abort()
-        await asyncio.sleep(0)  # in which they are closed
 
-    def _take(self, window: LiveWindow) -> None:
-        self._newest = window
-        self._number += 1
-        self._loop.call_soon(self._send)  # behind newer ones that are there already
-
-    def _send(self) -> None:
-        """Send the newest window, unless that is done; one that nobody takes is not encoded."""
-        if self._clients and self._newest is not None:
-            self._encoded, self._newest = encode_window(self._newest, self._number), None
-            for client in self._clients:
-                client.offer(self._encoded)
-
-    def joined(self, client: _FeedClient) -> None:
-        """A client is there."""
-        if len(self._clients) >= MOST_CLIENTS:
-            self.tell(f"The feed has {MOST_CLIENTS} clients already; one more was refused.")
-            client.transport.abort()
+    async def _connected(self, reader: StreamReader, writer: StreamWriter) -> None:
+        if self._is_full("The feed", MOST_CLIENTS):
+            writer.transport.abort()
             return
-        self._clients.add(client)
-        if self._newest is None and self._encoded:
-            client.offer(self._encoded)
-        self._send()
+        client = LiveClient()
+        writer.transport.set_write_buffer_limits(0)
+        try:
+            with self._serving(client, partial(self._send, writer)), suppress(OSError):
+                if self._latest:
+                    client.offer(0, self._latest[0])
+                while await reader.read(_READ_BYTES):  # what it says counts for nothing
+                    pass
+        finally:
+            writer.transport.abort()
 
-    def left(self, client: _FeedClient) -> None:
-        """A client has gone."""
-        self._clients.discard(client)
+    async def _send(self, writer: StreamWriter, _: int, message: LiveMessage, data: bytes) -> None:
+        """Send a window; leave the client where it takes nothing of it for a while."""
+        writer.write(data)
+        left, before = writer.transport.get_write_buffer_size(), math.inf
+        while 0 < left < before:
+            with suppress(OSError):
+                await asyncio.wait_for(writer.drain(), STUCK_S)
+            left, before = writer.transport.get_write_buffer_size(), left
+        if left:
+            self._tell("A client of the feed does not read; it was dropped.")
+            writer.transport.abort()

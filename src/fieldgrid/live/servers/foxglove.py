@@ -14,7 +14,6 @@ import logging
 import math
 import re
 import struct
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -26,7 +25,7 @@ from fieldgrid.core import ConfigError, parse_json, shortened
 from fieldgrid.export import foxglove_messages as messages
 from fieldgrid.geometry import Pose, Status
 from fieldgrid.live.results import LiveEvent, LiveGrid, LivePose, LiveResult, LiveWindow, What
-from fieldgrid.live.servers.loop_server import LoopServer
+from fieldgrid.live.servers.loop_server import LiveClient, LiveMessage, LoopServer
 from fieldgrid.view import LOOPBACK
 
 if TYPE_CHECKING:
@@ -37,8 +36,6 @@ SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 BASE = "base_link"
 
 MOST_CLIENTS = 8
-MOST_WAITING = 256
-"""Fixes and sentences that wait for a client."""
 
 MOST_PATH = 2_000
 """Poses of the path that are sent with each one that is new."""
@@ -78,50 +75,17 @@ CHANNELS = (
 )
 
 
-class _EncodedMessage:
-    """A message that is encoded once, when the first client takes it."""
-
-    def __init__(self, time_ns: int, make: Callable[[], messages.EncodedMessage]) -> None:
-        self.time_ns = time_ns
-        self._make: Callable[[], messages.EncodedMessage] | None = make
-        self._lock = threading.Lock()
-        self._data = b""
-
-    def data(self) -> bytes:
-        with self._lock:
-            if self._make is not None:
-                self._data, self._make = self._make().data, None
-            return self._data
-
-
-class _FoxgloveClient:
-    """What a client wants, and what waits for it."""
+class _FoxgloveClient(LiveClient):
+    """A client, which gets what it wants."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.wants: dict[int, int] = {}
         """The number of its subscription by that of the channel."""
-        self.changed = asyncio.Event()
-        self.missed = 0
-        self._newest: dict[int, _EncodedMessage] = {}
-        self._waiting: deque[tuple[int, _EncodedMessage]] = deque(maxlen=MOST_WAITING)
 
-    def offer(self, channel: int, message: _EncodedMessage) -> None:
-        if channel not in self.wants:
-            return
-        if CHANNELS[channel].keeps_all:
-            self.missed += len(self._waiting) == self._waiting.maxlen
-            self._waiting.append((channel, message))
-        else:
-            self.missed += channel in self._newest
-            self._newest[channel] = message
-        self.changed.set()
-
-    def next(self) -> tuple[int, _EncodedMessage] | None:
-        """What is to be sent next; small things before grids."""
-        if self._waiting:
-            return self._waiting.popleft()
-        channel = max(self._newest, default=None)
-        return None if channel is None else (channel, self._newest.pop(channel))
+    def offer(self, channel: int, message: LiveMessage, *, keeps_all: bool = False) -> None:
+        if channel in self.wants:
+            super().offer(channel, message, keeps_all=keeps_all)
 
 
 class FoxgloveServer(LoopServer):
@@ -148,10 +112,8 @@ class FoxgloveServer(LoopServer):
                 "Foxglove needs libraries that are not installed; run: "
                 "pip install 'fieldgrid[foxglove]'."
             ) from error
-        super().__init__(host, port, "fieldgrid-foxglove")
-        self._session, self._tell = session, tell or (lambda _: None)
-        self._clients: list[_FoxgloveClient] = []
-        self._latest: dict[int, _EncodedMessage] = {}
+        super().__init__(host, port, "fieldgrid-foxglove", tell)
+        self._session = session
         self._path: deque[Pose] = deque(maxlen=MOST_PATH)
         self._fixes_ns: frozenset[int] = frozenset()
         self._is_trusted = False
@@ -198,12 +160,8 @@ class FoxgloveServer(LoopServer):
         )
 
     def _put(self, channel: int, time_ns: int, make: Callable[[], messages.EncodedMessage]) -> None:
-        self._call(self._offer, channel, _EncodedMessage(time_ns, make))
-
-    def _offer(self, channel: int, message: _EncodedMessage) -> None:
-        self._latest[channel] = message
-        for client in self._clients:
-            client.offer(channel, message)
+        offer = partial(self._offer, keeps_all=CHANNELS[channel].keeps_all)
+        self._call(offer, channel, LiveMessage(time_ns, lambda: make().data))
 
     async def _serve(self) -> None:
         from websockets.asyncio.server import serve
@@ -234,35 +192,29 @@ class FoxgloveServer(LoopServer):
     async def _connected(self, connection: ServerConnection) -> None:
         from websockets.exceptions import ConnectionClosed
 
-        if len(self._clients) >= MOST_CLIENTS:
-            self._tell(f"Foxglove has {MOST_CLIENTS} clients already; one more was refused.")
+        if self._is_full("Foxglove", MOST_CLIENTS):
             await connection.close(1013, f"{MOST_CLIENTS} clients are connected already")
             return
         client = _FoxgloveClient()
-        self._clients.append(client)
-        sending = asyncio.create_task(_send(connection, client))
         try:
-            info = {
-                "op": "serverInfo",
-                "name": f"fieldgrid live {self._session}".rstrip(),
-                "capabilities": [],
-                "sessionId": str(time.time_ns()),
-            }
-            await connection.send(json.dumps(info))
-            await connection.send(json.dumps({"op": "advertise", "channels": _channels()}))
-            async for text in connection:
-                wrong = self._asked(client, text)
-                if wrong:
-                    await connection.send(
-                        json.dumps({"op": "status", "level": 1, "message": wrong})
-                    )
+            with self._serving(client, partial(_send_to, connection, client)):
+                info = {
+                    "op": "serverInfo",
+                    "name": f"fieldgrid live {self._session}".rstrip(),
+                    "capabilities": [],
+                    "sessionId": str(time.time_ns()),
+                }
+                await connection.send(json.dumps(info))
+                await connection.send(json.dumps({"op": "advertise", "channels": _channels()}))
+                async for text in connection:
+                    if wrong := self._asked(client, text):
+                        status = {"op": "status", "level": 1, "message": wrong}
+                        await connection.send(json.dumps(status))
         except ConnectionClosed:
             pass
         except Exception as error:  # noqa: BLE001 - a mistake with one client ends none of the others
             self._tell(f"A connection of Foxglove failed: {shortened(repr(error))}")
         finally:
-            sending.cancel()
-            self._clients.remove(client)
             self._left += client.missed
             if client.missed:
                 self._tell(
@@ -293,20 +245,20 @@ class FoxgloveServer(LoopServer):
         return ""
 
 
-async def _send(connection: ServerConnection, client: _FoxgloveClient) -> None:
-    """Send what waits for a client as fast as it takes it."""
+async def _send_to(
+    connection: ServerConnection,
+    client: _FoxgloveClient,
+    channel: int,
+    message: LiveMessage,
+    data: bytes,
+) -> None:
+    """Send a message, where the client wants it still."""
     from websockets.exceptions import ConnectionClosed
 
-    with suppress(ConnectionClosed):
-        while True:
-            await client.changed.wait()
-            client.changed.clear()
-            while (found := client.next()) is not None:
-                channel, message = found
-                data = await asyncio.to_thread(message.data)
-                number = client.wants.get(channel)
-                if number is not None:
-                    await connection.send(_DATA.pack(_DATA_OP, number, message.time_ns) + data)
+    number = client.wants.get(channel)
+    if number is not None:
+        with suppress(ConnectionClosed):
+            await connection.send(_DATA.pack(_DATA_OP, number, message.time_ns) + data)
 
 
 def _channels() -> list[dict[str, Any]]:

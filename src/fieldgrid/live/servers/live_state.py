@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from fieldgrid.geometry import Status
-from fieldgrid.live.results import LiveEvent, LivePose, LiveResult, LiveWindow, What, known_or_none
+from fieldgrid.live.results import LiveEvent, LivePose, LiveResult, LiveWindow, What, numbers_of
 from fieldgrid.live.servers.feed import whole_units
 
 MOST_PATH = 20_000
@@ -104,16 +104,8 @@ def _window(window: LiveWindow) -> dict[str, Any]:
     said = zip(places, fixes.quality[seen].tolist(), window.used[seen].tolist(), strict=True)
     pose = None
     if window.pose is not None:
-        pose = {
-            "east_m": known_or_none(window.pose.east_m),
-            "north_m": known_or_none(window.pose.north_m),
-            "heading_deg": known_or_none(window.pose.heading_deg),
-            "position_sigma_m": known_or_none(window.pose.position_sigma_m),
-            "heading_sigma_deg": known_or_none(window.pose.heading_sigma_deg),
-            "speed_mps": known_or_none(window.pose.speed_mps),
-            "gear": window.gear,
-            "is_good": window.pose.status is not Status.REJECTED,
-        }
+        is_good = window.pose.status is not Status.REJECTED
+        pose = {**numbers_of(window.pose), "gear": window.gear, "is_good": is_good}
     return {
         **window.as_dict(),
         "datum": {

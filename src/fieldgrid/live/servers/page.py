@@ -10,9 +10,8 @@ import asyncio
 import json
 import logging
 import secrets
-import threading
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from functools import partial
 
 import anyio.to_thread
 from starlette.applications import Starlette
@@ -21,14 +20,14 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from fieldgrid.core import Closing, palette
+from fieldgrid.core import palette
 from fieldgrid.live.results import LiveResult
 from fieldgrid.live.servers.live_state import AGE_UNIT_S, SIGMA_UNIT_M, LiveState
+from fieldgrid.live.servers.loop_server import LoopServer
 from fieldgrid.view import (
     LOOPBACK,
     Guard,
     in_link,
-    listen,
     loopback_access,
     make_server,
     network_access,
@@ -44,11 +43,10 @@ that."""
 LEAST_S = 0.1
 """No client is sent more in less: eyes do not see it."""
 
-_LEAST_PATIENCE_S = 10.0
 _THREAD = "fieldgrid-page"
 
 
-class LivePage(Closing):
+class LivePage(LoopServer):
     """Serves a page that follows the vehicle, in a thread of its own, until it is closed.
 
     Give it results with `take`, which never blocks. As with the viewer of maps, only this machine
@@ -57,34 +55,20 @@ class LivePage(Closing):
     """
 
     def __init__(self, host: str = LOOPBACK, port: int = 0, *, session: str = "") -> None:
-        self._listening = listen(host, port)
-        port = int(self._listening.getsockname()[1])
+        super().__init__(host, port, _THREAD)
+        port = int(self.address[1])
         token = secrets.token_urlsafe(24)
         is_own = host == LOOPBACK
         access = loopback_access(token, port) if is_own else network_access(token, port, host)
         self.link = f"http://{in_link(None if is_own else host)}:{port}/#token={token}"
         """What to open in a browser."""
         self.clients = 0
-        self._story = LiveState(session, self._wake)
-        self._is_closed = False
-        self._loop: asyncio.AbstractEventLoop | None = None
         self._changed = asyncio.Event()
-        app = Starlette(
-            routes=[
-                *page.routes("live.html"),
-                Route("/api/live", self._stream),
-                Route("/api/colours", _colours),
-            ],
-            middleware=[Middleware(Guard, access=access)],
-            lifespan=self._lifespan,
-        )
+        self._story = LiveState(session, partial(self._call, self._changed.set))
+        routes = (Route("/api/live", self._stream), Route("/api/colours", _colours))
+        guard = Middleware(Guard, access=access)
+        app = Starlette(routes=[*page.routes("live.html"), *routes], middleware=[guard])
         self._server = make_server(app)
-        self._thread = threading.Thread(
-            target=self._server.run,
-            kwargs={"sockets": [self._listening]},
-            name=_THREAD,
-            daemon=True,
-        )
         self._thread.start()
 
     def take(self, result: LiveResult) -> None:
@@ -93,27 +77,17 @@ class LivePage(Closing):
 
     def close(self) -> None:
         """End the page; those that are open say so."""
-        if not self._is_closed:
-            self._is_closed = True
-            self._wake()
-            self._server.should_exit = True
-            # A client that does not read is cut off, which the server reports as a failure.
-            log = logging.getLogger("uvicorn.error")
-            log.addFilter(_is_of_another)
-            self._thread.join(_LEAST_PATIENCE_S)
-            log.removeFilter(_is_of_another)
-            self._listening.close()
+        self._server.should_exit = True
+        for end in (self._closing, self._changed):
+            self._call(end.set)
+        # A client that does not read is cut off, which the server reports as a failure.
+        log = logging.getLogger("uvicorn.error")
+        log.addFilter(_is_of_another)
+        super().close()
+        log.removeFilter(_is_of_another)
 
-    def _wake(self) -> None:
-        loop = self._loop
-        if loop is not None and not loop.is_closed():
-            loop.call_soon_threadsafe(self._changed.set)
-
-    @asynccontextmanager
-    async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
-        self._loop = asyncio.get_running_loop()
-        yield
-        self._loop = None
+    async def _serve(self) -> None:
+        await self._server.serve(sockets=[self._listening])
 
     async def _stream(self, request: Request) -> Response:
         if self.clients >= MOST_CLIENTS:
@@ -128,7 +102,7 @@ class LivePage(Closing):
         self.clients += 1
         walked = said = number = 0
         try:
-            while not self._is_closed:
+            while not self._closing.is_set():
                 if self._story.number == number:
                     # Anybody's wake-up is everybody's: who has seen it all waits on.
                     self._changed.clear()

@@ -15,10 +15,11 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
-from fieldgrid.core import Closing, ConfigError, parse_json, quoted
+from fieldgrid.core import ConfigError, parse_json, quoted
+from fieldgrid.live.intake import SourceEndedError
 
 CONNECT_S = 5.0
 GPSD_PORT = 2947
@@ -30,10 +31,6 @@ _FORMS = (
     "tcp://HOST:PORT, udp://[HOST]:PORT, gpsd://HOST[:PORT], serial:/dev/ttyUSB0?baud=115200, the "
     "path of a FIFO, or - for standard input"
 )
-
-
-class LinkEndedError(Exception):
-    """No more bytes will ever come: the end of standard input."""
 
 
 class Address(NamedTuple):
@@ -50,17 +47,6 @@ class Address(NamedTuple):
     def is_reopened(self) -> bool:
         """Whether a link that is silent may be dead, and is opened again then."""
         return self.kind in ("tcp", "gpsd", "serial")
-
-
-class Link(Protocol):
-    """An open link."""
-
-    def read(self, timeout_s: float) -> bytes:
-        """What has come, nothing where nothing came in time. OSError where the link is lost,
-        LinkEndedError at its end."""
-
-    def close(self) -> None:
-        """Release it."""
 
 
 def parse_address(text: str) -> Address:
@@ -121,52 +107,39 @@ def open_link(address: Address) -> Link:
         "gpsd": _open_gpsd,
         "serial": _open_serial,
         "fifo": _open_fifo,
-        "stdin": lambda _: _Descriptor(sys.stdin.fileno(), lambda: None, LinkEndedError),
+        "stdin": lambda _: Link(sys.stdin.fileno(), lambda: None, _ENDED),
     }
     return openers[address.kind](address)
 
 
-class _Descriptor(Closing):
-    """A stream, datagrams or a pipe by its number, closed by `close`. Where nothing more is to
-    come, `end` is raised; datagrams have no end."""
+_ENDED = SourceEndedError("has come to its end.")
+_CLOSED = ConnectionError("the other end has closed it")
+
+
+class Link:
+    """A stream, datagrams, a port or a pipe that is open, by its number; `close` closes it. Where
+    nothing more is to come, `end` is raised; datagrams have no end."""
 
     def __init__(
         self,
         number: int,
         close: Callable[[], None],
-        end: type[Exception] | None,
+        end: Exception | None,
         first: bytes = b"",
     ) -> None:
         self._number, self._end, self._first = number, end, first
-        self._close = close
+        self.close = close
 
     def read(self, timeout_s: float) -> bytes:
+        """What has come, nothing where nothing came in time. OSError where the link is lost,
+        SourceEndedError at its end."""
         first, self._first = self._first, b""
         if first or not select.select([self._number], [], [], timeout_s)[0]:
             return first
         data = os.read(self._number, CHUNK_BYTES)
         if not data and self._end is not None:
-            raise self._end("the other end has closed it")
+            raise self._end
         return data
-
-    def close(self) -> None:
-        self._close()
-
-
-class _Serial(Closing):
-    """A serial port."""
-
-    def __init__(self, port: Any) -> None:
-        self._port = port
-
-    def read(self, timeout_s: float) -> bytes:
-        # At least one byte, so that it returns as soon as anything is there.
-        self._port.timeout = timeout_s
-        data: bytes = self._port.read(max(1, min(self._port.in_waiting, CHUNK_BYTES)))
-        return data
-
-    def close(self) -> None:
-        self._port.close()
 
 
 def _connected(address: Address) -> socket.socket:
@@ -183,13 +156,13 @@ def _connected(address: Address) -> socket.socket:
     return connected
 
 
-def _open_tcp(address: Address) -> _Descriptor:
+def _open_tcp(address: Address) -> Link:
     connected = _connected(address)
     connected.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    return _Descriptor(connected.fileno(), connected.close, ConnectionError)
+    return Link(connected.fileno(), connected.close, _CLOSED)
 
 
-def _open_udp(address: Address) -> _Descriptor:
+def _open_udp(address: Address) -> Link:
     hosts = socket.getaddrinfo(
         address.host or None, address.port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
     )
@@ -200,10 +173,10 @@ def _open_udp(address: Address) -> _Descriptor:
     except OSError:
         listening.close()
         raise
-    return _Descriptor(listening.fileno(), listening.close, None)
+    return Link(listening.fileno(), listening.close, None)
 
 
-def _open_gpsd(address: Address) -> _Descriptor:
+def _open_gpsd(address: Address) -> Link:
     """gpsd greets with a line of JSON, and sends what it is asked to watch."""
     connected = _connected(address)
     try:
@@ -226,13 +199,13 @@ def _open_gpsd(address: Address) -> _Descriptor:
     except BaseException:
         connected.close()
         raise
-    return _Descriptor(connected.fileno(), connected.close, ConnectionError, rest)
+    return Link(connected.fileno(), connected.close, _CLOSED, rest)
 
 
-def _open_fifo(address: Address) -> _Descriptor:
+def _open_fifo(address: Address) -> Link:
     # Opened for writing too, it has no end when a writer goes, and another may come.
     number = os.open(address.path, os.O_RDWR | os.O_NONBLOCK)
-    return _Descriptor(number, lambda: os.close(number), LinkEndedError)
+    return Link(number, lambda: os.close(number), _ENDED)
 
 
 def _serial() -> Any:
@@ -246,6 +219,7 @@ def _serial() -> Any:
     return serial
 
 
-def _open_serial(address: Address) -> _Serial:
+def _open_serial(address: Address) -> Link:
     # Its own errors are OSErrors.
-    return _Serial(_serial().Serial(address.path, address.baud, exclusive=True))
+    port = _serial().Serial(address.path, address.baud, exclusive=True)
+    return Link(port.fileno(), port.close, _CLOSED)

@@ -8,10 +8,6 @@ from fieldgrid.live.sources.links import Link
 POLL_S = 0.25
 
 
-class LinkDoneError(Exception):
-    """The session ends."""
-
-
 class LinkBytes:
     """The bytes of a link, as many as are asked for."""
 
@@ -20,11 +16,11 @@ class LinkBytes:
         self._held = bytearray()
 
     def read(self, count: int) -> bytes:
-        """The next `count` bytes; LinkDoneError where the session ends before, LinkEndedError where
+        """The next `count` bytes, or none where the session ends before; SourceEndedError where
         the stream does."""
         while len(self._held) < count:
             if self._intake.stop.is_set():
-                raise LinkDoneError
+                return b""
             if data := self._link.read(POLL_S):
                 self._intake.arrived()
             self._held += data

@@ -16,11 +16,11 @@ import numpy as np
 
 from fieldgrid.core import ConfigError, RecordingError, quoted, shortened
 from fieldgrid.geometry import Fix
-from fieldgrid.live.intake import Intake, SourceEndedError
+from fieldgrid.live.intake import Intake
 from fieldgrid.live.pose.sensor_rows import Rows, rows_of
 from fieldgrid.live.sources.imu_stream import ImuStream
-from fieldgrid.live.sources.links import LinkEndedError, open_link, parse_address
-from fieldgrid.live.sources.mcap_link import LinkBytes, LinkDoneError
+from fieldgrid.live.sources.links import open_link, parse_address
+from fieldgrid.live.sources.mcap_link import LinkBytes
 from fieldgrid.live.sources.moments import Waiting, together
 from fieldgrid.live.sources.orientation_stream import ATTITUDE, RECORDED, OrientationStream
 from fieldgrid.live.sources.receiver import ReceiverStream
@@ -154,16 +154,12 @@ class McapStream:
         with closing(open_link(self._address)) as link:
             stream = LinkBytes(link, intake)
             try:
-                while True:  # a FIFO may carry one after the other
+                while not intake.stop.is_set():  # a FIFO may carry one after the other
                     reader = StreamReader(
                         stream,  # type: ignore[arg-type]
                         record_size_limit=MOST_RECORD_BYTES,
                     )
                     self._read(reader.records, intake)
-            except LinkDoneError:
-                return
-            except LinkEndedError:
-                raise SourceEndedError("has ended.") from None
             except (McapError, ValueError, RuntimeError) as error:
                 raise RecordingError(f"what comes is no MCAP: {shortened(repr(error))}") from error
 

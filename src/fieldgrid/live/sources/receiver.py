@@ -10,14 +10,8 @@ from pathlib import Path
 
 from fieldgrid.core import ConfigError
 from fieldgrid.geometry import Fix
-from fieldgrid.live.intake import Intake, SourceEndedError
-from fieldgrid.live.sources.links import (
-    Address,
-    LinkEndedError,
-    check_link,
-    open_link,
-    parse_address,
-)
+from fieldgrid.live.intake import Intake
+from fieldgrid.live.sources.links import Address, check_link, open_link, parse_address
 from fieldgrid.poses import NmeaStream, UbxParser
 from fieldgrid.recordings import looks_like_stream
 
@@ -159,10 +153,7 @@ class Receiver:
         with closing(open_link(self._address)) as link:
             heard_s = fix_s = time.monotonic()
             while not intake.stop.is_set():
-                try:
-                    data = link.read(min(POLL_S, pauses.silent_s))
-                except LinkEndedError:
-                    raise SourceEndedError("has come to its end.") from None
+                data = link.read(min(POLL_S, pauses.silent_s))
                 now_s = time.monotonic()
                 still_s = now_s - heard_s
                 if not data:

@@ -22,7 +22,8 @@ class Attitude(NamedTuple):
     same estimate, without a jump at 360°, and `up_m` the height of the sensor, LTP metres.
     `push_misfit` is how many sigmas the accelerometer is from the motion of the fixes, root mean
     square; NaN without one. `bodies` are those of the recorded axes that were used, and `findings`
-    name what contradicts the rest of the drive and was not.
+    name what contradicts the rest of the drive and was not. `gyro_bias_rad_s` [3] is that of the
+    rates about the vehicle's axes at the end, None where they were not looked at.
     """
 
     time_ns: Int64
@@ -35,6 +36,7 @@ class Attitude(NamedTuple):
     push_misfit: float = math.nan
     findings: tuple[Finding, ...] = ()
     bodies: frozenset[str] = frozenset()
+    gyro_bias_rad_s: Float64 | None = None
 
     def as_dict(self) -> dict[str, float]:
         """What a report says of it, degrees: the steepest and the median sigmas."""
@@ -59,8 +61,7 @@ class Attitude(NamedTuple):
         late_ns = np.maximum(self.time_ns[0] - time_ns, time_ns - self.time_ns[-1])
         late = np.degrees(TERRAIN_NOISE_RAD[0]) * np.sqrt(np.maximum(late_ns, 0) / 1e9)
         roll_sigma, pitch_sigma = np.hypot(roll_sigma, late), np.hypot(pitch_sigma, late)
-        said = time_ns, roll, pitch, roll_sigma, pitch_sigma, heading, up
-        return Attitude(*said, self.push_misfit, self.findings, self.bodies)
+        return Attitude(time_ns, roll, pitch, roll_sigma, pitch_sigma, heading, up, *self[7:])
 
     def if_late(self, late_s: float) -> Attitude:
         """The attitude by sensors whose stamps may be `late_s` late: as unsure as a vehicle leans

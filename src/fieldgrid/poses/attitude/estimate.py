@@ -21,7 +21,7 @@ from fieldgrid.poses.attitude.attitude import Attitude
 from fieldgrid.poses.attitude.axes import AxisTilt, agreed
 from fieldgrid.poses.attitude.evidence import evidence
 from fieldgrid.poses.attitude.ground import expected_ground
-from fieldgrid.poses.attitude.model import A, AttitudeRows, States
+from fieldgrid.poses.attitude.model import GYRO, A, AttitudeRows, States
 from fieldgrid.poses.attitude.solver import believed, covariances, normal_equations, solved
 from fieldgrid.poses.attitude.track import WANDER_SHARE, AntennaTrack
 
@@ -94,19 +94,21 @@ def _estimate(
         guess = States(place_m, speed_mps, R, np.zeros(len(sigma)))
         parts.append(_estimated(guess, own, sigma)[:, first - start : last - start])
     columns = np.concatenate(parts, axis=1)
-    roll, pitch, roll_sigma, pitch_sigma, heading, up, pushed = columns
+    roll, pitch, roll_sigma, pitch_sigma, heading, up, pushed = columns[:7]
     felt = np.isfinite(pushed)
     return Attitude(
         *(node_ns, roll, pitch, roll_sigma, pitch_sigma),
         np.degrees(np.unwrap(heading)),
         up,
         _rms(pushed[felt]) if felt.any() else math.nan,
+        gyro_bias_rad_s=columns[7:, -1],
     )
 
 
 def _estimated(x: States, rows: dict[str, AttitudeRows], shared_sigma: Float64) -> Float64:
-    """Roll, pitch and their sigmas, degrees, heading, radians, height, metres, and how many sigmas
-    the accelerometer's push after it is off, of the nodes of one stretch [7, n]."""
+    """Roll, pitch and their sigmas, degrees, heading, radians, height, metres, how many sigmas the
+    accelerometer's push after it is off, and the bias of the gyro about three axes, rad/s, of the
+    nodes of one stretch [10, n]."""
     for k in range(MOST_ROUNDS):
         system = normal_equations(x, rows.values(), shared_sigma, robust=k > 0)
         change, shared = solved(system)
@@ -124,7 +126,12 @@ def _estimated(x: States, rows: dict[str, AttitudeRows], shared_sigma: Float64) 
     misfit = max(_rms(pushed[np.isfinite(pushed)]), _rms(np.sqrt(believed(fixes)) * fixes))
     sigma = np.degrees(np.sqrt(variance)) * (misfit if misfit > USUAL_MISFIT else 1.0)
     sigma = np.hypot(sigma, LEAST_SIGMA_DEG)
-    return np.vstack([roll, pitch, sigma, heading_rad(x.R), x.position_m[:, 2], pushed])
+    return np.vstack(
+        [
+            *(roll, pitch, sigma, heading_rad(x.R), x.position_m[:, 2], pushed),
+            np.tile(x.of(GYRO)[:, None], len(x.R)),
+        ]
+    )
 
 
 def _rms(values: Float64) -> float:
