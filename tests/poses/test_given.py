@@ -52,8 +52,8 @@ def slam(
     y = np.cumsum(np.concatenate([[SHIFT_M[1]], -ways[0] * sin + ways[1] * cos]))
     x, y = (column + random.normal(0.0, noise_m, n) for column in (x, y))
     heading = np.asarray(wrap_deg(np.degrees(s.heading_rad + wander)))
-    flat = np.zeros(n)
-    return GivenPoses(time_ns(s.time_s), x, y, flat, heading, flat, flat)
+    flat, unsaid = np.zeros(n), np.full(n, np.nan)
+    return GivenPoses(time_ns(s.time_s), x, y, flat, heading, flat, flat, unsaid, unsaid)
 
 
 def wandering(drive: Drive, sigma_m: float, white_m: float, seed: int = 0) -> FixColumns:
@@ -114,15 +114,15 @@ def test_poses_lie_along_their_fixes() -> None:
     off = errors(found.trajectory, ROWS)
     assert off.ok.all()
     assert (off.place_m.max(), off.heading_deg.max()) == (
-        pytest.approx(0.0, abs=0.01),
-        pytest.approx(0.0, abs=0.1),
+        pytest.approx(0.0, abs=0.03),
+        pytest.approx(0.0, abs=0.4),
     )
     assert found.trajectory.heading_source == GIVEN
     frame = found.report.georeference
     assert frame is not None
     # Headings of the frame are larger by the turn, so its x axis heads as much less.
     assert frame.frame_heading_deg == pytest.approx(90.0 - TURNED_DEG, abs=0.1)
-    assert frame.frame_heading_sigma_deg < 0.1
+    assert frame.frame_heading_sigma_deg < 0.2
     assert frame.scale == pytest.approx(1.0, abs=0.001)
     assert set(found.trajectory.gear.tolist()) <= {0, 1}
     assert len(found.fix_row) == len(fixes_of(ROWS, 0.2))
@@ -177,9 +177,15 @@ def test_sigmas_hold(sigma_m: float, drift_deg: float) -> None:
         assert np.concatenate(accepted).mean() >= 0.95
 
 
-def test_poses_that_leave_their_fixes_are_refused() -> None:
+def test_poses_that_drift_are_led_by_their_fixes() -> None:
     found = placed(slam(ROWS, drift_deg=1.0), fixes_of(ROWS, 0.2, 0.01))
-    assert any("the estimate lies" in reason for reason in found.trajectory.reason)
+    off = errors(found.trajectory, ROWS)
+    assert off.ok.all()
+    assert (off.place_m.max(), np.median(off.heading_deg)) < (0.05, 0.2)
+    frame = found.report.georeference
+    assert frame is not None
+    assert frame.residual_most_m > 0.3
+    assert 0.3 < frame.drift_deg < 3.0
 
 
 def test_far_from_fixes_poses_are_less_sure() -> None:
@@ -188,11 +194,44 @@ def test_far_from_fixes_poses_are_less_sure() -> None:
     found = placed(slam(ROWS), fixes[np.flatnonzero((seconds < 40.0) | (seconds > 120.0))])
     track = found.trajectory
     sigma_m = np.interp([20.0, 80.0], (track.time_ns - START) / 1e9, track.position_sigma_m)
-    assert sigma_m[0] < 0.05 < 0.3 < sigma_m[1]
+    assert sigma_m[0] < 0.05 < 0.15 < sigma_m[1]
     # And a budget for cells refuses what is too far.
     cells = placed(slam(ROWS), fixes[seconds < 40.0], ErrorBudget(0.25, 10.0)).trajectory
     reasons = set(cells.reason) - {""}
     assert any("cell 10 m ahead would be off" in reason for reason in reasons)
+
+
+@pytest.mark.parametrize("ahead_m", [0.0, 1.0])
+def test_poses_lead_on_after_the_last_fix(ahead_m: float) -> None:
+    """To the end of the poses, as unsure as these may drift; also where nobody says that what they
+    are of sits ahead of the axle, and only they show it."""
+    east, north = ROWS.point(0.0, ahead_m).T
+    drive = ROWS._replace(east_m=east, north_m=north)
+    fixes, poses = fixes_of(drive, 0.2, 0.01), slam(drive, drift_deg=0.5, noise_m=0.01)
+    found = placed(poses, fixes[(fixes.time_ns - START) / 1e9 < 30.0])
+    track = found.trajectory
+    assert track.time_ns[-1] > poses.time_ns[-1] - 2_000_000_000
+    off = errors(track, drive)
+    assert track.time_ns[off.ok][-1] > START + 100 * 10**9
+    assert (off.place_sigmas < 3.0).mean() > 0.99
+    assert (off.heading_sigmas < 3.0).mean() > 0.99
+    sigma_m = np.interp([20.0, 100.0], (track.time_ns - START) / 1e9, track.position_sigma_m)
+    assert sigma_m[0] < 0.05 < 0.3 < sigma_m[1]
+
+
+def test_drift_that_is_stated_counts() -> None:
+    """Of poses that state that they drift by more than is usual, and of those whose error stays."""
+    fixes, poses = fixes_of(ROWS, 0.2, 0.01), slam(ROWS)
+    seconds = (fixes.time_ns - START) / 1e9
+    near = fixes[np.flatnonzero((seconds < 40.0) | (seconds > 120.0))]
+    lasted_s = (poses.time_ns - START) / 1e9
+    sigmas = []
+    for sigma_m in (poses.sigma_m, 0.1 + 0.0 * lasted_s, 0.3 * np.sqrt(1e-6 + lasted_s)):
+        track = placed(poses._replace(sigma_m=sigma_m), near).trajectory
+        at_s = (track.time_ns - START) / 1e9
+        sigmas.append(float(np.interp(80.0, at_s, track.position_sigma_m)))
+    assert sigmas[1] == pytest.approx(sigmas[0])
+    assert sigmas[2] > 3.0 * sigmas[0]
 
 
 # --- what fixes and poses contradict
@@ -206,7 +245,7 @@ def test_far_from_fixes_poses_are_less_sure() -> None:
         (slam(ROWS)._replace(heading_deg=np.asarray(wrap_deg(slam(ROWS).heading_deg + 180.0))), {},
          "drives backwards for 100 % of its way"),
         (slam(ROWS)._replace(heading_deg=np.asarray(wrap_deg(slam(ROWS).heading_deg + 12.0))), {},
-         r"moves -12\.0° ± 0\.0° off the forward axis"),
+         r"moves -1[12]\.\d° ± 0\.\d° off the forward axis"),
         (slam(ROWS)._replace(time_ns=slam(ROWS).time_ns + 3600 * 10**9), {},
          r"do not overlap in time; add the seconds between their clocks with --poses-offset"),
         (slam(ROWS), {"frame_origin": "39.5,-1.1,700"}, "give --frame-heading DEG"),
@@ -243,10 +282,11 @@ def test_a_jump_is_said() -> None:
     poses = slam(ROWS)
     away = np.isin(np.arange(len(poses.time_ns)), np.arange(500, 504))
     found = placed(poses._replace(x_m=poses.x_m + 3.0 * away), fixes_of(ROWS, 0.2, 0.01))
-    jumped = np.isin(found.trajectory.time_ns, poses.time_ns[away])
-    assert not found.trajectory.accepted[jumped].any()
-    assert "jump" in found.trajectory.reason[int(np.argmax(jumped))]
-    assert found.trajectory.accepted.mean() > 0.98
+    assert any("4 poses of another program jump" in note for note in found.report.notes)
+    # It moves nothing.
+    off = errors(found.trajectory, ROWS)
+    assert off.ok.mean() > 0.98
+    assert off.place_m.max() < 0.05
 
 
 def test_reverse_is_told_by_the_poses() -> None:
@@ -309,7 +349,10 @@ def test_a_track_read_back_is_the_same(tmp_path: Path) -> None:
     assert np.array_equal(one[:, 0], two[:, 0])
     by_fixes = estimate_poses(read, None, DATUM, None, motion)
     write_track(by_fixes, tmp_path / "c.tum")
-    assert np.abs(one - np.loadtxt(tmp_path / "c.tum"))[:, 1:4].max() < 0.01
+    three = np.loadtxt(tmp_path / "c.tum")
+    same = np.isin(three[:, 0], one[:, 0])
+    assert np.count_nonzero(same) == len(one)
+    assert np.abs(one - three[same])[:, 1:4].max() < 0.02
 
 
 def test_a_map_keeps_them() -> None:
@@ -317,7 +360,7 @@ def test_a_map_keeps_them() -> None:
     kept = Inputs(fixes_of(ROWS), Motion(poses=poses), np.zeros(0, np.int64), np.zeros(0, np.bool_))
     read = from_arrays(to_arrays(kept)).motion.poses
     assert read is not None
-    assert all(np.array_equal(a, b) for a, b in zip(read, poses, strict=True))
+    assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(read, poses, strict=True))
 
 
 def test_other_headings_do_without_them() -> None:
@@ -347,28 +390,27 @@ def test_poses_are_no_surer_than_the_receiver_that_they_lie_by() -> None:
 
 
 def test_fixes_weigh_by_what_they_state() -> None:
-    """So that a frame that lies by RTK fixes is as sure as these."""
+    """So that poses beside RTK fixes are as sure as these."""
     fixes = stating(0.06, Quality.DIFFERENTIAL)
     fixed = np.arange(len(fixes)) < len(fixes) // 2
     fixes = fixes.replace(
         quality=np.where(fixed, int(Quality.RTK_FIXED), fixes.quality),
         sigma_m=np.where(fixed, 0.01, 0.06),
     )
-    assert np.median(placed(slam(ROWS), fixes).trajectory.position_sigma_m) < 0.08
+    track = placed(slam(ROWS), fixes).trajectory
+    early = track.time_ns < fixes.time_ns[len(fixes) // 2]
+    assert np.median(track.position_sigma_m[early]) < 0.08
 
 
-def test_what_a_rigid_fit_hides_is_named() -> None:
-    """What is the same in the vehicle is scatter where it turns; a steady drift is a turn."""
+def test_what_poses_would_not_show_is_named() -> None:
+    """As of a camera's motion: what is the same in the vehicle shows where it turns."""
     lane = simulate([Command(40.0, 1.5)], 20.0)
     rig = paper_rig(antenna=LeverArm(0.0, 0.0, 3.0), rear_axle_forward_m=0.0)
-    for drive, vehicle, unseen in (
-        (ROWS, rig, (UnseenFault.SLOW_DRIFT,)),
-        (lane, rig, tuple(UnseenFault)),
-        (lane, None, (UnseenFault.SLOW_DRIFT,)),
-    ):
+    aside = (UnseenFault.ANTENNA_ASIDE, UnseenFault.ANTENNA_AHEAD, UnseenFault.LATE_STAMPS)
+    for drive, vehicle, unseen in ((ROWS, rig, ()), (lane, rig, aside), (lane, None, ())):
         motion = Motion(poses=slam(drive))
         found = estimate_poses(fixes_of(drive, 0.2, 0.01), vehicle, DATUM, None, motion)
-        assert found.report.unseen == unseen
+        assert set(found.report.unseen) - {UnseenFault.SLOW_DRIFT} == set(unseen)
 
 
 def test_fixes_do_not_move_a_frame_that_is_declared() -> None:

@@ -149,7 +149,11 @@ def test_topics(kind: str, truth: Truth, tmp_path: Path) -> None:
             return ros.of("nav_msgs/msg/Path", header=header, poses=poses)
         still = dict.fromkeys(("linear", "angular"), ros.vector(0, 0, 0))
         with_covariance = {
-            part: ros.of(f"geometry_msgs/msg/{of}", **{part: value}, covariance=np.zeros(36))
+            part: ros.of(
+                f"geometry_msgs/msg/{of}",
+                **{part: value},
+                covariance=np.diag([0.01, 0.04, 1e6, 1.0, 1.0, k * 1e-4]).ravel(),
+            )
             for part, of, value in (
                 ("pose", "PoseWithCovariance", pose(k)),
                 ("twist", "TwistWithCovariance", ros.of("geometry_msgs/msg/Twist", **still)),
@@ -162,7 +166,11 @@ def test_topics(kind: str, truth: Truth, tmp_path: Path) -> None:
     every = range(0, len(truth.time_ns), 1 if kind != "Path" else 49)
     messages = [Said(int(truth.time_ns[k]), "/slam", said(k, kind)) for k in every]
     bag = write_bag(tmp_path / "slam", "mcap", ros, messages)
-    check(given(PoseSource(bag, axes="rdf")), truth)
+    poses = given(PoseSource(bag, axes="rdf"))
+    check(poses, truth)
+    stated = [0.2, np.degrees(0.01)] if kind == "Odometry" else [np.nan, np.nan]
+    assert [poses.sigma_m[1], poses.sigma_deg[1]] == pytest.approx(stated, nan_ok=True)
+    assert np.isnan(poses.sigma_deg[0])  # a variance of 0 is none
     with pytest.raises(RecordingError, match=r"/other is not there; a topic of poses is one of"):
         given(PoseSource(bag, topic="/other", axes="rdf"))
 

@@ -103,6 +103,8 @@ class GivenPoses(NamedTuple):
     `x_m`, `y_m`, `z_m` are those of the sensor; of a drive without a rig, of the antenna.
     `heading_deg` is where the vehicle's nose points, clockwise from the y axis. Pitch is positive
     with the nose up, roll with the right side down; both are 0 where the poses are level ones.
+    `sigma_m` and `sigma_deg` are the 1-sigma errors of the place along one horizontal axis and of
+    the heading that the program states, NaN where it states none.
     """
 
     time_ns: Int64
@@ -112,6 +114,8 @@ class GivenPoses(NamedTuple):
     heading_deg: Float64
     roll_deg: Float64
     pitch_deg: Float64
+    sigma_m: Float64
+    sigma_deg: Float64
 
 
 class Motion(NamedTuple):

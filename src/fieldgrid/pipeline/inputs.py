@@ -28,7 +28,12 @@ from fieldgrid.geometry import (
 
 Arrays = dict[str, npt.NDArray[np.generic]]
 
-_LATER = frozenset({"steps.up_m", "steps.roll_deg", "steps.pitch_deg", "steps.tilt_sigma_deg"})
+_LATER = frozenset(
+    {
+        *("steps.up_m", "steps.roll_deg", "steps.pitch_deg", "steps.tilt_sigma_deg"),
+        *("poses.sigma_m", "poses.sigma_deg"),
+    }
+)
 """Columns that sessions of earlier versions do not have: they are NaN."""
 
 _IF_SAID = ("pitch_deg", "roll_deg", "tilt_sigma_deg", "stamp_sigma_s")

@@ -21,7 +21,7 @@ from fieldgrid.core.doors import door
 if TYPE_CHECKING:
     from fieldgrid.poses.attitude.attitude import Attitude as Attitude
     from fieldgrid.poses.estimate import estimate_poses as estimate_poses
-    from fieldgrid.poses.external.poses import GIVEN as GIVEN
+    from fieldgrid.poses.external.given import GIVEN as GIVEN
     from fieldgrid.poses.faults.camera_yaw import ASKEW_DEG as ASKEW_DEG
     from fieldgrid.poses.faults.clock.search import ClockOffset as ClockOffset
     from fieldgrid.poses.faults.clock.shifts import (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -29,7 +30,8 @@ from fieldgrid.geometry import (
 from fieldgrid.poses.attitude.ground import expected_ground
 from fieldgrid.poses.axle import axle_forward_m, with_antenna_moved
 from fieldgrid.poses.drive import DriveEstimate, with_recorded
-from fieldgrid.poses.external.poses import CLEAR_OFFSET_DEG, place_poses
+from fieldgrid.poses.external.georeference import by_estimate
+from fieldgrid.poses.external.given import CLEAR_OFFSET_DEG, GIVEN, given_drive, pairs_of, risen
 from fieldgrid.poses.faults.camera_yaw import CameraYaw, camera_yaw
 from fieldgrid.poses.faults.clock.offset import ClockFindings, check_clock
 from fieldgrid.poses.faults.convention import FEW_TURNED_SHARE, Comparison
@@ -46,7 +48,6 @@ from fieldgrid.poses.faults.unseen import (
     receiver_doubt,
     unseen_faults,
     unseen_findings,
-    unseen_of_given,
 )
 from fieldgrid.poses.fused import Fusion, conditioned, fuse
 from fieldgrid.poses.gates.conditioning import condition
@@ -57,8 +58,11 @@ from fieldgrid.poses.report import Estimate, PoseReport, drive_findings, fix_off
 from fieldgrid.poses.settings import HeadingSource, heading_source
 from fieldgrid.poses.sigmas import AddedSigma, as_unsure
 from fieldgrid.poses.slope import slope_doubt, slope_findings
-from fieldgrid.poses.table import PoseTable, pose_table
+from fieldgrid.poses.table import pose_table
 from fieldgrid.poses.verdict import ErrorBudget, judged
+
+DECLARED_SIGMA_DEG = 0.1
+"""How well the turn of a frame is known that somebody declares."""
 
 
 def estimate_poses(
@@ -83,24 +87,49 @@ def estimate_poses(
     settings, motion = settings or PoseSettings(), motion or Motion()
     source = heading_source(settings.heading)
     if motion.poses is not None and source.kind == "smooth":
-        return _of_given(fixes, rig, datum, settings, motion, budget, level_grids=level_grids)
+        inputs = fixes, rig, datum, settings, motion, budget
+        return _of_given(*inputs, frame_ns=frame_ns, level_grids=level_grids)
     if settings.frame_origin is not None or settings.frame_heading_deg is not None:
         raise ConfigError(
             "--frame-origin and --frame-heading say where given poses lie, and none are used; give "
             "--poses FILE with the heading smooth, or leave them out."
         )
+    unused: tuple[Finding, ...] = ()
+    if motion.poses is not None:
+        told = f"The given poses were not used, since headings shall be {source}."
+        unused = (info("poses-unused", told),)
+    found, _, _ = _estimated(
+        *(fixes, rig, datum, settings, motion._replace(poses=None), budget, source, frame_ns),
+        level_grids=level_grids,
+    )
+    report = replace(found.report, findings=(*found.report.findings, *unused))
+    return found._replace(report=report)
+
+
+def _estimated(
+    fixes: FixColumns,
+    rig: VehicleGeometry | None,
+    datum: Datum | None,
+    settings: PoseSettings,
+    motion: Motion,
+    budget: ErrorBudget | None,
+    source: HeadingSource,
+    frame_ns: Int64 | None,
+    *,
+    level_grids: bool,
+) -> tuple[Estimate, Fusion, DriveEstimate]:
+    """The estimate, what was fused for it, and the drive with its recorded headings."""
     # By what the drive carries, used or not: so its grids were made.
     level_grids = level_grids and tells_attitude(motion, fixes.time_ns)
     # Which fixes a vehicle can have driven through, and one estimate of all that was measured.
     found = fuse(conditioned(fixes, settings, datum), rig, motion, settings, frame_ns)
     # A recorded heading joins once the drive has shown what it means.
     recorded_deg, comparison, findings = _recorded(found, source, settings)
-    if motion.poses is not None:
-        told = f"The given poses were not used, since headings shall be {source}."
-        findings.append(info("poses-unused", told))
     log, axle, lean = found.log, found.axle, found.lean
     recorded = RecordedHeadings(recorded_deg)
-    if comparison is not None:
+    if settings.frame_heading_deg is not None:
+        recorded = recorded._replace(offset_sigma_deg=DECLARED_SIGMA_DEG)
+    elif comparison is not None:
         recorded = recorded._replace(offset_sigma_deg=settings.max_heading_offset_deg)
     drive = _with_recorded(found, recorded) if source.kind == "smooth" else found.drive
     # What the drive denies of clocks, antenna and camera.
@@ -123,7 +152,13 @@ def estimate_poses(
             gyros.append((checks.excused.time_ns, checks.excused.unsure_deg))
         doubts += [AddedSigma(heading_deg=np.interp(at_ns, *gyro)) for gyro in gyros]
     # Carried to the grid origin, and judged.
-    table = as_unsure(_carried(table, axle.vehicle, source), doubts)
+    if (vehicle := axle.vehicle) is not None:
+        axle_m = LeverArm(0.0, axle_forward_m(vehicle), 0.0)
+        point = axle_m if source.kind == "smooth" else vehicle.antenna
+        east_m, north_m = carry_lever(table.east_m, table.north_m, table.heading_deg, point)
+        up_m = table.up_m - vehicle.antenna.up_m
+        table = table._replace(east_m=east_m, north_m=north_m, up_m=up_m)
+    table = as_unsure(table, doubts)
     trajectory = judged(table, log.datum, settings, budget, str(source))
     if lean is not None:
         trajectory = leaning(trajectory, lean, level_grids=level_grids)
@@ -155,7 +190,7 @@ def estimate_poses(
             *unseen_findings(unseen),
         ),
     )
-    return Estimate(trajectory, fix_row, report, table.gear_doubt)
+    return Estimate(trajectory, fix_row, report, table.gear_doubt), found, drive
 
 
 class _Checks(NamedTuple):
@@ -174,8 +209,11 @@ def _checked(
 ) -> _Checks:
     """What a drive, with its recorded headings, says of the vehicle that was declared."""
     # A gyro of another clock than the fixes is not used, and yet tells that of the images.
+    motion = found.motion
+    if motion.poses is not None:
+        motion = motion._replace(steps=None)  # those of the poses, not of a camera
     clocks = check_clock(
-        *(found.unleapt or drive, found.log.accepted, found.motion, found.axle, found.hints),
+        *(found.unleapt or drive, found.log.accepted, motion, found.axle, found.hints),
         recorded=found.gyro,
     )
     smooth = source.kind == "smooth"
@@ -183,7 +221,7 @@ def _checked(
     follows_path = not np.isfinite(recorded.heading_deg).any()
     yaw = None
     if smooth and follows_path:
-        yaw = camera_yaw(drive.smoothed.camera_yaw_rad, found.motion.steps, found.axle)
+        yaw = camera_yaw(drive.smoothed.camera_yaw_rad, motion.steps, found.axle)
     denied = denied_by(drive, declared, clocks)
     excuse = None
     if smooth and drive.measured.sees_turns():
@@ -214,52 +252,42 @@ def _of_given(
     motion: Motion,
     budget: ErrorBudget | None,
     *,
+    frame_ns: Int64 | None,
     level_grids: bool,
 ) -> Estimate:
     """The estimate of a drive whose poses another program made."""
-    assert motion.poses is not None
-    log, findings = None, list[Finding]()
-    origin = settings.frame_origin
-    try:
-        log = conditioned(fixes, settings, datum)
-        datum = log.datum
-    except GnssError as problem:
-        if origin is not None and len(fixes):
-            findings.append(warning("fixes", str(problem)))
-        elif origin is None and len(fixes):
-            raise
-    if datum is None and origin is not None:
-        datum = Datum(origin.lat_deg, origin.lon_deg, origin.height_m)
-    if datum is None:
-        raise GnssError(
-            "No fix tells where the poses lie; give a log with --gnss, or declare the frame with "
-            "--frame-origin LAT,LON,HEIGHT and --frame-heading DEG."
-        )
-    placed = place_poses(
-        *(motion.poses, motion.tilt, log, rig, datum, settings, budget), level_grids=level_grids
+    poses, given = motion.poses, given_drive(fixes, rig, datum, settings, motion)
+    assert poses is not None
+    source = heading_source("smooth" if given.declared is None else "recorded")
+    (track, fix_row, report, doubt), found, drive = _estimated(
+        *(given.fixes, given.rig, given.datum, given.settings, given.motion, budget),
+        *(source, frame_ns),
+        level_grids=level_grids,
     )
-    found, pairs = placed.georeference, placed.pairs
-    offset = None
-    if pairs is not None:
-        offset_m = found.place(*pairs.frame_m[:, :2].T) - pairs.fixes.points_m()
-        offset = fix_offset(pairs.fixes, offset_m)
-    ordered = fixes.in_order()
-    judged_fixes = (ordered, condition(ordered)) if log is None else (log.fixes, log.verdicts)
-    unseen = unseen_of_given(placed.trajectory, found, rig)
-    report = PoseReport(
-        conditioning=summarise(*judged_fixes),
-        attitude=placed.attitude,
-        recorded=None,
-        clock=None,
-        gyro_bias_dps=float("nan"),
-        offset=offset,
+    told, conditioning, unseen = list(given.findings), report.conditioning, report.unseen
+    if (frame := given.declared) is None:
+        pairs = pairs_of(poses, found.log, rig)
+        frame = by_estimate(pairs, drive, settings)
+        # What is said of a camera's motion is said of that of the poses.
+        for one in report.findings:
+            told.append(replace(one, message=one.message.replace("camera", "poses")))
+        if found.lean is None:
+            track = replace(track, up_m=risen(track, poses, found.log))
+    else:
+        ordered = fixes.in_order()
+        conditioning, unseen = summarise(ordered, condition(ordered)), ()
+        told += [one for one in report.findings if one.code == "no-pose"]
+        if len(fixes):
+            fix_row = fix_row[np.searchsorted(given.fixes.time_ns, ordered.time_ns)]
+    report = replace(
+        report,
+        conditioning=conditioning,
         camera_scale=None,
-        wheel_scale=None,
-        findings=(*findings, *placed.findings, *unseen_findings(unseen)),
-        georeference=found,
+        findings=(*frame.findings(), *told),
+        georeference=frame,
         unseen=unseen,
     )
-    return Estimate(placed.trajectory, placed.fix_row, report, placed.gear_doubt)
+    return Estimate(replace(track, heading_source=GIVEN), fix_row, report, doubt)
 
 
 def _recorded(
@@ -268,6 +296,8 @@ def _recorded(
     """Headings of the vehicle that were recorded with the accepted fixes, NaN where none can be
     used; raises when they contradict the drive."""
     rig, recorded = fused.axle.vehicle, fused.recorded_deg()
+    if settings.frame_heading_deg is not None:
+        return recorded, None, []  # somebody declared them
     if not np.isfinite(recorded).any():
         if source.kind == "recorded":
             raise GnssError(
@@ -331,16 +361,6 @@ def _recorded(
         )
         findings.append(warning("heading-recorded", told))
     return used, found, findings
-
-
-def _carried(table: PoseTable, rig: VehicleGeometry | None, source: HeadingSource) -> PoseTable:
-    """Rows carried to the grid origin."""
-    if rig is None:
-        return table
-    axle = LeverArm(0.0, axle_forward_m(rig), 0.0)
-    point = axle if source.kind == "smooth" else rig.antenna
-    east_m, north_m = carry_lever(table.east_m, table.north_m, table.heading_deg, point)
-    return table._replace(east_m=east_m, north_m=north_m, up_m=table.up_m - rig.antenna.up_m)
 
 
 def carry_lever(

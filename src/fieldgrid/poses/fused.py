@@ -48,7 +48,7 @@ from fieldgrid.poses.levelled import (
 )
 from fieldgrid.poses.measured import turn_back, wheel_speed_at
 from fieldgrid.poses.settled import settled
-from fieldgrid.poses.smoother.declared import AHEAD, IMAGES, LATE, LIKELY
+from fieldgrid.poses.smoother.declared import AHEAD, IMAGES, LATE, LIKELY, Constant
 from fieldgrid.poses.table import ConditionedLog
 from fieldgrid.poses.travel_direction import travel
 
@@ -222,6 +222,8 @@ def _with_axle(found: Fusion) -> Fusion:
         if there.smoothed.nats > begun.smoothed.nats:
             begun, start_m = there, by_camera.value
     ahead_m, drive = settled(begun, moved, lambda one: one.off(AHEAD), start_m)
+    if start_m and by_camera is not None and by_camera.sigma < ahead_m.sigma:
+        ahead_m, drive = Constant(*by_camera), begun
     # Clocks that differ look like a place, and what contradicts it even there is something else.
     declared = drive.smoothed.declared
     late = steps is not None and declared.probability(LATE, IMAGES) > 1.0 - LIKELY

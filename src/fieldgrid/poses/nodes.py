@@ -15,6 +15,10 @@ FILL_NS = 250_000_000
 UNSEEN_NS = 10_000_000_000
 """Over longer holes nothing is known of the way, and no node is filled in."""
 
+FARTHEST_NS = 10**15
+"""Poses of another program lead on however long the fixes are away: their sigmas say what they are
+worth there."""
+
 GYRO_HOLE_NS = 500_000_000
 """Over a longer hole in its samples the gyro's integral says nothing."""
 
@@ -45,7 +49,8 @@ def nodes(accepted_ns: Int64, all_ns: Int64, motion: Motion) -> Nodes:
     if motion.steps is not None:
         wanted += [motion.steps.start_ns, motion.steps.stop_ns]
         # How far a chain of steps leads beyond the first and the last fix, but not too far.
-        earliest_ns, latest_ns = first_ns - UNSEEN_NS, last_ns + UNSEEN_NS
+        beyond_ns = UNSEEN_NS if motion.poses is None else FARTHEST_NS
+        earliest_ns, latest_ns = first_ns - beyond_ns, last_ns + beyond_ns
         chain = list(
             zip(motion.steps.start_ns.tolist(), motion.steps.stop_ns.tolist(), strict=True)
         )

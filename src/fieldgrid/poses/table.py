@@ -229,7 +229,8 @@ def _paper_table(
         column[ok] = values
         return column
 
-    gear = drive.gear[drive.fix >= 0]
+    gear, driven = drive.gear[drive.fix >= 0], drive.speed_mps[drive.fix >= 0]
+    stated = log.fixes.speed_mps
     resting = gear == 0
     if np.isfinite(found.span_m).all() and found.span_m.any():  # course: the gear is its own
         gear = np.where(resting, 0, found.gear)
@@ -250,7 +251,7 @@ def _paper_table(
         everywhere(found.sigma_deg, np.inf),
         log.fixes.position_sigma_m(),
         everywhere(used.noise.across_m, np.inf),
-        log.fixes.speed_mps * gears,
+        np.where(np.isnan(stated), everywhere(np.abs(driven), np.nan), stated) * gears,
         gears,
         np.zeros(n),
         np.zeros(n),

@@ -345,7 +345,7 @@ def test_recorded_roll_and_pitch_come_back_bit_by_bit(
     with open_recording(make_drive()) as recording:
         motion = Motion(**{name: told})
         if posed:  # which are written without roll and pitch
-            motion = motion._replace(poses=GivenPoses(times, *np.zeros((6, 5))))
+            motion = motion._replace(poses=GivenPoses(times, *np.zeros((8, 5))))
         log = recording.log._replace(motion=motion)
         convert_recording(replace(recording, log=log), out, images="none")
     with fg.open_drive(out) as again:

@@ -28,7 +28,7 @@ from fieldgrid.recordings import PoseBody, motion_of_body
 
 KEPT_S, GIVEN_KEPT_S = 60.0, 180.0
 """What is older than this before the newest is forgotten, however silent the receiver is; with
-poses of another program, which only a way tells the turn of their frame."""
+poses of another program, which lead on without fixes."""
 
 BEFORE_NS = 5_000_000_000
 """How long before a frame that waits for its pose an estimate begins."""
@@ -82,8 +82,7 @@ class FixedLagSmoother:
     """The measurements of the last seconds, and the poses estimated from them.
 
     Not safe to call from several threads. `window_s` is how much of the drive before the newest
-    fix goes into an estimate; poses of another program, of the `body`, are laid along all that is
-    kept.
+    fix goes into an estimate, and poses of another program, of the `body`, from there on.
     """
 
     def __init__(
@@ -151,8 +150,6 @@ class FixedLagSmoother:
         if self._needs_fixes and len(self._said[FIXES]) < FEWEST_FIXES:
             raise GnssError(f"There are {len(self._said[FIXES])} fixes yet; wait for the receiver.")
         since_ns = min(known_ns - self._window_ns, oldest_ns - BEFORE_NS)
-        if self._body is not None:
-            since_ns = self.newest_ns - self._kept_ns
         fixes = [fix for _, fix in self._since(FIXES, since_ns)]
         if self._needs_fixes and len(fixes) < FEWEST_FIXES:
             silent_s = (self.newest_ns - known_ns) / 1e9

@@ -14,11 +14,10 @@ from enum import StrEnum
 import numpy as np
 
 from fieldgrid.core import Figure, Finding, Float64, Int64, Quality, info
-from fieldgrid.geometry import Rig, Trajectory, VehicleGeometry, least_sigma_m, position_sigma_m
+from fieldgrid.geometry import Rig, VehicleGeometry, least_sigma_m, position_sigma_m
 from fieldgrid.poses.accepted import AcceptedFixes
 from fieldgrid.poses.axle import names_axle
 from fieldgrid.poses.drive import DRIVING_MPS, DriveEstimate
-from fieldgrid.poses.external.georeference import Georeference
 from fieldgrid.poses.faults.denied import CLEAR_SIGMAS, FAR_M
 from fieldgrid.poses.sigmas import AddedSigma
 from fieldgrid.poses.smoother.declared import AHEAD, ASIDE, IMAGES, LATE, Constant
@@ -32,11 +31,6 @@ they are at least this share. No map shows the half centimetre of RTK."""
 
 _NEARLY_ALL = 0.95
 """What may be declared of all fixes is named where this share of them is of one quality."""
-
-ONE_WAY = 0.9
-"""A vehicle whose unit headings have a mean of this length heads one way: what is the same in its
-frame is then the same everywhere. Below, the scatter of the fixes beside given poses covers it by
-three sigmas."""
 
 
 class UnseenFault(StrEnum):
@@ -88,25 +82,6 @@ def unseen_faults(
     return tuple(fault for fault, unseen in hidden.items() if unseen)
 
 
-def unseen_of_given(
-    track: Trajectory, frame: Georeference, vehicle: VehicleGeometry | None
-) -> tuple[UnseenFault, ...]:
-    """The faults that poses of another program would not show, where they lie by the fixes.
-
-    What changes along the drive is scatter of the fixes beside the poses, which their sigmas
-    contain; a steady drift passes for a turn of the frame, and what is the same in the vehicle for
-    a shift of it, where the vehicle heads one way. A declared frame is not moved by the fixes.
-    """
-    if frame.by == "declared":
-        return ()
-    heading_rad = np.radians(track.heading_deg[np.isfinite(track.heading_deg)])
-    one_way = abs(np.mean(np.exp(1j * heading_rad))) > ONE_WAY
-    if not (one_way and isinstance(vehicle, Rig)):
-        return (UnseenFault.SLOW_DRIFT,)
-    ahead = (UnseenFault.ANTENNA_AHEAD,) if names_axle(vehicle) else ()
-    return (UnseenFault.ANTENNA_ASIDE, *ahead, UnseenFault.LATE_STAMPS, UnseenFault.SLOW_DRIFT)
-
-
 def _is_told(one: Constant, per_unit_m: float = 1.0) -> bool:
     """Whether a drive denies what is off by less than :data:`FAR_M`."""
     return CLEAR_SIGMAS * one.sigma * per_unit_m < FAR_M
@@ -130,13 +105,8 @@ def receiver_doubt(time_ns: Int64, fixes: AcceptedFixes) -> AddedSigma:
     """
     first_ns = fixes.time_ns[0]
     at_ns, fix_ns = time_ns - first_ns, fixes.time_ns - first_ns
-    return AddedSigma(position_m=np.sqrt(np.interp(at_ns, fix_ns, _missing_m2(fixes))))
-
-
-def unsure_fit_m(fixes: AcceptedFixes) -> float:
-    """By how much a rigid fit to fixes is less sure along one axis, metres, than these state: they
-    weigh in it by what they state."""
-    return float(np.sqrt(np.average(_missing_m2(fixes), weights=1.0 / fixes.sigma_m**2)))
+    missing_m2 = np.maximum(_least_m(fixes) ** 2 - _believed_m(fixes) ** 2, 0.0)
+    return AddedSigma(position_m=np.sqrt(np.interp(at_ns, fix_ns, missing_m2)))
 
 
 def accuracy_findings(fixes: AcceptedFixes) -> Iterator[Finding]:
@@ -158,11 +128,6 @@ def accuracy_findings(fixes: AcceptedFixes) -> Iterator[Finding]:
             "If yours is known to be surer, as with PPP, give --accuracy METRES." if alone else "",
             Figure(float(counts_m), "m"),
         )
-
-
-def _missing_m2(fixes: AcceptedFixes) -> Float64:
-    """The variance along one axis, square metres [n], that the fixes do not state."""
-    return np.maximum(_least_m(fixes) ** 2 - _believed_m(fixes) ** 2, 0.0)
 
 
 def _believed_m(fixes: AcceptedFixes) -> Float64:

@@ -184,15 +184,30 @@ def first_guess(
         # between the instants, and there where all of it was seen (`seen_rad` [n - 1], NaN: not).
         gap = np.searchsorted(times, at.time_ns[:-1], side="right")
         unseen = np.bincount(gap[np.isnan(seen_rad)], minlength=len(times) + 1)
-        length_ns = np.diff(times, prepend=times[:1], append=times[-1:])
+        length_ns = np.diff(times, prepend=at.time_ns[0], append=at.time_ns[-1])
         counts = (length_ns >= WINDING_NS) & (unseen == 0)
         turned = np.append(0.0, np.cumsum(np.where(counts[gap], seen_rad, 0.0)))
         seen_deg = np.asarray(np.degrees(turned))
-        turns_seen = np.diff(seen_deg[np.searchsorted(at.time_ns, times)])
+        seen_then = seen_deg[np.searchsorted(at.time_ns, times)]
+        turns_seen = np.diff(seen_then)
         turns = turns_seen + wrap_deg(turns - turns_seen)
-        angle_deg = heading[known[0]] + np.concatenate([[0.0], np.cumsum(turns - turns_seen)])
+        angle_deg = (
+            heading[known[0]]
+            - seen_then[0]
+            + np.concatenate([[0.0], np.cumsum(turns - turns_seen)])
+        )
         guess[:, 2] = np.radians(np.interp(at.time_ns, times, angle_deg) + seen_deg)
         guess[:, 3] = np.interp(at.time_ns, times, (speed * found.gear)[known])
+        # Where there are no fixes, on as the steps have it.
+        forward, right, _ = measured.step.T
+        start = measured.step_nodes[:, 0]
+        sin, cos = np.sin(guess[start, 2]), np.cos(guess[start, 2])
+        for axis, way_m in enumerate((forward * sin + right * cos, forward * cos - right * sin)):
+            path = np.append(0.0, np.cumsum(np.nan_to_num(measured.by_steps(way_m))))
+            has = at.fix >= 0
+            guess[:, axis] = path + np.interp(
+                at.time_ns, at.time_ns[has], guess[has, axis] - path[has]
+            )
     return guess
 
 

@@ -79,15 +79,20 @@ class Measurements(NamedTuple):
     def seen_turns_rad(self) -> Float64:
         """How the vehicle was seen to turn from node to node [n - 1]: by the gyro, else by relative
         motions, each spread evenly over its time; NaN where nothing saw it."""
+        by_steps = self.by_steps(self.step[:, 2])
+        return np.where(np.isfinite(self.turned_rad), self.turned_rad, by_steps)
+
+    def by_steps(self, change: Float64) -> Float64:
+        """How much of what changes over each relative motion [s] does so from node to node [n - 1],
+        spread evenly over its time; NaN where there is none."""
         rate, seen = np.zeros(len(self.time_s)), np.zeros(len(self.time_s))
         length_s = np.diff(self.time_s[self.step_nodes], axis=1)[:, 0]
-        rate_rad_s = self.step[:, 2] / np.maximum(length_s, 1e-9)
+        per_s = change / np.maximum(length_s, 1e-9)
         for ends, sign in zip(self.step_nodes.T, (1.0, -1.0), strict=True):
-            np.add.at(rate, ends, sign * rate_rad_s)
+            np.add.at(rate, ends, sign * per_s)
             np.add.at(seen, ends, sign)
         seen, step_s = np.cumsum(seen)[:-1], np.diff(self.time_s)
-        by_steps = np.cumsum(rate)[:-1] * step_s / np.where(seen > 0.0, seen, np.nan)
-        return np.where(np.isfinite(self.turned_rad), self.turned_rad, by_steps)
+        return np.asarray(np.cumsum(rate)[:-1] * step_s / np.where(seen > 0.0, seen, np.nan))
 
     def with_steps(self, kept: Bool) -> Measurements:
         """All but the relative motions that are not `kept` [s]."""

@@ -28,9 +28,16 @@ def _numbers(pose: Any) -> tuple[float, ...]:
     return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
 
 
+def _sure(message: Any) -> tuple[float, ...]:
+    """A pose, and the variances that are stated of x, y and the turn about z: NaN of a program
+    that does not know them, and writes zeros."""
+    stated = np.asarray(message.pose.covariance, dtype=np.float64)[[0, 7, 35]]
+    return (*_numbers(message.pose.pose), *np.where(stated > 0.0, stated, np.nan).tolist())
+
+
 _ROWS: NumberTable = {
-    ODOMETRY: (7, lambda message: _numbers(message.pose.pose)),
-    SURE_POSE: (7, lambda message: _numbers(message.pose.pose)),
+    ODOMETRY: (10, _sure),
+    SURE_POSE: (10, _sure),
     POSE: (7, lambda message: _numbers(message.pose)),
     _PATH: (7, lambda _: ()),
 }
@@ -66,8 +73,8 @@ def read_pose_topic(
         else:
             values = heard[name].rows()
             time_ns = clock(name, *bag.stamps(name)).time_ns[heard[name].places]
-    length = np.linalg.norm(values[:, 3:], axis=1)
-    good = np.isfinite(values).all(axis=1) & (np.abs(values[:, :3]) < MOST_M).all(axis=1)
+    length = np.linalg.norm(values[:, 3:7], axis=1)
+    good = np.isfinite(values[:, :7]).all(axis=1) & (np.abs(values[:, :3]) < MOST_M).all(axis=1)
     wrong = ~(good & (np.abs(length - 1.0) < OFF_UNIT))
     if not len(values) or wrong.any():
         what = f"{np.count_nonzero(wrong)} of {len(values)} poses" if len(values) else "no pose"
@@ -78,7 +85,8 @@ def read_pose_topic(
         f"{path.name} {name}",
         time_ns[known] + offset_ns,
         values[known, :3],
-        rotations(values[known, 3:]),
+        rotations(values[known, 3:7]),
+        values[known, 7:] if values.shape[1] > 7 else None,
     )
 
 

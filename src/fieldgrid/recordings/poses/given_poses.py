@@ -92,11 +92,12 @@ def motion_of_body(
     them unless something else tells it (`has_tilt`)."""
     assert body.time_ns is not None
     axes = about.axes
-    rows = np.concatenate([body.position_m, body.R.reshape(-1, 9)], axis=1)
+    variance = np.full((len(body.R), 3), np.nan) if body.variance is None else body.variance
+    rows = np.concatenate([body.position_m, body.R.reshape(-1, 9), variance], axis=1)
     (time_ns, kept), lost = in_order(body.time_ns, rows, 12)
     if len(time_ns) < 2:
         raise RecordingError(f"{body.name} has {len(time_ns)} poses; give those of a drive.")
-    place, R = kept[:, :3], kept[:, 3:].reshape(-1, 3, 3)
+    place, R = kept[:, :3], kept[:, 3:12].reshape(-1, 3, 3)
     R_vehicle_body = R_VEHICLE_FLU @ np.array(directions(axes), dtype=np.float64).T
     if axes == CAMERA_AXES and rig is not None:
         R_vehicle_body = rig.mount.rotation()
@@ -107,7 +108,13 @@ def motion_of_body(
     roll, pitch = roll_pitch_deg(R)
     if max(np.abs(roll).max(), np.abs(pitch).max()) < LEVEL_DEG:
         roll, pitch = np.zeros_like(roll), np.zeros_like(pitch)
-    poses = GivenPoses._make([time_ns, *place.T, np.degrees(heading_rad(R)), roll, pitch])
+    x_m, y_m, turn_rad = np.sqrt(kept[:, 12:].T)
+    if frame == "y down":  # they are of other axes
+        x_m, y_m, turn_rad = np.full((3, len(time_ns)), np.nan)
+    angles = np.degrees(heading_rad(R)), roll, pitch
+    poses = GivenPoses._make(
+        [time_ns, *place.T, *angles, np.maximum(x_m, y_m), np.degrees(turn_rad)]
+    )
     motion = Motion(poses=poses)
     if frame != "y down" and roll.any() and not has_tilt and rig is not None:
         # The frame of a camera's first image is level only on average.

@@ -23,12 +23,14 @@ OFF_UNIT = 0.02
 class BodyPoses(NamedTuple):
     """Poses of a body as they are written, n rows: `time_ns` UTC, None where they have no times;
     where the body is, `position_m` [n, 3], and its axes, `R` [n, 3, 3], in the frame of the
-    trajectory. `name` is what they are from."""
+    trajectory. `name` is what they are from. `variance` [n, 3] is what is stated of x, y (m²) and
+    the turn about z (rad²), NaN or None where nothing is."""
 
     name: str
     time_ns: Int64 | None
     position_m: Float64
     R: Float64
+    variance: Float64 | None = None
 
 
 def read_pose_file(path: Path, offset_ns: int = 0) -> BodyPoses:
