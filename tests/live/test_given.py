@@ -15,8 +15,15 @@ from fieldgrid.geometry import Status
 from fieldgrid.live import Live, LivePose, LiveWindow, finish_from, finish_session, replay
 from fieldgrid.live.given import check_order, pose_rows
 from fieldgrid.maps import open_map
-from fieldgrid.pipeline import build_map
-from fieldgrid.recordings import DriveOptions, PoseBody, PoseSource, Recording, open_recording
+from fieldgrid.pipeline import add_recording, build_map
+from fieldgrid.recordings import (
+    DriveOptions,
+    PoseBody,
+    PoseSource,
+    Recording,
+    open_recording,
+    with_body_poses,
+)
 from fieldgrid.recordings.poses.pose_files import read_pose_file
 from tests.live.making import Told, begin, slam, with_poses
 from tests.pipeline.drives.making import content
@@ -192,3 +199,19 @@ def test_poses_that_tell_how_the_vehicle_leans_make_level_grids(
     with open_map(out) as ours:
         assert ours.sessions()[0].config["level_grids"]
     assert content(out) == content(tmp_path / "built.gpkg")
+
+
+def test_what_poses_state_of_their_error_counts_as_in_a_build(
+    given: Recording, built_by_poses: Path, tmp_path: Path
+) -> None:
+    body, poses = given.pose_body, given.body_poses
+    assert body is not None
+    assert poses is not None
+    grows = np.arange(1.0, len(poses.R) + 1.0)[:, None] * [0.04, 0.01, 1e-3]
+    stated = with_body_poses(given, poses._replace(variance=grows), body).recording()
+    out, other = tmp_path / "m.gpkg", tmp_path / "other.gpkg"
+    with begin(stated, out, poses=body) as live:
+        replay(live, stated, rate=None)
+    with open_map(out) as made, open_map(other, datum=made.datum) as universal:
+        add_recording(universal, stated, BuildSettings(), name=stated.name)
+    assert content(out) == content(other) != content(built_by_poses)

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from fieldgrid.core import ConfigError, Int64
-from fieldgrid.live.pose.sensor_rows import Rows, rows_of
+from fieldgrid.core import ConfigError
+from fieldgrid.live.pose.sensor_rows import Rows, joined, rows_of
 from fieldgrid.recordings import MOST_M, OFF_UNIT, BodyPoses, PoseBody, check_axes, rotations
 
 GIVEN_ROWS = "poses"
 """What rows of poses are called."""
 
-NO_POSES = Rows(np.zeros(0, np.int64), (np.zeros((0, 3)), np.zeros((0, 9))))
+NO_POSES = Rows(np.zeros(0, np.int64), (np.zeros((0, 3)), np.zeros((0, 9)), np.zeros((0, 3))))
 
 
 def check_body(body: PoseBody) -> PoseBody:
@@ -27,10 +27,13 @@ def check_body(body: PoseBody) -> PoseBody:
 
 
 def pose_rows(
-    time_ns: npt.ArrayLike, position_m: npt.ArrayLike, quaternion_xyzw: npt.ArrayLike
+    time_ns: npt.ArrayLike,
+    position_m: npt.ArrayLike,
+    quaternion_xyzw: npt.ArrayLike,
+    variance: npt.ArrayLike | None = None,
 ) -> Rows:
-    """Rows of poses, one or [n]: positions [n, 3] and quaternions [n, 4]. ConfigError, which says
-    which value, for what can be none."""
+    """Rows of poses, one or [n]: positions [n, 3], quaternions [n, 4] and, where they are stated,
+    variances [n, 3]. ConfigError, which says which value, for what can be none."""
     times = np.atleast_1d(np.asarray(time_ns, dtype=np.int64))
     turned = np.asarray(quaternion_xyzw, dtype=np.float64)
     if turned.size != 4 * len(times):
@@ -46,7 +49,11 @@ def pose_rows(
             f"A pose has the quaternion ({value}), which has not the length 1; leave out poses "
             "that were lost, and write x, y, z, w."
         )
-    rows = rows_of(GIVEN_ROWS, times, position_m, rotations(turned).reshape(-1, 9))
+    stated = np.full((len(times), 3), np.nan)
+    if variance is not None:
+        stated[:] = np.asarray(variance, dtype=np.float64).reshape(-1, 3)
+    known = np.where(stated > 0.0, stated, np.nan)
+    rows = rows_of(GIVEN_ROWS, times, position_m, rotations(turned).reshape(-1, 9), known)
     if rows.columns[0].size and not np.abs(rows.columns[0]).max() < MOST_M:
         raise ConfigError("A pose is farther from its origin than any drive leads; leave it out.")
     return rows
@@ -68,15 +75,13 @@ def check_order(rows: Rows, newest_ns: int, late_ns: int) -> int:
 
 def body_poses(body: PoseBody, chunks: Sequence[Rows]) -> BodyPoses:
     """Poses as they were pushed, as a file would have them."""
-    position_m, R = (
-        np.concatenate([rows.columns[k] for rows in chunks]) for k in range(len(chunks[0].columns))
-    )
-    times: Int64 = np.concatenate([rows.time_ns for rows in chunks])
-    return BodyPoses(body.name, times, position_m, R.reshape(-1, 3, 3))
+    times, (position_m, R, variance) = joined(chunks)
+    return BodyPoses(body.name, times, position_m, R.reshape(-1, 3, 3), variance)
 
 
 def rows_of_body(poses: BodyPoses) -> Rows:
     """Poses of a recording as rows, in order of time, of equal times in that of the recording."""
     assert poses.time_ns is not None
     order = np.argsort(poses.time_ns, kind="stable")
-    return Rows(poses.time_ns[order], (poses.position_m[order], poses.R.reshape(-1, 9)[order]))
+    columns = poses.position_m, poses.R.reshape(-1, 9), poses.variance
+    return Rows(poses.time_ns[order], tuple(column[order] for column in columns))

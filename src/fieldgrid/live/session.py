@@ -264,17 +264,23 @@ class Live(Closing):
         self.push_rows("orientation", rows)
 
     def push_pose(
-        self, time_ns: npt.ArrayLike, position_m: npt.ArrayLike, quaternion_xyzw: npt.ArrayLike
+        self,
+        time_ns: npt.ArrayLike,
+        position_m: npt.ArrayLike,
+        quaternion_xyzw: npt.ArrayLike,
+        variance: npt.ArrayLike | None = None,
     ) -> None:
         """Poses that another program made, of the body that the session was begun with (`poses`),
         in a frame of their own: positions [3] or [n, 3] in metres, and unit quaternions x, y, z, w
         [4] or [n, 4] from the body's axes to the frame's. `time_ns` is by the receiver's clock.
+        `variance` [3] or [n, 3] is what the program states of x, y (m²) and the turn about z
+        (rad²), 0 or NaN where it states nothing.
 
         They may come in any order within the lag (`LiveOptions.lag_s`). ConfigError, and none of
         them taken, for one that comes later, that is not finite, or whose quaternion has not the
         length 1.
         """
-        self.push_rows(GIVEN_ROWS, pose_rows(time_ns, position_m, quaternion_xyzw))
+        self.push_rows(GIVEN_ROWS, pose_rows(time_ns, position_m, quaternion_xyzw, variance))
 
     def results(self, timeout_s: float | None = None) -> Iterator[LiveResult]:
         """The results as they come, until the session ends or none comes for `timeout_s`. Not

@@ -171,8 +171,8 @@ def smooth_drive(
 
     `all_ns` are the times of all fixes, which get poses too; `recorded` headings have passed their
     comparison with the course. The slow error of the fixes is learnt, unless it is to be
-    `as_stated`. An estimate `near` this one, with the same nodes, gears and gyro, is where it begins,
-    with the steering that it has learnt.
+    `as_stated`. An estimate `near` this one, with the same nodes, gears and gyro, is where it
+    begins, with the steering that it has learnt.
     """
     at = nodes(fixes.time_ns, all_ns, motion)
     standing = _standing(fixes)

@@ -50,6 +50,7 @@ if TYPE_CHECKING:
         is_of_use as is_of_use,
         short as short,
     )
+    from fieldgrid.recordings.bag.trajectories import pose_numbers as pose_numbers
     from fieldgrid.recordings.bag.transforms import (
         FrameTransform as FrameTransform,
         Transforms as Transforms,

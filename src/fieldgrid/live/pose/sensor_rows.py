@@ -26,11 +26,11 @@ PARTS: dict[str, type[Part]] = {
 
 _COLUMNS: dict[str, tuple[str, ...]] = {
     **{part: kind._fields[1:] for part, kind in PARTS.items()},
-    "poses": ("position_m", "axes"),
+    "poses": ("position_m", "axes", "variance"),
 }
 """What the columns of rows are; poses of another program are kept as they are written: where the
-body is, and its axes, row by row."""
-_WIDE = {"inertial": (3, 3), "poses": (3, 9)}
+body is, its axes, row by row, and what is stated of their errors, NaN where nothing is."""
+_WIDE = {"inertial": (3, 3), "poses": (3, 9, 3)}
 """Widths of the columns, of parts whose columns are wider than one value."""
 
 MOST_NS = 1 << 62
@@ -167,7 +167,8 @@ def rows_of(part: str, time_ns: npt.ArrayLike, *columns: npt.ArrayLike) -> Rows:
                 f"{name} of {part} has the shape {values.shape} for {len(times)} times; give "
                 f"{list(shape)}."
             )
-        if part != "inertial" and not np.isfinite(values).all():
+        may_be_unknown = part == "inertial" or name == "variance"
+        if not may_be_unknown and not np.isfinite(values).all():
             raise ConfigError(f"{name} of {part} holds a value that is not finite; leave it out.")
         made.append(values)
     return Rows(times, tuple(made))

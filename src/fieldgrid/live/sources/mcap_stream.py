@@ -53,6 +53,7 @@ from fieldgrid.recordings import (
     is_utc,
     named,
     optical,
+    pose_numbers,
     short,
     stamp_ns,
 )
@@ -66,7 +67,11 @@ _BY_TYPE = {
     "sensor_msgs/msg/Imu": "imu",
     ODOMETRY: "odometry",
 }
-_POSES = (ODOMETRY, "geometry_msgs/msg/PoseStamped")
+_POSES = (
+    ODOMETRY,
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+)
 ROLES = ("left", "right", "cloud", ATTITUDE, *_BY_TYPE.values())
 FIXES = ("fix", "nmea")
 POSE = "pose"
@@ -368,13 +373,9 @@ class McapStream:
         self._push_motion(self._leans.take_given(said, time_ns, kind, is_of_imu=is_of_imu), intake)
 
     def _pose(self, message: Message, time_ns: int, intake: Intake) -> None:
-        found = decode(message).pose
-        pose = found.pose if message.connection.type == ODOMETRY else found
-        p, q = pose.position, pose.orientation
+        said = pose_numbers(decode(message))
         assert self._poses is not None
-        intake.live.push_pose(
-            time_ns + self._poses.offset_ns, [p.x, p.y, p.z], [q.x, q.y, q.z, q.w]
-        )
+        intake.live.push_pose(time_ns + self._poses.offset_ns, said[:3], said[3:7], said[7:])
 
     def _say(self, intake: Intake, text: str) -> None:
         """Tell something, each thing once."""

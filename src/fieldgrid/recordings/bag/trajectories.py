@@ -22,24 +22,21 @@ _TYPES = (ODOMETRY, POSE, SURE_POSE, _PATH)
 _SECOND_NS = 1_000_000_000
 
 
-def _numbers(pose: Any) -> tuple[float, ...]:
-    """Where, and the quaternion x, y, z, w."""
+def pose_numbers(message: Any) -> tuple[float, ...]:
+    """Where a stamped pose is, its quaternion x, y, z, w, and the variances that are stated of x, y
+    and the turn about z: NaN where none is, and of a program that writes zeros."""
+    pose, stated = message.pose, np.full(3, np.nan)
+    if hasattr(pose, "covariance"):
+        stated = np.asarray(pose.covariance, dtype=np.float64)[[0, 7, 35]]
+        pose = pose.pose
     p, q = pose.position, pose.orientation
-    return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
-
-
-def _sure(message: Any) -> tuple[float, ...]:
-    """A pose, and the variances that are stated of x, y and the turn about z: NaN of a program
-    that does not know them, and writes zeros."""
-    stated = np.asarray(message.pose.covariance, dtype=np.float64)[[0, 7, 35]]
-    return (*_numbers(message.pose.pose), *np.where(stated > 0.0, stated, np.nan).tolist())
+    variance = np.where(stated > 0.0, stated, np.nan)
+    return (p.x, p.y, p.z, q.x, q.y, q.z, q.w, *variance.tolist())
 
 
 _ROWS: NumberTable = {
-    ODOMETRY: (10, _sure),
-    SURE_POSE: (10, _sure),
-    POSE: (7, lambda message: _numbers(message.pose)),
-    _PATH: (7, lambda _: ()),
+    **dict.fromkeys((ODOMETRY, SURE_POSE, POSE), (10, pose_numbers)),
+    _PATH: (10, lambda _: ()),
 }
 
 
@@ -65,7 +62,7 @@ def read_pose_topic(
         name = _chosen(bag, list(heard), topic)
         if name in paths:
             poses = decode(paths[name]).poses
-            values = np.array([_numbers(one.pose) for one in poses]).reshape(-1, 7)
+            values = np.array([pose_numbers(one) for one in poses]).reshape(-1, 10)
             stamps = [one.header.stamp for one in poses]
             stamp_ns = np.array([one.sec * _SECOND_NS + one.nanosec for one in stamps], np.int64)
             dated_ns = bag.dated(stamp_ns)
@@ -86,7 +83,7 @@ def read_pose_topic(
         time_ns[known] + offset_ns,
         values[known, :3],
         rotations(values[known, 3:7]),
-        values[known, 7:] if values.shape[1] > 7 else None,
+        values[known, 7:],
     )
 
 

@@ -92,8 +92,7 @@ def motion_of_body(
     them unless something else tells it (`has_tilt`)."""
     assert body.time_ns is not None
     axes = about.axes
-    variance = np.full((len(body.R), 3), np.nan) if body.variance is None else body.variance
-    rows = np.concatenate([body.position_m, body.R.reshape(-1, 9), variance], axis=1)
+    rows = np.concatenate([body.position_m, body.R.reshape(-1, 9), body.variance], axis=1)
     (time_ns, kept), lost = in_order(body.time_ns, rows, 12)
     if len(time_ns) < 2:
         raise RecordingError(f"{body.name} has {len(time_ns)} poses; give those of a drive.")

@@ -24,13 +24,13 @@ class BodyPoses(NamedTuple):
     """Poses of a body as they are written, n rows: `time_ns` UTC, None where they have no times;
     where the body is, `position_m` [n, 3], and its axes, `R` [n, 3, 3], in the frame of the
     trajectory. `name` is what they are from. `variance` [n, 3] is what is stated of x, y (m²) and
-    the turn about z (rad²), NaN or None where nothing is."""
+    the turn about z (rad²), NaN where nothing is."""
 
     name: str
     time_ns: Int64 | None
     position_m: Float64
     R: Float64
-    variance: Float64 | None = None
+    variance: Float64
 
 
 def read_pose_file(path: Path, offset_ns: int = 0) -> BodyPoses:
@@ -45,13 +45,14 @@ def read_pose_file(path: Path, offset_ns: int = 0) -> BodyPoses:
         "of a matrix)"
     )
     lines, first, values = _read_numbers(path, (_TUM, _KITTI), wanted)
+    unsaid = np.full((len(values), 3), np.nan)
     if values.shape[1] == _KITTI:
         matrices = values.reshape(-1, 3, 4)
         R = matrices[:, :, :3]
         off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
         wrong = (off > OFF_UNIT) | (np.linalg.det(R) < 0.0)
         _refuse(path, lines, wrong, "its first three columns are no rotation")
-        return BodyPoses(path.name, None, matrices[:, :, 3], R)
+        return BodyPoses(path.name, None, matrices[:, :, 3], R, unsaid)
     length = np.linalg.norm(values[:, 4:], axis=1)
     _refuse(
         path,
@@ -60,7 +61,7 @@ def read_pose_file(path: Path, offset_ns: int = 0) -> BodyPoses:
         "its quaternion has not the length 1",
     )
     times_ns = read_times(first, path, lines, offset_ns)
-    return BodyPoses(path.name, times_ns, values[:, 1:4], rotations(values[:, 4:]))
+    return BodyPoses(path.name, times_ns, values[:, 1:4], rotations(values[:, 4:]), unsaid)
 
 
 def read_time_file(path: Path, offset_ns: int) -> Int64:
