@@ -272,13 +272,10 @@ class Live(Closing):
     ) -> None:
         """Poses that another program made, of the body that the session was begun with (`poses`),
         in a frame of their own: positions [3] or [n, 3] in metres, and unit quaternions x, y, z, w
-        [4] or [n, 4] from the body's axes to the frame's. `time_ns` is by the receiver's clock.
-        `variance` [3] or [n, 3] is what the program states of x, y (m²) and the turn about z
-        (rad²), 0 or NaN where it states nothing.
-
+        [4] or [n, 4] from the body's axes to the frame's. `time_ns` is by the receiver's clock,
+        `variance` [3] or [n, 3] what is stated of x, y (m²) and the turn about z (rad²), or NaN.
         They may come in any order within the lag (`LiveOptions.lag_s`). ConfigError, and none of
-        them taken, for one that comes later, that is not finite, or whose quaternion has not the
-        length 1.
+        them taken, for one that comes later, is not finite, or has a quaternion of another length.
         """
         self.push_rows(GIVEN_ROWS, pose_rows(time_ns, position_m, quaternion_xyzw, variance))
 

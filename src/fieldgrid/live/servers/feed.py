@@ -96,7 +96,11 @@ class Feed(LoopServer):
         client = LiveClient()
         writer.transport.set_write_buffer_limits(0)
         try:
-            with self._serving(client, partial(self._send, writer)), suppress(OSError):
+            # A task that is cancelled at the end would be told as an error by asyncio.
+            with (
+                self._serving(client, partial(self._send, writer)),
+                suppress(OSError, asyncio.CancelledError),
+            ):
                 if self._latest:
                     client.offer(0, self._latest[0])
                 while await reader.read(_READ_BYTES):  # what it says counts for nothing
