@@ -54,6 +54,7 @@ PARTS = {
     "damages": Part("benchmarks.damages"),
     "late_fixes": Part("benchmarks.late_fixes", cases=200),
     "faults": Part("benchmarks.faults"),
+    "given_poses": Part("benchmarks.given_poses"),
     "accuracy": Part("benchmarks.accuracy"),
     "row_step": Part("benchmarks.row_step", (*RENDERED, *ROAD)),
     "rectified": Part("benchmarks.rectified", RENDERED[:1]),
